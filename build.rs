@@ -1,0 +1,27 @@
+//! Builds the C++ core with `CMake`, then the bridge to it with `cxx-build`.
+
+fn main() {
+    // Always optimised: Ceres' Jets are some fifty times slower without inlining.
+    let core = cmake::Config::new("cpp")
+        .profile("Release")
+        .define("BUILD_TESTING", "OFF")
+        .define("CMAKE_INSTALL_LIBDIR", "lib")
+        .build();
+    cxx_build::bridge("src/bridge.rs")
+        .file("cpp/bridge/bridge.cpp")
+        .include("cpp/bridge")
+        .include(core.join("include"))
+        .include("/usr/include/eigen3")
+        .std("c++17")
+        .compile("plenocal_bridge");
+
+    // The order matters to linkers that read once: bridge, core, what the core needs.
+    println!("cargo:rustc-link-search=native={}", core.join("lib").display());
+    println!("cargo:rustc-link-lib=static=plenocal");
+    println!("cargo:rustc-link-lib=dylib=ceres");
+    println!("cargo:rustc-link-lib=dylib=glog");
+
+    for path in ["build.rs", "src/bridge.rs", "cpp/CMakeLists.txt", "cpp/cmake", "cpp/include", "cpp/src", "cpp/bridge"] {
+        println!("cargo:rerun-if-changed={path}");
+    }
+}

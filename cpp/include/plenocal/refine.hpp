@@ -1,0 +1,119 @@
+// Refinement of camera and poses by non-linear least squares, and the uncertainty of the result.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "plenocal/projection.hpp"
+#include "plenocal/residuals.hpp"
+
+namespace plenocal {
+
+/// A BAP feature of a board point, observed in a frame through micro-lens (k, l).
+struct FeatureObservation {
+  int frame;                          ///< index into the poses
+  std::array<double, 3> board_point;  ///< mm, board frame
+  int k, l;
+  Feature<double> observed;  ///< px; rho is not used for a pinhole array
+};
+
+/// An observed micro-image centre.
+struct CenterObservation {
+  int k, l;
+  Pixel<double> observed;  ///< px
+};
+
+/// Everything observed.
+struct Observations {
+  std::vector<FeatureObservation> features;
+  std::vector<CenterObservation> centers;
+};
+
+/// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations.
+struct CostOptions {
+  double uv_std_dev = 1.0;       ///< px, of a feature's u and v
+  double rho_std_dev = 1.0;      ///< px, of a feature's rho
+  double centers_std_dev = 1.0;  ///< px, of a centre's u and v
+  Loss features_loss;            ///< on |(u, v, rho)| of a feature
+  Loss centers_loss;             ///< on |(u, v)| of a centre
+  /// Names of intrinsic parameters that keep their value, see `intrinsic_names`.
+  std::vector<std::string> held;
+};
+
+/// How to minimise it. The tolerances are Ceres'; the defaults run to the floating-point floor
+/// rather than to a practical precision, since the cost has a long flat valley.
+struct SolverOptions {
+  int max_iterations = 200;
+  double function_tolerance = 1e-13;
+  double gradient_tolerance = 1e-11;
+  double parameter_tolerance = 1e-12;
+  double initial_trust_region_radius = 1e8;
+  int threads = 1;
+};
+
+/// One iteration, for progress and convergence plots.
+struct Iteration {
+  int number;
+  double cost;
+  double gradient_max_norm;
+  double step_norm;
+  double trust_region_radius;
+  double time_s;  ///< since the start of the solve
+};
+
+/// Called after every iteration; returning false stops the solve.
+using Progress = std::function<bool(const Iteration&)>;
+
+/// Why the solver stopped.
+enum class Termination { kConverged, kIterationLimit, kStopped, kFailed };
+
+/// The refined camera and poses and how they came about.
+struct Refinement {
+  Camera camera;
+  std::vector<Pose> poses;
+  double initial_cost = 0.0;
+  double cost = 0.0;
+  Termination termination = Termination::kFailed;
+  std::string message;  ///< Ceres' reason in words
+  std::string report;   ///< Ceres' full report
+  double time_s = 0.0;  ///< wall time of the solve
+  std::vector<Iteration> iterations;
+};
+
+/// Minimises the cost over the camera's intrinsic parameters (those not held) and all poses, all in
+/// one problem. Throws std::invalid_argument on input the model is not defined for; every frame
+/// needs a feature.
+Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
+                  const Observations& observations, const CostOptions& cost_options,
+                  const SolverOptions& solver_options, const Progress& progress = {});
+
+/// How well the observations determine the parameters, at a minimum of the cost.
+///
+/// Parameters: the intrinsics not held, in the order of `intrinsic_names`, then 6 per pose.
+/// With H = J'J the information of the standardised residuals and H_k that of the residuals of
+/// kind k (features' u and v; features' rho; centres), the variance of a residual of kind k is
+/// measured as s_k^2 = |r_k|^2 / (n_k - tr(H_k H^+)), and
+/// covariance = H^+ (sum_k s_k^2 H_k) H^+,
+/// which holds whether or not the weights of the cost match the noise.
+struct Uncertainty {
+  std::vector<int> free_intrinsics;   ///< indices into `intrinsic_names`
+  int size = 0;                       ///< number of parameters
+  int rank = 0;                       ///< number of independent directions that are determined
+  std::vector<double> covariance;     ///< size x size, row by row
+  std::vector<double> information;    ///< diagonal of H
+  /// The direction with the least information in proportion to that on each parameter alone:
+  /// the change of all parameters along one standard deviation, or, if it is not determined at
+  /// all (rank < size), along the unit of the parameters' scaled space.
+  std::vector<double> weakest;
+  /// s_k times the sigma of the cost, px: features' u and v, rho, centres' u and v.
+  std::array<double, 3> residual_std_dev{};
+  /// What a Gauss-Newton step would still take off the cost: 0 at a true minimum.
+  double expected_decrease = 0.0;
+};
+
+/// Throws std::invalid_argument like `refine`.
+Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
+                        const Observations& observations, const CostOptions& cost_options);
+
+}  // namespace plenocal

@@ -1,0 +1,222 @@
+#include "problem.hpp"
+
+#include <algorithm>
+#include <numeric>
+#include <stdexcept>
+#include <string>
+
+namespace plenocal {
+namespace {
+
+// Observations to a residual block. Larger blocks share more work and make the Schur complement
+// cheaper, smaller ones divide better between threads; the time is flat from 32 to 256.
+constexpr std::size_t kFeaturesPerBlock = 64;
+constexpr std::size_t kCentersPerBlock = 128;
+
+[[noreturn]] void reject(const std::string& what) { throw std::invalid_argument(what); }
+
+std::string micro_lens_text(int k, int l) {
+  return "micro-lens (" + std::to_string(k) + ", " + std::to_string(l) + ")";
+}
+
+void require_inside(const Lattice& lattice, int k, int l) {
+  if (!lattice.contains(k, l)) {
+    reject(micro_lens_text(k, l) + " is outside the array of " + std::to_string(lattice.columns) +
+           " x " + std::to_string(lattice.rows));
+  }
+}
+
+void require_std_dev(double value, const char* name) {
+  if (!(std::isfinite(value) && value > 0.0)) {
+    reject(std::string("the standard deviation of ") + name + " has to be positive and finite");
+  }
+}
+
+void require_loss(const Loss& loss) {
+  if (!(std::isfinite(loss.scale) && loss.scale > 0.0)) {
+    reject("the scale of the robust loss has to be positive and finite");
+  }
+}
+
+// Ceres checks its input with CHECK, which ends the process: everything is looked at before.
+void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
+                      const Observations& observations, const CostOptions& options) {
+  validate(camera);
+  require_std_dev(options.uv_std_dev, "(u, v)");
+  require_std_dev(options.rho_std_dev, "rho");
+  require_std_dev(options.centers_std_dev, "the centres");
+  require_loss(options.features_loss);
+  require_loss(options.centers_loss);
+  if (poses.empty()) reject("there are no frames");
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    for (double value : pose_block(poses[i])) {
+      if (!std::isfinite(value)) reject("pose " + std::to_string(i) + " is not finite");
+    }
+  }
+  std::vector<char> seen(poses.size(), 0);
+  for (const FeatureObservation& o : observations.features) {
+    require_inside(camera.lattice, o.k, o.l);
+    if (o.frame < 0 || o.frame >= static_cast<int>(poses.size())) {
+      reject("a feature names frame " + std::to_string(o.frame) + ", which has no pose");
+    }
+    seen[o.frame] = 1;
+    for (double value : o.board_point) {
+      if (!std::isfinite(value)) reject("a board point is not finite");
+    }
+    if (!std::isfinite(o.observed.u) || !std::isfinite(o.observed.v) ||
+        (camera.lens_types() > 0 && !std::isfinite(o.observed.rho))) {
+      reject("the feature of " + micro_lens_text(o.k, o.l) + " in frame " +
+             std::to_string(o.frame) + " is not finite");
+    }
+  }
+  const auto unseen = std::find(seen.begin(), seen.end(), 0);
+  if (unseen != seen.end()) {
+    reject("pose " + std::to_string(unseen - seen.begin()) + " has no feature");
+  }
+  for (const CenterObservation& o : observations.centers) {
+    require_inside(camera.lattice, o.k, o.l);
+    if (!std::isfinite(o.observed.u) || !std::isfinite(o.observed.v)) {
+      reject("the centre of " + micro_lens_text(o.k, o.l) + " is not finite");
+    }
+  }
+}
+
+}  // namespace
+
+CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<Pose>& poses,
+                                       const Observations& observations,
+                                       const CostOptions& options)
+    : frame_(camera),
+      lens_(camera.main_lens.block()),
+      array_(camera.mla.block()),
+      focal_lengths_(camera.micro_lens_focal_lengths) {
+  validate_problem(camera, poses, observations, options);
+  for (const Pose& pose : poses) poses_.push_back(pose_block(pose));
+
+  problem_ = std::make_unique<ceres::Problem>();
+  for (auto [block, size] : intrinsic_blocks()) problem_->AddParameterBlock(block, size);
+  for (auto& pose : poses_) problem_->AddParameterBlock(pose.data(), Pose::kSize);
+  switch (camera.lens_types()) {
+    case 0:
+      add_features<0>(observations, options);
+      break;
+    case 1:
+      add_features<1>(observations, options);
+      break;
+    default:
+      add_features<3>(observations, options);
+  }
+  add_centers(observations, options);
+  hold(options);
+  for (auto& pose : poses_) free_blocks_.push_back(pose.data());
+}
+
+std::vector<std::pair<double*, int>> CalibrationProblem::intrinsic_blocks() {
+  std::vector<std::pair<double*, int>> blocks = {
+      {lens_.data(), MainLens<double>::kSize}, {array_.data(), MicroLensArray<double>::kSize}};
+  if (!focal_lengths_.empty()) {
+    blocks.emplace_back(focal_lengths_.data(), static_cast<int>(focal_lengths_.size()));
+  }
+  return blocks;
+}
+
+template <int I>
+void CalibrationProblem::add_features(const Observations& observations,
+                                      const CostOptions& options) {
+  // Sorted by frame, then corner; the order within a corner is kept.
+  const auto& features = observations.features;
+  std::vector<std::size_t> order(features.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    return std::tie(features[a].frame, features[a].board_point) <
+           std::tie(features[b].frame, features[b].board_point);
+  });
+  for (std::size_t begin = 0; begin < order.size();) {
+    const int frame = features[order[begin]].frame;
+    std::vector<CornerSighting> sightings;
+    while (begin < order.size() && features[order[begin]].frame == frame &&
+           sightings.size() < kFeaturesPerBlock) {
+      const FeatureObservation& o = features[order[begin++]];
+      sightings.push_back({o.board_point, frame_.lattice.node(o.k, o.l),
+                           frame_.lattice.lens_type(o.k, o.l, I), o.observed});
+      row_kinds_.insert(row_kinds_.end(), {kUv, kUv});
+      if (I > 0) row_kinds_.push_back(kRho);
+    }
+    auto cost = FeatureResiduals<I>::create(std::move(sightings), frame_.pixel_size,
+                                            options.uv_std_dev, options.rho_std_dev,
+                                            options.features_loss);
+    std::vector<double*> blocks = {lens_.data(), array_.data()};
+    if (I > 0) blocks.push_back(focal_lengths_.data());
+    blocks.push_back(poses_[frame].data());
+    problem_->AddResidualBlock(cost.release(), nullptr, blocks);
+  }
+}
+
+void CalibrationProblem::add_centers(const Observations& observations,
+                                     const CostOptions& options) {
+  const auto& centers = observations.centers;
+  for (std::size_t begin = 0; begin < centers.size(); begin += kCentersPerBlock) {
+    const std::size_t end = std::min(begin + kCentersPerBlock, centers.size());
+    std::vector<CenterSighting> sightings;
+    for (std::size_t i = begin; i < end; ++i) {
+      sightings.push_back({frame_.lattice.node(centers[i].k, centers[i].l), centers[i].observed});
+      row_kinds_.insert(row_kinds_.end(), {kCenter, kCenter});
+    }
+    auto cost = CenterResiduals::create(std::move(sightings), frame_.pixel_size,
+                                        options.centers_std_dev, options.centers_loss);
+    problem_->AddResidualBlock(cost.release(), nullptr, array_.data());
+  }
+}
+
+void CalibrationProblem::hold(const CostOptions& options) {
+  const auto names = intrinsic_names(frame_.lens_types());
+  std::vector<char> held(names.size(), 0);
+  for (const std::string& name : options.held) {
+    const auto found = std::find(names.begin(), names.end(), name);
+    if (found == names.end()) reject("there is no parameter " + name + " to hold");
+    held[found - names.begin()] = 1;
+  }
+  int first = 0;
+  for (auto [block, size] : intrinsic_blocks()) {
+    std::vector<int> constant;
+    for (int i = 0; i < size; ++i) {
+      if (held[first + i]) {
+        constant.push_back(i);
+      } else {
+        free_intrinsics_.push_back(first + i);
+      }
+    }
+    if (static_cast<int>(constant.size()) == size) {
+      problem_->SetParameterBlockConstant(block);
+    } else {
+      if (!constant.empty()) {
+        problem_->SetManifold(block, new ceres::SubsetManifold(size, constant));
+      }
+      free_blocks_.push_back(block);
+    }
+    first += size;
+  }
+}
+
+std::shared_ptr<ceres::ParameterBlockOrdering> CalibrationProblem::ordering() {
+  auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
+  for (auto& pose : poses_) ordering->AddElementToGroup(pose.data(), 0);
+  for (auto [block, size] : intrinsic_blocks()) ordering->AddElementToGroup(block, 1);
+  return ordering;
+}
+
+Camera CalibrationProblem::camera() const {
+  Camera camera = frame_;
+  camera.main_lens = MainLens<double>::from_block(lens_.data());
+  camera.mla = MicroLensArray<double>::from_block(array_.data());
+  camera.micro_lens_focal_lengths = focal_lengths_;
+  return camera;
+}
+
+std::vector<Pose> CalibrationProblem::poses() const {
+  std::vector<Pose> poses;
+  for (const auto& block : poses_) poses.push_back(pose_from_block(block));
+  return poses;
+}
+
+}  // namespace plenocal

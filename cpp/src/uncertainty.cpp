@@ -1,0 +1,114 @@
+#include <Eigen/Dense>
+#include <limits>
+
+#include "plenocal/refine.hpp"
+#include "problem.hpp"
+
+namespace plenocal {
+namespace {
+
+using RowMajorMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+// Singular values of the column-scaled Jacobian below this fraction of the largest count as zero.
+// They come as square roots of eigenvalues of J'J, which carry an error near
+// size * epsilon ~ 1e-14 of the largest: 1e-7 is what can be told from zero.
+constexpr double kRankTolerance = 1e-7;
+
+// The information of each kind of residual, and the gradient.
+struct NormalEquations {
+  std::array<Eigen::MatrixXd, kResidualKinds> information;
+  std::array<double, kResidualKinds> squares{};
+  std::array<int, kResidualKinds> count{};
+  Eigen::VectorXd gradient;
+};
+
+NormalEquations accumulate(const ceres::CRSMatrix& jacobian, const std::vector<double>& residuals,
+                           const std::vector<ResidualKind>& kinds) {
+  NormalEquations equations;
+  for (auto& information : equations.information) {
+    information.setZero(jacobian.num_cols, jacobian.num_cols);
+  }
+  equations.gradient.setZero(jacobian.num_cols);
+  for (int row = 0; row < jacobian.num_rows; ++row) {
+    auto& information = equations.information[kinds[row]];
+    for (int i = jacobian.rows[row]; i < jacobian.rows[row + 1]; ++i) {
+      const int column = jacobian.cols[i];
+      const double value = jacobian.values[i];
+      for (int j = jacobian.rows[row]; j < jacobian.rows[row + 1]; ++j) {
+        information(jacobian.cols[j], column) += value * jacobian.values[j];
+      }
+      equations.gradient[column] += value * residuals[row];
+    }
+    equations.squares[kinds[row]] += residuals[row] * residuals[row];
+    ++equations.count[kinds[row]];
+  }
+  return equations;
+}
+
+}  // namespace
+
+Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
+                        const Observations& observations, const CostOptions& cost_options) {
+  CalibrationProblem calibration(camera, poses, observations, cost_options);
+  ceres::Problem::EvaluateOptions options;
+  options.parameter_blocks = calibration.free_blocks();
+  std::vector<double> residuals;
+  ceres::CRSMatrix jacobian;
+  if (!calibration.problem().Evaluate(options, nullptr, &residuals, nullptr, &jacobian)) {
+    throw std::invalid_argument(
+        "the model is not defined at this camera and these poses: a board point lies within the "
+        "focal length of the main lens");
+  }
+  const NormalEquations equations =
+      accumulate(jacobian, residuals, calibration.row_kinds());
+
+  Uncertainty result;
+  result.free_intrinsics = calibration.free_intrinsics();
+  result.size = jacobian.num_cols;
+  Eigen::MatrixXd total = equations.information[kUv];
+  for (int kind = kRho; kind < kResidualKinds; ++kind) total += equations.information[kind];
+  const Eigen::VectorXd diagonal = total.diagonal();
+  result.information.assign(diagonal.data(), diagonal.data() + diagonal.size());
+
+  // Pseudo-inverse of the information scaled to a unit diagonal, so that units do not matter.
+  const Eigen::VectorXd scale =
+      diagonal.unaryExpr([](double v) { return v > 0.0 ? 1.0 / std::sqrt(v) : 0.0; });
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(scale.asDiagonal() * total *
+                                                             scale.asDiagonal());
+  const double threshold =
+      kRankTolerance * kRankTolerance * eigen.eigenvalues().cwiseAbs().maxCoeff();
+  const Eigen::VectorXd inverse =
+      eigen.eigenvalues().unaryExpr([&](double v) { return v > threshold ? 1.0 / v : 0.0; });
+  result.rank = static_cast<int>((inverse.array() > 0.0).count());
+  const Eigen::MatrixXd basis = scale.asDiagonal() * eigen.eigenvectors();
+  const Eigen::MatrixXd inverse_information =
+      basis * inverse.asDiagonal() * basis.transpose();
+
+  const std::array<double, kResidualKinds> std_devs = {
+      cost_options.uv_std_dev, cost_options.rho_std_dev, cost_options.centers_std_dev};
+  Eigen::MatrixXd spread = Eigen::MatrixXd::Zero(result.size, result.size);
+  for (int kind = 0; kind < kResidualKinds; ++kind) {
+    const double redundancy =
+        equations.count[kind] -
+        equations.information[kind].cwiseProduct(inverse_information).sum();
+    // Without redundancy the noise cannot be measured; the stated one stands.
+    const double variance = redundancy > 0.5 ? equations.squares[kind] / redundancy : 1.0;
+    spread += variance * equations.information[kind];
+    result.residual_std_dev[kind] =
+        equations.count[kind] > 0 ? std::sqrt(variance) * std_devs[kind]
+                                  : std::numeric_limits<double>::quiet_NaN();
+  }
+  // Eigenvalues come in ascending order.
+  const Eigen::VectorXd direction = basis.col(0);
+  const double deviation = inverse[0] * std::sqrt(direction.dot(spread * direction));
+  const Eigen::VectorXd weakest = direction * (inverse[0] > 0.0 ? deviation : 1.0);
+  result.weakest.assign(weakest.data(), weakest.data() + weakest.size());
+
+  const RowMajorMatrix covariance = inverse_information * spread * inverse_information;
+  result.covariance.assign(covariance.data(), covariance.data() + covariance.size());
+  result.expected_decrease =
+      0.5 * equations.gradient.dot(inverse_information * equations.gradient);
+  return result;
+}
+
+}  // namespace plenocal

@@ -1,0 +1,13 @@
+//! Calibration from observations (paper, section 5): initial intrinsics, initial poses, refinement.
+
+mod initial;
+mod options;
+mod poses;
+mod refine;
+mod result;
+
+pub use initial::initial_camera;
+pub use options::{CalibrationOptions, CostOptions, Loss, Mode, SolverOptions, Start};
+pub use poses::initial_pose;
+pub use refine::calibrate;
+pub use result::{Calibration, FramePose, Iteration, LeftOut, Refinement, Termination};

@@ -1,0 +1,111 @@
+//! Initial poses: PnP on the barycentres of the observations of each corner (paper, section 5.2).
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Isometry3, Matrix3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use opencv::calib3d;
+use opencv::core::{Mat, Point2d, Point3d, Vector, no_array};
+use opencv::prelude::*;
+
+use crate::camera::{Board, PlenopticCamera};
+use crate::observations::{BapFeature, MIN_CORNERS};
+
+/// Corners are taken for collinear when their spread across the best line is below this part of the
+/// spread along it.
+const COLLINEAR: f64 = 1e-3;
+
+/// Pose `camera_from_board` of a frame from its features.
+///
+/// The mean of all observations of a corner is nearly its projection by a pinhole camera of focal
+/// length (D + d)/s about (u₀, v₀). Of the poses that a planar target allows, the one in front of
+/// the camera with the smallest reprojection error is taken. The error is the reason why there is
+/// none, in words.
+pub fn initial_pose(
+    camera: &PlenopticCamera,
+    board: &Board,
+    features: &[BapFeature],
+) -> Result<Isometry3<f64>, String> {
+    let mut sums: BTreeMap<i32, (Point2<f64>, f64)> = BTreeMap::new();
+    for f in features {
+        let (sum, count) = sums.entry(f.corner).or_insert((Point2::origin(), 0.0));
+        sum.x += f.u_px;
+        sum.y += f.v_px;
+        *count += 1.0;
+    }
+    let points: Vec<Point3<f64>> = sums.keys().map(|&corner| board.point_mm(corner)).collect();
+    let pixels: Vec<Point2<f64>> = sums.values().map(|(sum, count)| sum / *count).collect();
+    if points.len() < MIN_CORNERS {
+        return Err(format!("{} corners are too few", points.len()));
+    }
+    if collinear(&points) {
+        return Err("its corners lie on one line".to_owned());
+    }
+    let candidates = solve_pnp(camera, &points, &pixels)
+        .map_err(|error| format!("solvePnP failed: {}", error.message))?;
+    let in_front = |pose: &Isometry3<f64>| {
+        points.iter().all(|p| (pose * p).z > camera.main_lens.focal_length_mm)
+    };
+    candidates
+        .into_iter()
+        .filter(|(pose, _)| in_front(pose))
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .map(|(pose, _)| pose)
+        .ok_or_else(|| {
+            "solvePnP found no pose with the whole board in front of the main lens's focal plane"
+                .to_owned()
+        })
+}
+
+fn collinear(points: &[Point3<f64>]) -> bool {
+    let mean = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64;
+    let scatter: Matrix3<f64> =
+        points.iter().map(|p| (p.coords - mean) * (p.coords - mean).transpose()).sum();
+    let mut spread = scatter.symmetric_eigenvalues().as_slice().to_vec();
+    spread.sort_by(f64::total_cmp);
+    spread[1].max(0.0).sqrt() <= COLLINEAR * spread[2].max(0.0).sqrt()
+}
+
+/// Poses of a planar target with their reprojection errors, px.
+fn solve_pnp(
+    camera: &PlenopticCamera,
+    points: &[Point3<f64>],
+    pixels: &[Point2<f64>],
+) -> opencv::Result<Vec<(Isometry3<f64>, f64)>> {
+    let focal_px =
+        (camera.mla.lens_to_mla_mm + camera.mla.mla_to_sensor_mm) / camera.sensor.pixel_size_mm;
+    let principal = camera.mla.principal_point_px;
+    let intrinsics = Mat::from_slice_2d(&[
+        [focal_px, 0.0, principal.x],
+        [0.0, focal_px, principal.y],
+        [0.0, 0.0, 1.0],
+    ])?;
+    let object: Vector<Point3d> = points.iter().map(|p| Point3d::new(p.x, p.y, p.z)).collect();
+    let image: Vector<Point2d> = pixels.iter().map(|p| Point2d::new(p.x, p.y)).collect();
+    let (mut rotations, mut translations) = (Vector::<Mat>::new(), Vector::<Mat>::new());
+    let mut errors = Vector::<f64>::new();
+    calib3d::solve_pnp_generic(
+        &object,
+        &image,
+        &intrinsics,
+        &no_array(),
+        &mut rotations,
+        &mut translations,
+        false,
+        calib3d::SolvePnPMethod::SOLVEPNP_IPPE,
+        &no_array(),
+        &no_array(),
+        &mut errors,
+    )?;
+    let vector = |mat: Mat| -> opencv::Result<Vector3<f64>> {
+        Ok(Vector3::new(*mat.at::<f64>(0)?, *mat.at::<f64>(1)?, *mat.at::<f64>(2)?))
+    };
+    let mut poses = Vec::new();
+    for ((rotation, translation), error) in rotations.into_iter().zip(translations).zip(errors) {
+        let (r, t) = (vector(rotation)?, vector(translation)?);
+        if r.iter().chain(t.iter()).all(|v| v.is_finite()) {
+            let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::new(r));
+            poses.push((Isometry3::from_parts(Translation3::from(t), rotation), error));
+        }
+    }
+    Ok(poses)
+}

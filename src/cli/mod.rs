@@ -1,0 +1,38 @@
+//! Commands; one file for each.
+
+mod calibrate;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Calibrates multi-focus plenoptic (light-field) cameras.
+#[derive(Parser)]
+#[command(version, after_help = EXIT_STATUS, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Calibrate(Box<calibrate::Arguments>),
+}
+
+const EXIT_STATUS: &str = "\
+Exit status:
+  0  done, and the result is converged and finite
+  1  bad input or a failure: nothing was written
+  2  the command line was not understood
+  3  not converged: results were written, marked as such";
+
+/// Runs the command line of this process.
+pub fn run() -> ExitCode {
+    let outcome = match Cli::parse().command {
+        Command::Calibrate(arguments) => calibrate::run(*arguments),
+    };
+    outcome.unwrap_or_else(|error| {
+        eprintln!("error: {error}");
+        ExitCode::FAILURE
+    })
+}

@@ -1,0 +1,153 @@
+//! Standard deviations, correlations and the direction that the data determine least.
+
+use nalgebra::DMatrix;
+
+use crate::camera::intrinsic_parameters;
+
+/// Number of parameters of a pose.
+const POSE_PARAMETERS: usize = 6;
+/// Place of the translation along z in a pose (rotation first).
+const POSE_Z: usize = 5;
+
+/// How well the observations determine the parameters.
+///
+/// The parameters are the intrinsics that were free, then six for every pose (angle-axis rotation
+/// in rad, translation in mm). The covariance is scaled by the residual variances as measured for
+/// each kind of residual, so it holds whether or not the weights of the cost match the noise. It
+/// takes the errors of different observations as independent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Uncertainty {
+    /// Indices of the free parameters into `PlenopticCamera::intrinsics`.
+    pub free_intrinsics: Vec<usize>,
+    /// Number of independent directions of parameter space that the observations determine.
+    pub rank: usize,
+    /// Covariance of all parameters, in their units.
+    pub covariance: DMatrix<f64>,
+    /// Diagonal of the information matrix J'J.
+    pub information: Vec<f64>,
+    /// Change of all parameters along one standard deviation of the weakest direction, or, where
+    /// that is not determined at all (rank < size), along the unit of the scaled space.
+    pub weakest: Vec<f64>,
+    /// Measured standard deviation of a residual, px: u and v of features, ρ, u and v of centres;
+    /// not a number for a kind without observations.
+    pub residual_std_dev_px: [f64; 3],
+    /// What a Gauss-Newton step would still take off the cost; next to nothing at a true minimum.
+    pub expected_decrease: f64,
+}
+
+/// A parameter's part in the weakest direction.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Component {
+    /// Name of the parameter.
+    pub name: String,
+    /// Its change along the direction, in its unit.
+    pub change: f64,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The share of its variance that lies in the direction, or, where the direction is not
+    /// determined, of the direction's length that lies in the parameter; 0 to 1.
+    pub share: f64,
+}
+
+/// The direction of parameter space about which the data say least, in proportion to what they say
+/// on each parameter alone.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WeakDirection {
+    /// Whether the data determine it at all. If not, its changes are in no particular proportion to
+    /// standard deviations.
+    pub determined: bool,
+    /// Intrinsic parameters that it moves most, the largest share first.
+    pub components: Vec<Component>,
+    /// Mean change of the distance of the boards along it, mm.
+    pub board_distance_mm: f64,
+}
+
+/// A parameter is named when the direction explains at least this share of its variance.
+const NAMED_SHARE: f64 = 0.5;
+/// In a direction that is not determined, when it has at least this share of the length.
+const NAMED_SHARE_UNDETERMINED: f64 = 0.01;
+
+impl Uncertainty {
+    /// Number of parameters.
+    #[must_use]
+    pub fn size(&self) -> usize {
+        self.covariance.nrows()
+    }
+
+    /// Standard deviation of each intrinsic parameter in the order of
+    /// `PlenopticCamera::intrinsics`; `None` for those held.
+    #[must_use]
+    pub fn intrinsic_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
+        let mut std_devs = vec![None; intrinsic_parameters(lens_types).len()];
+        for (row, &index) in self.free_intrinsics.iter().enumerate() {
+            std_devs[index] = Some(self.covariance[(row, row)].sqrt());
+        }
+        std_devs
+    }
+
+    /// Standard deviations of the parameters of a pose: rotation vector (rad), translation (mm).
+    #[must_use]
+    pub fn pose_std_devs(&self, pose: usize) -> [f64; POSE_PARAMETERS] {
+        let first = self.free_intrinsics.len() + POSE_PARAMETERS * pose;
+        std::array::from_fn(|i| self.covariance[(first + i, first + i)].sqrt())
+    }
+
+    /// Correlation matrix of the free intrinsic parameters; 0 where one is not determined.
+    #[must_use]
+    pub fn intrinsic_correlations(&self) -> DMatrix<f64> {
+        let n = self.free_intrinsics.len();
+        DMatrix::from_fn(n, n, |i, j| {
+            let scale = (self.covariance[(i, i)] * self.covariance[(j, j)]).sqrt();
+            match (i == j, scale > 0.0) {
+                (true, _) => 1.0,
+                (false, true) => self.covariance[(i, j)] / scale,
+                (false, false) => 0.0,
+            }
+        })
+    }
+
+    /// The weakest direction; `None` when every intrinsic parameter was held.
+    #[must_use]
+    pub fn weakest_direction(&self, lens_types: usize) -> Option<WeakDirection> {
+        let n = self.free_intrinsics.len();
+        if n == 0 {
+            return None;
+        }
+        let determined = self.rank == self.size();
+        let share = |row: usize| {
+            let square = self.weakest[row].powi(2);
+            if determined {
+                (square / self.covariance[(row, row)].max(f64::MIN_POSITIVE)).min(1.0)
+            } else {
+                square * self.information[row]
+            }
+        };
+        let least = if determined { NAMED_SHARE } else { NAMED_SHARE_UNDETERMINED };
+        let parameters = intrinsic_parameters(lens_types);
+        let mut components: Vec<Component> = self
+            .free_intrinsics
+            .iter()
+            .enumerate()
+            .map(|(row, &index)| Component {
+                name: parameters[index].name.clone(),
+                change: self.weakest[row],
+                unit: parameters[index].unit,
+                share: share(row),
+            })
+            .filter(|component| component.share >= least)
+            .collect();
+        components.sort_by(|a, b| b.share.total_cmp(&a.share));
+        // The sign of a direction is free: the first parameter named grows.
+        let sign = components.first().map_or(1.0, |first| first.change.signum());
+        for component in &mut components {
+            component.change *= sign;
+        }
+        let distances = || (n + POSE_Z..self.size()).step_by(POSE_PARAMETERS);
+        let sum: f64 = distances().map(|row| sign * self.weakest[row]).sum();
+        Some(WeakDirection {
+            determined,
+            components,
+            board_distance_mm: sum / distances().count().max(1) as f64,
+        })
+    }
+}

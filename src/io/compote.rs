@@ -1,0 +1,481 @@
+//! COMPOTE's files and conventions, both ways; nothing outside this module knows of them.
+//!
+//! Where they differ from plenocal's:
+//! - JSON numbers are mostly written as strings, vectors as matrices of one row.
+//! - Micro-lenses (k', l') count along +x and +y of the camera, against the micro-images:
+//!   k' = columns − 1 − k, l' = rows − 1 − l. So do the pixels of the sensor's frame:
+//!   x = W − 1 − u, y = H − 1 − v.
+//! - The frame of the array sits at lattice position (0, 0), not at the array's centre, and the
+//!   sensor's at pixel (0, 0) of its own frame; poses take array or sensor into the camera.
+//! - On a hexagonal mesh it is the rows of even index that are shifted, of the array (l') and of
+//!   the micro-images (l) alike, so only arrays with an even number of rows can be written.
+//! - The poses of frames are those of the camera in the world, the board lying at z = 0.
+
+mod json;
+mod linked;
+
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::calibration::FramePose;
+use crate::camera::{
+    Board, Configuration, Datasheet, InternalParameters, LensSetting, MainLens, MicroLensArray,
+    PlenopticCamera, Sensor,
+};
+use crate::error::{Error, Result};
+use crate::lattice::{Lattice, LatticeKind, Parity};
+use crate::precalibration::MicroImageArray;
+use json::{Integer, Number, Vector, matrix, number, parse, vector};
+
+pub(super) use linked::{is_linked_observations, linked_observations};
+
+#[derive(Deserialize)]
+struct MeshFile {
+    geometry: Integer,
+    width: Integer,
+    height: Integer,
+    pitch: Option<Vector>,
+}
+
+#[derive(Deserialize)]
+struct MiaFile {
+    mesh: MeshFile,
+}
+
+#[derive(Deserialize)]
+struct PoseFile {
+    rotation: Vec<Vec<Number>>,
+    translation: Vector,
+}
+
+#[derive(Deserialize)]
+struct LensFile {
+    aperture: Number,
+    f: Number,
+}
+
+#[derive(Deserialize)]
+struct CameraFile {
+    mia: MiaFile,
+    sensor: SensorFile,
+    main_lens: LensFile,
+    dist_focus: Number,
+    #[serde(rename = "I")]
+    lens_types: Integer,
+    mode: Integer,
+}
+
+#[derive(Deserialize)]
+struct SensorFile {
+    scale: Number,
+    width: Integer,
+    height: Integer,
+}
+
+#[derive(Deserialize)]
+struct IntrinsicsFile {
+    #[serde(rename = "I")]
+    lens_types: Integer,
+    dist_focus: Number,
+    distortions: DistortionsFile,
+    main_lens: LensFile,
+    mla: MlaFile,
+    sensor: PosedSensorFile,
+}
+
+#[derive(Deserialize)]
+struct DistortionsFile {
+    radial: Vector,
+    tangential: Vector,
+}
+
+#[derive(Deserialize)]
+struct MlaFile {
+    #[serde(default)]
+    focal_lengths: Vec<Number>,
+    mesh: PosedMeshFile,
+}
+
+#[derive(Deserialize)]
+struct PosedMeshFile {
+    #[serde(flatten)]
+    mesh: MeshFile,
+    pose: PoseFile,
+}
+
+#[derive(Deserialize)]
+struct PosedSensorFile {
+    #[serde(flatten)]
+    sensor: SensorFile,
+    pose: PoseFile,
+}
+
+#[derive(Deserialize)]
+struct ParametersFile {
+    m: Number,
+    q_prime: Vec<Number>,
+    dc: Option<Number>,
+    scale: Option<Number>,
+    #[serde(rename = "I")]
+    lens_types: Option<Integer>,
+}
+
+#[derive(Deserialize)]
+struct SceneFile {
+    checkerboards: Vec<CheckerboardFile>,
+}
+
+#[derive(Deserialize)]
+struct CheckerboardFile {
+    lph: Number,
+    x_grid: Integer,
+    y_grid: Integer,
+}
+
+#[derive(Deserialize)]
+struct PosesFile {
+    poses: Vec<FrameFile>,
+}
+
+#[derive(Deserialize)]
+struct FrameFile {
+    frame: Integer,
+    pose: PoseFile,
+}
+
+impl MeshFile {
+    fn lattice_kind(&self) -> Result<LatticeKind> {
+        match self.geometry.0 {
+            0 => Ok(LatticeKind::Orthogonal),
+            1 => Ok(LatticeKind::HexagonalRows),
+            2 => Ok(LatticeKind::HexagonalColumns),
+            other => Err(Error::invalid(format!(
+                "mesh geometry {other} is not known; it is 0 (orthogonal), 1 (hexagonal rows) or 2 \
+                 (hexagonal columns)"
+            ))),
+        }
+    }
+
+    fn size(&self) -> Result<(i32, i32)> {
+        Ok((self.width.positive("mesh width")?, self.height.positive("mesh height")?))
+    }
+}
+
+impl SensorFile {
+    fn sensor(&self) -> Result<Sensor> {
+        let size = |value: &Integer, name| {
+            value.positive(name).map(|n| u32::try_from(n).unwrap_or(u32::MAX))
+        };
+        Ok(Sensor {
+            width_px: size(&self.width, "sensor width")?,
+            height_px: size(&self.height, "sensor height")?,
+            pixel_size_mm: self.scale.0,
+        })
+    }
+}
+
+impl PoseFile {
+    fn isometry(&self) -> Result<Isometry3<f64>> {
+        let rows = &self.rotation;
+        if rows.len() != 3 || rows.iter().any(|row| row.len() != 3) {
+            return Err(Error::invalid("a pose's rotation is not a 3 x 3 matrix"));
+        }
+        let matrix = Matrix3::from_fn(|i, j| rows[i][j].0);
+        // Written with some 16 digits; more than rounding is another matter.
+        if (matrix * matrix.transpose() - Matrix3::identity()).norm() > 1e-6
+            || matrix.determinant() < 0.0
+        {
+            return Err(Error::invalid("a pose's rotation is not a rotation matrix"));
+        }
+        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_eps(
+            &matrix,
+            f64::EPSILON,
+            100,
+            Rotation3::from_matrix_unchecked(matrix),
+        ));
+        let [x, y, z] = self.translation.fixed("a pose's translation")?;
+        Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
+    }
+}
+
+/// The datasheet values of a `camera.js`.
+pub(super) fn datasheet_from(value: Value) -> Result<Datasheet> {
+    let file: CameraFile = parse(value, "camera.js, intrinsics.js or camera.json")?;
+    let (columns, rows) = file.mia.mesh.size()?;
+    Ok(Datasheet {
+        sensor: file.sensor.sensor()?,
+        focal_length_mm: file.main_lens.f.0,
+        focus_distance_mm: file.dist_focus.0,
+        f_number: file.main_lens.aperture.0,
+        configuration: match file.mode.0 {
+            0 => Configuration::Unfocused,
+            1 => Configuration::Keplerian,
+            2 => Configuration::Galilean,
+            other => {
+                return Err(Error::invalid(format!(
+                    "mode {other} is not known; it is 0 (unfocused), 1 (Keplerian) or 2 (Galilean)"
+                )));
+            }
+        },
+        lattice_kind: file.mia.mesh.lattice_kind()?,
+        columns,
+        rows,
+        lens_types: file.lens_types.count("I")?,
+    })
+}
+
+/// The internal parameters of a `params.js`.
+pub(super) fn internal_parameters_from(
+    value: Value,
+    pixel_size_mm: Option<f64>,
+) -> Result<InternalParameters> {
+    let file: ParametersFile = parse(value, "params.js")?;
+    if let Some(lens_types) = &file.lens_types
+        && lens_types.count("I")? != file.q_prime.len()
+    {
+        return Err(Error::invalid(format!(
+            "I is {}, but there are {} values of q_prime",
+            lens_types.0,
+            file.q_prime.len()
+        )));
+    }
+    if let (Some(scale), Some(pixel)) = (&file.scale, pixel_size_mm)
+        && (scale.0 / pixel - 1.0).abs() > 1e-6
+    {
+        return Err(Error::invalid(format!(
+            "the internal parameters were measured with pixels of {} mm, but the camera's have {} \
+             mm",
+            scale.0, pixel
+        )));
+    }
+    Ok(InternalParameters {
+        // Negative by the paper's sign of radii in the Galilean configuration.
+        m_mm: file.m.0.abs(),
+        q_prime_mm: file.q_prime.iter().map(|q| q.0).collect(),
+        micro_image_pitch_mm: file.dc.map(|dc| dc.0),
+    })
+}
+
+/// The first board of a `scene.js`; an error if there are several.
+pub(super) fn board_from(value: Value) -> Result<Board> {
+    let file: SceneFile = parse(value, "scene.js")?;
+    let [board] = file.checkerboards.as_slice() else {
+        return Err(Error::invalid(format!(
+            "the scene has {} checkerboards; exactly one is supported",
+            file.checkerboards.len()
+        )));
+    };
+    Ok(Board {
+        columns: board.x_grid.positive("x_grid")?,
+        rows: board.y_grid.positive("y_grid")?,
+        square_mm: board.lph.0,
+    })
+}
+
+/// Which rows of the array are shifted in plenocal's indices: even l' is shifted, and
+/// l' = rows − 1 − l.
+fn shifted_parity(kind: LatticeKind, columns: i32, rows: i32) -> Parity {
+    let across = match kind {
+        LatticeKind::HexagonalRows => rows,
+        LatticeKind::HexagonalColumns => columns,
+        LatticeKind::Orthogonal => return Parity::Even,
+    };
+    // A shift of even l' by +½ along +x is, against x, one of odd l' by +½ and a common −½.
+    if across % 2 == 0 { Parity::Even } else { Parity::Odd }
+}
+
+/// Position of COMPOTE's node (k', l') in its mesh, in pitches.
+fn mesh_node(kind: LatticeKind, k: i32, l: i32) -> Vector2<f64> {
+    let (k, l, row) = (f64::from(k), f64::from(l), 3.0_f64.sqrt() / 2.0);
+    let shift = |index: f64| if index % 2.0 == 0.0 { 0.5 } else { 0.0 };
+    match kind {
+        LatticeKind::Orthogonal => Vector2::new(k, l),
+        LatticeKind::HexagonalRows => Vector2::new(k + shift(l), row * l),
+        LatticeKind::HexagonalColumns => Vector2::new(row * k, l + shift(k)),
+    }
+}
+
+/// From the origin of COMPOTE's mesh to the centre of plenocal's array, mm in the array's axes.
+fn mesh_to_center(lattice: &Lattice, pitch_mm: f64, ratio: f64) -> Vector3<f64> {
+    // Node (0, 0) of the mesh is the last of the lattice; positions in the two run against each
+    // other.
+    let center = mesh_node(lattice.kind, 0, 0)
+        + lattice.node(lattice.columns - 1, lattice.rows - 1);
+    Vector3::new(center.x * pitch_mm, center.y * pitch_mm * ratio, 0.0)
+}
+
+/// The camera of an `intrinsics.js`.
+pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
+    let file: IntrinsicsFile = parse(value, "intrinsics.js")?;
+    let sensor = file.sensor.sensor.sensor()?;
+    let mesh = &file.mla.mesh.mesh;
+    let (kind, (columns, rows)) = (mesh.lattice_kind()?, mesh.size()?);
+    let lattice = Lattice { kind, columns, rows, shifted: shifted_parity(kind, columns, rows) };
+    let focal_lengths_mm: Vec<f64> = file.mla.focal_lengths.iter().map(|f| f.0).collect();
+    if file.lens_types.count("I")? != focal_lengths_mm.len() {
+        return Err(Error::invalid(format!(
+            "I is {}, but there are {} focal lengths of micro-lenses",
+            file.lens_types.0,
+            focal_lengths_mm.len()
+        )));
+    }
+    let pitch = mesh.pitch.as_ref().ok_or_else(|| Error::invalid("the mla's mesh has no pitch"))?;
+    let [pitch_x, pitch_y] = pitch.fixed("the pitch of the mla's mesh")?;
+    let pitch_ratio = pitch_y / pitch_x;
+    let camera_from_mesh = file.mla.mesh.pose.isometry()?;
+    let center = camera_from_mesh
+        * nalgebra::Point3::from(mesh_to_center(&lattice, pitch_x, pitch_ratio));
+    let camera_from_sensor = file.sensor.pose.isometry()?;
+    if camera_from_sensor.rotation.angle() > 1e-9 {
+        return Err(Error::invalid(
+            "the sensor is turned against the main lens; the model has it parallel",
+        ));
+    }
+    let origin = camera_from_sensor.translation.vector;
+    let (roll, pitch, yaw) = camera_from_mesh.rotation.euler_angles();
+    Ok(PlenopticCamera {
+        sensor,
+        lattice,
+        main_lens: MainLens {
+            focal_length_mm: file.main_lens.f.0,
+            radial: file.distortions.radial.fixed("the radial distortion")?,
+            tangential: file.distortions.tangential.fixed("the tangential distortion")?,
+            setting: Some(LensSetting {
+                f_number: file.main_lens.aperture.0,
+                focus_distance_mm: file.dist_focus.0,
+            }),
+        },
+        mla: MicroLensArray {
+            principal_point_px: last_pixel(&sensor) + origin.xy() / sensor.pixel_size_mm,
+            mla_to_sensor_mm: center.z - origin.z,
+            rotation_rad: Vector3::new(roll, pitch, yaw),
+            offset_mm: center.coords.xy(),
+            lens_to_mla_mm: -center.z,
+            pitch_mm: pitch_x,
+            pitch_ratio,
+            focal_lengths_mm,
+        },
+    })
+}
+
+fn last_pixel(sensor: &Sensor) -> Vector2<f64> {
+    2.0 * sensor.center_px()
+}
+
+/// The poses of a `poses.js`.
+pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
+    let file: PosesFile = parse(value, "poses.js or poses.json")?;
+    file.poses
+        .iter()
+        .map(|f| {
+            let frame = u32::try_from(f.frame.0)
+                .map_err(|_| Error::invalid(format!("frame {} is not a frame", f.frame.0)))?;
+            Ok(FramePose { frame, camera_from_board: f.pose.isometry()?.inverse() })
+        })
+        .collect()
+}
+
+/// The content of an `intrinsics.js`. `grid` are the micro-images it was calibrated from.
+///
+/// An error where COMPOTE's mesh cannot express the array, or the lens's setting is not known.
+pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> Result<Value> {
+    let (lens, mla, lattice) = (&camera.main_lens, &camera.mla, &camera.lattice);
+    let (sensor, columns, rows) = (&camera.sensor, lattice.columns, lattice.rows);
+    if lattice.kind != LatticeKind::Orthogonal
+        && (lattice.shifted != Parity::Even
+            || shifted_parity(lattice.kind, columns, rows) != Parity::Even)
+    {
+        return Err(Error::invalid(format!(
+            "COMPOTE cannot express this array of {columns} x {rows} with its {:?} rows shifted: it \
+             takes an even number of rows, the even ones shifted",
+            lattice.shifted
+        )));
+    }
+    let setting = lens.setting.ok_or_else(|| {
+        Error::invalid("COMPOTE's intrinsics.js needs the f-number, which is not known")
+    })?;
+    let geometry = match lattice.kind {
+        LatticeKind::Orthogonal => 0,
+        LatticeKind::HexagonalRows => 1,
+        LatticeKind::HexagonalColumns => 2,
+    };
+    let mesh_size = |mesh: &mut Value| {
+        mesh["geometry"] = json!(geometry.to_string());
+        mesh["width"] = json!(columns.to_string());
+        mesh["height"] = json!(rows.to_string());
+    };
+
+    let [roll, pitch, yaw] = mla.rotation_rad.into();
+    let rotation = Rotation3::from_euler_angles(roll, pitch, yaw);
+    let center = Vector3::new(mla.offset_mm.x, mla.offset_mm.y, -mla.lens_to_mla_mm);
+    let origin = center - rotation * mesh_to_center(lattice, mla.pitch_mm, mla.pitch_ratio);
+    let mut mla_mesh = json!({
+        "pitch": vector(&[mla.pitch_mm, mla.pitch_mm * mla.pitch_ratio]),
+        "pose": { "rotation": matrix(rotation.matrix()), "translation": vector(origin.as_slice()) },
+    });
+    mesh_size(&mut mla_mesh);
+
+    let first = mesh_node(lattice.kind, 0, 0) - lattice.node(0, 0);
+    let (sin, cos) = grid.rotation_rad.sin_cos();
+    let turn = nalgebra::Matrix2::new(cos, -sin, sin, cos);
+    let mia_origin = grid.center_px - turn * first * grid.pitch_px;
+    let mut mia_mesh = json!({
+        "pitch": vector(&[grid.pitch_px, grid.pitch_px]),
+        "pose": { "rotation": matrix(&turn), "translation": vector(mia_origin.as_slice()) },
+    });
+    mesh_size(&mut mia_mesh);
+
+    let sensor_xy = (mla.principal_point_px - last_pixel(sensor)) * sensor.pixel_size_mm;
+    let sensor_z = -(mla.lens_to_mla_mm + mla.mla_to_sensor_mm);
+    let identity = matrix(&Matrix3::<f64>::identity());
+    Ok(json!({
+        "I": camera.lens_types().to_string(),
+        "mode": match camera.configuration() {
+            Some(Configuration::Galilean) => "2",
+            Some(Configuration::Keplerian) => "1",
+            Some(Configuration::Unfocused) | None => "0",
+        },
+        "dist_focus": number(setting.focus_distance_mm),
+        "distortions": {
+            "radial": vector(&lens.radial),
+            "tangential": vector(&lens.tangential),
+        },
+        "main_lens": {
+            "aperture": number(setting.f_number),
+            "diameter": number(lens.focal_length_mm / setting.f_number),
+            "f": number(lens.focal_length_mm),
+            "pose": { "rotation": identity, "translation": vector(&[0.0; 3]) },
+        },
+        "mia": { "mesh": mia_mesh },
+        "mla": {
+            "focal_lengths": mla.focal_lengths_mm.iter().map(|&f| number(f)).collect::<Vec<_>>(),
+            "mesh": mla_mesh,
+        },
+        "sensor": {
+            "width": sensor.width_px.to_string(),
+            "height": sensor.height_px.to_string(),
+            "scale": number(sensor.pixel_size_mm),
+            "pose": {
+                "rotation": identity,
+                "translation": vector(&[sensor_xy.x, sensor_xy.y, sensor_z]),
+            },
+        },
+    }))
+}
+
+/// The content of a `poses.js`.
+#[must_use]
+pub fn poses_document(poses: &[FramePose]) -> Value {
+    let frame = |p: &FramePose| {
+        let world_from_camera = p.camera_from_board.inverse();
+        json!({
+            "frame": p.frame.to_string(),
+            "pose": {
+                "rotation": matrix(world_from_camera.rotation.to_rotation_matrix().matrix()),
+                "translation": vector(world_from_camera.translation.vector.as_slice()),
+            },
+        })
+    };
+    json!({ "poses": poses.iter().map(frame).collect::<Vec<_>>() })
+}

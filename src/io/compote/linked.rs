@@ -1,0 +1,91 @@
+//! COMPOTE's binary observations: a gzip stream of three sections, centres, corners and features,
+//! each a little-endian u64 count followed by packed records.
+
+use std::io::Read;
+
+use flate2::read::GzDecoder;
+
+use crate::error::{Error, Result};
+use crate::observations::{BapFeature, MicroImageCenter, Observations};
+
+/// Bytes of a centre (k, l: i32; u, v: f64).
+const CENTER_BYTES: usize = 24;
+/// Bytes of a corner or feature (k, l: i32; u, v, rho: f64; cluster, frame: i32).
+const FEATURE_BYTES: usize = 40;
+/// More than this after decompression is no set of observations, but a damaged or hostile file.
+const MAX_BYTES: u64 = 1 << 32;
+
+/// Whether the bytes begin as a gzip stream does.
+pub(in crate::io) fn is_linked_observations(bytes: &[u8]) -> bool {
+    bytes.starts_with(&[0x1f, 0x8b])
+}
+
+/// The observations in a gzip stream.
+pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
+    let mut data = Vec::new();
+    GzDecoder::new(bytes).take(MAX_BYTES).read_to_end(&mut data).map_err(|e| {
+        Error::invalid(format!("the gzip stream is damaged or cut short ({e}); copy it anew"))
+    })?;
+    let mut rest = data.as_slice();
+    let centers: Vec<MicroImageCenter> = section(&mut rest, "centres", CENTER_BYTES, |r| {
+        Ok(MicroImageCenter { k: i32_at(r, 0), l: i32_at(r, 4), u_px: f64_at(r, 8), v_px: f64_at(r, 16) })
+    })?;
+    let feature = |r: &[u8]| {
+        let frame = i32_at(r, 36);
+        Ok(BapFeature {
+            k: i32_at(r, 0),
+            l: i32_at(r, 4),
+            u_px: f64_at(r, 8),
+            v_px: f64_at(r, 16),
+            rho_px: f64_at(r, 24),
+            corner: i32_at(r, 32),
+            frame: u32::try_from(frame)
+                .map_err(|_| Error::invalid(format!("a feature has the frame {frame}")))?,
+        })
+    };
+    let corners = section(&mut rest, "corners", FEATURE_BYTES, feature)?;
+    if !corners.is_empty() {
+        return Err(Error::invalid(format!(
+            "there are {} corners that are not tied to the board; only linked features can be used",
+            corners.len()
+        )));
+    }
+    let features = section(&mut rest, "features", FEATURE_BYTES, feature)?;
+    if !rest.is_empty() {
+        return Err(Error::invalid(format!(
+            "{} bytes follow the last section; this is not a file of linked observations",
+            rest.len()
+        )));
+    }
+    Ok(Observations { centers, features })
+}
+
+fn section<T>(
+    rest: &mut &[u8],
+    name: &str,
+    record_bytes: usize,
+    parse: impl Fn(&[u8]) -> Result<T>,
+) -> Result<Vec<T>> {
+    let short = || Error::invalid(format!("the file ends within the section of {name}"));
+    let (count, after) = rest.split_first_chunk::<8>().ok_or_else(short)?;
+    let size = usize::try_from(u64::from_le_bytes(*count))
+        .ok()
+        .and_then(|count| count.checked_mul(record_bytes))
+        .filter(|&size| size <= after.len())
+        .ok_or_else(short)?;
+    let (records, after) = after.split_at(size);
+    *rest = after;
+    records.chunks_exact(record_bytes).map(parse).collect()
+}
+
+fn bytes_at<const N: usize>(record: &[u8], offset: usize) -> [u8; N] {
+    std::array::from_fn(|i| record[offset + i])
+}
+
+fn i32_at(record: &[u8], offset: usize) -> i32 {
+    i32::from_le_bytes(bytes_at(record, offset))
+}
+
+fn f64_at(record: &[u8], offset: usize) -> f64 {
+    f64::from_le_bytes(bytes_at(record, offset))
+}

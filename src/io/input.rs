@@ -1,0 +1,101 @@
+//! Reads a camera, internal parameters, a board or poses from whichever kind of file holds them,
+//! told apart by content.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::{Project, camera_file, compote, poses_file, read_text};
+use crate::calibration::FramePose;
+use crate::camera::{Board, Datasheet, InternalParameters, PlenopticCamera};
+use crate::error::{Error, Result};
+
+/// What a camera file holds.
+#[derive(Debug, Clone, PartialEq)]
+pub enum CameraSource {
+    /// The datasheet values of a camera to be calibrated.
+    Datasheet(Datasheet),
+    /// A calibrated camera.
+    Camera(Box<PlenopticCamera>),
+}
+
+/// A document of one of the kinds of file.
+enum Document {
+    Project(Box<Project>),
+    Json(Value),
+}
+
+fn read_document(path: &Path) -> Result<Document> {
+    let text = read_text(path)?;
+    if text.trim().is_empty() {
+        return Err(Error::content(path, "the file is empty"));
+    }
+    if text.trim_start().starts_with('{') {
+        let value = serde_json::from_str(&text)
+            .map_err(|e| Error::content(path, format!("this is not valid JSON: {e}")))?;
+        return Ok(Document::Json(value));
+    }
+    Ok(Document::Project(Box::new(Project::read(path)?)))
+}
+
+fn is_format(value: &Value, format: &str) -> bool {
+    value.get("format").and_then(Value::as_str) == Some(format)
+}
+
+/// Reads a camera: `camera.json`, COMPOTE's `intrinsics.js` or `camera.js`, or the tables of a
+/// project file.
+pub fn read_camera_source(path: &Path) -> Result<CameraSource> {
+    let source = match read_document(path)? {
+        Document::Project(project) => project.datasheet().and_then(|sheet| {
+            sheet
+                .map(CameraSource::Datasheet)
+                .ok_or_else(|| Error::invalid("there is no camera in this project file"))
+        }),
+        Document::Json(value) if is_format(&value, camera_file::CAMERA_FORMAT) => {
+            camera_file::camera_from(value).map(|camera| CameraSource::Camera(Box::new(camera)))
+        }
+        Document::Json(value) if value.get("mla").is_some() => {
+            compote::camera_from(value).map(|camera| CameraSource::Camera(Box::new(camera)))
+        }
+        Document::Json(value) => compote::datasheet_from(value).map(CameraSource::Datasheet),
+    };
+    source.map_err(|e| e.in_file(path))
+}
+
+/// Reads internal parameters: COMPOTE's `params.js` or a project file. The pixel size, mm, is
+/// checked against the one they were measured with where that is stated.
+pub fn read_internal_parameters(
+    path: &Path,
+    pixel_size_mm: Option<f64>,
+) -> Result<InternalParameters> {
+    let internal = match read_document(path)? {
+        Document::Project(project) => project
+            .internal()
+            .ok_or_else(|| Error::invalid("there is no table [internal_parameters] in it")),
+        Document::Json(value) => compote::internal_parameters_from(value, pixel_size_mm),
+    };
+    internal.map_err(|e| e.in_file(path))
+}
+
+/// Reads a board: COMPOTE's `scene.js` or a project file.
+pub fn read_board(path: &Path) -> Result<Board> {
+    let board = match read_document(path)? {
+        Document::Project(project) => {
+            project.board.ok_or_else(|| Error::invalid("there is no table [board] in it"))
+        }
+        Document::Json(value) => compote::board_from(value),
+    };
+    board.and_then(|board| board.validate().map(|()| board)).map_err(|e| e.in_file(path))
+}
+
+/// Reads poses: `poses.json` or COMPOTE's `poses.js`.
+pub fn read_poses(path: &Path) -> Result<Vec<FramePose>> {
+    let poses = match read_document(path)? {
+        Document::Project(_) => Err(Error::invalid("there are no poses in a project file")),
+        Document::Json(value) if is_format(&value, poses_file::POSES_FORMAT) => {
+            poses_file::poses_from(value)
+        }
+        Document::Json(value) => compote::poses_from(value),
+    };
+    poses.map_err(|e| e.in_file(path))
+}

@@ -1,0 +1,32 @@
+//! Files: plenocal's own and COMPOTE's, read by what is in them and written all or none.
+
+mod camera_file;
+pub mod compote;
+mod input;
+mod observations_file;
+mod output;
+mod poses_file;
+mod project_file;
+mod residuals_file;
+
+use std::fs;
+use std::path::Path;
+
+pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera};
+pub use input::{CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses};
+pub use observations_file::{read_centers, read_features, write_centers, write_features};
+pub use output::OutputFolder;
+pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
+pub use project_file::{CalibrationSection, LossName, ModeName, Pitches, Project};
+pub use residuals_file::write_residuals;
+
+use crate::error::{Error, Result};
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })
+}
+
+fn read_text(path: &Path) -> Result<String> {
+    String::from_utf8(read_bytes(path)?)
+        .map_err(|_| Error::content(path, "this is not a text file"))
+}

@@ -1,0 +1,79 @@
+//! A folder of results that appear all together or not at all.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
+
+use crate::error::{Error, Result};
+
+/// Collects files under temporary names in their folder; `commit` gives them their names. What is
+/// not committed leaves nothing behind.
+#[derive(Debug)]
+pub struct OutputFolder {
+    folder: PathBuf,
+    staged: Vec<(NamedTempFile, PathBuf)>,
+}
+
+impl OutputFolder {
+    /// An error if the path cannot become a folder; nothing is created yet.
+    pub fn new(folder: &Path) -> Result<Self> {
+        if folder.exists() && !folder.is_dir() {
+            return Err(Error::content(folder, "is a file, but results go into a folder"));
+        }
+        Ok(Self { folder: folder.to_owned(), staged: Vec::new() })
+    }
+
+    /// Writes a file of the folder by a function.
+    pub fn stage(
+        &mut self,
+        name: impl AsRef<Path>,
+        write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<()> {
+        let path = self.folder.join(name);
+        let folder = path.parent().unwrap_or(&self.folder);
+        let staged = fs::create_dir_all(folder).and_then(|()| NamedTempFile::new_in(folder)).and_then(
+            |mut file| {
+                let mut buffer = io::BufWriter::new(&mut file);
+                write(&mut buffer)?;
+                buffer.flush()?;
+                drop(buffer);
+                Ok(file)
+            },
+        );
+        match staged {
+            Ok(file) => {
+                self.staged.push((file, path));
+                Ok(())
+            }
+            Err(source) => Err(Error::Write { path, source }),
+        }
+    }
+
+    /// Writes a JSON file, indented, with a final line break.
+    pub fn stage_json(&mut self, name: impl AsRef<Path>, value: &serde_json::Value) -> Result<()> {
+        self.stage(name, |out| {
+            serde_json::to_writer_pretty(&mut *out, value)?;
+            writeln!(out)
+        })
+    }
+
+    /// Gives all files their names, replacing older ones. Returns the paths.
+    pub fn commit(self) -> Result<Vec<PathBuf>> {
+        let mut paths = Vec::new();
+        for (file, path) in self.staged {
+            // Temporary files are private; results are as readable as any other new file.
+            #[cfg(unix)]
+            {
+                use std::os::unix::fs::PermissionsExt;
+                fs::set_permissions(file.path(), fs::Permissions::from_mode(0o644))
+                    .map_err(|source| Error::Write { path: path.clone(), source })?;
+            }
+            file.persist(&path)
+                .map_err(|e| Error::Write { path: path.clone(), source: e.error })?;
+            paths.push(path);
+        }
+        Ok(paths)
+    }
+}

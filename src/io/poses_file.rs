@@ -1,0 +1,86 @@
+//! `poses.json`: where the boards were.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::calibration::FramePose;
+use crate::error::{Error, Result};
+use crate::evaluation::Uncertainty;
+
+/// `format` of the file.
+pub const POSES_FORMAT: &str = "plenocal-poses";
+/// `version` of the file.
+pub const POSES_VERSION: u64 = 1;
+
+#[derive(Deserialize)]
+struct PosesFile {
+    version: u64,
+    poses: Vec<PoseFile>,
+}
+
+#[derive(Deserialize)]
+struct PoseFile {
+    frame: u32,
+    camera_from_board: TransformFile,
+}
+
+#[derive(Deserialize)]
+struct TransformFile {
+    rotation_vector_rad: [f64; 3],
+    translation_mm: [f64; 3],
+}
+
+/// The content of `poses.json`: `camera_from_board` of every frame as rotation vector (axis times
+/// angle), the same as a matrix (row by row), translation, and if known their standard deviations.
+#[must_use]
+pub fn poses_document(poses: &[FramePose], uncertainty: Option<&Uncertainty>) -> Value {
+    let pose = |(i, p): (usize, &FramePose)| {
+        let rotation = p.camera_from_board.rotation;
+        let matrix = rotation.to_rotation_matrix();
+        let rows: Vec<Vec<f64>> =
+            matrix.matrix().row_iter().map(|row| row.iter().copied().collect()).collect();
+        let mut entry = json!({
+            "frame": p.frame,
+            "camera_from_board": {
+                "rotation_vector_rad": <[f64; 3]>::from(rotation.scaled_axis()),
+                "rotation_matrix": rows,
+                "translation_mm": <[f64; 3]>::from(p.camera_from_board.translation.vector),
+            },
+        });
+        if let Some([rx, ry, rz, tx, ty, tz]) = uncertainty.map(|u| u.pose_std_devs(i)) {
+            entry["standard_deviations"] = json!({
+                "rotation_vector_rad": [rx, ry, rz],
+                "translation_mm": [tx, ty, tz],
+            });
+        }
+        entry
+    };
+    json!({
+        "format": POSES_FORMAT,
+        "version": POSES_VERSION,
+        "poses": poses.iter().enumerate().map(pose).collect::<Vec<_>>(),
+    })
+}
+
+/// The poses in a JSON document.
+pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
+    let file: PosesFile = serde_json::from_value(value)
+        .map_err(|e| Error::invalid(format!("not a valid {POSES_FORMAT} file: {e}")))?;
+    if file.version != POSES_VERSION {
+        return Err(Error::invalid(format!(
+            "this is a {POSES_FORMAT} file of version {}, but only version {POSES_VERSION} is known",
+            file.version
+        )));
+    }
+    let pose = |p: PoseFile| FramePose {
+        frame: p.frame,
+        camera_from_board: Isometry3::from_parts(
+            Translation3::from(Vector3::from(p.camera_from_board.translation_mm)),
+            UnitQuaternion::from_scaled_axis(Vector3::from(
+                p.camera_from_board.rotation_vector_rad,
+            )),
+        ),
+    };
+    Ok(file.poses.into_iter().map(pose).collect())
+}

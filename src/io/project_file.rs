@@ -1,0 +1,242 @@
+//! The project file: everything a calibration is told, in TOML.
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::read_text;
+use crate::calibration::{CalibrationOptions, Loss, Mode};
+use crate::camera::{Board, Configuration, Datasheet, InternalParameters, Sensor};
+use crate::error::{Error, Result};
+use crate::lattice::LatticeKind;
+
+/// A project file. Every table may be left out where a command gets its content another way.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Project {
+    /// The sensor.
+    pub sensor: Option<Sensor>,
+    /// The main lens as stated by its maker.
+    pub main_lens: Option<MainLensSection>,
+    /// The micro-lens array as stated by its maker.
+    pub micro_lens_array: Option<ArraySection>,
+    /// Measured on white images.
+    pub internal_parameters: Option<InternalSection>,
+    /// The board.
+    pub board: Option<Board>,
+    /// Where the observations are, relative to the project file.
+    pub observations: Option<ObservationsSection>,
+    /// Options of the calibration.
+    #[serde(default)]
+    pub calibration: CalibrationSection,
+}
+
+/// `[main_lens]`
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MainLensSection {
+    /// F, mm.
+    pub focal_length_mm: f64,
+    /// N.
+    pub f_number: f64,
+    /// h, mm, from the sensor; `inf` is allowed.
+    pub focus_distance_mm: f64,
+}
+
+/// `[micro_lens_array]`
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArraySection {
+    /// Where the main lens focuses.
+    pub configuration: Configuration,
+    /// Packing.
+    pub lattice: LatticeKind,
+    /// Micro-lenses along a row.
+    pub columns: i32,
+    /// Micro-lenses along a column.
+    pub rows: i32,
+    /// I.
+    pub lens_types: usize,
+}
+
+/// `[internal_parameters]`
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InternalSection {
+    /// |m|, mm.
+    pub m_mm: f64,
+    /// q'ᵢ, mm.
+    pub q_prime_mm: Vec<f64>,
+    /// Δc, mm.
+    pub micro_image_pitch_mm: Option<f64>,
+}
+
+/// `[observations]`
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ObservationsSection {
+    /// CSV of the centres; left out when the features' file holds them.
+    pub centers: Option<PathBuf>,
+    /// CSV of the features, or COMPOTE's binary form.
+    pub features: PathBuf,
+}
+
+/// One micro-lens pitch or one for each axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Pitches {
+    /// One ΔC (the paper).
+    One,
+    /// One along x, one along y.
+    Two,
+}
+
+/// Names of the losses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum LossName {
+    /// Least squares.
+    None,
+    /// Huber.
+    Huber,
+    /// Cauchy.
+    Cauchy,
+}
+
+/// Names of the modes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum ModeName {
+    /// Camera and poses from (u, v, rho) and the centres.
+    Full,
+    /// Camera of pinholes and poses from (u, v) and the centres.
+    CornersOnly,
+    /// Poses, the camera held.
+    PosesOnly,
+}
+
+/// `[calibration]`: everything is optional; the command line goes before.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CalibrationSection {
+    /// What is estimated.
+    pub mode: Option<ModeName>,
+    /// One pitch or two.
+    pub pitches: Option<Pitches>,
+    /// Parameters that keep their value.
+    pub fix: Option<Vec<String>>,
+    /// Frames that are not used.
+    pub exclude_frames: Option<Vec<u32>>,
+    /// σ of u and v, px.
+    pub uv_std_dev_px: Option<f64>,
+    /// σ of ρ, px.
+    pub rho_std_dev_px: Option<f64>,
+    /// σ of the centres, px.
+    pub centers_std_dev_px: Option<f64>,
+    /// Robust loss.
+    pub loss: Option<LossName>,
+    /// Its scale, standard deviations.
+    pub loss_scale: Option<f64>,
+    /// Limit of iterations.
+    pub max_iterations: Option<usize>,
+    /// Threads.
+    pub threads: Option<usize>,
+}
+
+impl CalibrationSection {
+    /// These options, and where they say nothing those of `other`.
+    #[must_use]
+    pub fn or(self, other: Self) -> Self {
+        Self {
+            mode: self.mode.or(other.mode),
+            pitches: self.pitches.or(other.pitches),
+            fix: self.fix.or(other.fix),
+            exclude_frames: self.exclude_frames.or(other.exclude_frames),
+            uv_std_dev_px: self.uv_std_dev_px.or(other.uv_std_dev_px),
+            rho_std_dev_px: self.rho_std_dev_px.or(other.rho_std_dev_px),
+            centers_std_dev_px: self.centers_std_dev_px.or(other.centers_std_dev_px),
+            loss: self.loss.or(other.loss),
+            loss_scale: self.loss_scale.or(other.loss_scale),
+            max_iterations: self.max_iterations.or(other.max_iterations),
+            threads: self.threads.or(other.threads),
+        }
+    }
+
+    /// The options of the calibration, defaults filled in.
+    #[must_use]
+    pub fn options(&self) -> CalibrationOptions {
+        let mut options = CalibrationOptions::default();
+        options.mode = match self.mode {
+            None | Some(ModeName::Full) => Mode::Full,
+            Some(ModeName::CornersOnly) => Mode::CornersOnly,
+            Some(ModeName::PosesOnly) => Mode::PosesOnly,
+        };
+        if self.pitches == Some(Pitches::Two) {
+            options.cost.held.clear();
+        }
+        options.cost.held.extend(self.fix.iter().flatten().cloned());
+        let cost = &mut options.cost;
+        for (value, target) in [
+            (self.uv_std_dev_px, &mut cost.uv_std_dev_px),
+            (self.rho_std_dev_px, &mut cost.rho_std_dev_px),
+            (self.centers_std_dev_px, &mut cost.centers_std_dev_px),
+        ] {
+            *target = value.unwrap_or(*target);
+        }
+        let scale = self.loss_scale.unwrap_or(1.0);
+        cost.loss = match self.loss {
+            None | Some(LossName::None) => Loss::None,
+            Some(LossName::Huber) => Loss::Huber { scale },
+            Some(LossName::Cauchy) => Loss::Cauchy { scale },
+        };
+        let solver = &mut options.solver;
+        solver.max_iterations = self.max_iterations.unwrap_or(solver.max_iterations);
+        solver.threads = self.threads.unwrap_or(solver.threads);
+        options
+    }
+}
+
+impl Project {
+    /// Reads a project file; paths in it become relative to the working folder.
+    pub fn read(path: &Path) -> Result<Self> {
+        let mut project: Self = toml::from_str(&read_text(path)?)
+            .map_err(|e| Error::content(path, format!("not a valid project file: {e}")))?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        if let Some(observations) = &mut project.observations {
+            observations.features = folder.join(&observations.features);
+            observations.centers = observations.centers.take().map(|file| folder.join(file));
+        }
+        Ok(project)
+    }
+
+    /// The datasheet, if its three tables are there; an error if only some are.
+    pub fn datasheet(&self) -> Result<Option<Datasheet>> {
+        match (self.sensor, self.main_lens, self.micro_lens_array) {
+            (None, None, None) => Ok(None),
+            (Some(sensor), Some(lens), Some(array)) => Ok(Some(Datasheet {
+                sensor,
+                focal_length_mm: lens.focal_length_mm,
+                focus_distance_mm: lens.focus_distance_mm,
+                f_number: lens.f_number,
+                configuration: array.configuration,
+                lattice_kind: array.lattice,
+                columns: array.columns,
+                rows: array.rows,
+                lens_types: array.lens_types,
+            })),
+            _ => Err(Error::invalid(
+                "a camera takes all of the tables [sensor], [main_lens] and [micro_lens_array]",
+            )),
+        }
+    }
+
+    /// The internal parameters, if they are there.
+    #[must_use]
+    pub fn internal(&self) -> Option<InternalParameters> {
+        self.internal_parameters.as_ref().map(|section| InternalParameters {
+            m_mm: section.m_mm,
+            q_prime_mm: section.q_prime_mm.clone(),
+            micro_image_pitch_mm: section.micro_image_pitch_mm,
+        })
+    }
+}

@@ -1,0 +1,195 @@
+//! Lattices of micro-lenses: where node (k, l) lies and which lens type it is.
+//!
+//! The C++ core has the same few formulas in `plenocal/camera.hpp`, so that each side stands alone:
+//! the simulator must not lean on the core that it tests. A test holds the two together.
+
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+
+/// How the micro-lenses are packed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LatticeKind {
+    /// A square lattice.
+    Orthogonal,
+    /// Hexagonal with straight rows: every other row is moved by half a pitch along u.
+    HexagonalRows,
+    /// Hexagonal with straight columns: every other column is moved by half a pitch along v.
+    HexagonalColumns,
+}
+
+impl LatticeKind {
+    /// The name used in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Orthogonal => "orthogonal",
+            Self::HexagonalRows => "hexagonal-rows",
+            Self::HexagonalColumns => "hexagonal-columns",
+        }
+    }
+}
+
+/// Which rows (columns) of a hexagonal lattice are moved by +½ pitch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Parity {
+    /// Those of even index.
+    Even,
+    /// Those of odd index.
+    Odd,
+}
+
+/// Distance of the straight rows of a hexagonal lattice, in pitches.
+const ROW_DISTANCE: f64 = 0.866_025_403_784_438_6;
+
+/// A lattice of `columns` × `rows` nodes (k, l); k grows along u and l along v.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Lattice {
+    /// How it is packed.
+    pub kind: LatticeKind,
+    /// Number of nodes along k.
+    pub columns: i32,
+    /// Number of nodes along l.
+    pub rows: i32,
+    /// Which rows (columns) are moved; without meaning for an orthogonal lattice.
+    pub shifted: Parity,
+}
+
+impl Lattice {
+    /// Whether the indices name a node.
+    #[must_use]
+    pub fn contains(&self, k: i32, l: i32) -> bool {
+        (0..self.columns).contains(&k) && (0..self.rows).contains(&l)
+    }
+
+    fn shift(&self, index: i32) -> f64 {
+        let shifted = match self.shifted {
+            Parity::Even => index % 2 == 0,
+            Parity::Odd => index % 2 != 0,
+        };
+        if shifted { 0.5 } else { 0.0 }
+    }
+
+    /// Position of node (k, l) in pitches along u and v, about the midpoint of the bounding box of
+    /// all nodes.
+    #[must_use]
+    pub fn node(&self, k: i32, l: i32) -> Vector2<f64> {
+        // Extent of `count` nodes along a straight row when there are `across` rows.
+        let middle = |count: i32, across: i32| {
+            let shift = if across > 1 { 0.5 } else { self.shift(0) };
+            (f64::from(count - 1) + shift) / 2.0
+        };
+        let centred = |index: i32, count: i32| f64::from(index) - f64::from(count - 1) / 2.0;
+        match self.kind {
+            LatticeKind::Orthogonal => {
+                Vector2::new(centred(k, self.columns), centred(l, self.rows))
+            }
+            LatticeKind::HexagonalRows => Vector2::new(
+                f64::from(k) + self.shift(l) - middle(self.columns, self.rows),
+                ROW_DISTANCE * centred(l, self.rows),
+            ),
+            LatticeKind::HexagonalColumns => Vector2::new(
+                ROW_DISTANCE * centred(k, self.columns),
+                f64::from(l) + self.shift(k) - middle(self.rows, self.columns),
+            ),
+        }
+    }
+
+    /// Index of the lens type of node (k, l), from 0.
+    ///
+    /// Three types follow the unique 3-colouring of the hexagonal lattice; they are named so that
+    /// (0, 0) is of type 0 and its successor along the straight rows (columns) of type 1. Fewer
+    /// than three types are all type 0.
+    #[must_use]
+    pub fn lens_type(&self, k: i32, l: i32, types: usize) -> usize {
+        if types < 3 {
+            return 0;
+        }
+        let (along, across) = match self.kind {
+            LatticeKind::HexagonalColumns => (l, k),
+            LatticeKind::HexagonalRows | LatticeKind::Orthogonal => (k, l),
+        };
+        let step = match self.shifted {
+            Parity::Even => 1,
+            Parity::Odd => 2,
+        };
+        usize::try_from((along + step * (across % 2)).rem_euclid(3)).unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lattices() -> Vec<Lattice> {
+        let mut lattices = Vec::new();
+        for kind in
+            [LatticeKind::Orthogonal, LatticeKind::HexagonalRows, LatticeKind::HexagonalColumns]
+        {
+            for shifted in [Parity::Even, Parity::Odd] {
+                for (columns, rows) in [(7, 6), (6, 7), (1, 5), (5, 1)] {
+                    lattices.push(Lattice { kind, columns, rows, shifted });
+                }
+            }
+        }
+        lattices
+    }
+
+    fn nodes(lattice: &Lattice) -> Vec<(i32, i32)> {
+        (0..lattice.rows).flat_map(|l| (0..lattice.columns).map(move |k| (k, l))).collect()
+    }
+
+    #[test]
+    fn nodes_are_centred_and_one_pitch_from_their_nearest() {
+        for lattice in lattices() {
+            let all = nodes(&lattice);
+            let positions: Vec<_> = all.iter().map(|&(k, l)| lattice.node(k, l)).collect();
+            let low = positions.iter().fold(positions[0], |a, b| a.inf(b));
+            let high = positions.iter().fold(positions[0], |a, b| a.sup(b));
+            assert!((low + high).norm() < 1e-12, "{lattice:?} is centred");
+            for (i, p) in positions.iter().enumerate() {
+                let nearest = positions
+                    .iter()
+                    .enumerate()
+                    .filter(|&(j, _)| i != j)
+                    .map(|(_, q)| (p - q).norm())
+                    .fold(f64::INFINITY, f64::min);
+                let one_row_across = nearest < 2.0;
+                assert!((nearest - 1.0).abs() < 1e-12 || !one_row_across, "{lattice:?}: {nearest}");
+            }
+        }
+    }
+
+    #[test]
+    fn neighbours_on_a_hexagonal_lattice_have_three_different_types() {
+        for lattice in lattices() {
+            if lattice.kind == LatticeKind::Orthogonal {
+                continue;
+            }
+            assert_eq!(lattice.lens_type(0, 0, 3), 0);
+            let all = nodes(&lattice);
+            for &(k, l) in &all {
+                for &(m, n) in &all {
+                    let distance = (lattice.node(k, l) - lattice.node(m, n)).norm();
+                    if (distance - 1.0).abs() < 1e-9 {
+                        assert_ne!(lattice.lens_type(k, l, 3), lattice.lens_type(m, n, 3));
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn types_of_the_r12_follow_the_published_rule() {
+        let lattice = Lattice {
+            kind: LatticeKind::HexagonalRows,
+            columns: 176,
+            rows: 152,
+            shifted: Parity::Even,
+        };
+        for (k, l) in nodes(&lattice) {
+            assert_eq!(lattice.lens_type(k, l, 3), usize::try_from((l % 2 + k) % 3).unwrap());
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! What was seen in the images: micro-image centres and BAP features.
+
+use std::collections::{BTreeMap, BTreeSet, HashSet};
+
+use crate::camera::{Board, Sensor};
+use crate::error::{Error, Result};
+
+/// Centre of micro-image (k, l) in a white image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MicroImageCenter {
+    /// Index along u.
+    pub k: i32,
+    /// Index along v.
+    pub l: i32,
+    /// Position, px.
+    pub u_px: f64,
+    /// Position, px.
+    pub v_px: f64,
+}
+
+/// Blur aware plenoptic feature: a board corner in micro-image (k, l) of a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BapFeature {
+    /// Label of the frame.
+    pub frame: u32,
+    /// Board corner, `row · columns + column` (COMPOTE's `cluster`).
+    pub corner: i32,
+    /// Index of the micro-image along u.
+    pub k: i32,
+    /// Index of the micro-image along v.
+    pub l: i32,
+    /// Position, px.
+    pub u_px: f64,
+    /// Position, px.
+    pub v_px: f64,
+    /// Signed blur radius ρ, px; not a number where it was not measured.
+    pub rho_px: f64,
+}
+
+/// The observations of a calibration.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Observations {
+    /// Micro-image centres.
+    pub centers: Vec<MicroImageCenter>,
+    /// BAP features of all frames.
+    pub features: Vec<BapFeature>,
+}
+
+/// Fewest board corners that give a pose.
+pub const MIN_CORNERS: usize = 4;
+
+impl Observations {
+    /// Labels of the frames, ascending.
+    #[must_use]
+    pub fn frames(&self) -> Vec<u32> {
+        self.features.iter().map(|f| f.frame).collect::<BTreeSet<_>>().into_iter().collect()
+    }
+
+    /// An error naming the first observation that cannot be: not finite, outside the array, the
+    /// board or the image, given twice, or a frame with too few corners.
+    pub fn validate(
+        &self,
+        sensor: &Sensor,
+        (columns, rows): (i32, i32),
+        board: &Board,
+        needs_rho: bool,
+    ) -> Result<()> {
+        let inside = |k: i32, l: i32| (0..columns).contains(&k) && (0..rows).contains(&l);
+        // Half a pixel beyond the centres of the outermost pixels, and one for interpolation.
+        let in_image = |u: f64, v: f64| {
+            (-1.5..=f64::from(sensor.width_px) + 0.5).contains(&u)
+                && (-1.5..=f64::from(sensor.height_px) + 0.5).contains(&v)
+        };
+        let check = |what: &str, k: i32, l: i32, u: f64, v: f64| {
+            if !(u.is_finite() && v.is_finite()) {
+                return Err(Error::invalid(format!("{what} is at ({u}, {v}): not finite numbers")));
+            }
+            if !inside(k, l) {
+                return Err(Error::invalid(format!(
+                    "{what} is outside the array of {columns} x {rows} micro-lenses: the camera's \
+                     array size and the observations do not belong together"
+                )));
+            }
+            if !in_image(u, v) {
+                return Err(Error::invalid(format!(
+                    "{what} is at ({u}, {v}), outside the image of {} x {} px",
+                    sensor.width_px, sensor.height_px
+                )));
+            }
+            Ok(())
+        };
+
+        let mut seen = HashSet::new();
+        for c in &self.centers {
+            let what = format!("the centre of micro-image ({}, {})", c.k, c.l);
+            check(&what, c.k, c.l, c.u_px, c.v_px)?;
+            if !seen.insert((c.k, c.l)) {
+                return Err(Error::invalid(format!("{what} is given twice")));
+            }
+        }
+
+        let mut seen = HashSet::new();
+        let mut corners: BTreeMap<u32, BTreeSet<i32>> = BTreeMap::new();
+        for f in &self.features {
+            let what = format!("corner {} in micro-image ({}, {}) of frame {}", f.corner, f.k, f.l, f.frame);
+            check(&what, f.k, f.l, f.u_px, f.v_px)?;
+            if needs_rho && !f.rho_px.is_finite() {
+                return Err(Error::invalid(format!(
+                    "{what} has the blur radius {}: not a finite number; give it, or calibrate \
+                     from corners only (--corners-only)",
+                    f.rho_px
+                )));
+            }
+            if !(0..board.corners()).contains(&f.corner) {
+                return Err(Error::invalid(format!(
+                    "{what} is not on the board of {} x {} inner corners",
+                    board.columns, board.rows
+                )));
+            }
+            if !seen.insert((f.frame, f.corner, f.k, f.l)) {
+                return Err(Error::invalid(format!("{what} is given twice")));
+            }
+            corners.entry(f.frame).or_default().insert(f.corner);
+        }
+        for (frame, corners) in corners {
+            if corners.len() < MIN_CORNERS {
+                return Err(Error::invalid(format!(
+                    "frame {frame} shows {} board corner(s), but a pose needs at least \
+                     {MIN_CORNERS}: leave the frame out (--exclude-frames {frame})",
+                    corners.len()
+                )));
+            }
+        }
+        Ok(())
+    }
+}

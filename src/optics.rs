@@ -1,0 +1,97 @@
+//! Scalar relations of thin lenses, each with its equation of the paper.
+
+use crate::camera::Configuration;
+
+/// H: image distance of a thin lens of focal length F whose object and image are h apart (paper,
+/// section 5.1): H = |h/2 (1 − √(1 − 4F/h))|; F for h = ∞. All in mm.
+///
+/// The paper prints ± for the two configurations. With h > 0 the minus sign is the thin-lens
+/// equation itself and holds for both; it gives Table 1's initial values.
+#[must_use]
+pub fn focus_image_distance(focal_length: f64, focus_distance: f64) -> f64 {
+    if focus_distance.is_infinite() {
+        return focal_length;
+    }
+    // The smaller root of x² − h x + h F = 0 without the cancellation that large h would bring.
+    2.0 * focal_length / (1.0 + (1.0 - 4.0 * focal_length / focus_distance).sqrt())
+}
+
+/// Initial D and d (paper, section 5.1), mm.
+///
+/// The main lens is focused two sensor distances beyond the array (Galilean) or before it
+/// (Keplerian), D = H ∓ 2d, or onto it (unfocused); the slope of the micro-image radii gives
+/// m = dF/2D, Eq. (miradiusfnumbermc). Together d = 2mH/(F ± 4m), of which the paper prints the
+/// Galilean case.
+#[must_use]
+pub fn initial_distances(
+    focal_length: f64,
+    image_distance: f64,
+    m: f64,
+    configuration: Configuration,
+) -> (f64, f64) {
+    let side = match configuration {
+        Configuration::Galilean => 2.0,
+        Configuration::Keplerian => -2.0,
+        Configuration::Unfocused => 0.0,
+    };
+    let mla_to_sensor = 2.0 * m * image_distance / (focal_length + 2.0 * side * m);
+    (image_distance - side * mla_to_sensor, mla_to_sensor)
+}
+
+/// ΔC from Δc, Eq. (mlinterdist): ΔC = Δc · D/(D + d).
+#[must_use]
+pub fn micro_lens_pitch(micro_image_pitch: f64, lens_to_mla: f64, mla_to_sensor: f64) -> f64 {
+    micro_image_pitch * lens_to_mla / (lens_to_mla + mla_to_sensor)
+}
+
+/// fᵢ = d ΔC/(2 q'ᵢ) (paper, section 5.1).
+#[must_use]
+pub fn micro_lens_focal_length(q_prime: f64, micro_lens_pitch: f64, mla_to_sensor: f64) -> f64 {
+    mla_to_sensor * micro_lens_pitch / (2.0 * q_prime)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rounding of a few operations.
+    const EXACT: f64 = 1e-12;
+
+    #[test]
+    fn image_distance_obeys_the_thin_lens_equation() {
+        for h in [201.0, 450.0, 1000.0, 1e9] {
+            let image = focus_image_distance(50.0, h);
+            assert!((1.0 / image + 1.0 / (h - image) - 1.0 / 50.0).abs() < EXACT);
+        }
+        assert!((focus_image_distance(50.0, f64::INFINITY) - 50.0).abs() < EXACT);
+    }
+
+    #[test]
+    fn initial_distances_obey_focus_and_slope() {
+        let (f, h, m) = (50.0, 57.3, 0.14);
+        for (configuration, side) in [
+            (Configuration::Galilean, 2.0),
+            (Configuration::Keplerian, -2.0),
+            (Configuration::Unfocused, 0.0),
+        ] {
+            let (lens_to_mla, mla_to_sensor) = initial_distances(f, h, m, configuration);
+            assert!((lens_to_mla + side * mla_to_sensor - h).abs() < EXACT);
+            assert!((mla_to_sensor * f / (2.0 * lens_to_mla) - m).abs() < EXACT);
+        }
+    }
+
+    /// Table 1, column R12-A "Initial", to all printed digits.
+    #[test]
+    fn r12_a_starts_from_the_published_values() {
+        let image = focus_image_distance(50.0, 450.0);
+        let (lens_to_mla, mla_to_sensor) =
+            initial_distances(50.0, image, 0.140_595_540_400_431_76, Configuration::Galilean);
+        let pitch = micro_lens_pitch(0.128_221_631_892_887_07, lens_to_mla, mla_to_sensor);
+        assert_eq!(format!("{lens_to_mla:.4}"), "56.6576");
+        assert_eq!(format!("{:.3}", mla_to_sensor * 1e3), "318.632");
+        assert_eq!(format!("{:.3}", pitch * 1e3), "127.505");
+        let q = [0.035_135_191_355_331_4, 0.040_268_205_527_646_997, 0.036_822_146_226_151_445];
+        let f = q.map(|q| format!("{:.3}", 1e3 * micro_lens_focal_length(q, pitch, mla_to_sensor)));
+        assert_eq!(f, ["578.154", "504.456", "551.667"]);
+    }
+}

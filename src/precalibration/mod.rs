@@ -1,0 +1,5 @@
+//! Pre-calibration: the micro-image array as a grid.
+
+mod grid;
+
+pub use grid::{MicroImageArray, fit_grid};

@@ -1,0 +1,264 @@
+//! A calibration as text and as JSON.
+
+use std::fmt::Write as _;
+
+use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
+use comfy_table::{CellAlignment, Table};
+use serde_json::{Value, json};
+
+use crate::calibration::{Calibration, Termination};
+use crate::camera::{intrinsic_parameters, Parameter};
+use crate::evaluation::Rmse;
+use crate::io::{camera_document, poses_document};
+
+/// The result of a calibration on a terminal: parameters, errors, convergence, weakest direction.
+#[must_use]
+pub fn calibration_text(calibration: &Calibration) -> String {
+    [
+        parameters_table(calibration).to_string(),
+        errors_table(calibration).to_string(),
+        summary(calibration),
+    ]
+    .join("\n\n")
+}
+
+/// Unit in which people read a parameter, and its factor.
+fn display_unit(parameter: &Parameter) -> (&'static str, f64) {
+    match parameter.name.as_str() {
+        "d" | "dC" => ("um", 1e3),
+        name if name.starts_with("f_") => ("um", 1e3),
+        name if name.starts_with("theta") => ("mrad", 1e3),
+        _ => (parameter.unit, 1.0),
+    }
+}
+
+/// A value with two digits of its standard deviation; six significant digits without one.
+fn with_std_dev(value: f64, std_dev: Option<f64>) -> (String, String) {
+    let digits = |reference: f64, significant: i32| {
+        usize::try_from(significant - 1 - decade(reference)).unwrap_or(0)
+    };
+    match std_dev.filter(|s| *s > 0.0 && s.is_finite()) {
+        Some(s) if decade(s) < -6 => {
+            let precision = usize::try_from(decade(value) - decade(s) + 1).unwrap_or(0).min(16);
+            (format!("{value:.precision$e}"), format!("{s:.1e}"))
+        }
+        Some(s) => {
+            let precision = digits(s, 2);
+            (format!("{value:.precision$}"), format!("{s:.precision$}"))
+        }
+        None if value == 0.0 => ("0".to_owned(), String::new()),
+        None if decade(value) < -3 => (format!("{value:.5e}"), String::new()),
+        None => (format!("{value:.precision$}", precision = digits(value, 6)), String::new()),
+    }
+}
+
+/// Power of ten of the first digit.
+#[allow(clippy::cast_possible_truncation)]
+fn decade(value: f64) -> i32 {
+    if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 }
+}
+
+fn table(header: &[&str], text_columns: &[usize]) -> Table {
+    let mut table = Table::new();
+    table.load_style(UTF8_HORIZONTAL_ONLY);
+    table.set_header(header.to_vec());
+    for (i, column) in table.column_iter_mut().enumerate() {
+        if !text_columns.contains(&i) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+}
+
+fn parameters_table(calibration: &Calibration) -> Table {
+    let lens_types = calibration.camera.lens_types();
+    let mut table = table(&["Parameter", "Unit", "Initial", "Optimised", "± σ"], &[0, 1]);
+    let std_devs = calibration.uncertainty.intrinsic_std_devs(lens_types);
+    let values = calibration.initial.intrinsics().into_iter().zip(calibration.camera.intrinsics());
+    for ((parameter, (initial, optimised)), std_dev) in
+        intrinsic_parameters(lens_types).iter().zip(values).zip(std_devs)
+    {
+        let (unit, factor) = display_unit(parameter);
+        let (value, deviation) =
+            with_std_dev(optimised * factor, std_dev.map(|s| s * factor));
+        let deviation = if std_dev.is_some() { deviation } else { "held".to_owned() };
+        table.add_row([
+            parameter.name.clone(),
+            unit.to_owned(),
+            with_std_dev(initial * factor, None).0,
+            value,
+            deviation,
+        ]);
+    }
+    table
+}
+
+fn errors_table(calibration: &Calibration) -> Table {
+    let reprojection = &calibration.reprojection;
+    let mut table = table(&["RMSE, px", "Features", "All", "(u, v)", "ρ", "Centres"], &[0]);
+    let number = |value: f64| format!("{value:.4}");
+    let mut add = |name: String, rmse: &Rmse, centers: Option<f64>| {
+        table.add_row([
+            name,
+            rmse.count.to_string(),
+            number(rmse.all_px),
+            number(rmse.uv_px),
+            rmse.rho_px.map_or("-".to_owned(), number),
+            centers.map_or(String::new(), number),
+        ]);
+    };
+    add("All".to_owned(), &reprojection.rmse(), reprojection.centers_rmse_px());
+    for lens_type in 0..calibration.camera.lens_types() {
+        let rmse = reprojection.lens_type_rmse(lens_type);
+        add(format!("Lens type {}", lens_type + 1), &rmse, None);
+    }
+    for pose in &calibration.poses {
+        add(format!("Frame {}", pose.frame), &reprojection.frame_rmse(pose.frame), None);
+    }
+    table
+}
+
+fn summary(calibration: &Calibration) -> String {
+    let refinement = &calibration.refinement;
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = writeln!(text, "{}", termination_text(calibration));
+    let _ = writeln!(
+        text,
+        "Cost {:.6} (at the start {:.6}) after {} iterations in {:.3} s.",
+        refinement.cost,
+        refinement.initial_cost,
+        refinement.iterations.last().map_or(0, |i| i.number),
+        refinement.time_s
+    );
+    let [uv, rho, centers] = calibration.uncertainty.residual_std_dev_px;
+    let sigma = |name: &str, value: f64| {
+        if value.is_nan() { String::new() } else { format!("{name} {value:.4}") }
+    };
+    let sigmas: Vec<String> =
+        [sigma("u, v", uv), sigma("ρ", rho), sigma("centres", centers)]
+            .into_iter()
+            .filter(|s| !s.is_empty())
+            .collect();
+    let _ = writeln!(text, "Measured noise per coordinate, px: {}.", sigmas.join("; "));
+    if let Some(weakest) = weakest_direction_text(calibration) {
+        let _ = writeln!(text, "{weakest}");
+    }
+    text
+}
+
+/// How the refinement ended, in a sentence.
+#[must_use]
+pub fn termination_text(calibration: &Calibration) -> String {
+    let decrease = calibration.uncertainty.expected_decrease;
+    let refinement = &calibration.refinement;
+    match (refinement.termination, calibration.converged) {
+        (_, true) => format!(
+            "Converged: a further Gauss-Newton step would lower the cost by {decrease:.1e}."
+        ),
+        (Termination::Converged, false) => format!(
+            "The solver stopped ({}), but a further step would still lower the cost by \
+             {decrease:.1e}.",
+            refinement.message
+        ),
+        (Termination::IterationLimit, _) => format!(
+            "Stopped at the limit of iterations; a further step would still lower the cost by \
+             {decrease:.1e}. Raise --max-iterations."
+        ),
+        (Termination::Stopped, _) => "Stopped by the caller.".to_owned(),
+        (Termination::Failed, _) => format!("The solver failed: {}", refinement.message),
+    }
+}
+
+/// The weakest direction in words; `None` if every intrinsic parameter was held.
+#[must_use]
+pub fn weakest_direction_text(calibration: &Calibration) -> Option<String> {
+    let lens_types = calibration.camera.lens_types();
+    let weakest = calibration.uncertainty.weakest_direction(lens_types)?;
+    let names: Vec<&str> = weakest.components.iter().map(|c| c.name.as_str()).collect();
+    let changes: Vec<String> = weakest
+        .components
+        .iter()
+        .map(|c| {
+            let share = if weakest.determined {
+                format!(" ({:.0} % of its variance)", 100.0 * c.share)
+            } else {
+                String::new()
+            };
+            format!("{} {:+.2e} {}{share}", c.name, c.change, c.unit)
+        })
+        .collect();
+    let (listed, with) = match names.as_slice() {
+        [] => return Some("No direction stands out as the weakest.".to_owned()),
+        [one] => ((*one).to_owned(), "trades off against"),
+        [most @ .., last] => (format!("{} and {last}", most.join(", ")), "trade off against"),
+    };
+    let along = if weakest.determined { "Along one σ of it" } else { "It is not determined; along it" };
+    Some(format!(
+        "Weakest direction: {listed} {with} the boards' distance. {along}: {}; boards {:+.2e} mm \
+         further away.",
+        changes.join(", "),
+        weakest.board_distance_mm
+    ))
+}
+
+fn rmse_json(rmse: &Rmse) -> Value {
+    json!({ "features": rmse.count, "all": rmse.all_px, "uv": rmse.uv_px, "rho": rmse.rho_px })
+}
+
+/// The result of a calibration as one JSON object. `time_s` is the wall time of the whole command.
+#[must_use]
+pub fn calibration_json(calibration: &Calibration, time_s: f64) -> Value {
+    let (refinement, reprojection) = (&calibration.refinement, &calibration.reprojection);
+    let mut rmse = rmse_json(&reprojection.rmse());
+    rmse["centers"] = json!(reprojection.centers_rmse_px());
+    let frames: Vec<Value> = calibration
+        .poses
+        .iter()
+        .map(|p| {
+            let mut entry = rmse_json(&reprojection.frame_rmse(p.frame));
+            entry["frame"] = json!(p.frame);
+            entry
+        })
+        .collect();
+    let types: Vec<Value> = (0..calibration.camera.lens_types())
+        .map(|i| rmse_json(&reprojection.lens_type_rmse(i)))
+        .collect();
+    let left_out: Vec<Value> = calibration
+        .left_out
+        .iter()
+        .map(|l| json!({ "frame": l.frame, "features": l.features, "reason": l.reason }))
+        .collect();
+    let [uv, rho, centers] = calibration.uncertainty.residual_std_dev_px;
+    let uncertainty = Some(&calibration.uncertainty);
+    json!({
+        "converged": calibration.converged,
+        "termination": termination_text(calibration),
+        "cost": refinement.cost,
+        "initial_cost": refinement.initial_cost,
+        "expected_decrease": calibration.uncertainty.expected_decrease,
+        "iterations": refinement.iterations.last().map_or(0, |i| i.number),
+        "rmse": rmse,
+        "rmse_by_frame": frames,
+        "rmse_by_lens_type": types,
+        "initial_centers_rmse": calibration.initial_centers_rmse_px,
+        "noise": { "uv": uv, "rho": rho, "centers": centers },
+        "counts": {
+            "features": reprojection.features.len(),
+            "centers": reprojection.centers.len(),
+            "frames": calibration.poses.len(),
+            "frames_left_out": calibration.left_out.len(),
+            "features_left_out":
+                calibration.left_out.iter().map(|l| l.features).sum::<usize>(),
+            "parameters": calibration.uncertainty.size(),
+        },
+        "frames_left_out": left_out,
+        "time_s": time_s,
+        "solver_time_s": refinement.time_s,
+        "weakest_direction": weakest_direction_text(calibration),
+        "warnings": calibration.warnings,
+        "initial_camera": camera_document(&calibration.initial, None),
+        "camera": camera_document(&calibration.camera, uncertainty),
+        "poses": poses_document(&calibration.poses, uncertainty)["poses"],
+    })
+}

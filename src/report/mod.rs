@@ -1,0 +1,5 @@
+//! Results for people (tables, words) and for machines (JSON).
+
+mod calibration;
+
+pub use calibration::{calibration_json, calibration_text, termination_text, weakest_direction_text};
