@@ -112,7 +112,9 @@ mod ffi {
     unsafe extern "C++" {
         include!("bridge.hpp");
 
+        #[allow(dead_code)] // used by tests
         fn intrinsic_names(lens_types: i32) -> Vec<String>;
+        #[allow(dead_code)] // used by tests
         fn lattice(camera: &CameraParts) -> Vec<Projection>;
         fn project(
             camera: &CameraParts,
@@ -271,7 +273,7 @@ pub(crate) fn uncertainty(problem: &Problem, cost: &CostOptions) -> Result<Uncer
         rank: usize::try_from(parts.rank).unwrap_or(0),
         covariance: DMatrix::from_row_slice(size, size, &parts.covariance),
         information: parts.information,
-        weakest: parts.weakest,
+        weakest: parts.weakest.chunks_exact(size.max(1)).map(<[f64]>::to_vec).collect(),
         residual_std_dev_px: parts.residual_std_dev_px,
         expected_decrease: parts.expected_decrease,
     })

@@ -9,9 +9,9 @@ namespace plenocal {
 namespace {
 
 // Observations to a residual block. Larger blocks share more work and make the Schur complement
-// cheaper, smaller ones divide better between threads; the time is flat from 32 to 256.
-constexpr std::size_t kFeaturesPerBlock = 64;
-constexpr std::size_t kCentersPerBlock = 128;
+// cheaper; smaller ones divide better between threads.
+constexpr std::size_t kFeaturesPerBlock = 256;
+constexpr std::size_t kCentersPerBlock = 256;
 
 [[noreturn]] void reject(const std::string& what) { throw std::invalid_argument(what); }
 

@@ -1,4 +1,5 @@
 #include <Eigen/Dense>
+#include <algorithm>
 #include <limits>
 
 #include "plenocal/refine.hpp"
@@ -99,10 +100,13 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                                   : std::numeric_limits<double>::quiet_NaN();
   }
   // Eigenvalues come in ascending order.
-  const Eigen::VectorXd direction = basis.col(0);
-  const double deviation = inverse[0] * std::sqrt(direction.dot(spread * direction));
-  const Eigen::VectorXd weakest = direction * (inverse[0] > 0.0 ? deviation : 1.0);
-  result.weakest.assign(weakest.data(), weakest.data() + weakest.size());
+  for (int i = 0; i < std::min(Uncertainty::kWeakest, result.size); ++i) {
+    const Eigen::VectorXd direction = basis.col(i);
+    const double std_dev = inverse[i] * std::sqrt(direction.dot(spread * direction));
+    for (double part : direction) {
+      result.weakest.push_back(part * (inverse[i] > 0.0 ? std_dev : 1.0));
+    }
+  }
 
   const RowMajorMatrix covariance = inverse_information * spread * inverse_information;
   result.covariance.assign(covariance.data(), covariance.data() + covariance.size());

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::camera::intrinsic_parameters;
+use crate::camera::{Parameter, intrinsic_parameters};
 
 /// Number of parameters of a pose.
 const POSE_PARAMETERS: usize = 6;
@@ -25,9 +25,11 @@ pub struct Uncertainty {
     pub covariance: DMatrix<f64>,
     /// Diagonal of the information matrix J'J.
     pub information: Vec<f64>,
-    /// Change of all parameters along one standard deviation of the weakest direction, or, where
-    /// that is not determined at all (rank < size), along the unit of the scaled space.
-    pub weakest: Vec<f64>,
+    /// The directions of parameter space about which the data say least, in proportion to what they
+    /// say on each parameter alone; the weakest first. Each is the change of all parameters along
+    /// one standard deviation, or, where the data do not determine it at all (the first
+    /// size − rank), along the unit of the scaled space.
+    pub weakest: Vec<Vec<f64>>,
     /// Measured standard deviation of a residual, px: u and v of features, ρ, u and v of centres;
     /// not a number for a kind without observations.
     pub residual_std_dev_px: [f64; 3],
@@ -49,8 +51,7 @@ pub struct Component {
     pub share: f64,
 }
 
-/// The direction of parameter space about which the data say least, in proportion to what they say
-/// on each parameter alone.
+/// A direction of parameter space about which the data say little.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WeakDirection {
     /// Whether the data determine it at all. If not, its changes are in no particular proportion to
@@ -60,6 +61,8 @@ pub struct WeakDirection {
     pub components: Vec<Component>,
     /// Mean change of the distance of the boards along it, mm.
     pub board_distance_mm: f64,
+    /// The largest share of the variance of a board's distance that it explains, 0 to 1.
+    pub board_distance_share: f64,
 }
 
 /// A parameter is named when the direction explains at least this share of its variance.
@@ -106,16 +109,28 @@ impl Uncertainty {
         })
     }
 
-    /// The weakest direction; `None` when every intrinsic parameter was held.
+    /// The weakest directions that move intrinsic parameters, the weakest first.
     #[must_use]
-    pub fn weakest_direction(&self, lens_types: usize) -> Option<WeakDirection> {
-        let n = self.free_intrinsics.len();
-        if n == 0 {
-            return None;
-        }
-        let determined = self.rank == self.size();
+    pub fn weakest_directions(&self, lens_types: usize) -> Vec<WeakDirection> {
+        let undetermined = self.size() - self.rank;
+        let parameters = intrinsic_parameters(lens_types);
+        let describe = |(i, direction): (usize, &Vec<f64>)| {
+            self.describe(direction, i >= undetermined, &parameters)
+        };
+        let mut directions: Vec<WeakDirection> =
+            self.weakest.iter().enumerate().map(describe).collect();
+        directions.retain(|direction| !direction.components.is_empty());
+        directions
+    }
+
+    fn describe(
+        &self,
+        direction: &[f64],
+        determined: bool,
+        parameters: &[Parameter],
+    ) -> WeakDirection {
         let share = |row: usize| {
-            let square = self.weakest[row].powi(2);
+            let square = direction[row].powi(2);
             if determined {
                 (square / self.covariance[(row, row)].max(f64::MIN_POSITIVE)).min(1.0)
             } else {
@@ -123,14 +138,13 @@ impl Uncertainty {
             }
         };
         let least = if determined { NAMED_SHARE } else { NAMED_SHARE_UNDETERMINED };
-        let parameters = intrinsic_parameters(lens_types);
         let mut components: Vec<Component> = self
             .free_intrinsics
             .iter()
             .enumerate()
             .map(|(row, &index)| Component {
                 name: parameters[index].name.clone(),
-                change: self.weakest[row],
+                change: direction[row],
                 unit: parameters[index].unit,
                 share: share(row),
             })
@@ -142,12 +156,14 @@ impl Uncertainty {
         for component in &mut components {
             component.change *= sign;
         }
-        let distances = || (n + POSE_Z..self.size()).step_by(POSE_PARAMETERS);
-        let sum: f64 = distances().map(|row| sign * self.weakest[row]).sum();
-        Some(WeakDirection {
+        let first = self.free_intrinsics.len() + POSE_Z;
+        let distances: Vec<usize> = (first..self.size()).step_by(POSE_PARAMETERS).collect();
+        let sum: f64 = distances.iter().map(|&row| sign * direction[row]).sum();
+        WeakDirection {
             determined,
             components,
-            board_distance_mm: sum / distances().count().max(1) as f64,
-        })
+            board_distance_mm: sum / distances.len().max(1) as f64,
+            board_distance_share: distances.into_iter().map(share).fold(0.0, f64::max),
+        }
     }
 }

@@ -2,14 +2,17 @@
 
 use std::fmt::Write as _;
 
-use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
+use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, Table};
 use serde_json::{Value, json};
 
 use crate::calibration::{Calibration, Termination};
 use crate::camera::{intrinsic_parameters, Parameter};
-use crate::evaluation::Rmse;
+use crate::evaluation::{Rmse, WeakDirection};
 use crate::io::{camera_document, poses_document};
+
+/// The distance of the boards is named when a direction explains this share of its variance.
+const BOARDS_NAMED_SHARE: f64 = 0.25;
 
 /// The result of a calibration on a terminal: parameters, errors, convergence, weakest direction.
 #[must_use]
@@ -60,7 +63,7 @@ fn decade(value: f64) -> i32 {
 
 fn table(header: &[&str], text_columns: &[usize]) -> Table {
     let mut table = Table::new();
-    table.load_style(UTF8_HORIZONTAL_ONLY);
+    table.load_style(NOTHING);
     table.set_header(header.to_vec());
     for (i, column) in table.column_iter_mut().enumerate() {
         if !text_columns.contains(&i) {
@@ -141,8 +144,12 @@ fn summary(calibration: &Calibration) -> String {
             .filter(|s| !s.is_empty())
             .collect();
     let _ = writeln!(text, "Measured noise per coordinate, px: {}.", sigmas.join("; "));
-    if let Some(weakest) = weakest_direction_text(calibration) {
-        let _ = writeln!(text, "{weakest}");
+    let directions = weakest_directions_text(calibration);
+    if !directions.is_empty() {
+        let _ = writeln!(text, "Weakest directions:");
+    }
+    for (i, direction) in directions.iter().enumerate() {
+        let _ = writeln!(text, "{}. {direction}.", i + 1);
     }
     text
 }
@@ -170,36 +177,42 @@ pub fn termination_text(calibration: &Calibration) -> String {
     }
 }
 
-/// The weakest direction in words; `None` if every intrinsic parameter was held.
+/// The weakest directions in words, a sentence each; the weakest first.
 #[must_use]
-pub fn weakest_direction_text(calibration: &Calibration) -> Option<String> {
+pub fn weakest_directions_text(calibration: &Calibration) -> Vec<String> {
     let lens_types = calibration.camera.lens_types();
-    let weakest = calibration.uncertainty.weakest_direction(lens_types)?;
-    let names: Vec<&str> = weakest.components.iter().map(|c| c.name.as_str()).collect();
-    let changes: Vec<String> = weakest
+    let directions = calibration.uncertainty.weakest_directions(lens_types);
+    directions.iter().map(direction_text).collect()
+}
+
+fn direction_text(direction: &WeakDirection) -> String {
+    let mut names: Vec<&str> = direction.components.iter().map(|c| c.name.as_str()).collect();
+    let mut changes: Vec<String> = direction
         .components
         .iter()
-        .map(|c| {
-            let share = if weakest.determined {
-                format!(" ({:.0} % of its variance)", 100.0 * c.share)
-            } else {
-                String::new()
-            };
-            format!("{} {:+.2e} {}{share}", c.name, c.change, c.unit)
-        })
+        .map(|c| format!("{} {:+.2e} {} ({:.0} %)", c.name, c.change, c.unit, 100.0 * c.share))
         .collect();
-    let (listed, with) = match names.as_slice() {
-        [] => return Some("No direction stands out as the weakest.".to_owned()),
-        [one] => ((*one).to_owned(), "trades off against"),
-        [most @ .., last] => (format!("{} and {last}", most.join(", ")), "trade off against"),
+    let boards = direction.board_distance_share >= BOARDS_NAMED_SHARE;
+    if boards {
+        changes.push(format!(
+            "boards {:+.2e} mm further away ({:.0} %)",
+            direction.board_distance_mm,
+            100.0 * direction.board_distance_share
+        ));
+    }
+    let last = names.pop().unwrap_or_default();
+    let subject = match (names.is_empty(), boards) {
+        (true, true) => format!("{last} trades off against board distance"),
+        (true, false) => format!("{last} is the least certain"),
+        (false, true) => format!("{} and {last} trade off against board distance", names.join(", ")),
+        (false, false) => format!("{} and {last} trade off against each other", names.join(", ")),
     };
-    let along = if weakest.determined { "Along one σ of it" } else { "It is not determined; along it" };
-    Some(format!(
-        "Weakest direction: {listed} {with} the boards' distance. {along}: {}; boards {:+.2e} mm \
-         further away.",
-        changes.join(", "),
-        weakest.board_distance_mm
-    ))
+    let along = if direction.determined {
+        "along one σ (with the share of each variance)"
+    } else {
+        "NOT DETERMINED by these observations; along it (with the share of each)"
+    };
+    format!("{subject}; {along}: {}", changes.join(", "))
 }
 
 fn rmse_json(rmse: &Rmse) -> Value {
@@ -255,7 +268,7 @@ pub fn calibration_json(calibration: &Calibration, time_s: f64) -> Value {
         "frames_left_out": left_out,
         "time_s": time_s,
         "solver_time_s": refinement.time_s,
-        "weakest_direction": weakest_direction_text(calibration),
+        "weakest_directions": weakest_directions_text(calibration),
         "warnings": calibration.warnings,
         "initial_camera": camera_document(&calibration.initial, None),
         "camera": camera_document(&calibration.camera, uncertainty),

@@ -2,4 +2,4 @@
 
 mod calibration;
 
-pub use calibration::{calibration_json, calibration_text, termination_text, weakest_direction_text};
+pub use calibration::{calibration_json, calibration_text, termination_text, weakest_directions_text};

@@ -48,7 +48,7 @@ struct SolverOptions {
   double function_tolerance = 1e-13;
   double gradient_tolerance = 1e-11;
   double parameter_tolerance = 1e-12;
-  double initial_trust_region_radius = 1e8;
+  double initial_trust_region_radius = 1e12;
   int threads = 1;
 };
 
@@ -97,14 +97,16 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
 /// covariance = H^+ (sum_k s_k^2 H_k) H^+,
 /// which holds whether or not the weights of the cost match the noise.
 struct Uncertainty {
+  static constexpr int kWeakest = 3;  ///< at most so many rows in `weakest`
   std::vector<int> free_intrinsics;   ///< indices into `intrinsic_names`
   int size = 0;                       ///< number of parameters
   int rank = 0;                       ///< number of independent directions that are determined
   std::vector<double> covariance;     ///< size x size, row by row
   std::vector<double> information;    ///< diagonal of H
-  /// The direction with the least information in proportion to that on each parameter alone:
-  /// the change of all parameters along one standard deviation, or, if it is not determined at
-  /// all (rank < size), along the unit of the parameters' scaled space.
+  /// The directions of parameter space with the least information in proportion to that on each
+  /// parameter alone, the weakest first: rows of `size` changes, along one standard deviation, or,
+  /// where a direction is not determined (the first size - rank of all), along the unit of the
+  /// scaled space.
   std::vector<double> weakest;
   /// s_k times the sigma of the cost, px: features' u and v, rho, centres' u and v.
   std::array<double, 3> residual_std_dev{};
