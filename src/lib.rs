@@ -11,6 +11,7 @@ pub mod observations;
 pub mod optics;
 pub mod precalibration;
 pub mod report;
+pub mod synthetic;
 
 mod bridge;
 

@@ -1,5 +1,6 @@
 //! Calibration from observations (paper, section 5): initial intrinsics, initial poses, refinement.
 
+mod frames;
 mod initial;
 mod options;
 mod poses;
@@ -8,6 +9,6 @@ mod result;
 
 pub use initial::initial_camera;
 pub use options::{CalibrationOptions, CostOptions, Loss, Mode, SolverOptions, Start};
-pub use poses::initial_pose;
+pub use poses::initial_poses;
 pub use refine::calibrate;
 pub use result::{Calibration, FramePose, Iteration, LeftOut, Refinement, Termination};

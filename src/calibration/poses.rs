@@ -14,17 +14,17 @@ use crate::observations::{BapFeature, MIN_CORNERS};
 /// spread along it.
 const COLLINEAR: f64 = 1e-3;
 
-/// Pose `camera_from_board` of a frame from its features.
+/// Poses `camera_from_board` that explain the features of a frame, the likeliest first.
 ///
 /// The mean of all observations of a corner is nearly its projection by a pinhole camera of focal
-/// length (D + d)/s about (u₀, v₀). Of the poses that a planar target allows, the one in front of
-/// the camera with the smallest reprojection error is taken. The error is the reason why there is
-/// none, in words.
-pub fn initial_pose(
+/// length (D + d)/s about (u₀, v₀). A planar target seen so allows two poses, mirrored in tilt, and
+/// in a narrow field of view both fit nearly as well; those in front of the camera are given. The
+/// error is the reason why there is none, in words.
+pub fn initial_poses(
     camera: &PlenopticCamera,
     board: &Board,
     features: &[BapFeature],
-) -> Result<Isometry3<f64>, String> {
+) -> Result<Vec<Isometry3<f64>>, String> {
     let mut sums: BTreeMap<i32, (Point2<f64>, f64)> = BTreeMap::new();
     for f in features {
         let (sum, count) = sums.entry(f.corner).or_insert((Point2::origin(), 0.0));
@@ -40,20 +40,18 @@ pub fn initial_pose(
     if collinear(&points) {
         return Err("its corners lie on one line".to_owned());
     }
-    let candidates = solve_pnp(camera, &points, &pixels)
+    let mut candidates = solve_pnp(camera, &points, &pixels)
         .map_err(|error| format!("solvePnP failed: {}", error.message))?;
-    let in_front = |pose: &Isometry3<f64>| {
+    candidates.retain(|(pose, _)| {
         points.iter().all(|p| (pose * p).z > camera.main_lens.focal_length_mm)
-    };
-    candidates
-        .into_iter()
-        .filter(|(pose, _)| in_front(pose))
-        .min_by(|a, b| a.1.total_cmp(&b.1))
-        .map(|(pose, _)| pose)
-        .ok_or_else(|| {
-            "solvePnP found no pose with the whole board in front of the main lens's focal plane"
-                .to_owned()
-        })
+    });
+    candidates.sort_by(|a, b| a.1.total_cmp(&b.1));
+    if candidates.is_empty() {
+        return Err("solvePnP found no pose with the whole board in front of the main lens's focal \
+                    plane"
+            .to_owned());
+    }
+    Ok(candidates.into_iter().map(|(pose, _)| pose).collect())
 }
 
 fn collinear(points: &[Point3<f64>]) -> bool {

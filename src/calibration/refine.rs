@@ -1,18 +1,17 @@
 //! The calibration as one stage: from observations to a refined camera (paper, section 5.3).
 
-use std::collections::BTreeMap;
-
 use nalgebra::Isometry3;
 
-use crate::bridge::{self, Problem, SolverFeature};
+use crate::bridge::{self, Problem};
+use crate::calibration::frames::{Frames, feature_residuals, initial_frames, solver_features};
 use crate::calibration::{
-    Calibration, CalibrationOptions, FramePose, Iteration, LeftOut, Mode, Refinement, Start,
-    Termination, initial_camera, initial_pose,
+    Calibration, CalibrationOptions, FramePose, Iteration, Mode, Refinement, Start, Termination,
+    initial_camera,
 };
 use crate::camera::{Board, PlenopticCamera, intrinsic_parameters};
 use crate::error::{Error, Result};
-use crate::evaluation::{CenterResidual, FeatureResidual, Reprojection};
-use crate::observations::{BapFeature, MicroImageCenter, Observations};
+use crate::evaluation::{CenterResidual, Reprojection};
+use crate::observations::{MicroImageCenter, Observations};
 use crate::precalibration::{MicroImageArray, fit_grid};
 
 /// The minimum counts as reached when one more Gauss-Newton step would gain less than this part of
@@ -59,7 +58,8 @@ pub fn calibrate(
         ));
     }
     let initial = start_camera(&start, grid.as_ref())?;
-    let (poses, left_out) = initial_poses(&initial, board, observations);
+    let Frames { poses, features: used, left_out } =
+        initial_frames(&initial, board, observations, &options.cost, &options.solver)?;
     if poses.is_empty() {
         let reasons: Vec<String> =
             left_out.iter().map(|l| format!("frame {}: {}", l.frame, l.reason)).collect();
@@ -70,12 +70,6 @@ pub fn calibrate(
     }
     warnings.extend(fronto_parallel(&poses, options.mode));
 
-    let used: Vec<BapFeature> = observations
-        .features
-        .iter()
-        .filter(|f| poses.iter().any(|p| p.frame == f.frame))
-        .copied()
-        .collect();
     let features = solver_features(&used, &poses, board);
     let start_poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
     let problem = Problem {
@@ -174,25 +168,6 @@ fn start_camera(start: &Start, grid: Option<&MicroImageArray>) -> Result<Plenopt
     }
 }
 
-fn initial_poses(
-    camera: &PlenopticCamera,
-    board: &Board,
-    observations: &Observations,
-) -> (Vec<FramePose>, Vec<LeftOut>) {
-    let mut by_frame: BTreeMap<u32, Vec<BapFeature>> = BTreeMap::new();
-    for &feature in &observations.features {
-        by_frame.entry(feature.frame).or_default().push(feature);
-    }
-    let (mut poses, mut left_out) = (Vec::new(), Vec::new());
-    for (frame, features) in by_frame {
-        match initial_pose(camera, board, &features) {
-            Ok(camera_from_board) => poses.push(FramePose { frame, camera_from_board }),
-            Err(reason) => left_out.push(LeftOut { frame, features: features.len(), reason }),
-        }
-    }
-    (poses, left_out)
-}
-
 fn fronto_parallel(poses: &[FramePose], mode: Mode) -> Option<String> {
     let tilt = |p: &FramePose| {
         let normal = p.camera_from_board.rotation * nalgebra::Vector3::z();
@@ -209,24 +184,6 @@ fn fronto_parallel(poses: &[FramePose], mode: Mode) -> Option<String> {
     })
 }
 
-fn solver_features(
-    features: &[BapFeature],
-    poses: &[FramePose],
-    board: &Board,
-) -> Vec<SolverFeature> {
-    let index: BTreeMap<u32, usize> = poses.iter().enumerate().map(|(i, p)| (p.frame, i)).collect();
-    let to_solver = |f: &BapFeature| SolverFeature {
-        pose: index[&f.frame],
-        board_point_mm: board.point_mm(f.corner),
-        k: f.k,
-        l: f.l,
-        u_px: f.u_px,
-        v_px: f.v_px,
-        rho_px: f.rho_px,
-    };
-    features.iter().map(to_solver).collect()
-}
-
 fn center_residuals(problem: &Problem) -> Result<Vec<CenterResidual>> {
     let residual = |(&center, [u, v]): (&MicroImageCenter, [f64; 2])| CenterResidual {
         center,
@@ -235,25 +192,6 @@ fn center_residuals(problem: &Problem) -> Result<Vec<CenterResidual>> {
         dv_px: center.v_px - v,
     };
     Ok(problem.centers.iter().zip(bridge::project_centers(problem)?).map(residual).collect())
-}
-
-fn feature_residuals(problem: &Problem, features: &[BapFeature]) -> Result<Vec<FeatureResidual>> {
-    let residual = |(&feature, projected): (&BapFeature, Option<[f64; 3]>)| {
-        let [u, v, rho] = projected.ok_or_else(|| {
-            Error::invalid(format!(
-                "the refined camera does not image corner {} of frame {}",
-                feature.corner, feature.frame
-            ))
-        })?;
-        Ok(FeatureResidual {
-            feature,
-            lens_type: problem.camera.lens_type(feature.k, feature.l),
-            du_px: feature.u_px - u,
-            dv_px: feature.v_px - v,
-            drho_px: (problem.camera.lens_types() > 0).then(|| feature.rho_px - rho),
-        })
-    };
-    features.iter().zip(bridge::project(problem)?).map(residual).collect()
 }
 
 fn check_finite(refinement: &Refinement) -> Result<()> {

@@ -9,12 +9,18 @@
 //!   sensor's at pixel (0, 0) of its own frame; poses take array or sensor into the camera.
 //! - On a hexagonal mesh it is the rows of even index that are shifted, of the array (l') and of
 //!   the micro-images (l) alike, so only arrays with an even number of rows can be written.
-//! - The poses of frames are those of the camera in the world, the board lying at z = 0.
+//! - A pose (R, t) has its origin at t in the parent's frame, and R takes the parent's axes into its
+//!   own: a point p of the parent is at R (p − t). The poses of frames are those of the camera in
+//!   the world, the board lying at z = 0. (Read the other way round, the published R12-A camera
+//!   misses its own micro-image centres by 0.88 px instead of 0.29 px RMS, and the published poses
+//!   are far from those that fit the features.)
+//! - The blur radius is computed with the distance d at node (0, 0) for all micro-lenses; plenocal
+//!   takes that of each micro-lens. On a tilted array the same file therefore gives other ρ here.
 
 mod json;
 mod linked;
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -176,12 +182,13 @@ impl SensorFile {
 }
 
 impl PoseFile {
-    fn isometry(&self) -> Result<Isometry3<f64>> {
+    /// Takes points of this frame into its parent's.
+    fn parent_from_own(&self) -> Result<Isometry3<f64>> {
         let rows = &self.rotation;
         if rows.len() != 3 || rows.iter().any(|row| row.len() != 3) {
             return Err(Error::invalid("a pose's rotation is not a 3 x 3 matrix"));
         }
-        let matrix = Matrix3::from_fn(|i, j| rows[i][j].0);
+        let matrix = Matrix3::from_fn(|i, j| rows[j][i].0);
         // Written with some 16 digits; more than rounding is another matter.
         if (matrix * matrix.transpose() - Matrix3::identity()).norm() > 1e-6
             || matrix.determinant() < 0.0
@@ -323,10 +330,10 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     let pitch = mesh.pitch.as_ref().ok_or_else(|| Error::invalid("the mla's mesh has no pitch"))?;
     let [pitch_x, pitch_y] = pitch.fixed("the pitch of the mla's mesh")?;
     let pitch_ratio = pitch_y / pitch_x;
-    let camera_from_mesh = file.mla.mesh.pose.isometry()?;
+    let camera_from_mesh = file.mla.mesh.pose.parent_from_own()?;
     let center = camera_from_mesh
         * nalgebra::Point3::from(mesh_to_center(&lattice, pitch_x, pitch_ratio));
-    let camera_from_sensor = file.sensor.pose.isometry()?;
+    let camera_from_sensor = file.sensor.pose.parent_from_own()?;
     if camera_from_sensor.rotation.angle() > 1e-9 {
         return Err(Error::invalid(
             "the sensor is turned against the main lens; the model has it parallel",
@@ -371,9 +378,14 @@ pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
         .map(|f| {
             let frame = u32::try_from(f.frame.0)
                 .map_err(|_| Error::invalid(format!("frame {} is not a frame", f.frame.0)))?;
-            Ok(FramePose { frame, camera_from_board: f.pose.isometry()?.inverse() })
+            Ok(FramePose { frame, camera_from_board: f.pose.parent_from_own()?.inverse() })
         })
         .collect()
+}
+
+/// A pose from the rotation that takes own axes into the parent's, and the origin in the parent.
+fn pose<const N: usize>(parent_from_own: &SMatrix<f64, N, N>, origin: &[f64]) -> Value {
+    json!({ "rotation": matrix(&parent_from_own.transpose()), "translation": vector(origin) })
 }
 
 /// The content of an `intrinsics.js`. `grid` are the micro-images it was calibrated from.
@@ -412,7 +424,7 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
     let origin = center - rotation * mesh_to_center(lattice, mla.pitch_mm, mla.pitch_ratio);
     let mut mla_mesh = json!({
         "pitch": vector(&[mla.pitch_mm, mla.pitch_mm * mla.pitch_ratio]),
-        "pose": { "rotation": matrix(rotation.matrix()), "translation": vector(origin.as_slice()) },
+        "pose": pose(rotation.matrix(), origin.as_slice()),
     });
     mesh_size(&mut mla_mesh);
 
@@ -422,13 +434,13 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
     let mia_origin = grid.center_px - turn * first * grid.pitch_px;
     let mut mia_mesh = json!({
         "pitch": vector(&[grid.pitch_px, grid.pitch_px]),
-        "pose": { "rotation": matrix(&turn), "translation": vector(mia_origin.as_slice()) },
+        "pose": pose(&turn, mia_origin.as_slice()),
     });
     mesh_size(&mut mia_mesh);
 
     let sensor_xy = (mla.principal_point_px - last_pixel(sensor)) * sensor.pixel_size_mm;
     let sensor_z = -(mla.lens_to_mla_mm + mla.mla_to_sensor_mm);
-    let identity = matrix(&Matrix3::<f64>::identity());
+    let unturned = Matrix3::<f64>::identity();
     Ok(json!({
         "I": camera.lens_types().to_string(),
         "mode": match camera.configuration() {
@@ -445,7 +457,7 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
             "aperture": number(setting.f_number),
             "diameter": number(lens.focal_length_mm / setting.f_number),
             "f": number(lens.focal_length_mm),
-            "pose": { "rotation": identity, "translation": vector(&[0.0; 3]) },
+            "pose": pose(&unturned, &[0.0; 3]),
         },
         "mia": { "mesh": mia_mesh },
         "mla": {
@@ -456,10 +468,7 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
             "width": sensor.width_px.to_string(),
             "height": sensor.height_px.to_string(),
             "scale": number(sensor.pixel_size_mm),
-            "pose": {
-                "rotation": identity,
-                "translation": vector(&[sensor_xy.x, sensor_xy.y, sensor_z]),
-            },
+            "pose": pose(&unturned, &[sensor_xy.x, sensor_xy.y, sensor_z]),
         },
     }))
 }
@@ -471,10 +480,10 @@ pub fn poses_document(poses: &[FramePose]) -> Value {
         let world_from_camera = p.camera_from_board.inverse();
         json!({
             "frame": p.frame.to_string(),
-            "pose": {
-                "rotation": matrix(world_from_camera.rotation.to_rotation_matrix().matrix()),
-                "translation": vector(world_from_camera.translation.vector.as_slice()),
-            },
+            "pose": pose(
+                world_from_camera.rotation.to_rotation_matrix().matrix(),
+                world_from_camera.translation.vector.as_slice(),
+            ),
         })
     };
     json!({ "poses": poses.iter().map(frame).collect::<Vec<_>>() })

@@ -1,0 +1,152 @@
+//! Writes the feature set of `data/synthetic`: a small R12 seen by its own model, with known truth.
+//!
+//!     cargo run --example synthetic_dataset -- data/synthetic
+
+use std::path::Path;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
+use plenocal::Result;
+use plenocal::calibration::FramePose;
+use plenocal::camera::{
+    Board, LensSetting, MainLens, MicroLensArray, PlenopticCamera, Sensor,
+};
+use plenocal::io::{OutputFolder, camera_document, poses_document, write_centers, write_features};
+use plenocal::lattice::{Lattice, LatticeKind, Parity};
+use plenocal::observations::{BapFeature, MicroImageCenter, Observations};
+use plenocal::synthetic::{Noise, synthesize};
+
+/// Noise of a good detector; the radius comes from a whole cluster and is therefore better.
+const NOISE: Noise = Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 };
+const SEED: u64 = 2020;
+
+const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
+
+/// What a user would know of the camera: the nominal lens, and white-image measurements that are
+/// off by about a percent.
+const PROJECT: &str = r#"# plenocal project: a small camera of the R12's kind, observations drawn from its own model.
+# Made by `cargo run --example synthetic_dataset`; the truth is in truth/.
+
+[sensor]
+width_px = 1000
+height_px = 750
+pixel_size_mm = 0.0055
+
+[main_lens]
+focal_length_mm = 50.0        # as engraved on the lens
+f_number = 4.0
+focus_distance_mm = 450.0     # from the sensor; inf for infinity
+
+[micro_lens_array]
+configuration = "galilean"    # or "keplerian", "unfocused"
+lattice = "hexagonal-rows"    # or "hexagonal-columns", "orthogonal"
+columns = 43
+rows = 37
+lens_types = 3
+
+[internal_parameters]         # measured on white images
+m_mm = 0.1423
+q_prime_mm = [0.0352, 0.0402, 0.0368]
+
+[board]
+columns = 9                   # inner corners
+rows = 5
+square_mm = 3.0
+
+[observations]
+centers = "centers.csv"
+features = "features.csv"
+"#;
+
+fn camera() -> PlenopticCamera {
+    PlenopticCamera {
+        sensor: Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 },
+        lattice: Lattice {
+            kind: LatticeKind::HexagonalRows,
+            columns: 43,
+            rows: 37,
+            shifted: Parity::Even,
+        },
+        main_lens: MainLens {
+            focal_length_mm: 50.4,
+            radial: [2.0e-4, -3.0e-6, 4.0e-8],
+            tangential: [-1.5e-4, 0.8e-4],
+            setting: Some(LensSetting { f_number: 4.0, focus_distance_mm: 450.0 }),
+        },
+        mla: MicroLensArray {
+            principal_point_px: Vector2::new(520.0, 362.0),
+            mla_to_sensor_mm: 0.325,
+            rotation_rad: Vector3::new(0.8e-3, -0.6e-3, 1.2e-3),
+            offset_mm: Vector2::new(0.11, -0.07),
+            lens_to_mla_mm: 57.1,
+            pitch_mm: 0.127_46,
+            pitch_ratio: 1.0,
+            focal_lengths_mm: vec![0.578, 0.505, 0.552],
+        },
+    }
+}
+
+/// Boards between 265 and 350 mm, turned about all axes by up to 40 degrees.
+fn poses() -> Vec<FramePose> {
+    let center = Translation3::new(-12.0, -6.0, 0.0);
+    [
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 300.0]),
+        ([35.0, 0.0, 5.0], [1.0, 0.5, 270.0]),
+        ([-30.0, 10.0, -8.0], [-1.0, 1.0, 285.0]),
+        ([5.0, 40.0, 20.0], [0.5, -1.0, 265.0]),
+        ([-8.0, -35.0, 90.0], [2.0, 0.0, 330.0]),
+        ([25.0, 25.0, -30.0], [-2.0, -1.5, 310.0]),
+        ([-20.0, 30.0, 170.0], [1.5, 1.5, 350.0]),
+        ([10.0, -20.0, 45.0], [0.0, 2.0, 340.0]),
+    ]
+    .into_iter()
+    .zip(0..)
+    .map(|((degrees, [x, y, z]), frame)| {
+        let [roll, pitch, yaw] = degrees.map(f64::to_radians);
+        let turn = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+        let place = Isometry3::from_parts(Translation3::new(x, y, z), turn);
+        FramePose { frame, camera_from_board: place * center }
+    })
+    .collect()
+}
+
+/// To 10⁻⁴ px, a two-thousandth of the noise, so that the files stay small.
+fn rounded(observations: Observations) -> Observations {
+    let round = |x: f64| (x * 1e4).round() / 1e4;
+    Observations {
+        centers: observations
+            .centers
+            .into_iter()
+            .map(|c| MicroImageCenter { u_px: round(c.u_px), v_px: round(c.v_px), ..c })
+            .collect(),
+        features: observations
+            .features
+            .into_iter()
+            .map(|f| BapFeature {
+                u_px: round(f.u_px),
+                v_px: round(f.v_px),
+                rho_px: round(f.rho_px),
+                ..f
+            })
+            .collect(),
+    }
+}
+
+fn main() -> Result<()> {
+    let folder = std::env::args().nth(1).unwrap_or_else(|| "data/synthetic".to_owned());
+    let (camera, poses) = (camera(), poses());
+    let observations = rounded(synthesize(&camera, &BOARD, &poses, &NOISE, SEED)?);
+    let mut output = OutputFolder::new(Path::new(&folder))?;
+    output.stage("project.toml", |out| out.write_all(PROJECT.as_bytes()))?;
+    output.stage("centers.csv", |out| write_centers(out, &observations.centers))?;
+    output.stage("features.csv", |out| write_features(out, &observations.features))?;
+    output.stage_json("truth/camera.json", &camera_document(&camera, None))?;
+    output.stage_json("truth/poses.json", &poses_document(&poses, None))?;
+    output.commit()?;
+    println!(
+        "{} centres and {} features of {} frames in {folder}",
+        observations.centers.len(),
+        observations.features.len(),
+        poses.len()
+    );
+    Ok(())
+}

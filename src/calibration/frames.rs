@@ -1,0 +1,147 @@
+//! The frames at the start: which have a pose, and which one.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Isometry3;
+
+use crate::bridge::{self, Problem, SolverFeature};
+use crate::calibration::{CostOptions, FramePose, LeftOut, SolverOptions, initial_poses};
+use crate::camera::{Board, PlenopticCamera, intrinsic_parameters};
+use crate::error::{Error, Result};
+use crate::evaluation::FeatureResidual;
+use crate::observations::{BapFeature, Observations};
+
+/// Frames with a pose, their features, and the frames left out.
+pub(super) struct Frames {
+    pub poses: Vec<FramePose>,
+    pub features: Vec<BapFeature>,
+    pub left_out: Vec<LeftOut>,
+}
+
+/// Initial poses of all frames.
+///
+/// PnP on the barycentres gives up to two poses mirrored in tilt. Parallax and blur tell which way
+/// a board leans: each candidate is refined with the camera held, and the one with the lower cost
+/// is kept.
+pub(super) fn initial_frames(
+    camera: &PlenopticCamera,
+    board: &Board,
+    observations: &Observations,
+    cost: &CostOptions,
+    solver: &SolverOptions,
+) -> Result<Frames> {
+    let mut by_frame: BTreeMap<u32, Vec<BapFeature>> = BTreeMap::new();
+    for &feature in &observations.features {
+        by_frame.entry(feature.frame).or_default().push(feature);
+    }
+    let mut left_out = Vec::new();
+    let mut candidates = Vec::new();
+    for (&frame, features) in &by_frame {
+        match initial_poses(camera, board, features) {
+            Ok(poses) => candidates.push((frame, poses)),
+            Err(reason) => left_out.push(LeftOut { frame, features: features.len(), reason }),
+        }
+    }
+    let features: Vec<BapFeature> = observations
+        .features
+        .iter()
+        .filter(|f| candidates.iter().any(|(frame, _)| *frame == f.frame))
+        .copied()
+        .collect();
+    let poses = choose(camera, board, &candidates, &features, cost, solver)?;
+    Ok(Frames { poses, features, left_out })
+}
+
+/// The best candidate of every frame, refined with the camera held.
+fn choose(
+    camera: &PlenopticCamera,
+    board: &Board,
+    candidates: &[(u32, Vec<Isometry3<f64>>)],
+    features: &[BapFeature],
+    cost: &CostOptions,
+    solver: &SolverOptions,
+) -> Result<Vec<FramePose>> {
+    let mut best: BTreeMap<u32, (f64, Isometry3<f64>)> = BTreeMap::new();
+    let rounds = candidates.iter().map(|(_, poses)| poses.len()).max().unwrap_or(0);
+    let parameters = intrinsic_parameters(camera.lens_types());
+    let held = parameters.into_iter().map(|parameter| parameter.name).collect();
+    let cost = CostOptions { held, ..cost.clone() };
+    for round in 0..rounds {
+        let start: Vec<FramePose> = candidates
+            .iter()
+            .filter_map(|(frame, poses)| {
+                Some(FramePose { frame: *frame, camera_from_board: *poses.get(round)? })
+            })
+            .collect();
+        let seen: Vec<BapFeature> = features
+            .iter()
+            .filter(|f| start.iter().any(|p| p.frame == f.frame))
+            .copied()
+            .collect();
+        let start_poses: Vec<Isometry3<f64>> = start.iter().map(|p| p.camera_from_board).collect();
+        let solver_features = solver_features(&seen, &start, board);
+        let problem =
+            Problem { camera, poses: &start_poses, features: &solver_features, centers: &[] };
+        let refined = bridge::refine(&problem, &cost, solver, &mut |_| true)?;
+        let residuals =
+            feature_residuals(&Problem { poses: &refined.poses, ..problem }, &seen)?;
+        for (pose, &camera_from_board) in start.iter().zip(&refined.poses) {
+            let of_frame = residuals.iter().filter(|r| r.feature.frame == pose.frame);
+            let frame_cost: f64 = of_frame.map(|r| squared_norm(r, &cost)).sum();
+            let entry = best.entry(pose.frame).or_insert((f64::INFINITY, camera_from_board));
+            if frame_cost < entry.0 {
+                *entry = (frame_cost, camera_from_board);
+            }
+        }
+    }
+    Ok(best
+        .into_iter()
+        .map(|(frame, (_, camera_from_board))| FramePose { frame, camera_from_board })
+        .collect())
+}
+
+fn squared_norm(residual: &FeatureResidual, cost: &CostOptions) -> f64 {
+    (residual.du_px / cost.uv_std_dev_px).powi(2)
+        + (residual.dv_px / cost.uv_std_dev_px).powi(2)
+        + (residual.drho_px.unwrap_or(0.0) / cost.rho_std_dev_px).powi(2)
+}
+
+/// Features as the solver takes them, every one of a frame that has a pose.
+pub(super) fn solver_features(
+    features: &[BapFeature],
+    poses: &[FramePose],
+    board: &Board,
+) -> Vec<SolverFeature> {
+    let index: BTreeMap<u32, usize> = poses.iter().enumerate().map(|(i, p)| (p.frame, i)).collect();
+    let to_solver = |f: &BapFeature| SolverFeature {
+        pose: index[&f.frame],
+        board_point_mm: board.point_mm(f.corner),
+        k: f.k,
+        l: f.l,
+        u_px: f.u_px,
+        v_px: f.v_px,
+        rho_px: f.rho_px,
+    };
+    features.iter().map(to_solver).collect()
+}
+
+/// Observed minus projected for every feature of a problem.
+pub(super) fn feature_residuals(problem: &Problem, features: &[BapFeature]) -> Result<Vec<FeatureResidual>> {
+    let residual = |(&feature, projected): (&BapFeature, Option<[f64; 3]>)| {
+        let [u, v, rho] = projected.ok_or_else(|| {
+            Error::invalid(format!(
+                "the refined camera does not image corner {} of frame {}",
+                feature.corner, feature.frame
+            ))
+        })?;
+        Ok(FeatureResidual {
+            feature,
+            lens_type: problem.camera.lens_type(feature.k, feature.l),
+            du_px: feature.u_px - u,
+            dv_px: feature.v_px - v,
+            drho_px: (problem.camera.lens_types() > 0).then(|| feature.rho_px - rho),
+        })
+    };
+    features.iter().zip(bridge::project(problem)?).map(residual).collect()
+}
+

@@ -1,0 +1,159 @@
+//! Observations drawn from the camera model itself, with Gaussian noise of known size.
+//!
+//! They tell whether the estimation is right: parameters have to come back within their predicted
+//! uncertainty. They cannot tell whether the model is right, since they are made by it.
+
+use nalgebra::{Isometry3, Vector2};
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand_distr::{Distribution, Normal};
+
+use crate::bridge::{self, Problem, SolverFeature};
+use crate::calibration::FramePose;
+use crate::camera::{Board, PlenopticCamera};
+use crate::error::{Error, Result};
+use crate::observations::{BapFeature, MicroImageCenter, Observations};
+
+/// Standard deviations of the noise per coordinate, px; 0 for none.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Noise {
+    /// Of u and v of a feature.
+    pub uv_px: f64,
+    /// Of ρ.
+    pub rho_px: f64,
+    /// Of u and v of a centre.
+    pub centers_px: f64,
+}
+
+/// A corner counts as seen when it lies at least this far inside its micro-image, px: nearer to the
+/// edge a detector has no two sides of it to look at.
+const EDGE_MARGIN_PX: f64 = 3.0;
+
+/// The centres of all micro-images that lie wholly in the image, and the features of every corner
+/// in every micro-image that sees it, frame by frame. The same seed gives the same noise.
+pub fn synthesize(
+    camera: &PlenopticCamera,
+    board: &Board,
+    poses: &[FramePose],
+    noise: &Noise,
+    seed: u64,
+) -> Result<Observations> {
+    let mut random = Random::new(noise, seed)?;
+    let centers = whole_micro_images(camera)?;
+    let radius = micro_image_pitch_px(camera) / 2.0 - EDGE_MARGIN_PX;
+
+    let mut features = Vec::new();
+    for pose in poses {
+        for corner in 0..board.corners() {
+            for (center, projected) in
+                centers.iter().zip(project_corner(camera, board, pose, corner, &centers)?)
+            {
+                let Some([u, v, rho]) = projected else { continue };
+                let offset = Vector2::new(u - center.u_px, v - center.v_px);
+                if offset.norm() <= radius {
+                    features.push(BapFeature {
+                        frame: pose.frame,
+                        corner,
+                        k: center.k,
+                        l: center.l,
+                        u_px: u + random.uv(),
+                        v_px: v + random.uv(),
+                        rho_px: if camera.lens_types() > 0 { rho + random.rho() } else { f64::NAN },
+                    });
+                }
+            }
+        }
+    }
+    let centers = centers
+        .into_iter()
+        .map(|c| MicroImageCenter {
+            u_px: c.u_px + random.center(),
+            v_px: c.v_px + random.center(),
+            ..c
+        })
+        .collect();
+    Ok(Observations { centers, features })
+}
+
+/// δc = ΔC (D + d)/(D s), Eq. (mlinterdist), px.
+fn micro_image_pitch_px(camera: &PlenopticCamera) -> f64 {
+    let mla = &camera.mla;
+    mla.pitch_mm * (mla.lens_to_mla_mm + mla.mla_to_sensor_mm)
+        / (mla.lens_to_mla_mm * camera.sensor.pixel_size_mm)
+}
+
+fn whole_micro_images(camera: &PlenopticCamera) -> Result<Vec<MicroImageCenter>> {
+    let mut centers: Vec<MicroImageCenter> = (0..camera.lattice.rows)
+        .flat_map(|l| (0..camera.lattice.columns).map(move |k| (k, l)))
+        .map(|(k, l)| MicroImageCenter { k, l, u_px: 0.0, v_px: 0.0 })
+        .collect();
+    let projected =
+        bridge::project_centers(&Problem { camera, poses: &[], features: &[], centers: &centers })?;
+    let radius = micro_image_pitch_px(camera) / 2.0;
+    let whole = |c: &MicroImageCenter| {
+        let inside = |x: f64, size: u32| x >= radius && x <= f64::from(size) - 1.0 - radius;
+        inside(c.u_px, camera.sensor.width_px) && inside(c.v_px, camera.sensor.height_px)
+    };
+    for (center, [u, v]) in centers.iter_mut().zip(projected) {
+        (center.u_px, center.v_px) = (u, v);
+    }
+    centers.retain(whole);
+    Ok(centers)
+}
+
+fn project_corner(
+    camera: &PlenopticCamera,
+    board: &Board,
+    pose: &FramePose,
+    corner: i32,
+    centers: &[MicroImageCenter],
+) -> Result<Vec<Option<[f64; 3]>>> {
+    let features: Vec<SolverFeature> = centers
+        .iter()
+        .map(|c| SolverFeature {
+            pose: 0,
+            board_point_mm: board.point_mm(corner),
+            k: c.k,
+            l: c.l,
+            u_px: 0.0,
+            v_px: 0.0,
+            rho_px: 0.0,
+        })
+        .collect();
+    let poses: [Isometry3<f64>; 1] = [pose.camera_from_board];
+    bridge::project(&Problem { camera, poses: &poses, features: &features, centers: &[] })
+}
+
+struct Random {
+    generator: StdRng,
+    uv: Normal<f64>,
+    rho: Normal<f64>,
+    centers: Normal<f64>,
+}
+
+impl Random {
+    fn new(noise: &Noise, seed: u64) -> Result<Self> {
+        let normal = |std_dev: f64| {
+            Normal::new(0.0, std_dev)
+                .map_err(|_| Error::invalid(format!("a noise of {std_dev} px is not possible")))
+        };
+        Ok(Self {
+            generator: StdRng::seed_from_u64(seed),
+            uv: normal(noise.uv_px)?,
+            rho: normal(noise.rho_px)?,
+            centers: normal(noise.centers_px)?,
+        })
+    }
+
+    fn uv(&mut self) -> f64 {
+        self.uv.sample(&mut self.generator)
+    }
+
+    fn rho(&mut self) -> f64 {
+        self.rho.sample(&mut self.generator)
+    }
+
+    fn center(&mut self) -> f64 {
+        self.centers.sample(&mut self.generator)
+    }
+}
