@@ -21,7 +21,26 @@ fn main() {
     println!("cargo:rustc-link-lib=dylib=ceres");
     println!("cargo:rustc-link-lib=dylib=glog");
 
-    for path in ["build.rs", "src/bridge.rs", "cpp/CMakeLists.txt", "cpp/cmake", "cpp/include", "cpp/src", "cpp/bridge"] {
+    // Tests that need something from outside the repository are reported as ignored without it.
+    for (variable, cfg) in
+        [("PLENOCAL_R12A", "plenocal_r12a"), ("PLENOCAL_PLAIN_CERES", "plenocal_plain_ceres")]
+    {
+        println!("cargo:rerun-if-env-changed={variable}");
+        println!("cargo:rustc-check-cfg=cfg({cfg})");
+        if std::env::var_os(variable).is_some() {
+            println!("cargo:rustc-cfg={cfg}");
+        }
+    }
+
+    for path in [
+        "build.rs",
+        "src/bridge.rs",
+        "cpp/CMakeLists.txt",
+        "cpp/cmake",
+        "cpp/include",
+        "cpp/src",
+        "cpp/bridge",
+    ] {
         println!("cargo:rerun-if-changed={path}");
     }
 }

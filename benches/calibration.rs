@@ -1,1 +1,165 @@
-fn main(){}
+//! Speed of the calibration against a plain Ceres program, in one run.
+//!
+//! Uses the R12-A observations in the folder `PLENOCAL_R12A`, or else the shipped feature set, and
+//! the program `PLENOCAL_PLAIN_CERES` (`cpp/examples/plain_ceres`) as the baseline: one residual
+//! block per observation, Ceres' defaults otherwise, the same tolerance. Both run in turns, so that
+//! a slower moment of the machine meets both; medians are given, and their ratio is what counts.
+
+use std::hint::black_box;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+use plenocal::calibration::{CalibrationOptions, SolverOptions, Start, calibrate};
+use plenocal::camera::Board;
+use plenocal::io::{
+    CameraSource, Project, read_board, read_camera_source, read_centers, read_features,
+    read_internal_parameters,
+};
+use plenocal::observations::Observations;
+use plenocal::precalibration::fit_grid;
+use serde_json::Value;
+
+/// Enough for a median; a run of the baseline takes seconds.
+const RUNS: usize = 7;
+
+struct Data {
+    name: &'static str,
+    centers: PathBuf,
+    features: PathBuf,
+    start: Start,
+    board: Board,
+    /// Options of the baseline that describe the camera.
+    baseline: Vec<&'static str>,
+}
+
+fn r12a(folder: &Path) -> plenocal::Result<Data> {
+    let CameraSource::Datasheet(sheet) = read_camera_source(&folder.join("camera.js"))? else {
+        panic!("camera.js is a datasheet");
+    };
+    let pixel = Some(sheet.sensor.pixel_size_mm);
+    let internal = read_internal_parameters(&folder.join("params.js"), pixel)?;
+    Ok(Data {
+        name: "R12-A",
+        centers: folder.join("center-R12-A.csv"),
+        features: folder.join("bap-R12-A.csv"),
+        start: Start::Datasheet(sheet, internal),
+        board: read_board(&folder.join("scene.js"))?,
+        baseline: "--pixel-size-mm 0.0055 --width 4080 --height 3068 --columns 176 --rows 152 \
+                   --focal-mm 50 --focus-mm 450 --m-mm 0.14059554040431976 --q-mm \
+                   0.035135191355331399,0.040268205527646997,0.036822146226151445 \
+                   --board-columns 9 --square-mm 10"
+            .split_whitespace()
+            .collect(),
+    })
+}
+
+fn shipped() -> plenocal::Result<Data> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/synthetic");
+    let project = Project::read(&folder.join("project.toml"))?;
+    let sheet = project.datasheet()?.expect("the shipped project has a camera");
+    let internal = project.internal().expect("the shipped project has internal parameters");
+    Ok(Data {
+        name: "the shipped feature set",
+        centers: folder.join("centers.csv"),
+        features: folder.join("features.csv"),
+        start: Start::Datasheet(sheet, internal),
+        board: project.board.expect("the shipped project has a board"),
+        baseline: "--pixel-size-mm 0.0055 --width 1000 --height 750 --columns 43 --rows 37 \
+                   --focal-mm 50 --focus-mm 450 --m-mm 0.1423 --q-mm 0.0352,0.0402,0.0368 \
+                   --board-columns 9 --square-mm 3"
+            .split_whitespace()
+            .collect(),
+    })
+}
+
+fn read(data: &Data) -> plenocal::Result<Observations> {
+    let mut observations = read_features(&data.features, true)?;
+    observations.centers = read_centers(&data.centers)?;
+    Ok(observations)
+}
+
+/// Seconds of the solve, iterations and cost of the baseline.
+fn baseline(program: &Path, data: &Data, threads: usize) -> (f64, u64, f64) {
+    let output = Command::new(program)
+        .arg("--centers")
+        .arg(&data.centers)
+        .arg("--features")
+        .arg(&data.features)
+        .args(&data.baseline)
+        .args(["--threads", &threads.to_string()])
+        .output()
+        .expect("the baseline can be run");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let result: Value = serde_json::from_slice(&output.stdout).expect("the baseline prints JSON");
+    let number = |name: &str| result[name].as_f64().expect("the baseline prints this number");
+    (number("time_s"), result["iterations"].as_u64().unwrap_or(0), number("cost"))
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+fn seconds<T>(work: impl FnOnce() -> T) -> f64 {
+    let start = Instant::now();
+    black_box(work());
+    start.elapsed().as_secs_f64()
+}
+
+fn compare(program: &Path, data: &Data, observations: &Observations, threads: usize) {
+    let solver = SolverOptions { threads, ..SolverOptions::default() };
+    let options = CalibrationOptions { solver, ..CalibrationOptions::default() };
+    let (mut plain, mut solve, mut whole) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut plain_end, mut end) = ((0, 0.0), (0, 0.0));
+    for _ in 0..RUNS {
+        let (time, iterations, cost) = baseline(program, data, threads);
+        plain.push(time);
+        plain_end = (iterations, cost);
+        let start = Instant::now();
+        let calibration =
+            calibrate(&data.start, &data.board, observations, &options, &mut |_| true)
+                .expect("the data can be calibrated");
+        whole.push(start.elapsed().as_secs_f64());
+        assert!(calibration.converged);
+        let refinement = &calibration.refinement;
+        solve.push(refinement.time_s);
+        end = (refinement.iterations.len() - 1, refinement.cost);
+    }
+    let (plain, solve, whole) = (median(plain), median(solve), median(whole));
+    println!("{threads} thread(s), cold start to convergence, median of {RUNS} runs:");
+    println!("  plain Ceres program        {plain:7.3} s  {:3} iterations  cost {:.6}", plain_end.0, plain_end.1);
+    println!("  plenocal, refinement       {solve:7.3} s  {:3} iterations  cost {:.6}", end.0, end.1);
+    println!("  plenocal, whole stage      {whole:7.3} s  (grid, start, refinement, uncertainty)");
+    println!("  ratio of the refinements   {:7.3}", solve / plain);
+    println!("  ratio of the whole stage   {:7.3}", whole / plain);
+}
+
+fn main() -> plenocal::Result<()> {
+    let data = match std::env::var_os("PLENOCAL_R12A") {
+        Some(folder) => r12a(Path::new(&folder))?,
+        None => shipped()?,
+    };
+    let observations = read(&data)?;
+    println!(
+        "Calibration of {}: {} features, {} centres",
+        data.name,
+        observations.features.len(),
+        observations.centers.len()
+    );
+    let reading = median((0..RUNS).map(|_| seconds(|| read(&data))).collect());
+    println!("  reading the CSV files      {reading:7.3} s");
+    if let Start::Datasheet(sheet, _) = &data.start {
+        let fit = || fit_grid(&observations.centers, sheet.lattice_kind, sheet.columns, sheet.rows);
+        println!("  fitting the grid           {:7.3} s", median((0..RUNS).map(|_| seconds(fit)).collect()));
+    }
+    match std::env::var_os("PLENOCAL_PLAIN_CERES") {
+        Some(program) => {
+            for threads in [1, 2] {
+                compare(Path::new(&program), &data, &observations, threads);
+            }
+        }
+        None => println!("Set PLENOCAL_PLAIN_CERES (or run `make bench`) for the comparison."),
+    }
+    Ok(())
+}

@@ -7,9 +7,7 @@ use std::path::Path;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use plenocal::Result;
 use plenocal::calibration::FramePose;
-use plenocal::camera::{
-    Board, LensSetting, MainLens, MicroLensArray, PlenopticCamera, Sensor,
-};
+use plenocal::camera::{Board, LensSetting, MainLens, MicroLensArray, PlenopticCamera, Sensor};
 use plenocal::io::{OutputFolder, camera_document, poses_document, write_centers, write_features};
 use plenocal::lattice::{Lattice, LatticeKind, Parity};
 use plenocal::observations::{BapFeature, MicroImageCenter, Observations};

@@ -200,8 +200,9 @@ pub(crate) fn lattice(camera: &PlenopticCamera) -> Vec<(f64, f64, usize)> {
 /// Projects every feature's board point through its micro-lens: (u, v, ρ) in px; `None` where the
 /// model is not defined.
 pub(crate) fn project(problem: &Problem) -> Result<Vec<Option<[f64; 3]>>> {
-    let rows = ffi::project(&problem.camera.into(), &problem.pose_blocks(), &problem.feature_rows())
-        .map_err(solver_error)?;
+    let rows =
+        ffi::project(&problem.camera.into(), &problem.pose_blocks(), &problem.feature_rows())
+            .map_err(solver_error)?;
     let defined = |p: &ffi::Projection| (p.lens_type >= 0).then_some([p.u_px, p.v_px, p.rho_px]);
     Ok(rows.iter().map(defined).collect())
 }
@@ -308,8 +309,7 @@ impl Problem<'_> {
     }
 
     fn center_rows(&self) -> Vec<ffi::CenterRow> {
-        let row =
-            |c: &SolverCenter| ffi::CenterRow { k: c.k, l: c.l, u_px: c.u_px, v_px: c.v_px };
+        let row = |c: &SolverCenter| ffi::CenterRow { k: c.k, l: c.l, u_px: c.u_px, v_px: c.v_px };
         self.centers.iter().map(row).collect()
     }
 }
@@ -398,5 +398,103 @@ impl From<&SolverOptions> for ffi::SolverParts {
             threads: count(solver.threads),
             initial_trust_region_radius: solver.initial_trust_region_radius,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Vector2, Vector3};
+
+    use super::*;
+    use crate::camera::{MainLens, MicroLensArray, Sensor, intrinsic_parameters};
+    use crate::lattice::Lattice;
+
+    fn camera(kind: LatticeKind, shifted: Parity, columns: i32, rows: i32) -> PlenopticCamera {
+        let types = if kind == LatticeKind::Orthogonal { 1 } else { 3 };
+        PlenopticCamera {
+            sensor: Sensor { width_px: 100, height_px: 80, pixel_size_mm: 0.0055 },
+            lattice: Lattice { kind, columns, rows, shifted },
+            main_lens: MainLens {
+                focal_length_mm: 50.0,
+                radial: [1.0, 2.0, 3.0],
+                tangential: [4.0, 5.0],
+                setting: None,
+            },
+            mla: MicroLensArray {
+                principal_point_px: Vector2::new(6.0, 7.0),
+                mla_to_sensor_mm: 0.3,
+                rotation_rad: Vector3::new(0.1, 0.2, 0.3),
+                offset_mm: Vector2::new(8.0, 9.0),
+                lens_to_mla_mm: 56.0,
+                pitch_mm: 0.127,
+                pitch_ratio: 1.01,
+                focal_lengths_mm: vec![0.5; types],
+            },
+        }
+    }
+
+    #[test]
+    fn both_sides_name_the_parameters_alike() {
+        for types in [0, 1, 3] {
+            let ours: Vec<String> =
+                intrinsic_parameters(types).into_iter().map(|parameter| parameter.name).collect();
+            assert_eq!(ours, intrinsic_names(types));
+        }
+    }
+
+    #[test]
+    fn both_sides_number_the_lattice_alike() {
+        for kind in
+            [LatticeKind::Orthogonal, LatticeKind::HexagonalRows, LatticeKind::HexagonalColumns]
+        {
+            for shifted in [Parity::Even, Parity::Odd] {
+                for (columns, rows) in [(5, 4), (4, 5), (1, 3), (3, 1)] {
+                    let camera = camera(kind, shifted, columns, rows);
+                    let mut theirs = lattice(&camera).into_iter();
+                    for l in 0..rows {
+                        for k in 0..columns {
+                            let (x, y, lens_type) = theirs.next().unwrap();
+                            let ours = camera.lattice.node(k, l);
+                            assert!((ours - Vector2::new(x, y)).norm() < 1e-12);
+                            assert_eq!(camera.lens_type(k, l), lens_type);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_panic_in_the_progress_function_comes_back_as_a_panic() {
+        let camera = camera(LatticeKind::HexagonalRows, Parity::Even, 8, 8);
+        let pose = Isometry3::translation(0.0, 0.0, 300.0);
+        let feature = |k, l, u_px| SolverFeature {
+            pose: 0,
+            board_point_mm: Point3::origin(),
+            k,
+            l,
+            u_px,
+            v_px: 40.0,
+            rho_px: 0.0,
+        };
+        let features: Vec<_> = (0..8).map(|i| feature(i, 7 - i, 10.0 * f64::from(i))).collect();
+        let problem =
+            Problem { camera: &camera, poses: &[pose], features: &features, centers: &[] };
+        let outcome = catch_unwind(AssertUnwindSafe(|| {
+            refine(&problem, &CostOptions::default(), &SolverOptions::default(), &mut |_| {
+                panic!("from the caller")
+            })
+        }));
+        let message = outcome.unwrap_err();
+        assert_eq!(message.downcast_ref::<&str>(), Some(&"from the caller"));
+    }
+
+    #[test]
+    fn what_the_core_rejects_arrives_as_an_error() {
+        let mut camera = camera(LatticeKind::HexagonalRows, Parity::Even, 8, 8);
+        camera.mla.mla_to_sensor_mm = f64::NAN;
+        let problem = Problem { camera: &camera, poses: &[], features: &[], centers: &[] };
+        let error = project_centers(&problem).unwrap_err().to_string();
+        assert!(error.contains("d (mm)"), "{error}");
     }
 }

@@ -75,23 +75,24 @@ impl Lattice {
     /// all nodes.
     #[must_use]
     pub fn node(&self, k: i32, l: i32) -> Vector2<f64> {
-        // Extent of `count` nodes along a straight row when there are `across` rows.
-        let middle = |count: i32, across: i32| {
-            let shift = if across > 1 { 0.5 } else { self.shift(0) };
-            (f64::from(count - 1) + shift) / 2.0
-        };
         let centred = |index: i32, count: i32| f64::from(index) - f64::from(count - 1) / 2.0;
+        // Along the straight rows, of which there are `across`: shifted and unshifted ones together
+        // reach half a pitch further.
+        let staggered = |index: i32, count: i32, row: i32, across: i32| {
+            let mean_shift = if across > 1 { 0.25 } else { self.shift(0) };
+            centred(index, count) + self.shift(row) - mean_shift
+        };
         match self.kind {
             LatticeKind::Orthogonal => {
                 Vector2::new(centred(k, self.columns), centred(l, self.rows))
             }
             LatticeKind::HexagonalRows => Vector2::new(
-                f64::from(k) + self.shift(l) - middle(self.columns, self.rows),
+                staggered(k, self.columns, l, self.rows),
                 ROW_DISTANCE * centred(l, self.rows),
             ),
             LatticeKind::HexagonalColumns => Vector2::new(
                 ROW_DISTANCE * centred(k, self.columns),
-                f64::from(l) + self.shift(k) - middle(self.rows, self.columns),
+                staggered(l, self.rows, k, self.columns),
             ),
         }
     }

@@ -102,7 +102,10 @@ impl Observations {
         let mut seen = HashSet::new();
         let mut corners: BTreeMap<u32, BTreeSet<i32>> = BTreeMap::new();
         for f in &self.features {
-            let what = format!("corner {} in micro-image ({}, {}) of frame {}", f.corner, f.k, f.l, f.frame);
+            let what = format!(
+                "corner {} in micro-image ({}, {}) of frame {}",
+                f.corner, f.k, f.l, f.frame
+            );
             check(&what, f.k, f.l, f.u_px, f.v_px)?;
             if needs_rho && !f.rho_px.is_finite() {
                 return Err(Error::invalid(format!(

@@ -38,7 +38,7 @@ constexpr int kTypes = 3;
 // ---- Input ---------------------------------------------------------------------------------
 
 struct Options {
-  std::string centers, features;
+  std::string centers, features, poses;
   double pixel_size_mm, focal_mm, focus_mm, m_mm, square_mm;
   int width, height, columns, rows, board_columns;
   std::vector<double> q_mm;
@@ -119,6 +119,7 @@ Options ParseCommandLine(int argc, char** argv) {
   for (const std::string& q : Split(take("--q-mm"))) options.q_mm.push_back(positive(q, "--q-mm"));
   options.board_columns = count("--board-columns");
   options.square_mm = length("--square-mm");
+  if (given.count("--poses")) options.poses = take("--poses");
   if (given.count("--threads")) options.threads = count("--threads");
   options.two_pitches = given.erase("--two-pitches") > 0;
   options.verbose = given.erase("--verbose") > 0;
@@ -395,6 +396,20 @@ void InitializePoses(const Options& o, const std::vector<Observation>& features,
   }
 }
 
+// Poses from a CSV file frame,rx,ry,rz,tx,ty,tz instead. A small board far away looks the same when
+// it leans the other way, and the homography may take the wrong one of the two.
+void ReadPoses(const Options& o, Parameters* p) {
+  std::ifstream file(o.poses);
+  std::string line;
+  if (!std::getline(file, line)) throw std::runtime_error(o.poses + ": cannot read a header line");
+  while (std::getline(file, line)) {
+    const std::vector<std::string> fields = Split(line);
+    if (fields.size() != 1 + kPoseSize) throw std::runtime_error(o.poses + ": 7 columns expected");
+    auto& pose = p->poses[ToInteger(fields[0], o.poses, 0, std::numeric_limits<int>::max())];
+    for (int i = 0; i < kPoseSize; ++i) pose[i] = ToNumber(fields[1 + i], o.poses);
+  }
+}
+
 // ---- Solve and report ----------------------------------------------------------------------
 
 template <int kPitches>
@@ -425,7 +440,7 @@ void Calibrate(const Options& o, const Lattice& lattice, const std::vector<Obser
   options.trust_region_strategy_type = ceres::LEVENBERG_MARQUARDT;
   options.num_threads = o.threads;
   options.max_num_iterations = 500;
-  options.function_tolerance = 1e-14;
+  options.function_tolerance = 1e-13;
   options.gradient_tolerance = 1e-12;
   options.parameter_tolerance = 1e-12;
   options.logging_type = ceres::SILENT;
@@ -497,6 +512,7 @@ int main(int argc, char** argv) {
     Parameters parameters;
     InitializeIntrinsics(options, centers, &lattice, &parameters);
     InitializePoses(options, features, &parameters);
+    if (!options.poses.empty()) ReadPoses(options, &parameters);
     if (options.two_pitches)
       Calibrate<2>(options, lattice, centers, features, &parameters);
     else

@@ -35,13 +35,17 @@ NormalEquations accumulate(const ceres::CRSMatrix& jacobian, const std::vector<d
     for (int i = jacobian.rows[row]; i < jacobian.rows[row + 1]; ++i) {
       const int column = jacobian.cols[i];
       const double value = jacobian.values[i];
-      for (int j = jacobian.rows[row]; j < jacobian.rows[row + 1]; ++j) {
-        information(jacobian.cols[j], column) += value * jacobian.values[j];
+      double* target = information.col(column).data();  // columns of a row ascend: lower triangle
+      for (int j = i; j < jacobian.rows[row + 1]; ++j) {
+        target[jacobian.cols[j]] += value * jacobian.values[j];
       }
       equations.gradient[column] += value * residuals[row];
     }
     equations.squares[kinds[row]] += residuals[row] * residuals[row];
     ++equations.count[kinds[row]];
+  }
+  for (auto& information : equations.information) {
+    information.triangularView<Eigen::StrictlyUpper>() = information.transpose();
   }
   return equations;
 }

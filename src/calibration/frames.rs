@@ -11,6 +11,9 @@ use crate::error::{Error, Result};
 use crate::evaluation::FeatureResidual;
 use crate::observations::{BapFeature, Observations};
 
+/// A pose alone converges in a few steps; the choice between two needs no more.
+const CHOICE_ITERATIONS: usize = 5;
+
 /// Frames with a pose, their features, and the frames left out.
 pub(super) struct Frames {
     pub poses: Vec<FramePose>,
@@ -21,8 +24,9 @@ pub(super) struct Frames {
 /// Initial poses of all frames.
 ///
 /// PnP on the barycentres gives up to two poses mirrored in tilt. Parallax and blur tell which way
-/// a board leans: each candidate is refined with the camera held, and the one with the lower cost
-/// is kept.
+/// a board leans: each candidate is refined with the camera held, and the one that leads to the
+/// lower cost is taken, as PnP gave it. (The refined one would fit the initial camera so well that
+/// the solver takes half as many steps more to leave it.)
 pub(super) fn initial_frames(
     camera: &PlenopticCamera,
     board: &Board,
@@ -52,7 +56,7 @@ pub(super) fn initial_frames(
     Ok(Frames { poses, features, left_out })
 }
 
-/// The best candidate of every frame, refined with the camera held.
+/// The candidate of every frame that leads to the lowest cost with the camera held.
 fn choose(
     camera: &PlenopticCamera,
     board: &Board,
@@ -61,11 +65,12 @@ fn choose(
     cost: &CostOptions,
     solver: &SolverOptions,
 ) -> Result<Vec<FramePose>> {
-    let mut best: BTreeMap<u32, (f64, Isometry3<f64>)> = BTreeMap::new();
+    let mut best: BTreeMap<u32, (f64, FramePose)> = BTreeMap::new();
     let rounds = candidates.iter().map(|(_, poses)| poses.len()).max().unwrap_or(0);
     let parameters = intrinsic_parameters(camera.lens_types());
     let held = parameters.into_iter().map(|parameter| parameter.name).collect();
     let cost = CostOptions { held, ..cost.clone() };
+    let solver = SolverOptions { max_iterations: CHOICE_ITERATIONS, ..*solver };
     for round in 0..rounds {
         let start: Vec<FramePose> = candidates
             .iter()
@@ -73,31 +78,24 @@ fn choose(
                 Some(FramePose { frame: *frame, camera_from_board: *poses.get(round)? })
             })
             .collect();
-        let seen: Vec<BapFeature> = features
-            .iter()
-            .filter(|f| start.iter().any(|p| p.frame == f.frame))
-            .copied()
-            .collect();
+        let seen: Vec<BapFeature> =
+            features.iter().filter(|f| start.iter().any(|p| p.frame == f.frame)).copied().collect();
         let start_poses: Vec<Isometry3<f64>> = start.iter().map(|p| p.camera_from_board).collect();
         let solver_features = solver_features(&seen, &start, board);
         let problem =
             Problem { camera, poses: &start_poses, features: &solver_features, centers: &[] };
-        let refined = bridge::refine(&problem, &cost, solver, &mut |_| true)?;
-        let residuals =
-            feature_residuals(&Problem { poses: &refined.poses, ..problem }, &seen)?;
-        for (pose, &camera_from_board) in start.iter().zip(&refined.poses) {
+        let refined = bridge::refine(&problem, &cost, &solver, &mut |_| true)?;
+        let residuals = feature_residuals(&Problem { poses: &refined.poses, ..problem }, &seen)?;
+        for pose in &start {
             let of_frame = residuals.iter().filter(|r| r.feature.frame == pose.frame);
             let frame_cost: f64 = of_frame.map(|r| squared_norm(r, &cost)).sum();
-            let entry = best.entry(pose.frame).or_insert((f64::INFINITY, camera_from_board));
+            let entry = best.entry(pose.frame).or_insert((frame_cost, *pose));
             if frame_cost < entry.0 {
-                *entry = (frame_cost, camera_from_board);
+                *entry = (frame_cost, *pose);
             }
         }
     }
-    Ok(best
-        .into_iter()
-        .map(|(frame, (_, camera_from_board))| FramePose { frame, camera_from_board })
-        .collect())
+    Ok(best.into_values().map(|(_, pose)| pose).collect())
 }
 
 fn squared_norm(residual: &FeatureResidual, cost: &CostOptions) -> f64 {
@@ -126,7 +124,10 @@ pub(super) fn solver_features(
 }
 
 /// Observed minus projected for every feature of a problem.
-pub(super) fn feature_residuals(problem: &Problem, features: &[BapFeature]) -> Result<Vec<FeatureResidual>> {
+pub(super) fn feature_residuals(
+    problem: &Problem,
+    features: &[BapFeature],
+) -> Result<Vec<FeatureResidual>> {
     let residual = |(&feature, projected): (&BapFeature, Option<[f64; 3]>)| {
         let [u, v, rho] = projected.ok_or_else(|| {
             Error::invalid(format!(
@@ -144,4 +145,3 @@ pub(super) fn feature_residuals(problem: &Problem, features: &[BapFeature]) -> R
     };
     features.iter().zip(bridge::project(problem)?).map(residual).collect()
 }
-

@@ -55,8 +55,7 @@ pub fn initial_camera(
     let principal_point = datasheet.sensor.center_px();
     // The centre of the array seen from O meets the sensor at the centre of the grid.
     let shrink = lens_to_mla / (lens_to_mla + mla_to_sensor);
-    let focal_length =
-        |&q: &f64| optics::micro_lens_focal_length(q, pitch, mla_to_sensor);
+    let focal_length = |&q: &f64| optics::micro_lens_focal_length(q, pitch, mla_to_sensor);
     Ok(PlenopticCamera {
         sensor: datasheet.sensor,
         lattice: grid.lattice,

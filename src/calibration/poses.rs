@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Isometry3, Matrix3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{
+    Isometry3, Matrix3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector3,
+};
 use opencv::calib3d;
 use opencv::core::{Mat, Point2d, Point3d, Vector, no_array};
 use opencv::prelude::*;
@@ -42,14 +44,15 @@ pub fn initial_poses(
     }
     let mut candidates = solve_pnp(camera, &points, &pixels)
         .map_err(|error| format!("solvePnP failed: {}", error.message))?;
-    candidates.retain(|(pose, _)| {
-        points.iter().all(|p| (pose * p).z > camera.main_lens.focal_length_mm)
-    });
+    candidates
+        .retain(|(pose, _)| points.iter().all(|p| (pose * p).z > camera.main_lens.focal_length_mm));
     candidates.sort_by(|a, b| a.1.total_cmp(&b.1));
     if candidates.is_empty() {
-        return Err("solvePnP found no pose with the whole board in front of the main lens's focal \
+        return Err(
+            "solvePnP found no pose with the whole board in front of the main lens's focal \
                     plane"
-            .to_owned());
+                .to_owned(),
+        );
     }
     Ok(candidates.into_iter().map(|(pose, _)| pose).collect())
 }

@@ -63,10 +63,7 @@ pub fn calibrate(
     if poses.is_empty() {
         let reasons: Vec<String> =
             left_out.iter().map(|l| format!("frame {}: {}", l.frame, l.reason)).collect();
-        return Err(Error::invalid(format!(
-            "no frame could be used: {}",
-            reasons.join("; ")
-        )));
+        return Err(Error::invalid(format!("no frame could be used: {}", reasons.join("; "))));
     }
     warnings.extend(fronto_parallel(&poses, options.mode));
 
@@ -88,8 +85,7 @@ pub fn calibrate(
     let refinement = bridge::refine(&problem, &cost, &options.solver, progress)?;
     check_finite(&refinement)?;
 
-    let refined =
-        Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
+    let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
     let uncertainty = bridge::uncertainty(&refined, &cost)?;
     let reprojection = Reprojection {
         features: feature_residuals(&refined, &used)?,
@@ -201,9 +197,6 @@ fn check_finite(refinement: &Refinement) -> Result<()> {
     if finite {
         Ok(())
     } else {
-        Err(Error::invalid(format!(
-            "the refinement failed: {}",
-            refinement.message
-        )))
+        Err(Error::invalid(format!("the refinement failed: {}", refinement.message)))
     }
 }

@@ -108,7 +108,6 @@ pub struct Calibration {
     pub warnings: Vec<String>,
 }
 
-
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(

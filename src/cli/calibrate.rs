@@ -214,7 +214,8 @@ fn read_input(arguments: Arguments) -> Result<Input> {
             }
         },
         None => {
-            let (project, path) = project.as_ref().ok_or_else(|| missing("a camera", "--camera"))?;
+            let (project, path) =
+                project.as_ref().ok_or_else(|| missing("a camera", "--camera"))?;
             let sheet = project.datasheet().map_err(|e| in_file(e, path))?;
             let sheet = sheet.ok_or_else(|| missing("a camera", "--camera"))?;
             with_internal_parameters(sheet, &arguments, Some(&(project.clone(), path)), mode)?
@@ -249,7 +250,9 @@ fn with_internal_parameters(
 ) -> Result<Start> {
     let internal: InternalParameters =
         match (&arguments.params, project.and_then(|(project, _)| project.internal())) {
-            (Some(path), _) => io::read_internal_parameters(path, Some(sheet.sensor.pixel_size_mm))?,
+            (Some(path), _) => {
+                io::read_internal_parameters(path, Some(sheet.sensor.pixel_size_mm))?
+            }
             (None, Some(internal)) => internal,
             (None, None) => return Err(missing("the internal parameters", "--params")),
         };
@@ -298,10 +301,7 @@ fn read_observations(
     Ok(observations)
 }
 
-fn without_frames(
-    mut observations: Observations,
-    exclude: Option<&[u32]>,
-) -> Result<Observations> {
+fn without_frames(mut observations: Observations, exclude: Option<&[u32]>) -> Result<Observations> {
     let frames = observations.frames();
     for frame in exclude.unwrap_or_default() {
         if !frames.contains(frame) {

@@ -20,7 +20,9 @@
 mod json;
 mod linked;
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{
+    Isometry3, Matrix3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3,
+};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -307,8 +309,8 @@ fn mesh_node(kind: LatticeKind, k: i32, l: i32) -> Vector2<f64> {
 fn mesh_to_center(lattice: &Lattice, pitch_mm: f64, ratio: f64) -> Vector3<f64> {
     // Node (0, 0) of the mesh is the last of the lattice; positions in the two run against each
     // other.
-    let center = mesh_node(lattice.kind, 0, 0)
-        + lattice.node(lattice.columns - 1, lattice.rows - 1);
+    let center =
+        mesh_node(lattice.kind, 0, 0) + lattice.node(lattice.columns - 1, lattice.rows - 1);
     Vector3::new(center.x * pitch_mm, center.y * pitch_mm * ratio, 0.0)
 }
 
@@ -331,8 +333,8 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     let [pitch_x, pitch_y] = pitch.fixed("the pitch of the mla's mesh")?;
     let pitch_ratio = pitch_y / pitch_x;
     let camera_from_mesh = file.mla.mesh.pose.parent_from_own()?;
-    let center = camera_from_mesh
-        * nalgebra::Point3::from(mesh_to_center(&lattice, pitch_x, pitch_ratio));
+    let center =
+        camera_from_mesh * nalgebra::Point3::from(mesh_to_center(&lattice, pitch_x, pitch_ratio));
     let camera_from_sensor = file.sensor.pose.parent_from_own()?;
     if camera_from_sensor.rotation.angle() > 1e-9 {
         return Err(Error::invalid(

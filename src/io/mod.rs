@@ -13,7 +13,9 @@ use std::fs;
 use std::path::Path;
 
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera};
-pub use input::{CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses};
+pub use input::{
+    CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
+};
 pub use observations_file::{read_centers, read_features, write_centers, write_features};
 pub use output::OutputFolder;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};

@@ -66,11 +66,7 @@ pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::R
 pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Result<()> {
     writeln!(out, "k,l,u,v,rho,cluster,frame")?;
     features.iter().try_for_each(|f| {
-        writeln!(
-            out,
-            "{},{},{},{},{},{},{}",
-            f.k, f.l, f.u_px, f.v_px, f.rho_px, f.corner, f.frame
-        )
+        writeln!(out, "{},{},{},{},{},{},{}", f.k, f.l, f.u_px, f.v_px, f.rho_px, f.corner, f.frame)
     })
 }
 

@@ -33,15 +33,15 @@ impl OutputFolder {
     ) -> Result<()> {
         let path = self.folder.join(name);
         let folder = path.parent().unwrap_or(&self.folder);
-        let staged = fs::create_dir_all(folder).and_then(|()| NamedTempFile::new_in(folder)).and_then(
-            |mut file| {
+        let staged = fs::create_dir_all(folder)
+            .and_then(|()| NamedTempFile::new_in(folder))
+            .and_then(|mut file| {
                 let mut buffer = io::BufWriter::new(&mut file);
                 write(&mut buffer)?;
                 buffer.flush()?;
                 drop(buffer);
                 Ok(file)
-            },
-        );
+            });
         match staged {
             Ok(file) => {
                 self.staged.push((file, path));

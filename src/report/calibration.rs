@@ -7,7 +7,7 @@ use comfy_table::{CellAlignment, Table};
 use serde_json::{Value, json};
 
 use crate::calibration::{Calibration, Termination};
-use crate::camera::{intrinsic_parameters, Parameter};
+use crate::camera::{Parameter, intrinsic_parameters};
 use crate::evaluation::{Rmse, WeakDirection};
 use crate::io::{camera_document, poses_document};
 
@@ -82,8 +82,7 @@ fn parameters_table(calibration: &Calibration) -> Table {
         intrinsic_parameters(lens_types).iter().zip(values).zip(std_devs)
     {
         let (unit, factor) = display_unit(parameter);
-        let (value, deviation) =
-            with_std_dev(optimised * factor, std_dev.map(|s| s * factor));
+        let (value, deviation) = with_std_dev(optimised * factor, std_dev.map(|s| s * factor));
         let deviation = if std_dev.is_some() { deviation } else { "held".to_owned() };
         table.add_row([
             parameter.name.clone(),
@@ -138,11 +137,10 @@ fn summary(calibration: &Calibration) -> String {
     let sigma = |name: &str, value: f64| {
         if value.is_nan() { String::new() } else { format!("{name} {value:.4}") }
     };
-    let sigmas: Vec<String> =
-        [sigma("u, v", uv), sigma("ρ", rho), sigma("centres", centers)]
-            .into_iter()
-            .filter(|s| !s.is_empty())
-            .collect();
+    let sigmas: Vec<String> = [sigma("u, v", uv), sigma("ρ", rho), sigma("centres", centers)]
+        .into_iter()
+        .filter(|s| !s.is_empty())
+        .collect();
     let _ = writeln!(text, "Measured noise per coordinate, px: {}.", sigmas.join("; "));
     let directions = weakest_directions_text(calibration);
     if !directions.is_empty() {
@@ -204,7 +202,9 @@ fn direction_text(direction: &WeakDirection) -> String {
     let subject = match (names.is_empty(), boards) {
         (true, true) => format!("{last} trades off against board distance"),
         (true, false) => format!("{last} is the least certain"),
-        (false, true) => format!("{} and {last} trade off against board distance", names.join(", ")),
+        (false, true) => {
+            format!("{} and {last} trade off against board distance", names.join(", "))
+        }
         (false, false) => format!("{} and {last} trade off against each other", names.join(", ")),
     };
     let along = if direction.determined {

@@ -2,4 +2,6 @@
 
 mod calibration;
 
-pub use calibration::{calibration_json, calibration_text, termination_text, weakest_directions_text};
+pub use calibration::{
+    calibration_json, calibration_text, termination_text, weakest_directions_text,
+};

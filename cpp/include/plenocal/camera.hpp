@@ -40,22 +40,22 @@ struct Lattice {
   /// Position of (k, l) about the midpoint of the bounding box of all nodes, along u and v.
   Node node(int k, int l) const {
     const double kRowHeight = std::sqrt(3.0) / 2.0;
-    const auto shift = [this](int index) {
-      return (index & 1) == shifted_parity ? 0.5 : 0.0;
+    const auto centred = [](int index, int count) { return index - (count - 1) / 2.0; };
+    const auto shift = [this](int row) { return (row & 1) == shifted_parity ? 0.5 : 0.0; };
+    // Along the straight rows, of which there are `across`: shifted and unshifted ones together
+    // reach half a pitch further.
+    const auto staggered = [&](int index, int count, int row, int across) {
+      return centred(index, count) + shift(row) - (across > 1 ? 0.25 : shift(0));
     };
-    const double last_k = columns - 1;
-    const double last_l = rows - 1;
     switch (kind) {
       case LatticeKind::kHexagonalRows:
-        return {k + shift(l) - (last_k + (rows > 1 ? 0.5 : shift(0))) / 2.0,
-                kRowHeight * (l - last_l / 2.0)};
+        return {staggered(k, columns, l, rows), kRowHeight * centred(l, rows)};
       case LatticeKind::kHexagonalColumns:
-        return {kRowHeight * (k - last_k / 2.0),
-                l + shift(k) - (last_l + (columns > 1 ? 0.5 : shift(0))) / 2.0};
+        return {kRowHeight * centred(k, columns), staggered(l, rows, k, columns)};
       case LatticeKind::kOrthogonal:
         break;
     }
-    return {k - last_k / 2.0, l - last_l / 2.0};
+    return {centred(k, columns), centred(l, rows)};
   }
 
   /// Index of the lens type of (k, l), from 0. One type anywhere; three types follow the unique

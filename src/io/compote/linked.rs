@@ -28,7 +28,12 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
     })?;
     let mut rest = data.as_slice();
     let centers: Vec<MicroImageCenter> = section(&mut rest, "centres", CENTER_BYTES, |r| {
-        Ok(MicroImageCenter { k: i32_at(r, 0), l: i32_at(r, 4), u_px: f64_at(r, 8), v_px: f64_at(r, 16) })
+        Ok(MicroImageCenter {
+            k: i32_at(r, 0),
+            l: i32_at(r, 4),
+            u_px: f64_at(r, 8),
+            v_px: f64_at(r, 16),
+        })
     })?;
     let feature = |r: &[u8]| {
         let frame = i32_at(r, 36);

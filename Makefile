@@ -1,0 +1,79 @@
+# plenocal: everything a newcomer needs. `make demo` and `make test` install what is missing.
+
+PACKAGES = g++ cmake make libceres-dev libeigen3-dev libopencv-dev libclang-dev clang \
+           clang-format libgtest-dev
+# Which command, whether root or not, may install packages.
+SUDO = $(if $(filter 0,$(shell id -u)),,sudo)
+BUILD = build/cpp
+PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
+
+.PHONY: help deps demo test test-slow test-cpp test-rust lint bench doc data format clean
+
+help:
+	@echo "make demo       calibrate the shipped feature set and print the result"
+	@echo "make test       all tests but the slow ones; PLENOCAL_R12A=DIR adds the real R12-A data"
+	@echo "make test-slow  the slow tests (Monte Carlo)"
+	@echo "make lint       formatting, clippy, C++ warnings, documentation"
+	@echo "make bench      speed, against a plain Ceres program"
+	@echo "make doc        API documentation in target/doc"
+	@echo "make data       write data/synthetic anew"
+	@echo "make format     format all sources"
+	@echo "make deps       install the Debian packages that are missing"
+
+deps:
+	@missing=""; for p in $(PACKAGES); do \
+	  dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q 'ok installed' \
+	    || missing="$$missing $$p"; done; \
+	if [ -n "$$missing" ]; then \
+	  echo "Installing$$missing"; \
+	  $(SUDO) apt-get update -qq && \
+	  DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -qq -y --no-install-recommends $$missing \
+	    > /dev/null; \
+	fi
+
+demo: deps
+	cargo run --release --quiet -- calibrate data/synthetic/project.toml --out out/demo
+
+test: test-cpp test-rust
+
+$(BUILD)/CMakeCache.txt: cpp/CMakeLists.txt | deps
+	cmake -S cpp -B $(BUILD) -DCMAKE_BUILD_TYPE=Release > /dev/null
+
+cpp: $(BUILD)/CMakeCache.txt
+	cmake --build $(BUILD) --parallel
+
+.PHONY: cpp
+test-cpp: cpp
+	ctest --test-dir $(BUILD) --output-on-failure
+
+test-rust: cpp
+	PLENOCAL_PLAIN_CERES=$(PLAIN_CERES) cargo test --release --no-fail-fast
+
+test-slow: cpp
+	PLENOCAL_PLAIN_CERES=$(PLAIN_CERES) cargo test --release -- --ignored --nocapture
+
+# The cmake crate silences C++ warnings; the plain build shows them, as errors.
+lint: deps
+	cargo fmt --check
+	git ls-files 'cpp/*.hpp' 'cpp/*.cpp' | xargs clang-format --dry-run --Werror
+	cmake -S cpp -B build/lint -DCMAKE_BUILD_TYPE=Release -DCMAKE_CXX_FLAGS=-Werror > /dev/null
+	cmake --build build/lint --parallel
+	cargo clippy --release --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --document-private-items --quiet
+
+bench: cpp
+	PLENOCAL_PLAIN_CERES=$(PLAIN_CERES) cargo bench
+
+doc: deps
+	cargo doc --no-deps --open
+
+data: deps
+	cargo run --release --quiet --example synthetic_dataset -- data/synthetic
+
+format: deps
+	cargo fmt
+	git ls-files 'cpp/*.hpp' 'cpp/*.cpp' | xargs clang-format -i
+
+clean:
+	rm -rf build out
+	cargo clean

@@ -1,0 +1,39 @@
+// The smallest program that uses the installed library: what one micro-lens sees of a point.
+#include <cstdio>
+#include <plenocal/projection.hpp>
+#include <plenocal/refine.hpp>
+
+int main() {
+  plenocal::Camera camera;
+  camera.lattice = {plenocal::LatticeKind::kOrthogonal, 5, 5, 0};
+  camera.pixel_size = 0.01;
+  camera.main_lens.focal_length = 50.0;
+  camera.mla.principal_point[0] = 100.0;
+  camera.mla.principal_point[1] = 80.0;
+  camera.mla.lens_to_mla = 59.0;
+  camera.mla.mla_to_sensor = 0.5;
+  camera.mla.pitch = 0.2;
+  camera.mla.pitch_ratio = 1.0;
+  camera.micro_lens_focal_lengths = {0.8};
+  plenocal::validate(camera);
+
+  plenocal::Pose camera_from_board;
+  camera_from_board.translation = {0.0, 0.0, 300.0};
+
+  // The main lens images z = 300 mm 60 mm behind it at a fifth of its size, 1 mm behind the
+  // micro-lens in the middle, which halves that on its sensor 0.5 mm away:
+  // u = 100 + 3/5/2/0.01 = 130, v = 80 + 1.5/5/2/0.01 = 95,
+  // rho = 0.2/0.02 * 0.5 * (1/0.8 + 1 - 1/0.5) = 1.25.
+  plenocal::Feature<double> feature{};
+  if (!plenocal::project(camera, camera_from_board, {3.0, 1.5, 0.0}, 2, 2, &feature)) return 1;
+  std::printf("u %.3f v %.3f rho %.3f\n", feature.u, feature.v, feature.rho);
+
+  // The solver has to link as well.
+  try {
+    plenocal::refine(camera, {}, {}, {}, {});
+  } catch (const std::exception& error) {
+    std::printf("refine: %s\n", error.what());
+    return 0;
+  }
+  return 1;
+}

@@ -1,0 +1,357 @@
+// The cost functors: zero at truth, hand-computed off truth, derivatives against finite
+// differences, the loss against Ceres' own, and grouping without effect on the values.
+#include "plenocal/residuals.hpp"
+
+#include <ceres/gradient_checker.h>
+#include <gtest/gtest.h>
+
+#include <random>
+
+#include "synthetic_scene.hpp"
+
+namespace plenocal {
+namespace {
+
+// Rounding of pixels near 1e3, in px or standard deviations.
+constexpr double kRounding = 1e-10;
+// Relative. Ridders' finite differences are good to 1e-8 px per unit; the smallest derivatives here
+// are near 4e-4, and the worst agreement measured is 1.2e-5.
+constexpr double kGradientTolerance = 1e-4;
+// Also the least absolute step. Ceres' default of 1e-2 would take F and D through the pole of the
+// model at a = 0, and residuals across the kink of a Huber loss.
+constexpr double kRiddersStep = 1e-5;
+
+// A handful of roundings and the truncated series of apply_loss, relative to rho(s) ...
+constexpr double kLossTolerance = 1e-11;
+// ... and in units of scale^2 what log(1 + x) loses when it rounds 1 + x.
+constexpr double kLossRounding = 4e-16;
+
+constexpr LossKind kLosses[] = {LossKind::kNone, LossKind::kHuber, LossKind::kCauchy};
+
+std::vector<double> evaluate(const ceres::CostFunction& cost,
+                             const std::vector<const double*>& blocks) {
+  std::vector<double> residuals(cost.num_residuals(), NAN);
+  EXPECT_TRUE(cost.Evaluate(blocks.data(), residuals.data(), nullptr));
+  return residuals;
+}
+
+// Camera and pose as parameter blocks.
+struct Blocks {
+  std::array<double, 6> lens;
+  std::array<double, 11> array;
+  std::vector<double> focal_lengths;
+  std::array<double, 6> pose;
+
+  Blocks(const Camera& camera, const Pose& camera_from_board)
+      : lens(camera.main_lens.block()),
+        array(camera.mla.block()),
+        focal_lengths(camera.micro_lens_focal_lengths),
+        pose(pose_block(camera_from_board)) {}
+
+  std::vector<const double*> pointers() const {
+    std::vector<const double*> blocks = {lens.data(), array.data()};
+    if (!focal_lengths.empty()) blocks.push_back(focal_lengths.data());
+    blocks.push_back(pose.data());
+    return blocks;
+  }
+};
+
+// The pencil camera of projection_test.cpp with two hexagonal rows of two micro-lenses: (0, 1) and
+// (1, 1) sit at x = +0.15 and -0.05 mm, (0, 0) and (1, 0) at +0.05 and -0.15 mm.
+Camera pencil_camera(int types) {
+  Camera camera;
+  camera.lattice = {LatticeKind::kHexagonalRows, 2, 2, 0};
+  camera.pixel_size = 0.01;
+  camera.main_lens.focal_length = 50.0;
+  camera.mla = {{100.0, 80.0}, 0.5, {0.0, 0.0, 0.0}, {0.0, 0.0}, 59.0, 0.2, 1.0};
+  const std::vector<double> focal_lengths = {1.0, 0.8, 1.25};
+  camera.micro_lens_focal_lengths.assign(focal_lengths.begin(), focal_lengths.begin() + types);
+  return camera;
+}
+
+const Pose kPencilPose{{0.0, 0.0, 0.0}, {0.0, 0.0, 300.0}};
+
+// What the pencil camera sees of (3, 1.5, 0) through (1, 0), of type 1. p' = (-0.6, -0.3, -60),
+// C = (-0.15, +0.0866025403784, -59), half-way: (-0.375, -0.1066987298108), so u = 137.5 and
+// v = 90.66987298108; rho = 10 (0.5/f + 0.5 - 1): 0 for f = 1, 1.25 for f = 0.8.
+const std::array<double, 3> kPencilPoint = {3.0, 1.5, 0.0};
+constexpr double kPencilU = 137.5;
+constexpr double kPencilV = 90.66987298108;
+constexpr double kPencilRho[] = {0.0, 0.0, 0.0, 1.25};  // by number of types
+
+CornerSighting pencil_sighting(const Camera& camera, double du, double dv, double drho) {
+  const int types = camera.lens_types();
+  return {kPencilPoint,
+          camera.lattice.node(1, 0),
+          camera.lattice.lens_type(1, 0, types),
+          {kPencilU + du, kPencilV + dv, kPencilRho[types] + drho}};
+}
+
+template <int I>
+void expect_features_by_hand() {
+  const Camera camera = pencil_camera(I);
+  const Blocks blocks(camera, kPencilPose);
+  // Residuals are projected minus observed, over sigma. No loss.
+  const auto cost = FeatureResiduals<I>::create(
+      {pencil_sighting(camera, 0, 0, 0), pencil_sighting(camera, 1.0, -3.0, 0.25)}, 0.01, 0.5,
+      0.125, {});
+  const std::vector<double> residuals = evaluate(*cost, blocks.pointers());
+  const std::vector<double> expected =
+      I == 0 ? std::vector<double>{0, 0, -2, 6} : std::vector<double>{0, 0, 0, -2, 6, -2};
+  ASSERT_EQ(residuals.size(), expected.size());
+  for (std::size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_NEAR(residuals[i], expected[i], kRounding) << i;
+  }
+}
+
+TEST(FeatureResiduals, PinholesByHand) { expect_features_by_hand<0>(); }
+TEST(FeatureResiduals, OneTypeByHand) { expect_features_by_hand<1>(); }
+TEST(FeatureResiduals, ThreeTypesByHand) { expect_features_by_hand<3>(); }
+
+TEST(FeatureResiduals, LossScalesTheWholeFeature) {
+  // |(-2, 6, -3)| = 7, Huber at 1: the norm becomes sqrt(2*7 - 1), the direction stays.
+  const Camera camera = pencil_camera(3);
+  const auto cost = FeatureResiduals<3>::create({pencil_sighting(camera, 1.0, -3.0, 0.375)}, 0.01,
+                                                0.5, 0.125, {LossKind::kHuber, 1.0});
+  const auto residuals = evaluate(*cost, Blocks(camera, kPencilPose).pointers());
+  const double factor = 0.515078753637713;  // sqrt(13)/7
+  EXPECT_NEAR(residuals[0], -2 * factor, kRounding);
+  EXPECT_NEAR(residuals[1], 6 * factor, kRounding);
+  EXPECT_NEAR(residuals[2], -3 * factor, kRounding);
+}
+
+TEST(FeatureResiduals, UndefinedPointFailsTheBlock) {
+  const Camera camera = pencil_camera(3);
+  const auto cost = FeatureResiduals<3>::create({pencil_sighting(camera, 0, 0, 0)}, 0.01, 1, 1, {});
+  double residuals[3];
+  const Blocks blocks(camera, {{0.0, 0.0, 0.0}, {0.0, 0.0, 49.0}});
+  EXPECT_FALSE(cost->Evaluate(blocks.pointers().data(), residuals, nullptr));
+}
+
+TEST(CenterResiduals, ByHand) {
+  // (0, 1) sits at (+0.15, -0.0866025403784) mm, thrown to 59.5/59 times that:
+  // u = 100 - 15.1271186441, v = 80 + 8.7336460212.
+  const Camera camera = pencil_camera(0);
+  const Node node = camera.lattice.node(0, 1);
+  const auto cost = CenterResiduals::create(
+      {{node, {84.8728813559322, 88.7336460211998}}, {node, {85.8728813559322, 88.2336460211998}}},
+      0.01, 0.25, {});
+  const auto array = camera.mla.block();
+  const auto residuals = evaluate(*cost, {array.data()});
+  const double expected[] = {0, 0, -4, 2};
+  for (int i = 0; i < 4; ++i) EXPECT_NEAR(residuals[i], expected[i], kRounding) << i;
+}
+
+TEST(ApplyLoss, AgreesWithCeres) {
+  for (double scale : {0.3, 1.0, 2.5}) {
+    const ceres::HuberLoss huber(scale);
+    const ceres::CauchyLoss cauchy(scale);
+    // s / scale^2 on both sides of the kinks at 1 (Huber) and 1e-6 (series of Cauchy).
+    for (double x : {1e-12, 0.9e-6, 1.1e-6, 1e-3, 0.5, 0.999, 1.001, 4.0, 1e3, 1e8}) {
+      for (int n = 1; n <= 3; ++n) {
+        const double s = x * scale * scale;
+        const auto squared_norm = [&](LossKind kind) {
+          std::array<double, 3> r;
+          r.fill(-std::sqrt(s / n));
+          apply_loss({kind, scale}, n, r.data());
+          double sum = 0.0;
+          for (int i = 0; i < n; ++i) sum += r[i] * r[i];
+          return sum;
+        };
+        const double rounding = kLossRounding * scale * scale;
+        double rho[3];
+        huber.Evaluate(s, rho);
+        EXPECT_NEAR(squared_norm(LossKind::kHuber), rho[0], kLossTolerance * rho[0]) << x;
+        cauchy.Evaluate(s, rho);
+        EXPECT_NEAR(squared_norm(LossKind::kCauchy), rho[0], kLossTolerance * rho[0] + rounding)
+            << x;
+        EXPECT_NEAR(squared_norm(LossKind::kNone), s, kLossTolerance * s) << x;
+      }
+    }
+  }
+}
+
+TEST(ApplyLoss, ZeroHasAFiniteDerivative) {
+  // Both losses are s near 0, so a residual of 0 keeps its derivative.
+  using Jet = ceres::Jet<double, 2>;
+  for (LossKind kind : kLosses) {
+    Jet r[2] = {Jet(0.0, 0), Jet(0.0, 1)};
+    apply_loss<Jet>({kind, 1.0}, 2, r);
+    for (int i = 0; i < 2; ++i) {
+      EXPECT_EQ(r[i].a, 0.0);
+      EXPECT_EQ(r[i].v[i], 1.0);
+      EXPECT_EQ(r[i].v[1 - i], 0.0);
+    }
+  }
+}
+
+// Random cameras, poses and observations about the synthetic scene.
+class RandomSightings {
+ public:
+  explicit RandomSightings(unsigned seed) : generator_(seed) {}
+
+  double uniform(double low, double high) {
+    return std::uniform_real_distribution<double>(low, high)(generator_);
+  }
+
+  // Each parameter within 1 %; Ridders' steps are relative, so none may be 0.
+  Camera camera(int types) {
+    auto values = test::intrinsics(test::scene_camera(types));
+    for (double& value : values) value *= uniform(0.99, 1.01);
+    return test::with_intrinsics(test::scene_camera(types), values);
+  }
+
+  // Nearer than 320 mm: there p' keeps away from the MLA, where the model has its pole.
+  Pose pose() {
+    const auto angle = [this] { return uniform(0.1, 0.5) * (uniform(0, 1) < 0.5 ? -1 : 1); };
+    return {{angle(), angle(), angle()}, {uniform(-2, -1), uniform(1, 2), uniform(250, 320)}};
+  }
+
+  // Residuals of 0.2 to 0.3 sigma, or, every other one, of 3 to 5: well on either side of the kink
+  // of a Huber loss at 1, where finite differences would be wrong.
+  std::vector<CornerSighting> corners(const Camera& camera, const Pose& pose, int count) {
+    std::vector<CornerSighting> sightings;
+    for (int i = 0; i < count; ++i) {
+      const int k = static_cast<int>(uniform(0, camera.lattice.columns));
+      const int l = static_cast<int>(uniform(0, camera.lattice.rows));
+      // Two sightings of a corner in turn, as in a sorted problem.
+      const auto corner = test::board_corner(pose, i / 2 % 6, i / 2 % 5);
+      Feature<double> seen{};
+      EXPECT_TRUE(project(camera, pose, corner, k, l, &seen));
+      seen.u += offset(i);
+      seen.v += offset(i);
+      seen.rho += offset(i);
+      sightings.push_back({corner, camera.lattice.node(k, l),
+                           camera.lattice.lens_type(k, l, camera.lens_types()), seen});
+    }
+    return sightings;
+  }
+
+  std::vector<CenterSighting> centers(const Camera& camera, int count) {
+    std::vector<CenterSighting> sightings;
+    for (int i = 0; i < count; ++i) {
+      const int k = static_cast<int>(uniform(0, camera.lattice.columns));
+      const int l = static_cast<int>(uniform(0, camera.lattice.rows));
+      Pixel<double> seen = project_center(camera, k, l);
+      seen.u += offset(i);
+      seen.v += offset(i);
+      sightings.push_back({camera.lattice.node(k, l), seen});
+    }
+    return sightings;
+  }
+
+ private:
+  double offset(int i) {
+    return (i % 2 == 0 ? uniform(0.2, 0.3) : uniform(3, 5)) * (uniform(0, 1) < 0.5 ? -1 : 1);
+  }
+
+  std::mt19937 generator_;
+};
+
+void expect_gradients(const ceres::CostFunction& cost, const std::vector<const double*>& blocks) {
+  const std::vector<const ceres::Manifold*>* euclidean = nullptr;
+  ceres::NumericDiffOptions options;
+  options.ridders_relative_initial_step_size = kRiddersStep;
+  const ceres::GradientChecker checker(&cost, euclidean, options);
+  ceres::GradientChecker::ProbeResults results;
+  EXPECT_TRUE(checker.Probe(blocks.data(), kGradientTolerance, &results)) << results.error_log;
+}
+
+template <int I>
+void expect_feature_gradients() {
+  for (unsigned seed = 1; seed <= 5; ++seed) {
+    RandomSightings random(seed);
+    const Camera camera = random.camera(I);
+    const Pose pose = random.pose();
+    const auto sightings = random.corners(camera, pose, 6);
+    const Blocks blocks(camera, pose);
+    for (LossKind loss : kLosses) {
+      SCOPED_TRACE(testing::Message() << "seed " << seed << " loss " << static_cast<int>(loss));
+      const auto cost =
+          FeatureResiduals<I>::create(sightings, camera.pixel_size, 1.0, 0.9, {loss, 1.0});
+      expect_gradients(*cost, blocks.pointers());
+    }
+  }
+}
+
+TEST(Gradients, Pinholes) { expect_feature_gradients<0>(); }
+TEST(Gradients, OneType) { expect_feature_gradients<1>(); }
+TEST(Gradients, ThreeTypes) { expect_feature_gradients<3>(); }
+
+TEST(Gradients, Centers) {
+  for (unsigned seed = 1; seed <= 5; ++seed) {
+    RandomSightings random(seed);
+    const Camera camera = random.camera(3);
+    const auto sightings = random.centers(camera, 6);
+    const auto array = camera.mla.block();
+    for (LossKind loss : kLosses) {
+      SCOPED_TRACE(testing::Message() << "seed " << seed << " loss " << static_cast<int>(loss));
+      const auto cost = CenterResiduals::create(sightings, camera.pixel_size, 1.0, {loss, 1.0});
+      expect_gradients(*cost, {array.data()});
+    }
+  }
+}
+
+TEST(Gradients, AreFiniteWithoutRotationOrDistortion) {
+  // Angle-axis and distortion at exactly 0, where a careless sqrt would give NaN.
+  const Camera camera = pencil_camera(3);
+  const auto cost = FeatureResiduals<3>::create({pencil_sighting(camera, 0, 0, 0)}, 0.01, 1, 1,
+                                                {LossKind::kCauchy, 1.0});
+  const Blocks blocks(camera, kPencilPose);
+  std::array<double, 3 * 6> lens, pose;
+  std::array<double, 3 * 11> array;
+  std::array<double, 3 * 3> focal_lengths;
+  double* jacobians[] = {lens.data(), array.data(), focal_lengths.data(), pose.data()};
+  double residuals[3];
+  ASSERT_TRUE(cost->Evaluate(blocks.pointers().data(), residuals, jacobians));
+  for (double value : lens) EXPECT_TRUE(std::isfinite(value));
+  for (double value : array) EXPECT_TRUE(std::isfinite(value));
+  for (double value : focal_lengths) EXPECT_TRUE(std::isfinite(value));
+  for (double value : pose) EXPECT_TRUE(std::isfinite(value));
+  // Turning by w about z moves (3, 1.5) by w (-1.5, 3), which shrinks tenfold on the sensor, upside
+  // down, upside up again in the image: -15 and +30 px per rad.
+  EXPECT_NEAR(pose[2], -15.0, kRounding);
+  EXPECT_NEAR(pose[6 + 2], 30.0, kRounding);
+}
+
+// Each observation weighs as much alone as in a group, whatever stands before it.
+TEST(Grouping, DoesNotChangeFeatures) {
+  RandomSightings random(7);
+  const Camera camera = random.camera(3);
+  const Pose pose = random.pose();
+  auto sightings = random.corners(camera, pose, 8);
+  std::swap(sightings[1], sightings[6]);  // a corner's sightings need not follow each other
+  const Blocks blocks(camera, pose);
+  for (LossKind kind : kLosses) {
+    const Loss loss{kind, 1.0};
+    const auto group =
+        evaluate(*FeatureResiduals<3>::create(sightings, camera.pixel_size, 0.7, 0.9, loss),
+                 blocks.pointers());
+    for (std::size_t i = 0; i < sightings.size(); ++i) {
+      const auto alone =
+          evaluate(*FeatureResiduals<3>::create({sightings[i]}, camera.pixel_size, 0.7, 0.9, loss),
+                   blocks.pointers());
+      for (int j = 0; j < 3; ++j) EXPECT_DOUBLE_EQ(group[3 * i + j], alone[j]);
+    }
+  }
+}
+
+TEST(Grouping, DoesNotChangeCenters) {
+  RandomSightings random(8);
+  const Camera camera = random.camera(3);
+  const auto sightings = random.centers(camera, 8);
+  const auto array = camera.mla.block();
+  for (LossKind kind : kLosses) {
+    const Loss loss{kind, 1.0};
+    const auto group =
+        evaluate(*CenterResiduals::create(sightings, camera.pixel_size, 0.7, loss), {array.data()});
+    for (std::size_t i = 0; i < sightings.size(); ++i) {
+      const auto alone = evaluate(
+          *CenterResiduals::create({sightings[i]}, camera.pixel_size, 0.7, loss), {array.data()});
+      for (int j = 0; j < 2; ++j) EXPECT_DOUBLE_EQ(group[2 * i + j], alone[j]);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace plenocal

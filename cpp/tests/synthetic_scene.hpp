@@ -1,0 +1,150 @@
+// A small synthetic calibration, made with plenocal::project: what the tests of the residuals and
+// of the solver share. Values are those of a Raytrix R12, on an array cut down to 20 x 18.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+#include <cmath>
+#include <random>
+#include <string>
+#include <vector>
+
+#include "plenocal/refine.hpp"
+
+namespace plenocal::test {
+
+constexpr int kBoardColumns = 6;
+constexpr int kBoardRows = 5;
+
+struct Scene {
+  Camera camera;
+  std::vector<Pose> poses;
+  Observations observations;
+};
+
+/// All parameters differ from zero, so that each can be recovered to a relative accuracy. The
+/// distortion is exaggerated: the image is only 2.5 mm wide.
+inline Camera scene_camera(int types) {
+  Camera camera;
+  camera.lattice = {LatticeKind::kHexagonalRows, 20, 18, 0};
+  camera.pixel_size = 0.0055;
+  camera.main_lens = {50.0, {0.02, -0.005, 0.002}, {0.001, -0.002}};
+  camera.mla = {{231.5, 182.25}, 0.3186, {0.004, -0.003, 0.002}, {0.011, -0.007}, 56.6576,
+                0.127505,        1.0};
+  const std::vector<double> focal_lengths = {0.578154, 0.504456, 0.551667};
+  camera.micro_lens_focal_lengths.assign(focal_lengths.begin(), focal_lengths.begin() + types);
+  return camera;
+}
+
+/// Boards of some 10 mm that fill the image, tilted by up to 0.6 rad about changing axes: depth
+/// within a board is what tells the focal lengths and distances apart.
+inline std::vector<Pose> scene_poses() {
+  return {{{0.5, 0.1, 0.05}, {-0.3, 0.2, 250.0}},  {{-0.4, 0.3, -0.1}, {0.4, -0.2, 275.0}},
+          {{0.1, -0.6, 0.2}, {0.1, 0.4, 300.0}},   {{0.3, 0.5, 0.4}, {-0.5, -0.3, 325.0}},
+          {{-0.5, -0.3, -0.3}, {0.3, 0.1, 350.0}}, {{0.2, 0.4, 0.1}, {-0.2, 0.5, 375.0}},
+          {{-0.3, 0.2, 0.7}, {0.2, -0.4, 400.0}}};
+}
+
+/// Corner of a board centred on its pose, of squares that fill the image at the board's distance.
+inline std::array<double, 3> board_corner(const Pose& pose, int column, int row) {
+  const double square = 0.0065 * pose.translation[2];
+  return {square * (column - (kBoardColumns - 1) / 2.0), square * (row - (kBoardRows - 1) / 2.0),
+          0.0};
+}
+
+/// Every corner through every micro-lens whose micro-image it falls into, and every centre.
+inline Observations observe(const Camera& camera, const std::vector<Pose>& poses) {
+  Observations observations;
+  const double micro_image_radius = 0.45 * camera.mla.pitch / camera.pixel_size;
+  for (int l = 0; l < camera.lattice.rows; ++l) {
+    for (int k = 0; k < camera.lattice.columns; ++k) {
+      const Pixel<double> center = project_center(camera, k, l);
+      observations.centers.push_back({k, l, center});
+      for (std::size_t frame = 0; frame < poses.size(); ++frame) {
+        for (int i = 0; i < kBoardColumns * kBoardRows; ++i) {
+          const auto corner = board_corner(poses[frame], i % kBoardColumns, i / kBoardColumns);
+          Feature<double> feature{};
+          if (project(camera, poses[frame], corner, k, l, &feature) &&
+              std::hypot(feature.u - center.u, feature.v - center.v) < micro_image_radius) {
+            observations.features.push_back({static_cast<int>(frame), corner, k, l, feature});
+          }
+        }
+      }
+    }
+  }
+  return observations;
+}
+
+inline Scene make_scene(int types) {
+  Scene scene{scene_camera(types), scene_poses(), {}};
+  scene.observations = observe(scene.camera, scene.poses);
+  return scene;
+}
+
+/// Gaussian noise on all observations, px.
+inline void add_noise(double uv, double rho, double centers, unsigned seed,
+                      Observations* observations) {
+  std::mt19937 generator(seed);
+  std::normal_distribution<double> normal;
+  for (FeatureObservation& o : observations->features) {
+    o.observed.u += uv * normal(generator);
+    o.observed.v += uv * normal(generator);
+    o.observed.rho += rho * normal(generator);
+  }
+  for (CenterObservation& o : observations->centers) {
+    o.observed.u += centers * normal(generator);
+    o.observed.v += centers * normal(generator);
+  }
+}
+
+/// Intrinsics in the order of `intrinsic_names`, and back.
+inline std::vector<double> intrinsics(const Camera& camera) {
+  std::vector<double> values;
+  for (double value : camera.main_lens.block()) values.push_back(value);
+  for (double value : camera.mla.block()) values.push_back(value);
+  for (double value : camera.micro_lens_focal_lengths) values.push_back(value);
+  return values;
+}
+inline Camera with_intrinsics(Camera camera, const std::vector<double>& values) {
+  camera.main_lens = MainLens<double>::from_block(values.data());
+  camera.mla = MicroLensArray<double>::from_block(values.data() + MainLens<double>::kSize);
+  camera.micro_lens_focal_lengths.assign(
+      values.begin() + MainLens<double>::kSize + MicroLensArray<double>::kSize, values.end());
+  return camera;
+}
+
+inline const std::vector<std::string> kOnePitch = {"dC_ratio"};
+
+/// The paper's model: one pitch for both axes.
+inline CostOptions one_pitch() {
+  CostOptions options;
+  options.held = kOnePitch;
+  return options;
+}
+
+/// Standardised residuals, without a loss, straight from the public projection.
+inline Eigen::VectorXd residuals(const Scene& scene, const CostOptions& options) {
+  const bool blur = scene.camera.lens_types() > 0;
+  std::vector<double> values;
+  for (const FeatureObservation& o : scene.observations.features) {
+    Feature<double> f{};
+    EXPECT_TRUE(project(scene.camera, scene.poses[o.frame], o.board_point, o.k, o.l, &f));
+    values.push_back((f.u - o.observed.u) / options.uv_std_dev);
+    values.push_back((f.v - o.observed.v) / options.uv_std_dev);
+    if (blur) values.push_back((f.rho - o.observed.rho) / options.rho_std_dev);
+  }
+  for (const CenterObservation& o : scene.observations.centers) {
+    const Pixel<double> p = project_center(scene.camera, o.k, o.l);
+    values.push_back((p.u - o.observed.u) / options.centers_std_dev);
+    values.push_back((p.v - o.observed.v) / options.centers_std_dev);
+  }
+  return Eigen::Map<Eigen::VectorXd>(values.data(), values.size());
+}
+
+inline void expect_near_relative(double actual, double expected, double tolerance,
+                                 const std::string& name) {
+  EXPECT_NEAR(actual, expected, tolerance * std::abs(expected)) << name;
+}
+
+}  // namespace plenocal::test

@@ -1,0 +1,284 @@
+//! Bad input: a message that names it, exit status 1, and no output.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use plenocal::calibration::{CalibrationOptions, FramePose};
+use plenocal::synthetic::{Noise, synthesize};
+use predicates::prelude::*;
+use tempfile::TempDir;
+
+use crate::support::{
+    board, datasheet_start, options, plenocal, run, synthetic_folder, true_camera,
+};
+
+/// A copy of the shipped set that a test may spoil.
+struct Spoiled {
+    folder: TempDir,
+}
+
+impl Spoiled {
+    fn new() -> Self {
+        let folder = TempDir::new().unwrap();
+        for file in ["project.toml", "centers.csv", "features.csv"] {
+            fs::copy(synthetic_folder().join(file), folder.path().join(file)).unwrap();
+        }
+        Self { folder }
+    }
+
+    fn path(&self, file: &str) -> PathBuf {
+        self.folder.path().join(file)
+    }
+
+    fn edit(self, file: &str, edit: impl FnOnce(String) -> String) -> Self {
+        let text = fs::read_to_string(self.path(file)).unwrap();
+        let edited = edit(text.clone());
+        assert_ne!(text, edited, "the edit does something");
+        fs::write(self.path(file), edited).unwrap();
+        self
+    }
+
+    fn replace(self, file: &str, from: &str, to: &str) -> Self {
+        self.edit(file, |text| text.replacen(from, to, 1))
+    }
+
+    fn append(self, file: &str, line: &str) -> Self {
+        self.edit(file, |text| text + line + "\n")
+    }
+
+    /// Runs the program; all of `words` have to be in its message.
+    fn is_rejected(&self, words: &[&str]) {
+        self.is_rejected_with(&[], words);
+    }
+
+    fn is_rejected_with(&self, arguments: &[&str], words: &[&str]) {
+        let out = self.path("out");
+        let mut assert = plenocal()
+            .arg("calibrate")
+            .arg(self.path("project.toml"))
+            .arg("--out")
+            .arg(&out)
+            .args(arguments)
+            .assert()
+            .code(1)
+            .stdout(predicate::str::is_empty())
+            .stderr(predicate::str::starts_with("error: "));
+        for word in words {
+            assert = assert.stderr(predicate::str::contains(*word));
+        }
+        assert!(!out.exists(), "nothing is written");
+    }
+}
+
+#[test]
+fn missing_and_unreadable_files() {
+    let spoiled = Spoiled::new();
+    fs::remove_file(spoiled.path("features.csv")).unwrap();
+    spoiled.is_rejected(&["features.csv", "cannot read"]);
+    let spoiled = Spoiled::new();
+    spoiled.is_rejected_with(&["--centers", "nowhere.csv"], &["nowhere.csv"]);
+    fs::write(spoiled.path("features.csv"), [0xff, 0xfe, 0x00, 0x80]).unwrap();
+    spoiled.is_rejected(&["features.csv"]);
+    fs::write(spoiled.path("features.csv"), "").unwrap();
+    spoiled.is_rejected(&["features.csv", "column"]);
+    fs::write(spoiled.path("project.toml"), "").unwrap();
+    spoiled.is_rejected(&["--camera"]);
+}
+
+#[test]
+fn truncated_csv() {
+    let half = |text: String| {
+        let end = text.len() / 2;
+        let line_start = text[..end].rfind('\n').unwrap() + 1;
+        text[..line_start + 4].to_owned()
+    };
+    Spoiled::new().edit("features.csv", half).is_rejected(&["features.csv", "line"]);
+    Spoiled::new().edit("centers.csv", half).is_rejected(&["centers.csv", "line"]);
+    let header_only = |text: String| text.lines().next().unwrap().to_owned() + "\n";
+    Spoiled::new()
+        .edit("centers.csv", header_only)
+        .is_rejected(&["centers.csv", "no observations"]);
+}
+
+#[test]
+fn damaged_gzip() {
+    let gzip = |bytes: &[u8]| {
+        use flate2::{Compression, write::GzEncoder};
+        use std::io::Write;
+        let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+        encoder.write_all(bytes).unwrap();
+        encoder.finish().unwrap()
+    };
+    let spoiled = Spoiled::new();
+    let file = spoiled.path("linked.bin.gz");
+    let features = ["--features", file.to_str().unwrap()];
+    let mut whole = gzip(&[7; 4096]);
+    fs::write(&file, &whole).unwrap();
+    spoiled.is_rejected_with(&features, &["linked.bin.gz", "centres"]);
+    let end = whole.len();
+    whole[end - 6] ^= 0xff;
+    fs::write(&file, &whole).unwrap();
+    spoiled.is_rejected_with(&features, &["linked.bin.gz", "damaged"]);
+    fs::write(&file, &gzip(&[0; 4096])[..20]).unwrap();
+    spoiled.is_rejected_with(&features, &["linked.bin.gz", "damaged or cut short"]);
+    // One centre announced, and bytes for half of it.
+    let mut short = vec![1, 0, 0, 0, 0, 0, 0, 0];
+    short.extend([0; 12]);
+    fs::write(&file, gzip(&short)).unwrap();
+    spoiled.is_rejected_with(&features, &["linked.bin.gz", "centres"]);
+}
+
+#[test]
+fn wrong_columns_and_numbers() {
+    Spoiled::new().replace("features.csv", "rho", "radius").is_rejected(&[
+        "features.csv",
+        "'rho'",
+        "column",
+    ]);
+    Spoiled::new()
+        .replace("centers.csv", "k,l,u,v", "a,b,c,d")
+        .is_rejected(&["centers.csv", "'k', 'l'"]);
+    for (value, word) in [("NaN", "not a finite"), ("inf", "not a finite"), ("x", "not a number")] {
+        let line = format!("5,5,{value},100.0,0.1,3,0");
+        Spoiled::new().append("features.csv", &line).is_rejected(&["features.csv", "line", word]);
+        let line = format!("5,5,100.0,{value}");
+        Spoiled::new().append("centers.csv", &line).is_rejected(&["centers.csv", "line", word]);
+    }
+    Spoiled::new().append("features.csv", "5.5,5,100.0,100.0,0.1,3,0").is_rejected(&[
+        "features.csv",
+        "k",
+        "'5.5'",
+    ]);
+}
+
+#[test]
+fn indices_that_do_not_exist() {
+    Spoiled::new()
+        .append("features.csv", "43,5,100.0,100.0,0.1,3,0")
+        .is_rejected(&["(43, 5)", "43 x 37"]);
+    Spoiled::new().append("centers.csv", "-1,5,100.0,100.0").is_rejected(&["(-1, 5)"]);
+    Spoiled::new()
+        .append("features.csv", "5,5,100.0,100.0,0.1,45,0")
+        .is_rejected(&["corner 45", "9 x 5"]);
+    Spoiled::new()
+        .append("features.csv", "5,5,100.0,100.0,0.1,3,-2")
+        .is_rejected(&["frame", "'-2'"]);
+    Spoiled::new().append("centers.csv", "0,0,1e300,100.0").is_rejected(&["outside the image"]);
+}
+
+#[test]
+fn duplicates() {
+    let repeat_last = |text: String| {
+        let last = text.lines().last().unwrap().to_owned();
+        text + &last + "\n"
+    };
+    Spoiled::new().edit("features.csv", repeat_last).is_rejected(&["given twice", "frame 7"]);
+    Spoiled::new().edit("centers.csv", repeat_last).is_rejected(&["given twice", "centre"]);
+}
+
+#[test]
+fn too_little_to_calibrate_from() {
+    // A frame with three corners, and the remedy that the message names.
+    let mut lines = String::new();
+    for (corner, l) in [(0, 10), (1, 11), (9, 12)] {
+        let _ = writeln!(lines, "20,{l},480.0,{}.0,0.1,{corner},77", 20 * l);
+    }
+    let spoiled = Spoiled::new().edit("features.csv", |text| text + &lines);
+    spoiled.is_rejected(&["frame 77", "3 board corner", "--exclude-frames 77"]);
+    plenocal()
+        .arg("calibrate")
+        .arg(spoiled.path("project.toml"))
+        .args(["--exclude-frames", "77", "--out"])
+        .arg(spoiled.path("out"))
+        .assert()
+        .success();
+
+    let spoiled = Spoiled::new().replace("project.toml", "centers = \"centers.csv\"\n", "");
+    spoiled.is_rejected(&["no micro-image centres", "--centers"]);
+    Spoiled::new().is_rejected_with(&["--exclude-frames", "99"], &["frame 99"]);
+}
+
+#[test]
+fn a_camera_that_cannot_be() {
+    for (from, to, words) in [
+        ("lens_types = 3", "lens_types = 1", &["I = 1", "q'"][..]),
+        ("lens_types = 3", "lens_types = 2", &["2 lens types"]),
+        ("q_prime_mm = [0.0352, 0.0402, 0.0368]", "q_prime_mm = [0.0352]", &["I = 3", "1 values"]),
+        ("pixel_size_mm = 0.0055", "pixel_size_mm = -0.0055", &["pixel size", "-0.0055"]),
+        ("width_px = 1000", "width_px = 0", &["0 x 750"]),
+        ("columns = 43", "columns = 0", &["0 x 37"]),
+        ("square_mm = 3.0", "square_mm = 0.0", &["squares", "0"]),
+        ("rows = 5", "rows = -5", &["9 x -5"]),
+        ("m_mm = 0.1423", "m_mm = -0.1423", &["|m|", "-0.1423"]),
+        ("focal_length_mm = 50.0", "focal_length_mm = 0.0", &["focal length", "0"]),
+        ("focus_distance_mm = 450.0", "focus_distance_mm = 150.0", &["focus distance", "4 F"]),
+        ("\"hexagonal-rows\"    #", "\"hexagonal-columns\" #", &["'hexagonal-rows'"]),
+        ("lattice = ", "grid = ", &["project.toml", "grid"]),
+        ("[board]", "[chessboard]", &["project.toml", "chessboard"]),
+    ] {
+        Spoiled::new().replace("project.toml", from, to).is_rejected(words);
+    }
+}
+
+#[test]
+fn options_that_cannot_be() {
+    let spoiled = Spoiled::new();
+    spoiled.is_rejected_with(&["--fix", "focal"], &["'focal'", "theta_x"]);
+    spoiled.is_rejected_with(&["--uv-std-dev", "0"], &["(u, v)", "0"]);
+    spoiled.is_rejected_with(&["--loss", "huber", "--loss-scale=-1"], &["loss", "-1"]);
+    spoiled.is_rejected_with(&["--poses-only"], &["--camera"]);
+    spoiled.is_rejected_with(&["--threads", "0"], &["threads"]);
+    let params = spoiled.path("params.js");
+    fs::write(&params, r#"{"m": "-0.14", "q_prime": ["0.035", "0.040"], "I": "3"}"#).unwrap();
+    spoiled.is_rejected_with(&["--params", params.to_str().unwrap()], &["params.js", "I is 3"]);
+    fs::write(&params, r#"{"m": 0.14, "q_prime": [0.035, 0.04, 0.037], "scale": "0.003"}"#)
+        .unwrap();
+    spoiled.is_rejected_with(&["--params", params.to_str().unwrap()], &["params.js", "0.003"]);
+    fs::write(&params, "{").unwrap();
+    spoiled.is_rejected_with(&["--params", params.to_str().unwrap()], &["params.js", "JSON"]);
+}
+
+#[test]
+fn results_that_cannot_be_written() {
+    let spoiled = Spoiled::new();
+    let out = spoiled.path("centers.csv");
+    plenocal()
+        .arg("calibrate")
+        .arg(spoiled.path("project.toml"))
+        .arg("--out")
+        .arg(&out)
+        .assert()
+        .code(1)
+        .stderr(predicate::str::contains("centers.csv"));
+    assert!(out.is_file());
+    plenocal()
+        .arg("calibrate")
+        .arg(spoiled.path("project.toml"))
+        .arg("--out")
+        .arg(Path::new("/proc/none"))
+        .assert()
+        .code(1)
+        .stderr(predicate::str::contains("cannot write"));
+}
+
+/// Fronto-parallel boards leave F and distance hard to separate: that is said, not hidden.
+#[test]
+fn fronto_parallel_boards_bring_a_warning() {
+    let noise = Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 };
+    let poses: Vec<FramePose> = (0_u8..5)
+        .map(|i| FramePose {
+            frame: i.into(),
+            camera_from_board: nalgebra::Isometry3::translation(
+                -12.0,
+                -6.0,
+                270.0 + 15.0 * f64::from(i),
+            ),
+        })
+        .collect();
+    let observations = synthesize(&true_camera(), &board(), &poses, &noise, 3).unwrap();
+    let options: CalibrationOptions = options();
+    let calibration = run(&datasheet_start(), &observations, &options);
+    let warning = calibration.warnings.iter().find(|w| w.contains("fronto-parallel")).unwrap();
+    assert!(warning.contains("F and the distance"), "{warning}");
+}

@@ -1,0 +1,157 @@
+//! The program as a user runs it.
+
+use std::fs;
+use std::path::Path;
+
+use plenocal::io::{read_camera, read_poses};
+use predicates::prelude::*;
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::support::{plenocal, synthetic_folder};
+
+fn calibrate(out: &Path) -> assert_cmd::Command {
+    let mut command = plenocal();
+    command.arg("calibrate").arg(synthetic_folder().join("project.toml")).arg("--out").arg(out);
+    command
+}
+
+#[test]
+fn a_project_gives_tables_and_files() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("new/results");
+    calibrate(&out)
+        .assert()
+        .success()
+        .stdout(predicate::str::contains("Converged"))
+        .stdout(predicate::str::contains("Weakest directions"))
+        .stdout(predicate::str::contains("theta_x"))
+        .stderr(predicate::str::is_empty());
+    let camera = read_camera(&out.join("camera.json")).unwrap();
+    assert_eq!(camera.lens_types(), 3);
+    assert_eq!(read_poses(&out.join("poses.json")).unwrap().len(), 8);
+    assert!(fs::read_to_string(out.join("solver.txt")).unwrap().contains("CONVERGENCE"));
+    let residuals = fs::read_to_string(out.join("residuals.csv")).unwrap();
+    assert!(residuals.starts_with("kind,frame,cluster,k,l,lens_type,u,v,rho,du,dv,drho\n"));
+    // Nothing else is left behind.
+    assert_eq!(fs::read_dir(&out).unwrap().count(), 4);
+}
+
+#[test]
+fn json_is_one_object_with_the_promised_fields() {
+    let folder = TempDir::new().unwrap();
+    let output = calibrate(folder.path()).arg("--json").output().unwrap();
+    assert!(output.status.success());
+    let result: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(result["converged"], true);
+    for field in ["cost", "time_s"] {
+        assert!(result[field].is_f64(), "{field}");
+    }
+    for field in ["all", "uv", "rho", "centers"] {
+        assert!(result["rmse"][field].as_f64().unwrap() > 0.0, "{field}");
+    }
+    for field in ["features", "centers", "frames", "frames_left_out"] {
+        assert!(result["counts"][field].is_u64(), "{field}");
+    }
+    let written: Value =
+        serde_json::from_slice(&fs::read(folder.path().join("camera.json")).unwrap()).unwrap();
+    for (name, value) in result["camera"].as_object().unwrap() {
+        assert_eq!(value, &written[name], "{name}");
+    }
+}
+
+#[test]
+fn single_files_and_a_project_give_the_same() {
+    let (project, folder) = (synthetic_folder().join("project.toml"), TempDir::new().unwrap());
+    let cost = |output: std::process::Output| {
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice::<Value>(&output.stdout).unwrap()["cost"].as_f64().unwrap()
+    };
+    let whole = cost(calibrate(folder.path()).args(["--json", "--threads", "1"]).output().unwrap());
+    let mut command = plenocal();
+    command.arg("calibrate").args(["--json", "--threads", "1", "--out"]).arg(folder.path());
+    for option in ["--camera", "--params", "--scene"] {
+        command.arg(option).arg(&project);
+    }
+    command.arg("--centers").arg(synthetic_folder().join("centers.csv"));
+    command.arg("--features").arg(synthetic_folder().join("features.csv"));
+    assert_eq!(whole.to_bits(), cost(command.output().unwrap()).to_bits());
+}
+
+#[test]
+fn options_of_the_command_line_go_before_the_project() {
+    let folder = TempDir::new().unwrap();
+    let project = folder.path().join("project.toml");
+    let mut text = fs::read_to_string(synthetic_folder().join("project.toml")).unwrap();
+    for file in ["centers.csv", "features.csv"] {
+        fs::copy(synthetic_folder().join(file), folder.path().join(file)).unwrap();
+    }
+    text.push_str("\n[calibration]\nfix = [\"Q3\"]\nloss = \"cauchy\"\nexclude_frames = [2]\n");
+    fs::write(&project, text).unwrap();
+    let run = |extra: &[&str]| -> Value {
+        let out = folder.path().join("out");
+        let mut command = plenocal();
+        command.arg("calibrate").arg(&project).arg("--out").arg(out).arg("--json").args(extra);
+        serde_json::from_slice(&command.output().unwrap().stdout).unwrap()
+    };
+    let deviations = |result: &Value| {
+        result["camera"]["uncertainty"]["standard_deviations"].as_object().unwrap().clone()
+    };
+    let result = run(&[]);
+    assert_eq!(result["counts"]["frames"], 7);
+    assert!(!deviations(&result).contains_key("Q3"));
+    let result = run(&["--fix", "P1,P2", "--exclude-frames", "0,1"]);
+    assert_eq!(result["counts"]["frames"], 6);
+    assert!(deviations(&result).contains_key("Q3"));
+    assert!(!deviations(&result).contains_key("P1"));
+}
+
+#[test]
+fn a_result_that_is_not_converged_is_written_and_exits_with_3() {
+    let folder = TempDir::new().unwrap();
+    calibrate(folder.path())
+        .args(["--max-iterations", "2"])
+        .assert()
+        .code(3)
+        .stderr(predicate::str::contains("--max-iterations"));
+    let camera = fs::read_to_string(folder.path().join("camera.json")).unwrap();
+    assert!(camera.contains("\"converged\": false"));
+}
+
+#[test]
+fn poses_only_goes_on_from_a_calibrated_camera() {
+    let folder = TempDir::new().unwrap();
+    let (first, second) = (folder.path().join("first"), folder.path().join("second"));
+    calibrate(&first).assert().success();
+    let mut command = plenocal();
+    command
+        .args(["calibrate", "--poses-only", "--camera"])
+        .arg(first.join("camera.json"))
+        .arg("--scene")
+        .arg(synthetic_folder().join("project.toml"))
+        .arg("--features")
+        .arg(synthetic_folder().join("features.csv"))
+        .arg("--out")
+        .arg(&second);
+    command.assert().success();
+    let (a, b) = (
+        read_poses(&first.join("poses.json")).unwrap(),
+        read_poses(&second.join("poses.json")).unwrap(),
+    );
+    for (a, b) in a.iter().zip(&b) {
+        let motion = a.camera_from_board.inv_mul(&b.camera_from_board);
+        assert!(motion.rotation.angle() < 1e-6, "frame {}: {motion}", a.frame);
+    }
+}
+
+#[test]
+fn help_teaches() {
+    plenocal()
+        .args(["calibrate", "--help"])
+        .assert()
+        .success()
+        .stdout(predicate::str::contains("Examples:"))
+        .stdout(predicate::str::contains("--corners-only"));
+    plenocal().arg("--help").assert().success().stdout(predicate::str::contains("Exit status"));
+    plenocal().args(["calibrate", "--no-such-option"]).assert().code(2);
+}

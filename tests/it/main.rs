@@ -1,0 +1,13 @@
+//! Tests of whole stages and of the command line.
+//!
+//! Those on the real R12-A observations need `PLENOCAL_R12A`, the folder that holds them; those
+//! against the independent Ceres program need `PLENOCAL_PLAIN_CERES`, its executable.
+
+mod bad_input;
+mod command_line;
+mod compote;
+mod independent;
+mod modes;
+mod r12a;
+mod recovery;
+mod support;

@@ -1,0 +1,130 @@
+//! The ways of calibrating other than the paper's own.
+
+use plenocal::calibration::{Iteration, Mode, Start, Termination, calibrate};
+
+use crate::support::{
+    NO_NOISE, board, datasheet_start, drawn, options, pairs, run, shipped_observations,
+    true_camera, true_poses,
+};
+
+/// As in the recovery tests.
+const NOISE_FREE: f64 = 1e-8;
+
+#[test]
+fn corners_only_recovers_all_but_the_focal_lengths() {
+    let mut truth = true_camera();
+    let observations = drawn(&truth, &NO_NOISE, 0);
+    let mut options = options();
+    options.mode = Mode::CornersOnly;
+    let calibration = run(&datasheet_start(), &observations, &options);
+    assert!(calibration.converged);
+    assert!(calibration.reprojection.rmse().rho_px.is_none());
+    truth.mla.focal_lengths_mm.clear();
+    for (name, value, truth) in pairs(&calibration.camera, &truth) {
+        assert!((value - truth).abs() <= NOISE_FREE * truth.abs(), "{name}: {value} for {truth}");
+    }
+}
+
+#[test]
+fn poses_only_leaves_the_camera_alone_and_needs_no_centres() {
+    let truth = true_camera();
+    let mut observations = drawn(&truth, &NO_NOISE, 0);
+    observations.centers.clear();
+    let mut options = options();
+    options.mode = Mode::PosesOnly;
+    let calibration = run(&Start::Camera(truth.clone()), &observations, &options);
+    assert!(calibration.converged);
+    assert_eq!(calibration.camera, truth);
+    assert!(calibration.uncertainty.free_intrinsics.is_empty());
+    for (pose, truth) in calibration.poses.iter().zip(true_poses()) {
+        let difference = pose.camera_from_board.inv_mul(&truth.camera_from_board);
+        let size = truth.camera_from_board.translation.vector.norm();
+        assert!(difference.rotation.angle() < NOISE_FREE);
+        assert!(difference.translation.vector.norm() < NOISE_FREE * size);
+    }
+}
+
+#[test]
+fn a_single_lens_type_is_calibrated_too() {
+    let mut truth = true_camera();
+    truth.mla.focal_lengths_mm = vec![0.55];
+    let observations = drawn(&truth, &NO_NOISE, 0);
+    let Start::Datasheet(mut sheet, mut internal) = datasheet_start() else { unreachable!() };
+    sheet.lens_types = 1;
+    internal.q_prime_mm = vec![0.037];
+    let calibration = run(&Start::Datasheet(sheet, internal), &observations, &options());
+    assert!(calibration.converged);
+    for (name, value, truth) in pairs(&calibration.camera, &truth) {
+        assert!((value - truth).abs() <= NOISE_FREE * truth.abs(), "{name}: {value} for {truth}");
+    }
+}
+
+#[test]
+fn held_parameters_keep_their_value() {
+    let mut options = options();
+    options.cost.held.extend(["F", "Q3", "f_2"].map(str::to_owned));
+    let calibration = run(&datasheet_start(), &shipped_observations(), &options);
+    assert!(calibration.converged);
+    let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
+    for ((name, value, start), std_dev) in
+        pairs(&calibration.camera, &calibration.initial).iter().zip(std_devs)
+    {
+        let held = ["F", "Q3", "f_2", "dC_ratio"].contains(&name.as_str());
+        assert_eq!(value == start, held, "{name}");
+        assert_eq!(std_dev.is_none(), held, "{name}");
+    }
+}
+
+#[test]
+fn the_caller_sees_every_iteration_and_can_stop() {
+    let (start, observations) = (datasheet_start(), shipped_observations());
+    let mut seen = Vec::new();
+    let mut stop_at_two = |iteration: &Iteration| {
+        seen.push(iteration.number);
+        iteration.number < 2
+    };
+    let calibration =
+        calibrate(&start, &board(), &observations, &options(), &mut stop_at_two).unwrap();
+    assert_eq!(seen, [0, 1, 2]);
+    assert_eq!(calibration.refinement.termination, Termination::Stopped);
+    assert!(!calibration.converged);
+}
+
+#[test]
+fn the_limit_of_iterations_is_no_convergence() {
+    let mut options = options();
+    options.solver.max_iterations = 1;
+    let calibration = run(&datasheet_start(), &shipped_observations(), &options);
+    assert_eq!(calibration.refinement.termination, Termination::IterationLimit);
+    assert!(!calibration.converged);
+    // Far from the minimum a step promises something.
+    assert!(calibration.uncertainty.expected_decrease > 1.0);
+}
+
+#[test]
+fn the_result_does_not_depend_on_the_order_of_the_observations() {
+    let mut observations = shipped_observations();
+    let reference = run(&datasheet_start(), &observations, &options());
+    observations.features.reverse();
+    observations.centers.reverse();
+    let reversed = run(&datasheet_start(), &observations, &options());
+    let std_devs = reference.uncertainty.intrinsic_std_devs(3);
+    for ((name, a, b), s) in pairs(&reference.camera, &reversed.camera).iter().zip(std_devs) {
+        // Rounding differs, and with it where the solver stops: within a thousandth of σ.
+        assert!((a - b).abs() <= 1e-3 * s.unwrap_or(0.0), "{name}: {a} and {b}");
+    }
+}
+
+#[test]
+fn a_frame_whose_corners_lie_on_a_line_is_left_out_by_name() {
+    let mut observations = shipped_observations();
+    observations.features.retain(|f| f.frame != 4 || f.corner < board().columns);
+    let calibration = run(&datasheet_start(), &observations, &options());
+    assert!(calibration.converged);
+    assert_eq!(calibration.poses.len(), true_poses().len() - 1);
+    let [left_out] = calibration.left_out.as_slice() else { panic!("one frame is left out") };
+    assert_eq!(left_out.frame, 4);
+    assert!(left_out.reason.contains("line"), "{left_out}");
+    let used = calibration.reprojection.features.len();
+    assert_eq!(used + left_out.features, observations.features.len());
+}

@@ -1,0 +1,166 @@
+//! Known truth comes back.
+
+use plenocal::calibration::{CalibrationOptions, Loss, Start};
+use plenocal::camera::intrinsic_parameters;
+use plenocal::synthetic::Noise;
+
+use crate::support::{
+    NO_NOISE, datasheet_start, drawn, options, pairs, run, shipped_observations, true_camera,
+    true_poses,
+};
+
+/// Noise-free recovery is limited by rounding of the projections (1e-13 px) times the condition of
+/// the weakest parameters.
+const NOISE_FREE: f64 = 1e-8;
+/// A normal variable is further out than this once in 16 000 draws; some 70 are looked at.
+const FOUR_SIGMA: f64 = 4.0;
+/// With 10⁴ observations the measured noise is known to a per cent.
+const NOISE_AGREEMENT: f64 = 0.1;
+
+const NOISE: Noise = Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 };
+
+#[test]
+fn without_noise_the_truth_comes_back_from_the_datasheet() {
+    let truth = true_camera();
+    let calibration = run(&datasheet_start(), &drawn(&truth, &NO_NOISE, 0), &options());
+    assert!(calibration.converged);
+    for (name, value, truth) in pairs(&calibration.camera, &truth) {
+        assert!((value - truth).abs() <= NOISE_FREE * truth.abs(), "{name}: {value} for {truth}");
+    }
+    for (pose, truth) in calibration.poses.iter().zip(true_poses()) {
+        let (a, b) = (pose.camera_from_board, truth.camera_from_board);
+        assert!(a.rotation.angle_to(&b.rotation) < NOISE_FREE, "frame {}", pose.frame);
+        let (a, b) = (a.translation.vector, b.translation.vector);
+        assert!((a - b).norm() < NOISE_FREE * b.norm(), "frame {}", pose.frame);
+    }
+}
+
+#[test]
+fn with_noise_the_truth_lies_within_the_predicted_uncertainty() {
+    let truth = true_camera();
+    let calibration = run(&datasheet_start(), &shipped_observations(), &options());
+    assert!(calibration.converged);
+    assert!(calibration.left_out.is_empty() && calibration.warnings.is_empty());
+    let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
+    for ((name, value, truth), std_dev) in pairs(&calibration.camera, &truth).iter().zip(std_devs) {
+        match std_dev {
+            Some(s) => {
+                assert!(
+                    (value - truth).abs() < FOUR_SIGMA * s,
+                    "{name}: {value} ± {s} for {truth}"
+                );
+            }
+            None => assert_eq!(name, "dC_ratio"),
+        }
+    }
+    for (i, (pose, truth)) in calibration.poses.iter().zip(true_poses()).enumerate() {
+        let std_devs = calibration.uncertainty.pose_std_devs(i);
+        let (a, b) = (pose.camera_from_board, truth.camera_from_board);
+        let rotation = a.rotation.scaled_axis() - b.rotation.scaled_axis();
+        let translation = a.translation.vector - b.translation.vector;
+        for (difference, s) in rotation.iter().chain(translation.iter()).zip(std_devs) {
+            assert!(difference.abs() < FOUR_SIGMA * s, "frame {}: {difference} ± {s}", pose.frame);
+        }
+    }
+    let measured = calibration.uncertainty.residual_std_dev_px;
+    for (measured, truth) in measured.into_iter().zip([NOISE.uv_px, NOISE.rho_px, NOISE.centers_px])
+    {
+        assert!((measured / truth - 1.0).abs() < NOISE_AGREEMENT, "{measured} px for {truth} px");
+    }
+}
+
+#[test]
+fn two_pitches_are_told_apart() {
+    let mut truth = true_camera();
+    truth.mla.pitch_ratio = 1.0004;
+    let mut options = options();
+    options.cost.held.clear();
+    let calibration = run(&datasheet_start(), &drawn(&truth, &NO_NOISE, 0), &options);
+    for (name, value, truth) in pairs(&calibration.camera, &truth) {
+        assert!((value - truth).abs() <= NOISE_FREE * truth.abs(), "{name}: {value} for {truth}");
+    }
+}
+
+#[test]
+fn a_robust_loss_withstands_gross_errors() {
+    let truth = true_camera();
+    let mut observations = drawn(&truth, &NOISE, 7);
+    // One feature in fifty is off by tens of standard deviations, all to the same side.
+    for feature in observations.features.iter_mut().step_by(50) {
+        feature.u_px += 12.0;
+        feature.v_px -= 6.0;
+    }
+    // Sharp weights, so that the scale of the loss means what it says.
+    let weighted = |loss: Loss| {
+        let mut options = options();
+        options.cost.uv_std_dev_px = NOISE.uv_px;
+        options.cost.rho_std_dev_px = NOISE.rho_px;
+        options.cost.centers_std_dev_px = NOISE.centers_px;
+        options.cost.loss = loss;
+        options
+    };
+    // Distance from the truth in units of what the clean data allow.
+    let clean = run(&datasheet_start(), &drawn(&truth, &NOISE, 7), &weighted(Loss::None));
+    let std_devs = clean.uncertainty.intrinsic_std_devs(3);
+    let distance = |options: &CalibrationOptions| {
+        let calibration = run(&datasheet_start(), &observations, options);
+        assert!(calibration.converged);
+        pairs(&calibration.camera, &clean.camera)
+            .iter()
+            .zip(&std_devs)
+            .filter_map(|((_, a, b), s)| Some(((a - b) / (*s)?).abs()))
+            .fold(0.0, f64::max)
+    };
+    let plain = distance(&weighted(Loss::None));
+    for loss in [Loss::Huber { scale: 2.0 }, Loss::Cauchy { scale: 2.0 }] {
+        let robust = distance(&weighted(loss));
+        assert!(robust < 1.0 && robust < plain / 4.0, "{loss:?}: {robust} against {plain}");
+    }
+}
+
+/// The predicted covariance against what repeated experiments scatter by.
+#[test]
+#[ignore = "slow: 200 calibrations; run by `make test-slow`"]
+fn the_covariance_agrees_with_monte_carlo() {
+    const RUNS: u32 = 200;
+    /// Standard error of a standard deviation from so many runs is 1/√(2·200) = 5 %; four of them,
+    /// since 19 are looked at.
+    const AGREEMENT: f64 = 0.2;
+
+    let truth = true_camera();
+    let parameters = intrinsic_parameters(3);
+    let mut sums = vec![(0.0, 0.0); parameters.len()];
+    let mut predicted = vec![0.0; parameters.len()];
+    for seed in 0..u64::from(RUNS) {
+        let observations = drawn(&truth, &NOISE, 1000 + seed);
+        let calibration = run(&Start::Camera(truth.clone()), &observations, &options());
+        assert!(calibration.converged, "seed {seed}");
+        for (i, (_, value, truth)) in pairs(&calibration.camera, &truth).iter().enumerate() {
+            sums[i].0 += value - truth;
+            sums[i].1 += (value - truth).powi(2);
+        }
+        let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
+        for (sum, std_dev) in predicted.iter_mut().zip(std_devs) {
+            *sum += std_dev.unwrap_or(0.0) / f64::from(RUNS);
+        }
+    }
+    println!(
+        "{:10} {:>12} {:>12} {:>8} {:>8}",
+        "parameter", "scatter", "predicted", "ratio", "bias/se"
+    );
+    let mut failures = Vec::new();
+    for ((parameter, (sum, square)), predicted) in parameters.iter().zip(sums).zip(predicted) {
+        if predicted == 0.0 {
+            continue;
+        }
+        let n = f64::from(RUNS);
+        let scatter = ((square - sum * sum / n) / (n - 1.0)).sqrt();
+        let bias = sum / n / (scatter / n.sqrt());
+        let ratio = scatter / predicted;
+        println!("{:10} {scatter:12.4e} {predicted:12.4e} {ratio:8.3} {bias:8.2}", parameter.name);
+        if (ratio - 1.0).abs() > AGREEMENT {
+            failures.push(parameter.name.clone());
+        }
+    }
+    assert!(failures.is_empty(), "{failures:?}");
+}

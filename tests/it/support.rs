@@ -1,0 +1,86 @@
+//! The shipped feature set, its truth, and how results are compared.
+
+use std::path::{Path, PathBuf};
+
+use assert_cmd::Command;
+use plenocal::calibration::{
+    Calibration, CalibrationOptions, FramePose, SolverOptions, Start, calibrate,
+};
+use plenocal::camera::{Board, PlenopticCamera, intrinsic_parameters};
+use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
+use plenocal::observations::Observations;
+use plenocal::synthetic::{Noise, synthesize};
+
+pub const NO_NOISE: Noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };
+
+/// Folder of the shipped feature set.
+pub fn synthetic_folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data/synthetic")
+}
+
+/// Folder of the real R12-A observations.
+pub fn r12a_folder() -> PathBuf {
+    let folder = PathBuf::from(std::env::var_os("PLENOCAL_R12A").expect("PLENOCAL_R12A is set"));
+    assert!(folder.is_dir(), "PLENOCAL_R12A names no folder: {}", folder.display());
+    folder
+}
+
+/// The program.
+pub fn plenocal() -> Command {
+    Command::cargo_bin("plenocal").expect("the binary is built")
+}
+
+pub fn project() -> Project {
+    Project::read(&synthetic_folder().join("project.toml")).unwrap()
+}
+
+pub fn board() -> Board {
+    project().board.unwrap()
+}
+
+pub fn true_camera() -> PlenopticCamera {
+    read_camera(&synthetic_folder().join("truth/camera.json")).unwrap()
+}
+
+pub fn true_poses() -> Vec<FramePose> {
+    read_poses(&synthetic_folder().join("truth/poses.json")).unwrap()
+}
+
+/// The start that the shipped project gives: datasheet and internal parameters.
+pub fn datasheet_start() -> Start {
+    let project = project();
+    Start::Datasheet(project.datasheet().unwrap().unwrap(), project.internal().unwrap())
+}
+
+pub fn shipped_observations() -> Observations {
+    let folder = synthetic_folder();
+    let mut observations = read_features(&folder.join("features.csv"), true).unwrap();
+    observations.centers = read_centers(&folder.join("centers.csv")).unwrap();
+    observations
+}
+
+/// Observations of the shipped camera and poses with other noise.
+pub fn drawn(camera: &PlenopticCamera, noise: &Noise, seed: u64) -> Observations {
+    synthesize(camera, &board(), &true_poses(), noise, seed).unwrap()
+}
+
+/// One thread: the result does not depend on the machine.
+pub fn options() -> CalibrationOptions {
+    let solver = SolverOptions { threads: 1, ..SolverOptions::default() };
+    CalibrationOptions { solver, ..CalibrationOptions::default() }
+}
+
+pub fn run(
+    start: &Start,
+    observations: &Observations,
+    options: &CalibrationOptions,
+) -> Calibration {
+    calibrate(start, &board(), observations, options, &mut |_| true).unwrap()
+}
+
+/// Every intrinsic parameter by name, with two values.
+pub fn pairs(a: &PlenopticCamera, b: &PlenopticCamera) -> Vec<(String, f64, f64)> {
+    let names = intrinsic_parameters(a.lens_types()).into_iter().map(|p| p.name);
+    let values = a.intrinsics().into_iter().zip(b.intrinsics());
+    names.zip(values).map(|(name, (a, b))| (name, a, b)).collect()
+}
