@@ -66,7 +66,7 @@ fn shipped() -> plenocal::Result<Data> {
         start: Start::Datasheet(sheet, internal),
         board: project.board.expect("the shipped project has a board"),
         baseline: "--pixel-size-mm 0.0055 --width 1000 --height 750 --columns 43 --rows 37 \
-                   --focal-mm 50 --focus-mm 450 --m-mm 0.1423 --q-mm 0.0352,0.0402,0.0368 \
+                   --focal-mm 16 --focus-mm 120 --m-mm 0.1432 --q-mm 0.0361,0.0414,0.0377 \
                    --board-columns 9 --square-mm 3"
             .split_whitespace()
             .collect(),
@@ -128,8 +128,14 @@ fn compare(program: &Path, data: &Data, observations: &Observations, threads: us
     }
     let (plain, solve, whole) = (median(plain), median(solve), median(whole));
     println!("{threads} thread(s), cold start to convergence, median of {RUNS} runs:");
-    println!("  plain Ceres program        {plain:7.3} s  {:3} iterations  cost {:.6}", plain_end.0, plain_end.1);
-    println!("  plenocal, refinement       {solve:7.3} s  {:3} iterations  cost {:.6}", end.0, end.1);
+    println!(
+        "  plain Ceres program        {plain:7.3} s  {:3} iterations  cost {:.6}",
+        plain_end.0, plain_end.1
+    );
+    println!(
+        "  plenocal, refinement       {solve:7.3} s  {:3} iterations  cost {:.6}",
+        end.0, end.1
+    );
     println!("  plenocal, whole stage      {whole:7.3} s  (grid, start, refinement, uncertainty)");
     println!("  ratio of the refinements   {:7.3}", solve / plain);
     println!("  ratio of the whole stage   {:7.3}", whole / plain);
@@ -151,7 +157,10 @@ fn main() -> plenocal::Result<()> {
     println!("  reading the CSV files      {reading:7.3} s");
     if let Start::Datasheet(sheet, _) = &data.start {
         let fit = || fit_grid(&observations.centers, sheet.lattice_kind, sheet.columns, sheet.rows);
-        println!("  fitting the grid           {:7.3} s", median((0..RUNS).map(|_| seconds(fit)).collect()));
+        println!(
+            "  fitting the grid           {:7.3} s",
+            median((0..RUNS).map(|_| seconds(fit)).collect())
+        );
     }
     match std::env::var_os("PLENOCAL_PLAIN_CERES") {
         Some(program) => {

@@ -1,4 +1,4 @@
-//! Writes the feature set of `data/synthetic`: a small R12 seen by its own model, with known truth.
+//! Writes the feature set of `data/synthetic`: a small multi-focus camera seen by its own model, with known truth.
 //!
 //!     cargo run --example synthetic_dataset -- data/synthetic
 
@@ -21,7 +21,7 @@ const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
 
 /// What a user would know of the camera: the nominal lens, and white-image measurements that are
 /// off by about a percent.
-const PROJECT: &str = r#"# plenocal project: a small camera of the R12's kind, observations drawn from its own model.
+const PROJECT: &str = r#"# plenocal project: a small multi-focus camera, observations drawn from its own model.
 # Made by `cargo run --example synthetic_dataset`; the truth is in truth/.
 
 [sensor]
@@ -30,9 +30,9 @@ height_px = 750
 pixel_size_mm = 0.0055
 
 [main_lens]
-focal_length_mm = 50.0        # as engraved on the lens
-f_number = 4.0
-focus_distance_mm = 450.0     # from the sensor; inf for infinity
+focal_length_mm = 16.0        # as engraved on the lens
+f_number = 2.8
+focus_distance_mm = 120.0     # from the sensor; inf for infinity
 
 [micro_lens_array]
 configuration = "galilean"    # or "keplerian", "unfocused"
@@ -42,8 +42,8 @@ rows = 37
 lens_types = 3
 
 [internal_parameters]         # measured on white images
-m_mm = 0.1423
-q_prime_mm = [0.0352, 0.0402, 0.0368]
+m_mm = 0.1432
+q_prime_mm = [0.0361, 0.0414, 0.0377]
 
 [board]
 columns = 9                   # inner corners
@@ -65,36 +65,36 @@ fn camera() -> PlenopticCamera {
             shifted: Parity::Even,
         },
         main_lens: MainLens {
-            focal_length_mm: 50.4,
-            radial: [2.0e-4, -3.0e-6, 4.0e-8],
-            tangential: [-1.5e-4, 0.8e-4],
-            setting: Some(LensSetting { f_number: 4.0, focus_distance_mm: 450.0 }),
+            focal_length_mm: 16.2,
+            radial: [-2.0e-3, 1.0e-4, -4.0e-6],
+            tangential: [-3.0e-4, 2.0e-4],
+            setting: Some(LensSetting { f_number: 2.8, focus_distance_mm: 120.0 }),
         },
         mla: MicroLensArray {
             principal_point_px: Vector2::new(520.0, 362.0),
-            mla_to_sensor_mm: 0.325,
+            mla_to_sensor_mm: 0.33,
             rotation_rad: Vector3::new(0.8e-3, -0.6e-3, 1.2e-3),
             offset_mm: Vector2::new(0.11, -0.07),
-            lens_to_mla_mm: 57.1,
-            pitch_mm: 0.127_46,
+            lens_to_mla_mm: 18.5,
+            pitch_mm: 0.126,
             pitch_ratio: 1.0,
             focal_lengths_mm: vec![0.578, 0.505, 0.552],
         },
     }
 }
 
-/// Boards between 265 and 350 mm, turned about all axes by up to 40 degrees.
+/// Boards between 72 and 100 mm, turned about all axes by up to 40 degrees.
 fn poses() -> Vec<FramePose> {
     let center = Translation3::new(-12.0, -6.0, 0.0);
     [
-        ([0.0, 0.0, 0.0], [0.0, 0.0, 300.0]),
-        ([35.0, 0.0, 5.0], [1.0, 0.5, 270.0]),
-        ([-30.0, 10.0, -8.0], [-1.0, 1.0, 285.0]),
-        ([5.0, 40.0, 20.0], [0.5, -1.0, 265.0]),
-        ([-8.0, -35.0, 90.0], [2.0, 0.0, 330.0]),
-        ([25.0, 25.0, -30.0], [-2.0, -1.5, 310.0]),
-        ([-20.0, 30.0, 170.0], [1.5, 1.5, 350.0]),
-        ([10.0, -20.0, 45.0], [0.0, 2.0, 340.0]),
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 90.0]),
+        ([35.0, 0.0, 5.0], [1.0, 0.5, 78.0]),
+        ([-30.0, 10.0, -8.0], [-1.0, 1.0, 82.0]),
+        ([5.0, 40.0, 20.0], [0.5, -1.0, 76.0]),
+        ([-8.0, -35.0, 90.0], [2.0, 0.0, 92.0]),
+        ([25.0, 25.0, -30.0], [-2.0, -1.5, 85.0]),
+        ([-20.0, 30.0, 170.0], [1.5, 1.5, 98.0]),
+        ([10.0, -20.0, 45.0], [0.0, 2.0, 100.0]),
     ]
     .into_iter()
     .zip(0..)

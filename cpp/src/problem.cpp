@@ -205,6 +205,31 @@ std::shared_ptr<ceres::ParameterBlockOrdering> CalibrationProblem::ordering() {
   return ordering;
 }
 
+Eigen::VectorXd CalibrationProblem::state() const {
+  Eigen::VectorXd state(problem_->NumParameters());
+  double* next = state.data();
+  const auto append = [&next](const auto& block) {
+    next = std::copy(block.begin(), block.end(), next);
+  };
+  append(lens_);
+  append(array_);
+  append(focal_lengths_);
+  for (const auto& pose : poses_) append(pose);
+  return state;
+}
+
+void CalibrationProblem::set_state(const Eigen::VectorXd& state) {
+  const double* next = state.data();
+  const auto take = [&next](auto& block) {
+    std::copy_n(next, block.size(), block.begin());
+    next += block.size();
+  };
+  take(lens_);
+  take(array_);
+  take(focal_lengths_);
+  for (auto& pose : poses_) take(pose);
+}
+
 Camera CalibrationProblem::camera() const {
   Camera camera = frame_;
   camera.main_lens = MainLens<double>::from_block(lens_.data());

@@ -3,6 +3,7 @@
 
 #include <ceres/ceres.h>
 
+#include <Eigen/Core>
 #include <memory>
 #include <vector>
 
@@ -30,6 +31,10 @@ class CalibrationProblem {
   /// Camera and poses as the parameter blocks stand now.
   Camera camera() const;
   std::vector<Pose> poses() const;
+
+  /// All parameters one after the other, and back.
+  Eigen::VectorXd state() const;
+  void set_state(const Eigen::VectorXd& state);
 
   /// Blocks with a free parameter: intrinsics in their order, then the poses.
   const std::vector<double*>& free_blocks() const { return free_blocks_; }

@@ -1,28 +1,120 @@
 #include "plenocal/refine.hpp"
 
+#include <glog/logging.h>
+
+#include <Eigen/Dense>
+#include <algorithm>
 #include <chrono>
+#include <limits>
+#include <stdexcept>
 
 #include "problem.hpp"
+
+// Levenberg-Marquardt by Ceres, with extrapolation.
+//
+// Where residuals stay, Gauss-Newton converges only linearly: with every step the error is
+// multiplied by -(J'J)^-1 S, S being the part of the Hessian that Gauss-Newton leaves out. In the
+// valleys of this problem that is 0.5 to 0.99 in the weakest directions, whatever the trust region.
+// Such a sequence has a limit that can be extrapolated from a few of its members. So the solve is
+// interrupted when it is slow, moved to the extrapolated limit if the cost is lower there, and goes
+// on; the steps, the decision which to accept and when to stop are Ceres'.
 
 namespace plenocal {
 namespace {
 
-class ProgressCallback : public ceres::IterationCallback {
- public:
-  ProgressCallback(const Progress& progress, std::vector<Iteration>* iterations)
-      : progress_(progress), iterations_(iterations) {}
+// Steps to extrapolate from.
+constexpr std::size_t kSteps = 4;
+// A solve is slow when the cost still changes by this part of the change before.
+constexpr double kSlow = 0.05;
 
-  ceres::CallbackReturnType operator()(const ceres::IterationSummary& s) override {
-    iterations_->push_back({s.iteration, s.cost, s.gradient_max_norm, s.step_norm,
-                            s.trust_region_radius, s.cumulative_time_in_seconds});
-    const bool go_on = !progress_ || progress_(iterations_->back());
-    return go_on ? ceres::SOLVER_CONTINUE : ceres::SOLVER_ABORT;
-  }
+// Ceres warns on stderr through glog of steps that leave the model's domain, which are no news.
+class QuietLog {
+ public:
+  QuietLog() : level_(FLAGS_minloglevel) { FLAGS_minloglevel = google::GLOG_ERROR; }
+  ~QuietLog() { FLAGS_minloglevel = level_; }
+  QuietLog(const QuietLog&) = delete;
+  QuietLog& operator=(const QuietLog&) = delete;
 
  private:
+  int level_;
+};
+
+// Follows the solve: reports progress, remembers the accepted states, recognises slowness.
+class Watch : public ceres::IterationCallback {
+ public:
+  Watch(const CalibrationProblem& calibration, const Progress& progress,
+        std::vector<Iteration>* iterations)
+      : calibration_(calibration), progress_(progress), iterations_(iterations) {}
+
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& s) override {
+    if (s.iteration == 0) {  // a new solve from the present state
+      first_ = iterations_->empty() ? Iteration{} : iterations_->back();
+      states_.clear();
+      changes_.clear();
+    }
+    radius_ = s.trust_region_radius;
+    if (s.iteration > 0 || iterations_->empty()) {
+      iterations_->push_back({first_.number + s.iteration, s.cost, s.gradient_max_norm, s.step_norm,
+                              s.trust_region_radius, first_.time_s + s.cumulative_time_in_seconds});
+      if (progress_ && !progress_(iterations_->back())) return ceres::SOLVER_ABORT;
+    }
+    if (s.iteration == 0 || s.step_is_successful) states_.push_back(calibration_.state());
+    if (s.iteration > 0 && s.step_is_successful) changes_.push_back(s.cost_change);
+    return is_slow() ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
+  }
+
+  bool is_slow() const {
+    const std::size_t n = changes_.size();
+    return n >= kSteps && changes_[n - 1] > kSlow * changes_[n - 2];
+  }
+  const std::vector<Eigen::VectorXd>& states() const { return states_; }
+  double radius() const { return radius_; }
+
+ private:
+  const CalibrationProblem& calibration_;
   const Progress& progress_;
   std::vector<Iteration>* iterations_;
+  Iteration first_{};
+  std::vector<Eigen::VectorXd> states_;
+  std::vector<double> changes_;
+  double radius_ = 0.0;
 };
+
+// Limit of a linearly converging sequence by reduced rank extrapolation: the affine combination of
+// its members whose step is the shortest. Every parameter is measured by its own largest step.
+Eigen::VectorXd limit(const std::vector<Eigen::VectorXd>& states) {
+  const std::size_t count = std::min(kSteps, states.size() - 1);
+  const auto* last = &states[states.size() - 1 - count];
+  Eigen::MatrixXd members(last->size(), count), steps(last->size(), count);
+  for (std::size_t i = 0; i < count; ++i) {
+    members.col(i) = last[i + 1];
+    steps.col(i) = last[i + 1] - last[i];
+  }
+  const Eigen::VectorXd scale = steps.cwiseAbs().rowwise().maxCoeff().unaryExpr(
+      [](double largest) { return largest > 0.0 ? 1.0 / largest : 0.0; });
+  const Eigen::MatrixXd scaled = scale.asDiagonal() * steps;
+  const Eigen::VectorXd weights = (scaled.transpose() * scaled)
+                                      .completeOrthogonalDecomposition()
+                                      .solve(Eigen::VectorXd::Ones(count));
+  return members * (weights / weights.sum());
+}
+
+// Moves to the limit of the accepted states if the cost is lower there. Returns by how much.
+double extrapolate(CalibrationProblem* calibration, const Watch& watch, double cost) {
+  if (watch.states().size() < 3) return 0.0;
+  const Eigen::VectorXd there = limit(watch.states());
+  double lower = std::numeric_limits<double>::infinity();
+  if (there.allFinite()) {
+    calibration->set_state(there);
+    // Fails outside the model's domain.
+    if (!calibration->problem().Evaluate({}, &lower, nullptr, nullptr, nullptr)) {
+      lower = std::numeric_limits<double>::infinity();
+    }
+  }
+  if (lower < cost) return cost - lower;
+  calibration->set_state(watch.states().back());
+  return 0.0;
+}
 
 Termination termination(ceres::TerminationType type) {
   switch (type) {
@@ -48,29 +140,47 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
 
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::DENSE_SCHUR;
-  options.linear_solver_ordering = calibration.ordering();
-  options.max_num_iterations = solver_options.max_iterations;
   options.function_tolerance = solver_options.function_tolerance;
   options.gradient_tolerance = solver_options.gradient_tolerance;
   options.parameter_tolerance = solver_options.parameter_tolerance;
   options.initial_trust_region_radius = solver_options.initial_trust_region_radius;
+  options.max_num_iterations = solver_options.max_iterations;
   options.num_threads = solver_options.threads;
   options.logging_type = ceres::SILENT;
-  ProgressCallback callback(progress, &result.iterations);
-  options.callbacks.push_back(&callback);
+  options.update_state_every_iteration = true;
+  Watch watch(calibration, progress, &result.iterations);
+  options.callbacks.push_back(&watch);
   std::string error;
   if (!options.IsValid(&error)) throw std::invalid_argument(error);
 
+  const QuietLog quiet;
   ceres::Solver::Summary summary;
-  ceres::Solve(options, &calibration.problem(), &summary);
+  bool go_on = true;
+  while (go_on) {
+    options.linear_solver_ordering = calibration.ordering();
+    ceres::Solve(options, &calibration.problem(), &summary);
+    if (result.report.empty()) result.initial_cost = summary.initial_cost;
+    result.report += summary.FullReport();
+    result.cost = summary.final_cost;
+    go_on = summary.termination_type == ceres::USER_SUCCESS;
+    if (go_on || summary.termination_type == ceres::CONVERGENCE) {
+      // Steps that have become too small for Ceres may still add up.
+      const double gain = extrapolate(&calibration, watch, result.cost);
+      go_on = go_on || gain > solver_options.function_tolerance * result.cost;
+      result.cost -= gain;
+    }
+    options.max_num_iterations = solver_options.max_iterations - result.iterations.back().number;
+    options.initial_trust_region_radius = watch.radius();
+    if (go_on && options.max_num_iterations <= 0) {
+      summary.termination_type = ceres::NO_CONVERGENCE;
+      go_on = false;
+    }
+  }
 
   result.camera = calibration.camera();
   result.poses = calibration.poses();
-  result.initial_cost = summary.initial_cost;
-  result.cost = summary.final_cost;
   result.termination = termination(summary.termination_type);
   result.message = summary.message;
-  result.report = summary.FullReport();
   result.time_s =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return result;

@@ -65,7 +65,6 @@ pub fn calibrate(
             left_out.iter().map(|l| format!("frame {}: {}", l.frame, l.reason)).collect();
         return Err(Error::invalid(format!("no frame could be used: {}", reasons.join("; "))));
     }
-    warnings.extend(fronto_parallel(&poses, options.mode));
 
     let features = solver_features(&used, &poses, board);
     let start_poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
@@ -106,11 +105,12 @@ pub fn calibrate(
             uncertainty.size() - uncertainty.rank
         ));
     }
-    let poses = poses
+    let poses: Vec<FramePose> = poses
         .iter()
         .zip(&refinement.poses)
         .map(|(p, &camera_from_board)| FramePose { frame: p.frame, camera_from_board })
         .collect();
+    warnings.extend(fronto_parallel(&poses, options.mode));
     Ok(Calibration {
         camera: refinement.camera.clone(),
         initial,

@@ -134,7 +134,11 @@ fn the_covariance_agrees_with_monte_carlo() {
     for seed in 0..u64::from(RUNS) {
         let observations = drawn(&truth, &NOISE, 1000 + seed);
         let calibration = run(&Start::Camera(truth.clone()), &observations, &options());
-        assert!(calibration.converged, "seed {seed}");
+        assert!(
+            calibration.converged,
+            "seed {seed}: {}",
+            plenocal::report::termination_text(&calibration)
+        );
         for (i, (_, value, truth)) in pairs(&calibration.camera, &truth).iter().enumerate() {
             sums[i].0 += value - truth;
             sums[i].1 += (value - truth).powi(2);
