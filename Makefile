@@ -5,9 +5,12 @@ PACKAGES = g++ cmake make libceres-dev libeigen3-dev libopencv-dev libclang-dev 
 # Which command, whether root or not, may install packages.
 SUDO = $(if $(filter 0,$(shell id -u)),,sudo)
 BUILD = build/cpp
-PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
+MAKEFLAGS += --no-print-directory
+# The independent program of the tests and benchmarks; set for every target, so that nothing is
+# built anew between them.
+export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
 
-.PHONY: help deps demo test test-slow test-cpp test-rust lint bench doc data format clean
+.PHONY: help deps demo cpp test test-slow test-cpp test-rust lint bench doc data format clean
 
 help:
 	@echo "make demo       calibrate the shipped feature set and print the result"
@@ -42,15 +45,14 @@ $(BUILD)/CMakeCache.txt: cpp/CMakeLists.txt | deps
 cpp: $(BUILD)/CMakeCache.txt
 	cmake --build $(BUILD) --parallel
 
-.PHONY: cpp
 test-cpp: cpp
 	ctest --test-dir $(BUILD) --output-on-failure
 
 test-rust: cpp
-	PLENOCAL_PLAIN_CERES=$(PLAIN_CERES) cargo test --release --no-fail-fast
+	cargo test --release --no-fail-fast
 
 test-slow: cpp
-	PLENOCAL_PLAIN_CERES=$(PLAIN_CERES) cargo test --release -- --ignored --nocapture
+	cargo test --release -- --ignored --nocapture
 
 # The cmake crate silences C++ warnings; the plain build shows them, as errors.
 lint: deps
@@ -62,7 +64,7 @@ lint: deps
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --document-private-items --quiet
 
 bench: cpp
-	PLENOCAL_PLAIN_CERES=$(PLAIN_CERES) cargo bench
+	cargo bench
 
 doc: deps
 	cargo doc --no-deps --open

@@ -4,7 +4,8 @@ fn main() {
     // Always optimised: Ceres' Jets are some fifty times slower without inlining.
     let core = cmake::Config::new("cpp")
         .profile("Release")
-        .define("BUILD_TESTING", "OFF")
+        .define("PLENOCAL_BUILD_TESTS", "OFF")
+        .define("PLENOCAL_BUILD_EXAMPLES", "OFF")
         .define("CMAKE_INSTALL_LIBDIR", "lib")
         .build();
     cxx_build::bridge("src/bridge.rs")

@@ -12,7 +12,8 @@ use crate::error::{Error, Result};
 use crate::evaluation::Uncertainty;
 use crate::lattice::{LatticeKind, Parity};
 
-#[allow(unsafe_code)]
+// cxx asks for the lifetimes to be spelt out.
+#[allow(unsafe_code, clippy::elidable_lifetime_names)]
 #[cxx::bridge(namespace = "plenocal::bridge")]
 mod ffi {
     /// A camera as the solver's parameter blocks plus what is not a parameter.
@@ -100,6 +101,7 @@ mod ffi {
         covariance: Vec<f64>,
         information: Vec<f64>,
         weakest: Vec<f64>,
+        determined: Vec<bool>,
         residual_std_dev_px: [f64; 3],
         expected_decrease: f64,
     }
@@ -275,6 +277,7 @@ pub(crate) fn uncertainty(problem: &Problem, cost: &CostOptions) -> Result<Uncer
         covariance: DMatrix::from_row_slice(size, size, &parts.covariance),
         information: parts.information,
         weakest: parts.weakest.chunks_exact(size.max(1)).map(<[f64]>::to_vec).collect(),
+        determined: parts.determined,
         residual_std_dev_px: parts.residual_std_dev_px,
         expected_decrease: parts.expected_decrease,
     })

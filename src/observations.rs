@@ -110,7 +110,7 @@ impl Observations {
             if needs_rho && !f.rho_px.is_finite() {
                 return Err(Error::invalid(format!(
                     "{what} has the blur radius {}: not a finite number; give it, or calibrate \
-                     from corners only (--corners-only)",
+                     from corners only (--mode corners-only)",
                     f.rho_px
                 )));
             }

@@ -90,7 +90,7 @@ mod tests {
         assert_eq!(format!("{lens_to_mla:.4}"), "56.6576");
         assert_eq!(format!("{:.3}", mla_to_sensor * 1e3), "318.632");
         assert_eq!(format!("{:.3}", pitch * 1e3), "127.505");
-        let q = [0.035_135_191_355_331_4, 0.040_268_205_527_646_997, 0.036_822_146_226_151_445];
+        let q = [0.035_135_191_355_331_4, 0.040_268_205_527_647, 0.036_822_146_226_151_445];
         let f = q.map(|q| format!("{:.3}", 1e3 * micro_lens_focal_length(q, pitch, mla_to_sensor)));
         assert_eq!(f, ["578.154", "504.456", "551.667"]);
     }

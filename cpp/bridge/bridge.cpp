@@ -112,15 +112,15 @@ rust::Vec<Projection> project_centers(const CameraParts& parts,
   rows.reserve(centers.size());
   for (const CenterRow& c : centers) {
     const Pixel<double> pixel = project_center(camera, c.k, c.l);
-    rows.push_back({camera.lattice.lens_type(c.k, c.l, camera.lens_types()), pixel.u, pixel.v, 0.0});
+    rows.push_back(
+        {camera.lattice.lens_type(c.k, c.l, camera.lens_types()), pixel.u, pixel.v, 0.0});
   }
   return rows;
 }
 
 RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
-                       rust::Slice<const FeatureRow> features,
-                       rust::Slice<const CenterRow> centers, const CostParts& cost,
-                       const SolverParts& solver, ProgressSink& progress) {
+                       rust::Slice<const FeatureRow> features, rust::Slice<const CenterRow> centers,
+                       const CostParts& cost, const SolverParts& solver, ProgressSink& progress) {
   SolverOptions options;
   options.max_iterations = solver.max_iterations;
   options.threads = solver.threads;
@@ -155,6 +155,7 @@ UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBl
   for (double value : u.covariance) parts.covariance.push_back(value);
   for (double value : u.information) parts.information.push_back(value);
   for (double value : u.weakest) parts.weakest.push_back(value);
+  for (bool value : u.determined) parts.determined.push_back(value);
   parts.residual_std_dev_px = u.residual_std_dev;
   parts.expected_decrease = u.expected_decrease;
   return parts;

@@ -24,9 +24,8 @@ rust::Vec<Projection> project(const CameraParts& camera, rust::Slice<const PoseB
 rust::Vec<Projection> project_centers(const CameraParts& camera,
                                       rust::Slice<const CenterRow> centers);
 RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
-                       rust::Slice<const FeatureRow> features,
-                       rust::Slice<const CenterRow> centers, const CostParts& cost,
-                       const SolverParts& solver, ProgressSink& progress);
+                       rust::Slice<const FeatureRow> features, rust::Slice<const CenterRow> centers,
+                       const CostParts& cost, const SolverParts& solver, ProgressSink& progress);
 UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
                              rust::Slice<const FeatureRow> features,
                              rust::Slice<const CenterRow> centers, const CostParts& cost);

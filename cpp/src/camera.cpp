@@ -29,8 +29,7 @@ void validate(const Camera& camera) {
     reject("the parity of the shifted rows has to be 0 or 1");
   }
   const int types = camera.lens_types();
-  if (types != 0 && types != 1 &&
-      !(types == 3 && lattice.kind != LatticeKind::kOrthogonal)) {
+  if (types != 0 && types != 1 && !(types == 3 && lattice.kind != LatticeKind::kOrthogonal)) {
     reject("a camera of " + std::to_string(types) +
            " lens types is not known: 0 or 1, or 3 on a hexagonal lattice");
   }

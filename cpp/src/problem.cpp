@@ -84,8 +84,7 @@ void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
 }  // namespace
 
 CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<Pose>& poses,
-                                       const Observations& observations,
-                                       const CostOptions& options)
+                                       const Observations& observations, const CostOptions& options)
     : frame_(camera),
       lens_(camera.main_lens.block()),
       array_(camera.mla.block()),
@@ -112,8 +111,8 @@ CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<P
 }
 
 std::vector<std::pair<double*, int>> CalibrationProblem::intrinsic_blocks() {
-  std::vector<std::pair<double*, int>> blocks = {
-      {lens_.data(), MainLens<double>::kSize}, {array_.data(), MicroLensArray<double>::kSize}};
+  std::vector<std::pair<double*, int>> blocks = {{lens_.data(), MainLens<double>::kSize},
+                                                 {array_.data(), MicroLensArray<double>::kSize}};
   if (!focal_lengths_.empty()) {
     blocks.emplace_back(focal_lengths_.data(), static_cast<int>(focal_lengths_.size()));
   }
@@ -142,9 +141,9 @@ void CalibrationProblem::add_features(const Observations& observations,
       row_kinds_.insert(row_kinds_.end(), {kUv, kUv});
       if (I > 0) row_kinds_.push_back(kRho);
     }
-    auto cost = FeatureResiduals<I>::create(std::move(sightings), frame_.pixel_size,
-                                            options.uv_std_dev, options.rho_std_dev,
-                                            options.features_loss);
+    auto cost =
+        FeatureResiduals<I>::create(std::move(sightings), frame_.pixel_size, options.uv_std_dev,
+                                    options.rho_std_dev, options.features_loss);
     std::vector<double*> blocks = {lens_.data(), array_.data()};
     if (I > 0) blocks.push_back(focal_lengths_.data());
     blocks.push_back(poses_[frame].data());
@@ -152,8 +151,7 @@ void CalibrationProblem::add_features(const Observations& observations,
   }
 }
 
-void CalibrationProblem::add_centers(const Observations& observations,
-                                     const CostOptions& options) {
+void CalibrationProblem::add_centers(const Observations& observations, const CostOptions& options) {
   const auto& centers = observations.centers;
   for (std::size_t begin = 0; begin < centers.size(); begin += kCentersPerBlock) {
     const std::size_t end = std::min(begin + kCentersPerBlock, centers.size());

@@ -52,14 +52,18 @@ class Watch : public ceres::IterationCallback {
       states_.clear();
       changes_.clear();
     }
+    const bool accepted = s.iteration == 0 || s.step_is_successful;
+    if (accepted) {
+      states_.push_back(calibration_.state());
+      cost_ = s.cost;
+      if (s.iteration > 0) changes_.push_back(s.cost_change);
+    }
     radius_ = s.trust_region_radius;
     if (s.iteration > 0 || iterations_->empty()) {
-      iterations_->push_back({first_.number + s.iteration, s.cost, s.gradient_max_norm, s.step_norm,
-                              s.trust_region_radius, first_.time_s + s.cumulative_time_in_seconds});
+      iterations_->push_back({first_.number + s.iteration, cost_, s.gradient_max_norm, s.step_norm,
+                              radius_, first_.time_s + s.cumulative_time_in_seconds});
       if (progress_ && !progress_(iterations_->back())) return ceres::SOLVER_ABORT;
     }
-    if (s.iteration == 0 || s.step_is_successful) states_.push_back(calibration_.state());
-    if (s.iteration > 0 && s.step_is_successful) changes_.push_back(s.cost_change);
     return is_slow() ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
   }
 
@@ -68,6 +72,7 @@ class Watch : public ceres::IterationCallback {
     return n >= kSteps && changes_[n - 1] > kSlow * changes_[n - 2];
   }
   const std::vector<Eigen::VectorXd>& states() const { return states_; }
+  double cost() const { return cost_; }
   double radius() const { return radius_; }
 
  private:
@@ -77,6 +82,7 @@ class Watch : public ceres::IterationCallback {
   Iteration first_{};
   std::vector<Eigen::VectorXd> states_;
   std::vector<double> changes_;
+  double cost_ = 0.0;
   double radius_ = 0.0;
 };
 
@@ -84,19 +90,26 @@ class Watch : public ceres::IterationCallback {
 // its members whose step is the shortest. Every parameter is measured by its own largest step.
 Eigen::VectorXd limit(const std::vector<Eigen::VectorXd>& states) {
   const std::size_t count = std::min(kSteps, states.size() - 1);
-  const auto* last = &states[states.size() - 1 - count];
-  Eigen::MatrixXd members(last->size(), count), steps(last->size(), count);
+  Eigen::MatrixXd steps(states.back().size(), count);
   for (std::size_t i = 0; i < count; ++i) {
-    members.col(i) = last[i + 1];
-    steps.col(i) = last[i + 1] - last[i];
+    const std::size_t to = states.size() - count + i;
+    steps.col(i) = states[to] - states[to - 1];
   }
   const Eigen::VectorXd scale = steps.cwiseAbs().rowwise().maxCoeff().unaryExpr(
       [](double largest) { return largest > 0.0 ? 1.0 / largest : 0.0; });
   const Eigen::MatrixXd scaled = scale.asDiagonal() * steps;
-  const Eigen::VectorXd weights = (scaled.transpose() * scaled)
-                                      .completeOrthogonalDecomposition()
-                                      .solve(Eigen::VectorXd::Ones(count));
-  return members * (weights / weights.sum());
+  Eigen::VectorXd weights = (scaled.transpose() * scaled)
+                                .completeOrthogonalDecomposition()
+                                .solve(Eigen::VectorXd::Ones(count));
+  weights /= weights.sum();
+  // Written by steps back from the last member, so that what is held does not move by rounding.
+  Eigen::VectorXd result = states.back();
+  double before = 0.0;
+  for (std::size_t i = 0; i + 1 < count; ++i) {
+    before += weights[i];
+    result -= before * steps.col(i + 1);
+  }
+  return result;
 }
 
 // Moves to the limit of the accepted states if the cost is lower there. Returns by how much.
@@ -159,9 +172,15 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
   while (go_on) {
     options.linear_solver_ordering = calibration.ordering();
     ceres::Solve(options, &calibration.problem(), &summary);
-    if (result.report.empty()) result.initial_cost = summary.initial_cost;
     result.report += summary.FullReport();
-    result.cost = summary.final_cost;
+    if (watch.states().empty()) {
+      throw std::invalid_argument(
+          "the model is not defined at the start: a board point lies within the focal length of "
+          "the main lens, or is imaged onto a micro-lens");
+    }
+    // Also where Ceres gives back the start, after a stop by the caller.
+    calibration.set_state(watch.states().back());
+    result.cost = watch.cost();
     go_on = summary.termination_type == ceres::USER_SUCCESS;
     if (go_on || summary.termination_type == ceres::CONVERGENCE) {
       // Steps that have become too small for Ceres may still add up.
@@ -177,12 +196,12 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
     }
   }
 
+  result.initial_cost = result.iterations.front().cost;
   result.camera = calibration.camera();
   result.poses = calibration.poses();
   result.termination = termination(summary.termination_type);
   result.message = summary.message;
-  result.time_s =
-      std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  result.time_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return result;
 }
 

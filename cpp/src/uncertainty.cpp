@@ -15,6 +15,10 @@ using RowMajorMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eig
 // size * epsilon ~ 1e-14 of the largest: 1e-7 is what can be told from zero.
 constexpr double kRankTolerance = 1e-7;
 
+// A parameter that a direction which is not determined moves by more than this part of the
+// direction's length is not determined either; rounding in the directions is far below.
+constexpr double kDeterminedTolerance = 1e-3;
+
 // The information of each kind of residual, and the gradient.
 struct NormalEquations {
   std::array<Eigen::MatrixXd, kResidualKinds> information;
@@ -64,8 +68,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
         "the model is not defined at this camera and these poses: a board point lies within the "
         "focal length of the main lens");
   }
-  const NormalEquations equations =
-      accumulate(jacobian, residuals, calibration.row_kinds());
+  const NormalEquations equations = accumulate(jacobian, residuals, calibration.row_kinds());
 
   Uncertainty result;
   result.free_intrinsics = calibration.free_intrinsics();
@@ -77,7 +80,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
 
   // Pseudo-inverse of the information scaled to a unit diagonal, so that units do not matter.
   const Eigen::VectorXd scale =
-      diagonal.unaryExpr([](double v) { return v > 0.0 ? 1.0 / std::sqrt(v) : 0.0; });
+      diagonal.unaryExpr([](double v) { return v > 0.0 ? 1.0 / std::sqrt(v) : 1.0; });
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(scale.asDiagonal() * total *
                                                              scale.asDiagonal());
   const double threshold =
@@ -85,23 +88,25 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   const Eigen::VectorXd inverse =
       eigen.eigenvalues().unaryExpr([&](double v) { return v > threshold ? 1.0 / v : 0.0; });
   result.rank = static_cast<int>((inverse.array() > 0.0).count());
+  const auto null_space = eigen.eigenvectors().leftCols(result.size - result.rank);
+  for (int i = 0; i < result.size; ++i) {
+    result.determined.push_back(null_space.row(i).norm() < kDeterminedTolerance);
+  }
   const Eigen::MatrixXd basis = scale.asDiagonal() * eigen.eigenvectors();
-  const Eigen::MatrixXd inverse_information =
-      basis * inverse.asDiagonal() * basis.transpose();
+  const Eigen::MatrixXd inverse_information = basis * inverse.asDiagonal() * basis.transpose();
 
   const std::array<double, kResidualKinds> std_devs = {
       cost_options.uv_std_dev, cost_options.rho_std_dev, cost_options.centers_std_dev};
   Eigen::MatrixXd spread = Eigen::MatrixXd::Zero(result.size, result.size);
   for (int kind = 0; kind < kResidualKinds; ++kind) {
     const double redundancy =
-        equations.count[kind] -
-        equations.information[kind].cwiseProduct(inverse_information).sum();
+        equations.count[kind] - equations.information[kind].cwiseProduct(inverse_information).sum();
     // Without redundancy the noise cannot be measured; the stated one stands.
     const double variance = redundancy > 0.5 ? equations.squares[kind] / redundancy : 1.0;
     spread += variance * equations.information[kind];
-    result.residual_std_dev[kind] =
-        equations.count[kind] > 0 ? std::sqrt(variance) * std_devs[kind]
-                                  : std::numeric_limits<double>::quiet_NaN();
+    result.residual_std_dev[kind] = equations.count[kind] > 0
+                                        ? std::sqrt(variance) * std_devs[kind]
+                                        : std::numeric_limits<double>::quiet_NaN();
   }
   // Eigenvalues come in ascending order.
   for (int i = 0; i < std::min(Uncertainty::kWeakest, result.size); ++i) {
@@ -114,8 +119,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
 
   const RowMajorMatrix covariance = inverse_information * spread * inverse_information;
   result.covariance.assign(covariance.data(), covariance.data() + covariance.size());
-  result.expected_decrease =
-      0.5 * equations.gradient.dot(inverse_information * equations.gradient);
+  result.expected_decrease = 0.5 * equations.gradient.dot(inverse_information * equations.gradient);
   return result;
 }
 

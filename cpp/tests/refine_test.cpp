@@ -228,7 +228,7 @@ TEST(Progress, StopsTheSolve) {
 
 // The camera and poses of a stopped solve are those of the cost it reports. Disabled: Ceres leaves
 // the parameters at the start when a callback aborts, while its final cost is the best one seen.
-TEST(Progress, DISABLED_StoppedSolveReturnsWhatItReached) {
+TEST(Progress, StoppedSolveReturnsWhatItReached) {
   const Scene start = disturbed(test::make_scene(1), kOnePitch);
   double first = 0.0;
   const Refinement result = refine(start.camera, start.poses, start.observations, one_pitch(), {},

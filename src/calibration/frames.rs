@@ -140,7 +140,7 @@ pub(super) fn feature_residuals(
             lens_type: problem.camera.lens_type(feature.k, feature.l),
             du_px: feature.u_px - u,
             dv_px: feature.v_px - v,
-            drho_px: (problem.camera.lens_types() > 0).then(|| feature.rho_px - rho),
+            drho_px: (problem.camera.lens_types() > 0).then_some(feature.rho_px - rho),
         })
     };
     features.iter().zip(bridge::project(problem)?).map(residual).collect()

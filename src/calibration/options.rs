@@ -66,7 +66,7 @@ pub struct SolverOptions {
 impl Default for SolverOptions {
     fn default() -> Self {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { max_iterations: 200, threads, initial_trust_region_radius: 1e12 }
+        Self { max_iterations: 200, threads, initial_trust_region_radius: 1e10 }
     }
 }
 

@@ -7,13 +7,11 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use plenocal::calibration::{Calibration, Iteration, Mode, Start, calibrate};
-use plenocal::camera::{Board, Datasheet, InternalParameters};
-use plenocal::io::{
-    self, CalibrationSection, CameraSource, LossName, OutputFolder, Pitches, Project, compote,
-};
-use plenocal::observations::Observations;
+use plenocal::calibration::{Calibration, Iteration, calibrate};
+use plenocal::io::{self, CalibrationSection, LossName, ModeName, OutputFolder, Pitches, compote};
 use plenocal::{Error, Result, report};
+
+use super::input::{Files, Input};
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///
@@ -50,17 +48,14 @@ pub struct Arguments {
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Input")]
     exclude_frames: Option<Vec<u32>>,
 
-    /// Estimate a pinhole array (I = 0) from (u, v) alone, as Noury et al. 2017.
-    #[arg(long, conflicts_with = "poses_only", help_heading = "Estimation")]
-    corners_only: bool,
-    /// Estimate the poses alone, with the camera (--camera, a calibrated one) held.
-    #[arg(long, help_heading = "Estimation")]
-    poses_only: bool,
+    /// What to estimate [default: full].
+    #[arg(long, value_enum, help_heading = "Estimation")]
+    mode: Option<ModeName>,
     /// One micro-lens pitch, or one along x and one along y [default: one].
     #[arg(long, value_enum, help_heading = "Estimation")]
     pitches: Option<Pitches>,
-    /// Parameters that keep their initial value, e.g. F,Q3: any of F, Q1..Q3, P1, P2, u0, v0, d,
-    /// theta_x..theta_z, t_x, t_y, D, dC, f_1..f_3.
+    /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, u0, v0, d,
+    /// `theta_x` to `theta_z`, `t_x`, `t_y`, D, dC, `f_1` to `f_3`.
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Estimation")]
     fix: Option<Vec<String>>,
     /// Standard deviation of u and v of a feature, px [default: 1].
@@ -99,33 +94,25 @@ Examples:
   plenocal calibrate --camera camera.js --params params.js --scene scene.js \\
       --centers centers.csv --features features.csv --out results
   plenocal calibrate project.toml --fix Q3,P1,P2 --loss huber --out results
-  plenocal calibrate --poses-only --camera results/camera.json --scene scene.js \\
+  plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
 
-/// Iterations shown on the progress bar's way; most calibrations take fewer than this.
+/// How often the progress line moves.
 const TICK: Duration = Duration::from_millis(100);
 
-struct Input {
-    start: Start,
-    board: Board,
-    observations: Observations,
-    options: CalibrationSection,
-}
-
 /// Runs the command.
-pub fn run(arguments: Arguments) -> Result<ExitCode> {
+pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let begun = Instant::now();
     let mut output = OutputFolder::new(&arguments.out)?;
     let (json, with_compote) = (arguments.json, arguments.compote);
-    let input = read_input(arguments)?;
-    let options = input.options.options();
+    let input = Input::read(&arguments.files(), arguments.options())?;
 
     let bar = progress_bar(json);
     let calibration = calibrate(
         &input.start,
         &input.board,
         &input.observations,
-        &options,
+        &input.options,
         &mut |iteration: &Iteration| {
             bar.set_message(format!("iteration {}, cost {:.6}", iteration.number, iteration.cost));
             true
@@ -194,136 +181,10 @@ fn stage_results(
     output.stage("solver.txt", |out| out.write_all(calibration.refinement.report.as_bytes()))
 }
 
-fn read_input(arguments: Arguments) -> Result<Input> {
-    let options = arguments.calibration_options();
-    let project = match &arguments.project {
-        Some(path) => Some((Project::read(path)?, path)),
-        None => None,
-    };
-    let options = match &project {
-        Some((project, _)) => options.or(project.calibration.clone()),
-        None => options,
-    };
-    let mode = options.options().mode;
-
-    let start = match &arguments.camera {
-        Some(path) => match io::read_camera_source(path)? {
-            CameraSource::Camera(camera) => Start::Camera(*camera),
-            CameraSource::Datasheet(sheet) => {
-                with_internal_parameters(sheet, &arguments, project.as_ref(), mode)?
-            }
-        },
-        None => {
-            let (project, path) =
-                project.as_ref().ok_or_else(|| missing("a camera", "--camera"))?;
-            let sheet = project.datasheet().map_err(|e| in_file(e, path))?;
-            let sheet = sheet.ok_or_else(|| missing("a camera", "--camera"))?;
-            with_internal_parameters(sheet, &arguments, Some(&(project.clone(), path)), mode)?
-        }
-    };
-    let board = match (&arguments.scene, project.as_ref().and_then(|(p, _)| p.board)) {
-        (Some(path), _) => io::read_board(path)?,
-        (None, Some(board)) => board,
-        (None, None) => return Err(missing("a board", "--scene")),
-    };
-    let observations = read_observations(&arguments, project.as_ref().map(|(p, _)| p), mode)?;
-    let observations = without_frames(observations, options.exclude_frames.as_deref())?;
-    Ok(Input { start, board, observations, options })
-}
-
-fn missing(what: &str, option: &str) -> Error {
-    Error::Invalid(format!("{what} is missing: give {option}, or a project file that has it"))
-}
-
-fn in_file(error: Error, path: &Path) -> Error {
-    match error {
-        Error::Invalid(message) => Error::Content { path: path.to_owned(), message },
-        other => other,
-    }
-}
-
-fn with_internal_parameters(
-    sheet: Datasheet,
-    arguments: &Arguments,
-    project: Option<&(Project, &PathBuf)>,
-    mode: Mode,
-) -> Result<Start> {
-    let internal: InternalParameters =
-        match (&arguments.params, project.and_then(|(project, _)| project.internal())) {
-            (Some(path), _) => {
-                io::read_internal_parameters(path, Some(sheet.sensor.pixel_size_mm))?
-            }
-            (None, Some(internal)) => internal,
-            (None, None) => return Err(missing("the internal parameters", "--params")),
-        };
-    if mode == Mode::PosesOnly {
-        return Err(Error::Invalid(
-            "--poses-only needs a calibrated camera: give its camera.json or intrinsics.js with \
-             --camera"
-                .to_owned(),
-        ));
-    }
-    Ok(Start::Datasheet(sheet, internal))
-}
-
-fn read_observations(
-    arguments: &Arguments,
-    project: Option<&Project>,
-    mode: Mode,
-) -> Result<Observations> {
-    let section = project.and_then(|p| p.observations.as_ref());
-    let features = arguments
-        .features
-        .as_ref()
-        .or(section.map(|s| &s.features))
-        .ok_or_else(|| missing("the features", "--features"))?;
-    let mut observations = io::read_features(features, mode != Mode::CornersOnly)?;
-    let centers = match &arguments.centers {
-        Some(path) => Some(path),
-        // The project's centres belong to the project's features.
-        None if arguments.features.is_none() || observations.centers.is_empty() => {
-            section.and_then(|s| s.centers.as_ref())
-        }
-        None => None,
-    };
-    if let Some(path) = centers {
-        if !observations.centers.is_empty() {
-            return Err(Error::Content {
-                path: features.clone(),
-                message: format!(
-                    "this file holds the centres too, and {} gives them again; leave one out",
-                    path.display()
-                ),
-            });
-        }
-        observations.centers = io::read_centers(path)?;
-    }
-    Ok(observations)
-}
-
-fn without_frames(mut observations: Observations, exclude: Option<&[u32]>) -> Result<Observations> {
-    let frames = observations.frames();
-    for frame in exclude.unwrap_or_default() {
-        if !frames.contains(frame) {
-            return Err(Error::Invalid(format!(
-                "frame {frame} is to be left out, but there is none; the frames are {frames:?}"
-            )));
-        }
-        observations.features.retain(|f| f.frame != *frame);
-    }
-    Ok(observations)
-}
-
 impl Arguments {
-    fn calibration_options(&self) -> CalibrationSection {
-        use plenocal::io::ModeName;
-        let mode = match (self.corners_only, self.poses_only) {
-            (true, _) => Some(ModeName::CornersOnly),
-            (_, true) => Some(ModeName::PosesOnly),
-            _ => None,
-        };
+    fn options(&self) -> CalibrationSection {
         CalibrationSection {
-            mode,
+            mode: self.mode,
             pitches: self.pitches,
             fix: self.fix.clone(),
             exclude_frames: self.exclude_frames.clone(),
@@ -334,6 +195,17 @@ impl Arguments {
             loss_scale: self.loss_scale,
             max_iterations: self.max_iterations,
             threads: self.threads,
+        }
+    }
+
+    fn files(&self) -> Files<'_> {
+        Files {
+            project: self.project.as_deref(),
+            camera: self.camera.as_deref(),
+            params: self.params.as_deref(),
+            scene: self.scene.as_deref(),
+            centers: self.centers.as_deref(),
+            features: self.features.as_deref(),
         }
     }
 }

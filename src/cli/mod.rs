@@ -1,6 +1,7 @@
 //! Commands; one file for each.
 
 mod calibrate;
+mod input;
 
 use std::process::ExitCode;
 
@@ -29,7 +30,7 @@ Exit status:
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
     let outcome = match Cli::parse().command {
-        Command::Calibrate(arguments) => calibrate::run(*arguments),
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {
         eprintln!("error: {error}");

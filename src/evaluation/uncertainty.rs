@@ -30,8 +30,11 @@ pub struct Uncertainty {
     /// one standard deviation, or, where the data do not determine it at all (the first
     /// size − rank), along the unit of the scaled space.
     pub weakest: Vec<Vec<f64>>,
+    /// Whether each parameter is determined at all; where not, its variance says nothing.
+    pub determined: Vec<bool>,
     /// Measured standard deviation of a residual, px: u and v of features, ρ, u and v of centres;
-    /// not a number for a kind without observations.
+    /// not a number for a kind without observations. Under a robust loss that of the weighted
+    /// residuals, smaller than the noise.
     pub residual_std_dev_px: [f64; 3],
     /// What a Gauss-Newton step would still take off the cost; next to nothing at a true minimum.
     pub expected_decrease: f64,
@@ -78,21 +81,26 @@ impl Uncertainty {
     }
 
     /// Standard deviation of each intrinsic parameter in the order of
-    /// `PlenopticCamera::intrinsics`; `None` for those held.
+    /// `PlenopticCamera::intrinsics`; `None` for those held, infinite for those not determined.
     #[must_use]
     pub fn intrinsic_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
         let mut std_devs = vec![None; intrinsic_parameters(lens_types).len()];
         for (row, &index) in self.free_intrinsics.iter().enumerate() {
-            std_devs[index] = Some(self.covariance[(row, row)].sqrt());
+            std_devs[index] = Some(self.std_dev(row));
         }
         std_devs
     }
 
-    /// Standard deviations of the parameters of a pose: rotation vector (rad), translation (mm).
+    /// Standard deviations of the parameters of a pose: rotation vector (rad), translation (mm);
+    /// infinite for those not determined.
     #[must_use]
     pub fn pose_std_devs(&self, pose: usize) -> [f64; POSE_PARAMETERS] {
         let first = self.free_intrinsics.len() + POSE_PARAMETERS * pose;
-        std::array::from_fn(|i| self.covariance[(first + i, first + i)].sqrt())
+        std::array::from_fn(|i| self.std_dev(first + i))
+    }
+
+    fn std_dev(&self, row: usize) -> f64 {
+        if self.determined[row] { self.covariance[(row, row)].sqrt() } else { f64::INFINITY }
     }
 
     /// Correlation matrix of the free intrinsic parameters; 0 where one is not determined.

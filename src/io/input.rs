@@ -47,9 +47,12 @@ fn is_format(value: &Value, format: &str) -> bool {
 pub fn read_camera_source(path: &Path) -> Result<CameraSource> {
     let source = match read_document(path)? {
         Document::Project(project) => project.datasheet().and_then(|sheet| {
-            sheet
-                .map(CameraSource::Datasheet)
-                .ok_or_else(|| Error::invalid("there is no camera in this project file"))
+            sheet.map(CameraSource::Datasheet).ok_or_else(|| {
+                Error::invalid(
+                    "there is no camera in this project file: add [sensor], [main_lens] and \
+                 [micro_lens_array], or give --camera",
+                )
+            })
         }),
         Document::Json(value) if is_format(&value, camera_file::CAMERA_FORMAT) => {
             camera_file::camera_from(value).map(|camera| CameraSource::Camera(Box::new(camera)))

@@ -165,12 +165,12 @@ impl CalibrationSection {
     /// The options of the calibration, defaults filled in.
     #[must_use]
     pub fn options(&self) -> CalibrationOptions {
-        let mut options = CalibrationOptions::default();
-        options.mode = match self.mode {
+        let mode = match self.mode {
             None | Some(ModeName::Full) => Mode::Full,
             Some(ModeName::CornersOnly) => Mode::CornersOnly,
             Some(ModeName::PosesOnly) => Mode::PosesOnly,
         };
+        let mut options = CalibrationOptions { mode, ..CalibrationOptions::default() };
         if self.pitches == Some(Pitches::Two) {
             options.cost.held.clear();
         }

@@ -20,7 +20,7 @@ pub struct MicroImageArray {
     pub center_px: Vector2<f64>,
     /// Root mean square distance of the centres that agree with the grid, px.
     pub rms_px: f64,
-    /// Number of centres further than [`OUTLIER_SCALES`] robust standard deviations from the grid.
+    /// Number of centres further than six robust standard deviations from the grid.
     pub outliers: usize,
 }
 

@@ -83,7 +83,11 @@ fn parameters_table(calibration: &Calibration) -> Table {
     {
         let (unit, factor) = display_unit(parameter);
         let (value, deviation) = with_std_dev(optimised * factor, std_dev.map(|s| s * factor));
-        let deviation = if std_dev.is_some() { deviation } else { "held".to_owned() };
+        let deviation = match std_dev {
+            None => "held".to_owned(),
+            Some(s) if s.is_infinite() => "undetermined".to_owned(),
+            Some(_) => deviation,
+        };
         table.add_row([
             parameter.name.clone(),
             unit.to_owned(),

@@ -125,7 +125,7 @@ fn poses_only_goes_on_from_a_calibrated_camera() {
     calibrate(&first).assert().success();
     let mut command = plenocal();
     command
-        .args(["calibrate", "--poses-only", "--camera"])
+        .args(["calibrate", "--mode", "poses-only", "--camera"])
         .arg(first.join("camera.json"))
         .arg("--scene")
         .arg(synthetic_folder().join("project.toml"))
@@ -151,7 +151,7 @@ fn help_teaches() {
         .assert()
         .success()
         .stdout(predicate::str::contains("Examples:"))
-        .stdout(predicate::str::contains("--corners-only"));
+        .stdout(predicate::str::contains("corners-only"));
     plenocal().arg("--help").assert().success().stdout(predicate::str::contains("Exit status"));
     plenocal().args(["calibrate", "--no-such-option"]).assert().code(2);
 }

@@ -13,12 +13,12 @@ use plenocal::observations::Observations;
 use crate::support::{options, pairs, r12a_folder};
 
 /// The minimum of the CSV files, from `cpp/examples/plain_ceres`, and half a digit.
-const MINIMUM_CSV: f64 = 7188.390_898;
+const MINIMUM_CSV: f64 = 7_188.390_898;
 /// With one pitch per axis.
-const MINIMUM_CSV_TWO_PITCHES: f64 = 7156.377_169;
+const MINIMUM_CSV_TWO_PITCHES: f64 = 7_156.377_169;
 /// The binary file holds the same observations with more digits, so its minimum is another one.
-const MINIMUM_BINARY: f64 = 7188.690_787;
-const MINIMUM_BINARY_TWO_PITCHES: f64 = 7156.690_526;
+const MINIMUM_BINARY: f64 = 7_188.690_787;
+const MINIMUM_BINARY_TWO_PITCHES: f64 = 7_156.690_526;
 const HALF_A_DIGIT: f64 = 1e-6;
 
 pub struct Data {

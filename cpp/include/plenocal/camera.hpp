@@ -125,9 +125,9 @@ constexpr int kMaxLensTypes = 3;
 /// Names of the intrinsic parameters in the order of the blocks main lens, array, focal lengths;
 /// wherever parameters are counted, this is the order.
 inline std::vector<std::string> intrinsic_names(int lens_types) {
-  std::vector<std::string> names = {"F",       "Q1",      "Q2",  "Q3",  "P1", "P2", "u0",
-                                    "v0",      "d",       "theta_x", "theta_y", "theta_z",
-                                    "t_x",     "t_y",     "D",   "dC",  "dC_ratio"};
+  std::vector<std::string> names = {"F",   "Q1",  "Q2", "Q3",      "P1",      "P2",
+                                    "u0",  "v0",  "d",  "theta_x", "theta_y", "theta_z",
+                                    "t_x", "t_y", "D",  "dC",      "dC_ratio"};
   for (int i = 1; i <= lens_types; ++i) names.push_back("f_" + std::to_string(i));
   return names;
 }

@@ -141,7 +141,7 @@ class Optics {
   void set_array_axes() {
     using std::cos;
     using std::sin;
-    const T *angle = mla_.rotation;
+    const T* angle = mla_.rotation;
     const T cx = cos(angle[0]), cy = cos(angle[1]), cz = cos(angle[2]);
     const T sx = sin(angle[0]), sy = sin(angle[1]), sz = sin(angle[2]);
     const T step_x = -mla_.pitch;

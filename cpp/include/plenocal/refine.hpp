@@ -48,14 +48,14 @@ struct SolverOptions {
   double function_tolerance = 1e-13;
   double gradient_tolerance = 1e-11;
   double parameter_tolerance = 1e-12;
-  double initial_trust_region_radius = 1e12;
+  double initial_trust_region_radius = 1e10;
   int threads = 1;
 };
 
 /// One iteration, for progress and convergence plots.
 struct Iteration {
   int number;
-  double cost;
+  double cost;  ///< of the last accepted step
   double gradient_max_norm;
   double step_norm;
   double trust_region_radius;
@@ -83,7 +83,7 @@ struct Refinement {
 
 /// Minimises the cost over the camera's intrinsic parameters (those not held) and all poses, all in
 /// one problem. Throws std::invalid_argument on input the model is not defined for; every frame
-/// needs a feature.
+/// needs a feature, and every board point has to be beyond the focal length at the start.
 Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
                   const Observations& observations, const CostOptions& cost_options,
                   const SolverOptions& solver_options, const Progress& progress = {});
@@ -108,7 +108,11 @@ struct Uncertainty {
   /// where a direction is not determined (the first size - rank of all), along the unit of the
   /// scaled space.
   std::vector<double> weakest;
-  /// s_k times the sigma of the cost, px: features' u and v, rho, centres' u and v.
+  /// Whether a parameter is determined at all. Where it is not, its variance says nothing.
+  std::vector<bool> determined;
+  /// s_k times the sigma of the cost, px: features' u and v, rho, centres' u and v; not a number
+  /// for a kind without observations. Under a robust loss these are the residuals after weighting,
+  /// smaller than the noise.
   std::array<double, 3> residual_std_dev{};
   /// What a Gauss-Newton step would still take off the cost: 0 at a true minimum.
   double expected_decrease = 0.0;

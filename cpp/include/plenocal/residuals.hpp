@@ -98,9 +98,9 @@ class FeatureResiduals {
       residuals[0] = (pixel.u - s.observed.u) * uv_weight_;
       residuals[1] = (pixel.v - s.observed.v) * uv_weight_;
       if constexpr (I > 0) {
-        residuals[2] =
-            (optics.blur_radius(center, scale, inverse_focal_lengths[s.lens_type]) -
-             s.observed.rho) * rho_weight_;
+        residuals[2] = (optics.blur_radius(center, scale, inverse_focal_lengths[s.lens_type]) -
+                        s.observed.rho) *
+                       rho_weight_;
       }
       apply_loss(loss_, kResiduals, residuals);
       residuals += kResiduals;
@@ -121,16 +121,16 @@ class FeatureResiduals {
                                                      double pixel_size, double uv_std_dev,
                                                      double rho_std_dev, Loss loss) {
     const int n = kResiduals * static_cast<int>(sightings.size());
-    auto* functor = new FeatureResiduals(std::move(sightings), pixel_size, uv_std_dev,
-                                         rho_std_dev, loss);
+    auto* functor =
+        new FeatureResiduals(std::move(sightings), pixel_size, uv_std_dev, rho_std_dev, loss);
     if constexpr (I == 0) {
-      return std::make_unique<ceres::AutoDiffCostFunction<
-          FeatureResiduals, ceres::DYNAMIC, MainLens<double>::kSize,
-          MicroLensArray<double>::kSize, Pose::kSize>>(functor, n);
+      return std::make_unique<
+          ceres::AutoDiffCostFunction<FeatureResiduals, ceres::DYNAMIC, MainLens<double>::kSize,
+                                      MicroLensArray<double>::kSize, Pose::kSize>>(functor, n);
     } else {
-      return std::make_unique<ceres::AutoDiffCostFunction<
-          FeatureResiduals, ceres::DYNAMIC, MainLens<double>::kSize,
-          MicroLensArray<double>::kSize, I, Pose::kSize>>(functor, n);
+      return std::make_unique<
+          ceres::AutoDiffCostFunction<FeatureResiduals, ceres::DYNAMIC, MainLens<double>::kSize,
+                                      MicroLensArray<double>::kSize, I, Pose::kSize>>(functor, n);
     }
   }
 
@@ -175,8 +175,7 @@ class CenterResiduals {
 
   /// A cost function over these sightings.
   static std::unique_ptr<ceres::CostFunction> create(std::vector<CenterSighting> sightings,
-                                                     double pixel_size, double std_dev,
-                                                     Loss loss) {
+                                                     double pixel_size, double std_dev, Loss loss) {
     const int n = kResiduals * static_cast<int>(sightings.size());
     return std::make_unique<ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC,
                                                         MicroLensArray<double>::kSize>>(
