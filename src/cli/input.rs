@@ -35,12 +35,12 @@ impl Input {
             None => options,
         };
         let options = section.options();
+        let start = start(files, project.as_ref(), options.mode)?;
         let board = match (files.scene, project.as_ref().and_then(|p| p.board)) {
             (Some(path), _) => io::read_board(path)?,
             (None, Some(board)) => board,
             (None, None) => return Err(missing("a board", "--scene")),
         };
-        let start = start(files, project.as_ref(), options.mode)?;
         let mut observations = observations(files, project.as_ref(), options.mode)?;
         leave_out(&mut observations, section.exclude_frames.as_deref().unwrap_or_default())?;
         Ok(Self { start, board, observations, options })

@@ -83,7 +83,7 @@ fn missing_and_unreadable_files() {
     fs::write(spoiled.path("features.csv"), "").unwrap();
     spoiled.is_rejected(&["features.csv", "column"]);
     fs::write(spoiled.path("project.toml"), "").unwrap();
-    spoiled.is_rejected(&["--camera"]);
+    spoiled.is_rejected(&["project.toml", "empty"]);
 }
 
 #[test]
