@@ -7,7 +7,7 @@ use comfy_table::{CellAlignment, Table};
 use serde_json::{Value, json};
 
 use crate::calibration::{Calibration, Termination};
-use crate::camera::{Parameter, intrinsic_parameters};
+use crate::camera::intrinsic_parameters;
 use crate::evaluation::{Rmse, WeakDirection};
 use crate::io::{camera_document, poses_document};
 
@@ -26,12 +26,22 @@ pub fn calibration_text(calibration: &Calibration) -> String {
 }
 
 /// Unit in which people read a parameter, and its factor.
-fn display_unit(parameter: &Parameter) -> (&'static str, f64) {
-    match parameter.name.as_str() {
-        "d" | "dC" => ("um", 1e3),
-        name if name.starts_with("f_") => ("um", 1e3),
+fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64) {
+    match name {
+        "d" | "dC" => ("µm", 1e3),
+        name if name.starts_with("f_") => ("µm", 1e3),
         name if name.starts_with("theta") => ("mrad", 1e3),
-        _ => (parameter.unit, 1.0),
+        _ => (unit, 1.0),
+    }
+}
+
+/// A signed value with three significant digits.
+fn signed(value: f64) -> String {
+    match decade(value) {
+        d if (-3..3).contains(&d) => {
+            format!("{value:+.precision$}", precision = usize::try_from(2 - d).unwrap_or(0))
+        }
+        _ => format!("{value:+.2e}"),
     }
 }
 
@@ -81,7 +91,7 @@ fn parameters_table(calibration: &Calibration) -> Table {
     for ((parameter, (initial, optimised)), std_dev) in
         intrinsic_parameters(lens_types).iter().zip(values).zip(std_devs)
     {
-        let (unit, factor) = display_unit(parameter);
+        let (unit, factor) = display_unit(&parameter.name, parameter.unit);
         let (value, deviation) = with_std_dev(optimised * factor, std_dev.map(|s| s * factor));
         let deviation = match std_dev {
             None => "held".to_owned(),
@@ -192,13 +202,16 @@ fn direction_text(direction: &WeakDirection) -> String {
     let mut changes: Vec<String> = direction
         .components
         .iter()
-        .map(|c| format!("{} {:+.2e} {} ({:.0} %)", c.name, c.change, c.unit, 100.0 * c.share))
+        .map(|c| {
+            let (unit, factor) = display_unit(&c.name, c.unit);
+            format!("{} {} {unit} ({:.0} %)", c.name, signed(c.change * factor), 100.0 * c.share)
+        })
         .collect();
     let boards = direction.board_distance_share >= BOARDS_NAMED_SHARE;
     if boards {
         changes.push(format!(
-            "boards {:+.2e} mm further away ({:.0} %)",
-            direction.board_distance_mm,
+            "boards {} mm further away ({:.0} %)",
+            signed(direction.board_distance_mm),
             100.0 * direction.board_distance_share
         ));
     }
@@ -212,9 +225,9 @@ fn direction_text(direction: &WeakDirection) -> String {
         (false, false) => format!("{} and {last} trade off against each other", names.join(", ")),
     };
     let along = if direction.determined {
-        "along one σ (with the share of each variance)"
+        "along one σ, with the share of each variance"
     } else {
-        "NOT DETERMINED by these observations; along it (with the share of each)"
+        "NOT DETERMINED by these observations; along it, with the share of each"
     };
     format!("{subject}; {along}: {}", changes.join(", "))
 }
@@ -278,4 +291,28 @@ pub fn calibration_json(calibration: &Calibration, time_s: f64) -> Value {
         "camera": camera_document(&calibration.camera, uncertainty),
         "poses": poses_document(&calibration.poses, uncertainty)["poses"],
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_carry_two_digits_of_their_uncertainty() {
+        let text = |value, std_dev| with_std_dev(value, std_dev);
+        assert_eq!(text(54.741_46, Some(0.108)), ("54.74".into(), "0.11".into()));
+        assert_eq!(text(2559.25, Some(19.3)), ("2559".into(), "19".into()));
+        assert_eq!(text(-0.000_281_004, Some(9.6e-6)), ("-0.0002810".into(), "0.0000096".into()));
+        assert_eq!(text(-3.3352e-8, Some(6.9e-8)), ("-3.3e-8".into(), "6.9e-8".into()));
+        assert_eq!(text(0.0, None), ("0".into(), String::new()));
+        assert_eq!(text(318.632_4, None), ("318.632".into(), String::new()));
+    }
+
+    #[test]
+    fn signed_values_have_three_digits() {
+        assert_eq!(signed(6.7551), "+6.76");
+        assert_eq!(signed(-0.036_46), "-0.0365");
+        assert_eq!(signed(123.4), "+123");
+        assert_eq!(signed(-5.17e-5), "-5.17e-5");
+    }
 }
