@@ -163,8 +163,7 @@ fn stage_results(
     with_compote: bool,
 ) -> Result<()> {
     let uncertainty = Some(&calibration.uncertainty);
-    let mut camera = io::camera_document(&calibration.camera, uncertainty);
-    camera["converged"] = calibration.converged.into();
+    let camera = report::calibrated_camera(calibration);
     let poses = io::poses_document(&calibration.poses, uncertainty);
     if with_compote {
         let grid = calibration.grid.as_ref().ok_or_else(|| {

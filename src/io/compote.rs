@@ -14,16 +14,15 @@
 //!   the world, the board lying at z = 0. (Read the other way round, the published R12-A camera
 //!   misses its own micro-image centres by 0.88 px instead of 0.29 px RMS, and the published poses
 //!   are far from those that fit the features.)
-//! - The blur radius is computed with the distance d at node (0, 0) for all micro-lenses; plenocal
-//!   takes that of each micro-lens. On a tilted array the same file therefore gives other ρ here.
+//! - The blur radius seems to be computed with the distance d at node (0, 0) for all micro-lenses:
+//!   with the published R12-A camera the residuals of ρ vanish there and grow linearly across the
+//!   tilted array, to 0.4 px at its centre. plenocal takes the distance of each micro-lens.
 
+mod files;
 mod json;
 mod linked;
 
-use nalgebra::{
-    Isometry3, Matrix3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3,
-};
-use serde::Deserialize;
+use nalgebra::{Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 use serde_json::{Value, json};
 
 use crate::calibration::FramePose;
@@ -34,179 +33,10 @@ use crate::camera::{
 use crate::error::{Error, Result};
 use crate::lattice::{Lattice, LatticeKind, Parity};
 use crate::precalibration::MicroImageArray;
-use json::{Integer, Number, Vector, matrix, number, parse, vector};
+use files::{CameraFile, IntrinsicsFile, ParametersFile, PosesFile, SceneFile};
+use json::{matrix, number, parse, vector};
 
 pub(super) use linked::{is_linked_observations, linked_observations};
-
-#[derive(Deserialize)]
-struct MeshFile {
-    geometry: Integer,
-    width: Integer,
-    height: Integer,
-    pitch: Option<Vector>,
-}
-
-#[derive(Deserialize)]
-struct MiaFile {
-    mesh: MeshFile,
-}
-
-#[derive(Deserialize)]
-struct PoseFile {
-    rotation: Vec<Vec<Number>>,
-    translation: Vector,
-}
-
-#[derive(Deserialize)]
-struct LensFile {
-    aperture: Number,
-    f: Number,
-}
-
-#[derive(Deserialize)]
-struct CameraFile {
-    mia: MiaFile,
-    sensor: SensorFile,
-    main_lens: LensFile,
-    dist_focus: Number,
-    #[serde(rename = "I")]
-    lens_types: Integer,
-    mode: Integer,
-}
-
-#[derive(Deserialize)]
-struct SensorFile {
-    scale: Number,
-    width: Integer,
-    height: Integer,
-}
-
-#[derive(Deserialize)]
-struct IntrinsicsFile {
-    #[serde(rename = "I")]
-    lens_types: Integer,
-    dist_focus: Number,
-    distortions: DistortionsFile,
-    main_lens: LensFile,
-    mla: MlaFile,
-    sensor: PosedSensorFile,
-}
-
-#[derive(Deserialize)]
-struct DistortionsFile {
-    radial: Vector,
-    tangential: Vector,
-}
-
-#[derive(Deserialize)]
-struct MlaFile {
-    #[serde(default)]
-    focal_lengths: Vec<Number>,
-    mesh: PosedMeshFile,
-}
-
-#[derive(Deserialize)]
-struct PosedMeshFile {
-    #[serde(flatten)]
-    mesh: MeshFile,
-    pose: PoseFile,
-}
-
-#[derive(Deserialize)]
-struct PosedSensorFile {
-    #[serde(flatten)]
-    sensor: SensorFile,
-    pose: PoseFile,
-}
-
-#[derive(Deserialize)]
-struct ParametersFile {
-    m: Number,
-    q_prime: Vec<Number>,
-    dc: Option<Number>,
-    scale: Option<Number>,
-    #[serde(rename = "I")]
-    lens_types: Option<Integer>,
-}
-
-#[derive(Deserialize)]
-struct SceneFile {
-    checkerboards: Vec<CheckerboardFile>,
-}
-
-#[derive(Deserialize)]
-struct CheckerboardFile {
-    lph: Number,
-    x_grid: Integer,
-    y_grid: Integer,
-}
-
-#[derive(Deserialize)]
-struct PosesFile {
-    poses: Vec<FrameFile>,
-}
-
-#[derive(Deserialize)]
-struct FrameFile {
-    frame: Integer,
-    pose: PoseFile,
-}
-
-impl MeshFile {
-    fn lattice_kind(&self) -> Result<LatticeKind> {
-        match self.geometry.0 {
-            0 => Ok(LatticeKind::Orthogonal),
-            1 => Ok(LatticeKind::HexagonalRows),
-            2 => Ok(LatticeKind::HexagonalColumns),
-            other => Err(Error::invalid(format!(
-                "mesh geometry {other} is not known; it is 0 (orthogonal), 1 (hexagonal rows) or 2 \
-                 (hexagonal columns)"
-            ))),
-        }
-    }
-
-    fn size(&self) -> Result<(i32, i32)> {
-        Ok((self.width.positive("mesh width")?, self.height.positive("mesh height")?))
-    }
-}
-
-impl SensorFile {
-    fn sensor(&self) -> Result<Sensor> {
-        let size = |value: &Integer, name| {
-            value.positive(name).map(|n| u32::try_from(n).unwrap_or(u32::MAX))
-        };
-        Ok(Sensor {
-            width_px: size(&self.width, "sensor width")?,
-            height_px: size(&self.height, "sensor height")?,
-            pixel_size_mm: self.scale.0,
-        })
-    }
-}
-
-impl PoseFile {
-    /// Takes points of this frame into its parent's.
-    fn parent_from_own(&self) -> Result<Isometry3<f64>> {
-        let rows = &self.rotation;
-        if rows.len() != 3 || rows.iter().any(|row| row.len() != 3) {
-            return Err(Error::invalid("a pose's rotation is not a 3 x 3 matrix"));
-        }
-        let matrix = Matrix3::from_fn(|i, j| rows[j][i].0);
-        // Written with some 16 digits; more than rounding is another matter.
-        if (matrix * matrix.transpose() - Matrix3::identity()).norm() > 1e-6
-            || matrix.determinant() < 0.0
-        {
-            return Err(Error::invalid("a pose's rotation is not a rotation matrix"));
-        }
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_eps(
-            &matrix,
-            f64::EPSILON,
-            100,
-            Rotation3::from_matrix_unchecked(matrix),
-        ));
-        let [x, y, z] = self.translation.fixed("a pose's translation")?;
-        Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
-    }
-}
 
 /// The datasheet values of a `camera.js`.
 pub(super) fn datasheet_from(value: Value) -> Result<Datasheet> {

@@ -232,6 +232,14 @@ fn direction_text(direction: &WeakDirection) -> String {
     format!("{subject}; {along}: {}", changes.join(", "))
 }
 
+/// The content of `camera.json` for a calibration, `converged` among it.
+#[must_use]
+pub fn calibrated_camera(calibration: &Calibration) -> Value {
+    let mut camera = camera_document(&calibration.camera, Some(&calibration.uncertainty));
+    camera["converged"] = calibration.converged.into();
+    camera
+}
+
 fn rmse_json(rmse: &Rmse) -> Value {
     json!({ "features": rmse.count, "all": rmse.all_px, "uv": rmse.uv_px, "rho": rmse.rho_px })
 }
@@ -288,7 +296,7 @@ pub fn calibration_json(calibration: &Calibration, time_s: f64) -> Value {
         "weakest_directions": weakest_directions_text(calibration),
         "warnings": calibration.warnings,
         "initial_camera": camera_document(&calibration.initial, None),
-        "camera": camera_document(&calibration.camera, uncertainty),
+        "camera": calibrated_camera(calibration),
         "poses": poses_document(&calibration.poses, uncertainty)["poses"],
     })
 }
