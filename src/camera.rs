@@ -26,6 +26,19 @@ impl Sensor {
     }
 }
 
+impl Sensor {
+    /// An error unless the sensor has pixels.
+    pub(crate) fn validate(&self) -> Result<()> {
+        if self.width_px == 0 || self.height_px == 0 {
+            return Err(Error::invalid(format!(
+                "a sensor of {} x {} pixels has no area",
+                self.width_px, self.height_px
+            )));
+        }
+        positive(self.pixel_size_mm, "the pixel size (mm)")
+    }
+}
+
 /// Where the main lens focuses with respect to the micro-lens array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -59,6 +72,8 @@ pub struct Datasheet {
     pub rows: i32,
     /// Number I of lens types; 0 for an array of pinholes.
     pub lens_types: usize,
+    /// Distance of neighbouring micro-image centres, px, where it is stated.
+    pub micro_image_pitch_px: Option<f64>,
 }
 
 /// Internal parameters Ω = {m, q'₁ … q'_I} (paper, section 3.2), measured on white images.
@@ -71,6 +86,9 @@ pub struct InternalParameters {
     /// Distance Δc of neighbouring micro-image centres, mm, where it was measured along.
     pub micro_image_pitch_mm: Option<f64>,
 }
+
+/// The largest number of inner corners along a side of a board.
+const MAX_BOARD_CORNERS: i32 = 10_000;
 
 /// A checkerboard, by its inner corners.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -101,9 +119,11 @@ impl Board {
 
     /// An error unless the board has corners and a size.
     pub fn validate(&self) -> Result<()> {
-        if self.columns < 2 || self.rows < 2 || self.columns.checked_mul(self.rows).is_none() {
+        let possible = 2..=MAX_BOARD_CORNERS;
+        if !possible.contains(&self.columns) || !possible.contains(&self.rows) {
             return Err(Error::invalid(format!(
-                "a board of {} x {} inner corners cannot be used; it takes at least 2 x 2",
+                "a board of {} x {} inner corners cannot be used; each side takes 2 to \
+                 {MAX_BOARD_CORNERS}",
                 self.columns, self.rows
             )));
         }
@@ -239,6 +259,42 @@ impl PlenopticCamera {
         })
     }
 
+    /// δc: distance of neighbouring micro-image centres, px, Eq. (mlinterdist).
+    #[must_use]
+    pub fn micro_image_pitch_px(&self) -> f64 {
+        let mla = &self.mla;
+        mla.pitch_mm * (mla.lens_to_mla_mm + mla.mla_to_sensor_mm)
+            / (mla.lens_to_mla_mm * self.sensor.pixel_size_mm)
+    }
+
+    /// An error naming the value that cannot be.
+    pub fn validate(&self) -> Result<()> {
+        self.sensor.validate()?;
+        check_array_size(self.lattice.columns, self.lattice.rows)?;
+        check_lens_types(self.lens_types(), self.lattice.kind)?;
+        if let Some(setting) = self.main_lens.setting {
+            positive(setting.f_number, "the f-number of the main lens")?;
+        }
+        let mla = &self.mla;
+        positive(self.main_lens.focal_length_mm, "the camera's F (mm)")?;
+        positive(mla.lens_to_mla_mm, "the camera's D (mm)")?;
+        positive(mla.mla_to_sensor_mm, "the camera's d (mm)")?;
+        positive(mla.pitch_mm, "the camera's dC (mm)")?;
+        positive(mla.pitch_ratio, "the camera's dC_ratio")?;
+        for (i, &f) in mla.focal_lengths_mm.iter().enumerate() {
+            positive(f, &format!("the camera's f_{} (mm)", i + 1))?;
+        }
+        for (parameter, value) in
+            intrinsic_parameters(self.lens_types()).iter().zip(self.intrinsics())
+        {
+            // Far beyond this squares overflow.
+            if !value.is_finite() || value.abs() > 1e100 {
+                return Err(Error::invalid(format!("the camera's {} is {value}", parameter.name)));
+            }
+        }
+        Ok(())
+    }
+
     /// Values of all intrinsic parameters in the order and units of [`intrinsic_parameters`].
     #[must_use]
     pub fn intrinsics(&self) -> Vec<f64> {
@@ -296,6 +352,21 @@ pub(crate) fn positive(value: f64, name: &str) -> Result<()> {
     }
 }
 
+/// The largest number of micro-lenses along a side; beyond what any sensor has pixels for.
+pub const MAX_MICRO_LENSES: i32 = 1 << 16;
+
+/// An error unless an array can have these numbers of micro-lenses.
+pub(crate) fn check_array_size(columns: i32, rows: i32) -> Result<()> {
+    let possible = 1..=MAX_MICRO_LENSES;
+    if possible.contains(&columns) && possible.contains(&rows) {
+        return Ok(());
+    }
+    Err(Error::invalid(format!(
+        "a micro-lens array of {columns} x {rows} is not possible: each side takes 1 to \
+         {MAX_MICRO_LENSES}"
+    )))
+}
+
 /// An error unless the number of lens types is one the lattice can carry.
 pub(crate) fn check_lens_types(types: usize, kind: LatticeKind) -> Result<()> {
     match (types, kind) {
@@ -311,19 +382,11 @@ pub(crate) fn check_lens_types(types: usize, kind: LatticeKind) -> Result<()> {
 impl Datasheet {
     /// An error naming the value that cannot be.
     pub fn validate(&self) -> Result<()> {
-        if self.sensor.width_px == 0 || self.sensor.height_px == 0 {
-            return Err(Error::invalid(format!(
-                "a sensor of {} x {} pixels has no area",
-                self.sensor.width_px, self.sensor.height_px
-            )));
+        self.sensor.validate()?;
+        check_array_size(self.columns, self.rows)?;
+        if let Some(pitch) = self.micro_image_pitch_px {
+            positive(pitch, "the micro-image pitch (px)")?;
         }
-        if self.columns < 1 || self.rows < 1 {
-            return Err(Error::invalid(format!(
-                "a micro-lens array of {} x {} has no micro-lenses",
-                self.columns, self.rows
-            )));
-        }
-        positive(self.sensor.pixel_size_mm, "the pixel size (mm)")?;
         positive(self.focal_length_mm, "the focal length of the main lens (mm)")?;
         positive(self.f_number, "the f-number of the main lens")?;
         check_lens_types(self.lens_types, self.lattice_kind)?;

@@ -114,6 +114,13 @@ impl Observations {
                     f.rho_px
                 )));
             }
+            // No blur circle is wider than the image; what is was not measured.
+            if needs_rho && f.rho_px.abs() > f64::from(sensor.width_px) {
+                return Err(Error::invalid(format!(
+                    "{what} has the blur radius {} px, wider than the image",
+                    f.rho_px
+                )));
+            }
             if !(0..board.corners()).contains(&f.corner) {
                 return Err(Error::invalid(format!(
                     "{what} is not on the board of {} x {} inner corners",

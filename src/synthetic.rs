@@ -40,7 +40,7 @@ pub fn synthesize(
 ) -> Result<Observations> {
     let mut random = Random::new(noise, seed)?;
     let centers = whole_micro_images(camera)?;
-    let radius = micro_image_pitch_px(camera) / 2.0 - EDGE_MARGIN_PX;
+    let radius = camera.micro_image_pitch_px() / 2.0 - EDGE_MARGIN_PX;
 
     let mut features = Vec::new();
     for pose in poses {
@@ -75,13 +75,6 @@ pub fn synthesize(
     Ok(Observations { centers, features })
 }
 
-/// δc = ΔC (D + d)/(D s), Eq. (mlinterdist), px.
-fn micro_image_pitch_px(camera: &PlenopticCamera) -> f64 {
-    let mla = &camera.mla;
-    mla.pitch_mm * (mla.lens_to_mla_mm + mla.mla_to_sensor_mm)
-        / (mla.lens_to_mla_mm * camera.sensor.pixel_size_mm)
-}
-
 fn whole_micro_images(camera: &PlenopticCamera) -> Result<Vec<MicroImageCenter>> {
     let mut centers: Vec<MicroImageCenter> = (0..camera.lattice.rows)
         .flat_map(|l| (0..camera.lattice.columns).map(move |k| (k, l)))
@@ -89,7 +82,7 @@ fn whole_micro_images(camera: &PlenopticCamera) -> Result<Vec<MicroImageCenter>>
         .collect();
     let projected =
         bridge::project_centers(&Problem { camera, poses: &[], features: &[], centers: &centers })?;
-    let radius = micro_image_pitch_px(camera) / 2.0;
+    let radius = camera.micro_image_pitch_px() / 2.0;
     let whole = |c: &MicroImageCenter| {
         let inside = |x: f64, size: u32| x >= radius && x <= f64::from(size) - 1.0 - radius;
         inside(c.u_px, camera.sensor.width_px) && inside(c.v_px, camera.sensor.height_px)

@@ -22,8 +22,10 @@ void require_positive(double value, const std::string& name) {
 
 void validate(const Camera& camera) {
   const auto& lattice = camera.lattice;
-  if (lattice.columns < 1 || lattice.rows < 1) {
-    reject("the micro-lens array has no micro-lenses: its columns and rows have to be positive");
+  const auto possible = [](int count) { return count >= 1 && count <= kMaxMicroLenses; };
+  if (!possible(lattice.columns) || !possible(lattice.rows)) {
+    reject("the columns and rows of the micro-lens array have to be positive and at most " +
+           std::to_string(kMaxMicroLenses));
   }
   if (lattice.shifted_parity != 0 && lattice.shifted_parity != 1) {
     reject("the parity of the shifted rows has to be 0 or 1");

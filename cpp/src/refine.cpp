@@ -1,7 +1,5 @@
 #include "plenocal/refine.hpp"
 
-#include <glog/logging.h>
-
 #include <Eigen/Dense>
 #include <algorithm>
 #include <chrono>
@@ -9,6 +7,7 @@
 #include <stdexcept>
 
 #include "problem.hpp"
+#include "quiet_log.hpp"
 
 // Levenberg-Marquardt by Ceres, with extrapolation.
 //
@@ -26,18 +25,6 @@ namespace {
 constexpr std::size_t kSteps = 4;
 // A solve is slow when the cost still changes by this part of the change before.
 constexpr double kSlow = 0.05;
-
-// Ceres warns on stderr through glog of steps that leave the model's domain, which are no news.
-class QuietLog {
- public:
-  QuietLog() : level_(FLAGS_minloglevel) { FLAGS_minloglevel = google::GLOG_ERROR; }
-  ~QuietLog() { FLAGS_minloglevel = level_; }
-  QuietLog(const QuietLog&) = delete;
-  QuietLog& operator=(const QuietLog&) = delete;
-
- private:
-  int level_;
-};
 
 // Follows the solve: reports progress, remembers the accepted states, recognises slowness.
 class Watch : public ceres::IterationCallback {

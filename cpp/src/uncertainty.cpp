@@ -4,6 +4,7 @@
 
 #include "plenocal/refine.hpp"
 #include "problem.hpp"
+#include "quiet_log.hpp"
 
 namespace plenocal {
 namespace {
@@ -63,6 +64,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   options.parameter_blocks = calibration.free_blocks();
   std::vector<double> residuals;
   ceres::CRSMatrix jacobian;
+  const QuietLog quiet;
   if (!calibration.problem().Evaluate(options, nullptr, &residuals, nullptr, &jacobian)) {
     throw std::invalid_argument(
         "the model is not defined at this camera and these poses: a board point lies within the "
@@ -117,7 +119,8 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
     }
   }
 
-  const RowMajorMatrix covariance = inverse_information * spread * inverse_information;
+  RowMajorMatrix covariance = inverse_information * spread * inverse_information;
+  covariance = 0.5 * (covariance + covariance.transpose()).eval();  // symmetric to the last bit
   result.covariance.assign(covariance.data(), covariance.data() + covariance.size());
   result.expected_decrease = 0.5 * equations.gradient.dot(inverse_information * equations.gradient);
   return result;

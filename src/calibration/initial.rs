@@ -9,14 +9,10 @@ use crate::error::{Error, Result};
 use crate::optics;
 use crate::precalibration::MicroImageArray;
 
-/// Largest relative difference between the micro-image pitch of the internal parameters and that of
-/// the grid. Both are measured to a few parts in 10⁴; beyond this they are of different cameras.
-const PITCH_AGREEMENT: f64 = 0.01;
-
 /// The camera to start the refinement from. The array is placed so that the micro-image centres are
 /// reprojected onto the grid.
 ///
-/// An error if a value cannot be, or if the pitches of grid and internal parameters disagree.
+/// An error if a value cannot be.
 pub fn initial_camera(
     datasheet: &Datasheet,
     internal: &InternalParameters,
@@ -25,17 +21,7 @@ pub fn initial_camera(
     datasheet.validate()?;
     internal.validate(datasheet.lens_types)?;
     let pixel = datasheet.sensor.pixel_size_mm;
-    let fitted_pitch = grid.pitch_px * pixel;
-    let micro_image_pitch = internal.micro_image_pitch_mm.unwrap_or(fitted_pitch);
-    if (micro_image_pitch / fitted_pitch - 1.0).abs() > PITCH_AGREEMENT {
-        return Err(Error::invalid(format!(
-            "the internal parameters state a micro-image pitch of {:.4} px, but the centres have \
-             one of {:.4} px: they are of different cameras, or the pixel size is wrong",
-            micro_image_pitch / pixel,
-            grid.pitch_px
-        )));
-    }
-
+    let micro_image_pitch = internal.micro_image_pitch_mm.unwrap_or(grid.pitch_px * pixel);
     let image_distance =
         optics::focus_image_distance(datasheet.focal_length_mm, datasheet.focus_distance_mm);
     let (lens_to_mla, mla_to_sensor) = optics::initial_distances(

@@ -1,5 +1,6 @@
 //! Calibration from observations (paper, section 5): initial intrinsics, initial poses, refinement.
 
+mod checks;
 mod frames;
 mod initial;
 mod options;

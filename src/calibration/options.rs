@@ -1,8 +1,7 @@
 //! What a calibration is told: where it starts, what it estimates, and at which cost.
 
 use crate::camera::{
-    Datasheet, InternalParameters, PlenopticCamera, Sensor, check_lens_types, intrinsic_parameters,
-    positive,
+    Datasheet, InternalParameters, PlenopticCamera, Sensor, intrinsic_parameters, positive,
 };
 use crate::error::{Error, Result};
 use crate::lattice::LatticeKind;
@@ -101,6 +100,8 @@ pub struct CalibrationOptions {
     pub cost: CostOptions,
     /// Its minimisation.
     pub solver: SolverOptions,
+    /// Frames that are not used.
+    pub exclude_frames: Vec<u32>,
 }
 
 impl Start {
@@ -114,8 +115,9 @@ impl Start {
         }
     }
 
-    /// Number of lens types.
-    pub(super) fn lens_types(&self) -> usize {
+    /// Number I of lens types.
+    #[must_use]
+    pub fn lens_types(&self) -> usize {
         match self {
             Self::Datasheet(sheet, _) => sheet.lens_types,
             Self::Camera(camera) => camera.lens_types(),
@@ -149,8 +151,7 @@ impl Start {
                 sheet.validate()?;
                 internal.validate(sheet.lens_types)
             }
-            // The solver looks at the values of a camera.
-            Self::Camera(camera) => check_lens_types(camera.lens_types(), camera.lattice.kind),
+            Self::Camera(camera) => camera.validate(),
         }
     }
 }

@@ -3,10 +3,13 @@
 use nalgebra::Isometry3;
 
 use crate::bridge::{self, Problem};
+use crate::calibration::checks::{
+    array_beyond_image, bad_fit, check_indices, check_observations, check_refined,
+    check_stated_pitch, fronto_parallel, outlying_centers, undetermined, without_frames,
+};
 use crate::calibration::frames::{Frames, feature_residuals, initial_frames, solver_features};
 use crate::calibration::{
-    Calibration, CalibrationOptions, FramePose, Iteration, Mode, Refinement, Start, Termination,
-    initial_camera,
+    Calibration, CalibrationOptions, FramePose, Iteration, Mode, Start, Termination, initial_camera,
 };
 use crate::camera::{Board, PlenopticCamera, intrinsic_parameters};
 use crate::error::{Error, Result};
@@ -15,13 +18,11 @@ use crate::observations::{MicroImageCenter, Observations};
 use crate::precalibration::{MicroImageArray, fit_grid};
 
 /// The minimum counts as reached when one more Gauss-Newton step would gain less than this part of
-/// the cost: the parameters are then within 10⁻³ of their standard deviations for as many
-/// observations as a calibration has.
-const MAX_EXPECTED_DECREASE: f64 = 1e-9;
-/// Below this part of ½ per residual, px², a cost is zero up to rounding: (10⁻⁶ px)²/2.
-const ZERO_COST_PER_RESIDUAL_PX2: f64 = 0.5e-12;
-/// Boards tilted by less than this, rad (5°), look alike in a projection.
-const FRONTO_PARALLEL_RAD: f64 = 0.087;
+/// the cost. A parameter n standard deviations from its place adds n² s²/2 to the cost, s² being the
+/// variance of the residuals that determine it: with 10⁴ observations this bounds n to some 10⁻³.
+const MAX_EXPECTED_DECREASE: f64 = 1e-11;
+/// Below this for every (standardised) residual a cost is zero up to rounding: (10⁻⁶)²/2.
+const ZERO_COST_PER_RESIDUAL: f64 = 0.5e-12;
 
 /// Calibrates a camera, or with [`Mode::PosesOnly`] finds the poses of the boards.
 ///
@@ -37,8 +38,10 @@ pub fn calibrate(
 ) -> Result<Calibration> {
     let mut warnings = Vec::new();
     let start = start.for_mode(options.mode);
-    options.validate(&start)?;
     start.validate()?;
+    options.validate(&start)?;
+    let (observations, excluded) = without_frames(observations, &options.exclude_frames)?;
+    let observations = &observations;
     check_observations(&start, board, observations, options.mode)?;
 
     let grid = match observations.centers.as_slice() {
@@ -48,23 +51,21 @@ pub fn calibrate(
             Some(fit_grid(centers, kind, columns, rows)?)
         }
     };
-    if let Some(grid) = grid.filter(|grid| grid.outliers > 0) {
-        warnings.push(format!(
-            "{} of {} micro-image centres lie far from the grid (its RMS is {:.3} px); they are \
-             kept, a robust loss (--loss) lessens their weight",
-            grid.outliers,
-            observations.centers.len(),
-            grid.rms_px
-        ));
+    if let Some(grid) = &grid {
+        check_stated_pitch(&start, grid)?;
+        warnings.extend(outlying_centers(grid, observations.centers.len()));
     }
     let initial = start_camera(&start, grid.as_ref())?;
-    let Frames { poses, features: used, left_out } =
+    check_indices(&initial, grid.as_ref(), observations)?;
+    warnings.extend(array_beyond_image(&initial));
+    let Frames { poses, features: used, mut left_out } =
         initial_frames(&initial, board, observations, &options.cost, &options.solver)?;
     if poses.is_empty() {
         let reasons: Vec<String> =
             left_out.iter().map(|l| format!("frame {}: {}", l.frame, l.reason)).collect();
         return Err(Error::invalid(format!("no frame could be used: {}", reasons.join("; "))));
     }
+    left_out.extend(excluded);
 
     let features = solver_features(&used, &poses, board);
     let start_poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
@@ -82,7 +83,7 @@ pub fn calibrate(
         cost.held = all.into_iter().map(|parameter| parameter.name).collect();
     }
     let refinement = bridge::refine(&problem, &cost, &options.solver, progress)?;
-    check_finite(&refinement)?;
+    check_refined(&refinement)?;
 
     let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
     let uncertainty = bridge::uncertainty(&refined, &cost)?;
@@ -91,20 +92,12 @@ pub fn calibrate(
         centers: center_residuals(&refined)?,
     };
     let residuals = 3 * features.len() + 2 * observations.centers.len();
-    let negligible = (MAX_EXPECTED_DECREASE * refinement.cost)
-        .max(ZERO_COST_PER_RESIDUAL_PX2 * residuals as f64);
+    let negligible =
+        (MAX_EXPECTED_DECREASE * refinement.cost).max(ZERO_COST_PER_RESIDUAL * residuals as f64);
     let converged = refinement.termination == Termination::Converged
         && uncertainty.expected_decrease <= negligible;
-    if uncertainty.rank < uncertainty.size() {
-        warnings.push(format!(
-            "the observations determine {} of {} parameters: {} direction(s) of parameter space \
-             are free, and standard deviations hold only for what is determined; hold a parameter \
-             (--fix) or add frames at other distances and tilts",
-            uncertainty.rank,
-            uncertainty.size(),
-            uncertainty.size() - uncertainty.rank
-        ));
-    }
+    warnings.extend(undetermined(&refinement.camera, &uncertainty));
+    warnings.extend(bad_fit(&refinement.camera, &reprojection));
     let poses: Vec<FramePose> = poses
         .iter()
         .zip(&refinement.poses)
@@ -122,29 +115,9 @@ pub fn calibrate(
         reprojection,
         uncertainty,
         converged,
+        options: options.clone(),
         warnings,
     })
-}
-
-fn check_observations(
-    start: &Start,
-    board: &Board,
-    observations: &Observations,
-    mode: Mode,
-) -> Result<()> {
-    board.validate()?;
-    let (_, columns, rows) = start.array();
-    observations.validate(start.sensor(), (columns, rows), board, start.lens_types() > 0)?;
-    if observations.features.is_empty() {
-        return Err(Error::invalid("there are no features"));
-    }
-    if observations.centers.is_empty() && mode != Mode::PosesOnly {
-        return Err(Error::invalid(
-            "there are no micro-image centres: without them the array's place is not determined; \
-             give them (--centers)",
-        ));
-    }
-    Ok(())
 }
 
 fn start_camera(start: &Start, grid: Option<&MicroImageArray>) -> Result<PlenopticCamera> {
@@ -164,22 +137,6 @@ fn start_camera(start: &Start, grid: Option<&MicroImageArray>) -> Result<Plenopt
     }
 }
 
-fn fronto_parallel(poses: &[FramePose], mode: Mode) -> Option<String> {
-    let tilt = |p: &FramePose| {
-        let normal = p.camera_from_board.rotation * nalgebra::Vector3::z();
-        normal.z.abs().min(1.0).acos()
-    };
-    let largest = poses.iter().map(tilt).fold(0.0, f64::max);
-    (mode != Mode::PosesOnly && largest < FRONTO_PARALLEL_RAD).then(|| {
-        format!(
-            "all boards are fronto-parallel (tilted by at most {:.1} degrees): the focal length F \
-             and the distance of the boards can hardly be separated; add tilted boards (20 to 40 \
-             degrees)",
-            largest.to_degrees()
-        )
-    })
-}
-
 fn center_residuals(problem: &Problem) -> Result<Vec<CenterResidual>> {
     let residual = |(&center, [u, v]): (&MicroImageCenter, [f64; 2])| CenterResidual {
         center,
@@ -188,15 +145,4 @@ fn center_residuals(problem: &Problem) -> Result<Vec<CenterResidual>> {
         dv_px: center.v_px - v,
     };
     Ok(problem.centers.iter().zip(bridge::project_centers(problem)?).map(residual).collect())
-}
-
-fn check_finite(refinement: &Refinement) -> Result<()> {
-    let finite = refinement.cost.is_finite()
-        && refinement.camera.intrinsics().iter().all(|v| v.is_finite())
-        && refinement.poses.iter().all(|p| p.to_homogeneous().iter().all(|v| v.is_finite()));
-    if finite {
-        Ok(())
-    } else {
-        Err(Error::invalid(format!("the refinement failed: {}", refinement.message)))
-    }
 }

@@ -4,6 +4,7 @@ use std::fmt;
 
 use nalgebra::Isometry3;
 
+use crate::calibration::CalibrationOptions;
 use crate::camera::PlenopticCamera;
 use crate::evaluation::{Reprojection, Uncertainty};
 use crate::precalibration::MicroImageArray;
@@ -104,6 +105,8 @@ pub struct Calibration {
     pub uncertainty: Uncertainty,
     /// At a minimum: by the solver's tolerances, and by what a further step would gain.
     pub converged: bool,
+    /// What it was told.
+    pub options: CalibrationOptions,
     /// What the user should know, in words.
     pub warnings: Vec<String>,
 }

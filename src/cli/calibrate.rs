@@ -17,8 +17,10 @@ use super::input::{Files, Input};
 ///
 /// Give a project file, or the single files, or both: what is given singly goes before the project.
 /// Files are told apart by what is in them, so plenocal's own and COMPOTE's can be mixed.
+// Parameter names in the help are no code.
+#[allow(clippy::doc_markdown)]
 #[derive(Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_help = EXAMPLES, allow_negative_numbers = true)]
 pub struct Arguments {
     /// Project file (TOML) with the camera, the board, where the observations are, and options.
     project: Option<PathBuf>,
@@ -55,7 +57,7 @@ pub struct Arguments {
     #[arg(long, value_enum, help_heading = "Estimation")]
     pitches: Option<Pitches>,
     /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, u0, v0, d,
-    /// `theta_x` to `theta_z`, `t_x`, `t_y`, D, dC, `f_1` to `f_3`.
+    /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3. (dC_ratio is held unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Estimation")]
     fix: Option<Vec<String>>,
     /// Standard deviation of u and v of a feature, px [default: 1].
@@ -76,7 +78,8 @@ pub struct Arguments {
     /// Limit of iterations [default: 200].
     #[arg(long, value_name = "N", help_heading = "Estimation")]
     max_iterations: Option<usize>,
-    /// Threads of the solver [default: all cores].
+    /// Threads of the solver; with 1 the results are the same to the last bit, with more they
+    /// differ by rounding [default: all cores].
     #[arg(long, value_name = "N", help_heading = "Estimation")]
     threads: Option<usize>,
 
@@ -163,7 +166,6 @@ fn stage_results(
     with_compote: bool,
 ) -> Result<()> {
     let uncertainty = Some(&calibration.uncertainty);
-    let camera = report::calibrated_camera(calibration);
     let poses = io::poses_document(&calibration.poses, uncertainty);
     if with_compote {
         let grid = calibration.grid.as_ref().ok_or_else(|| {
@@ -174,7 +176,10 @@ fn stage_results(
         output.stage_json(folder.join("intrinsics.js"), &intrinsics)?;
         output.stage_json(folder.join("poses.js"), &compote::poses_document(&calibration.poses))?;
     }
-    output.stage_json("camera.json", &camera)?;
+    // With the camera held there is no new one.
+    if !calibration.uncertainty.free_intrinsics.is_empty() {
+        output.stage_json("camera.json", &report::calibrated_camera(calibration))?;
+    }
     output.stage_json("poses.json", &poses)?;
     output.stage("residuals.csv", |out| io::write_residuals(out, &calibration.reprojection))?;
     output.stage("solver.txt", |out| out.write_all(calibration.refinement.report.as_bytes()))

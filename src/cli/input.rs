@@ -30,19 +30,18 @@ impl Input {
     /// Reads everything; `options` go before those of the project.
     pub fn read(files: &Files, options: CalibrationSection) -> Result<Self> {
         let project = files.project.map(Project::read).transpose()?;
-        let section = match &project {
-            Some(project) => options.or(project.calibration.clone()),
-            None => options,
+        let options = match &project {
+            Some(project) => options.or(project.calibration.clone()).options(),
+            None => options.options(),
         };
-        let options = section.options();
         let start = start(files, project.as_ref(), options.mode)?;
         let board = match (files.scene, project.as_ref().and_then(|p| p.board)) {
             (Some(path), _) => io::read_board(path)?,
             (None, Some(board)) => board,
             (None, None) => return Err(missing("a board", "--scene")),
         };
-        let mut observations = observations(files, project.as_ref(), options.mode)?;
-        leave_out(&mut observations, section.exclude_frames.as_deref().unwrap_or_default())?;
+        let rho = options.mode != Mode::CornersOnly && start.lens_types() > 0;
+        let observations = observations(files, project.as_ref(), rho)?;
         Ok(Self { start, board, observations, options })
     }
 }
@@ -73,13 +72,13 @@ fn from_datasheet(sheet: Datasheet, files: &Files, project: Option<&Project>) ->
     Ok(Start::Datasheet(sheet, internal))
 }
 
-fn observations(files: &Files, project: Option<&Project>, mode: Mode) -> Result<Observations> {
+fn observations(files: &Files, project: Option<&Project>, rho: bool) -> Result<Observations> {
     let section = project.and_then(|p| p.observations.as_ref());
     let features = files
         .features
         .or(section.map(|s| s.features.as_path()))
         .ok_or_else(|| missing("a file of features", "--features"))?;
-    let mut observations = io::read_features(features, mode != Mode::CornersOnly)?;
+    let mut observations = io::read_features(features, rho)?;
     // A file of features named singly may hold centres; then the project's are not of them.
     let of_project = || section.and_then(|s| s.centers.as_deref());
     let separate = match files.centers {
@@ -99,17 +98,4 @@ fn observations(files: &Files, project: Option<&Project>, mode: Mode) -> Result<
         observations.centers = io::read_centers(path)?;
     }
     Ok(observations)
-}
-
-fn leave_out(observations: &mut Observations, frames: &[u32]) -> Result<()> {
-    let known = observations.frames();
-    for frame in frames {
-        if !known.contains(frame) {
-            return Err(Error::Invalid(format!(
-                "frame {frame} is to be left out, but there is none; the frames are {known:?}"
-            )));
-        }
-        observations.features.retain(|f| f.frame != *frame);
-    }
-    Ok(())
 }

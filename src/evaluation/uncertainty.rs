@@ -91,6 +91,13 @@ impl Uncertainty {
         std_devs
     }
 
+    /// Indices into `PlenopticCamera::intrinsics` of the free parameters that are not determined.
+    #[must_use]
+    pub fn undetermined_intrinsics(&self) -> Vec<usize> {
+        let of_row = |(&index, &known): (&usize, &bool)| (!known).then_some(index);
+        self.free_intrinsics.iter().zip(&self.determined).filter_map(of_row).collect()
+    }
+
     /// Standard deviations of the parameters of a pose: rotation vector (rad), translation (mm);
     /// infinite for those not determined.
     #[must_use]
@@ -142,7 +149,9 @@ impl Uncertainty {
             if determined {
                 (square / self.covariance[(row, row)].max(f64::MIN_POSITIVE)).min(1.0)
             } else {
-                square * self.information[row]
+                // Without any information the scaled space has the parameter's own unit.
+                let information = self.information[row];
+                square * if information > 0.0 { information } else { 1.0 }
             }
         };
         let least = if determined { NAMED_SHARE } else { NAMED_SHARE_UNDETERMINED };
@@ -156,7 +165,10 @@ impl Uncertainty {
                 unit: parameters[index].unit,
                 share: share(row),
             })
-            .filter(|component| component.share >= least)
+            .zip(&self.determined)
+            // The variance of what is not determined means nothing.
+            .filter(|(component, known)| **known == determined && component.share >= least)
+            .map(|(component, _)| component)
             .collect();
         components.sort_by(|a, b| b.share.total_cmp(&a.share));
         // The sign of a direction is free: the first parameter named grows.

@@ -61,6 +61,10 @@ pub(super) fn datasheet_from(value: Value) -> Result<Datasheet> {
         columns,
         rows,
         lens_types: file.lens_types.count("I")?,
+        micro_image_pitch_px: match &file.mia.mesh.pitch {
+            Some(pitch) => Some(pitch.fixed::<2>("the pitch of the mia's mesh")?[0]),
+            None => None,
+        },
     })
 }
 
@@ -231,9 +235,8 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
             || shifted_parity(lattice.kind, columns, rows) != Parity::Even)
     {
         return Err(Error::invalid(format!(
-            "COMPOTE cannot express this array of {columns} x {rows} with its {:?} rows shifted: it \
-             takes an even number of rows, the even ones shifted",
-            lattice.shifted
+            "COMPOTE cannot express this array of {columns} x {rows}: it takes an even number of rows \
+             (columns), of which the even ones are shifted"
         )));
     }
     let setting = lens.setting.ok_or_else(|| {

@@ -27,11 +27,12 @@ enum Document {
 
 fn read_document(path: &Path) -> Result<Document> {
     let text = read_text(path)?;
+    let text = text.trim_start_matches('\u{feff}'); // the byte order mark of some editors
     if text.trim().is_empty() {
         return Err(Error::content(path, "the file is empty"));
     }
-    if text.trim_start().starts_with('{') {
-        let value = serde_json::from_str(&text)
+    if text.trim_start().starts_with(['{', '[']) {
+        let value = serde_json::from_str(text)
             .map_err(|e| Error::content(path, format!("this is not valid JSON: {e}")))?;
         return Ok(Document::Json(value));
     }

@@ -115,6 +115,9 @@ fn rows<T, const N: usize>(
     let broken = |error: csv::Error| Error::content(path, error.to_string());
     let header = reader.headers().map_err(broken)?.clone();
     let place = |name: &&'static str| header.iter().position(|field| field == *name);
+    if let Some(name) = names.iter().find(|name| header.iter().filter(|f| f == *name).count() > 1) {
+        return Err(Error::content(path, format!("the first line names the column {name} twice")));
+    }
     let places: Vec<usize> = names.iter().filter_map(place).collect();
     if places.len() < N {
         let missing: Vec<&str> = names.into_iter().filter(|n| place(n).is_none()).collect();

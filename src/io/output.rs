@@ -33,15 +33,15 @@ impl OutputFolder {
     ) -> Result<()> {
         let path = self.folder.join(name);
         let folder = path.parent().unwrap_or(&self.folder);
-        let staged = fs::create_dir_all(folder)
-            .and_then(|()| NamedTempFile::new_in(folder))
-            .and_then(|mut file| {
+        let staged = fs::create_dir_all(folder).and_then(|()| temporary_file(folder)).and_then(
+            |mut file| {
                 let mut buffer = io::BufWriter::new(&mut file);
                 write(&mut buffer)?;
                 buffer.flush()?;
                 drop(buffer);
                 Ok(file)
-            });
+            },
+        );
         match staged {
             Ok(file) => {
                 self.staged.push((file, path));
@@ -61,19 +61,27 @@ impl OutputFolder {
 
     /// Gives all files their names, replacing older ones. Returns the paths.
     pub fn commit(self) -> Result<Vec<PathBuf>> {
+        // What would keep one of them from its name is looked for before the first gets it.
+        if let Some((_, path)) = self.staged.iter().find(|(_, path)| path.is_dir()) {
+            return Err(Error::content(path, "is a folder, but a result has this name"));
+        }
         let mut paths = Vec::new();
         for (file, path) in self.staged {
-            // Temporary files are private; results are as readable as any other new file.
-            #[cfg(unix)]
-            {
-                use std::os::unix::fs::PermissionsExt;
-                fs::set_permissions(file.path(), fs::Permissions::from_mode(0o644))
-                    .map_err(|source| Error::Write { path: path.clone(), source })?;
-            }
             file.persist(&path)
                 .map_err(|e| Error::Write { path: path.clone(), source: e.error })?;
             paths.push(path);
         }
         Ok(paths)
     }
+}
+
+/// Temporary files are private by default; results are as readable as any other new file.
+fn temporary_file(folder: &Path) -> io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(fs::Permissions::from_mode(0o666)); // less the user's umask
+    }
+    builder.tempfile_in(folder)
 }

@@ -57,6 +57,8 @@ pub struct ArraySection {
     pub rows: i32,
     /// I.
     pub lens_types: usize,
+    /// Distance of neighbouring micro-image centres, px; found if not stated.
+    pub micro_image_pitch_px: Option<f64>,
 }
 
 /// `[internal_parameters]`
@@ -189,6 +191,7 @@ impl CalibrationSection {
             Some(LossName::Huber) => Loss::Huber { scale },
             Some(LossName::Cauchy) => Loss::Cauchy { scale },
         };
+        options.exclude_frames = self.exclude_frames.clone().unwrap_or_default();
         let solver = &mut options.solver;
         solver.max_iterations = self.max_iterations.unwrap_or(solver.max_iterations);
         solver.threads = self.threads.unwrap_or(solver.threads);
@@ -223,6 +226,7 @@ impl Project {
                 columns: array.columns,
                 rows: array.rows,
                 lens_types: array.lens_types,
+                micro_image_pitch_px: array.micro_image_pitch_px,
             })),
             _ => Err(Error::invalid(
                 "a camera takes all of the tables [sensor], [main_lens] and [micro_lens_array]",

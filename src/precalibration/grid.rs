@@ -1,7 +1,7 @@
 //! The micro-image array as a regular grid, fitted to observed centres (paper, "Features
 //! extraction": pitch δc, rotation ϑ_z and offset τ).
 
-use nalgebra::{Matrix4, Vector2, Vector4};
+use nalgebra::{Matrix4, Rotation2, Vector2, Vector4};
 
 use crate::error::{Error, Result};
 use crate::lattice::{Lattice, LatticeKind, Parity};
@@ -22,6 +22,15 @@ pub struct MicroImageArray {
     pub rms_px: f64,
     /// Number of centres further than six robust standard deviations from the grid.
     pub outliers: usize,
+}
+
+impl MicroImageArray {
+    /// Position of the centre of micro-image (k, l), px.
+    #[must_use]
+    pub fn center_of(&self, k: i32, l: i32) -> Vector2<f64> {
+        let turn = Rotation2::new(self.rotation_rad);
+        self.center_px + self.pitch_px * (turn * self.lattice.node(k, l))
+    }
 }
 
 /// Fewest centres for the four parameters of the grid with redundancy.
@@ -54,7 +63,7 @@ pub fn fit_grid(
             centers.len()
         )));
     }
-    let best_of = |kind: LatticeKind| {
+    let all_fits = |kind: LatticeKind| -> Vec<Fit> {
         let parities: &[Parity] = match kind {
             LatticeKind::Orthogonal => &[Parity::Even],
             _ => &[Parity::Even, Parity::Odd],
@@ -62,9 +71,18 @@ pub fn fit_grid(
         parities
             .iter()
             .filter_map(|&shifted| fit(centers, Lattice { kind, columns, rows, shifted }))
-            .min_by(|a, b| a.scale_px.total_cmp(&b.scale_px))
+            .collect()
     };
-    let Some(best) = best_of(kind) else {
+    let best_of =
+        |fits: Vec<Fit>| fits.into_iter().min_by(|a, b| a.scale_px.total_cmp(&b.scale_px));
+    let fits = all_fits(kind);
+    if fits.len() > 1 && fits.iter().all(Fit::fits) {
+        return Err(Error::invalid(
+            "the micro-image centres lie in one row, or are so few that one cannot tell which rows \
+             are shifted; give centres from all over the image",
+        ));
+    }
+    let Some(best) = best_of(fits) else {
         return Err(Error::invalid(
             "the micro-image centres do not span a grid: they lie in one row or in one place",
         ));
@@ -75,7 +93,9 @@ pub fn fit_grid(
     let others: Vec<&str> =
         [LatticeKind::HexagonalRows, LatticeKind::HexagonalColumns, LatticeKind::Orthogonal]
             .into_iter()
-            .filter(|&other| other != kind && best_of(other).is_some_and(|fit| fit.fits()))
+            .filter(|&other| {
+                other != kind && best_of(all_fits(other)).is_some_and(|fit| fit.fits())
+            })
             .map(LatticeKind::name)
             .collect();
     let remedy = if others.is_empty() {
@@ -192,16 +212,9 @@ mod tests {
     fn centers_of(grid: &MicroImageArray) -> Vec<MicroImageCenter> {
         let Lattice { columns, rows, .. } = grid.lattice;
         let indices = (0..rows).flat_map(|l| (0..columns).map(move |k| (k, l)));
-        let (sin, cos) = grid.rotation_rad.sin_cos();
-        let p = Vector4::new(
-            grid.center_px.x,
-            grid.center_px.y,
-            grid.pitch_px * cos,
-            grid.pitch_px * sin,
-        );
         indices
             .map(|(k, l)| {
-                let c = place(&p, &grid.lattice.node(k, l));
+                let c = grid.center_of(k, l);
                 MicroImageCenter { k, l, u_px: c.x, v_px: c.y }
             })
             .collect()
@@ -261,9 +274,14 @@ mod tests {
     }
 
     #[test]
-    fn a_single_place_or_too_few_centres_are_errors() {
+    fn a_single_place_one_row_or_too_few_centres_are_errors() {
         let one = MicroImageCenter { k: 3, l: 4, u_px: 10.0, v_px: 20.0 };
         assert!(fit_grid(&[one; 20], LatticeKind::HexagonalRows, 13, 11).is_err());
         assert!(fit_grid(&[one; 3], LatticeKind::HexagonalRows, 13, 11).is_err());
+        let truth = grid(LatticeKind::HexagonalRows, Parity::Odd, 23.2, 0.01);
+        let mut row = centers_of(&truth);
+        row.retain(|c| c.l == 5);
+        let error = fit_grid(&row, LatticeKind::HexagonalRows, 13, 11).unwrap_err();
+        assert!(error.to_string().contains("one row"), "{error}");
     }
 }

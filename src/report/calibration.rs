@@ -6,19 +6,20 @@ use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, Table};
 use serde_json::{Value, json};
 
-use crate::calibration::{Calibration, Termination};
+use crate::calibration::{Calibration, Loss, Termination};
 use crate::camera::intrinsic_parameters;
 use crate::evaluation::{Rmse, WeakDirection};
 use crate::io::{camera_document, poses_document};
 
 /// The distance of the boards is named when a direction explains this share of its variance.
-const BOARDS_NAMED_SHARE: f64 = 0.25;
+const BOARDS_NAMED_SHARE: f64 = 0.5;
 
 /// The result of a calibration on a terminal: parameters, errors, convergence, weakest direction.
 #[must_use]
 pub fn calibration_text(calibration: &Calibration) -> String {
+    let held = calibration.uncertainty.free_intrinsics.is_empty();
     [
-        parameters_table(calibration).to_string(),
+        if held { poses_table(calibration) } else { parameters_table(calibration) }.to_string(),
         errors_table(calibration).to_string(),
         summary(calibration),
     ]
@@ -109,10 +110,33 @@ fn parameters_table(calibration: &Calibration) -> Table {
     table
 }
 
+fn poses_table(calibration: &Calibration) -> Table {
+    let mut table = table(
+        &["Frame", "x, mm", "± σ", "y, mm", "± σ", "z, mm", "± σ", "Rotation vector, rad", "± σ"],
+        &[],
+    );
+    for (i, pose) in calibration.poses.iter().enumerate() {
+        let std_devs = calibration.uncertainty.pose_std_devs(i);
+        let translation = pose.camera_from_board.translation.vector;
+        let rotation = pose.camera_from_board.rotation.scaled_axis();
+        let mut row = vec![pose.frame.to_string()];
+        for (value, std_dev) in translation.iter().zip(&std_devs[3..]) {
+            let (value, deviation) = with_std_dev(*value, Some(*std_dev));
+            row.extend([value, deviation]);
+        }
+        let largest = std_devs[..3].iter().copied().fold(0.0, f64::max);
+        let parts: Vec<String> =
+            rotation.iter().map(|&v| with_std_dev(v, Some(largest)).0).collect();
+        row.extend([parts.join(", "), with_std_dev(0.0, Some(largest)).1]);
+        table.add_row(row);
+    }
+    table
+}
+
 fn errors_table(calibration: &Calibration) -> Table {
     let reprojection = &calibration.reprojection;
     let mut table = table(&["RMSE, px", "Features", "All", "(u, v)", "ρ", "Centres"], &[0]);
-    let number = |value: f64| format!("{value:.4}");
+    let number = |value: f64| if value.is_nan() { "-".to_owned() } else { format!("{value:.4}") };
     let mut add = |name: String, rmse: &Rmse, centers: Option<f64>| {
         table.add_row([
             name,
@@ -155,7 +179,26 @@ fn summary(calibration: &Calibration) -> String {
         .into_iter()
         .filter(|s| !s.is_empty())
         .collect();
-    let _ = writeln!(text, "Measured noise per coordinate, px: {}.", sigmas.join("; "));
+    let counts = match calibration.initial_centers_rmse_px {
+        Some(rmse) => format!(
+            "{} features of {} frames; {} centres, missed by {rmse:.3} px RMS at the start.",
+            calibration.reprojection.features.len(),
+            calibration.poses.len(),
+            calibration.reprojection.centers.len()
+        ),
+        None => format!(
+            "{} features of {} frames; no centres.",
+            calibration.reprojection.features.len(),
+            calibration.poses.len()
+        ),
+    };
+    let _ = writeln!(text, "{counts}");
+    let what = if calibration.options.cost.loss == Loss::None {
+        "Measured noise per coordinate"
+    } else {
+        "Spread per coordinate after weighting by the loss, on which σ rests (below the noise)"
+    };
+    let _ = writeln!(text, "{what}, px: {}.", sigmas.join("; "));
     let directions = weakest_directions_text(calibration);
     if !directions.is_empty() {
         let _ = writeln!(text, "Weakest directions:");
@@ -210,7 +253,7 @@ fn direction_text(direction: &WeakDirection) -> String {
     let boards = direction.board_distance_share >= BOARDS_NAMED_SHARE;
     if boards {
         changes.push(format!(
-            "boards {} mm further away ({:.0} %)",
+            "board distance {} mm ({:.0} %)",
             signed(direction.board_distance_mm),
             100.0 * direction.board_distance_share
         ));
@@ -280,7 +323,12 @@ pub fn calibration_json(calibration: &Calibration, time_s: f64) -> Value {
         "rmse_by_frame": frames,
         "rmse_by_lens_type": types,
         "initial_centers_rmse": calibration.initial_centers_rmse_px,
-        "noise": { "uv": uv, "rho": rho, "centers": centers },
+        "noise": {
+            "uv": uv,
+            "rho": rho,
+            "centers": centers,
+            "weighted_by_loss": calibration.options.cost.loss != Loss::None,
+        },
         "counts": {
             "features": reprojection.features.len(),
             "centers": reprojection.centers.len(),

@@ -3,5 +3,6 @@
 mod calibration;
 
 pub use calibration::{
-    calibration_json, calibration_text, termination_text, weakest_directions_text,
+    calibrated_camera, calibration_json, calibration_text, termination_text,
+    weakest_directions_text,
 };

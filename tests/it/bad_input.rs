@@ -120,6 +120,10 @@ fn damaged_gzip() {
     whole[end - 6] ^= 0xff;
     fs::write(&file, &whole).unwrap();
     spoiled.is_rejected_with(&features, &["linked.bin.gz", "damaged"]);
+    let mut two = gzip(&[0; 24]);
+    two.extend(gzip(&[0; 24]));
+    fs::write(&file, &two).unwrap();
+    spoiled.is_rejected_with(&features, &["linked.bin.gz", "24 bytes follow"]);
     fs::write(&file, &gzip(&[0; 4096])[..20]).unwrap();
     spoiled.is_rejected_with(&features, &["linked.bin.gz", "damaged or cut short"]);
     // One centre announced, and bytes for half of it.
@@ -139,6 +143,9 @@ fn wrong_columns_and_numbers() {
     Spoiled::new()
         .replace("centers.csv", "k,l,u,v", "a,b,c,d")
         .is_rejected(&["centers.csv", "'k', 'l'"]);
+    Spoiled::new()
+        .replace("centers.csv", "k,l,u,v", "u,k,l,u,v")
+        .is_rejected(&["centers.csv", "u twice"]);
     for (value, word) in [("NaN", "not a finite"), ("inf", "not a finite"), ("x", "not a number")] {
         let line = format!("5,5,{value},100.0,0.1,3,0");
         Spoiled::new().append("features.csv", &line).is_rejected(&["features.csv", "line", word]);
@@ -222,6 +229,67 @@ fn a_camera_that_cannot_be() {
 }
 
 #[test]
+fn a_camera_that_is_absurd() {
+    for (from, to, words) in [
+        ("lens_types = 3", "lens_types = 2000000000", &["2000000000 lens types"][..]),
+        ("columns = 43", "columns = 2000000000", &["2000000000 x 37"]),
+        ("columns = 9 ", "columns = 2000000000 ", &["2000000000 x 5"]),
+        ("lens_types = 3", "lens_types = 3\nmicro_image_pitch_px = 24.0", &["24.0000 px", "23.3"]),
+        ("q_prime_mm = [", "micro_image_pitch_mm = 0.1\nq_prime_mm = [", &["18.1818 px", "23.3"]),
+    ] {
+        Spoiled::new().replace("project.toml", from, to).is_rejected(words);
+    }
+    let spoiled = Spoiled::new();
+    let truth = fs::read_to_string(synthetic_folder().join("truth/camera.json")).unwrap();
+    let camera = spoiled.path("camera.json");
+    for (from, to, words) in [
+        ("\"focal_length_mm\": 16.2", "\"focal_length_mm\": -16.2", &["F (mm)", "-16.2"][..]),
+        ("\"pitch_mm\": 0.126", "\"pitch_mm\": 0.0", &["dC (mm)"]),
+        ("\"version\": 1", "\"version\": 7", &["version 7"]),
+        ("\"f_number\": 2.8", "\"f_number\": 0.0", &["f-number"]),
+        ("\"shifted\": \"even\"", "\"shifted\": \"odd\"", &["shifted"]),
+        ("\"sensor\"", "\"censor\"", &["camera.json", "sensor"]),
+    ] {
+        assert!(truth.contains(from), "{from}");
+        fs::write(&camera, truth.replacen(from, to, 1)).unwrap();
+        spoiled.is_rejected_with(&["--camera", camera.to_str().unwrap()], words);
+    }
+}
+
+#[test]
+fn indices_and_positions_that_do_not_belong_together() {
+    Spoiled::new()
+        .append("features.csv", "5,5,900.0,700.0,0.1,3,0")
+        .is_rejected(&["corner 3", "(5, 5)", "0 more"]);
+    // Rows counted from 1.
+    let shifted = |text: String| {
+        let mut lines = text.lines();
+        let mut edited = lines.next().unwrap().to_owned() + "\n";
+        for line in lines {
+            let fields: Vec<&str> = line.split(',').collect();
+            let l: i32 = fields[1].parse().unwrap();
+            if l < 35 {
+                let _ = writeln!(edited, "{},{},{},{}", fields[0], l + 2, fields[2], fields[3]);
+            }
+        }
+        edited
+    };
+    Spoiled::new().edit("centers.csv", shifted).is_rejected(&["indices and positions"]);
+    let one_row = |text: String| {
+        let kept = |line: &&str| line.starts_with('k') || line.split(',').nth(1) == Some("5");
+        text.lines().filter(kept).collect::<Vec<_>>().join("\n")
+    };
+    Spoiled::new().edit("centers.csv", one_row).is_rejected(&["one row"]);
+}
+
+#[test]
+fn a_refinement_that_diverges_says_so() {
+    Spoiled::new()
+        .replace("project.toml", "square_mm = 3.0", "square_mm = 300.0")
+        .is_rejected(&["fit"]);
+}
+
+#[test]
 fn options_that_cannot_be() {
     let spoiled = Spoiled::new();
     spoiled.is_rejected_with(&["--fix", "focal"], &["'focal'", "theta_x"]);
@@ -252,6 +320,18 @@ fn results_that_cannot_be_written() {
         .code(1)
         .stderr(predicate::str::contains("centers.csv"));
     assert!(out.is_file());
+    // A folder has the name of a result: the others do not appear either.
+    let out = spoiled.path("results");
+    fs::create_dir_all(out.join("solver.txt")).unwrap();
+    plenocal()
+        .arg("calibrate")
+        .arg(spoiled.path("project.toml"))
+        .arg("--out")
+        .arg(&out)
+        .assert()
+        .code(1)
+        .stderr(predicate::str::contains("solver.txt"));
+    assert_eq!(fs::read_dir(&out).unwrap().count(), 1);
     plenocal()
         .arg("calibrate")
         .arg(spoiled.path("project.toml"))

@@ -153,3 +153,28 @@ fn help_teaches() {
     plenocal().arg("--help").assert().success().stdout(predicate::str::contains("Exit status"));
     plenocal().args(["calibrate", "--no-such-option"]).assert().code(2);
 }
+
+#[test]
+fn a_camera_of_pinholes_needs_no_blur_radii() {
+    let folder = TempDir::new().unwrap();
+    let (first, second) = (folder.path().join("first"), folder.path().join("second"));
+    let features = folder.path().join("features.csv");
+    let text = fs::read_to_string(synthetic_folder().join("features.csv")).unwrap();
+    let without_rho = |line: &str| {
+        let fields: Vec<&str> = line.split(',').collect();
+        [&fields[..4], &fields[5..]].concat().join(",")
+    };
+    let lines: Vec<String> = text.lines().map(without_rho).collect();
+    fs::write(&features, lines.join("\n")).unwrap();
+    calibrate(&first)
+        .args(["--mode", "corners-only", "--features"])
+        .arg(&features)
+        .assert()
+        .success();
+    let mut command = calibrate(&second);
+    command.args(["--mode", "poses-only", "--camera"]).arg(first.join("camera.json"));
+    command.arg("--features").arg(&features);
+    command.assert().success().stdout(predicate::str::contains("Rotation vector"));
+    // The camera was held, so there is no new one.
+    assert!(second.join("poses.json").exists() && !second.join("camera.json").exists());
+}

@@ -128,3 +128,39 @@ fn a_frame_whose_corners_lie_on_a_line_is_left_out_by_name() {
     let used = calibration.reprojection.features.len();
     assert_eq!(used + left_out.features, observations.features.len());
 }
+
+#[test]
+fn excluded_frames_are_counted() {
+    let observations = shipped_observations();
+    let mut options = options();
+    options.exclude_frames = vec![2, 5];
+    let calibration = run(&datasheet_start(), &observations, &options);
+    assert!(calibration.converged);
+    let left_out: Vec<u32> = calibration.left_out.iter().map(|l| l.frame).collect();
+    assert_eq!(left_out, [2, 5]);
+    let features: usize = calibration.left_out.iter().map(|l| l.features).sum();
+    assert_eq!(calibration.reprojection.features.len() + features, observations.features.len());
+}
+
+#[test]
+fn what_is_not_observed_is_named() {
+    let mut observations = shipped_observations();
+    let camera = true_camera();
+    observations.features.retain(|f| camera.lens_type(f.k, f.l) != 2);
+    let calibration = run(&datasheet_start(), &observations, &options());
+    let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
+    assert!(std_devs[19].unwrap().is_infinite());
+    assert!(std_devs[..19].iter().flatten().all(|s| s.is_finite()));
+    assert!(calibration.warnings.iter().any(|w| w.contains("not determined: f_3.")));
+    let weakest = &calibration.uncertainty.weakest_directions(3)[0];
+    assert!(!weakest.determined);
+    assert_eq!(weakest.components[0].name, "f_3");
+}
+
+#[test]
+fn a_wrong_sign_of_rho_brings_a_warning() {
+    let mut observations = shipped_observations();
+    observations.features.iter_mut().for_each(|f| f.rho_px = -f.rho_px);
+    let calibration = run(&datasheet_start(), &observations, &options());
+    assert!(calibration.warnings.iter().any(|w| w.contains("sign of rho")));
+}

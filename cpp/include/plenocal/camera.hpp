@@ -119,6 +119,9 @@ struct Camera {
   int lens_types() const { return static_cast<int>(micro_lens_focal_lengths.size()); }
 };
 
+/// The largest number of micro-lenses along a side.
+constexpr int kMaxMicroLenses = 1 << 16;
+
 /// The largest number of lens types.
 constexpr int kMaxLensTypes = 3;
 

@@ -48,17 +48,15 @@ impl<'de> Deserialize<'de> for Integer {
 
 impl<'de> Deserialize<'de> for Vector {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
-        #[derive(Deserialize)]
-        #[serde(untagged)]
-        enum Form {
-            Flat(Vec<Number>),
-            Nested(Vec<Vec<Number>>),
-        }
-        let numbers = match Form::deserialize(deserializer)? {
-            Form::Flat(numbers) => numbers,
-            Form::Nested(rows) => rows.into_iter().flatten().collect(),
+        let Value::Array(rows) = Value::deserialize(deserializer)? else {
+            return Err(D::Error::custom("expected a list of numbers"));
         };
-        Ok(Self(numbers.into_iter().map(|n| n.0).collect()))
+        let flat = rows.into_iter().flat_map(|row| match row {
+            Value::Array(numbers) => numbers,
+            number => vec![number],
+        });
+        let number = |value| Number::deserialize(value).map(|n| n.0).map_err(D::Error::custom);
+        flat.map(number).collect::<std::result::Result<_, _>>().map(Self)
     }
 }
 
@@ -66,7 +64,7 @@ impl Integer {
     pub(super) fn positive(self, name: &str) -> Result<i32> {
         match i32::try_from(self.0) {
             Ok(value) if value > 0 => Ok(value),
-            _ => Err(Error::invalid(format!("the {name} is {}; it has to be positive", self.0))),
+            _ => Err(Error::invalid(format!("the {name} is {}; that is not possible", self.0))),
         }
     }
 

@@ -3,7 +3,7 @@
 
 use std::io::Read;
 
-use flate2::read::GzDecoder;
+use flate2::read::MultiGzDecoder;
 
 use crate::error::{Error, Result};
 use crate::observations::{BapFeature, MicroImageCenter, Observations};
@@ -13,7 +13,7 @@ const CENTER_BYTES: usize = 24;
 /// Bytes of a corner or feature (k, l: i32; u, v, rho: f64; cluster, frame: i32).
 const FEATURE_BYTES: usize = 40;
 /// More than this after decompression is no set of observations, but a damaged or hostile file.
-const MAX_BYTES: u64 = 1 << 32;
+const MAX_BYTES: u64 = 1 << 28;
 
 /// Whether the bytes begin as a gzip stream does.
 pub(in crate::io) fn is_linked_observations(bytes: &[u8]) -> bool {
@@ -23,9 +23,15 @@ pub(in crate::io) fn is_linked_observations(bytes: &[u8]) -> bool {
 /// The observations in a gzip stream.
 pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
     let mut data = Vec::new();
-    GzDecoder::new(bytes).take(MAX_BYTES).read_to_end(&mut data).map_err(|e| {
+    MultiGzDecoder::new(bytes).take(MAX_BYTES + 1).read_to_end(&mut data).map_err(|e| {
         Error::invalid(format!("the gzip stream is damaged or cut short ({e}); copy it anew"))
     })?;
+    if data.len() as u64 > MAX_BYTES {
+        return Err(Error::invalid(format!(
+            "it unpacks to more than {} MB; no set of observations is so large",
+            MAX_BYTES >> 20
+        )));
+    }
     let mut rest = data.as_slice();
     let centers: Vec<MicroImageCenter> = section(&mut rest, "centres", CENTER_BYTES, |r| {
         Ok(MicroImageCenter {
