@@ -4,7 +4,7 @@ use std::path::Path;
 
 use plenocal::calibration::{CalibrationOptions, Mode, Start};
 use plenocal::camera::{Board, Datasheet};
-use plenocal::io::{self, CalibrationSection, CameraSource, Project};
+use plenocal::io::{self, CalibrationSection, CameraSource, LossName, Project};
 use plenocal::observations::Observations;
 use plenocal::{Error, Result};
 
@@ -30,10 +30,16 @@ impl Input {
     /// Reads everything; `options` go before those of the project.
     pub fn read(files: &Files, options: CalibrationSection) -> Result<Self> {
         let project = files.project.map(Project::read).transpose()?;
-        let options = match &project {
-            Some(project) => options.or(project.calibration.clone()).options(),
-            None => options.options(),
+        let section = match &project {
+            Some(project) => options.or(project.calibration.clone()),
+            None => options,
         };
+        if section.loss_scale.is_some() && matches!(section.loss, None | Some(LossName::None)) {
+            return Err(Error::Invalid(
+                "a scale of the loss is given, but no loss: choose one with --loss".to_owned(),
+            ));
+        }
+        let options = section.options();
         let start = start(files, project.as_ref(), options.mode)?;
         let board = match (files.scene, project.as_ref().and_then(|p| p.board)) {
             (Some(path), _) => io::read_board(path)?,

@@ -87,7 +87,7 @@ pub struct ObservationsSection {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pitches {
-    /// One ΔC (the paper).
+    /// The same along x and y (the paper).
     One,
     /// One along x, one along y.
     Two,
@@ -97,11 +97,11 @@ pub enum Pitches {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum LossName {
-    /// Least squares.
+    /// Least squares (the paper).
     None,
-    /// Huber.
+    /// Huber: linear beyond the scale.
     Huber,
-    /// Cauchy.
+    /// Cauchy: logarithmic beyond the scale.
     Cauchy,
 }
 

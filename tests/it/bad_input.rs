@@ -295,6 +295,8 @@ fn options_that_cannot_be() {
     spoiled.is_rejected_with(&["--fix", "focal"], &["'focal'", "theta_x"]);
     spoiled.is_rejected_with(&["--uv-std-dev", "0"], &["(u, v)", "0"]);
     spoiled.is_rejected_with(&["--loss", "huber", "--loss-scale=-1"], &["loss", "-1"]);
+    spoiled.is_rejected_with(&["--loss-scale", "2"], &["--loss"]);
+    spoiled.is_rejected_with(&["--uv-std-dev", "-1"], &["(u, v)", "-1"]);
     spoiled.is_rejected_with(&["--mode", "poses-only"], &["--camera"]);
     spoiled.is_rejected_with(&["--threads", "0"], &["threads"]);
     let params = spoiled.path("params.js");
