@@ -13,6 +13,8 @@ fn main() {
         .include("cpp/bridge")
         .include(core.join("include"))
         .include("/usr/include/eigen3")
+        // Ceres' headers include glog's, which from 0.7 on want this; CMake's targets set it.
+        .define("GLOG_USE_GLOG_EXPORT", None)
         .std("c++17")
         .compile("plenocal_bridge");
 
