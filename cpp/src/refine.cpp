@@ -29,9 +29,12 @@ constexpr double kSlow = 0.05;
 // Follows the solve: reports progress, remembers the accepted states, recognises slowness.
 class Watch : public ceres::IterationCallback {
  public:
-  Watch(const CalibrationProblem& calibration, const Progress& progress,
+  Watch(const CalibrationProblem& calibration, const Progress& progress, bool interrupt,
         std::vector<Iteration>* iterations)
-      : calibration_(calibration), progress_(progress), iterations_(iterations) {}
+      : calibration_(calibration),
+        progress_(progress),
+        interrupt_(interrupt),
+        iterations_(iterations) {}
 
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& s) override {
     if (s.iteration == 0) {  // a new solve from the present state
@@ -51,7 +54,7 @@ class Watch : public ceres::IterationCallback {
                               radius_, first_.time_s + s.cumulative_time_in_seconds});
       if (progress_ && !progress_(iterations_->back())) return ceres::SOLVER_ABORT;
     }
-    return is_slow() ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
+    return interrupt_ && is_slow() ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
   }
 
   bool is_slow() const {
@@ -65,6 +68,7 @@ class Watch : public ceres::IterationCallback {
  private:
   const CalibrationProblem& calibration_;
   const Progress& progress_;
+  bool interrupt_;
   std::vector<Iteration>* iterations_;
   Iteration first_{};
   std::vector<Eigen::VectorXd> states_;
@@ -148,7 +152,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
   options.num_threads = solver_options.threads;
   options.logging_type = ceres::SILENT;
   options.update_state_every_iteration = true;
-  Watch watch(calibration, progress, &result.iterations);
+  Watch watch(calibration, progress, solver_options.extrapolate, &result.iterations);
   options.callbacks.push_back(&watch);
   std::string error;
   if (!options.IsValid(&error)) throw std::invalid_argument(error);
@@ -169,7 +173,8 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
     calibration.set_state(watch.states().back());
     result.cost = watch.cost();
     go_on = summary.termination_type == ceres::USER_SUCCESS;
-    if (go_on || summary.termination_type == ceres::CONVERGENCE) {
+    const bool converged = summary.termination_type == ceres::CONVERGENCE;
+    if (solver_options.extrapolate && (go_on || converged)) {
       // Steps that have become too small for Ceres may still add up.
       const double gain = extrapolate(&calibration, watch, result.cost);
       go_on = go_on || gain > solver_options.function_tolerance * result.cost;

@@ -50,6 +50,8 @@ struct SolverOptions {
   double parameter_tolerance = 1e-12;
   double initial_trust_region_radius = 1e10;
   int threads = 1;
+  /// Go to the extrapolated limit of the steps where they become slow; false leaves all to Ceres.
+  bool extrapolate = true;
 };
 
 /// One iteration, for progress and convergence plots.
