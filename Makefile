@@ -52,7 +52,7 @@ test-rust: cpp
 	cargo test --release --no-fail-fast
 
 test-slow: cpp
-	cargo test --release -- --ignored --nocapture
+	cargo test --release --test it -- --ignored --nocapture monte_carlo
 
 # The cmake crate silences C++ warnings; the plain build shows them, as errors.
 lint: deps
