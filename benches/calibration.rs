@@ -110,12 +110,19 @@ fn seconds<T>(work: impl FnOnce() -> T) -> f64 {
 fn compare(program: &Path, data: &Data, observations: &Observations, threads: usize) {
     let solver = SolverOptions { threads, ..SolverOptions::default() };
     let options = CalibrationOptions { solver, ..CalibrationOptions::default() };
+    let mut without = options.clone();
+    without.solver.extrapolate = false;
     let (mut plain, mut solve, mut whole) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut ceres, mut ceres_iterations) = (Vec::new(), 0);
     let (mut plain_end, mut end) = ((0, 0.0), (0, 0.0));
     for _ in 0..RUNS {
         let (time, iterations, cost) = baseline(program, data, threads);
         plain.push(time);
         plain_end = (iterations, cost);
+        let alone = calibrate(&data.start, &data.board, observations, &without, &mut |_| true)
+            .expect("the data can be calibrated");
+        ceres.push(alone.refinement.time_s);
+        ceres_iterations = alone.refinement.iterations.len() - 1;
         let start = Instant::now();
         let calibration =
             calibrate(&data.start, &data.board, observations, &options, &mut |_| true)
@@ -135,6 +142,10 @@ fn compare(program: &Path, data: &Data, observations: &Observations, threads: us
     println!(
         "  plenocal, refinement       {solve:7.3} s  {:3} iterations  cost {:.6}",
         end.0, end.1
+    );
+    println!(
+        "  the same, not extrapolated {:7.3} s  {ceres_iterations:3} iterations",
+        median(ceres)
     );
     println!("  plenocal, whole stage      {whole:7.3} s  (grid, start, refinement, uncertainty)");
     println!("  ratio of the refinements   {:7.3}", solve / plain);

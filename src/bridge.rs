@@ -71,6 +71,7 @@ mod ffi {
         max_iterations: i32,
         threads: i32,
         initial_trust_region_radius: f64,
+        extrapolate: bool,
     }
 
     struct IterationRow {
@@ -400,6 +401,7 @@ impl From<&SolverOptions> for ffi::SolverParts {
             max_iterations: count(solver.max_iterations),
             threads: count(solver.threads),
             initial_trust_region_radius: solver.initial_trust_region_radius,
+            extrapolate: solver.extrapolate,
         }
     }
 }

@@ -125,6 +125,7 @@ RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> p
   options.max_iterations = solver.max_iterations;
   options.threads = solver.threads;
   options.initial_trust_region_radius = solver.initial_trust_region_radius;
+  options.extrapolate = solver.extrapolate;
   const Refinement r = plenocal::refine(
       to_core(camera), to_core(poses), to_core(features, centers), to_core(cost), options,
       [&progress](const Iteration& i) { return progress.report(from_core(i)); });

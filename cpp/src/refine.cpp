@@ -13,10 +13,10 @@
 //
 // Where residuals stay, Gauss-Newton converges only linearly: with every step the error is
 // multiplied by -(J'J)^-1 S, S being the part of the Hessian that Gauss-Newton leaves out. In the
-// valleys of this problem that is 0.5 to 0.99 in the weakest directions, whatever the trust region.
-// Such a sequence has a limit that can be extrapolated from a few of its members. So the solve is
-// interrupted when it is slow, moved to the extrapolated limit if the cost is lower there, and goes
-// on; the steps, the decision which to accept and when to stop are Ceres'.
+// valleys of this problem that is 0.5 and more in the weakest directions, whatever the trust
+// region. Such a sequence has a limit that can be extrapolated from a few of its members. So the
+// solve is interrupted when it is slow, moved to the extrapolated limit if the cost is lower there,
+// and goes on; the steps, the decision which to accept and when to stop are Ceres'.
 
 namespace plenocal {
 namespace {

@@ -58,6 +58,8 @@ pub struct SolverOptions {
     pub max_iterations: usize,
     /// Threads of the solver.
     pub threads: usize,
+    /// Go to the extrapolated limit of the steps where they become slow; false leaves all to Ceres.
+    pub extrapolate: bool,
     /// Initial trust-region radius; large, since the first steps are nearly Gauss-Newton's.
     pub initial_trust_region_radius: f64,
 }
@@ -65,7 +67,7 @@ pub struct SolverOptions {
 impl Default for SolverOptions {
     fn default() -> Self {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { max_iterations: 200, threads, initial_trust_region_radius: 1e10 }
+        Self { max_iterations: 200, threads, initial_trust_region_radius: 1e10, extrapolate: true }
     }
 }
 

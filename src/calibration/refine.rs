@@ -19,7 +19,7 @@ use crate::precalibration::{MicroImageArray, fit_grid};
 
 /// The minimum counts as reached when one more Gauss-Newton step would gain less than this part of
 /// the cost. A parameter n standard deviations from its place adds n² s²/2 to the cost, s² being the
-/// variance of the residuals that determine it: with 10⁴ observations this bounds n to some 10⁻³.
+/// variance of the residuals that determine it: with 10⁵ residuals of like variance n < 10⁻³.
 const MAX_EXPECTED_DECREASE: f64 = 1e-11;
 /// Below this for every (standardised) residual a cost is zero up to rounding: (10⁻⁶)²/2.
 const ZERO_COST_PER_RESIDUAL: f64 = 0.5e-12;

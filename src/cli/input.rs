@@ -59,6 +59,9 @@ fn missing(what: &str, option: &str) -> Error {
 fn start(files: &Files, project: Option<&Project>, mode: Mode) -> Result<Start> {
     let path = files.camera.or(files.project).ok_or_else(|| missing("a camera", "--camera"))?;
     match io::read_camera_source(path)? {
+        CameraSource::Camera(_) if files.params.is_some() => Err(Error::Invalid(
+            "--params is for a camera that is not calibrated yet; leave it out".to_owned(),
+        )),
         CameraSource::Camera(camera) => Ok(Start::Camera(*camera)),
         CameraSource::Datasheet(_) if mode == Mode::PosesOnly => Err(Error::Invalid(
             "poses alone need a calibrated camera: give its camera.json or intrinsics.js with \
