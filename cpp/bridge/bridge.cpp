@@ -59,6 +59,7 @@ CostOptions to_core(const CostParts& parts) {
   options.centers_std_dev = parts.centers_std_dev_px;
   options.features_loss = {static_cast<LossKind>(parts.loss_kind), parts.loss_scale};
   options.centers_loss = options.features_loss;
+  options.held.clear();
   for (const rust::String& name : parts.held) options.held.push_back(std::string(name));
   return options;
 }

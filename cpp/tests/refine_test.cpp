@@ -98,7 +98,9 @@ TEST(Refine, TwoPitchesAreRecovered) {
   truth.camera.mla.pitch_ratio = 1.002;
   truth.observations = test::observe(truth.camera, truth.poses);
   const Scene start = disturbed(truth, {});
-  const Refinement free = refine(start.camera, start.poses, start.observations, {}, {});
+  CostOptions two_pitches;
+  two_pitches.held.clear();
+  const Refinement free = refine(start.camera, start.poses, start.observations, two_pitches, {});
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
   expect_recovered(free, truth);
   // One pitch cannot explain it: the outer centres alone are off by 0.2 px.

@@ -37,8 +37,9 @@ struct CostOptions {
   double centers_std_dev = 1.0;  ///< px, of a centre's u and v
   Loss features_loss;            ///< on |(u, v, rho)| of a feature
   Loss centers_loss;             ///< on |(u, v)| of a centre
-  /// Names of intrinsic parameters that keep their value, see `intrinsic_names`.
-  std::vector<std::string> held;
+  /// Names of intrinsic parameters that keep their value, see `intrinsic_names`; by default the
+  /// array has one pitch, as in the paper.
+  std::vector<std::string> held = {"dC_ratio"};
 };
 
 /// How to minimise it. The tolerances are Ceres'; the defaults run to the floating-point floor
