@@ -11,7 +11,8 @@ use plenocal::camera::{Board, LensSetting, MainLens, MicroLensArray, PlenopticCa
 use plenocal::io::{OutputFolder, camera_document, poses_document, write_centers, write_features};
 use plenocal::lattice::{Lattice, LatticeKind, Parity};
 use plenocal::observations::{BapFeature, MicroImageCenter, Observations};
-use plenocal::synthetic::{Noise, synthesize};
+use plenocal::noise::Noise;
+use plenocal::synthetic::synthesize;
 
 /// Noise of a good detector; the radius comes from a whole cluster and is therefore better.
 const NOISE: Noise = Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 };

@@ -4,6 +4,7 @@ use nalgebra::{Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+use crate::io::CameraFields;
 use crate::lattice::{Lattice, LatticeKind};
 
 /// The image sensor.
@@ -24,9 +25,14 @@ impl Sensor {
     pub fn center_px(&self) -> Vector2<f64> {
         Vector2::new(f64::from(self.width_px) - 1.0, f64::from(self.height_px) - 1.0) / 2.0
     }
-}
 
-impl Sensor {
+    /// Whether a position lies between the centres of the outermost pixels.
+    #[must_use]
+    pub fn contains(&self, u_px: f64, v_px: f64) -> bool {
+        (0.0..=f64::from(self.width_px) - 1.0).contains(&u_px)
+            && (0.0..=f64::from(self.height_px) - 1.0).contains(&v_px)
+    }
+
     /// An error unless the sensor has pixels.
     pub(crate) fn validate(&self) -> Result<()> {
         if self.width_px == 0 || self.height_px == 0 {
@@ -177,7 +183,8 @@ pub struct MicroLensArray {
 
 /// A calibrated (or to be refined) camera: the 16 + I parameters of the paper and the ratio of the
 /// two pitches.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(from = "CameraFields", into = "CameraFields")]
 pub struct PlenopticCamera {
     /// The image sensor.
     pub sensor: Sensor,

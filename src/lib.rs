@@ -76,12 +76,15 @@ pub mod calibration;
 pub mod camera;
 pub mod error;
 pub mod evaluation;
+pub mod image;
 pub mod io;
 pub mod lattice;
+pub mod noise;
 pub mod observations;
 pub mod optics;
 pub mod precalibration;
 pub mod report;
+pub mod simulation;
 pub mod synthetic;
 
 mod bridge;

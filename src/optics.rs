@@ -1,6 +1,6 @@
 //! Scalar relations of thin lenses, each with its equation of the paper.
 
-use crate::camera::Configuration;
+use crate::camera::{Configuration, InternalParameters, PlenopticCamera};
 
 /// H: image distance of a thin lens of focal length F whose object and image are h apart (paper,
 /// section 5.1): H = |h/2 (1 − √(1 − 4F/h))|; F for h = ∞. All in mm.
@@ -48,6 +48,19 @@ pub fn micro_lens_pitch(micro_image_pitch: f64, lens_to_mla: f64, mla_to_sensor:
 #[must_use]
 pub fn micro_lens_focal_length(q_prime: f64, micro_lens_pitch: f64, mla_to_sensor: f64) -> f64 {
     mla_to_sensor * micro_lens_pitch / (2.0 * q_prime)
+}
+
+/// Ω of a known camera: |m| = dF/2D and q'ᵢ = d ΔC/(2 fᵢ), Eq. (miradiusfnumbermc), with Δc of
+/// Eq. (mlinterdist).
+#[must_use]
+pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
+    let (focal_length, mla) = (camera.main_lens.focal_length_mm, &camera.mla);
+    let q_prime = |f: &f64| mla.mla_to_sensor_mm * mla.pitch_mm / (2.0 * f);
+    InternalParameters {
+        m_mm: mla.mla_to_sensor_mm * focal_length / (2.0 * mla.lens_to_mla_mm),
+        q_prime_mm: mla.focal_lengths_mm.iter().map(q_prime).collect(),
+        micro_image_pitch_mm: Some(camera.micro_image_pitch_px() * camera.sensor.pixel_size_mm),
+    }
 }
 
 #[cfg(test)]

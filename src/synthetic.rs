@@ -4,26 +4,13 @@
 //! uncertainty. They cannot tell whether the model is right, since they are made by it.
 
 use nalgebra::{Isometry3, Vector2};
-use rand::SeedableRng;
-use rand::rngs::StdRng;
-use rand_distr::{Distribution, Normal};
 
 use crate::bridge::{self, Problem, SolverFeature};
 use crate::calibration::FramePose;
 use crate::camera::{Board, PlenopticCamera};
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::noise::{Noise, NoiseSource};
 use crate::observations::{BapFeature, MicroImageCenter, Observations};
-
-/// Standard deviations of the noise per coordinate, px; 0 for none.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Noise {
-    /// Of u and v of a feature.
-    pub uv_px: f64,
-    /// Of ρ.
-    pub rho_px: f64,
-    /// Of u and v of a centre.
-    pub centers_px: f64,
-}
 
 /// A corner counts as seen when it lies at least this far inside its micro-image, px: nearer to the
 /// edge a detector has no two sides of it to look at.
@@ -38,7 +25,7 @@ pub fn synthesize(
     noise: &Noise,
     seed: u64,
 ) -> Result<Observations> {
-    let mut random = Random::new(noise, seed)?;
+    let mut source = NoiseSource::new(noise, seed)?;
     let centers = whole_micro_images(camera)?;
     let radius = camera.micro_image_pitch_px() / 2.0 - EDGE_MARGIN_PX;
 
@@ -51,27 +38,20 @@ pub fn synthesize(
                 let Some([u, v, rho]) = projected else { continue };
                 let offset = Vector2::new(u - center.u_px, v - center.v_px);
                 if offset.norm() <= radius {
-                    features.push(BapFeature {
+                    features.push(source.feature(&BapFeature {
                         frame: pose.frame,
                         corner,
                         k: center.k,
                         l: center.l,
-                        u_px: u + random.uv(),
-                        v_px: v + random.uv(),
-                        rho_px: if camera.lens_types() > 0 { rho + random.rho() } else { f64::NAN },
-                    });
+                        u_px: u,
+                        v_px: v,
+                        rho_px: if camera.lens_types() > 0 { rho } else { f64::NAN },
+                    }));
                 }
             }
         }
     }
-    let centers = centers
-        .into_iter()
-        .map(|c| MicroImageCenter {
-            u_px: c.u_px + random.center(),
-            v_px: c.v_px + random.center(),
-            ..c
-        })
-        .collect();
+    let centers = centers.iter().map(|center| source.center(center)).collect();
     Ok(Observations { centers, features })
 }
 
@@ -115,38 +95,4 @@ fn project_corner(
         .collect();
     let poses: [Isometry3<f64>; 1] = [pose.camera_from_board];
     bridge::project(&Problem { camera, poses: &poses, features: &features, centers: &[] })
-}
-
-struct Random {
-    generator: StdRng,
-    uv: Normal<f64>,
-    rho: Normal<f64>,
-    centers: Normal<f64>,
-}
-
-impl Random {
-    fn new(noise: &Noise, seed: u64) -> Result<Self> {
-        let normal = |std_dev: f64| {
-            Normal::new(0.0, std_dev)
-                .map_err(|_| Error::invalid(format!("a noise of {std_dev} px is not possible")))
-        };
-        Ok(Self {
-            generator: StdRng::seed_from_u64(seed),
-            uv: normal(noise.uv_px)?,
-            rho: normal(noise.rho_px)?,
-            centers: normal(noise.centers_px)?,
-        })
-    }
-
-    fn uv(&mut self) -> f64 {
-        self.uv.sample(&mut self.generator)
-    }
-
-    fn rho(&mut self) -> f64 {
-        self.rho.sample(&mut self.generator)
-    }
-
-    fn center(&mut self) -> f64 {
-        self.centers.sample(&mut self.generator)
-    }
 }

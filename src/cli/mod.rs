@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod input;
+mod simulate;
 
 use std::process::ExitCode;
 
@@ -18,6 +19,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Calibrate(Box<calibrate::Arguments>),
+    Simulate(simulate::Arguments),
 }
 
 const EXIT_STATUS: &str = "\
@@ -31,6 +33,7 @@ Exit status:
 pub fn run() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Simulate(arguments) => simulate::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {
         eprintln!("error: {error}");

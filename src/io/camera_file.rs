@@ -26,6 +26,13 @@ pub const CAMERA_VERSION: u64 = 1;
 struct CameraFile {
     format: String,
     version: u64,
+    #[serde(flatten)]
+    camera: PlenopticCamera,
+}
+
+/// A camera as it stands in files.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct CameraFields {
     sensor: Sensor,
     main_lens: MainLensFile,
     principal_point_px: [f64; 2],
@@ -62,15 +69,13 @@ struct ArrayFile {
     focal_lengths_mm: Vec<f64>,
 }
 
-impl From<&PlenopticCamera> for CameraFile {
-    fn from(camera: &PlenopticCamera) -> Self {
+impl From<PlenopticCamera> for CameraFields {
+    fn from(camera: PlenopticCamera) -> Self {
         let (lens, mla) = (&camera.main_lens, &camera.mla);
         let [q1_per_mm2, q2_per_mm4, q3_per_mm6] = lens.radial;
         let [p1_per_mm, p2_per_mm] = lens.tangential;
         let focus = lens.setting.map(|s| s.focus_distance_mm);
         Self {
-            format: CAMERA_FORMAT.to_owned(),
-            version: CAMERA_VERSION,
             sensor: camera.sensor,
             main_lens: MainLensFile {
                 focal_length_mm: lens.focal_length_mm,
@@ -95,17 +100,17 @@ impl From<&PlenopticCamera> for CameraFile {
                 offset_mm: mla.offset_mm.into(),
                 pitch_mm: mla.pitch_mm,
                 pitch_ratio: mla.pitch_ratio,
-                focal_lengths_mm: mla.focal_lengths_mm.clone(),
+                focal_lengths_mm: camera.mla.focal_lengths_mm,
             },
         }
     }
 }
 
-impl From<CameraFile> for PlenopticCamera {
-    fn from(file: CameraFile) -> Self {
-        let (lens, array) = (file.main_lens, file.micro_lens_array);
+impl From<CameraFields> for PlenopticCamera {
+    fn from(fields: CameraFields) -> Self {
+        let (lens, array) = (fields.main_lens, fields.micro_lens_array);
         Self {
-            sensor: file.sensor,
+            sensor: fields.sensor,
             lattice: Lattice {
                 kind: array.lattice,
                 columns: array.columns,
@@ -122,7 +127,7 @@ impl From<CameraFile> for PlenopticCamera {
                 }),
             },
             mla: MicroLensArray {
-                principal_point_px: Vector2::from(file.principal_point_px),
+                principal_point_px: Vector2::from(fields.principal_point_px),
                 mla_to_sensor_mm: array.mla_to_sensor_mm,
                 rotation_rad: Vector3::from(array.rotation_rad),
                 offset_mm: Vector2::from(array.offset_mm),
@@ -139,7 +144,11 @@ impl From<CameraFile> for PlenopticCamera {
 /// parameter with the correlations between them, by the parameters' names.
 #[must_use]
 pub fn camera_document(camera: &PlenopticCamera, uncertainty: Option<&Uncertainty>) -> Value {
-    let mut document = json!(CameraFile::from(camera));
+    let mut document = json!(CameraFile {
+        format: CAMERA_FORMAT.to_owned(),
+        version: CAMERA_VERSION,
+        camera: camera.clone(),
+    });
     if let (Some(uncertainty), Some(fields)) = (uncertainty, document.as_object_mut()) {
         fields.insert("uncertainty".to_owned(), uncertainty_document(camera, uncertainty));
     }
@@ -187,5 +196,5 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     }
     let file: CameraFile = serde_json::from_value(value)
         .map_err(|e| Error::invalid(format!("not a valid {CAMERA_FORMAT} file: {e}")))?;
-    Ok(file.into())
+    Ok(file.camera)
 }

@@ -2,25 +2,32 @@
 
 mod camera_file;
 pub mod compote;
+mod data_set_folder;
+mod image_file;
 mod input;
 mod observations_file;
 mod output;
 mod poses_file;
 mod project_file;
 mod residuals_file;
+mod simulation_file;
 
 use std::fs;
 use std::path::Path;
 
+pub(crate) use camera_file::CameraFields;
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera};
+pub use data_set_folder::{DataSetProgress, stage_data_set};
+pub use image_file::write_png;
 pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
 };
 pub use observations_file::{read_centers, read_features, write_centers, write_features};
 pub use output::OutputFolder;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
-pub use project_file::{CalibrationSection, LossName, ModeName, Pitches, Project};
+pub use project_file::{CalibrationSection, ImagesSection, LossName, ModeName, Pitches, Project, TranslationImages, WhiteImage};
 pub use residuals_file::write_residuals;
+pub use simulation_file::{PRESETS, Preset, preset_settings, read_settings, settings_text};
 
 use crate::error::{Error, Result};
 

@@ -8,6 +8,7 @@ use super::read_text;
 use crate::calibration::{CalibrationOptions, Loss, Mode};
 use crate::camera::{Board, Configuration, Datasheet, InternalParameters, Sensor};
 use crate::error::{Error, Result};
+use crate::image::Color;
 use crate::lattice::LatticeKind;
 
 /// A project file. Every table may be left out where a command gets its content another way.
@@ -24,6 +25,8 @@ pub struct Project {
     pub internal_parameters: Option<InternalSection>,
     /// The board.
     pub board: Option<Board>,
+    /// Where the raw images are, relative to the project file.
+    pub images: Option<ImagesSection>,
     /// Where the observations are, relative to the project file.
     pub observations: Option<ObservationsSection>,
     /// Options of the calibration.
@@ -71,6 +74,56 @@ pub struct InternalSection {
     pub q_prime_mm: Vec<f64>,
     /// Δc, mm.
     pub micro_image_pitch_mm: Option<f64>,
+}
+
+/// `[images]`
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImagesSection {
+    /// What the samples of all images stand for.
+    pub color: Color,
+    /// White images for the pre-calibration.
+    #[serde(default)]
+    pub whites: Vec<WhiteImage>,
+    /// The white image in the light and at the f-number of the boards.
+    pub devignetting: Option<PathBuf>,
+    /// Boards to calibrate with; frames count from 0.
+    #[serde(default)]
+    pub calibration: Vec<PathBuf>,
+    /// Boards to evaluate with.
+    #[serde(default)]
+    pub evaluation: Vec<PathBuf>,
+    /// A board moved along the optical axis.
+    pub translation: Option<TranslationImages>,
+}
+
+impl ImagesSection {
+    fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        let whites = self.whites.iter_mut().map(|white| &mut white.image);
+        let moved = self.translation.iter_mut().flat_map(|t| &mut t.images);
+        let boards = self.calibration.iter_mut().chain(&mut self.evaluation).chain(moved);
+        whites.chain(&mut self.devignetting).chain(boards)
+    }
+}
+
+/// `[[images.whites]]`
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WhiteImage {
+    /// The image.
+    pub image: PathBuf,
+    /// The f-number it was taken at.
+    pub f_number: f64,
+}
+
+/// `[images.translation]`
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TranslationImages {
+    /// Motion from image to image, mm; negative towards the camera.
+    pub step_mm: f64,
+    /// The images, in order.
+    pub images: Vec<PathBuf>,
 }
 
 /// `[observations]`
@@ -208,6 +261,9 @@ impl Project {
         if let Some(observations) = &mut project.observations {
             observations.features = folder.join(&observations.features);
             observations.centers = observations.centers.take().map(|file| folder.join(file));
+        }
+        for image in project.images.iter_mut().flat_map(ImagesSection::paths) {
+            *image = folder.join(&image);
         }
         Ok(project)
     }

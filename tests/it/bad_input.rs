@@ -5,7 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use plenocal::calibration::{CalibrationOptions, FramePose};
-use plenocal::synthetic::{Noise, synthesize};
+use plenocal::noise::Noise;
+use plenocal::synthetic::synthesize;
 use predicates::prelude::*;
 use tempfile::TempDir;
 

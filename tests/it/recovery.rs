@@ -3,7 +3,8 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use plenocal::calibration::{CalibrationOptions, FramePose, Loss, Mode, Start, initial_poses};
 use plenocal::camera::intrinsic_parameters;
-use plenocal::synthetic::{Noise, synthesize};
+use plenocal::noise::Noise;
+use plenocal::synthetic::synthesize;
 
 use crate::support::{
     NO_NOISE, board, datasheet_start, drawn, options, pairs, run, shipped_observations,

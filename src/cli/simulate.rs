@@ -1,0 +1,150 @@
+//! `plenocal simulate`: raw images of a simulated camera, with their truth.
+
+use std::fmt::Write as _;
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use clap::builder::PossibleValuesParser;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use plenocal::io::{self, DataSetProgress, OutputFolder, PRESETS};
+use plenocal::simulation::{DataSet, Settings, Subset};
+use plenocal::{Error, Result};
+
+/// Simulate a plenoptic camera: raw images by ray tracing, with their truth.
+///
+/// Writes white images, boards to calibrate and to evaluate with, a board moved in known steps, a
+/// project file for them, and the truth: camera, poses, micro-image centres and BAP features.
+#[derive(Args)]
+#[command(after_help = EXAMPLES, allow_negative_numbers = true)]
+pub struct Arguments {
+    /// Simulation file (TOML); --print shows what can stand in it. Instead of --preset.
+    #[arg(conflicts_with = "preset")]
+    file: Option<PathBuf>,
+    /// A camera that comes with plenocal [default: mini].
+    #[arg(long, value_name = "NAME", value_parser = preset_names())]
+    preset: Option<String>,
+    /// Folder for the data set.
+    #[arg(long, value_name = "DIR", required_unless_present = "print")]
+    out: Option<PathBuf>,
+    /// Replace a setting, e.g. imaging.bits=16; may be given many times.
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Poses of the calibration boards (poses.json) instead of random ones.
+    #[arg(long, value_name = "FILE")]
+    poses: Option<PathBuf>,
+    /// Print the complete simulation file and stop.
+    #[arg(long)]
+    print: bool,
+    /// Threads; the images are the same with any number [default: all cores].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+}
+
+fn preset_names() -> PossibleValuesParser {
+    PRESETS.map(|preset| preset.name).into()
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  plenocal simulate --out data
+  plenocal simulate --preset r12-a --set rays=32 --out data
+  plenocal simulate --set white_images.gain=4 --set imaging.color=bayer-rggb --out data
+  plenocal simulate --preset mini --print > my-camera.toml
+  plenocal simulate my-camera.toml --out data
+  plenocal calibrate data/observed/project.toml --out results";
+
+/// How often the progress line moves.
+const TICK: Duration = Duration::from_millis(100);
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let begun = Instant::now();
+    let settings = settings(arguments)?;
+    if arguments.print {
+        let _ = std::io::stdout().write_all(io::settings_text(&settings)?.as_bytes());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let Some(out) = &arguments.out else {
+        return Err(Error::Invalid("--out is missing".to_owned()));
+    };
+    if let Some(threads) = arguments.threads {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(usize::from(threads))
+            .build_global()
+            .map_err(|e| Error::Invalid(format!("cannot start {threads} threads: {e}")))?;
+    }
+    let mut output = OutputFolder::new(out)?;
+    let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
+    let data_set = DataSet::plan(&settings, poses)?;
+    let progress = Progress::new(&settings, &data_set);
+    io::stage_data_set(&mut output, &settings, &data_set, &progress)?;
+    progress.bar.finish_and_clear();
+    output.commit()?;
+    let text = summary(&data_set, &out.display().to_string(), begun.elapsed());
+    let _ = std::io::stdout().write_all(text.as_bytes());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn settings(arguments: &Arguments) -> Result<Settings> {
+    if let Some(path) = &arguments.file {
+        return io::read_settings(path, &arguments.set);
+    }
+    let name = arguments.preset.as_deref().unwrap_or(PRESETS[0].name);
+    let preset = PRESETS.iter().find(|preset| preset.name == name).unwrap_or(&PRESETS[0]);
+    io::preset_settings(preset, &arguments.set)
+}
+
+fn summary(data_set: &DataSet, folder: &str, time: Duration) -> String {
+    let mut text = format!(
+        "{} images in {:.1} s:\n  {folder}/whites/: {} white images for the pre-calibration\n  \
+         {folder}/devignetting.png: a white image in the light of the boards\n",
+        data_set.shots().count(),
+        time.as_secs_f64(),
+        data_set.whites.len()
+    );
+    for (subset, boards) in Subset::ALL.into_iter().zip(&data_set.subsets) {
+        if !boards.is_empty() {
+            let _ = writeln!(text, "  {folder}/{}/: {} boards", subset.name(), boards.len());
+        }
+    }
+    let _ = writeln!(text, "  {folder}/project.toml: the project; truth/: the truth");
+    let _ = writeln!(
+        text,
+        "Calibrate the observations drawn from the truth, with noise:\n  plenocal calibrate \
+         {folder}/observed/project.toml --out {folder}/results"
+    );
+    text
+}
+
+struct Progress {
+    bar: ProgressBar,
+}
+
+impl Progress {
+    fn new(settings: &Settings, data_set: &DataSet) -> Self {
+        if !std::io::stderr().is_terminal() {
+            return Self { bar: ProgressBar::hidden() };
+        }
+        let rows = data_set.shots().count() as u64 * u64::from(settings.camera.sensor.height_px);
+        let bar = ProgressBar::new(rows).with_style(
+            ProgressStyle::with_template("{spinner} {wide_bar} {percent} %, {eta} left: {msg}")
+                .unwrap_or_else(|_| ProgressStyle::default_bar()),
+        );
+        bar.set_draw_target(ProgressDrawTarget::stderr());
+        bar.enable_steady_tick(TICK);
+        Self { bar }
+    }
+}
+
+impl DataSetProgress for Progress {
+    fn image(&self, name: &str) {
+        self.bar.set_message(name.to_owned());
+    }
+
+    fn row(&self) {
+        self.bar.inc(1);
+    }
+}

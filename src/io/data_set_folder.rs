@@ -1,0 +1,224 @@
+//! A simulated data set as a folder: images, project file, truth, and observations drawn from it.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+use super::{
+    OutputFolder, camera_document, poses_document, settings_text, write_centers, write_features,
+    write_png,
+};
+use crate::camera::{Configuration, InternalParameters};
+use crate::error::Result;
+use crate::image::Color;
+use crate::noise::NoiseSource;
+use crate::observations::{BapFeature, MicroImageCenter};
+use crate::optics;
+use crate::simulation::{DataSet, Settings, Shot, Subset, TrueCenter, TrueFeature};
+
+/// How far the writing of a data set has come.
+pub trait DataSetProgress: Sync {
+    /// The next image, by its file.
+    fn image(&self, name: &str);
+    /// A finished row of it.
+    fn row(&self);
+}
+
+/// Takes all images of a data set and stages them with the project file, the settings and the
+/// truth:
+///
+/// - `whites/`, `devignetting.png`, `calibration/`, `evaluation/`, `translation/`: the images;
+/// - `project.toml`: what a user would tell of them; `simulation.toml`: the settings;
+/// - `truth/`: camera, internal parameters, centres with lens types, and for every subset poses and
+///   features with the part of their light that is `visible`;
+/// - `observed/`: the calibration subset's features of which at least half the light is visible,
+///   and the centres, both with noise; a project file of its own for `calibrate`.
+pub fn stage_data_set(
+    output: &mut OutputFolder,
+    settings: &Settings,
+    data_set: &DataSet,
+    progress: &dyn DataSetProgress,
+) -> Result<()> {
+    let project = project_text(settings, data_set);
+    output.stage("project.toml", |out| out.write_all(project.as_bytes()))?;
+    let text = settings_text(settings)?;
+    output.stage("simulation.toml", |out| out.write_all(text.as_bytes()))?;
+    stage_truth(output, settings, data_set)?;
+    for (name, shot) in named_shots(data_set) {
+        progress.image(&name);
+        let image = shot.take(settings, &|| progress.row())?;
+        output.stage(name, |out| write_png(out, &image))?;
+    }
+    Ok(())
+}
+
+fn white_name(shot: &Shot) -> String {
+    format!("whites/white-n-{:.2}.png", shot.f_number)
+}
+
+const DEVIGNETTING: &str = "devignetting.png";
+
+fn frame_name(subset: Subset, frame: u32) -> String {
+    format!("{0}/{0}-{frame:02}.png", subset.name())
+}
+
+fn named_shots(data_set: &DataSet) -> Vec<(String, &Shot)> {
+    let whites = data_set.whites.iter().map(|shot| (white_name(shot), shot));
+    let devignetting = (DEVIGNETTING.to_owned(), &data_set.devignetting);
+    let boards = Subset::ALL.into_iter().zip(&data_set.subsets).flat_map(|(subset, boards)| {
+        boards.iter().map(move |(pose, shot)| (frame_name(subset, pose.frame), shot))
+    });
+    whites.chain([devignetting]).chain(boards).collect()
+}
+
+/// Less light than this leaves no corner to be found.
+const OBSERVABLE: f64 = 0.5;
+
+fn stage_truth(output: &mut OutputFolder, settings: &Settings, data_set: &DataSet) -> Result<()> {
+    let camera = &settings.camera;
+    let tracer = settings.tracer(settings.board_f_number())?;
+    let centers = tracer.centers();
+    output.stage_json("truth/camera.json", &camera_document(camera, None))?;
+    output.stage("truth/centers.csv", |out| write_true_centers(out, &centers))?;
+    let internal = internal_text(&optics::internal_parameters(camera));
+    output.stage("truth/internal_parameters.toml", |out| out.write_all(internal.as_bytes()))?;
+
+    let mut observed = Vec::new();
+    for (subset, boards) in Subset::ALL.into_iter().zip(&data_set.subsets) {
+        if boards.is_empty() {
+            continue;
+        }
+        let folder = PathBuf::from("truth").join(subset.name());
+        let poses: Vec<_> = boards.iter().map(|&(pose, _)| pose).collect();
+        output.stage_json(folder.join("poses.json"), &poses_document(&poses, None))?;
+        let features = poses.iter().flat_map(|pose| {
+            tracer.features(pose.frame, &settings.target.board(), &pose.camera_from_board)
+        });
+        let features: Vec<TrueFeature> = features.collect();
+        output.stage(folder.join("features.csv"), |out| write_true_features(out, &features))?;
+        if subset == Subset::Calibration {
+            observed = features;
+        }
+    }
+    stage_observed(output, settings, &centers, &observed)
+}
+
+fn stage_observed(
+    output: &mut OutputFolder,
+    settings: &Settings,
+    centers: &[TrueCenter],
+    features: &[TrueFeature],
+) -> Result<()> {
+    let mut source = NoiseSource::new(&settings.observation_noise, settings.seed)?;
+    let seen = features.iter().filter(|f| f.visible >= OBSERVABLE);
+    let features: Vec<BapFeature> = seen.map(|f| source.feature(&f.feature)).collect();
+    let centers: Vec<MicroImageCenter> = centers.iter().map(|c| source.center(&c.center)).collect();
+    let in_image = |c: &MicroImageCenter| settings.camera.sensor.contains(c.u_px, c.v_px);
+    let centers: Vec<_> = centers.into_iter().filter(in_image).collect();
+    output.stage("observed/centers.csv", |out| write_centers(out, &centers))?;
+    output.stage("observed/features.csv", |out| write_features(out, &features))?;
+    let project = format!(
+        "# plenocal project: observations drawn from the truth of a simulation, with noise.\n\n\
+         {}\n{}\n[observations]\ncenters = \"centers.csv\"\nfeatures = \"features.csv\"\n",
+        camera_text(settings),
+        internal_text(&optics::internal_parameters(&settings.camera)),
+    );
+    output.stage("observed/project.toml", |out| out.write_all(project.as_bytes()))
+}
+
+fn write_true_centers(out: &mut dyn Write, centers: &[TrueCenter]) -> io::Result<()> {
+    writeln!(out, "k,l,u,v,type")?;
+    centers.iter().try_for_each(|TrueCenter { center: c, lens_type }| {
+        writeln!(out, "{},{},{},{},{}", c.k, c.l, c.u_px, c.v_px, lens_type + 1)
+    })
+}
+
+fn write_true_features(out: &mut dyn Write, features: &[TrueFeature]) -> io::Result<()> {
+    writeln!(out, "k,l,u,v,rho,cluster,frame,visible")?;
+    features.iter().try_for_each(|TrueFeature { feature: f, visible }| {
+        let (k, l, u, v) = (f.k, f.l, f.u_px, f.v_px);
+        writeln!(out, "{k},{l},{u},{v},{},{},{},{visible}", f.rho_px, f.corner, f.frame)
+    })
+}
+
+fn internal_text(internal: &InternalParameters) -> String {
+    let pitch = internal.micro_image_pitch_mm.unwrap_or(f64::NAN);
+    format!(
+        "[internal_parameters]\nm_mm = {}\nq_prime_mm = {:?}\nmicro_image_pitch_mm = {pitch}\n",
+        internal.m_mm, internal.q_prime_mm
+    )
+}
+
+/// The tables of a project file that a datasheet gives.
+fn camera_text(settings: &Settings) -> String {
+    let (camera, board) = (&settings.camera, settings.target.board());
+    let (sensor, lattice) = (&camera.sensor, &camera.lattice);
+    let focus = camera.main_lens.setting.map_or(f64::INFINITY, |s| s.focus_distance_mm);
+    let configuration = match camera.configuration() {
+        Some(Configuration::Galilean) => "galilean",
+        Some(Configuration::Keplerian) => "keplerian",
+        Some(Configuration::Unfocused) | None => "unfocused",
+    };
+    format!(
+        "[sensor]\nwidth_px = {}\nheight_px = {}\npixel_size_mm = {}\n\n\
+         [main_lens]\nfocal_length_mm = {}\nf_number = {}\nfocus_distance_mm = {}\n\n\
+         [micro_lens_array]\nconfiguration = \"{configuration}\"\nlattice = \"{}\"\n\
+         columns = {}\nrows = {}\nlens_types = {}\n\n\
+         [board]\ncolumns = {}\nrows = {}\nsquare_mm = {}\n",
+        sensor.width_px,
+        sensor.height_px,
+        sensor.pixel_size_mm,
+        settings.engraved_focal_length_mm,
+        settings.board_f_number(),
+        focus,
+        lattice.kind.name(),
+        lattice.columns,
+        lattice.rows,
+        camera.lens_types(),
+        board.columns,
+        board.rows,
+        board.square_mm,
+    )
+}
+
+fn project_text(settings: &Settings, data_set: &DataSet) -> String {
+    let color = match settings.imaging.color {
+        Color::Grey => "grey",
+        Color::Rgb => "rgb",
+        Color::BayerRggb => "bayer-rggb",
+        Color::BayerGrbg => "bayer-grbg",
+        Color::BayerGbrg => "bayer-gbrg",
+        Color::BayerBggr => "bayer-bggr",
+    };
+    let mut text = format!(
+        "# plenocal project: a simulated camera. The truth is in truth/, the settings of the\n\
+         # simulation in simulation.toml.\n\n{}\n\
+         [images]\ncolor = \"{color}\"\ndevignetting = \"{DEVIGNETTING}\"\n",
+        camera_text(settings)
+    );
+    let list = |subset: Subset, boards: &[(crate::calibration::FramePose, Shot)]| {
+        let names = boards.iter().map(|(p, _)| format!("  \"{}\",\n", frame_name(subset, p.frame)));
+        format!("[\n{}]", names.collect::<String>())
+    };
+    let [calibration, evaluation, translation] = &data_set.subsets;
+    let mut table = |line: String| text.push_str(&line);
+    table(format!("calibration = {}\n", list(Subset::Calibration, calibration)));
+    if !evaluation.is_empty() {
+        table(format!("evaluation = {}\n", list(Subset::Evaluation, evaluation)));
+    }
+    for shot in &data_set.whites {
+        table(format!(
+            "\n[[images.whites]]\nimage = \"{}\"\nf_number = {}\n",
+            white_name(shot),
+            shot.f_number
+        ));
+    }
+    if !translation.is_empty() {
+        table(format!(
+            "\n[images.translation]         # a board moved along the optical axis\n\
+             step_mm = {}\nimages = {}\n",
+            settings.translation.step_mm,
+            list(Subset::Translation, translation)
+        ));
+    }
+    text
+}

@@ -1,0 +1,97 @@
+//! Simulation files: the settings of a simulated data set in TOML, and the presets.
+
+use std::path::Path;
+
+use toml::{Table, Value};
+
+use super::read_text;
+use crate::error::{Error, Result};
+use crate::simulation::Settings;
+
+/// A simulation file that comes with plenocal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Preset {
+    /// Its name.
+    pub name: &'static str,
+    /// Its text.
+    pub text: &'static str,
+}
+
+macro_rules! presets {
+    ($($name:literal),*) => {
+        [$(Preset {
+            name: $name,
+            text: include_str!(concat!("../../data/presets/", $name, ".toml")),
+        }),*]
+    };
+}
+
+/// The presets, files in `data/presets`.
+pub const PRESETS: [Preset; 6] =
+    presets!["mini", "r12-a", "r12-b", "r12-c", "lytro-like", "keplerian"];
+
+/// The settings of a preset with some values replaced, see [`read_settings`].
+pub fn preset_settings(preset: &Preset, replaced: &[String]) -> Result<Settings> {
+    settings_from(preset.text, replaced)
+        .map_err(|e| Error::invalid(format!("preset {}: {e}", preset.name)))
+}
+
+/// Reads a simulation file. `replaced` holds `key=value` pairs that go before the file: keys with
+/// dots for tables, values in TOML (or plain words).
+pub fn read_settings(path: &Path, replaced: &[String]) -> Result<Settings> {
+    settings_from(&read_text(path)?, replaced).map_err(|e| e.in_file(path))
+}
+
+/// The settings as a simulation file.
+pub fn settings_text(settings: &Settings) -> Result<String> {
+    toml::to_string(settings)
+        .map_err(|e| Error::invalid(format!("the settings cannot be written: {e}")))
+}
+
+fn settings_from(text: &str, replaced: &[String]) -> Result<Settings> {
+    let wrong = |e: &dyn std::fmt::Display| {
+        Error::invalid(format!("not a valid simulation file: {e}"))
+    };
+    let mut table: Table = text.parse().map_err(|e: toml::de::Error| wrong(&e))?;
+    for pair in replaced {
+        replace(&mut table, pair)?;
+    }
+    // Without replacements errors can name the line.
+    let mut unknown = Vec::new();
+    let mut note = |path: serde_ignored::Path| unknown.push(path.to_string());
+    let settings: Settings = if replaced.is_empty() {
+        let document = toml::Deserializer::parse(text).map_err(|e| wrong(&e))?;
+        serde_ignored::deserialize(document, &mut note).map_err(|e| wrong(&e))?
+    } else {
+        serde_ignored::deserialize(table, &mut note).map_err(|e| wrong(&e))?
+    };
+    if let Some(key) = unknown.first() {
+        return Err(Error::invalid(format!("there is no setting '{key}' in a simulation file")));
+    }
+    settings.validate()?;
+    Ok(settings)
+}
+
+fn replace(table: &mut Table, pair: &str) -> Result<()> {
+    let (key, text) = pair.split_once('=').ok_or_else(|| {
+        Error::invalid(format!("'{pair}' sets nothing; write KEY=VALUE, as in seed=7"))
+    })?;
+    let text = text.trim();
+    let value = format!("value = {text}")
+        .parse::<Table>()
+        .ok()
+        .and_then(|mut parsed| parsed.remove("value"))
+        .unwrap_or_else(|| Value::String(text.to_owned()));
+    let mut path: Vec<&str> = key.split('.').map(str::trim).collect();
+    let last = path.pop().unwrap_or_default();
+    let mut inner = table;
+    for part in path {
+        inner = inner
+            .entry(part)
+            .or_insert_with(|| Value::Table(Table::new()))
+            .as_table_mut()
+            .ok_or_else(|| Error::invalid(format!("'{key}': {part} is no table of settings")))?;
+    }
+    inner.insert(last.to_owned(), value);
+    Ok(())
+}

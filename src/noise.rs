@@ -1,0 +1,67 @@
+//! Gaussian noise on observations.
+
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand_distr::{Distribution, Normal};
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+use crate::observations::{BapFeature, MicroImageCenter};
+
+/// Standard deviations of the noise per coordinate, px; 0 for none.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Noise {
+    /// Of u and v of a feature.
+    pub uv_px: f64,
+    /// Of ρ.
+    pub rho_px: f64,
+    /// Of u and v of a centre.
+    pub centers_px: f64,
+}
+
+/// Adds noise, observation by observation; the same seed adds the same.
+#[derive(Debug)]
+pub struct NoiseSource {
+    generator: StdRng,
+    uv: Normal<f64>,
+    rho: Normal<f64>,
+    centers: Normal<f64>,
+}
+
+impl NoiseSource {
+    /// An error if a standard deviation is negative or not finite.
+    pub fn new(noise: &Noise, seed: u64) -> Result<Self> {
+        let normal = |std_dev: f64| match Normal::new(0.0, std_dev) {
+            Ok(normal) if std_dev >= 0.0 => Ok(normal),
+            _ => Err(Error::invalid(format!("a noise of {std_dev} px is not possible"))),
+        };
+        Ok(Self {
+            generator: StdRng::seed_from_u64(seed),
+            uv: normal(noise.uv_px)?,
+            rho: normal(noise.rho_px)?,
+            centers: normal(noise.centers_px)?,
+        })
+    }
+
+    /// A feature with noise.
+    pub fn feature(&mut self, feature: &BapFeature) -> BapFeature {
+        let random = &mut self.generator;
+        BapFeature {
+            u_px: feature.u_px + self.uv.sample(random),
+            v_px: feature.v_px + self.uv.sample(random),
+            rho_px: feature.rho_px + self.rho.sample(random),
+            ..*feature
+        }
+    }
+
+    /// A centre with noise.
+    pub fn center(&mut self, center: &MicroImageCenter) -> MicroImageCenter {
+        let random = &mut self.generator;
+        MicroImageCenter {
+            u_px: center.u_px + self.centers.sample(random),
+            v_px: center.v_px + self.centers.sample(random),
+            ..*center
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! The micro-lens array as rays meet it: thin lenses with circular stops in one tilted plane.
+
+use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector2, Vector3};
+
+use crate::camera::PlenopticCamera;
+
+/// One micro-lens.
+#[derive(Debug, Clone)]
+pub(super) struct MicroLens {
+    pub k: i32,
+    pub l: i32,
+    pub lens_type: usize,
+    /// C, camera frame.
+    pub center: Point3<f64>,
+    /// 1/f.
+    pub power: f64,
+    /// False for a dead one, which lets no light through.
+    pub alive: bool,
+}
+
+/// The array in front of the sensor. "Local" coordinates of a micro-lens have their origin at its
+/// centre and the axes of the array, z towards the main lens.
+#[derive(Debug, Clone)]
+pub(super) struct MicroLenses {
+    pub lenses: Vec<MicroLens>,
+    /// Axes of the array as columns, in the camera frame.
+    pub axes: Matrix3<f64>,
+    pub stop_radius: f64,
+    pub sensor_z: f64,
+    pub pixel_size: f64,
+    principal_point: Vector2<f64>,
+}
+
+impl MicroLenses {
+    /// Micro-lenses with stops of `fill_factor` times their distance.
+    pub fn new(camera: &PlenopticCamera, fill_factor: f64) -> Self {
+        let mla = &camera.mla;
+        let [x, y, z] = mla.rotation_rad.into();
+        let axes = Rotation3::from_euler_angles(x, y, z);
+        let origin = Point3::new(mla.offset_mm.x, mla.offset_mm.y, -mla.lens_to_mla_mm);
+        let lattice = &camera.lattice;
+        let lens = |k, l| {
+            let node = lattice.node(k, l);
+            // The image is stored upright, hence against x and y of the camera.
+            let place = -mla.pitch_mm * Vector3::new(node.x, mla.pitch_ratio * node.y, 0.0);
+            let lens_type = camera.lens_type(k, l);
+            MicroLens {
+                k,
+                l,
+                lens_type,
+                center: origin + axes * place,
+                power: 1.0 / mla.focal_lengths_mm[lens_type],
+                alive: true,
+            }
+        };
+        let lenses = (0..lattice.rows)
+            .flat_map(|l| (0..lattice.columns).map(move |k| (k, l)))
+            .map(|(k, l)| lens(k, l))
+            .collect();
+        Self {
+            lenses,
+            axes: axes.into_inner(),
+            stop_radius: fill_factor * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0,
+            sensor_z: -(mla.lens_to_mla_mm + mla.mla_to_sensor_mm),
+            pixel_size: camera.sensor.pixel_size_mm,
+            principal_point: mla.principal_point_px,
+        }
+    }
+
+    /// Into local coordinates of a micro-lens.
+    #[inline]
+    pub fn local(&self, lens: &MicroLens, point: &Point3<f64>) -> Vector3<f64> {
+        self.axes.tr_mul(&(point - lens.center))
+    }
+
+    /// Out of local coordinates, for a point of the plane of the lenses.
+    #[inline]
+    pub fn of_lens(&self, lens: &MicroLens, on_lens: Vector2<f64>) -> Point3<f64> {
+        lens.center + self.axes.column(0) * on_lens.x + self.axes.column(1) * on_lens.y
+    }
+
+    /// The point of the sensor at a pixel position.
+    #[inline]
+    pub fn on_sensor(&self, u: f64, v: f64) -> Point3<f64> {
+        let place = (self.principal_point - Vector2::new(u, v)) * self.pixel_size;
+        Point3::new(place.x, place.y, self.sensor_z)
+    }
+
+    /// The pixel position where a line through `point` with direction `direction` meets the
+    /// sensor.
+    pub fn to_pixel(&self, point: &Point3<f64>, direction: &Vector3<f64>) -> Point2<f64> {
+        let hit = point + direction * ((self.sensor_z - point.z) / direction.z);
+        Point2::from(self.principal_point - hit.xy().coords / self.pixel_size)
+    }
+
+    /// Follows a ray that goes through `on_lens` (local) and aims at or comes from `point` on the
+    /// far side of the array (camera frame) down to the sensor, px.
+    pub fn to_sensor(
+        &self,
+        lens: &MicroLens,
+        on_lens: Vector2<f64>,
+        point: &Point3<f64>,
+    ) -> Point2<f64> {
+        let target = self.local(lens, point);
+        // Beyond the lens the slope is less by x/f than before it, seen from the sensor.
+        let outer = (target.xy() - on_lens) / target.z;
+        let inner = outer + on_lens * lens.power;
+        let direction = self.axes * Vector3::new(inner.x, inner.y, 1.0);
+        self.to_pixel(&self.of_lens(lens, on_lens), &direction)
+    }
+}

@@ -1,0 +1,232 @@
+//! Which images a data set consists of, and how each is taken.
+
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+
+use super::imaging::Imaging;
+use super::sampling::hash;
+use super::scene::Scene;
+use super::settings::Settings;
+use crate::calibration::FramePose;
+use crate::error::{Error, Result};
+use crate::image::RawImage;
+
+/// What a set of frames is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Subset {
+    /// Boards to calibrate with.
+    Calibration,
+    /// Boards to evaluate with.
+    Evaluation,
+    /// A board moved along the optical axis.
+    Translation,
+}
+
+impl Subset {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Calibration, Self::Evaluation, Self::Translation];
+
+    /// The name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Calibration => "calibration",
+            Self::Evaluation => "evaluation",
+            Self::Translation => "translation",
+        }
+    }
+}
+
+/// One image to take.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shot {
+    /// What is in view.
+    pub scene: Scene,
+    /// F-number of the main lens.
+    pub f_number: f64,
+    /// How it is read out.
+    pub imaging: Imaging,
+    /// Tells the chance of this image from that of others.
+    pub number: u64,
+}
+
+impl Shot {
+    /// Takes the image. `progress` is told of every finished row.
+    pub fn take(&self, settings: &Settings, progress: &(dyn Fn() + Sync)) -> Result<RawImage> {
+        let seed = hash([settings.seed, self.number, 0, 0]);
+        let irradiance = settings
+            .tracer(self.f_number)?
+            .render(&self.scene, settings.rays, seed, progress)?;
+        self.imaging.read_out(&irradiance, seed)
+    }
+}
+
+/// All images of a data set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DataSet {
+    /// White images for the pre-calibration.
+    pub whites: Vec<Shot>,
+    /// The white image in the light and at the f-number of the boards.
+    pub devignetting: Shot,
+    /// Boards by subset, in the order of [`Subset::ALL`]; frames count from 0 in each.
+    pub subsets: [Vec<(FramePose, Shot)>; 3],
+}
+
+/// Draws before it is said that no pose fits.
+const DRAWS: usize = 10_000;
+
+impl DataSet {
+    /// Plans a data set: the same settings give the same one. The calibration boards are at `poses`
+    /// if these are given, else at random ones.
+    pub fn plan(settings: &Settings, poses: Option<Vec<FramePose>>) -> Result<Self> {
+        settings.validate()?;
+        let boards = &settings.boards;
+        let calibration = match poses {
+            Some(poses) => poses,
+            None => random_poses(settings, boards.calibration, Subset::Calibration)?,
+        };
+        let evaluation = random_poses(settings, boards.evaluation, Subset::Evaluation)?;
+        let f_number = settings.board_f_number();
+        let white = |f_number, imaging, number| Shot {
+            scene: Scene::White,
+            f_number,
+            imaging,
+            number,
+        };
+        let whites = settings.white_images.f_numbers.iter().zip(0..);
+        let whites: Vec<Shot> =
+            whites.map(|(&n, i)| white(n, settings.white_imaging(), i)).collect();
+        let mut number = whites.len() as u64;
+        let devignetting = white(f_number, settings.imaging, number);
+        let subsets = [calibration, evaluation, translation_poses(settings)].map(|poses| {
+            let shots = poses.into_iter().map(|pose| {
+                number += 1;
+                let scene = Scene::Board(settings.target, pose.camera_from_board);
+                (pose, Shot { scene, f_number, imaging: settings.imaging, number })
+            });
+            shots.collect()
+        });
+        let data_set = Self { whites, devignetting, subsets };
+        data_set.check(settings)?;
+        Ok(data_set)
+    }
+
+    /// All shots, in order.
+    pub fn shots(&self) -> impl Iterator<Item = &Shot> {
+        let boards = self.subsets.iter().flatten().map(|(_, shot)| shot);
+        self.whites.iter().chain([&self.devignetting]).chain(boards)
+    }
+
+    /// Everything that would fail later, before the first image is taken.
+    fn check(&self, settings: &Settings) -> Result<()> {
+        for shot in self.whites.iter().chain([&self.devignetting]) {
+            settings.tracer(shot.f_number)?;
+        }
+        let tracer = settings.tracer(settings.board_f_number())?;
+        for (subset, boards) in Subset::ALL.into_iter().zip(&self.subsets) {
+            for (pose, shot) in boards {
+                tracer.check_scene(&shot.scene).map_err(|e| {
+                    Error::invalid(format!("{} frame {}: {e}", subset.name(), pose.frame))
+                })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Frame by frame a distance from its own slice of the range, any direction of tilt, and a place
+/// such that enough of the board is in view.
+fn random_poses(settings: &Settings, count: usize, subset: Subset) -> Result<Vec<FramePose>> {
+    let mut random = StdRng::seed_from_u64(hash([settings.seed, subset as u64, 0, 2]));
+    let boards = &settings.boards;
+    let [near, far] = boards.depth_mm;
+    let mut slices: Vec<usize> = (0..count).collect();
+    slices.shuffle(&mut random);
+    let sensor = &settings.camera.sensor;
+    let principal = settings.camera.mla.principal_point_px;
+    slices
+        .into_iter()
+        .zip(0..)
+        .map(|(slice, frame)| {
+            for _ in 0..DRAWS {
+                let part = (slice as f64 + random.random_range(0.0..1.0)) / count as f64;
+                let depth = near + part * (far - near);
+                let direction = random.random_range(0.0..std::f64::consts::TAU);
+                let axis = Vector3::new(direction.cos(), direction.sin(), 0.0);
+                // Uniform over the cap of directions rather than over the angle.
+                let highest = boards.max_tilt_deg.to_radians().cos();
+                let tilt = (1.0 - random.random_range(0.0..=1.0) * (1.0 - highest)).acos();
+                let turn = random.random_range(-1.0..=1.0) * boards.max_turn_deg.to_radians();
+                let rotation = UnitQuaternion::from_scaled_axis(axis * tilt)
+                    * UnitQuaternion::from_scaled_axis(Vector3::z() * turn);
+                let u = random.random_range(0.0..f64::from(sensor.width_px));
+                let v = random.random_range(0.0..f64::from(sensor.height_px));
+                let scale = depth / focal_length_px(settings);
+                let middle =
+                    Vector3::new((u - principal.x) * scale, (v - principal.y) * scale, depth);
+                let camera_from_board = centred(settings, middle, rotation);
+                if in_view(settings, &camera_from_board) >= boards.min_in_view {
+                    return Ok(FramePose { frame, camera_from_board });
+                }
+            }
+            Err(Error::invalid(format!(
+                "no pose between {near} and {far} mm shows {:.0} % of the corners: use a smaller \
+                 board, larger distances, or a smaller min_in_view",
+                boards.min_in_view * 100.0
+            )))
+        })
+        .collect()
+}
+
+fn translation_poses(settings: &Settings) -> Vec<FramePose> {
+    let stage = &settings.translation;
+    let sensor = &settings.camera.sensor;
+    // The stage moves along the optical axis; the board is in the middle of the image at the start.
+    let offset = (sensor.center_px() - settings.camera.mla.principal_point_px)
+        * (stage.start_mm / focal_length_px(settings));
+    (0..stage.images)
+        .zip(0..)
+        .map(|(i, frame)| {
+            let z = stage.start_mm + i as f64 * stage.step_mm;
+            let middle = Vector3::new(offset.x, offset.y, z);
+            FramePose {
+                frame,
+                camera_from_board: centred(settings, middle, UnitQuaternion::identity()),
+            }
+        })
+        .collect()
+}
+
+/// The pose of a board whose middle is at a point.
+fn centred(
+    settings: &Settings,
+    middle: Vector3<f64>,
+    rotation: UnitQuaternion<f64>,
+) -> Isometry3<f64> {
+    let board = settings.target.board();
+    let half = (board.point_mm(board.corners() - 1) - Point3::origin()) / 2.0;
+    Isometry3::from_parts(Translation3::from(middle), rotation) * Translation3::from(-half)
+}
+
+/// Distance of the sensor from the main lens, px: the scale of central projections.
+fn focal_length_px(settings: &Settings) -> f64 {
+    let mla = &settings.camera.mla;
+    (mla.lens_to_mla_mm + mla.mla_to_sensor_mm) / settings.camera.sensor.pixel_size_mm
+}
+
+/// Part of the corners whose rays through the middle of the main lens meet the sensor.
+fn in_view(settings: &Settings, camera_from_board: &Isometry3<f64>) -> f64 {
+    let board = settings.target.board();
+    let sensor = &settings.camera.sensor;
+    let principal = settings.camera.mla.principal_point_px;
+    let seen = |&corner: &i32| {
+        let p = camera_from_board * board.point_mm(corner);
+        let place = principal + p.coords.xy() * (focal_length_px(settings) / p.z);
+        p.z > 0.0
+            && (0.0..f64::from(sensor.width_px)).contains(&place.x)
+            && (0.0..f64::from(sensor.height_px)).contains(&place.y)
+    };
+    (0..board.corners()).filter(seen).count() as f64 / f64::from(board.corners())
+}

@@ -1,0 +1,136 @@
+//! What real cameras have and the model has not.
+
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+use serde::{Deserialize, Serialize};
+
+use super::array::MicroLens;
+use crate::camera::{PlenopticCamera, Sensor, positive};
+use crate::error::{Error, Result};
+
+/// Departures from the ideal model, none by default.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Imperfections {
+    /// Where the exit pupil is, mm along z from the main lens; negative towards the array. Its size
+    /// follows: the cone of light on the axis stays that of F/N at the lens.
+    pub exit_pupil_mm: f64,
+    /// A second stop, as the rim of a lens barrel, that cuts oblique rays.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_stop: Option<SecondStop>,
+    /// Diameter of the micro-lenses' stops over their distance, above 0 and up to 1; the rest is
+    /// opaque.
+    pub fill_factor: f64,
+    /// Number of micro-lenses that let no light through.
+    pub dead_micro_lenses: usize,
+    /// Number of opaque specks on the sensor.
+    pub dust_specks: usize,
+    /// Diameter of the largest speck, px; the smallest has a quarter of it.
+    pub dust_diameter_px: f64,
+}
+
+/// A circular opening across the optical axis.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SecondStop {
+    /// Place along z from the main lens, mm: negative behind it; in front of it where it seems to
+    /// be, seen from behind.
+    pub z_mm: f64,
+    /// Diameter, mm.
+    pub diameter_mm: f64,
+}
+
+impl Default for Imperfections {
+    fn default() -> Self {
+        Self {
+            exit_pupil_mm: 0.0,
+            second_stop: None,
+            fill_factor: 1.0,
+            dead_micro_lenses: 0,
+            dust_specks: 0,
+            dust_diameter_px: 10.0,
+        }
+    }
+}
+
+/// Seeds of what is placed by chance, so that one does not move the other.
+const DEAD: u64 = 0x6465_6164;
+const DUST: u64 = 0x6475_7374;
+
+impl Imperfections {
+    pub(super) fn validate(&self, camera: &PlenopticCamera) -> Result<()> {
+        let distance = camera.mla.lens_to_mla_mm;
+        if !self.exit_pupil_mm.is_finite() || self.exit_pupil_mm <= -distance {
+            return Err(Error::invalid(format!(
+                "an exit pupil at z = {} mm is not in front of the array, which is at -{distance} \
+                 mm",
+                self.exit_pupil_mm
+            )));
+        }
+        if !(self.fill_factor > 0.0 && self.fill_factor <= 1.0) {
+            return Err(Error::invalid(format!(
+                "a fill factor of {} is not possible; give a number above 0 and up to 1",
+                self.fill_factor
+            )));
+        }
+        if let Some(stop) = self.second_stop {
+            positive(stop.diameter_mm, "the diameter of the second stop (mm)")?;
+            if !stop.z_mm.is_finite() || stop.z_mm <= -distance {
+                return Err(Error::invalid(format!(
+                    "a second stop at z = {} mm is not in front of the array, which is at \
+                     -{distance} mm",
+                    stop.z_mm
+                )));
+            }
+        }
+        positive(self.dust_diameter_px, "the diameter of the dust (px)")
+    }
+
+    pub(super) fn kill(&self, lenses: &mut [MicroLens], seed: u64) {
+        let mut random = StdRng::seed_from_u64(seed ^ DEAD);
+        let count = self.dead_micro_lenses.min(lenses.len());
+        for i in rand::seq::index::sample(&mut random, lenses.len(), count) {
+            lenses[i].alive = false;
+        }
+    }
+}
+
+/// Specks on the sensor.
+#[derive(Debug)]
+pub(super) struct Dust {
+    specks: Vec<Speck>,
+}
+
+#[derive(Debug)]
+struct Speck {
+    u: f64,
+    v: f64,
+    radius: f64,
+}
+
+impl Dust {
+    pub fn new(imperfections: &Imperfections, sensor: &Sensor, seed: u64) -> Self {
+        let mut random = StdRng::seed_from_u64(seed ^ DUST);
+        let largest = imperfections.dust_diameter_px / 2.0;
+        let speck = |_| Speck {
+            u: random.random_range(0.0..f64::from(sensor.width_px)),
+            v: random.random_range(0.0..f64::from(sensor.height_px)),
+            radius: random.random_range(largest / 4.0..=largest),
+        };
+        Self { specks: (0..imperfections.dust_specks).map(speck).collect() }
+    }
+
+    /// Whether a speck may cover part of pixel (u, v).
+    pub fn touches(&self, u: usize, v: usize) -> bool {
+        self.near(u as f64, v as f64, 1.0)
+    }
+
+    /// Whether a speck covers a point of pixel (u, v).
+    pub fn covers(&self, u: usize, v: usize, [right, down]: [f64; 2]) -> bool {
+        self.near(u as f64 + right, v as f64 + down, 0.0)
+    }
+
+    fn near(&self, u: f64, v: f64, margin: f64) -> bool {
+        self.specks.iter().any(|s| (u - s.u).hypot(v - s.v) <= s.radius + margin)
+    }
+}

@@ -1,0 +1,182 @@
+//! The main lens as rays meet it: thin, at z = 0, its images moved sideways by distortion.
+
+use nalgebra::{Matrix2, Point3, Vector2};
+
+use crate::camera::MainLens;
+
+/// A straight ray by the point where it crosses z = 0 and its slopes dx/dz, dy/dz.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Ray {
+    pub at_lens: Vector2<f64>,
+    pub slope: Vector2<f64>,
+}
+
+impl Ray {
+    pub fn at(&self, z: f64) -> Vector2<f64> {
+        self.at_lens + self.slope * z
+    }
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct ThinMainLens {
+    focal_length: f64,
+    radial: [f64; 3],
+    tangential: [f64; 2],
+    distorts: bool,
+}
+
+/// How distortion acts about one ray of a narrow bundle: linearised in the plane where the bundle
+/// has its object's image. What is left out is second order in the width of the bundle, and one
+/// fixed-point step with the whole polynomial takes that down by the size of the distortion.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LocalDistortion {
+    image_z: f64,
+    distorted: Vector2<f64>,
+    undistorted: Vector2<f64>,
+    inverse: Matrix2<f64>,
+}
+
+/// Newton's method on a distortion that is small against its argument gains five digits a step.
+const NEWTON_STEPS: usize = 4;
+
+impl ThinMainLens {
+    pub fn new(lens: &MainLens) -> Self {
+        let distorts = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
+        Self {
+            focal_length: lens.focal_length_mm,
+            radial: lens.radial,
+            tangential: lens.tangential,
+            distorts,
+        }
+    }
+
+    /// Image distance (negative: behind the lens) of an object at distance z > F.
+    pub fn image_z(&self, z: f64) -> f64 {
+        -self.focal_length * z / (z - self.focal_length)
+    }
+
+    /// Where all rays of an object point meet behind the lens; `None` for points not beyond F.
+    pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
+        if point.z <= self.focal_length {
+            return None;
+        }
+        let z = self.image_z(point.z);
+        let ideal = point.xy().coords * (z / point.z);
+        Some(Point3::from((ideal + self.distortion(ideal)).push(z)))
+    }
+
+    /// Shift of an ideal image point by distortion (Brown-Conrady, in mm; paper, section 2.1).
+    #[inline]
+    fn distortion(&self, x: Vector2<f64>) -> Vector2<f64> {
+        let [q1, q2, q3] = self.radial;
+        let [p1, p2] = self.tangential;
+        let r2 = x.norm_squared();
+        let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
+        let across = p1 * x.x + p2 * x.y;
+        // P1 (r² + 2x²) + 2 P2 x y = P1 r² + 2x (P1 x + P2 y), and the same along y.
+        x * (radial + 2.0 * across) + Vector2::new(p1, p2) * r2
+    }
+
+    fn distortion_jacobian(&self, x: Vector2<f64>) -> Matrix2<f64> {
+        let [q1, q2, q3] = self.radial;
+        let p = Vector2::from(self.tangential);
+        let r2 = x.norm_squared();
+        let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
+        let growth = 2.0 * ((3.0 * q3 * r2 + 2.0 * q2) * r2 + q1);
+        Matrix2::identity() * (radial + 2.0 * p.dot(&x))
+            + x * x.transpose() * growth
+            + (x * p.transpose() + p * x.transpose()) * 2.0
+    }
+
+    /// The distortion about `ray`, for an object at distance `z`.
+    pub fn about(&self, ray: &Ray, z: f64) -> LocalDistortion {
+        let image_z = self.image_z(z);
+        let distorted = ray.at(image_z);
+        let mut undistorted = distorted;
+        let mut inverse = Matrix2::identity();
+        if self.distorts {
+            for _ in 0..NEWTON_STEPS {
+                let miss = undistorted + self.distortion(undistorted) - distorted;
+                let jacobian = Matrix2::identity() + self.distortion_jacobian(undistorted);
+                inverse = jacobian.try_inverse().unwrap_or_else(Matrix2::identity);
+                undistorted -= inverse * miss;
+            }
+        }
+        LocalDistortion { image_z, distorted, undistorted, inverse }
+    }
+
+    /// The ray in front of the lens that belongs to `ray` behind it.
+    ///
+    /// A ray aims at an image point; without distortion it would aim at the point that distortion
+    /// moves there. That ray is refracted by the thin lens, which takes x/F from the slope.
+    #[inline]
+    pub fn object_ray(&self, ray: &Ray, local: &LocalDistortion) -> Ray {
+        let mut slope = ray.slope;
+        if self.distorts {
+            let target = ray.at(local.image_z);
+            let near = local.undistorted + local.inverse * (target - local.distorted);
+            let ideal = target - self.distortion(near);
+            slope = (ideal - ray.at_lens) / local.image_z;
+        }
+        Ray { at_lens: ray.at_lens, slope: slope - ray.at_lens / self.focal_length }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lens() -> ThinMainLens {
+        ThinMainLens::new(&MainLens {
+            focal_length_mm: 50.0,
+            radial: [-4e-5, 2e-7, 1e-10],
+            tangential: [3e-5, -2e-5],
+            setting: None,
+        })
+    }
+
+    /// Rays from one object point through any point of the lens meet in its image, and those rays
+    /// lead back to the object point.
+    #[test]
+    fn rays_lead_back_to_their_object_point() {
+        let lens = lens();
+        let point = Point3::new(40.0, -25.0, 300.0);
+        let image = lens.image_of(&point).unwrap();
+        for (x, y) in [(0.0, 0.0), (6.0, 0.0), (-3.0, 5.0), (0.5, -6.0)] {
+            let at_lens = Vector2::new(x, y);
+            let ray = Ray { at_lens, slope: (image.xy().coords - at_lens) / image.z };
+            let local = lens.about(&ray, point.z);
+            let hit = lens.object_ray(&ray, &local).at(point.z);
+            assert!((hit - point.xy().coords).norm() < 1e-9, "{hit} through {at_lens}");
+        }
+    }
+
+    /// The paper's formula, written out with numbers: r² = 5, x = 1, y = 2.
+    #[test]
+    fn distortion_is_that_of_the_paper() {
+        let lens = ThinMainLens::new(&MainLens {
+            focal_length_mm: 50.0,
+            radial: [1e-3, 1e-4, 1e-5],
+            tangential: [1e-2, 1e-3],
+            setting: None,
+        });
+        let shift = lens.distortion(Vector2::new(1.0, 2.0));
+        let radial = 5e-3 + 25e-4 + 125e-5;
+        let expected = Vector2::new(
+            radial + 1e-2 * (5.0 + 2.0) + 2.0 * 1e-3 * 2.0,
+            2.0 * radial + 1e-3 * (5.0 + 8.0) + 2.0 * 1e-2 * 2.0,
+        );
+        assert!((shift - expected).norm() < 1e-15);
+    }
+
+    #[test]
+    fn jacobian_is_the_derivative() {
+        let (lens, x, step) = (lens(), Vector2::new(3.0, -7.0), 1e-6);
+        for (axis, column) in
+            [Vector2::x(), Vector2::y()].into_iter().zip(lens.distortion_jacobian(x).column_iter())
+        {
+            let difference = lens.distortion(x + axis * step) - lens.distortion(x - axis * step);
+            assert!((difference / (2.0 * step) - column).norm() < 1e-9);
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! Raw images of a simulated camera with complete ground truth.
+//!
+//! Rays run from points of the pixels through points of the micro-lenses and the main lens into the
+//! scene, and are bent or stopped on the way. Lenses are thin, the main lens has the paper's lateral
+//! distortion, the array has all six degrees of freedom; see [`Tracer`]. Nothing here calls the
+//! projection model of the C++ core, so that each can be tested by the other.
+//!
+//! A data set is described by [`Settings`], planned by [`DataSet::plan`] and taken shot by shot.
+
+mod array;
+mod data_set;
+mod imaging;
+mod imperfections;
+mod main_lens;
+mod sampling;
+mod scene;
+mod settings;
+mod tracer;
+mod truth;
+
+pub use data_set::{DataSet, Shot, Subset};
+pub use imaging::Imaging;
+pub use imperfections::{Imperfections, SecondStop};
+pub use scene::{Scene, Target};
+pub use settings::{Boards, Settings, TranslationStage, WhiteImages};
+pub use tracer::Tracer;
+pub use truth::{Spot, TrueCenter, TrueFeature};

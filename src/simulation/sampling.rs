@@ -1,0 +1,88 @@
+//! Where the rays of a pixel go: low-discrepancy points over the pixel and a disc.
+
+use sobol_burley::sample;
+
+/// One ray: position in the pixel (±½ px) and in the unit disc.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct RayPoint {
+    pub pixel: [f64; 2],
+    pub disc: [f64; 2],
+}
+
+/// Many differently scrambled sets of points; every pixel of every micro-lens takes one by chance,
+/// so that what error a set has is noise and no pattern.
+#[derive(Debug)]
+pub(super) struct RaySets {
+    points: Vec<RayPoint>,
+    rays: usize,
+}
+
+/// Sets differ enough in number when neighbouring pixels rarely share one.
+const SETS: u32 = 256;
+
+impl RaySets {
+    /// Sets of `rays` points.
+    pub fn new(rays: u32) -> Self {
+        let point = |set: u32, ray: u32| {
+            let [x, y, a, b] = [0, 1, 2, 3].map(|d| f64::from(sample(ray, d, set)));
+            RayPoint { pixel: [x - 0.5, y - 0.5], disc: disc(a, b) }
+        };
+        let points =
+            (0..SETS).flat_map(|set| (0..rays).map(move |ray| (set, ray))).map(|(s, r)| point(s, r));
+        Self { points: points.collect(), rays: rays as usize }
+    }
+
+    /// The set that belongs to a hash.
+    #[inline]
+    pub fn set(&self, hash: u64) -> &[RayPoint] {
+        let set = (hash % u64::from(SETS)) as usize;
+        &self.points[set * self.rays..(set + 1) * self.rays]
+    }
+}
+
+/// Area-preserving map of the unit square onto the unit disc (Shirley and Chiu's concentric map),
+/// which keeps neighbours together.
+fn disc(a: f64, b: f64) -> [f64; 2] {
+    let (x, y) = (2.0 * a - 1.0, 2.0 * b - 1.0);
+    let eighth = std::f64::consts::FRAC_PI_4;
+    let (radius, angle) = if x.abs() > y.abs() {
+        (x, eighth * y / x)
+    } else if y == 0.0 {
+        (0.0, 0.0)
+    } else {
+        (y, 2.0 * eighth - eighth * x / y)
+    };
+    [radius * angle.cos(), radius * angle.sin()]
+}
+
+/// A well-mixed number from several (the finaliser of SplitMix64, chained).
+#[inline]
+pub(super) fn hash(values: [u64; 4]) -> u64 {
+    values.iter().fold(0x9e37_79b9_7f4a_7c15, |state, &value| {
+        let mut z = state.wrapping_add(value).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_fill_pixel_and_disc_evenly() {
+        let sets = RaySets::new(64);
+        for hash in 0..u64::from(SETS) {
+            let points = sets.set(hash);
+            let n = points.len() as f64;
+            let mean = |f: fn(&RayPoint) -> f64| points.iter().map(f).sum::<f64>() / n;
+            // 64 stratified points have a mean within a sixteenth of their range.
+            assert!(mean(|p| p.pixel[0]).abs() < 0.03 && mean(|p| p.pixel[1]).abs() < 0.03);
+            assert!(mean(|p| p.disc[0]).abs() < 0.06 && mean(|p| p.disc[1]).abs() < 0.06);
+            let second = mean(|p| p.disc[0].powi(2) + p.disc[1].powi(2));
+            assert!((second - 0.5).abs() < 0.03, "a uniform disc has <r²> = 1/2, not {second}");
+            assert!(points.iter().all(|p| p.disc[0].hypot(p.disc[1]) <= 1.0 + 1e-12));
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! All that a simulated data set is made from, as it stands in a simulation file.
+
+use serde::{Deserialize, Serialize};
+
+use super::imaging::Imaging;
+use super::imperfections::Imperfections;
+use super::scene::Target;
+use super::tracer::Tracer;
+use crate::camera::{PlenopticCamera, positive};
+use crate::error::{Error, Result};
+use crate::noise::Noise;
+
+/// A simulated data set: camera, target, and the images to take.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Rays for every pixel through every micro-lens that reaches it.
+    pub rays: u32,
+    /// Start of everything that is left to chance.
+    pub seed: u64,
+    /// Focal length engraved on the main lens, mm: what the project file tells.
+    pub engraved_focal_length_mm: f64,
+    /// The true camera. The setting of its main lens is that of the boards' images.
+    pub camera: PlenopticCamera,
+    /// Departures from the ideal model.
+    #[serde(default)]
+    pub imperfections: Imperfections,
+    /// How images are read out.
+    #[serde(default)]
+    pub imaging: Imaging,
+    /// White images for the pre-calibration.
+    pub white_images: WhiteImages,
+    /// The checkerboard.
+    pub target: Target,
+    /// Boards at random poses.
+    pub boards: Boards,
+    /// A board that moves along the optical axis.
+    pub translation: TranslationStage,
+    /// Noise of the observations that are drawn from the truth.
+    #[serde(default = "good_detector")]
+    pub observation_noise: Noise,
+}
+
+fn good_detector() -> Noise {
+    Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 }
+}
+
+/// White images at several f-numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WhiteImages {
+    /// True f-numbers, √(2^AV).
+    pub f_numbers: Vec<f64>,
+    /// Exposure of these images, see [`Imaging::exposure`]; that of the boards if left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<f64>,
+    /// Gain of these images; that of the boards if left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gain: Option<f64>,
+}
+
+/// Boards at random poses, most of them within view.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Boards {
+    /// Number of boards to calibrate with.
+    pub calibration: usize,
+    /// Number of boards to evaluate with.
+    pub evaluation: usize,
+    /// Nearest and furthest distance of a board's middle from the main lens, mm; each subset
+    /// covers the range evenly.
+    pub depth_mm: [f64; 2],
+    /// Largest tilt against the optical axis, degrees.
+    pub max_tilt_deg: f64,
+    /// Largest turn in the image, either way, degrees.
+    pub max_turn_deg: f64,
+    /// Least part of the corners that lies in the image.
+    pub min_in_view: f64,
+}
+
+/// A linear stage that moves a board along the optical axis in known steps.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TranslationStage {
+    /// Number of images; 0 for none.
+    pub images: usize,
+    /// First distance of the board's middle, mm.
+    pub start_mm: f64,
+    /// Motion between images, mm; negative towards the camera.
+    pub step_mm: f64,
+}
+
+impl Settings {
+    /// An error naming what cannot be.
+    pub fn validate(&self) -> Result<()> {
+        positive(self.engraved_focal_length_mm, "the engraved focal length (mm)")?;
+        self.target.validate()?;
+        self.imaging.validate()?;
+        self.white_imaging().validate()?;
+        if self.camera.main_lens.setting.is_none() {
+            return Err(Error::invalid(
+                "the camera's main lens has no f_number: it is what the boards are taken at",
+            ));
+        }
+        let boards = &self.boards;
+        let [near, far] = boards.depth_mm;
+        if !(near > 0.0 && far >= near && far.is_finite()) {
+            return Err(Error::invalid(format!(
+                "boards from {near} to {far} mm are not possible: the depth runs along +z, the \
+                 nearest first; anything else is behind the camera"
+            )));
+        }
+        for (name, angle, limit) in
+            [("tilt", boards.max_tilt_deg, 89.0), ("turn", boards.max_turn_deg, 180.0)]
+        {
+            if !(0.0..=limit).contains(&angle) {
+                return Err(Error::invalid(format!(
+                    "boards with a {name} of up to {angle} degrees are not possible; give 0 to \
+                     {limit}"
+                )));
+            }
+        }
+        if !(0.0..=1.0).contains(&boards.min_in_view) {
+            return Err(Error::invalid(format!(
+                "min_in_view is {}; it is a part of the corners, from 0 to 1",
+                boards.min_in_view
+            )));
+        }
+        let stage = &self.translation;
+        if !(stage.start_mm.is_finite() && stage.step_mm.is_finite()) {
+            return Err(Error::invalid("the translation's start_mm and step_mm have to be finite"));
+        }
+        if stage.images > 1 && stage.step_mm == 0.0 {
+            return Err(Error::invalid("the translation has a step of 0 mm; give one that moves"));
+        }
+        Ok(())
+    }
+
+    /// F-number of the boards' images.
+    #[must_use]
+    pub fn board_f_number(&self) -> f64 {
+        self.camera.main_lens.setting.map_or(f64::NAN, |setting| setting.f_number)
+    }
+
+    /// How white images for the pre-calibration are read out.
+    #[must_use]
+    pub fn white_imaging(&self) -> Imaging {
+        let whites = &self.white_images;
+        Imaging {
+            exposure: whites.exposure.unwrap_or(self.imaging.exposure),
+            gain: whites.gain.unwrap_or(self.imaging.gain),
+            ..self.imaging
+        }
+    }
+
+    /// The camera at an f-number.
+    pub fn tracer(&self, f_number: f64) -> Result<Tracer> {
+        Tracer::new(&self.camera, f_number, &self.imperfections, self.seed)
+    }
+}

@@ -1,0 +1,163 @@
+//! What an ideal detector would find, by tracing rays forwards from points of the board.
+
+use nalgebra::{Isometry3, Point2, Point3, Vector2};
+use rayon::prelude::*;
+
+use super::array::MicroLens;
+use super::main_lens::Ray;
+use super::tracer::Tracer;
+use crate::camera::Board;
+use crate::observations::{BapFeature, MicroImageCenter};
+
+/// The light of one point of space on the sensor behind one micro-lens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spot {
+    /// Middle of the rays through the rim of the micro-lens, px.
+    pub center_px: Point2<f64>,
+    /// Mean distance of those rays from the middle, px; negative if they arrive turned around, as
+    /// for ρ.
+    pub radius_px: f64,
+    /// Part of the light that comes through pupil and stops.
+    pub visible: f64,
+}
+
+/// Centre of a micro-image, and its lens type from 0.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrueCenter {
+    /// Indices and position.
+    pub center: MicroImageCenter,
+    /// Index of the lens type.
+    pub lens_type: usize,
+}
+
+/// A board corner in a micro-image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrueFeature {
+    /// The feature, without noise.
+    pub feature: BapFeature,
+    /// Part of its light that comes through pupil and stops, above 0.
+    pub visible: f64,
+}
+
+/// Rays through the rim of a micro-lens; their mean is exact for any even number.
+const RIM_RAYS: u32 = 32;
+/// Rings of rays that measure how much is visible, of equal area and as many rays.
+const RINGS: u32 = 8;
+
+impl Tracer {
+    /// The spot that a point of the camera frame makes through micro-lens (k, l); `None` for a
+    /// point not beyond the focal length, or no such micro-lens.
+    #[must_use]
+    pub fn spot(&self, point: &Point3<f64>, k: i32, l: i32) -> Option<Spot> {
+        let lens = self.array.lenses.iter().find(|lens| (lens.k, lens.l) == (k, l))?;
+        Some(self.spot_of_image(&self.lens.image_of(point)?, lens))
+    }
+
+    fn spot_of_image(&self, image: &Point3<f64>, lens: &MicroLens) -> Spot {
+        let rim = directions(RIM_RAYS);
+        let hit = |direction: &Vector2<f64>| {
+            self.array.to_sensor(lens, direction * self.array.stop_radius, image)
+        };
+        let hits: Vec<Point2<f64>> = rim.iter().map(hit).collect();
+        let rays = f64::from(RIM_RAYS);
+        let center = Point2::from(hits.iter().map(|p| p.coords).sum::<Vector2<f64>>() / rays);
+        // A ray through the right rim of the lens, seen in the upright image, has u + ρ.
+        let radius = rim.iter().zip(&hits).map(|(direction, hit)| {
+            let outwards = self.array.of_lens(lens, *direction) - lens.center;
+            outwards.xy().dot(&(hit - center))
+        });
+        Spot {
+            center_px: center,
+            radius_px: radius.sum::<f64>() / rays,
+            visible: self.visible(image, lens),
+        }
+    }
+
+    fn visible(&self, image: &Point3<f64>, lens: &MicroLens) -> f64 {
+        let ring = |ring: u32| {
+            let radius = ((f64::from(ring) + 0.5) / f64::from(RINGS)).sqrt();
+            directions(RIM_RAYS).into_iter().map(move |direction| direction * radius)
+        };
+        let passes = |on_lens: &Vector2<f64>| {
+            let start = self.array.of_lens(lens, on_lens * self.array.stop_radius);
+            let towards = image - start;
+            let slope = towards.xy() / towards.z;
+            self.passes(&Ray { at_lens: start.xy().coords - slope * start.z, slope })
+        };
+        let all = (0..RINGS).flat_map(ring);
+        all.filter(passes).count() as f64 / f64::from(RINGS * RIM_RAYS)
+    }
+
+    /// Centre of a micro-image: the ray from the middle of the exit pupil through the middle of the
+    /// micro-lens.
+    fn micro_image_center(&self, lens: &MicroLens) -> Point2<f64> {
+        let pupil = Point3::new(0.0, 0.0, self.pupil.z);
+        self.array.to_pixel(&lens.center, &(pupil - lens.center))
+    }
+
+    /// The centre and type of every micro-image whose centre lies in the image, dead micro-lenses
+    /// included.
+    #[must_use]
+    pub fn centers(&self) -> Vec<TrueCenter> {
+        self.array
+            .lenses
+            .iter()
+            .map(|lens| (lens, self.micro_image_center(lens)))
+            .filter(|&(_, p)| self.sensor().contains(p.x, p.y))
+            .map(|(lens, p)| TrueCenter {
+                center: MicroImageCenter { k: lens.k, l: lens.l, u_px: p.x, v_px: p.y },
+                lens_type: lens.lens_type,
+            })
+            .collect()
+    }
+
+    /// Every corner of the board in every micro-image that some of its light reaches, if its
+    /// position lies in the image and within the micro-image's outer radius.
+    #[must_use]
+    pub fn features(
+        &self,
+        frame: u32,
+        board: &Board,
+        camera_from_board: &Isometry3<f64>,
+    ) -> Vec<TrueFeature> {
+        let centers: Vec<_> = self
+            .array
+            .lenses
+            .iter()
+            .filter(|lens| lens.alive)
+            .map(|lens| (lens, self.micro_image_center(lens), self.micro_image_radius_px(lens)))
+            .collect();
+        (0..board.corners())
+            .into_par_iter()
+            .flat_map_iter(|corner| {
+                let image = self.lens.image_of(&(camera_from_board * board.point_mm(corner)));
+                let seen = |&(lens, center, radius): &(&MicroLens, Point2<f64>, f64)| {
+                    let image = image?;
+                    let p = self.array.to_pixel(&lens.center, &(image - lens.center));
+                    if (p - center).norm() > radius || !self.sensor().contains(p.x, p.y) {
+                        return None;
+                    }
+                    let spot = self.spot_of_image(&image, lens);
+                    let feature = BapFeature {
+                        frame,
+                        corner,
+                        k: lens.k,
+                        l: lens.l,
+                        u_px: spot.center_px.x,
+                        v_px: spot.center_px.y,
+                        rho_px: spot.radius_px,
+                    };
+                    Some(TrueFeature { feature, visible: spot.visible })
+                };
+                let features: Vec<_> = centers.iter().filter_map(seen).collect();
+                features.into_iter().filter(|f| f.visible > 0.0)
+            })
+            .collect()
+    }
+}
+
+/// Unit vectors all around.
+fn directions(count: u32) -> Vec<Vector2<f64>> {
+    let turn = std::f64::consts::TAU / f64::from(count);
+    (0..count).map(|i| (f64::from(i) * turn).sin_cos()).map(|(s, c)| Vector2::new(c, s)).collect()
+}
