@@ -10,8 +10,8 @@ use plenocal::calibration::FramePose;
 use plenocal::camera::{Board, LensSetting, MainLens, MicroLensArray, PlenopticCamera, Sensor};
 use plenocal::io::{OutputFolder, camera_document, poses_document, write_centers, write_features};
 use plenocal::lattice::{Lattice, LatticeKind, Parity};
-use plenocal::observations::{BapFeature, MicroImageCenter, Observations};
 use plenocal::noise::Noise;
+use plenocal::observations::{BapFeature, MicroImageCenter, Observations};
 use plenocal::synthetic::synthesize;
 
 /// Noise of a good detector; the radius comes from a whole cluster and is therefore better.

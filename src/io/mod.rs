@@ -25,7 +25,10 @@ pub use input::{
 pub use observations_file::{read_centers, read_features, write_centers, write_features};
 pub use output::OutputFolder;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
-pub use project_file::{CalibrationSection, ImagesSection, LossName, ModeName, Pitches, Project, TranslationImages, WhiteImage};
+pub use project_file::{
+    CalibrationSection, ImagesSection, LossName, ModeName, Pitches, Project, TranslationImages,
+    WhiteImage,
+};
 pub use residuals_file::write_residuals;
 pub use simulation_file::{PRESETS, Preset, preset_settings, read_settings, settings_text};
 

@@ -49,9 +49,8 @@ pub fn settings_text(settings: &Settings) -> Result<String> {
 }
 
 fn settings_from(text: &str, replaced: &[String]) -> Result<Settings> {
-    let wrong = |e: &dyn std::fmt::Display| {
-        Error::invalid(format!("not a valid simulation file: {e}"))
-    };
+    let wrong =
+        |e: &dyn std::fmt::Display| Error::invalid(format!("not a valid simulation file: {e}"));
     let mut table: Table = text.parse().map_err(|e: toml::de::Error| wrong(&e))?;
     for pair in replaced {
         replace(&mut table, pair)?;

@@ -56,9 +56,8 @@ impl Shot {
     /// Takes the image. `progress` is told of every finished row.
     pub fn take(&self, settings: &Settings, progress: &(dyn Fn() + Sync)) -> Result<RawImage> {
         let seed = hash([settings.seed, self.number, 0, 0]);
-        let irradiance = settings
-            .tracer(self.f_number)?
-            .render(&self.scene, settings.rays, seed, progress)?;
+        let irradiance =
+            settings.tracer(self.f_number)?.render(&self.scene, settings.rays, seed, progress)?;
         self.imaging.read_out(&irradiance, seed)
     }
 }
@@ -89,12 +88,8 @@ impl DataSet {
         };
         let evaluation = random_poses(settings, boards.evaluation, Subset::Evaluation)?;
         let f_number = settings.board_f_number();
-        let white = |f_number, imaging, number| Shot {
-            scene: Scene::White,
-            f_number,
-            imaging,
-            number,
-        };
+        let white =
+            |f_number, imaging, number| Shot { scene: Scene::White, f_number, imaging, number };
         let whites = settings.white_images.f_numbers.iter().zip(0..);
         let whites: Vec<Shot> =
             whites.map(|(&n, i)| white(n, settings.white_imaging(), i)).collect();

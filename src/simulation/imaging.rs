@@ -132,7 +132,8 @@ mod tests {
     fn moments(image: &RawImage) -> (f64, f64) {
         let n = image.samples.len() as f64;
         let mean = image.samples.iter().map(|&s| f64::from(s)).sum::<f64>() / n;
-        let variance = image.samples.iter().map(|&s| (f64::from(s) - mean).powi(2)).sum::<f64>() / n;
+        let variance =
+            image.samples.iter().map(|&s| (f64::from(s) - mean).powi(2)).sum::<f64>() / n;
         (mean, variance)
     }
 

@@ -4,6 +4,13 @@ use nalgebra::{Matrix2, Point3, Vector2};
 
 use crate::camera::MainLens;
 
+impl LocalDistortion {
+    /// By how much the image point is moved.
+    pub fn shift(&self) -> Vector2<f64> {
+        self.distorted - self.undistorted
+    }
+}
+
 /// A straight ray by the point where it crosses z = 0 and its slopes dx/dz, dy/dz.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ray {
@@ -25,12 +32,11 @@ pub(super) struct ThinMainLens {
     distorts: bool,
 }
 
-/// How distortion acts about one ray of a narrow bundle: linearised in the plane where the bundle
-/// has its object's image. What is left out is second order in the width of the bundle, and one
-/// fixed-point step with the whole polynomial takes that down by the size of the distortion.
+/// How distortion acts about one ray of a narrow bundle: linearised about its image point. For other
+/// rays it is a start, from which one Newton step with this Jacobian leaves an error of the third
+/// order in the width of the bundle.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LocalDistortion {
-    image_z: f64,
     distorted: Vector2<f64>,
     undistorted: Vector2<f64>,
     inverse: Matrix2<f64>,
@@ -50,19 +56,14 @@ impl ThinMainLens {
         }
     }
 
-    /// Image distance (negative: behind the lens) of an object at distance z > F.
-    pub fn image_z(&self, z: f64) -> f64 {
-        -self.focal_length * z / (z - self.focal_length)
-    }
-
     /// Where all rays of an object point meet behind the lens; `None` for points not beyond F.
     pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
         if point.z <= self.focal_length {
             return None;
         }
-        let z = self.image_z(point.z);
-        let ideal = point.xy().coords * (z / point.z);
-        Some(Point3::from((ideal + self.distortion(ideal)).push(z)))
+        let magnification = -self.focal_length / (point.z - self.focal_length);
+        let ideal = point.xy().coords * magnification;
+        Some(Point3::from((ideal + self.distortion(ideal)).push(point.z * magnification)))
     }
 
     /// Shift of an ideal image point by distortion (Brown-Conrady, in mm; paper, section 2.1).
@@ -88,10 +89,8 @@ impl ThinMainLens {
             + (x * p.transpose() + p * x.transpose()) * 2.0
     }
 
-    /// The distortion about `ray`, for an object at distance `z`.
-    pub fn about(&self, ray: &Ray, z: f64) -> LocalDistortion {
-        let image_z = self.image_z(z);
-        let distorted = ray.at(image_z);
+    /// The distortion about a point of image space.
+    pub fn about(&self, distorted: Vector2<f64>) -> LocalDistortion {
         let mut undistorted = distorted;
         let mut inverse = Matrix2::identity();
         if self.distorts {
@@ -102,21 +101,22 @@ impl ThinMainLens {
                 undistorted -= inverse * miss;
             }
         }
-        LocalDistortion { image_z, distorted, undistorted, inverse }
+        LocalDistortion { distorted, undistorted, inverse }
     }
 
-    /// The ray in front of the lens that belongs to `ray` behind it.
+    /// The ray in front of the lens that belongs to `ray` behind it, for an object that has its image
+    /// at `image_z`.
     ///
     /// A ray aims at an image point; without distortion it would aim at the point that distortion
     /// moves there. That ray is refracted by the thin lens, which takes x/F from the slope.
     #[inline]
-    pub fn object_ray(&self, ray: &Ray, local: &LocalDistortion) -> Ray {
+    pub fn object_ray(&self, ray: &Ray, image_z: f64, local: &LocalDistortion) -> Ray {
         let mut slope = ray.slope;
         if self.distorts {
-            let target = ray.at(local.image_z);
+            let target = ray.at(image_z);
             let near = local.undistorted + local.inverse * (target - local.distorted);
-            let ideal = target - self.distortion(near);
-            slope = (ideal - ray.at_lens) / local.image_z;
+            let ideal = near - local.inverse * (near + self.distortion(near) - target);
+            slope = (ideal - ray.at_lens) / image_z;
         }
         Ray { at_lens: ray.at_lens, slope: slope - ray.at_lens / self.focal_length }
     }
@@ -145,8 +145,8 @@ mod tests {
         for (x, y) in [(0.0, 0.0), (6.0, 0.0), (-3.0, 5.0), (0.5, -6.0)] {
             let at_lens = Vector2::new(x, y);
             let ray = Ray { at_lens, slope: (image.xy().coords - at_lens) / image.z };
-            let local = lens.about(&ray, point.z);
-            let hit = lens.object_ray(&ray, &local).at(point.z);
+            let local = lens.about(image.xy().coords);
+            let hit = lens.object_ray(&ray, image.z, &local).at(point.z);
             assert!((hit - point.xy().coords).norm() < 1e-9, "{hit} through {at_lens}");
         }
     }

@@ -27,8 +27,9 @@ impl RaySets {
             let [x, y, a, b] = [0, 1, 2, 3].map(|d| f64::from(sample(ray, d, set)));
             RayPoint { pixel: [x - 0.5, y - 0.5], disc: disc(a, b) }
         };
-        let points =
-            (0..SETS).flat_map(|set| (0..rays).map(move |ray| (set, ray))).map(|(s, r)| point(s, r));
+        let points = (0..SETS)
+            .flat_map(|set| (0..rays).map(move |ray| (set, ray)))
+            .map(|(s, r)| point(s, r));
         Self { points: points.collect(), rays: rays as usize }
     }
 

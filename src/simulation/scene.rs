@@ -1,6 +1,6 @@
 //! What the camera looks at.
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::main_lens::Ray;
@@ -89,6 +89,10 @@ pub(super) struct PlacedTarget {
     y: Vector3<f64>,
     normal: Vector3<f64>,
     border: f64,
+    focal_length: f64,
+    /// The plane of the board's image: points x with `image_normal · x = offset`.
+    image_normal: Vector3<f64>,
+    offset: f64,
 }
 
 impl PlacedTarget {
@@ -113,6 +117,9 @@ impl PlacedTarget {
                 "the board shows its back: its z axis has to point away from the camera",
             ));
         }
+        // An object point X has its image x where X = x F/(z' + F), so n·X = c becomes
+        // n·x − (c/F) z' = c.
+        let offset = normal.dot(&pose.translation.vector);
         Ok(Self {
             target: *target,
             origin: Point3::from(pose.translation.vector),
@@ -120,31 +127,38 @@ impl PlacedTarget {
             y: pose.rotation * Vector3::y() / target.square_mm,
             normal,
             border: target.border_mm / target.square_mm,
+            focal_length,
+            image_normal: normal - Vector3::z() * (offset / focal_length),
+            offset,
         })
     }
 
-    /// z where a ray in front of the lens meets the plane of the board; negative if behind it.
+    /// z where a ray behind the lens meets the image of the board, which distortion moves sideways by
+    /// `shift` there; `None` if the ray leads away from the board.
+    #[inline]
+    pub fn image_z(&self, ray: &Ray, shift: &Vector2<f64>) -> Option<f64> {
+        let across = self.image_normal.xy();
+        let z = (self.offset - across.dot(&(ray.at_lens - shift)))
+            / (across.dot(&ray.slope) + self.image_normal.z);
+        (z < -self.focal_length).then_some(z)
+    }
+
+    /// z where a ray in front of the lens meets the plane of the board.
     #[inline]
     pub fn depth(&self, ray: &Ray) -> f64 {
         let start = Point3::new(ray.at_lens.x, ray.at_lens.y, 0.0);
         self.normal.dot(&(self.origin - start)) / self.normal.dot(&ray.slope.push(1.0))
     }
 
-    /// Middle of the sheet.
-    pub fn middle_depth(&self) -> f64 {
-        let half = |corners: i32| f64::from(corners - 1) / 2.0;
-        let square = self.target.square_mm * self.target.square_mm;
-        let middle = self.x * half(self.target.columns) + self.y * half(self.target.rows);
-        self.origin.z + middle.z * square
+    /// Radiance of what is beside the board.
+    pub fn background(&self) -> f64 {
+        self.target.background
     }
 
     /// Radiance along a ray in front of the lens.
     #[inline]
     pub fn radiance(&self, ray: &Ray) -> f64 {
         let depth = self.depth(ray);
-        if depth <= 0.0 {
-            return self.target.background;
-        }
         let hit = ray.at(depth).push(depth) - self.origin.coords;
         // In squares, the first one from 0 to 1.
         let (x, y) = (self.x.dot(&hit) + 1.0, self.y.dot(&hit) + 1.0);

@@ -49,8 +49,7 @@ impl Tracer {
     /// point not beyond the focal length, or no such micro-lens.
     #[must_use]
     pub fn spot(&self, point: &Point3<f64>, k: i32, l: i32) -> Option<Spot> {
-        let lens = self.array.lenses.iter().find(|lens| (lens.k, lens.l) == (k, l))?;
-        Some(self.spot_of_image(&self.lens.image_of(point)?, lens))
+        Some(self.spot_of_image(&self.lens.image_of(point)?, self.micro_lens(k, l)?))
     }
 
     fn spot_of_image(&self, image: &Point3<f64>, lens: &MicroLens) -> Spot {

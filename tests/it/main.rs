@@ -8,6 +8,7 @@ mod command_line;
 mod compote;
 mod independent;
 mod modes;
+mod oracle;
 mod r12a;
 mod recovery;
 mod support;

@@ -8,8 +8,8 @@ use plenocal::calibration::{
 };
 use plenocal::camera::{Board, PlenopticCamera, intrinsic_parameters};
 use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
-use plenocal::observations::Observations;
 use plenocal::noise::Noise;
+use plenocal::observations::Observations;
 use plenocal::synthetic::synthesize;
 
 pub const NO_NOISE: Noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };

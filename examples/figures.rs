@@ -1,0 +1,68 @@
+//! Writes the figures of the README: crops of simulated raw images, four times enlarged.
+//!
+//!     cargo run --release --example figures -- docs/figures
+
+use std::io::Cursor;
+use std::path::Path;
+
+use image::imageops::{FilterType, crop_imm, replace, resize};
+use image::{DynamicImage, GrayImage, ImageFormat, Luma};
+use plenocal::Result;
+use plenocal::image::RawImage;
+use plenocal::io::{OutputFolder, PRESETS, preset_settings};
+use plenocal::simulation::{DataSet, Imaging, Shot};
+
+/// Size of a crop, px.
+const CROP: (u32, u32) = (140, 105);
+const ENLARGED: u32 = 4;
+/// Between two crops, px.
+const GAP: u32 = 8;
+
+fn grey(raw: &RawImage) -> GrayImage {
+    GrayImage::from_fn(raw.width as u32, raw.height as u32, |u, v| {
+        let sample = raw.samples[v as usize * raw.width + u as usize];
+        Luma([u8::try_from(sample).expect("an 8-bit image")])
+    })
+}
+
+/// Crops about (u, v), enlarged without smoothing, side by side.
+fn side_by_side(images: &[GrayImage], (u, v): (u32, u32)) -> GrayImage {
+    let (width, height) = (CROP.0 * ENLARGED, CROP.1 * ENLARGED);
+    let count = images.len() as u32;
+    let mut all = GrayImage::from_pixel(count * (width + GAP) - GAP, height, Luma([255]));
+    for (i, image) in (0..).zip(images) {
+        let part = crop_imm(image, u - CROP.0 / 2, v - CROP.1 / 2, CROP.0, CROP.1).to_image();
+        let part = resize(&part, width, height, FilterType::Nearest);
+        replace(&mut all, &part, i64::from(i * (width + GAP)), 0);
+    }
+    all
+}
+
+fn main() -> Result<()> {
+    let folder = std::env::args().nth(1).unwrap_or_else(|| "docs/figures".to_owned());
+    let settings = preset_settings(&PRESETS[0], &["rays=256".to_owned()])?;
+    let data_set = DataSet::plan(&settings, None)?;
+    let take = |shot: &Shot| shot.take(&settings, &|| ()).map(|raw| grey(&raw));
+
+    let white = data_set.whites[2];
+    let amplified = Shot { imaging: Imaging { gain: 4.0, ..white.imaging }, ..white };
+    let whites = side_by_side(&[take(&white)?, take(&amplified)?], (500, 375));
+
+    // Far and near: the blur of the three types changes places.
+    let frames = &data_set.subsets[2];
+    let (far, near) = (take(&frames[frames.len() - 1].1)?, take(&frames[0].1)?);
+    let boards = side_by_side(&[far, near], (500, 375));
+
+    let mut output = OutputFolder::new(Path::new(&folder))?;
+    for (name, figure) in [("white.png", whites), ("board.png", boards)] {
+        let mut bytes = Cursor::new(Vec::new());
+        DynamicImage::from(figure)
+            .write_to(&mut bytes, ImageFormat::Png)
+            .expect("a picture in memory can be written");
+        output.stage(name, |out| out.write_all(bytes.get_ref()))?;
+    }
+    for path in output.commit()? {
+        println!("{}", path.display());
+    }
+    Ok(())
+}

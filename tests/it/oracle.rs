@@ -1,0 +1,155 @@
+//! The ray tracer against the closed-form projection of the C++ core: neither knows the other.
+
+use std::collections::HashMap;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use plenocal::calibration::FramePose;
+use plenocal::camera::{Board, PlenopticCamera};
+use plenocal::io::{PRESETS, preset_settings};
+use plenocal::optics;
+use plenocal::simulation::{Imperfections, Scene, Settings, Tracer};
+use plenocal::synthetic::synthesize;
+
+use crate::support::NO_NOISE;
+
+/// Without tilt both are the same geometry: what is left is rounding, 1e-16 of 60 mm seen through
+/// pixels of 1.4 µm and a virtual depth up to 100.
+const ROUNDING_PX: f64 = 1e-9;
+
+/// The closed form takes every micro-lens as parallel to the sensor. A tilt θ moves the rim of a
+/// micro-lens of radius r by θr along the axis and changes distances along oblique rays by θ times
+/// their slope σ. To first order centre and radius of the spot change by no more than θ r/s times
+/// the sum of σ δ/f, σ |ρ|s/r and r (1/f + 1/|a|), which is below 1 for the cameras here (σ < 0.3,
+/// δ/f < 1.4, |ρ| < r, r/f < 0.3, r/|a| < 0.15).
+fn bound_px(camera: &PlenopticCamera) -> f64 {
+    let tilt = camera.mla.rotation_rad.xy().norm();
+    tilt * camera.mla.pitch_mm / (2.0 * camera.sensor.pixel_size_mm) + ROUNDING_PX
+}
+
+fn preset(name: &str) -> Settings {
+    let preset = PRESETS.iter().find(|preset| preset.name == name).unwrap();
+    preset_settings(preset, &[]).unwrap()
+}
+
+/// A frontal, a near and tilted, and a far and turned board.
+fn poses(settings: &Settings) -> Vec<FramePose> {
+    let [near, far] = settings.boards.depth_mm;
+    let board = settings.target.board();
+    let half = board.point_mm(board.corners() - 1).coords / 2.0;
+    [([0.0, 0.0, 0.0], (near + far) / 2.0), ([0.5, 0.3, 0.1], near), ([-0.2, 0.6, 2.5], far)]
+        .into_iter()
+        .zip(0..)
+        .map(|((turn, z), frame)| {
+            let place = Isometry3::from_parts(
+                Translation3::new(0.02 * z, -0.01 * z, z),
+                UnitQuaternion::from_scaled_axis(Vector3::from(turn)),
+            );
+            FramePose { frame, camera_from_board: place * Translation3::from(-half) }
+        })
+        .collect()
+}
+
+/// The largest differences of centre and radius over all features that the model projects, and
+/// their number.
+fn differences(camera: &PlenopticCamera, board: &Board, poses: &[FramePose]) -> (f64, f64, usize) {
+    let observations = synthesize(camera, board, poses, &NO_NOISE, 0).unwrap();
+    let f_number = camera.main_lens.setting.unwrap().f_number;
+    let tracer = Tracer::new(camera, f_number, &Imperfections::default(), 0).unwrap();
+    let (mut center, mut radius) = (0.0_f64, 0.0_f64);
+    for f in &observations.features {
+        let point = poses[f.frame as usize].camera_from_board * board.point_mm(f.corner);
+        let spot = tracer.spot(&point, f.k, f.l).unwrap();
+        center = center.max((spot.center_px.x - f.u_px).hypot(spot.center_px.y - f.v_px));
+        radius = radius.max((spot.radius_px - f.rho_px).abs());
+    }
+    (center, radius, observations.features.len())
+}
+
+#[test]
+fn traced_spots_lie_where_the_closed_form_projects_them() {
+    for name in ["mini", "keplerian", "r12-a", "r12-c"] {
+        let settings = preset(name);
+        let poses = poses(&settings);
+        for tilt in [0.0, 1.0, 10.0] {
+            let mut camera = settings.camera.clone();
+            camera.mla.rotation_rad.x *= tilt;
+            camera.mla.rotation_rad.y *= tilt;
+            let (center, radius, count) = differences(&camera, &settings.target.board(), &poses);
+            let bound = bound_px(&camera);
+            println!(
+                "{name}, tilt {:.1} mrad: {count} features, centre {center:.1e} px, radius \
+                 {radius:.1e} px, bound {bound:.1e} px",
+                camera.mla.rotation_rad.xy().norm() * 1e3
+            );
+            assert!(count > 200, "{name} shows only {count} features");
+            assert!(center < bound && radius < bound, "{name}: {center}, {radius} px");
+        }
+    }
+}
+
+#[test]
+fn traced_centres_lie_where_the_closed_form_projects_them() {
+    for name in ["mini", "keplerian", "r12-b", "lytro-like"] {
+        let settings = preset(name);
+        let camera = &settings.camera;
+        let f_number = settings.board_f_number();
+        let tracer = Tracer::new(camera, f_number, &Imperfections::default(), 0).unwrap();
+        let traced = tracer.centers();
+        let projected =
+            synthesize(camera, &settings.target.board(), &[], &NO_NOISE, 0).unwrap().centers;
+        let traced: HashMap<_, _> = traced.iter().map(|t| ((t.center.k, t.center.l), t)).collect();
+        for c in &projected {
+            let t = traced[&(c.k, c.l)];
+            let miss = (t.center.u_px - c.u_px).hypot(t.center.v_px - c.v_px);
+            assert!(miss < ROUNDING_PX, "{name} ({}, {}): {miss} px", c.k, c.l);
+            assert_eq!(t.lens_type, camera.lens_type(c.k, c.l));
+        }
+    }
+}
+
+/// The outer edge of a micro-image of white is where the last ray arrives; the radius of the paper,
+/// |m/N + q_i|, has m negative in Galilean configuration. Light fades out towards the edge with the
+/// power 3/2 of the distance, so that the outermost lit pixel lies up to two (fine) pixels inside.
+#[test]
+fn micro_images_of_white_have_the_radius_of_the_paper() {
+    const FINE: f64 = 8.0;
+    const EDGE_PX: f64 = 2.0 / FINE;
+    for (name, side) in [("mini", -1.0), ("keplerian", 1.0)] {
+        let settings = preset(name);
+        let mut camera = settings.camera.clone();
+        camera.mla.rotation_rad.fill(0.0);
+        camera.mla.offset_mm.fill(0.0);
+        // A few micro-lenses of each type about the axis, on pixels an eighth the size.
+        (camera.lattice.columns, camera.lattice.rows) = (3, 2);
+        camera.sensor.pixel_size_mm /= FINE;
+        (camera.sensor.width_px, camera.sensor.height_px) = (700, 500);
+        camera.mla.principal_point_px = camera.sensor.center_px();
+        let internal = optics::internal_parameters(&camera);
+        let half_pitch = internal.micro_image_pitch_mm.unwrap() / 2.0;
+        for &f_number in &settings.white_images.f_numbers {
+            let tracer = Tracer::new(&camera, f_number, &Imperfections::default(), 0).unwrap();
+            let white = tracer.render(&Scene::White, 256, 1, &|| ()).unwrap();
+            for center in tracer.centers() {
+                let (k, l) = (center.center.k, center.center.l);
+                let q = internal.q_prime_mm[center.lens_type] - half_pitch;
+                let expected = (side * internal.m_mm / f_number + q).abs()
+                    / camera.sensor.pixel_size_mm
+                    / FINE;
+                // Look away from the neighbours, whose micro-images may touch.
+                let outwards = [f64::from(k - 1), f64::from(2 * l - 1)];
+                let lit = (0..white.height)
+                    .flat_map(|v| (0..white.width).map(move |u| (u, v)))
+                    .filter(|&(u, v)| white.at(u, v) > 0.0)
+                    .map(|(u, v)| (u as f64 - center.center.u_px, v as f64 - center.center.v_px))
+                    .filter(|(u, v)| u * outwards[0] + v * outwards[1] > 0.9 * u.hypot(*v))
+                    .map(|(u, v)| u.hypot(v) / FINE)
+                    .fold(0.0, f64::max);
+                println!("{name} f/{f_number:.2} type {}: {lit:.2} px", center.lens_type + 1);
+                assert!(
+                    lit < expected + 1.0 / FINE && lit > expected - EDGE_PX,
+                    "{name} f/{f_number:.2}, ({k}, {l}): {lit} px for {expected} px"
+                );
+            }
+        }
+    }
+}
