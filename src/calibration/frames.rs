@@ -14,6 +14,9 @@ use crate::observations::{BapFeature, Observations};
 /// A pose alone converges in a few steps; the choice between two needs no more.
 const CHOICE_ITERATIONS: usize = 5;
 
+/// Two ways to the same pose end in costs that differ by less.
+const CLEARLY_LOWER: f64 = 1e-3;
+
 /// Frames with a pose, their features, and the frames left out.
 pub(super) struct Frames {
     pub poses: Vec<FramePose>,
@@ -52,11 +55,53 @@ pub(super) fn initial_frames(
         .filter(|f| candidates.iter().any(|(frame, _)| *frame == f.frame))
         .copied()
         .collect();
-    let poses = choose(camera, board, &candidates, &features, cost, solver)?;
+    let chosen = choose(camera, board, &candidates, &features, cost, solver)?;
+    let poses = candidates
+        .iter()
+        .zip(chosen)
+        .map(|((frame, poses), i)| FramePose { frame: *frame, camera_from_board: poses[i] })
+        .collect();
     Ok(Frames { poses, features, left_out })
 }
 
-/// The candidate of every frame that leads to the lowest cost with the camera held.
+/// Poses for another refinement where some board turns out to lean the other way; `None` if every
+/// board is where it should be.
+///
+/// The first camera may be too far off to tell, and a mirrored board then holds the refinement in a
+/// wrong minimum. The refined camera knows better.
+pub(super) fn reconsidered_poses(
+    camera: &PlenopticCamera,
+    board: &Board,
+    frames: &Frames,
+    refined: &[Isometry3<f64>],
+    cost: &CostOptions,
+    solver: &SolverOptions,
+) -> Result<Option<Vec<FramePose>>> {
+    let candidates: Vec<(u32, Vec<Isometry3<f64>>)> = frames
+        .poses
+        .iter()
+        .zip(refined)
+        .map(|(pose, &refined)| {
+            let seen: Vec<BapFeature> =
+                frames.features.iter().filter(|f| f.frame == pose.frame).copied().collect();
+            let mut poses = vec![refined];
+            poses.extend(initial_poses(camera, board, &seen).unwrap_or_default());
+            (pose.frame, poses)
+        })
+        .collect();
+    let chosen = choose(camera, board, &candidates, &frames.features, cost, solver)?;
+    if chosen.iter().all(|&i| i == 0) {
+        return Ok(None);
+    }
+    let pose = |((frame, poses), i): (&(u32, Vec<Isometry3<f64>>), usize)| FramePose {
+        frame: *frame,
+        camera_from_board: poses[i],
+    };
+    Ok(Some(candidates.iter().zip(chosen).map(pose).collect()))
+}
+
+/// For every frame the index of the candidate that leads to the lowest cost with the camera held;
+/// an earlier one unless a later one is better by more than [`CLEARLY_LOWER`].
 fn choose(
     camera: &PlenopticCamera,
     board: &Board,
@@ -64,8 +109,8 @@ fn choose(
     features: &[BapFeature],
     cost: &CostOptions,
     solver: &SolverOptions,
-) -> Result<Vec<FramePose>> {
-    let mut best: BTreeMap<u32, (f64, FramePose)> = BTreeMap::new();
+) -> Result<Vec<usize>> {
+    let mut best = vec![(f64::INFINITY, 0); candidates.len()];
     let rounds = candidates.iter().map(|(_, poses)| poses.len()).max().unwrap_or(0);
     let parameters = intrinsic_parameters(camera.lens_types());
     let held = parameters.into_iter().map(|parameter| parameter.name).collect();
@@ -86,16 +131,15 @@ fn choose(
             Problem { camera, poses: &start_poses, features: &solver_features, centers: &[] };
         let refined = bridge::refine(&problem, &cost, &solver, &mut |_| true)?;
         let residuals = feature_residuals(&Problem { poses: &refined.poses, ..problem }, &seen)?;
-        for pose in &start {
-            let of_frame = residuals.iter().filter(|r| r.feature.frame == pose.frame);
+        for ((frame, poses), best) in candidates.iter().zip(&mut best) {
+            let of_frame = residuals.iter().filter(|r| r.feature.frame == *frame);
             let frame_cost: f64 = of_frame.map(|r| squared_norm(r, &cost)).sum();
-            let entry = best.entry(pose.frame).or_insert((frame_cost, *pose));
-            if frame_cost < entry.0 {
-                *entry = (frame_cost, *pose);
+            if round < poses.len() && frame_cost < best.0 * (1.0 - CLEARLY_LOWER) {
+                *best = (frame_cost, round);
             }
         }
     }
-    Ok(best.into_values().map(|(_, pose)| pose).collect())
+    Ok(best.into_iter().map(|(_, round)| round).collect())
 }
 
 fn squared_norm(residual: &FeatureResidual, cost: &CostOptions) -> f64 {

@@ -7,7 +7,9 @@ use crate::calibration::checks::{
     array_beyond_image, bad_fit, check_indices, check_observations, check_refined,
     check_stated_pitch, fronto_parallel, outlying_centers, undetermined, without_frames,
 };
-use crate::calibration::frames::{Frames, feature_residuals, initial_frames, solver_features};
+use crate::calibration::frames::{
+    feature_residuals, initial_frames, reconsidered_poses, solver_features,
+};
 use crate::calibration::{
     Calibration, CalibrationOptions, FramePose, Iteration, Mode, Start, Termination, initial_camera,
 };
@@ -21,6 +23,8 @@ use crate::precalibration::{MicroImageArray, fit_grid};
 /// the cost. A parameter n standard deviations from its place adds n² s²/2 to the cost, s² being the
 /// variance of the residuals that determine it: with 10⁵ residuals of like variance n < 10⁻³.
 const MAX_EXPECTED_DECREASE: f64 = 1e-11;
+/// Boards found to lean the other way bring others to light; it has to end.
+const MAX_RECONSIDERATIONS: usize = 4;
 /// Below this for every (standardised) residual a cost is zero up to rounding: (10⁻⁶)²/2.
 const ZERO_COST_PER_RESIDUAL: f64 = 0.5e-12;
 
@@ -58,17 +62,17 @@ pub fn calibrate(
     let initial = start_camera(&start, grid.as_ref())?;
     check_indices(&initial, grid.as_ref(), observations)?;
     warnings.extend(array_beyond_image(&initial));
-    let Frames { poses, features: used, mut left_out } =
-        initial_frames(&initial, board, observations, &options.cost, &options.solver)?;
-    if poses.is_empty() {
+    let mut frames = initial_frames(&initial, board, observations, &options.cost, &options.solver)?;
+    if frames.poses.is_empty() {
         let reasons: Vec<String> =
-            left_out.iter().map(|l| format!("frame {}: {}", l.frame, l.reason)).collect();
+            frames.left_out.iter().map(|l| format!("frame {}: {}", l.frame, l.reason)).collect();
         return Err(Error::invalid(format!("no frame could be used: {}", reasons.join("; "))));
     }
-    left_out.extend(excluded);
+    frames.left_out.extend(excluded);
 
-    let features = solver_features(&used, &poses, board);
-    let start_poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
+    let features = solver_features(&frames.features, &frames.poses, board);
+    let start_poses: Vec<Isometry3<f64>> =
+        frames.poses.iter().map(|p| p.camera_from_board).collect();
     let problem = Problem {
         camera: &initial,
         poses: &start_poses,
@@ -82,13 +86,37 @@ pub fn calibrate(
         let all = intrinsic_parameters(initial.lens_types());
         cost.held = all.into_iter().map(|parameter| parameter.name).collect();
     }
-    let refinement = bridge::refine(&problem, &cost, &options.solver, progress)?;
+    let mut refinement = bridge::refine(&problem, &cost, &options.solver, progress)?;
+    for _ in 0..MAX_RECONSIDERATIONS {
+        check_refined(&refinement)?;
+        if refinement.termination == Termination::Stopped {
+            break;
+        }
+        let Some(poses) = reconsidered_poses(
+            &refinement.camera,
+            board,
+            &frames,
+            &refinement.poses,
+            &options.cost,
+            &options.solver,
+        )?
+        else {
+            break;
+        };
+        let poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
+        let again = Problem { camera: &refinement.camera, poses: &poses, ..problem };
+        let again = bridge::refine(&again, &cost, &options.solver, progress)?;
+        if again.cost >= refinement.cost {
+            break;
+        }
+        refinement = refinement.followed_by(again);
+    }
     check_refined(&refinement)?;
 
     let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
     let uncertainty = bridge::uncertainty(&refined, &cost)?;
     let reprojection = Reprojection {
-        features: feature_residuals(&refined, &used)?,
+        features: feature_residuals(&refined, &frames.features)?,
         centers: center_residuals(&refined)?,
     };
     let residuals = 3 * features.len() + 2 * observations.centers.len();
@@ -98,7 +126,8 @@ pub fn calibrate(
         && uncertainty.expected_decrease <= negligible;
     warnings.extend(undetermined(&refinement.camera, &uncertainty));
     warnings.extend(bad_fit(&refinement.camera, &reprojection));
-    let poses: Vec<FramePose> = poses
+    let poses: Vec<FramePose> = frames
+        .poses
         .iter()
         .zip(&refinement.poses)
         .map(|(p, &camera_from_board)| FramePose { frame: p.frame, camera_from_board })
@@ -108,7 +137,7 @@ pub fn calibrate(
         camera: refinement.camera.clone(),
         initial,
         poses,
-        left_out,
+        left_out: frames.left_out,
         grid,
         initial_centers_rmse_px: initial_centers.centers_rmse_px(),
         refinement,

@@ -62,6 +62,25 @@ pub struct Refinement {
     pub iterations: Vec<Iteration>,
 }
 
+impl Refinement {
+    /// This refinement and one that went on from where it ended, as one.
+    pub(super) fn followed_by(self, next: Self) -> Self {
+        let last = self.iterations.last().map_or(0, |i| i.number);
+        let later = next.iterations.iter().skip(1).map(|i| Iteration {
+            number: last + i.number,
+            time_s: self.time_s + i.time_s,
+            ..*i
+        });
+        Self {
+            initial_cost: self.initial_cost,
+            report: format!("{}\n{}", self.report, next.report),
+            time_s: self.time_s + next.time_s,
+            iterations: self.iterations.iter().copied().chain(later).collect(),
+            ..next
+        }
+    }
+}
+
 /// A frame and its pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FramePose {
