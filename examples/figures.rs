@@ -2,6 +2,8 @@
 //!
 //!     cargo run --release --example figures -- docs/figures
 
+#![allow(clippy::cast_possible_truncation)] // images of less than a megapixel
+
 use std::io::Cursor;
 use std::path::Path;
 

@@ -14,8 +14,6 @@ use plenocal::noise::Noise;
 use plenocal::observations::{BapFeature, MicroImageCenter, Observations};
 use plenocal::synthetic::synthesize;
 
-/// Noise of a good detector; the radius comes from a whole cluster and is therefore better.
-const NOISE: Noise = Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 };
 const SEED: u64 = 2020;
 
 const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
@@ -133,7 +131,7 @@ fn rounded(observations: Observations) -> Observations {
 fn main() -> Result<()> {
     let folder = std::env::args().nth(1).unwrap_or_else(|| "data/synthetic".to_owned());
     let (camera, poses) = (camera(), poses());
-    let observations = rounded(synthesize(&camera, &BOARD, &poses, &NOISE, SEED)?);
+    let observations = rounded(synthesize(&camera, &BOARD, &poses, &Noise::default(), SEED)?);
     let mut output = OutputFolder::new(Path::new(&folder))?;
     output.stage("project.toml", |out| out.write_all(PROJECT.as_bytes()))?;
     output.stage("centers.csv", |out| write_centers(out, &observations.centers))?;

@@ -10,7 +10,7 @@ use crate::observations::{BapFeature, MicroImageCenter};
 
 /// Standard deviations of the noise per coordinate, px; 0 for none.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct Noise {
     /// Of u and v of a feature.
     pub uv_px: f64,
@@ -18,6 +18,13 @@ pub struct Noise {
     pub rho_px: f64,
     /// Of u and v of a centre.
     pub centers_px: f64,
+}
+
+impl Default for Noise {
+    /// That of a good detector; the radius comes from a whole cluster and is therefore better.
+    fn default() -> Self {
+        Self { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 }
+    }
 }
 
 /// Adds noise, observation by observation; the same seed adds the same.

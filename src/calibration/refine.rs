@@ -8,10 +8,11 @@ use crate::calibration::checks::{
     check_stated_pitch, fronto_parallel, outlying_centers, undetermined, without_frames,
 };
 use crate::calibration::frames::{
-    feature_residuals, initial_frames, reconsidered_poses, solver_features,
+    Frames, feature_residuals, initial_frames, reconsidered_poses, solver_features,
 };
 use crate::calibration::{
-    Calibration, CalibrationOptions, FramePose, Iteration, Mode, Start, Termination, initial_camera,
+    Calibration, CalibrationOptions, CostOptions, FramePose, Iteration, Mode, Refinement, Start,
+    Termination, initial_camera,
 };
 use crate::camera::{Board, PlenopticCamera, intrinsic_parameters};
 use crate::error::{Error, Result};
@@ -86,32 +87,7 @@ pub fn calibrate(
         let all = intrinsic_parameters(initial.lens_types());
         cost.held = all.into_iter().map(|parameter| parameter.name).collect();
     }
-    let mut refinement = bridge::refine(&problem, &cost, &options.solver, progress)?;
-    for _ in 0..MAX_RECONSIDERATIONS {
-        check_refined(&refinement)?;
-        if refinement.termination == Termination::Stopped {
-            break;
-        }
-        let Some(poses) = reconsidered_poses(
-            &refinement.camera,
-            board,
-            &frames,
-            &refinement.poses,
-            &options.cost,
-            &options.solver,
-        )?
-        else {
-            break;
-        };
-        let poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
-        let again = Problem { camera: &refinement.camera, poses: &poses, ..problem };
-        let again = bridge::refine(&again, &cost, &options.solver, progress)?;
-        if again.cost >= refinement.cost {
-            break;
-        }
-        refinement = refinement.followed_by(again);
-    }
-    check_refined(&refinement)?;
+    let refinement = refine(&problem, board, &frames, &cost, options, progress)?;
 
     let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
     let uncertainty = bridge::uncertainty(&refined, &cost)?;
@@ -147,6 +123,39 @@ pub fn calibrate(
         options: options.clone(),
         warnings,
     })
+}
+
+/// Refines, and again for boards that turn out to lean the other way.
+fn refine(
+    problem: &Problem,
+    board: &Board,
+    frames: &Frames,
+    cost: &CostOptions,
+    options: &CalibrationOptions,
+    progress: &mut dyn FnMut(&Iteration) -> bool,
+) -> Result<Refinement> {
+    let mut refinement = bridge::refine(problem, cost, &options.solver, progress)?;
+    check_refined(&refinement)?;
+    for _ in 0..MAX_RECONSIDERATIONS {
+        if refinement.termination == Termination::Stopped {
+            break;
+        }
+        let (camera, poses) = (&refinement.camera, &refinement.poses);
+        let Some(poses) =
+            reconsidered_poses(camera, board, frames, poses, &options.cost, &options.solver)?
+        else {
+            break;
+        };
+        let poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
+        let again = Problem { camera, poses: &poses, ..*problem };
+        let again = bridge::refine(&again, cost, &options.solver, progress)?;
+        if again.cost >= refinement.cost {
+            break;
+        }
+        check_refined(&again)?;
+        refinement = refinement.followed_by(again);
+    }
+    Ok(refinement)
 }
 
 fn start_camera(start: &Start, grid: Option<&MicroImageArray>) -> Result<PlenopticCamera> {

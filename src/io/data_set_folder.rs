@@ -150,13 +150,11 @@ fn internal_text(internal: &InternalParameters) -> String {
 
 /// The tables of a project file that a datasheet gives.
 fn camera_text(settings: &Settings) -> String {
-    let (camera, board) = (&settings.camera, settings.target.board());
-    let (sensor, lattice) = (&camera.sensor, &camera.lattice);
-    let focus = camera.main_lens.setting.map_or(f64::INFINITY, |s| s.focus_distance_mm);
-    let configuration = match camera.configuration() {
-        Some(Configuration::Galilean) => "galilean",
-        Some(Configuration::Keplerian) => "keplerian",
-        Some(Configuration::Unfocused) | None => "unfocused",
+    let (sheet, board) = (settings.datasheet(), settings.target.board());
+    let configuration = match sheet.configuration {
+        Configuration::Galilean => "galilean",
+        Configuration::Keplerian => "keplerian",
+        Configuration::Unfocused => "unfocused",
     };
     format!(
         "[sensor]\nwidth_px = {}\nheight_px = {}\npixel_size_mm = {}\n\n\
@@ -164,16 +162,16 @@ fn camera_text(settings: &Settings) -> String {
          [micro_lens_array]\nconfiguration = \"{configuration}\"\nlattice = \"{}\"\n\
          columns = {}\nrows = {}\nlens_types = {}\n\n\
          [board]\ncolumns = {}\nrows = {}\nsquare_mm = {}\n",
-        sensor.width_px,
-        sensor.height_px,
-        sensor.pixel_size_mm,
-        settings.engraved_focal_length_mm,
-        settings.board_f_number(),
-        focus,
-        lattice.kind.name(),
-        lattice.columns,
-        lattice.rows,
-        camera.lens_types(),
+        sheet.sensor.width_px,
+        sheet.sensor.height_px,
+        sheet.sensor.pixel_size_mm,
+        sheet.focal_length_mm,
+        sheet.f_number,
+        sheet.focus_distance_mm,
+        sheet.lattice_kind.name(),
+        sheet.columns,
+        sheet.rows,
+        sheet.lens_types,
         board.columns,
         board.rows,
         board.square_mm,

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::{self, Write};
+use std::mem;
 use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
@@ -14,6 +15,8 @@ use crate::error::{Error, Result};
 pub struct OutputFolder {
     folder: PathBuf,
     staged: Vec<(NamedTempFile, PathBuf)>,
+    /// Folders that were not there before.
+    created: Vec<PathBuf>,
 }
 
 impl OutputFolder {
@@ -22,7 +25,7 @@ impl OutputFolder {
         if folder.exists() && !folder.is_dir() {
             return Err(Error::content(folder, "is a file, but results go into a folder"));
         }
-        Ok(Self { folder: folder.to_owned(), staged: Vec::new() })
+        Ok(Self { folder: folder.to_owned(), staged: Vec::new(), created: Vec::new() })
     }
 
     /// Writes a file of the folder by a function.
@@ -33,6 +36,9 @@ impl OutputFolder {
     ) -> Result<()> {
         let path = self.folder.join(name);
         let folder = path.parent().unwrap_or(&self.folder);
+        let missing = folder.ancestors().take_while(|f| !f.as_os_str().is_empty() && !f.exists());
+        let missing: Vec<PathBuf> = missing.map(Path::to_owned).collect();
+        self.created.extend(missing.into_iter().rev());
         let staged = fs::create_dir_all(folder).and_then(|()| temporary_file(folder)).and_then(
             |mut file| {
                 let mut buffer = io::BufWriter::new(&mut file);
@@ -60,18 +66,29 @@ impl OutputFolder {
     }
 
     /// Gives all files their names, replacing older ones. Returns the paths.
-    pub fn commit(self) -> Result<Vec<PathBuf>> {
+    pub fn commit(mut self) -> Result<Vec<PathBuf>> {
         // What would keep one of them from its name is looked for before the first gets it.
         if let Some((_, path)) = self.staged.iter().find(|(_, path)| path.is_dir()) {
             return Err(Error::content(path, "is a folder, but a result has this name"));
         }
         let mut paths = Vec::new();
-        for (file, path) in self.staged {
+        for (file, path) in mem::take(&mut self.staged) {
             file.persist(&path)
                 .map_err(|e| Error::Write { path: path.clone(), source: e.error })?;
             paths.push(path);
         }
         Ok(paths)
+    }
+}
+
+impl Drop for OutputFolder {
+    /// Folders in which nothing came to be go again.
+    fn drop(&mut self) {
+        self.staged.clear();
+        for folder in self.created.iter().rev() {
+            // One that is not empty stays.
+            let _ = fs::remove_dir(folder);
+        }
     }
 }
 

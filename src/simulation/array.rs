@@ -18,6 +18,15 @@ pub(super) struct MicroLens {
     pub alive: bool,
 }
 
+impl MicroLens {
+    /// How many times a pupil is larger than its picture in the plane of the micro-lens, seen from a
+    /// point of the sensor; negative if turned around.
+    #[inline]
+    pub fn demagnification(&self, to_sensor: f64, to_pupil: f64) -> f64 {
+        1.0 + to_pupil * (1.0 / to_sensor - self.power)
+    }
+}
+
 /// The array in front of the sensor. "Local" coordinates of a micro-lens have their origin at its
 /// centre and the axes of the array, z towards the main lens.
 #[derive(Debug, Clone)]

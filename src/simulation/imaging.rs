@@ -169,8 +169,7 @@ mod tests {
             channel_response: [0.2, 0.4, 0.8],
             ..Imaging::default()
         };
-        let level = |part: f64| (part * 65_535.0).round() as u16;
-        let [r, g, b] = [0.2, 0.4, 0.8].map(level);
+        let [r, g, b] = [13_107, 26_214, 52_428];
         let read = |color| Imaging { color, ..ideal }.read_out(&flat(1.0), 0).unwrap();
         let image = read(Color::BayerGbrg);
         assert_eq!(image.samples[..2], [g, b]);

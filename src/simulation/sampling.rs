@@ -13,8 +13,7 @@ pub(super) struct RayPoint {
 /// so that what error a set has is noise and no pattern.
 #[derive(Debug)]
 pub(super) struct RaySets {
-    points: Vec<RayPoint>,
-    rays: usize,
+    sets: Vec<Vec<RayPoint>>,
 }
 
 /// Sets differ enough in number when neighbouring pixels rarely share one.
@@ -27,17 +26,15 @@ impl RaySets {
             let [x, y, a, b] = [0, 1, 2, 3].map(|d| f64::from(sample(ray, d, set)));
             RayPoint { pixel: [x - 0.5, y - 0.5], disc: disc(a, b) }
         };
-        let points = (0..SETS)
-            .flat_map(|set| (0..rays).map(move |ray| (set, ray)))
-            .map(|(s, r)| point(s, r));
-        Self { points: points.collect(), rays: rays as usize }
+        let set = |set: u32| (0..rays).map(|ray| point(set, ray)).collect();
+        Self { sets: (0..SETS).map(set).collect() }
     }
 
     /// The set that belongs to a hash.
     #[inline]
+    #[allow(clippy::cast_possible_truncation)] // below SETS
     pub fn set(&self, hash: u64) -> &[RayPoint] {
-        let set = (hash % u64::from(SETS)) as usize;
-        &self.points[set * self.rays..(set + 1) * self.rays]
+        &self.sets[(hash % u64::from(SETS)) as usize]
     }
 }
 

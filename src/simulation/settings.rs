@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::imaging::Imaging;
 use super::imperfections::Imperfections;
 use super::scene::Target;
-use super::tracer::Tracer;
-use crate::camera::{PlenopticCamera, positive};
+use super::tracer::{Tracer, check_rays};
+use crate::camera::{Configuration, Datasheet, PlenopticCamera, positive};
 use crate::error::{Error, Result};
 use crate::noise::Noise;
 
@@ -37,12 +37,8 @@ pub struct Settings {
     /// A board that moves along the optical axis.
     pub translation: TranslationStage,
     /// Noise of the observations that are drawn from the truth.
-    #[serde(default = "good_detector")]
+    #[serde(default)]
     pub observation_noise: Noise,
-}
-
-fn good_detector() -> Noise {
-    Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 }
 }
 
 /// White images at several f-numbers.
@@ -93,6 +89,7 @@ pub struct TranslationStage {
 impl Settings {
     /// An error naming what cannot be.
     pub fn validate(&self) -> Result<()> {
+        check_rays(self.rays)?;
         positive(self.engraved_focal_length_mm, "the engraved focal length (mm)")?;
         self.target.validate()?;
         self.imaging.validate()?;
@@ -108,6 +105,13 @@ impl Settings {
             return Err(Error::invalid(format!(
                 "boards from {near} to {far} mm are not possible: the depth runs along +z, the \
                  nearest first; anything else is behind the camera"
+            )));
+        }
+        let focal_length = self.camera.main_lens.focal_length_mm;
+        if near <= focal_length {
+            return Err(Error::invalid(format!(
+                "boards as near as {near} mm lie within the focal length of {focal_length} mm, \
+                 where the main lens forms no real image: move them away"
             )));
         }
         for (name, angle, limit) in
@@ -140,6 +144,25 @@ impl Settings {
     #[must_use]
     pub fn board_f_number(&self) -> f64 {
         self.camera.main_lens.setting.map_or(f64::NAN, |setting| setting.f_number)
+    }
+
+    /// What the maker of the camera would tell.
+    #[must_use]
+    pub fn datasheet(&self) -> Datasheet {
+        let camera = &self.camera;
+        let setting = camera.main_lens.setting;
+        Datasheet {
+            sensor: camera.sensor,
+            focal_length_mm: self.engraved_focal_length_mm,
+            focus_distance_mm: setting.map_or(f64::INFINITY, |s| s.focus_distance_mm),
+            f_number: self.board_f_number(),
+            configuration: camera.configuration().unwrap_or(Configuration::Unfocused),
+            lattice_kind: camera.lattice.kind,
+            columns: camera.lattice.columns,
+            rows: camera.lattice.rows,
+            lens_types: camera.lens_types(),
+            micro_image_pitch_px: None,
+        }
     }
 
     /// How white images for the pre-calibration are read out.

@@ -50,6 +50,8 @@ const LARGEST_RADIUS: f64 = 1.0;
 /// Tilt changes the outline of a micro-image by less than this part; what is looked at in vain is
 /// cheap.
 const OUTLINE_MARGIN: f64 = 1.02;
+/// The noise of more is below what a 16-bit sample can hold.
+const MAX_RAYS: u32 = 1 << 16;
 /// Half the diagonal of a pixel, px.
 const HALF_DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
@@ -151,18 +153,12 @@ impl Tracer {
         &self.sensor
     }
 
-    /// How many times the pupil is larger than its picture in the plane of the micro-lens, seen
-    /// from a point of the sensor; negative if turned around.
-    fn demagnification(&self, lens: &MicroLens, to_sensor: f64, to_pupil: f64) -> f64 {
-        1.0 + to_pupil * (1.0 / to_sensor - lens.power)
-    }
-
     /// Outer radius of a micro-image on white, px: where the last ray arrives, from one rim of the
     /// pupil through the other rim of the micro-lens.
     pub(super) fn micro_image_radius_px(&self, lens: &MicroLens) -> f64 {
         let to_sensor = lens.center.z - self.array.sensor_z;
         let to_pupil = self.pupil.z - lens.center.z;
-        let stop = self.demagnification(lens, to_sensor, to_pupil).abs() * self.array.stop_radius;
+        let stop = lens.demagnification(to_sensor, to_pupil).abs() * self.array.stop_radius;
         (stop + self.pupil.radius) * to_sensor / to_pupil / self.array.pixel_size
     }
 
@@ -173,7 +169,7 @@ impl Tracer {
         let middle = |lens: &MicroLens| {
             let to_sensor = lens.center.z - self.array.sensor_z;
             let to_pupil = self.pupil.z - lens.center.z;
-            let demagnification = self.demagnification(lens, to_sensor, to_pupil).abs();
+            let demagnification = lens.demagnification(to_sensor, to_pupil).abs();
             let radius = (self.pupil.radius / demagnification).min(self.array.stop_radius);
             std::f64::consts::PI * (radius / to_sensor).powi(2)
         };
@@ -190,11 +186,7 @@ impl Tracer {
         seed: u64,
         progress: &(dyn Fn() + Sync),
     ) -> Result<Image> {
-        if !(1..=65_536).contains(&rays) {
-            return Err(Error::invalid(format!(
-                "{rays} rays per pixel cannot be traced; give 1 to 65536"
-            )));
-        }
+        check_rays(rays)?;
         let board = self.place(scene)?;
         let (width, height) = (self.sensor.width_px as usize, self.sensor.height_px as usize);
         let by_row = self.micro_lenses_by_row();
@@ -288,7 +280,7 @@ impl Tracer {
         let pixel = array.local(lens, &array.on_sensor(u as f64, v as f64));
         let pupil = array.local(lens, &Point3::new(0.0, 0.0, self.pupil.z));
         let (to_sensor, to_pupil) = (-pixel.z, pupil.z);
-        let demagnification = self.demagnification(lens, to_sensor, to_pupil);
+        let demagnification = lens.demagnification(to_sensor, to_pupil);
         // Everything in the plane of the micro-lens, times the demagnification, which may be 0.
         let place = pupil.xy() + pixel.xy() * (to_pupil / to_sensor);
         let stop = array.stop_radius * demagnification.abs();
@@ -357,8 +349,7 @@ impl Tracer {
         } else {
             let aim = on_disc * self.pupil.radius;
             let aim = self.array.local(lens, &Point3::new(aim.x, aim.y, self.pupil.z));
-            (aim.xy() - pixel.xy() * (aim.z / pixel.z))
-                / self.demagnification(lens, -pixel.z, aim.z)
+            (aim.xy() - pixel.xy() * (aim.z / pixel.z)) / lens.demagnification(-pixel.z, aim.z)
         };
         let stop = self.array.stop_radius;
         if !bundle.on_stop && on_lens.norm_squared() > stop * stop {
@@ -380,6 +371,14 @@ impl Tracer {
         let cos2 = z2 / inner.norm_squared();
         radiance * cos2 * cos2 / z2
     }
+}
+
+/// An error unless so many rays per pixel can be traced.
+pub(super) fn check_rays(rays: u32) -> Result<()> {
+    if (1..=MAX_RAYS).contains(&rays) {
+        return Ok(());
+    }
+    Err(Error::invalid(format!("{rays} rays per pixel cannot be traced; give 1 to {MAX_RAYS}")))
 }
 
 /// Whole numbers between two positions, cut to those below `count`.
@@ -404,6 +403,11 @@ mod tests {
 
     fn ideal(camera: &PlenopticCamera, f_number: f64) -> Tracer {
         Tracer::new(camera, f_number, &Imperfections::default(), 0).unwrap()
+    }
+
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within the image
+    fn pixel_at(place: &Vector2<f64>) -> (usize, usize) {
+        (place.x as usize, place.y as usize)
     }
 
     fn pose(x: f64, y: f64, z: f64, turn: [f64; 3]) -> Isometry3<f64> {
@@ -432,7 +436,8 @@ mod tests {
                 if !tracer.sensor.contains(center.x, center.y) {
                     continue;
                 }
-                let (u, v) = (center.x as usize + i % 3, center.y as usize);
+                let (u, v) = pixel_at(&center);
+                let u = u + i % 3;
                 let bundle = tracer.bundle(lens, u, v, Some(&board)).unwrap();
                 for point in sets.set(i as u64) {
                     let pixel =
@@ -536,7 +541,7 @@ mod tests {
             let p = board * Point3::new(center.0 * square_mm, center.1 * square_mm, 0.0);
             let scale = -tracer.array.sensor_z / z / sensor.pixel_size_mm;
             let place = settings.camera.mla.principal_point_px + p.coords.xy() * scale;
-            let (u, v) = (place.x as usize, place.y as usize);
+            let (u, v) = pixel_at(&place);
             let near = (v - 20..v + 20).flat_map(|v| (u - 20..u + 20).map(move |u| (u, v)));
             near.map(|(u, v)| image.at(u, v)).sum::<f32>()
         };

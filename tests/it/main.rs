@@ -11,4 +11,5 @@ mod modes;
 mod oracle;
 mod r12a;
 mod recovery;
+mod simulation;
 mod support;

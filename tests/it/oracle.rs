@@ -5,12 +5,11 @@ use std::collections::HashMap;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use plenocal::calibration::FramePose;
 use plenocal::camera::{Board, PlenopticCamera};
-use plenocal::io::{PRESETS, preset_settings};
 use plenocal::optics;
 use plenocal::simulation::{Imperfections, Scene, Settings, Tracer};
 use plenocal::synthetic::synthesize;
 
-use crate::support::NO_NOISE;
+use crate::support::{NO_NOISE, preset};
 
 /// Without tilt both are the same geometry: what is left is rounding, 1e-16 of 60 mm seen through
 /// pixels of 1.4 µm and a virtual depth up to 100.
@@ -26,17 +25,12 @@ fn bound_px(camera: &PlenopticCamera) -> f64 {
     tilt * camera.mla.pitch_mm / (2.0 * camera.sensor.pixel_size_mm) + ROUNDING_PX
 }
 
-fn preset(name: &str) -> Settings {
-    let preset = PRESETS.iter().find(|preset| preset.name == name).unwrap();
-    preset_settings(preset, &[]).unwrap()
-}
-
 /// A frontal, a near and tilted, and a far and turned board.
 fn poses(settings: &Settings) -> Vec<FramePose> {
     let [near, far] = settings.boards.depth_mm;
     let board = settings.target.board();
     let half = board.point_mm(board.corners() - 1).coords / 2.0;
-    [([0.0, 0.0, 0.0], (near + far) / 2.0), ([0.5, 0.3, 0.1], near), ([-0.2, 0.6, 2.5], far)]
+    [([0.0, 0.0, 0.0], f64::midpoint(near, far)), ([0.5, 0.3, 0.1], near), ([-0.2, 0.6, 2.5], far)]
         .into_iter()
         .zip(0..)
         .map(|((turn, z), frame)| {
@@ -68,7 +62,7 @@ fn differences(camera: &PlenopticCamera, board: &Board, poses: &[FramePose]) -> 
 #[test]
 fn traced_spots_lie_where_the_closed_form_projects_them() {
     for name in ["mini", "keplerian", "r12-a", "r12-c"] {
-        let settings = preset(name);
+        let settings = preset(name, &[]);
         let poses = poses(&settings);
         for tilt in [0.0, 1.0, 10.0] {
             let mut camera = settings.camera.clone();
@@ -90,7 +84,7 @@ fn traced_spots_lie_where_the_closed_form_projects_them() {
 #[test]
 fn traced_centres_lie_where_the_closed_form_projects_them() {
     for name in ["mini", "keplerian", "r12-b", "lytro-like"] {
-        let settings = preset(name);
+        let settings = preset(name, &[]);
         let camera = &settings.camera;
         let f_number = settings.board_f_number();
         let tracer = Tracer::new(camera, f_number, &Imperfections::default(), 0).unwrap();
@@ -108,14 +102,14 @@ fn traced_centres_lie_where_the_closed_form_projects_them() {
 }
 
 /// The outer edge of a micro-image of white is where the last ray arrives; the radius of the paper,
-/// |m/N + q_i|, has m negative in Galilean configuration. Light fades out towards the edge with the
+/// |m/N + qᵢ|, has m negative in Galilean configuration. Light fades out towards the edge with the
 /// power 3/2 of the distance, so that the outermost lit pixel lies up to two (fine) pixels inside.
 #[test]
 fn micro_images_of_white_have_the_radius_of_the_paper() {
     const FINE: f64 = 8.0;
     const EDGE_PX: f64 = 2.0 / FINE;
     for (name, side) in [("mini", -1.0), ("keplerian", 1.0)] {
-        let settings = preset(name);
+        let settings = preset(name, &[]);
         let mut camera = settings.camera.clone();
         camera.mla.rotation_rad.fill(0.0);
         camera.mla.offset_mm.fill(0.0);

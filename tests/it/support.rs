@@ -7,9 +7,12 @@ use plenocal::calibration::{
     Calibration, CalibrationOptions, FramePose, SolverOptions, Start, calibrate,
 };
 use plenocal::camera::{Board, PlenopticCamera, intrinsic_parameters};
-use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
+use plenocal::io::{
+    PRESETS, Project, preset_settings, read_camera, read_centers, read_features, read_poses,
+};
 use plenocal::noise::Noise;
 use plenocal::observations::Observations;
+use plenocal::simulation::Settings;
 use plenocal::synthetic::synthesize;
 
 pub const NO_NOISE: Noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };
@@ -58,6 +61,13 @@ pub fn shipped_observations() -> Observations {
     let mut observations = read_features(&folder.join("features.csv"), true).unwrap();
     observations.centers = read_centers(&folder.join("centers.csv")).unwrap();
     observations
+}
+
+/// The settings of a preset, with some of them replaced.
+pub fn preset(name: &str, replaced: &[&str]) -> Settings {
+    let preset = PRESETS.iter().find(|preset| preset.name == name).expect("a preset");
+    let replaced: Vec<String> = replaced.iter().map(ToString::to_string).collect();
+    preset_settings(preset, &replaced).expect("presets are valid")
 }
 
 /// Observations of the shipped camera and poses with other noise.
