@@ -10,16 +10,17 @@ MAKEFLAGS += --no-print-directory
 # built anew between them.
 export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
 
-.PHONY: help deps demo cpp test test-slow test-cpp test-rust lint bench doc data format clean
+.PHONY: help deps demo cpp test test-slow test-cpp test-rust lint bench doc data figures format clean
 
 help:
-	@echo "make demo       calibrate the shipped feature set and print the result"
+	@echo "make demo       simulate a camera, calibrate it and print the result"
 	@echo "make test       all tests but the slow ones; PLENOCAL_R12A=DIR adds the real R12-A data"
 	@echo "make test-slow  the slow tests (Monte Carlo)"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program"
 	@echo "make doc        API documentation in target/doc"
 	@echo "make data       write data/synthetic anew"
+	@echo "make figures    write docs/figures anew"
 	@echo "make format     format all sources"
 	@echo "make deps       install the Debian packages that are missing"
 
@@ -35,7 +36,8 @@ deps:
 	fi
 
 demo: deps
-	cargo run --release --quiet -- calibrate data/synthetic/project.toml --out out/demo
+	cargo run --release --quiet -- simulate --out out/demo
+	cargo run --release --quiet -- calibrate out/demo/observed/project.toml --out out/demo/results
 
 test: test-cpp test-rust
 
@@ -71,6 +73,9 @@ doc: deps
 
 data: deps
 	cargo run --release --quiet --example synthetic_dataset -- data/synthetic
+
+figures: deps
+	cargo run --release --quiet --example figures -- docs/figures
 
 format: deps
 	cargo fmt

@@ -26,6 +26,8 @@
 //! # }
 //! ```
 //!
+//! [`simulation`] makes raw images of a known camera by ray tracing, with their truth.
+//!
 //! # Frames and units
 //!
 //! Lengths are in mm, angles in rad, image quantities in px; names carry the unit.

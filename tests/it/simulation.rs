@@ -336,7 +336,7 @@ fn impossible_simulations_are_refused_in_words() {
         ("imperfections.fill_factor=1.5", "a fill factor of 1.5"),
         ("imperfections.exit_pupil_mm=-30", "is not in front of the array"),
         ("observation_noise.uv_px=-1", "a noise of -1 px"),
-        ("rayz=3", "there is no setting 'rayz'"),
+        ("rayz=3", "unknown field `rayz`"),
         (
             "camera.main_lens.focal_lenth_mm=3",
             "there is no setting 'camera.main_lens.focal_lenth_mm'",
