@@ -57,6 +57,13 @@ pub struct Lattice {
 }
 
 impl Lattice {
+    /// Number of nodes.
+    #[must_use]
+    pub fn nodes(&self) -> usize {
+        let count = |n: i32| usize::try_from(n).unwrap_or(0);
+        count(self.columns) * count(self.rows)
+    }
+
     /// Whether the indices name a node.
     #[must_use]
     pub fn contains(&self, k: i32, l: i32) -> bool {

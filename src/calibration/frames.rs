@@ -130,10 +130,10 @@ fn choose(
         let problem =
             Problem { camera, poses: &start_poses, features: &solver_features, centers: &[] };
         let refined = bridge::refine(&problem, &cost, &solver, &mut |_| true)?;
-        let residuals = feature_residuals(&Problem { poses: &refined.poses, ..problem }, &seen)?;
+        let refined = Problem { poses: &refined.poses, ..problem };
+        let costs = frame_costs(&refined, &seen, &cost)?;
         for ((frame, poses), best) in candidates.iter().zip(&mut best) {
-            let of_frame = residuals.iter().filter(|r| r.feature.frame == *frame);
-            let frame_cost: f64 = of_frame.map(|r| squared_norm(r, &cost)).sum();
+            let frame_cost = costs.get(frame).copied().unwrap_or(f64::INFINITY);
             if round < poses.len() && frame_cost < best.0 * (1.0 - CLEARLY_LOWER) {
                 *best = (frame_cost, round);
             }
@@ -142,10 +142,23 @@ fn choose(
     Ok(best.into_iter().map(|(_, round)| round).collect())
 }
 
-fn squared_norm(residual: &FeatureResidual, cost: &CostOptions) -> f64 {
-    (residual.du_px / cost.uv_std_dev_px).powi(2)
-        + (residual.dv_px / cost.uv_std_dev_px).powi(2)
-        + (residual.drho_px.unwrap_or(0.0) / cost.rho_std_dev_px).powi(2)
+/// Squared residuals of every frame; infinite for one that the camera does not image.
+fn frame_costs(
+    problem: &Problem,
+    features: &[BapFeature],
+    cost: &CostOptions,
+) -> Result<BTreeMap<u32, f64>> {
+    let mut costs = BTreeMap::new();
+    for (f, projected) in features.iter().zip(bridge::project(problem)?) {
+        let squared = projected.map_or(f64::INFINITY, |[u, v, rho]| {
+            let rho_px = if problem.camera.lens_types() > 0 { f.rho_px - rho } else { 0.0 };
+            ((f.u_px - u) / cost.uv_std_dev_px).powi(2)
+                + ((f.v_px - v) / cost.uv_std_dev_px).powi(2)
+                + (rho_px / cost.rho_std_dev_px).powi(2)
+        });
+        *costs.entry(f.frame).or_insert(0.0) += squared;
+    }
+    Ok(costs)
 }
 
 /// Features as the solver takes them, every one of a frame that has a pose.

@@ -11,8 +11,8 @@ use crate::calibration::frames::{
     Frames, feature_residuals, initial_frames, reconsidered_poses, solver_features,
 };
 use crate::calibration::{
-    Calibration, CalibrationOptions, CostOptions, FramePose, Iteration, Mode, Refinement, Start,
-    Termination, initial_camera,
+    Calibration, CalibrationOptions, CostOptions, FramePose, Iteration, Mode, Refinement,
+    SolverOptions, Start, Termination, initial_camera,
 };
 use crate::camera::{Board, PlenopticCamera, intrinsic_parameters};
 use crate::error::{Error, Result};
@@ -141,19 +141,26 @@ fn refine(
             break;
         }
         let (camera, poses) = (&refinement.camera, &refinement.poses);
-        let Some(poses) =
-            reconsidered_poses(camera, board, frames, poses, &options.cost, &options.solver)?
+        // Whatever fails on the way is no better than what there is.
+        let Ok(Some(poses)) =
+            reconsidered_poses(camera, board, frames, poses, &options.cost, &options.solver)
         else {
             break;
         };
-        let poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
-        let again = Problem { camera, poses: &poses, ..*problem };
-        let again = bridge::refine(&again, cost, &options.solver, progress)?;
-        if again.cost >= refinement.cost {
+        let done = refinement.iterations.len().saturating_sub(1);
+        let max_iterations = options.solver.max_iterations.saturating_sub(done);
+        if max_iterations == 0 {
             break;
         }
-        check_refined(&again)?;
-        refinement = refinement.followed_by(again);
+        let poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
+        let again = Problem { camera, poses: &poses, ..*problem };
+        let solver = SolverOptions { max_iterations, ..options.solver };
+        match bridge::refine(&again, cost, &solver, progress) {
+            Ok(again) if again.cost < refinement.cost && check_refined(&again).is_ok() => {
+                refinement = refinement.followed_by(again);
+            }
+            _ => break,
+        }
     }
     Ok(refinement)
 }

@@ -111,6 +111,9 @@ fn summary(data_set: &DataSet, folder: &str, time: Duration) -> String {
         }
     }
     let _ = writeln!(text, "  {folder}/project.toml: the project; truth/: the truth");
+    if data_set.subsets[0].is_empty() {
+        return text;
+    }
     let _ = writeln!(
         text,
         "Calibrate the observations drawn from the truth, with noise:\n  plenocal calibrate \

@@ -3,17 +3,17 @@
 use std::io::{self, Write};
 use std::path::PathBuf;
 
+use serde::Serialize;
+
 use super::{
     OutputFolder, camera_document, poses_document, settings_text, write_centers, write_features,
     write_png,
 };
-use crate::camera::{Configuration, InternalParameters};
+use crate::camera::InternalParameters;
 use crate::error::Result;
-use crate::image::Color;
 use crate::noise::NoiseSource;
 use crate::observations::{BapFeature, MicroImageCenter};
-use crate::optics;
-use crate::simulation::{DataSet, Settings, Shot, Subset, TrueCenter, TrueFeature};
+use crate::simulation::{DataSet, Settings, Shot, Subset, Tracer, TrueCenter, TrueFeature};
 
 /// How far the writing of a data set has come.
 pub trait DataSetProgress: Sync {
@@ -30,8 +30,11 @@ pub trait DataSetProgress: Sync {
 /// - `project.toml`: what a user would tell of them; `simulation.toml`: the settings;
 /// - `truth/`: camera, internal parameters, centres with lens types, and for every subset poses and
 ///   features with the part of their light that is `visible`;
-/// - `observed/`: the calibration subset's features of which at least half the light is visible,
-///   and the centres, both with noise; a project file of its own for `calibrate`.
+/// - `observed/`, if there are calibration boards: their features of which at least half the light is
+///   visible, and the centres, both with noise; a project file of its own for `calibrate`.
+///
+/// Internal parameters and radii are those that the images show, imperfections included: with a fill
+/// factor below 1 micro-images and blur are smaller than the model says.
 pub fn stage_data_set(
     output: &mut OutputFolder,
     settings: &Settings,
@@ -52,7 +55,7 @@ pub fn stage_data_set(
 }
 
 fn white_name(shot: &Shot) -> String {
-    format!("whites/white-n-{:.2}.png", shot.f_number)
+    format!("whites/white-{}-n-{:.2}.png", shot.number, shot.f_number)
 }
 
 const DEVIGNETTING: &str = "devignetting.png";
@@ -79,7 +82,7 @@ fn stage_truth(output: &mut OutputFolder, settings: &Settings, data_set: &DataSe
     let centers = tracer.centers();
     output.stage_json("truth/camera.json", &camera_document(camera, None))?;
     output.stage("truth/centers.csv", |out| write_true_centers(out, &centers))?;
-    let internal = internal_text(&optics::internal_parameters(camera));
+    let internal = internal_text(&tracer.internal_parameters());
     output.stage("truth/internal_parameters.toml", |out| out.write_all(internal.as_bytes()))?;
 
     let mut observed = Vec::new();
@@ -99,36 +102,46 @@ fn stage_truth(output: &mut OutputFolder, settings: &Settings, data_set: &DataSe
             observed = features;
         }
     }
-    stage_observed(output, settings, &centers, &observed)
+    if observed.is_empty() {
+        return Ok(());
+    }
+    stage_observed(output, settings, &tracer, &observed)
 }
 
 fn stage_observed(
     output: &mut OutputFolder,
     settings: &Settings,
-    centers: &[TrueCenter],
+    tracer: &Tracer,
     features: &[TrueFeature],
 ) -> Result<()> {
     let mut source = NoiseSource::new(&settings.observation_noise, settings.seed)?;
     let seen = features.iter().filter(|f| f.visible >= OBSERVABLE);
     let features: Vec<BapFeature> = seen.map(|f| source.feature(&f.feature)).collect();
-    let centers: Vec<MicroImageCenter> = centers.iter().map(|c| source.center(&c.center)).collect();
+    let centers = tracer.centers().into_iter().filter(|c| c.alive);
+    let centers = centers.map(|c| source.center(&c.center));
     let in_image = |c: &MicroImageCenter| settings.camera.sensor.contains(c.u_px, c.v_px);
-    let centers: Vec<_> = centers.into_iter().filter(in_image).collect();
+    let centers: Vec<MicroImageCenter> = centers.filter(in_image).collect();
     output.stage("observed/centers.csv", |out| write_centers(out, &centers))?;
     output.stage("observed/features.csv", |out| write_features(out, &features))?;
     let project = format!(
         "# plenocal project: observations drawn from the truth of a simulation, with noise.\n\n\
          {}\n{}\n[observations]\ncenters = \"centers.csv\"\nfeatures = \"features.csv\"\n",
         camera_text(settings),
-        internal_text(&optics::internal_parameters(&settings.camera)),
+        internal_text(&tracer.internal_parameters()),
     );
     output.stage("observed/project.toml", |out| out.write_all(project.as_bytes()))
 }
 
+/// The name of a choice as it stands in files, quoted.
+fn name_of(choice: &impl Serialize) -> String {
+    toml::Value::try_from(choice).map_or_else(|_| String::new(), |name| name.to_string())
+}
+
 fn write_true_centers(out: &mut dyn Write, centers: &[TrueCenter]) -> io::Result<()> {
-    writeln!(out, "k,l,u,v,type")?;
-    centers.iter().try_for_each(|TrueCenter { center: c, lens_type }| {
-        writeln!(out, "{},{},{},{},{}", c.k, c.l, c.u_px, c.v_px, lens_type + 1)
+    writeln!(out, "k,l,u,v,type,alive")?;
+    centers.iter().try_for_each(|TrueCenter { center: c, lens_type, alive }| {
+        let (lens_type, alive) = (lens_type + 1, u8::from(*alive));
+        writeln!(out, "{},{},{},{},{lens_type},{alive}", c.k, c.l, c.u_px, c.v_px)
     })
 }
 
@@ -141,25 +154,23 @@ fn write_true_features(out: &mut dyn Write, features: &[TrueFeature]) -> io::Res
 }
 
 fn internal_text(internal: &InternalParameters) -> String {
-    let pitch = internal.micro_image_pitch_mm.unwrap_or(f64::NAN);
+    let pitch = internal.micro_image_pitch_mm.map(|p| format!("micro_image_pitch_mm = {p}\n"));
     format!(
-        "[internal_parameters]\nm_mm = {}\nq_prime_mm = {:?}\nmicro_image_pitch_mm = {pitch}\n",
-        internal.m_mm, internal.q_prime_mm
+        "[internal_parameters]\nm_mm = {}\nq_prime_mm = {:?}\n{}",
+        internal.m_mm,
+        internal.q_prime_mm,
+        pitch.unwrap_or_default()
     )
 }
 
 /// The tables of a project file that a datasheet gives.
 fn camera_text(settings: &Settings) -> String {
     let (sheet, board) = (settings.datasheet(), settings.target.board());
-    let configuration = match sheet.configuration {
-        Configuration::Galilean => "galilean",
-        Configuration::Keplerian => "keplerian",
-        Configuration::Unfocused => "unfocused",
-    };
+    let configuration = name_of(&sheet.configuration);
     format!(
         "[sensor]\nwidth_px = {}\nheight_px = {}\npixel_size_mm = {}\n\n\
          [main_lens]\nfocal_length_mm = {}\nf_number = {}\nfocus_distance_mm = {}\n\n\
-         [micro_lens_array]\nconfiguration = \"{configuration}\"\nlattice = \"{}\"\n\
+         [micro_lens_array]\nconfiguration = {configuration}\nlattice = \"{}\"\n\
          columns = {}\nrows = {}\nlens_types = {}\n\n\
          [board]\ncolumns = {}\nrows = {}\nsquare_mm = {}\n",
         sheet.sensor.width_px,
@@ -179,18 +190,11 @@ fn camera_text(settings: &Settings) -> String {
 }
 
 fn project_text(settings: &Settings, data_set: &DataSet) -> String {
-    let color = match settings.imaging.color {
-        Color::Grey => "grey",
-        Color::Rgb => "rgb",
-        Color::BayerRggb => "bayer-rggb",
-        Color::BayerGrbg => "bayer-grbg",
-        Color::BayerGbrg => "bayer-gbrg",
-        Color::BayerBggr => "bayer-bggr",
-    };
+    let color = name_of(&settings.imaging.color);
     let mut text = format!(
         "# plenocal project: a simulated camera. The truth is in truth/, the settings of the\n\
          # simulation in simulation.toml.\n\n{}\n\
-         [images]\ncolor = \"{color}\"\ndevignetting = \"{DEVIGNETTING}\"\n",
+         [images]\ncolor = {color}\ndevignetting = \"{DEVIGNETTING}\"\n",
         camera_text(settings)
     );
     let list = |subset: Subset, boards: &[(crate::calibration::FramePose, Shot)]| {

@@ -45,8 +45,21 @@ pub fn read_settings(path: &Path, replaced: &[String]) -> Result<Settings> {
 /// The settings as a simulation file.
 pub fn settings_text(settings: &Settings) -> Result<String> {
     toml::to_string(settings)
+        .map(|text| format!("{text}{LEFT_OUT}"))
         .map_err(|e| Error::invalid(format!("the settings cannot be written: {e}")))
 }
+
+/// What a simulation file need not have.
+const LEFT_OUT: &str = "
+# Left out where it is not wanted:
+#
+# [imperfections.second_stop]   # cuts oblique rays
+# z_mm = -9.0                   # from the main lens, negative towards the array
+# diameter_mm = 4.0
+#
+# white_images.exposure and white_images.gain, else those of imaging.
+# Every setting is explained in docs/simulation.md.
+";
 
 fn settings_from(text: &str, replaced: &[String]) -> Result<Settings> {
     let wrong =
@@ -76,6 +89,9 @@ fn replace(table: &mut Table, pair: &str) -> Result<()> {
         Error::invalid(format!("'{pair}' sets nothing; write KEY=VALUE, as in seed=7"))
     })?;
     let text = text.trim();
+    if text.contains('\n') {
+        return Err(Error::invalid(format!("the value of '{key}' has more than one line")));
+    }
     let value = format!("value = {text}")
         .parse::<Table>()
         .ok()

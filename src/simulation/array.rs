@@ -34,6 +34,8 @@ pub(super) struct MicroLenses {
     pub lenses: Vec<MicroLens>,
     /// Axes of the array as columns, in the camera frame.
     pub axes: Matrix3<f64>,
+    /// ΔC along x.
+    pub pitch: f64,
     pub stop_radius: f64,
     pub sensor_z: f64,
     pub pixel_size: f64,
@@ -69,6 +71,7 @@ impl MicroLenses {
         Self {
             lenses,
             axes: axes.into_inner(),
+            pitch: mla.pitch_mm,
             stop_radius: fill_factor * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0,
             sensor_z: -(mla.lens_to_mla_mm + mla.mla_to_sensor_mm),
             pixel_size: camera.sensor.pixel_size_mm,

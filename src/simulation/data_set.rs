@@ -1,5 +1,7 @@
 //! Which images a data set consists of, and how each is taken.
 
+use std::collections::HashSet;
+
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -83,7 +85,7 @@ impl DataSet {
         settings.validate()?;
         let boards = &settings.boards;
         let calibration = match poses {
-            Some(poses) => poses,
+            Some(poses) => distinct(poses)?,
             None => random_poses(settings, boards.calibration, Subset::Calibration)?,
         };
         let evaluation = random_poses(settings, boards.evaluation, Subset::Evaluation)?;
@@ -137,6 +139,7 @@ fn random_poses(settings: &Settings, count: usize, subset: Subset) -> Result<Vec
     let mut random = StdRng::seed_from_u64(hash([settings.seed, subset as u64, 0, 2]));
     let boards = &settings.boards;
     let [near, far] = boards.depth_mm;
+    let tracer = settings.tracer(settings.board_f_number())?;
     let mut slices: Vec<usize> = (0..count).collect();
     slices.shuffle(&mut random);
     let sensor = &settings.camera.sensor;
@@ -162,17 +165,31 @@ fn random_poses(settings: &Settings, count: usize, subset: Subset) -> Result<Vec
                 let middle =
                     Vector3::new((u - principal.x) * scale, (v - principal.y) * scale, depth);
                 let camera_from_board = centred(settings, middle, rotation);
-                if in_view(settings, &camera_from_board) >= boards.min_in_view {
+                let whole = tracer.check_scene(&Scene::Board(settings.target, camera_from_board));
+                if whole.is_ok() && in_view(settings, &camera_from_board) >= boards.min_in_view {
                     return Ok(FramePose { frame, camera_from_board });
                 }
             }
             Err(Error::invalid(format!(
-                "no pose between {near} and {far} mm shows {:.0} % of the corners: use a smaller \
-                 board, larger distances, or a smaller min_in_view",
+                "no pose between {near} and {far} mm was found that shows {:.0} % of the corners \
+                 and leaves the whole board beyond the focal length: use a smaller board, larger \
+                 distances, less tilt, or a smaller min_in_view",
                 boards.min_in_view * 100.0
             )))
         })
         .collect()
+}
+
+/// Given poses, of which there have to be some, each of its own frame.
+fn distinct(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
+    if poses.is_empty() {
+        return Err(Error::invalid("there are no poses to take boards at"));
+    }
+    let mut frames = HashSet::new();
+    match poses.iter().find(|pose| !frames.insert(pose.frame)) {
+        Some(pose) => Err(Error::invalid(format!("frame {} has two poses", pose.frame))),
+        None => Ok(poses),
+    }
 }
 
 fn translation_poses(settings: &Settings) -> Vec<FramePose> {

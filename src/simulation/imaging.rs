@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::sampling::hash;
-use crate::camera::positive;
 use crate::error::{Error, Result};
 use crate::image::{Color, Image, RawImage};
 
@@ -16,7 +15,7 @@ use crate::image::{Color, Image, RawImage};
 #[serde(default, deny_unknown_fields)]
 pub struct Imaging {
     /// What the middle of the brightest micro-image of a white target fills of a pixel's full well;
-    /// above 1 it overflows.
+    /// above 1 it overflows. It holds at any f-number: the time of exposure follows the light.
     pub exposure: f64,
     /// Amplification after the pixel: with 4 a quarter of the full well is full scale.
     pub gain: f64,
@@ -26,11 +25,15 @@ pub struct Imaging {
     pub color: Color,
     /// Response of red, green and blue pixels; grey ones respond with 1.
     pub channel_response: [f64; 3],
-    /// Electrons in a full pixel, which decide on the shot noise; `inf` for none.
+    /// Electrons in a full pixel, which decide on the shot noise; `inf` for no noise at all.
     pub full_well_electrons: f64,
     /// Standard deviation of the read noise, electrons.
     pub read_noise_electrons: f64,
 }
+
+/// No sensor, shutter or amplifier goes beyond.
+const MAX_FACTOR: f64 = 1e6;
+const MAX_ELECTRONS: f64 = 1e9;
 
 impl Default for Imaging {
     /// An 8-bit grey image, well exposed, with the noise of a middling CMOS sensor.
@@ -49,10 +52,19 @@ impl Default for Imaging {
 
 impl Imaging {
     pub(super) fn validate(&self) -> Result<()> {
-        positive(self.exposure, "the exposure")?;
-        positive(self.gain, "the gain")?;
-        for response in self.channel_response {
-            positive(response, "the response of a colour channel")?;
+        let [red, green, blue] = self.channel_response;
+        for (name, value) in [
+            ("exposure", self.exposure),
+            ("gain", self.gain),
+            ("response of red", red),
+            ("response of green", green),
+            ("response of blue", blue),
+        ] {
+            if !(value > 0.0 && value <= MAX_FACTOR) {
+                return Err(Error::invalid(format!(
+                    "the {name} is {value}; it has to be above 0 and at most {MAX_FACTOR}"
+                )));
+            }
         }
         if self.bits != 8 && self.bits != 16 {
             return Err(Error::invalid(format!(
@@ -60,16 +72,16 @@ impl Imaging {
                 self.bits
             )));
         }
-        if self.full_well_electrons.is_nan() || self.full_well_electrons < 1.0 {
+        let well = self.full_well_electrons;
+        if !(1.0..=MAX_ELECTRONS).contains(&well) && well != f64::INFINITY {
             return Err(Error::invalid(format!(
-                "a full well of {} electrons is not possible; give 1 or more, or inf for no shot \
-                 noise",
-                self.full_well_electrons
+                "a full well of {well} electrons is not possible; give 1 to {MAX_ELECTRONS}, or inf \
+                 for no noise"
             )));
         }
-        if !self.read_noise_electrons.is_finite() || self.read_noise_electrons < 0.0 {
+        if !(0.0..=MAX_ELECTRONS).contains(&self.read_noise_electrons) {
             return Err(Error::invalid(format!(
-                "a read noise of {} electrons is not possible; give 0 or more",
+                "a read noise of {} electrons is not possible; give 0 to {MAX_ELECTRONS}",
                 self.read_noise_electrons
             )));
         }
@@ -81,6 +93,9 @@ impl Imaging {
     pub fn read_out(&self, irradiance: &Image, seed: u64) -> Result<RawImage> {
         self.validate()?;
         let Image { width, height, .. } = *irradiance;
+        if irradiance.pixels.is_empty() {
+            return Err(Error::invalid("an image without pixels cannot be read out"));
+        }
         let per_row = width * self.color.samples();
         let mut samples = vec![0; per_row * height];
         let read_noise = Normal::new(0.0, self.read_noise_electrons)
@@ -107,14 +122,15 @@ impl Imaging {
     fn sample(&self, signal: f64, read_noise: Normal<f64>, random: &mut StdRng) -> u16 {
         let well = self.full_well_electrons;
         let noisy = if well.is_finite() {
-            // No photons, no shot noise; Poisson takes positive means only.
-            let shot = Poisson::new(signal * well).map_or(0.0, |p| p.sample(random));
-            (shot + read_noise.sample(random)) / well
+            let mean = signal * well;
+            // Only a mean of 0 is refused, as 0 without noise.
+            let shot = Poisson::new(mean).map_or(mean, |p| p.sample(random));
+            (shot.min(well) + read_noise.sample(random)) / well
         } else {
-            signal
+            signal.min(1.0)
         };
         let full_scale = f64::from((1_u32 << self.bits) - 1);
-        let value = (noisy.min(1.0) * self.gain * full_scale).round().clamp(0.0, full_scale);
+        let value = (noisy * self.gain * full_scale).round().clamp(0.0, full_scale);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // clamped
         let value = value as u16;
         value
@@ -158,6 +174,25 @@ mod tests {
         assert_eq!(value(Imaging { exposure: 4.0, gain: 0.5, ..ideal }, 0.5), 128);
         assert_eq!(value(Imaging { exposure: 0.1, gain: 4.0, ..ideal }, 0.5), 51);
         assert_eq!(value(Imaging { exposure: 1.0, gain: 4.0, ..ideal }, 0.5), 255);
+    }
+
+    /// A full pixel still has the read noise of its amplifier, and the strongest light is white.
+    #[test]
+    fn full_pixels_keep_their_read_noise() {
+        let imaging = Imaging {
+            exposure: MAX_FACTOR,
+            gain: 0.5,
+            full_well_electrons: 100.0,
+            read_noise_electrons: 5.0,
+            ..Imaging::default()
+        };
+        let (mean, variance) = moments(&imaging.read_out(&flat(1.0), 3).unwrap());
+        // 5 of 100 electrons at half the range of 255, and a twelfth for rounding.
+        let expected = (0.05_f64 * 0.5 * 255.0).powi(2) + 1.0 / 12.0;
+        assert!((mean - 127.5).abs() < 4.0 * expected.sqrt() / 141.0, "{mean}");
+        assert!((variance / expected - 1.0).abs() < 0.04, "{variance} for {expected}");
+        let strongest = Imaging { full_well_electrons: MAX_ELECTRONS, gain: 1.0, ..imaging };
+        assert!(strongest.read_out(&flat(1.0), 3).unwrap().samples.iter().all(|&s| s == 255));
     }
 
     #[test]

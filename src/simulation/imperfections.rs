@@ -53,6 +53,10 @@ impl Default for Imperfections {
     }
 }
 
+/// More would leave nothing to see.
+const MAX_SPECKS: usize = 100_000;
+/// From here on an exit pupil might as well be at infinity.
+const FURTHEST_MM: f64 = 1e6;
 /// Seeds of what is placed by chance, so that one does not move the other.
 const DEAD: u64 = 0x6465_6164;
 const DUST: u64 = 0x6475_7374;
@@ -60,13 +64,7 @@ const DUST: u64 = 0x6475_7374;
 impl Imperfections {
     pub(super) fn validate(&self, camera: &PlenopticCamera) -> Result<()> {
         let distance = camera.mla.lens_to_mla_mm;
-        if !self.exit_pupil_mm.is_finite() || self.exit_pupil_mm <= -distance {
-            return Err(Error::invalid(format!(
-                "an exit pupil at z = {} mm is not in front of the array, which is at -{distance} \
-                 mm",
-                self.exit_pupil_mm
-            )));
-        }
+        place("an exit pupil", self.exit_pupil_mm, distance)?;
         if !(self.fill_factor > 0.0 && self.fill_factor <= 1.0) {
             return Err(Error::invalid(format!(
                 "a fill factor of {} is not possible; give a number above 0 and up to 1",
@@ -75,33 +73,51 @@ impl Imperfections {
         }
         if let Some(stop) = self.second_stop {
             positive(stop.diameter_mm, "the diameter of the second stop (mm)")?;
-            if !stop.z_mm.is_finite() || stop.z_mm <= -distance {
-                return Err(Error::invalid(format!(
-                    "a second stop at z = {} mm is not in front of the array, which is at \
-                     -{distance} mm",
-                    stop.z_mm
-                )));
-            }
+            place("a second stop", stop.z_mm, distance)?;
+        }
+        let micro_lenses = camera.lattice.nodes();
+        if self.dead_micro_lenses > micro_lenses {
+            return Err(Error::invalid(format!(
+                "{} dead micro-lenses are more than the {micro_lenses} of the array",
+                self.dead_micro_lenses
+            )));
+        }
+        if self.dust_specks > MAX_SPECKS {
+            return Err(Error::invalid(format!(
+                "{} specks of dust are too many; give at most {MAX_SPECKS}",
+                self.dust_specks
+            )));
         }
         positive(self.dust_diameter_px, "the diameter of the dust (px)")
     }
 
     pub(super) fn kill(&self, lenses: &mut [MicroLens], seed: u64) {
         let mut random = StdRng::seed_from_u64(seed ^ DEAD);
-        let count = self.dead_micro_lenses.min(lenses.len());
-        for i in rand::seq::index::sample(&mut random, lenses.len(), count) {
+        for i in rand::seq::index::sample(&mut random, lenses.len(), self.dead_micro_lenses) {
             lenses[i].alive = false;
         }
     }
 }
 
+/// An error unless z lies in front of the array, and not so far that all rays are parallel.
+fn place(what: &str, z: f64, lens_to_mla: f64) -> Result<()> {
+    if z > -lens_to_mla && z <= FURTHEST_MM {
+        return Ok(());
+    }
+    Err(Error::invalid(format!(
+        "{what} at z = {z} mm is not possible: it lies between the array, at z = -{lens_to_mla} mm, \
+         and {FURTHEST_MM} mm in front of the main lens"
+    )))
+}
+
 /// Specks on the sensor.
 #[derive(Debug)]
 pub(super) struct Dust {
-    specks: Vec<Speck>,
+    /// For every row of the image those that may touch it.
+    rows: Vec<Vec<Speck>>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 struct Speck {
     u: f64,
     v: f64,
@@ -117,20 +133,30 @@ impl Dust {
             v: random.random_range(0.0..f64::from(sensor.height_px)),
             radius: random.random_range(largest / 4.0..=largest),
         };
-        Self { specks: (0..imperfections.dust_specks).map(speck).collect() }
+        let specks: Vec<Speck> = (0..imperfections.dust_specks).map(speck).collect();
+        let mut rows = vec![Vec::new(); sensor.height_px as usize];
+        for speck in specks {
+            let reach = speck.radius + 1.0;
+            for (_, row) in
+                rows.iter_mut().enumerate().filter(|(v, _)| (*v as f64 - speck.v).abs() <= reach)
+            {
+                row.push(speck);
+            }
+        }
+        Self { rows }
     }
 
     /// Whether a speck may cover part of pixel (u, v).
     pub fn touches(&self, u: usize, v: usize) -> bool {
-        self.near(u as f64, v as f64, 1.0)
+        self.near(v, u as f64, v as f64, 1.0)
     }
 
     /// Whether a speck covers a point of pixel (u, v).
     pub fn covers(&self, u: usize, v: usize, [right, down]: [f64; 2]) -> bool {
-        self.near(u as f64 + right, v as f64 + down, 0.0)
+        self.near(v, u as f64 + right, v as f64 + down, 0.0)
     }
 
-    fn near(&self, u: f64, v: f64, margin: f64) -> bool {
-        self.specks.iter().any(|s| (u - s.u).hypot(v - s.v) <= s.radius + margin)
+    fn near(&self, row: usize, u: f64, v: f64, margin: f64) -> bool {
+        self.rows[row].iter().any(|s| (u - s.u).hypot(v - s.v) <= s.radius + margin)
     }
 }

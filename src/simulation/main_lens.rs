@@ -42,6 +42,10 @@ pub(super) struct LocalDistortion {
     inverse: Matrix2<f64>,
 }
 
+/// Places looked at from the axis to a corner of the image.
+const FOLD_STEPS: u32 = 32;
+/// A found image point is known much better than to a pixel, mm.
+const FOUND_MM: f64 = 1e-6;
 /// Newton's method on a distortion that is small against its argument gains five digits a step.
 const NEWTON_STEPS: usize = 4;
 
@@ -87,6 +91,19 @@ impl ThinMainLens {
         Matrix2::identity() * (radial + 2.0 * p.dot(&x))
             + x * x.transpose() * growth
             + (x * p.transpose() + p * x.transpose()) * 2.0
+    }
+
+    /// How far on the way from the axis to an image point (from 0 to 1) distortion folds the image,
+    /// if it does.
+    pub fn first_fold(&self, distorted: &Vector2<f64>) -> Option<f64> {
+        (1..=FOLD_STEPS).map(|step| f64::from(step) / f64::from(FOLD_STEPS)).find(|&part| {
+            let local = self.about(distorted * part);
+            let ideal = local.undistorted;
+            let miss = ideal + self.distortion(ideal) - local.distorted;
+            let jacobian = Matrix2::identity() + self.distortion_jacobian(ideal);
+            // A fold turns one direction round; the negated test takes NaN for one too.
+            !(miss.norm() < FOUND_MM && jacobian.determinant() > 0.0 && jacobian.trace() > 0.0)
+        })
     }
 
     /// The distortion about a point of image space.

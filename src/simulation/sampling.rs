@@ -16,8 +16,11 @@ pub(super) struct RaySets {
     sets: Vec<Vec<RayPoint>>,
 }
 
-/// Sets differ enough in number when neighbouring pixels rarely share one.
+/// Enough sets that neighbouring pixels rarely share one.
 const SETS: u32 = 256;
+/// Where every set is long, fewer will do: each has little error to repeat.
+const POINTS: u32 = 1 << 18;
+const FEWEST_SETS: u32 = 16;
 
 impl RaySets {
     /// Sets of `rays` points.
@@ -27,14 +30,15 @@ impl RaySets {
             RayPoint { pixel: [x - 0.5, y - 0.5], disc: disc(a, b) }
         };
         let set = |set: u32| (0..rays).map(|ray| point(set, ray)).collect();
-        Self { sets: (0..SETS).map(set).collect() }
+        let sets = (POINTS / rays).clamp(FEWEST_SETS, SETS);
+        Self { sets: (0..sets).map(set).collect() }
     }
 
     /// The set that belongs to a hash.
     #[inline]
-    #[allow(clippy::cast_possible_truncation)] // below SETS
+    #[allow(clippy::cast_possible_truncation)] // below their number
     pub fn set(&self, hash: u64) -> &[RayPoint] {
-        &self.sets[(hash % u64::from(SETS)) as usize]
+        &self.sets[(hash % self.sets.len() as u64) as usize]
     }
 }
 

@@ -1,5 +1,7 @@
 //! All that a simulated data set is made from, as it stands in a simulation file.
 
+use std::ops::RangeInclusive;
+
 use serde::{Deserialize, Serialize};
 
 use super::imaging::Imaging;
@@ -86,10 +88,19 @@ pub struct TranslationStage {
     pub step_mm: f64,
 }
 
+/// Some twenty times an R12.
+const MAX_PIXELS: u64 = 1 << 28;
+const MAX_MICRO_LENSES: u64 = 1 << 20;
+const MAX_IMAGES: u64 = 1000;
+const F_NUMBERS: RangeInclusive<f64> = 0.1..=1000.0;
+
 impl Settings {
     /// An error naming what cannot be.
     pub fn validate(&self) -> Result<()> {
         check_rays(self.rays)?;
+        self.camera.validate()?;
+        self.imperfections.validate(&self.camera)?;
+        self.check_size()?;
         positive(self.engraved_focal_length_mm, "the engraved focal length (mm)")?;
         self.target.validate()?;
         self.imaging.validate()?;
@@ -136,6 +147,35 @@ impl Settings {
         }
         if stage.images > 1 && stage.step_mm == 0.0 {
             return Err(Error::invalid("the translation has a step of 0 mm; give one that moves"));
+        }
+        Ok(())
+    }
+
+    /// An error if the data set would not fit into memory, or f-numbers cannot be told apart.
+    fn check_size(&self) -> Result<()> {
+        let sensor = &self.camera.sensor;
+        let pixels = u64::from(sensor.width_px) * u64::from(sensor.height_px);
+        let images = self.boards.calibration.max(self.boards.evaluation);
+        let images = images.max(self.translation.images).max(self.white_images.f_numbers.len());
+        for (what, count, limit) in [
+            ("pixels", pixels, MAX_PIXELS),
+            ("micro-lenses", self.camera.lattice.nodes() as u64, MAX_MICRO_LENSES),
+            ("images of a kind", images as u64, MAX_IMAGES),
+        ] {
+            if count > limit {
+                return Err(Error::invalid(format!(
+                    "{count} {what} are more than can be simulated, {limit}"
+                )));
+            }
+        }
+        for &n in &self.white_images.f_numbers {
+            if !F_NUMBERS.contains(&n) {
+                return Err(Error::invalid(format!(
+                    "the f-number {n} of a white image is not possible; give {} to {}",
+                    F_NUMBERS.start(),
+                    F_NUMBERS.end()
+                )));
+            }
         }
         Ok(())
     }

@@ -11,7 +11,7 @@ use super::imperfections::{Dust, Imperfections};
 use super::main_lens::{LocalDistortion, Ray, ThinMainLens};
 use super::sampling::{RayPoint, RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
-use crate::camera::{PlenopticCamera, Sensor, positive};
+use crate::camera::{InternalParameters, PlenopticCamera, Sensor, positive};
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::lattice::Lattice;
@@ -43,6 +43,8 @@ pub struct Tracer {
     dust: Dust,
     lattice: Lattice,
     types: usize,
+    f_number: f64,
+    lens_to_mla: f64,
 }
 
 /// Micro-images wider than this many pitches cover their neighbours' centres.
@@ -51,7 +53,7 @@ const LARGEST_RADIUS: f64 = 1.0;
 /// cheap.
 const OUTLINE_MARGIN: f64 = 1.02;
 /// The noise of more is below what a 16-bit sample can hold.
-const MAX_RAYS: u32 = 1 << 16;
+const MAX_RAYS: u32 = 1 << 14;
 /// Half the diagonal of a pixel, px.
 const HALF_DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
@@ -104,13 +106,16 @@ impl Tracer {
             dust: Dust::new(imperfections, &camera.sensor, seed),
             lattice: camera.lattice,
             types: camera.lens_types(),
+            f_number,
+            lens_to_mla: mla.lens_to_mla_mm,
             array,
         };
-        tracer.check_geometry(f_number, camera.micro_image_pitch_px())?;
+        tracer.check_geometry(f_number)?;
+        tracer.check_distortion()?;
         Ok(tracer)
     }
 
-    fn check_geometry(&self, f_number: f64, pitch_px: f64) -> Result<()> {
+    fn check_geometry(&self, f_number: f64) -> Result<()> {
         for lens in &self.array.lenses {
             let (k, l) = (lens.k, lens.l);
             if lens.center.z <= self.array.sensor_z {
@@ -128,6 +133,7 @@ impl Tracer {
         }
         let radius = self.one_of_each_type().map(|lens| self.micro_image_radius_px(lens));
         let radius = radius.fold(0.0, f64::max);
+        let pitch_px = self.micro_image_pitch_mm() / self.array.pixel_size;
         if radius > LARGEST_RADIUS * pitch_px {
             return Err(Error::invalid(format!(
                 "at f/{f_number} micro-images have a radius of {radius:.1} px, but their centres are \
@@ -138,9 +144,54 @@ impl Tracer {
         Ok(())
     }
 
+    /// An error if distortion folds the image before the corners of the sensor: then no object point
+    /// has its image there.
+    fn check_distortion(&self) -> Result<()> {
+        let (right, bottom) = (self.sensor.width_px - 1, self.sensor.height_px - 1);
+        for (u, v) in [(0, 0), (right, 0), (0, bottom), (right, bottom)] {
+            let corner = self.array.on_sensor(f64::from(u), f64::from(v)).xy().coords;
+            if let Some(part) = self.lens.first_fold(&corner) {
+                return Err(Error::invalid(format!(
+                    "the distortion folds the image {:.2} mm from the axis, within the sensor: the \
+                     coefficients are too large",
+                    part * corner.norm()
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Distance of neighbouring micro-image centres, as the exit pupil casts them, mm.
+    fn micro_image_pitch_mm(&self) -> f64 {
+        let to_pupil = self.pupil.z + self.lens_to_mla;
+        let to_sensor = -self.lens_to_mla - self.array.sensor_z;
+        self.array.pitch * (1.0 + to_sensor / to_pupil)
+    }
+
+    /// Ω as white images of this camera show it, imperfections included: the outer radius of the
+    /// micro-images is the distance of pupil and stop of the micro-lens from each other, both seen
+    /// on the sensor, and grows with the pupil. Of the ideal camera it is what the paper says.
+    #[must_use]
+    pub fn internal_parameters(&self) -> InternalParameters {
+        let to_pupil = self.pupil.z + self.lens_to_mla;
+        let to_sensor = -self.lens_to_mla - self.array.sensor_z;
+        let pitch = self.micro_image_pitch_mm();
+        let q_prime = |lens: &MicroLens| {
+            let stop = lens.demagnification(to_sensor, to_pupil) * self.array.stop_radius;
+            pitch / 2.0 - stop * to_sensor / to_pupil
+        };
+        InternalParameters {
+            m_mm: self.pupil.radius * self.f_number * to_sensor / to_pupil,
+            q_prime_mm: self.one_of_each_type().map(q_prime).collect(),
+            micro_image_pitch_mm: Some(pitch),
+        }
+    }
+
     pub(super) fn micro_lens(&self, k: i32, l: i32) -> Option<&MicroLens> {
-        let index = usize::try_from(l * self.lattice.columns + k).ok()?;
-        self.lattice.contains(k, l).then(|| &self.array.lenses[index])
+        if !self.lattice.contains(k, l) {
+            return None;
+        }
+        self.array.lenses.get(usize::try_from(l * self.lattice.columns + k).ok()?)
     }
 
     fn one_of_each_type(&self) -> impl Iterator<Item = &MicroLens> {
@@ -394,6 +445,7 @@ mod tests {
 
     use super::*;
     use crate::io::{PRESETS, preset_settings};
+    use crate::optics;
     use crate::simulation::{Settings, Target};
 
     fn settings(name: &str) -> Settings {
@@ -498,6 +550,21 @@ mod tests {
                 let next_order = 3.0 * oblique * oblique;
                 assert!((part - 1.0).abs() < next_order + NOISE, "{name} f/{f_number}: {part}");
             }
+        }
+    }
+
+    #[test]
+    fn white_images_show_the_internal_parameters_of_the_paper() {
+        for name in ["mini", "keplerian", "r12-c", "lytro-like"] {
+            let camera = settings(name).camera;
+            let (shown, paper) =
+                (ideal(&camera, 8.0).internal_parameters(), optics::internal_parameters(&camera));
+            assert!((shown.m_mm / paper.m_mm - 1.0).abs() < 1e-12, "{name}");
+            for (shown, paper) in shown.q_prime_mm.iter().zip(&paper.q_prime_mm) {
+                assert!((shown / paper - 1.0).abs() < 1e-12, "{name}");
+            }
+            let pitches = [shown, paper].map(|p| p.micro_image_pitch_mm.unwrap());
+            assert!((pitches[0] / pitches[1] - 1.0).abs() < 1e-12, "{name}");
         }
     }
 

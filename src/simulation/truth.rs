@@ -21,13 +21,15 @@ pub struct Spot {
     pub visible: f64,
 }
 
-/// Centre of a micro-image, and its lens type from 0.
+/// Centre of a micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrueCenter {
     /// Indices and position.
     pub center: MicroImageCenter,
-    /// Index of the lens type.
+    /// Index of the lens type, from 0.
     pub lens_type: usize,
+    /// False for a dead micro-lens: no micro-image shows there.
+    pub alive: bool,
 }
 
 /// A board corner in a micro-image.
@@ -106,6 +108,7 @@ impl Tracer {
             .map(|(lens, p)| TrueCenter {
                 center: MicroImageCenter { k: lens.k, l: lens.l, u_px: p.x, v_px: p.y },
                 lens_type: lens.lens_type,
+                alive: lens.alive,
             })
             .collect()
     }
