@@ -14,6 +14,8 @@ use crate::observations::{BapFeature, Observations};
 /// A pose alone converges in a few steps; the choice between two needs no more.
 const CHOICE_ITERATIONS: usize = 5;
 
+/// From poses that differ less in rotation the refinement comes to the same one.
+const ALIKE_RAD: f64 = 0.1;
 /// Two ways to the same pose end in costs that differ by less.
 const CLEARLY_LOWER: f64 = 1e-3;
 
@@ -85,7 +87,10 @@ pub(super) fn reconsidered_poses(
             let seen: Vec<BapFeature> =
                 frames.features.iter().filter(|f| f.frame == pose.frame).copied().collect();
             let mut poses = vec![refined];
-            poses.extend(initial_poses(camera, board, &seen).unwrap_or_default());
+            let others = initial_poses(camera, board, &seen).unwrap_or_default();
+            poses.extend(
+                others.into_iter().filter(|p| p.rotation.angle_to(&refined.rotation) > ALIKE_RAD),
+            );
             (pose.frame, poses)
         })
         .collect();
