@@ -190,11 +190,11 @@ fn camera_text(settings: &Settings) -> String {
 }
 
 fn project_text(settings: &Settings, data_set: &DataSet) -> String {
-    let color = name_of(&settings.imaging.color);
+    let color = settings.imaging.color.name();
     let mut text = format!(
         "# plenocal project: a simulated camera. The truth is in truth/, the settings of the\n\
          # simulation in simulation.toml.\n\n{}\n\
-         [images]\ncolor = {color}\ndevignetting = \"{DEVIGNETTING}\"\n",
+         [images]\ncolor = \"{color}\"\ndevignetting = \"{DEVIGNETTING}\"\n",
         camera_text(settings)
     );
     let list = |subset: Subset, boards: &[(crate::calibration::FramePose, Shot)]| {

@@ -18,7 +18,7 @@ use std::path::Path;
 pub(crate) use camera_file::CameraFields;
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera};
 pub use data_set_folder::{DataSetProgress, stage_data_set};
-pub use image_file::write_png;
+pub use image_file::{read_image, write_png};
 pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
 };

@@ -1,0 +1,248 @@
+//! Sub-pixel centres of micro-images.
+
+use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
+use rayon::prelude::*;
+
+use super::pattern::Pattern;
+use crate::image::Image;
+
+/// What was measured of one micro-image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Blob {
+    /// Node of the pattern.
+    pub node: (i32, i32),
+    /// Intensity centroid, px.
+    pub center: Vector2<f64>,
+    /// Its standard deviation per axis, px, from what is not symmetric about it.
+    pub std_dev: f64,
+    /// Mean intensity above the background.
+    pub light: f64,
+    /// Part of the window that is saturated.
+    pub saturated: f64,
+}
+
+/// Window of the centroid: 1 up to the first radius, falling to 0 at the second, in pitches. The
+/// soft edge keeps pixels from jumping in and out; it reaches as far as neighbours may touch.
+const WINDOW: (f64, f64) = (0.40, 0.54);
+/// A window that is off by ε has its centroid off by a part of ε; a few rounds end that.
+const ROUNDS: usize = 4;
+/// Where another round moves a centre by less, px, it is where it should be.
+const SETTLED_PX: f64 = 2e-3;
+/// The pattern is followed outwards from where it was found, doubling the distance; this is the
+/// first one, in pitches.
+const FIRST_REACH: f64 = 8.0;
+/// Enough micro-images for an affine fit that stands a few bad ones.
+const FEWEST: usize = 7;
+
+/// Measures every micro-image whose window lies in the image, and gives the pattern that fits them
+/// all; `None` if the pattern does not go on from where it was found.
+pub(super) fn measure(image: &Image, found: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
+    let mut pattern = *found;
+    let start = found.origin;
+    let furthest = (image.width as f64).hypot(image.height as f64);
+    let mut reach = FIRST_REACH * pattern.pitch();
+    loop {
+        let blobs = measure_nodes(image, &pattern, |place| (place - start).norm() < reach);
+        pattern = refit(&pattern, &blobs)?;
+        if reach > furthest {
+            return Some((pattern, blobs));
+        }
+        reach *= 2.0;
+    }
+}
+
+fn measure_nodes(
+    image: &Image,
+    pattern: &Pattern,
+    wanted: impl Fn(&Vector2<f64>) -> bool + Sync,
+) -> Vec<Blob> {
+    nodes_in(image, pattern)
+        .into_par_iter()
+        .filter(|&(i, j)| wanted(&pattern.place(i, j)))
+        .filter_map(|node| measure_blob(image, pattern, node))
+        .collect()
+}
+
+/// Nodes in the image.
+pub(super) fn nodes_in(image: &Image, pattern: &Pattern) -> Vec<(i32, i32)> {
+    let Some(inverse) = pattern.basis().try_inverse() else { return Vec::new() };
+    let (right, bottom) = (image.width as f64 - 1.0, image.height as f64 - 1.0);
+    let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)]
+        .map(|(u, v)| inverse * (Vector2::new(u, v) - pattern.origin));
+    let low = corners.iter().fold(corners[0], |a, b| a.inf(b));
+    let high = corners.iter().fold(corners[0], |a, b| a.sup(b));
+    #[allow(clippy::cast_possible_truncation)] // indices of an image of at most 2³² px
+    let range = |low: f64, high: f64| low.floor() as i32..=high.ceil() as i32;
+    let inside = |&(i, j): &(i32, i32)| {
+        let place = pattern.place(i, j);
+        (0.0..=right).contains(&place.x) && (0.0..=bottom).contains(&place.y)
+    };
+    range(low.y, high.y)
+        .flat_map(|j| range(low.x, high.x).map(move |i| (i, j)))
+        .filter(inside)
+        .collect()
+}
+
+/// The affine map from nodes to centres, robustly: those far off lose their weight.
+fn refit(pattern: &Pattern, blobs: &[Blob]) -> Option<Pattern> {
+    if blobs.len() < FEWEST {
+        return None;
+    }
+    let mut fitted = *pattern;
+    for _ in 0..3 {
+        let miss = |blob: &Blob| (blob.center - fitted.place(blob.node.0, blob.node.1)).norm();
+        let mut misses: Vec<f64> = blobs.iter().map(miss).collect();
+        let middle = misses.len() / 2;
+        let typical = *misses.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let mut normal = nalgebra::Matrix3::zeros();
+        let mut right = Matrix3x2::zeros();
+        for blob in blobs.iter().filter(|blob| miss(blob) <= 3.0 * typical + SETTLED_PX) {
+            let row = Vector3::new(1.0, f64::from(blob.node.0), f64::from(blob.node.1));
+            normal += row * row.transpose();
+            right += row * blob.center.transpose();
+        }
+        let solution = normal.cholesky()?.solve(&right);
+        let column = |i: usize| Vector2::new(solution[(i, 0)], solution[(i, 1)]);
+        fitted = Pattern { origin: column(0), along: column(1), across: column(2), ..fitted };
+    }
+    Some(fitted)
+}
+
+/// Measures one micro-image from where the pattern expects it; `None` if its window leaves the
+/// image or holds no light.
+fn measure_blob(image: &Image, pattern: &Pattern, node: (i32, i32)) -> Option<Blob> {
+    let pitch = pattern.pitch();
+    let expected = pattern.place(node.0, node.1);
+    let background = darkest_neighbourhood(image, pattern, &expected)?;
+    let window = Window { image, inner: WINDOW.0 * pitch, outer: WINDOW.1 * pitch, background };
+    let mut center = expected;
+    for _ in 0..ROUNDS {
+        let next = window.centroid(&center)?;
+        let step = next - center;
+        // Light that leads out of the cell is not of this micro-image.
+        if (next - expected).norm() > 0.5 * pitch {
+            return None;
+        }
+        center = next;
+        if step.norm() < SETTLED_PX {
+            break;
+        }
+    }
+    window.describe(node, center)
+}
+
+/// Mean intensity at the places furthest from all micro-images about one, where the least light of
+/// any arrives.
+fn darkest_neighbourhood(image: &Image, pattern: &Pattern, at: &Vector2<f64>) -> Option<f64> {
+    let (a, b) = (pattern.along, pattern.across);
+    let gaps: Vec<Vector2<f64>> = if pattern.kind == crate::lattice::LatticeKind::Orthogonal {
+        vec![(a + b) / 2.0, (a - b) / 2.0]
+    } else {
+        vec![(a + b) / 3.0, (b * 2.0 - a) / 3.0, (b - a * 2.0) / 3.0]
+    };
+    let around: Vec<f64> =
+        gaps.iter().flat_map(|gap| [at + gap, at - gap]).filter_map(|p| bilinear(image, &p)).collect();
+    (!around.is_empty()).then(|| around.iter().sum::<f64>() / around.len() as f64)
+}
+
+fn bilinear(image: &Image, p: &Vector2<f64>) -> Option<f64> {
+    let (u, v) = (p.x.floor(), p.y.floor());
+    let inside = u >= 0.0
+        && v >= 0.0
+        && u + 1.0 < image.width as f64
+        && v + 1.0 < image.height as f64;
+    if !inside {
+        return None;
+    }
+    let (du, dv) = (p.x - u, p.y - v);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image
+    let (u, v) = (u as usize, v as usize);
+    let at = |u: usize, v: usize| f64::from(image.at(u, v));
+    Some(
+        (at(u, v) * (1.0 - du) + at(u + 1, v) * du) * (1.0 - dv)
+            + (at(u, v + 1) * (1.0 - du) + at(u + 1, v + 1) * du) * dv,
+    )
+}
+
+struct Window<'a> {
+    image: &'a Image,
+    inner: f64,
+    outer: f64,
+    background: f64,
+}
+
+impl Window<'_> {
+    /// Calls with offset, weight and intensity of every pixel; `None` if some are outside.
+    #[inline]
+    fn each(
+        &self,
+        center: &Vector2<f64>,
+        mut visit: impl FnMut(f64, f64, f64, f64),
+    ) -> Option<()> {
+        let image = self.image;
+        let (left, right) = (center.x - self.outer, center.x + self.outer);
+        let (top, bottom) = (center.y - self.outer, center.y + self.outer);
+        let fits = left >= 0.0
+            && top >= 0.0
+            && right <= image.width as f64 - 1.0
+            && bottom <= image.height as f64 - 1.0;
+        if !fits {
+            return None;
+        }
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image
+        let range = |low: f64, high: f64| low.ceil() as usize..high.floor() as usize + 1;
+        let (inner2, outer2) = (self.inner * self.inner, self.outer * self.outer);
+        let fall = 1.0 / (outer2 - inner2);
+        for v in range(top, bottom) {
+            let dy = v as f64 - center.y;
+            let row = &image.pixels[v * image.width..][..image.width];
+            for u in range(left, right) {
+                let dx = u as f64 - center.x;
+                let r2 = dx * dx + dy * dy;
+                if r2 < outer2 {
+                    // In r² the fall is smooth enough and needs no root.
+                    let weight = ((outer2 - r2) * fall).min(1.0);
+                    visit(dx, dy, weight, f64::from(row[u]));
+                }
+            }
+        }
+        Some(())
+    }
+
+    fn centroid(&self, center: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
+        self.each(center, |dx, dy, weight, value| {
+            let light = weight * (value - self.background);
+            sum += light;
+            x += light * dx;
+            y += light * dy;
+        })?;
+        (sum > 0.0).then(|| center + Vector2::new(x, y) / sum)
+    }
+
+    fn describe(&self, node: (i32, i32), center: Vector2<f64>) -> Option<Blob> {
+        let (mut sum, mut weights, mut saturated, mut count) = (0.0, 0.0, 0.0, 0.0);
+        let mut variance = Matrix2::zeros();
+        self.each(&center, |dx, dy, weight, value| {
+            sum += weight * (value - self.background);
+            weights += weight;
+            count += 1.0;
+            saturated += f64::from(u8::from(value >= 1.0));
+            // The pixel opposite, to the nearest; both carry the same noise.
+            let opposite = center - Vector2::new(dx, dy);
+            if let Some(other) = bilinear(self.image, &opposite) {
+                let odd = (value - other) / 2.0;
+                let place = Vector2::new(dx, dy);
+                variance += place * place.transpose() * (2.0 * (weight * odd).powi(2));
+            }
+        })?;
+        let std_dev = (variance.trace() / 2.0).sqrt() / sum;
+        (std_dev.is_finite() && sum > 0.0).then_some(Blob {
+            node,
+            center,
+            std_dev,
+            light: sum / weights,
+            saturated: saturated / count,
+        })
+    }
+}

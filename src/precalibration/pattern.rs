@@ -1,0 +1,306 @@
+//! Finds the pattern that micro-images make, from an image alone: packing, pitch and orientation.
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, TAU};
+
+use nalgebra::{Matrix2, Vector2};
+use rustfft::FftPlanner;
+use rustfft::num_complex::Complex;
+
+use crate::image::Image;
+use crate::lattice::LatticeKind;
+
+/// A lattice of micro-images in an image: `origin + i · along + j · across` for whole i and j.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Pattern {
+    pub kind: LatticeKind,
+    /// Position of one micro-image, px.
+    pub origin: Vector2<f64>,
+    /// To the next one along the straight rows (columns), px.
+    pub along: Vector2<f64>,
+    /// To the one in the next row (column), px: to the right (down) on a hexagonal lattice.
+    pub across: Vector2<f64>,
+    /// Part of the image's variance that the repetition explains, from 0 to 1.
+    pub explained: f64,
+}
+
+impl Pattern {
+    /// Position of node (i, j).
+    pub fn place(&self, i: i32, j: i32) -> Vector2<f64> {
+        self.origin + self.along * f64::from(i) + self.across * f64::from(j)
+    }
+
+    pub fn pitch(&self) -> f64 {
+        self.basis().determinant().abs().sqrt() / cell_area(self.kind).sqrt()
+    }
+
+    pub fn basis(&self) -> Matrix2<f64> {
+        Matrix2::from_columns(&[self.along, self.across])
+    }
+
+    /// Indices (k, l) of node (i, j), counted from an arbitrary node.
+    pub fn index(&self, i: i32, j: i32) -> (i32, i32) {
+        match self.kind {
+            LatticeKind::Orthogonal => (i, j),
+            LatticeKind::HexagonalRows => (i + j.div_euclid(2), j),
+            LatticeKind::HexagonalColumns => (j, i + j.div_euclid(2)),
+        }
+    }
+}
+
+/// Area of a cell at a pitch of 1.
+fn cell_area(kind: LatticeKind) -> f64 {
+    match kind {
+        LatticeKind::Orthogonal => 1.0,
+        _ => 3.0_f64.sqrt() / 2.0,
+    }
+}
+
+/// Largest edge of the square that the spectrum is taken of, px: some nine micro-images of the
+/// largest pitch, and a hundredth of a pixel of the smallest.
+const LARGEST_CROP: usize = 512;
+/// Pitches that are looked for, px.
+const PITCHES: std::ops::RangeInclusive<f64> = 5.0..=90.0;
+/// The strongest frequencies are those of the lattice, of its harmonics, and of the lens types.
+const PEAKS: usize = 16;
+/// Lengths of the two steps agree within this part, and their angle to within so many radians.
+const REGULAR: f64 = 0.06;
+/// Cells of a folded image along each step.
+const FOLD: usize = 12;
+/// Lens types repeat on a lattice of three times the area and explain more. The lattice itself
+/// explains at least this part of it.
+const FUNDAMENTAL: f64 = 0.5;
+
+/// The pattern of the part of an image about `middle`; `None` where nothing repeats on a known
+/// lattice.
+pub(super) fn find_pattern(image: &Image, middle: (usize, usize)) -> Option<Pattern> {
+    let size = LARGEST_CROP.min(image.width).min(image.height);
+    let start = |middle: usize, length: usize| {
+        middle.saturating_sub(size / 2).min(length.saturating_sub(size))
+    };
+    let (left, top) = (start(middle.0, image.width), start(middle.1, image.height));
+    let crop = Crop::new(image, left, top, size)?;
+    let peaks = crop.frequencies();
+    let mut candidates: Vec<Pattern> = Vec::new();
+    for (n, first) in peaks.iter().enumerate() {
+        for second in &peaks[..n] {
+            let Some(candidate) = regular_lattice(first, second) else { continue };
+            let known = candidates.iter().any(|c| {
+                c.kind == candidate.kind
+                    && (c.along - candidate.along).norm() < 0.01 * c.along.norm()
+            });
+            if !known {
+                candidates.push(crop.folded(&candidate));
+            }
+        }
+    }
+    let best = candidates.iter().map(|c| c.explained).fold(0.0, f64::max);
+    candidates
+        .into_iter()
+        .filter(|c| c.explained >= FUNDAMENTAL * best)
+        .min_by(|a, b| a.pitch().total_cmp(&b.pitch()))
+}
+
+/// A square piece of an image less its mean.
+struct Crop {
+    left: f64,
+    top: f64,
+    size: usize,
+    values: Vec<f64>,
+    variance: f64,
+}
+
+impl Crop {
+    /// `None` if the piece is of one value.
+    fn new(image: &Image, left: usize, top: usize, size: usize) -> Option<Self> {
+        let row = |v: usize| &image.pixels[v * image.width + left..][..size];
+        let mut values: Vec<f64> =
+            (top..top + size).flat_map(|v| row(v).iter().map(|&p| f64::from(p))).collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        for value in &mut values {
+            *value -= mean;
+        }
+        let variance = values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64;
+        (variance > 1e-9).then_some(Self {
+            left: left as f64,
+            top: top as f64,
+            size,
+            values,
+            variance,
+        })
+    }
+
+    /// The strongest frequencies (cycles per px) of a half plane, strongest first.
+    fn frequencies(&self) -> Vec<Vector2<f64>> {
+        let n = self.size;
+        let power = self.spectrum();
+        let at = |x: usize, y: usize| power[(y % n) * n + x % n];
+        let signed = |f: usize| if f > n / 2 { f as f64 - n as f64 } else { f as f64 };
+        let mut peaks = Vec::new();
+        for y in 0..n {
+            for x in 0..=n / 2 {
+                let length = signed(x).hypot(signed(y)) / n as f64;
+                // A hexagonal lattice has frequencies of up to 2/√3 over the pitch, and the lens
+                // types 1/√3 of these.
+                if length < 0.6 / PITCHES.end() || length > 1.2 / PITCHES.start() {
+                    continue;
+                }
+                if x == 0 && signed(y) < 0.0 {
+                    continue;
+                }
+                let here = at(x, y);
+                let (before, above) = (at(x + n - 1, y), at(x, y + n - 1));
+                let (after, below) = (at(x + 1, y), at(x, y + 1));
+                if here > before && here >= after && here > above && here >= below {
+                    let shift = |low: f64, high: f64| {
+                        // Vertex of the parabola through the logarithms.
+                        let (low, mid, high) = (low.ln(), here.ln(), high.ln());
+                        let bend = low - 2.0 * mid + high;
+                        if bend < 0.0 { 0.5 * (low - high) / bend } else { 0.0 }
+                    };
+                    let place = Vector2::new(
+                        signed(x) + shift(before, after),
+                        signed(y) + shift(above, below),
+                    );
+                    peaks.push((here, place / n as f64));
+                }
+            }
+        }
+        peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+        peaks.into_iter().take(PEAKS).map(|(_, place)| place).collect()
+    }
+
+    /// Power spectrum under a Hann window.
+    fn spectrum(&self) -> Vec<f64> {
+        let n = self.size;
+        let window: Vec<f64> =
+            (0..n).map(|i| 0.5 - 0.5 * (TAU * (i as f64 + 0.5) / n as f64).cos()).collect();
+        let mut data: Vec<Complex<f64>> = self
+            .values
+            .iter()
+            .enumerate()
+            .map(|(i, v)| Complex::new(v * window[i % n] * window[i / n], 0.0))
+            .collect();
+        let transform = FftPlanner::new().plan_fft_forward(n);
+        transform.process(&mut data);
+        let mut turned = vec![Complex::default(); n * n];
+        for (y, row) in data.chunks_exact(n).enumerate() {
+            for (x, &value) in row.iter().enumerate() {
+                turned[x * n + y] = value;
+            }
+        }
+        transform.process(&mut turned);
+        let mut power = vec![0.0; n * n];
+        for (x, column) in turned.chunks_exact(n).enumerate() {
+            for (y, value) in column.iter().enumerate() {
+                power[y * n + x] = value.norm_sqr();
+            }
+        }
+        power
+    }
+
+    /// A candidate with the place of its micro-images and what it explains, from the image folded
+    /// into one cell.
+    fn folded(&self, candidate: &Pattern) -> Pattern {
+        let Some(to_cell) = candidate.basis().try_inverse() else { return *candidate };
+        let mut sums = [[0.0; FOLD]; FOLD];
+        let mut counts = [[0.0; FOLD]; FOLD];
+        let bin = |part: f64| {
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // from 0 to 1
+            let bin = (part.rem_euclid(1.0) * FOLD as f64) as usize;
+            bin.min(FOLD - 1)
+        };
+        for (i, value) in self.values.iter().enumerate() {
+            let cell = to_cell * Vector2::new((i % self.size) as f64, (i / self.size) as f64);
+            let (x, y) = (bin(cell.x), bin(cell.y));
+            sums[y][x] += value;
+            counts[y][x] += 1.0;
+        }
+        let total = self.values.len() as f64;
+        let mean = |y: usize, x: usize| sums[y % FOLD][x % FOLD] / f64::max(counts[y % FOLD][x % FOLD], 1.0);
+        let bins = (0..FOLD).flat_map(|y| (0..FOLD).map(move |x| (y, x)));
+        let explained: f64 =
+            bins.clone().map(|(y, x)| mean(y, x).powi(2) * counts[y][x]).sum::<f64>();
+        // The first circular moment of the folded cell along each step is where its light is.
+        let phase = |along: fn(usize, usize) -> usize| {
+            let darkest = bins.clone().map(|(y, x)| mean(y, x)).fold(f64::MAX, f64::min);
+            let moment: Complex<f64> = bins
+                .clone()
+                .map(|(y, x)| {
+                    let angle = TAU * (along(y, x) as f64 + 0.5) / FOLD as f64;
+                    Complex::from_polar(mean(y, x) - darkest, angle)
+                })
+                .sum();
+            moment.arg() / TAU
+        };
+        let cell = Vector2::new(phase(|_, x| x), phase(|y, _| y));
+        // The node nearest to the middle of the piece.
+        let middle = Vector2::repeat(self.size as f64 / 2.0);
+        let steps = (to_cell * middle - cell).map(f64::round);
+        Pattern {
+            origin: candidate.basis() * (cell + steps) + Vector2::new(self.left, self.top),
+            explained: explained / total / self.variance,
+            ..*candidate
+        }
+    }
+}
+
+/// The hexagonal or square lattice that has two frequencies, if there is one.
+fn regular_lattice(first: &Vector2<f64>, second: &Vector2<f64>) -> Option<Pattern> {
+    let frequencies = Matrix2::from_columns(&[*first, *second]);
+    let steps = frequencies.transpose().try_inverse()?;
+    // Gauss' reduction: the two shortest steps.
+    let (mut a, mut b) = (steps.column(0).into_owned(), steps.column(1).into_owned());
+    loop {
+        if a.norm_squared() > b.norm_squared() {
+            std::mem::swap(&mut a, &mut b);
+        }
+        let times = (a.dot(&b) / a.norm_squared()).round();
+        if times == 0.0 || !times.is_finite() {
+            break;
+        }
+        b -= a * times;
+    }
+    if !PITCHES.contains(&a.norm()) || (b.norm() / a.norm() - 1.0).abs() > REGULAR {
+        return None;
+    }
+    let angle = (a.dot(&b) / (a.norm() * b.norm())).clamp(-1.0, 1.0).acos();
+    let sixth = if angle < FRAC_PI_2 { angle } else { std::f64::consts::PI - angle };
+    if (sixth - FRAC_PI_3).abs() < REGULAR {
+        Some(hexagonal(a, b))
+    } else if (sixth - FRAC_PI_2).abs() < REGULAR {
+        let along = nearest(&[a, b, -a, -b], &Vector2::x());
+        let across = nearest(&[a, b, -a, -b], &Vector2::y());
+        Some(pattern(LatticeKind::Orthogonal, along, across))
+    } else {
+        None
+    }
+}
+
+fn hexagonal(a: Vector2<f64>, b: Vector2<f64>) -> Pattern {
+    let c = if a.dot(&b) > 0.0 { b - a } else { b + a };
+    let steps = [a, b, c, -a, -b, -c];
+    let (right, down) = (nearest(&steps, &Vector2::x()), nearest(&steps, &Vector2::y()));
+    // Straight rows run along u if some step does so more than any runs along v.
+    if right.normalize().x > down.normalize().y {
+        // The next row, half a step to the right.
+        let across = nearest(&steps, &Vector2::new(0.5, 0.75_f64.sqrt()));
+        pattern(LatticeKind::HexagonalRows, right, across)
+    } else {
+        let across = nearest(&steps, &Vector2::new(0.75_f64.sqrt(), 0.5));
+        pattern(LatticeKind::HexagonalColumns, down, across)
+    }
+}
+
+/// The step that points most towards a direction.
+fn nearest(steps: &[Vector2<f64>], direction: &Vector2<f64>) -> Vector2<f64> {
+    let towards = |step: &Vector2<f64>| step.dot(direction);
+    steps
+        .iter()
+        .copied()
+        .max_by(|a, b| towards(a).total_cmp(&towards(b)))
+        .unwrap_or_else(Vector2::zeros)
+}
+
+fn pattern(kind: LatticeKind, along: Vector2<f64>, across: Vector2<f64>) -> Pattern {
+    Pattern { kind, origin: Vector2::zeros(), along, across, explained: 0.0 }
+}
