@@ -13,7 +13,17 @@ fn main() {
         let t3 = std::time::Instant::now();
         println!("{path}: decode {:?} grey {:?} measure {:?}", t1 - t0, t2 - t1, t3 - t2);
         match r {
-            Ok(m) => println!("{:?}\n{} centers {:?} median sd {:?}", m.grid, m.centers.len(), m.left_out, { let mut s = m.std_devs_px.clone(); s.sort_by(f64::total_cmp); s[s.len() / 2] }),
+            Ok(m) => println!(
+                "{:?}\n{} centers {:?} median sd {:?}",
+                m.grid,
+                m.centers.len(),
+                m.left_out,
+                {
+                    let mut s = m.std_devs_px.clone();
+                    s.sort_by(f64::total_cmp);
+                    s[s.len() / 2]
+                }
+            ),
             Err(e) => println!("{e}"),
         }
     }

@@ -76,14 +76,21 @@ pub fn measure_array(image: &Image) -> Result<ArrayMeasurement> {
         })
         .unzip();
     left_out.misplaced = blobs.len() - centers.len();
-    left_out.cut = all.len() - centers.len() - left_out.dark - left_out.saturated - left_out.misplaced;
+    left_out.cut =
+        all.len() - centers.len() - left_out.dark - left_out.saturated - left_out.misplaced;
     Ok(ArrayMeasurement { grid, centers, std_devs_px, left_out })
 }
 
 /// The pattern, looked for in the middle and then, should that be damaged, in the quarters.
 fn find(image: &Image) -> Result<(Pattern, Vec<Blob>)> {
     let (w, h) = (image.width, image.height);
-    let places = [(w / 2, h / 2), (w / 4, h / 4), (3 * w / 4, h / 4), (w / 4, 3 * h / 4), (3 * w / 4, 3 * h / 4)];
+    let places = [
+        (w / 2, h / 2),
+        (w / 4, h / 4),
+        (3 * w / 4, h / 4),
+        (w / 4, 3 * h / 4),
+        (3 * w / 4, 3 * h / 4),
+    ];
     for place in places {
         let Some(pattern) = find_pattern(image, place) else { continue };
         if pattern.explained < PATTERN {

@@ -1,6 +1,6 @@
 //! Sub-pixel centres of micro-images.
 
-use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
+use nalgebra::{Matrix3x2, Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::pattern::Pattern;
@@ -31,36 +31,41 @@ const SETTLED_PX: f64 = 2e-3;
 /// The pattern is followed outwards from where it was found, doubling the distance; this is the
 /// first one, in pitches.
 const FIRST_REACH: f64 = 8.0;
+/// Micro-images that the pattern is fitted to on the way outwards.
+const SAMPLE: usize = 400;
 /// Enough micro-images for an affine fit that stands a few bad ones.
 const FEWEST: usize = 7;
 
 /// Measures every micro-image whose window lies in the image, and gives the pattern that fits them
 /// all; `None` if the pattern does not go on from where it was found.
 pub(super) fn measure(image: &Image, found: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
+    let pattern = followed(image, found)?;
+    let blobs = measure_nodes(image, &pattern, nodes_in(image, &pattern));
+    Some((refit(&pattern, &blobs)?, blobs))
+}
+
+/// The pattern fitted to micro-images all over the image, a sample of them at every reach.
+pub(super) fn followed(image: &Image, found: &Pattern) -> Option<Pattern> {
     let mut pattern = *found;
     let start = found.origin;
-    let furthest = (image.width as f64).hypot(image.height as f64);
+    let right_bottom = Vector2::new(image.width as f64, image.height as f64);
+    let furthest = start.norm().max((right_bottom - start).norm());
     let mut reach = FIRST_REACH * pattern.pitch();
     loop {
-        let blobs = measure_nodes(image, &pattern, |place| (place - start).norm() < reach);
-        pattern = refit(&pattern, &blobs)?;
+        let mut nodes = nodes_in(image, &pattern);
+        nodes.retain(|&(i, j)| (pattern.place(i, j) - start).norm() < reach);
+        let step = nodes.len().div_ceil(SAMPLE);
+        let sample = nodes.into_iter().step_by(step.max(1)).collect();
+        pattern = refit(&pattern, &measure_nodes(image, &pattern, sample))?;
         if reach > furthest {
-            return Some((pattern, blobs));
+            return Some(pattern);
         }
         reach *= 2.0;
     }
 }
 
-fn measure_nodes(
-    image: &Image,
-    pattern: &Pattern,
-    wanted: impl Fn(&Vector2<f64>) -> bool + Sync,
-) -> Vec<Blob> {
-    nodes_in(image, pattern)
-        .into_par_iter()
-        .filter(|&(i, j)| wanted(&pattern.place(i, j)))
-        .filter_map(|node| measure_blob(image, pattern, node))
-        .collect()
+fn measure_nodes(image: &Image, pattern: &Pattern, nodes: Vec<(i32, i32)>) -> Vec<Blob> {
+    nodes.into_par_iter().filter_map(|node| measure_blob(image, pattern, node)).collect()
 }
 
 /// Nodes in the image.
@@ -140,17 +145,18 @@ fn darkest_neighbourhood(image: &Image, pattern: &Pattern, at: &Vector2<f64>) ->
     } else {
         vec![(a + b) / 3.0, (b * 2.0 - a) / 3.0, (b - a * 2.0) / 3.0]
     };
-    let around: Vec<f64> =
-        gaps.iter().flat_map(|gap| [at + gap, at - gap]).filter_map(|p| bilinear(image, &p)).collect();
+    let around: Vec<f64> = gaps
+        .iter()
+        .flat_map(|gap| [at + gap, at - gap])
+        .filter_map(|p| bilinear(image, &p))
+        .collect();
     (!around.is_empty()).then(|| around.iter().sum::<f64>() / around.len() as f64)
 }
 
 fn bilinear(image: &Image, p: &Vector2<f64>) -> Option<f64> {
     let (u, v) = (p.x.floor(), p.y.floor());
-    let inside = u >= 0.0
-        && v >= 0.0
-        && u + 1.0 < image.width as f64
-        && v + 1.0 < image.height as f64;
+    let inside =
+        u >= 0.0 && v >= 0.0 && u + 1.0 < image.width as f64 && v + 1.0 < image.height as f64;
     if !inside {
         return None;
     }
@@ -164,6 +170,36 @@ fn bilinear(image: &Image, p: &Vector2<f64>) -> Option<f64> {
     )
 }
 
+/// Values of an image mirrored in a point. The mirrored pixels lie between four pixels, always in
+/// the same way.
+struct Opposite<'a> {
+    image: &'a Image,
+    twice: (f64, f64),
+    whole: (f64, f64),
+}
+
+impl<'a> Opposite<'a> {
+    fn new(image: &'a Image, center: &Vector2<f64>) -> Self {
+        let twice = (2.0 * center.x, 2.0 * center.y);
+        Self { image, twice, whole: (twice.0.floor(), twice.1.floor()) }
+    }
+
+    #[inline]
+    fn value(&self, u: f64, v: f64) -> f64 {
+        let (du, dv) = (self.twice.0 - self.whole.0, self.twice.1 - self.whole.1);
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image
+        let (u, v) = (
+            ((self.whole.0 - u).round() as usize).min(self.image.width - 2),
+            ((self.whole.1 - v).round() as usize).min(self.image.height - 2),
+        );
+        let row = &self.image.pixels[v * self.image.width + u..];
+        let at = |i: usize| f64::from(row[i]);
+        let next = self.image.width;
+        (at(0) * (1.0 - du) + at(1) * du) * (1.0 - dv)
+            + (at(next) * (1.0 - du) + at(next + 1) * du) * dv
+    }
+}
+
 struct Window<'a> {
     image: &'a Image,
     inner: f64,
@@ -174,11 +210,7 @@ struct Window<'a> {
 impl Window<'_> {
     /// Calls with offset, weight and intensity of every pixel; `None` if some are outside.
     #[inline]
-    fn each(
-        &self,
-        center: &Vector2<f64>,
-        mut visit: impl FnMut(f64, f64, f64, f64),
-    ) -> Option<()> {
+    fn each(&self, center: &Vector2<f64>, mut visit: impl FnMut(f64, f64, f64, f64)) -> Option<()> {
         let image = self.image;
         let (left, right) = (center.x - self.outer, center.x + self.outer);
         let (top, bottom) = (center.y - self.outer, center.y + self.outer);
@@ -222,21 +254,20 @@ impl Window<'_> {
 
     fn describe(&self, node: (i32, i32), center: Vector2<f64>) -> Option<Blob> {
         let (mut sum, mut weights, mut saturated, mut count) = (0.0, 0.0, 0.0, 0.0);
-        let mut variance = Matrix2::zeros();
+        let mut variance = 0.0;
+        let opposite = Opposite::new(self.image, &center);
         self.each(&center, |dx, dy, weight, value| {
             sum += weight * (value - self.background);
             weights += weight;
             count += 1.0;
             saturated += f64::from(u8::from(value >= 1.0));
-            // The pixel opposite, to the nearest; both carry the same noise.
-            let opposite = center - Vector2::new(dx, dy);
-            if let Some(other) = bilinear(self.image, &opposite) {
-                let odd = (value - other) / 2.0;
-                let place = Vector2::new(dx, dy);
-                variance += place * place.transpose() * (2.0 * (weight * odd).powi(2));
-            }
+            // What differs on both sides of the centre is noise or a fault of symmetry. Each pixel
+            // is met twice, as one and as the other side.
+            let odd = (value - opposite.value(center.x + dx, center.y + dy)) / 2.0;
+            variance += (weight * odd).powi(2) * (dx * dx + dy * dy);
         })?;
-        let std_dev = (variance.trace() / 2.0).sqrt() / sum;
+        // 2 Σ (w x e)² along an axis, here the mean of both axes.
+        let std_dev = variance.sqrt() / sum;
         (std_dev.is_finite() && sum > 0.0).then_some(Blob {
             node,
             center,
