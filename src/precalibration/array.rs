@@ -2,7 +2,9 @@
 
 use std::collections::HashMap;
 
-use super::centers::{Blob, measure};
+use nalgebra::Vector2;
+
+use super::centers::{Blob, measure, nodes_in};
 use super::grid::{MicroImageArray, fit_grid};
 use super::pattern::{Pattern, find_pattern};
 use crate::error::{Error, Result};
@@ -46,39 +48,128 @@ const MISPLACED_PX: f64 = 0.05;
 /// What a repeated pattern of micro-images explains at least of an image.
 const PATTERN: f64 = 0.1;
 
+/// Micro-images at the rim of an array may lie beyond the sensor, so that fewer show than there are:
+/// so many on both sides together.
+const BEYOND: i32 = 2;
+
 /// Finds and measures all micro-images of a white image, from the image alone.
 ///
-/// Indices (k, l) count from the first column and row that have a centre in the image. An error if
-/// no lattice of micro-images shows.
-pub fn measure_array(image: &Image) -> Result<ArrayMeasurement> {
+/// `stated` is the number of columns and rows of the array where it is known. Indices (k, l) then
+/// count such that the middle of the array is nearest to that of the image; else they count from the
+/// first column and row that have a centre in the image. An error if no lattice of micro-images
+/// shows, or not one of the stated size.
+pub fn measure_array(image: &Image, stated: Option<(i32, i32)>) -> Result<ArrayMeasurement> {
+    found_array(image, stated).map(|found| found.array)
+}
+
+/// The array with what the next steps need of how it was found.
+pub(super) struct FoundArray {
+    pub array: ArrayMeasurement,
+    pub pattern: Pattern,
+    /// Micro-images with a centre, dark and saturated ones left out.
+    pub blobs: Vec<Blob>,
+    labels: Labels,
+}
+
+impl FoundArray {
+    /// Index (k, l) of a node of the pattern.
+    pub fn index(&self, node: (i32, i32)) -> (i32, i32) {
+        self.labels.index(&self.pattern, node)
+    }
+}
+
+/// How the nodes of a pattern are counted.
+#[derive(Debug, Clone, Copy)]
+struct Labels {
+    later: bool,
+    first: (i32, i32),
+    size: (i32, i32),
+}
+
+impl Labels {
+    fn index(&self, pattern: &Pattern, node: (i32, i32)) -> (i32, i32) {
+        let (k, l) = pattern.index(node, self.later);
+        (k - self.first.0, l - self.first.1)
+    }
+
+    /// Every way to count that suits the stated size, with it; else the ones with the fewest columns
+    /// and rows.
+    fn possible(
+        pattern: &Pattern,
+        nodes: &[(i32, i32)],
+        stated: Option<(i32, i32)>,
+    ) -> Result<Vec<Self>> {
+        let both = [false, true].map(|later| {
+            let indices = || nodes.iter().map(|&node| pattern.index(node, later));
+            let low = indices().fold((i32::MAX, i32::MAX), |a, b| (a.0.min(b.0), a.1.min(b.1)));
+            let high = indices().fold((i32::MIN, i32::MIN), |a, b| (a.0.max(b.0), a.1.max(b.1)));
+            Self { later, first: low, size: (high.0 - low.0 + 1, high.1 - low.1 + 1) }
+        });
+        let Some((columns, rows)) = stated else {
+            let fewest = both.iter().map(|l| l.size).min().unwrap_or((0, 0));
+            return Ok(both.into_iter().filter(|l| l.size == fewest).collect());
+        };
+        let beyond = |l: &Self| (columns - l.size.0, rows - l.size.1);
+        let shifted = |l: Self| {
+            let (k, l_beyond) = beyond(&l);
+            let first = l.first;
+            (0..=k).flat_map(move |dk| {
+                (0..=l_beyond).map(move |dl| Self {
+                    first: (first.0 - dk, first.1 - dl),
+                    size: (columns, rows),
+                    ..l
+                })
+            })
+        };
+        let fits = |l: &Self| {
+            let (k, l) = beyond(l);
+            (0..=BEYOND).contains(&k) && (0..=BEYOND).contains(&l)
+        };
+        let possible: Vec<Self> = both.into_iter().filter(fits).flat_map(shifted).collect();
+        if possible.is_empty() {
+            let found = both.map(|l| format!("{} x {}", l.size.0, l.size.1));
+            let found = if found[0] == found[1] { found[0].clone() } else { found.join(" or ") };
+            return Err(Error::invalid(format!(
+                "the array is said to have {columns} x {rows} micro-lenses, but {found} \
+                 micro-images show in the image: correct the one, or give the image of that camera"
+            )));
+        }
+        Ok(possible)
+    }
+}
+
+pub(super) fn found_array(image: &Image, stated: Option<(i32, i32)>) -> Result<FoundArray> {
     let (pattern, blobs) = find(image)?;
     let (blobs, mut left_out) = judge(blobs);
-    let all = super::centers::nodes_in(image, &pattern);
-    let indices: Vec<(i32, i32)> = all.iter().map(|&(i, j)| pattern.index(i, j)).collect();
-    let low_k = indices.iter().map(|&(k, _)| k).min().unwrap_or(0);
-    let low_l = indices.iter().map(|&(_, l)| l).min().unwrap_or(0);
-    let high_k = indices.iter().map(|&(k, _)| k).max().unwrap_or(0);
-    let high_l = indices.iter().map(|&(_, l)| l).max().unwrap_or(0);
-    let center = |blob: &Blob| {
-        let (k, l) = pattern.index(blob.node.0, blob.node.1);
-        let (k, l) = (k - low_k, l - low_l);
-        MicroImageCenter { k, l, u_px: blob.center.x, v_px: blob.center.y }
+    let all = nodes_in(image, &pattern);
+    let middle = Vector2::new(image.width as f64 - 1.0, image.height as f64 - 1.0) / 2.0;
+    let mut best: Option<(Labels, Vec<MicroImageCenter>, MicroImageArray)> = None;
+    for labels in Labels::possible(&pattern, &all, stated)? {
+        let center = |blob: &Blob| {
+            let (k, l) = labels.index(&pattern, blob.node);
+            MicroImageCenter { k, l, u_px: blob.center.x, v_px: blob.center.y }
+        };
+        let centers: Vec<MicroImageCenter> = blobs.iter().map(center).collect();
+        let grid = fit_grid(&centers, pattern.kind, labels.size.0, labels.size.1)?;
+        let off = |grid: &MicroImageArray| (grid.center_px - middle).norm();
+        if best.as_ref().is_none_or(|(_, _, other)| off(&grid) < off(other)) {
+            best = Some((labels, centers, grid));
+        }
+    }
+    let Some((labels, centers, grid)) = best else {
+        return Err(Error::invalid("no micro-image lies wholly in the image"));
     };
-    let centers: Vec<MicroImageCenter> = blobs.iter().map(center).collect();
-    let grid = fit_grid(&centers, pattern.kind, high_k - low_k + 1, high_l - low_l + 1)?;
     let limit = MISPLACED * grid.rms_px + MISPLACED_PX;
     let (centers, std_devs_px): (Vec<_>, Vec<_>) = centers
         .into_iter()
         .zip(blobs.iter().map(|blob| blob.std_dev))
-        .filter(|(c, _)| {
-            let miss = grid.center_of(c.k, c.l) - nalgebra::Vector2::new(c.u_px, c.v_px);
-            miss.norm() <= limit
-        })
+        .filter(|(c, _)| (grid.center_of(c.k, c.l) - Vector2::new(c.u_px, c.v_px)).norm() <= limit)
         .unzip();
     left_out.misplaced = blobs.len() - centers.len();
     left_out.cut =
         all.len() - centers.len() - left_out.dark - left_out.saturated - left_out.misplaced;
-    Ok(ArrayMeasurement { grid, centers, std_devs_px, left_out })
+    let array = ArrayMeasurement { grid, centers, std_devs_px, left_out };
+    Ok(FoundArray { array, pattern, blobs, labels })
 }
 
 /// The pattern, looked for in the middle and then, should that be damaged, in the quarters.

@@ -4,7 +4,17 @@
 mod array;
 mod centers;
 mod grid;
+mod internal;
 mod pattern;
+mod profile;
+mod radii;
+mod shading;
+mod stage;
+mod types;
 
 pub use array::{ArrayMeasurement, LeftOutCenters, measure_array};
 pub use grid::{MicroImageArray, fit_grid};
+pub use internal::{InternalFit, RadiusMeasurement};
+pub use radii::RadiusEstimator;
+pub use stage::{Precalibration, PrecalibrationOptions, White, precalibrate};
+pub use types::LensTypes;

@@ -37,12 +37,14 @@ impl Pattern {
         Matrix2::from_columns(&[self.along, self.across])
     }
 
-    /// Indices (k, l) of node (i, j), counted from an arbitrary node.
-    pub fn index(&self, i: i32, j: i32) -> (i32, i32) {
+    /// Indices (k, l) of node (i, j), counted from an arbitrary node. On a hexagonal lattice either
+    /// every other row is half a pitch further, or the rows between are: `later` takes the second.
+    pub fn index(&self, (i, j): (i32, i32), later: bool) -> (i32, i32) {
+        let half = (j + i32::from(later)).div_euclid(2);
         match self.kind {
             LatticeKind::Orthogonal => (i, j),
-            LatticeKind::HexagonalRows => (i + j.div_euclid(2), j),
-            LatticeKind::HexagonalColumns => (j, i + j.div_euclid(2)),
+            LatticeKind::HexagonalRows => (i + half, j),
+            LatticeKind::HexagonalColumns => (j, i + half),
         }
     }
 }

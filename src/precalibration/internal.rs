@@ -1,0 +1,89 @@
+//! Internal parameters from radii at several f-numbers, Eq. (miradiusfnumber).
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::camera::{Configuration, InternalParameters};
+
+/// The radius of the micro-images of one lens type at one f-number.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RadiusMeasurement {
+    /// F-number N.
+    pub f_number: f64,
+    /// Lens type, from 0.
+    pub lens_type: usize,
+    /// Radius ϱ, px.
+    pub radius_px: f64,
+    /// Its standard deviation, px.
+    pub std_dev_px: f64,
+    /// Measured minus fitted, px.
+    pub residual_px: f64,
+    /// Radii of single micro-images, px.
+    pub single_px: Vec<f64>,
+}
+
+/// Ω with its uncertainty.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InternalFit {
+    /// The parameters.
+    pub parameters: InternalParameters,
+    /// Standard deviation of |m|, mm.
+    pub m_std_dev_mm: f64,
+    /// Standard deviations of q'ᵢ, mm.
+    pub q_prime_std_dev_mm: Vec<f64>,
+    /// Root mean square residual, px.
+    pub rms_px: f64,
+}
+
+/// Straight lines ϱ = |m|/N + |qᵢ| with one slope for all types, by least squares; `None` if the
+/// f-numbers do not span a line. Residuals are filled in.
+///
+/// With f > d (Galilean) the paper's radius is negative, ϱ = −(m/N + qᵢ), hence q'ᵢ = Δc/2 − |qᵢ|;
+/// with f < d it is positive and q'ᵢ = Δc/2 + |qᵢ|.
+pub(super) fn fit_internal(
+    measurements: &mut [RadiusMeasurement],
+    types: usize,
+    pixel_size_mm: f64,
+    pitch_px: f64,
+    configuration: Configuration,
+) -> Option<InternalFit> {
+    let rows = measurements.len();
+    let mut design = DMatrix::zeros(rows, types + 1);
+    let mut radii = DVector::zeros(rows);
+    for (row, m) in measurements.iter().enumerate() {
+        design[(row, 0)] = 1.0 / m.f_number;
+        design[(row, 1 + m.lens_type)] = 1.0;
+        radii[row] = m.radius_px;
+    }
+    let normal = design.tr_mul(&design);
+    let inverse = normal.clone().cholesky()?.inverse();
+    // Two equal f-numbers leave slope and offsets open.
+    if inverse[(0, 0)].is_nan() || normal.determinant().abs() < 1e-12 {
+        return None;
+    }
+    let solution = &inverse * design.tr_mul(&radii);
+    let residuals = &radii - &design * &solution;
+    for (m, residual) in measurements.iter_mut().zip(residuals.iter()) {
+        m.residual_px = *residual;
+    }
+    let freedom = rows.saturating_sub(types + 1);
+    let sum = residuals.norm_squared();
+    // Two f-numbers leave too little to judge the fit by; then the measurements' own uncertainty.
+    let own: f64 =
+        measurements.iter().map(|m| m.std_dev_px.powi(2)).sum::<f64>() / rows.max(1) as f64;
+    let variance = if freedom > 0 { (sum / freedom as f64).max(own) } else { own };
+    let std_dev = |i: usize| (variance * inverse[(i, i)]).sqrt() * pixel_size_mm;
+    let half_pitch = pitch_px * pixel_size_mm / 2.0;
+    let side = if configuration == Configuration::Keplerian { 1.0 } else { -1.0 };
+    Some(InternalFit {
+        parameters: InternalParameters {
+            m_mm: solution[0] * pixel_size_mm,
+            q_prime_mm: (0..types)
+                .map(|i| half_pitch + side * solution[1 + i] * pixel_size_mm)
+                .collect(),
+            micro_image_pitch_mm: Some(2.0 * half_pitch),
+        },
+        m_std_dev_mm: std_dev(0),
+        q_prime_std_dev_mm: (0..types).map(|i| std_dev(1 + i)).collect(),
+        rms_px: (sum / rows as f64).sqrt(),
+    })
+}

@@ -1,0 +1,252 @@
+//! The light across a micro-image of a white target, and the outer radius from it.
+//!
+//! On the sensor the main lens's pupil, seen through the middle of a micro-lens, is a disc of radius
+//! a, and every point of it is spread by the micro-lens over a disc of radius b: the micro-image is
+//! the overlap of two discs, flat up to |a − b| and dark from a + b on. a = |m|/N and b = |qᵢ| of
+//! Eq. (miradiusfnumber), so that the outer radius is the paper's radius of the micro-image.
+
+use nalgebra::{Matrix2, Vector2};
+
+/// Mean light at distances from the middle of micro-images of one type.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Profile {
+    pub bins: Vec<Bin>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Bin {
+    /// Mean distance, px.
+    pub radius: f64,
+    pub light: f64,
+    /// Standard deviation of the mean.
+    pub std_dev: f64,
+}
+
+/// Two discs fitted to a profile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Discs {
+    /// a + b, px.
+    pub outer: f64,
+    /// |a − b|, px.
+    pub inner: f64,
+    /// Light in the middle, and of the background.
+    pub amplitude: f64,
+    pub background: f64,
+    /// Standard deviation of `outer`, px.
+    pub std_dev: f64,
+}
+
+/// Width of the bins, px.
+const BIN_PX: f64 = 0.125;
+/// Samples in a bin that give it a standard deviation worth having.
+const FEWEST: f64 = 8.0;
+/// Above this part of full scale samples may be clipped; a bin that holds such is left out.
+const CLIPPED: f64 = 0.97;
+/// What discs leave unexplained of the light in the middle: oblique rays, pixels, grids.
+const MODEL_ERROR: f64 = 2e-3;
+/// Nodes and weights of Gauss' rule across a pixel.
+const PIXEL: [(f64, f64); 3] = [
+    (-0.387_298_334_620_741_7, 5.0 / 18.0),
+    (0.0, 8.0 / 18.0),
+    (0.387_298_334_620_741_7, 5.0 / 18.0),
+];
+
+/// Collects samples into a profile.
+#[derive(Debug)]
+pub(super) struct Stack {
+    bins: Vec<[f64; 5]>,
+}
+
+impl Stack {
+    /// For distances up to `reach`, px.
+    pub fn new(reach: f64) -> Self {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
+        let bins = (reach / BIN_PX).ceil() as usize;
+        Self { bins: vec![[0.0; 5]; bins] }
+    }
+
+    #[inline]
+    pub fn add(&mut self, radius: f64, light: f64) {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a distance
+        let bin = (radius / BIN_PX) as usize;
+        if let Some(bin) = self.bins.get_mut(bin) {
+            bin[0] += 1.0;
+            bin[1] += radius;
+            bin[2] += light;
+            bin[3] += light * light;
+            bin[4] += f64::from(u8::from(light > CLIPPED));
+        }
+    }
+
+    pub fn profile(&self) -> Profile {
+        let bin = |&[count, radius, light, square, clipped]: &[f64; 5]| {
+            let mean = light / count;
+            let variance = (square / count - mean * mean).max(0.0);
+            (count >= FEWEST && clipped == 0.0).then(|| Bin {
+                radius: radius / count,
+                light: mean,
+                std_dev: (variance / count).sqrt(),
+            })
+        };
+        Profile { bins: self.bins.iter().filter_map(bin).collect() }
+    }
+}
+
+/// Overlap of discs of radius a and b at distance r, in parts of the smaller one.
+fn overlap(r: f64, outer: f64, inner: f64) -> f64 {
+    if r <= inner {
+        return 1.0;
+    }
+    if r >= outer {
+        return 0.0;
+    }
+    let (large, small) = ((outer + inner) / 2.0, (outer - inner) / 2.0);
+    let (l2, s2, r2) = (large * large, small * small, r * r);
+    let of_large = ((r2 + l2 - s2) / (2.0 * r * large)).clamp(-1.0, 1.0);
+    let of_small = ((r2 + s2 - l2) / (2.0 * r * small)).clamp(-1.0, 1.0);
+    let kite =
+        (-r + large + small) * (r + large - small) * (r - large + small) * (r + large + small);
+    let area = s2 * of_small.acos() + l2 * of_large.acos() - 0.5 * kite.max(0.0).sqrt();
+    area / (std::f64::consts::PI * s2)
+}
+
+/// The same averaged over a pixel.
+pub(super) fn seen(r: f64, outer: f64, inner: f64) -> f64 {
+    // Across the direction to the middle a pixel has a mean square of 1/12.
+    PIXEL
+        .iter()
+        .map(|&(x, weight)| weight * overlap(((r + x).powi(2) + 1.0 / 12.0).sqrt(), outer, inner))
+        .sum()
+}
+
+impl Profile {
+    /// Fits two discs; `None` if the profile does not show an edge.
+    pub fn fit(&self, largest: f64) -> Option<Discs> {
+        // The sum of squares has several valleys where an edge is clipped; start from all over.
+        let starts = [0.45, 0.6, 0.75, 0.9, 1.05].into_iter().flat_map(|outer| {
+            [0.1, 0.4, 0.7].map(|inner| (outer * largest, inner * outer * largest))
+        });
+        starts
+            .filter_map(|(outer, inner)| self.descend(outer, inner, largest))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(discs, _)| discs)
+    }
+
+    /// Amplitude and background that fit best, and the weighted residuals.
+    fn residuals(&self, outer: f64, inner: f64) -> Option<(Vector2<f64>, Vec<f64>)> {
+        let brightest = self.bins.iter().map(|b| b.light).fold(0.0, f64::max);
+        let weight = |bin: &Bin| 1.0 / bin.std_dev.hypot(MODEL_ERROR * brightest);
+        let shape: Vec<f64> = self.bins.iter().map(|b| seen(b.radius, outer, inner)).collect();
+        let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
+        for (bin, &shape) in self.bins.iter().zip(&shape) {
+            let w2 = weight(bin).powi(2);
+            let row = Vector2::new(shape, 1.0);
+            normal += row * row.transpose() * w2;
+            right += row * (bin.light * w2);
+        }
+        let linear = normal.try_inverse()? * right;
+        let residual =
+            |(bin, shape): (&Bin, &f64)| (bin.light - linear.x * shape - linear.y) * weight(bin);
+        Some((linear, self.bins.iter().zip(&shape).map(residual).collect()))
+    }
+
+    /// Levenberg-Marquardt from one start: the discs and the sum of squares.
+    fn descend(&self, outer: f64, inner: f64, largest: f64) -> Option<(Discs, f64)> {
+        const STEP: f64 = 1e-4;
+        let sum = |residuals: &[f64]| residuals.iter().map(|r| r * r).sum::<f64>();
+        let inside = |p: Vector2<f64>| {
+            let outer = p.x.clamp(0.5, 1.4 * largest);
+            Vector2::new(outer, p.y.clamp(0.0, 0.98 * outer))
+        };
+        let mut place = inside(Vector2::new(outer, inner));
+        let (mut linear, mut residuals) = self.residuals(place.x, place.y)?;
+        let mut damping = 1e-3;
+        let mut normal = Matrix2::identity();
+        for _ in 0..60 {
+            let derivative = |step: Vector2<f64>| {
+                let (_, moved) = self.residuals(place.x + step.x, place.y + step.y)?;
+                let change = moved.iter().zip(&residuals).map(|(m, r)| (m - r) / STEP);
+                Some(change.collect::<Vec<f64>>())
+            };
+            let columns =
+                [derivative(Vector2::new(STEP, 0.0))?, derivative(Vector2::new(0.0, STEP))?];
+            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            normal = Matrix2::from_fn(|i, j| dot(&columns[i], &columns[j]));
+            let right = -Vector2::from_fn(|i, _| dot(&columns[i], &residuals));
+            let damped = normal + Matrix2::from_diagonal(&normal.diagonal()) * damping;
+            let step = damped.try_inverse().map_or_else(Vector2::zeros, |inverse| inverse * right);
+            let next = inside(place + step);
+            let (next_linear, next_residuals) = self.residuals(next.x, next.y)?;
+            if sum(&next_residuals) < sum(&residuals) {
+                let moved = (next - place).norm();
+                (place, linear, residuals) = (next, next_linear, next_residuals);
+                damping = (damping / 5.0).max(1e-9);
+                if moved < 1e-6 {
+                    break;
+                }
+            } else {
+                damping *= 5.0;
+                if damping > 1e6 {
+                    break;
+                }
+            }
+        }
+        let total = sum(&residuals);
+        let freedom = (self.bins.len() as f64 - 4.0).max(1.0);
+        let variance = normal.try_inverse().map_or(f64::INFINITY, |inverse| inverse[(0, 0)]);
+        (linear.x > 0.0).then_some((
+            Discs {
+                outer: place.x,
+                inner: place.y,
+                amplitude: linear.x,
+                background: linear.y,
+                std_dev: (variance * (total / freedom).max(1.0)).sqrt(),
+            },
+            total,
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// By hand: equal discs at the distance of their radius share 2π/3 − √3/2 of r².
+    #[test]
+    fn overlap_of_discs() {
+        let equal = (2.0 * std::f64::consts::PI / 3.0 - 0.75_f64.sqrt()) / std::f64::consts::PI;
+        assert!((overlap(2.0, 4.0, 0.0) - equal).abs() < 1e-12);
+        assert!((overlap(0.5, 4.0, 1.0) - 1.0).abs() < 1e-12);
+        assert!(overlap(4.0, 4.0, 1.0).abs() < 1e-12);
+        // The integral over the plane is the area of the larger disc.
+        let (outer, inner) = (7.0, 2.0);
+        let area: f64 = (0..70_000)
+            .map(|i| (f64::from(i) + 0.5) * 1e-4)
+            .map(|r| std::f64::consts::TAU * r * overlap(r, outer, inner) * 1e-4)
+            .sum();
+        assert!((area / (std::f64::consts::PI * 4.5 * 4.5) - 1.0).abs() < 1e-6);
+    }
+
+    fn drawn(outer: f64, inner: f64, amplitude: f64) -> Profile {
+        let mut stack = Stack::new(14.0);
+        for i in 0..4000_i32 {
+            let radius = 14.0 * (f64::from(i) + 0.5) / 4000.0;
+            let light = (0.02 + amplitude * seen(radius, outer, inner)).min(1.0);
+            for _ in 0..8 {
+                stack.add(radius, light);
+            }
+        }
+        stack.profile()
+    }
+
+    #[test]
+    fn the_outer_radius_comes_back_at_any_exposure() {
+        for amplitude in [0.3, 0.8, 1.5, 3.0, 6.0] {
+            for (outer, inner) in [(11.66, 1.1), (8.4, 1.7), (6.8, 3.7), (10.0, 0.0)] {
+                let discs = drawn(outer, inner, amplitude).fit(12.0).unwrap();
+                let off = (discs.outer - outer).abs();
+                assert!(off < 0.02, "{outer}, {inner} px at {amplitude}: off by {off} px");
+            }
+        }
+    }
+}

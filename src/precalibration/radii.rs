@@ -1,0 +1,214 @@
+//! Radii of the micro-images in the middle of a white image.
+
+use nalgebra::{Matrix2, Matrix5, Vector2, Vector5};
+use serde::{Deserialize, Serialize};
+
+use super::array::FoundArray;
+use super::centers::{Blob, darkest_neighbourhood, measure_blob};
+use super::pattern::Pattern;
+use super::profile::{Discs, Stack, seen};
+use crate::image::Image;
+
+/// How the radius of a micro-image is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RadiusEstimator {
+    /// The outer edge of two overlapping discs fitted to the light, clipped or not.
+    #[default]
+    Profile,
+    /// The paper's: 2.357 times the square root of the greater second central moment.
+    Moments,
+}
+
+/// Radii of one lens type in one white image.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct TypeRadius {
+    pub radius_px: f64,
+    pub std_dev_px: f64,
+    /// Of single micro-images.
+    pub single_px: Vec<f64>,
+}
+
+/// Micro-images of each type that are looked at, those nearest the middle of the image: enough for a
+/// hundredth of a pixel, and not so far out that vignetting cuts them.
+const OF_EACH_TYPE: usize = 150;
+/// How far from the middle light is taken for a micro-image's own, in pitches.
+const REACH: f64 = 0.52;
+/// α of the paper: 98 % of a normal distribution.
+const ALPHA: f64 = 2.357;
+
+/// Nodes in the middle of the image by colour, nearest first.
+pub(super) fn middle_nodes(
+    found: &FoundArray,
+    image: &Image,
+    colors: usize,
+) -> Vec<Vec<(i32, i32)>> {
+    let middle = Vector2::new(image.width as f64, image.height as f64) / 2.0;
+    let distance = |blob: &Blob| (blob.center - middle).norm_squared();
+    let mut blobs: Vec<&Blob> = found.blobs.iter().collect();
+    blobs.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+    let mut nodes = vec![Vec::new(); colors];
+    for blob in blobs {
+        let (k, l) = found.index(blob.node);
+        let of_color = &mut nodes[found.array.grid.lattice.lens_type(k, l, colors)];
+        if of_color.len() < OF_EACH_TYPE {
+            of_color.push(blob.node);
+        }
+    }
+    nodes
+}
+
+/// The radius of the micro-images at some nodes; `None` if they show no edge.
+pub(super) fn radius_at(
+    image: &Image,
+    pattern: &Pattern,
+    nodes: &[(i32, i32)],
+    estimator: RadiusEstimator,
+) -> Option<TypeRadius> {
+    let blobs: Vec<Blob> =
+        nodes.iter().filter_map(|&node| measure_blob(image, pattern, node)).collect();
+    match estimator {
+        RadiusEstimator::Profile => profile_radius(image, pattern, &blobs),
+        RadiusEstimator::Moments => moments_radius(image, pattern, &blobs),
+    }
+}
+
+fn moments_radius(image: &Image, pattern: &Pattern, blobs: &[Blob]) -> Option<TypeRadius> {
+    let single = |blob: &Blob| {
+        let background = darkest_neighbourhood(image, pattern, &blob.center)?;
+        let (mut sum, mut first, mut second) = (0.0, Vector2::zeros(), Matrix2::zeros());
+        pixels_about(image, &blob.center, pattern.pitch() / 2.0, |offset, value| {
+            let light = value - background;
+            sum += light;
+            first += offset * light;
+            second += offset * offset.transpose() * light;
+        });
+        let mean = first / sum;
+        let moments = second / sum - mean * mean.transpose();
+        let greater = moments.symmetric_eigenvalues().max();
+        (greater > 0.0).then(|| ALPHA * greater.sqrt())
+    };
+    let single_px: Vec<f64> = blobs.iter().filter_map(single).collect();
+    let (radius_px, scatter) = mean_and_scatter(&single_px)?;
+    let std_dev_px = scatter / (single_px.len() as f64).sqrt();
+    Some(TypeRadius { radius_px, std_dev_px, single_px })
+}
+
+fn profile_radius(image: &Image, pattern: &Pattern, blobs: &[Blob]) -> Option<TypeRadius> {
+    let reach = REACH * pattern.pitch();
+    let mut stack = Stack::new(reach);
+    for blob in blobs {
+        pixels_about(image, &blob.center, reach, |offset, value| stack.add(offset.norm(), value));
+    }
+    let discs = stack.profile().fit(reach)?;
+    let template = Template::new(&discs, reach);
+    let single_px: Vec<f64> =
+        blobs.iter().filter_map(|blob| template.single(image, blob)).collect();
+    let (_, scatter) = mean_and_scatter(&single_px)?;
+    // What single micro-images differ by is more than what the stack tells of itself.
+    let std_dev_px = discs.std_dev.hypot(scatter / (single_px.len() as f64).sqrt());
+    Some(TypeRadius { radius_px: discs.outer, std_dev_px, single_px })
+}
+
+/// Mean and standard deviation, those beyond four times the usual distance left out.
+fn mean_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
+    if values.len() < 2 {
+        return None;
+    }
+    let median = |mut values: Vec<f64>| {
+        let middle = values.len() / 2;
+        *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    let middle = median(values.to_vec());
+    let usual = median(values.iter().map(|v| (v - middle).abs()).collect());
+    let kept: Vec<f64> =
+        values.iter().copied().filter(|v| (v - middle).abs() <= 6.0 * usual + 1e-9).collect();
+    let count = kept.len() as f64;
+    let mean = kept.iter().sum::<f64>() / count;
+    let variance = kept.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+    Some((mean, variance.sqrt()))
+}
+
+/// Calls with the offset and value of all pixels within a radius.
+fn pixels_about(
+    image: &Image,
+    center: &Vector2<f64>,
+    radius: f64,
+    mut visit: impl FnMut(Vector2<f64>, f64),
+) {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to the image
+    let range = |center: f64, length: usize| {
+        (center - radius).ceil().max(0.0) as usize
+            ..((center + radius).floor() + 1.0).max(0.0).min(length as f64) as usize
+    };
+    for v in range(center.y, image.height) {
+        for u in range(center.x, image.width) {
+            let offset = Vector2::new(u as f64, v as f64) - center;
+            if offset.norm_squared() <= radius * radius {
+                visit(offset, f64::from(image.at(u, v)));
+            }
+        }
+    }
+}
+
+/// The fitted light and its derivatives by distance, for one linear step per micro-image.
+struct Template {
+    discs: Discs,
+    reach: f64,
+    shape: Vec<f64>,
+    by_outer: Vec<f64>,
+}
+
+/// Resolution of the template, px.
+const TEMPLATE_PX: f64 = 0.05;
+
+impl Template {
+    fn new(discs: &Discs, reach: f64) -> Self {
+        const STEP: f64 = 0.02;
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
+        let count = (reach / TEMPLATE_PX) as usize + 3;
+        let place = |i: usize| i as f64 * TEMPLATE_PX;
+        let shape = |outer: f64, r: f64| seen(r, outer, discs.inner);
+        Self {
+            discs: *discs,
+            reach,
+            shape: (0..count).map(|i| shape(discs.outer, place(i))).collect(),
+            by_outer: (0..count)
+                .map(|i| {
+                    let (more, less) = (discs.outer + STEP, discs.outer - STEP);
+                    (shape(more, place(i)) - shape(less, place(i))) / (2.0 * STEP)
+                })
+                .collect(),
+        }
+    }
+
+    /// Outer radius of one micro-image, from where light and place of all of them are near.
+    fn single(&self, image: &Image, blob: &Blob) -> Option<f64> {
+        let (mut normal, mut right) = (Matrix5::zeros(), Vector5::zeros());
+        pixels_about(image, &blob.center, self.reach, |offset, value| {
+            if value >= 1.0 {
+                return;
+            }
+            let r = offset.norm();
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within reach
+            let i = (r / TEMPLATE_PX) as usize;
+            let part = r / TEMPLATE_PX - i as f64;
+            let at = |table: &[f64]| table[i] * (1.0 - part) + table[i + 1] * part;
+            let slope = (self.shape[i + 1] - self.shape[i]) / TEMPLATE_PX;
+            let outwards = offset / r.max(1e-9);
+            let amplitude = self.discs.amplitude;
+            let row = Vector5::new(
+                at(&self.shape),
+                1.0,
+                -amplitude * slope * outwards.x,
+                -amplitude * slope * outwards.y,
+                amplitude * at(&self.by_outer),
+            );
+            normal += row * row.transpose();
+            right += row * value;
+        });
+        let solution = normal.cholesky()?.solve(&right);
+        let radius = self.discs.outer + solution[4];
+        (radius.is_finite() && radius > 0.0).then_some(radius)
+    }
+}

@@ -1,0 +1,321 @@
+//! The pre-calibration as one stage: from white images to the array and the internal parameters.
+
+use nalgebra::Vector2;
+use rayon::prelude::*;
+
+use super::array::{ArrayMeasurement, FoundArray, found_array};
+use super::centers::{followed, measure_sample};
+use super::grid::fit_grid;
+use super::internal::{InternalFit, RadiusMeasurement, fit_internal};
+use super::pattern::Pattern;
+use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
+use super::shading::{Shaded, fit_shading, shading_moment};
+use super::types::{LensTypes, judge_types};
+use crate::camera::{Configuration, positive};
+use crate::error::{Error, Result};
+use crate::image::Image;
+use crate::lattice::LatticeKind;
+use crate::observations::MicroImageCenter;
+
+/// A white image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct White {
+    /// What messages call it.
+    pub name: String,
+    /// F-number N, as it is: √(2^AV).
+    pub f_number: f64,
+    /// The image, linear.
+    pub image: Image,
+}
+
+/// Options of the pre-calibration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PrecalibrationOptions {
+    /// Edge of a pixel s, mm.
+    pub pixel_size_mm: f64,
+    /// Decides on the sign of the radii.
+    pub configuration: Configuration,
+    /// Number of columns and rows of micro-lenses, where it is stated.
+    pub array_size: Option<(i32, i32)>,
+    /// How radii are measured.
+    pub estimator: RadiusEstimator,
+}
+
+/// What white images tell of a camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Precalibration {
+    /// The micro-image array, centres free of shading.
+    pub array: ArrayMeasurement,
+    /// Lens types.
+    pub lens_types: LensTypes,
+    /// Radii by f-number and lens type.
+    pub radii: Vec<RadiusMeasurement>,
+    /// The internal parameters.
+    pub internal: InternalFit,
+    /// Relative change of the pitch that shading made, and was taken back.
+    pub pitch_correction: f64,
+    /// What the user should know, in words.
+    pub warnings: Vec<String>,
+}
+
+/// Patterns of one camera at two f-numbers agree in pitch within this part, and in place within so
+/// many pitches: shading changes both by less.
+const SAME_PITCH: f64 = 1e-3;
+const SAME_PLACE: f64 = 0.25;
+/// A radius this part away from where the other f-numbers put it speaks of a wrong f-number: half a
+/// stop at f/4 changes a radius by 10 %.
+const CONTRADICTION: f64 = 0.05;
+/// Share of micro-images that agrees with the colouring where nothing is wrong.
+const AGREEMENT: f64 = 0.9;
+
+/// Measures array and internal parameters.
+///
+/// The array is that of `reference`, the white image that belongs to the boards, or else of the
+/// white image with the smallest f-number. `progress` is told of every finished image. An error if
+/// images do not belong together, show no array, or do not span a range of f-numbers.
+pub fn precalibrate(
+    whites: &[White],
+    reference: Option<&White>,
+    options: &PrecalibrationOptions,
+    progress: &(dyn Fn() + Sync),
+) -> Result<Precalibration> {
+    positive(options.pixel_size_mm, "the pixel size (mm)")?;
+    check_f_numbers(whites)?;
+    let widest = whites.iter().min_by(|a, b| a.f_number.total_cmp(&b.f_number));
+    let Some(reference) = reference.or(widest) else {
+        return Err(Error::invalid("there are no white images"));
+    };
+    check_sizes(whites, reference)?;
+    let found = found_array(&reference.image, options.array_size)
+        .map_err(|e| named(&reference.name, &e))?;
+    let patterns = whites
+        .par_iter()
+        .map(|white| same_pattern(white, reference, &found.pattern).inspect(|_| progress()))
+        .collect::<Result<Vec<Pattern>>>()?;
+
+    let colors = if found.pattern.kind == LatticeKind::Orthogonal { 1 } else { 3 };
+    let nodes = middle_nodes(&found, &reference.image, colors);
+    let of_colors = whites
+        .par_iter()
+        .zip(&patterns)
+        .map(|(white, pattern)| radii_of(white, pattern, &nodes, options.estimator))
+        .collect::<Result<Vec<_>>>()?;
+    let lens_types = judge_types(&of_colors, &found);
+    let of_types = if lens_types.types == colors {
+        of_colors
+    } else {
+        let all: Vec<Vec<(i32, i32)>> = vec![nodes.concat()];
+        whites
+            .par_iter()
+            .zip(&patterns)
+            .map(|(white, pattern)| radii_of(white, pattern, &all, options.estimator))
+            .collect::<Result<Vec<_>>>()?
+    };
+    let mut radii: Vec<RadiusMeasurement> = whites
+        .iter()
+        .zip(of_types)
+        .flat_map(|(white, radii)| {
+            radii.into_iter().enumerate().map(|(lens_type, r)| RadiusMeasurement {
+                f_number: white.f_number,
+                lens_type,
+                radius_px: r.radius_px,
+                std_dev_px: r.std_dev_px,
+                residual_px: 0.0,
+                single_px: r.single_px,
+            })
+        })
+        .collect();
+
+    let mut fit = |pitch_px: f64| {
+        let (types, pixel) = (lens_types.types, options.pixel_size_mm);
+        fit_internal(&mut radii, types, pixel, pitch_px, options.configuration).ok_or_else(|| {
+            Error::invalid(
+                "the white images do not span a range of f-numbers: take them at two f-numbers at \
+                 least, better at five",
+            )
+        })
+    };
+    let first = fit(found.array.grid.pitch_px)?;
+    let (array, pitch_correction) =
+        unshaded(whites, reference, &patterns, &found, &first, lens_types.types, options)?;
+    let internal = fit(array.grid.pitch_px)?;
+    let mut warnings = contradictions(whites, &radii, lens_types.types, options);
+    if internal.parameters.m_mm <= 0.0 {
+        return Err(Error::invalid(
+            "micro-images do not grow as the f-number falls: the f-numbers do not belong to these \
+             images, or the lens was not set by them",
+        ));
+    }
+    if lens_types.types == 3 && lens_types.agreement < AGREEMENT {
+        warnings.push(format!(
+            "only {:.0} % of the micro-images have the size of their lens type: the image is noisy, \
+             not white, or the types do not follow the lattice",
+            100.0 * lens_types.agreement
+        ));
+    }
+    Ok(Precalibration { array, lens_types, radii, internal, pitch_correction, warnings })
+}
+
+fn named(name: &str, error: &Error) -> Error {
+    Error::invalid(format!("{name}: {error}"))
+}
+
+fn check_f_numbers(whites: &[White]) -> Result<()> {
+    for white in whites {
+        positive(white.f_number, &format!("the f-number of {}", white.name))?;
+    }
+    let mut numbers: Vec<f64> = whites.iter().map(|white| white.f_number).collect();
+    numbers.sort_by(f64::total_cmp);
+    numbers.dedup();
+    if numbers.len() < 2 {
+        return Err(Error::invalid(format!(
+            "there are white images at {} f-number(s), but the internal parameters take two at \
+             least, better five: stop the main lens down between them",
+            numbers.len()
+        )));
+    }
+    Ok(())
+}
+
+fn check_sizes(whites: &[White], reference: &White) -> Result<()> {
+    let size = |white: &White| (white.image.width, white.image.height);
+    match whites.iter().find(|white| size(white) != size(reference)) {
+        Some(white) => Err(Error::invalid(format!(
+            "{} has {} x {} px, but {} has {} x {} px: all white images have to be of one camera",
+            white.name,
+            white.image.width,
+            white.image.height,
+            reference.name,
+            reference.image.width,
+            reference.image.height
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// The reference's pattern as it is in another white image; an error if that shows another one.
+fn same_pattern(white: &White, reference: &White, pattern: &Pattern) -> Result<Pattern> {
+    let followed = followed(&white.image, pattern).ok_or_else(|| {
+        Error::invalid(format!(
+            "{}: no micro-images show where {} has them",
+            white.name, reference.name
+        ))
+    })?;
+    let pitch = pattern.pitch();
+    let moved = (followed.origin - pattern.origin).norm() / pitch;
+    if (followed.pitch() / pitch - 1.0).abs() > SAME_PITCH || moved > SAME_PLACE {
+        return Err(Error::invalid(format!(
+            "{} has a pitch of {:.3} px, but {} one of {pitch:.3} px, {moved:.2} of it elsewhere: \
+             they are of different cameras, or one is no white image",
+            white.name,
+            followed.pitch(),
+            reference.name
+        )));
+    }
+    Ok(followed)
+}
+
+fn radii_of(
+    white: &White,
+    pattern: &Pattern,
+    nodes: &[Vec<(i32, i32)>],
+    estimator: RadiusEstimator,
+) -> Result<Vec<TypeRadius>> {
+    let radius = |nodes: &Vec<(i32, i32)>| {
+        radius_at(&white.image, pattern, nodes, estimator).ok_or_else(|| {
+            Error::invalid(format!(
+                "{}: the micro-images in the middle show no edge: the image is too dark, or \
+                 saturated all over",
+                white.name
+            ))
+        })
+    };
+    nodes.iter().map(radius).collect()
+}
+
+/// The array with its centres free of shading, and by how much the pitch has changed.
+fn unshaded(
+    whites: &[White],
+    reference: &White,
+    patterns: &[Pattern],
+    found: &FoundArray,
+    internal: &InternalFit,
+    types: usize,
+    options: &PrecalibrationOptions,
+) -> Result<(ArrayMeasurement, f64)> {
+    let grid = &found.array.grid;
+    let half_pitch = grid.pitch_px / 2.0;
+    let pixel = options.pixel_size_mm;
+    let moment = |f_number: f64, lens_type: usize| {
+        let a = internal.parameters.m_mm / f_number / pixel;
+        let b = (internal.parameters.q_prime_mm[lens_type] / pixel - half_pitch).abs();
+        let inverted = options.configuration == Configuration::Keplerian;
+        shading_moment(a, b, half_pitch, inverted)
+    };
+    let shaded = whites
+        .par_iter()
+        .zip(patterns)
+        .map(|(white, pattern)| {
+            let centers: Vec<MicroImageCenter> = measure_sample(&white.image, pattern)
+                .into_iter()
+                .map(|blob| {
+                    let (k, l) = found.index(blob.node);
+                    MicroImageCenter { k, l, u_px: blob.center.x, v_px: blob.center.y }
+                })
+                .collect();
+            let lattice = &grid.lattice;
+            let fitted = fit_grid(&centers, lattice.kind, lattice.columns, lattice.rows)?;
+            let x = (0..types).map(|t| moment(white.f_number, t)).sum::<f64>() / types as f64;
+            Ok(Shaded { x, pitch_px: fitted.pitch_px, center_px: fitted.center_px })
+        })
+        .collect::<Result<Vec<Shaded>>>()?;
+    let shading = fit_shading(&shaded);
+    let mut array = found.array.clone();
+    for center in &mut array.centers {
+        let lens_type = grid.lattice.lens_type(center.k, center.l, types);
+        let x = moment(reference.f_number, lens_type);
+        let measured = Vector2::new(center.u_px, center.v_px);
+        let place = shading.corrected(measured, &grid.center_px, x);
+        (center.u_px, center.v_px) = (place.x, place.y);
+    }
+    let lattice = &grid.lattice;
+    array.grid = fit_grid(&array.centers, lattice.kind, lattice.columns, lattice.rows)?;
+    Ok((array.clone(), array.grid.pitch_px / grid.pitch_px - 1.0))
+}
+
+/// White images whose radii are not where the others put them.
+fn contradictions(
+    whites: &[White],
+    radii: &[RadiusMeasurement],
+    types: usize,
+    options: &PrecalibrationOptions,
+) -> Vec<String> {
+    if whites.len() < 3 {
+        return Vec::new();
+    }
+    let mut worst: Option<(f64, String)> = None;
+    for (i, white) in whites.iter().enumerate() {
+        // Rows are in the order of the images.
+        let own = &radii[i * types..(i + 1) * types];
+        let mut others = [&radii[..i * types], &radii[(i + 1) * types..]].concat();
+        let Some(fit) = fit_internal(&mut others, types, 1.0, 0.0, options.configuration) else {
+            continue;
+        };
+        let side = if options.configuration == Configuration::Keplerian { 1.0 } else { -1.0 };
+        let expected = |m: &RadiusMeasurement| {
+            fit.parameters.m_mm / m.f_number + side * fit.parameters.q_prime_mm[m.lens_type]
+        };
+        let off: f64 =
+            own.iter().map(|m| m.radius_px / expected(m) - 1.0).sum::<f64>() / own.len() as f64;
+        if off.abs() > CONTRADICTION && worst.as_ref().is_none_or(|(w, _)| off.abs() > *w) {
+            let (measured, said) = (own[0].radius_px, expected(&own[0]));
+            let text = format!(
+                "{}: at f/{:.2} the radius of type 1 is {measured:.2} px, but the other images say \
+                 {said:.2} px: check its f-number",
+                white.name, white.f_number
+            );
+            worst = Some((off.abs(), text));
+        }
+    }
+    worst.into_iter().map(|(_, text)| text).collect()
+}

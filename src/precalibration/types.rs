@@ -1,0 +1,77 @@
+//! How many lens types there are, and whether they follow the lattice's colouring.
+
+use std::collections::HashMap;
+
+use super::array::FoundArray;
+use super::radii::TypeRadius;
+
+/// Lens types as the micro-images show them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensTypes {
+    /// Number I of types that can be told apart: 1 or 3.
+    pub types: usize,
+    /// Least difference of two types' radii in the white image that tells them apart best, in its
+    /// standard deviations; 0 for one type.
+    pub separation: f64,
+    /// Part of all micro-images of the reference whose size is nearest to that of their own colour's
+    /// neighbours; 1 for one type.
+    pub agreement: f64,
+}
+
+/// Types count as different if some two of their mean radii differ by this many standard deviations
+/// and by this part of the radius.
+const DIFFERENT: f64 = 8.0;
+const DIFFERENT_PART: f64 = 0.005;
+/// Neighbours up to so many nodes away tell what size a type has there.
+const NEAR: i32 = 3;
+
+/// Judges the radii of the three colours in every white image.
+pub(super) fn judge_types(images: &[Vec<TypeRadius>], found: &FoundArray) -> LensTypes {
+    let one = LensTypes { types: 1, separation: 0.0, agreement: 1.0 };
+    let pairs = [(0, 1), (1, 2), (2, 0)];
+    let mut different = false;
+    let mut best: f64 = 0.0;
+    for radii in images.iter().filter(|radii| radii.len() == 3) {
+        let significance = |(a, b): (usize, usize)| {
+            let (a, b) = (&radii[a], &radii[b]);
+            let apart = (a.radius_px - b.radius_px).abs();
+            let std_dev = a.std_dev_px.hypot(b.std_dev_px).max(1e-9);
+            (apart / std_dev, apart / a.radius_px)
+        };
+        let all = pairs.map(significance);
+        different |= all.iter().any(|&(s, part)| s > DIFFERENT && part > DIFFERENT_PART);
+        best = best.max(all.iter().map(|&(s, _)| s).fold(f64::INFINITY, f64::min));
+    }
+    if !different {
+        return one;
+    }
+    LensTypes { types: 3, separation: best, agreement: agreement(found) }
+}
+
+/// Part of the micro-images that look like their own colour.
+fn agreement(found: &FoundArray) -> f64 {
+    let lattice = &found.array.grid.lattice;
+    let color = |node: (i32, i32)| {
+        let (k, l) = found.index(node);
+        lattice.lens_type(k, l, 3)
+    };
+    let spread: HashMap<(i32, i32), f64> =
+        found.blobs.iter().map(|blob| (blob.node, blob.spread)).collect();
+    let agrees = |node: (i32, i32), own: f64| {
+        let (mut sums, mut counts) = ([0.0; 3], [0.0; 3]);
+        for other in (-NEAR..=NEAR)
+            .flat_map(|dj| (-NEAR..=NEAR).map(move |di| (node.0 + di, node.1 + dj)))
+            .filter(|&other| other != node)
+        {
+            if let Some(spread) = spread.get(&other) {
+                sums[color(other)] += spread;
+                counts[color(other)] += 1.0;
+            }
+        }
+        let off = |c: usize| (sums[c] / counts[c] - own).abs();
+        let nearest = (0..3).min_by(|&a, &b| off(a).total_cmp(&off(b)));
+        nearest == Some(color(node))
+    };
+    let agreeing = found.blobs.iter().filter(|blob| agrees(blob.node, blob.spread)).count();
+    agreeing as f64 / found.blobs.len().max(1) as f64
+}
