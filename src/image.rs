@@ -1,5 +1,6 @@
 //! Images: linear grey values to compute with, and samples as a camera delivers them.
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// A grey image in linear light, row by row from the top.
@@ -126,12 +127,12 @@ impl RawImage {
             .collect();
         let look_up = |channel: usize, sample: u16| tables[channel][usize::from(sample)];
         let pixels = match self.color {
-            Color::Grey => self.samples.iter().map(|&s| look_up(0, s)).collect(),
+            Color::Grey => self.samples.par_iter().map(|&s| look_up(0, s)).collect(),
             Color::Rgb => {
                 let mean = |rgb: &[u16]| {
                     (0..3).map(|channel| look_up(channel, rgb[channel])).sum::<f32>() / 3.0
                 };
-                self.samples.chunks_exact(3).map(mean).collect()
+                self.samples.par_chunks_exact(3).map(mean).collect()
             }
             mosaic => {
                 let row = |(v, row): (usize, &[u16])| {
@@ -140,7 +141,7 @@ impl RawImage {
                     };
                     row.iter().enumerate().map(value).collect::<Vec<f32>>()
                 };
-                self.samples.chunks_exact(self.width).enumerate().flat_map(row).collect()
+                self.samples.par_chunks_exact(self.width).enumerate().flat_map_iter(row).collect()
             }
         };
         Image { width: self.width, height: self.height, pixels }

@@ -28,8 +28,8 @@ pub(super) struct Blob {
 const WINDOW: (f64, f64) = (0.40, 0.54);
 /// A window that is off by ε has its centroid off by a part of ε; a few rounds end that.
 const ROUNDS: usize = 4;
-/// Where another round moves a centre by less, px, it is where it should be.
-const SETTLED_PX: f64 = 2e-3;
+/// Where a round moves a centre by less, px, the next would move it by a small part of that.
+const SETTLED_PX: f64 = 0.02;
 /// The pattern is followed outwards from where it was found, doubling the distance; this is the
 /// first one, in pitches.
 const FIRST_REACH: f64 = 8.0;
@@ -49,7 +49,7 @@ pub(super) fn measure(image: &Image, found: &Pattern) -> Option<(Pattern, Vec<Bl
 }
 
 /// The pattern fitted to micro-images all over the image, a sample of them at every reach.
-pub(super) fn followed(image: &Image, found: &Pattern) -> Option<Pattern> {
+fn followed(image: &Image, found: &Pattern) -> Option<Pattern> {
     let mut pattern = *found;
     let start = found.origin;
     let right_bottom = Vector2::new(image.width as f64, image.height as f64);
@@ -68,13 +68,15 @@ pub(super) fn followed(image: &Image, found: &Pattern) -> Option<Pattern> {
     }
 }
 
-/// Measures a sample of micro-images all over the image.
-pub(super) fn measure_sample(image: &Image, pattern: &Pattern) -> Vec<Blob> {
+/// Measures a sample of micro-images all over an image whose pattern is known, and fits that to them;
+/// `None` if it does not show there.
+pub(super) fn measure_sample(image: &Image, pattern: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
     let nodes = nodes_in(image, pattern);
     let step = nodes.len().div_ceil(LARGE_SAMPLE).max(1);
     // Every third in a row would be of one lens type.
     let step = if step.is_multiple_of(3) { step + 1 } else { step };
-    measure_nodes(image, pattern, nodes.into_iter().step_by(step).collect())
+    let blobs = measure_nodes(image, pattern, nodes.into_iter().step_by(step).collect());
+    Some((refit(pattern, &blobs)?, blobs))
 }
 
 fn measure_nodes(image: &Image, pattern: &Pattern, nodes: Vec<(i32, i32)>) -> Vec<Blob> {

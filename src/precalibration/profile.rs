@@ -42,8 +42,13 @@ const BIN_PX: f64 = 0.125;
 const FEWEST: f64 = 8.0;
 /// Above this part of full scale samples may be clipped; a bin that holds such is left out.
 const CLIPPED: f64 = 0.97;
+/// Only light up to this part of the brightest is fitted: the edge says where the outer radius is, and
+/// what oblique rays do to the light changes little across it.
+const OUTER_LIGHT: f64 = 0.5;
 /// What discs leave unexplained of the light in the middle: oblique rays, pixels, grids.
 const MODEL_ERROR: f64 = 2e-3;
+/// Starts that are followed down.
+const DESCENTS: usize = 2;
 /// Nodes and weights of Gauss' rule across a pixel.
 const PIXEL: [(f64, f64); 3] = [
     (-0.387_298_334_620_741_7, 5.0 / 18.0),
@@ -88,7 +93,11 @@ impl Stack {
                 std_dev: (variance / count).sqrt(),
             })
         };
-        Profile { bins: self.bins.iter().filter_map(bin).collect() }
+        let bins: Vec<Bin> = self.bins.iter().filter_map(bin).collect();
+        let clipped = self.bins.iter().any(|bin| bin[4] > 0.0);
+        let brightest = bins.iter().map(|bin| bin.light).fold(0.0, f64::max);
+        let limit = OUTER_LIGHT * if clipped { 1.0 } else { brightest };
+        Profile { bins: bins.into_iter().filter(|bin| bin.light <= limit).collect() }
     }
 }
 
@@ -122,12 +131,21 @@ pub(super) fn seen(r: f64, outer: f64, inner: f64) -> f64 {
 impl Profile {
     /// Fits two discs; `None` if the profile does not show an edge.
     pub fn fit(&self, largest: f64) -> Option<Discs> {
-        // The sum of squares has several valleys where an edge is clipped; start from all over.
-        let starts = [0.45, 0.6, 0.75, 0.9, 1.05].into_iter().flat_map(|outer| {
-            [0.1, 0.4, 0.7].map(|inner| (outer * largest, inner * outer * largest))
-        });
+        // The sum of squares has several valleys where much is clipped: look all over first.
+        let mut starts: Vec<(f64, f64, f64)> = (9..=22)
+            .map(|i| f64::from(i) * 0.05 * largest)
+            .flat_map(|outer| [0.05, 0.25, 0.5, 0.75].map(|inner| (outer, inner * outer)))
+            .filter_map(|(outer, inner)| {
+                let (linear, residuals) = self.residuals(outer, inner)?;
+                let sum = residuals.iter().map(|r| r * r).sum();
+                (linear.x > 0.0).then_some((sum, outer, inner))
+            })
+            .collect();
+        starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         starts
-            .filter_map(|(outer, inner)| self.descend(outer, inner, largest))
+            .into_iter()
+            .take(DESCENTS)
+            .filter_map(|(_, outer, inner)| self.descend(outer, inner, largest))
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .map(|(discs, _)| discs)
     }

@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 use rayon::prelude::*;
 
 use super::array::{ArrayMeasurement, FoundArray, found_array};
-use super::centers::{followed, measure_sample};
+use super::centers::{Blob, measure_sample};
 use super::grid::fit_grid;
 use super::internal::{InternalFit, RadiusMeasurement, fit_internal};
 use super::pattern::Pattern;
@@ -88,17 +88,17 @@ pub fn precalibrate(
     check_sizes(whites, reference)?;
     let found = found_array(&reference.image, options.array_size)
         .map_err(|e| named(&reference.name, &e))?;
-    let patterns = whites
+    let samples = whites
         .par_iter()
         .map(|white| same_pattern(white, reference, &found.pattern).inspect(|_| progress()))
-        .collect::<Result<Vec<Pattern>>>()?;
+        .collect::<Result<Vec<Sample>>>()?;
 
     let colors = if found.pattern.kind == LatticeKind::Orthogonal { 1 } else { 3 };
     let nodes = middle_nodes(&found, &reference.image, colors);
     let of_colors = whites
         .par_iter()
-        .zip(&patterns)
-        .map(|(white, pattern)| radii_of(white, pattern, &nodes, options.estimator))
+        .zip(&samples)
+        .map(|(white, (pattern, _))| radii_of(white, pattern, &nodes, options.estimator))
         .collect::<Result<Vec<_>>>()?;
     let lens_types = judge_types(&of_colors, &found);
     let of_types = if lens_types.types == colors {
@@ -107,8 +107,8 @@ pub fn precalibrate(
         let all: Vec<Vec<(i32, i32)>> = vec![nodes.concat()];
         whites
             .par_iter()
-            .zip(&patterns)
-            .map(|(white, pattern)| radii_of(white, pattern, &all, options.estimator))
+            .zip(&samples)
+            .map(|(white, (pattern, _))| radii_of(white, pattern, &all, options.estimator))
             .collect::<Result<Vec<_>>>()?
     };
     let mut radii: Vec<RadiusMeasurement> = whites
@@ -137,7 +137,7 @@ pub fn precalibrate(
     };
     let first = fit(found.array.grid.pitch_px)?;
     let (array, pitch_correction) =
-        unshaded(whites, reference, &patterns, &found, &first, lens_types.types, options)?;
+        unshaded(whites, reference, &samples, &found, &first, lens_types.types, options)?;
     let internal = fit(array.grid.pitch_px)?;
     let mut warnings = contradictions(whites, &radii, lens_types.types, options);
     if internal.parameters.m_mm <= 0.0 {
@@ -193,9 +193,12 @@ fn check_sizes(whites: &[White], reference: &White) -> Result<()> {
     }
 }
 
+/// The pattern of a white image, and some of its micro-images.
+type Sample = (Pattern, Vec<Blob>);
+
 /// The reference's pattern as it is in another white image; an error if that shows another one.
-fn same_pattern(white: &White, reference: &White, pattern: &Pattern) -> Result<Pattern> {
-    let followed = followed(&white.image, pattern).ok_or_else(|| {
+fn same_pattern(white: &White, reference: &White, pattern: &Pattern) -> Result<Sample> {
+    let (followed, blobs) = measure_sample(&white.image, pattern).ok_or_else(|| {
         Error::invalid(format!(
             "{}: no micro-images show where {} has them",
             white.name, reference.name
@@ -212,7 +215,7 @@ fn same_pattern(white: &White, reference: &White, pattern: &Pattern) -> Result<P
             reference.name
         )));
     }
-    Ok(followed)
+    Ok((followed, blobs))
 }
 
 fn radii_of(
@@ -237,7 +240,7 @@ fn radii_of(
 fn unshaded(
     whites: &[White],
     reference: &White,
-    patterns: &[Pattern],
+    samples: &[Sample],
     found: &FoundArray,
     internal: &InternalFit,
     types: usize,
@@ -254,10 +257,10 @@ fn unshaded(
     };
     let shaded = whites
         .par_iter()
-        .zip(patterns)
-        .map(|(white, pattern)| {
-            let centers: Vec<MicroImageCenter> = measure_sample(&white.image, pattern)
-                .into_iter()
+        .zip(samples)
+        .map(|(white, (_, blobs))| {
+            let centers: Vec<MicroImageCenter> = blobs
+                .iter()
                 .map(|blob| {
                     let (k, l) = found.index(blob.node);
                     MicroImageCenter { k, l, u_px: blob.center.x, v_px: blob.center.y }
