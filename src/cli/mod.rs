@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod input;
+mod precalibrate;
 mod simulate;
 
 use std::process::ExitCode;
@@ -19,6 +20,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Calibrate(Box<calibrate::Arguments>),
+    Precalibrate(precalibrate::Arguments),
     Simulate(simulate::Arguments),
 }
 
@@ -33,6 +35,7 @@ Exit status:
 pub fn run() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Precalibrate(arguments) => precalibrate::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {

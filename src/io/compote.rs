@@ -32,6 +32,7 @@ use crate::camera::{
 };
 use crate::error::{Error, Result};
 use crate::lattice::{Lattice, LatticeKind, Parity};
+use crate::optics;
 use crate::precalibration::MicroImageArray;
 use files::{CameraFile, IntrinsicsFile, ParametersFile, PosesFile, SceneFile};
 use json::{matrix, number, parse, vector};
@@ -242,47 +243,20 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
     let setting = lens.setting.ok_or_else(|| {
         Error::invalid("COMPOTE's intrinsics.js needs the f-number, which is not known")
     })?;
-    let geometry = match lattice.kind {
-        LatticeKind::Orthogonal => 0,
-        LatticeKind::HexagonalRows => 1,
-        LatticeKind::HexagonalColumns => 2,
-    };
-    let mesh_size = |mesh: &mut Value| {
-        mesh["geometry"] = json!(geometry.to_string());
-        mesh["width"] = json!(columns.to_string());
-        mesh["height"] = json!(rows.to_string());
-    };
 
     let [roll, pitch, yaw] = mla.rotation_rad.into();
     let rotation = Rotation3::from_euler_angles(roll, pitch, yaw);
     let center = Vector3::new(mla.offset_mm.x, mla.offset_mm.y, -mla.lens_to_mla_mm);
     let origin = center - rotation * mesh_to_center(lattice, mla.pitch_mm, mla.pitch_ratio);
-    let mut mla_mesh = json!({
-        "pitch": vector(&[mla.pitch_mm, mla.pitch_mm * mla.pitch_ratio]),
-        "pose": pose(rotation.matrix(), origin.as_slice()),
-    });
-    mesh_size(&mut mla_mesh);
-
-    let first = mesh_node(lattice.kind, 0, 0) - lattice.node(0, 0);
-    let (sin, cos) = grid.rotation_rad.sin_cos();
-    let turn = nalgebra::Matrix2::new(cos, -sin, sin, cos);
-    let mia_origin = grid.center_px - turn * first * grid.pitch_px;
-    let mut mia_mesh = json!({
-        "pitch": vector(&[grid.pitch_px, grid.pitch_px]),
-        "pose": pose(&turn, mia_origin.as_slice()),
-    });
-    mesh_size(&mut mia_mesh);
+    let mla_pitch = [mla.pitch_mm, mla.pitch_mm * mla.pitch_ratio];
+    let mla_mesh = mesh(lattice, mla_pitch, &pose(rotation.matrix(), origin.as_slice()));
 
     let sensor_xy = (mla.principal_point_px - last_pixel(sensor)) * sensor.pixel_size_mm;
     let sensor_z = -(mla.lens_to_mla_mm + mla.mla_to_sensor_mm);
     let unturned = Matrix3::<f64>::identity();
     Ok(json!({
         "I": camera.lens_types().to_string(),
-        "mode": match camera.configuration() {
-            Some(Configuration::Galilean) => "2",
-            Some(Configuration::Keplerian) => "1",
-            Some(Configuration::Unfocused) | None => "0",
-        },
+        "mode": mode(camera.configuration().unwrap_or(Configuration::Unfocused)),
         "dist_focus": number(setting.focus_distance_mm),
         "distortions": {
             "radial": vector(&lens.radial),
@@ -294,7 +268,7 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
             "f": number(lens.focal_length_mm),
             "pose": pose(&unturned, &[0.0; 3]),
         },
-        "mia": { "mesh": mia_mesh },
+        "mia": { "mesh": mia_mesh(grid) },
         "mla": {
             "focal_lengths": mla.focal_lengths_mm.iter().map(|&f| number(f)).collect::<Vec<_>>(),
             "mesh": mla_mesh,
@@ -306,6 +280,81 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
             "pose": pose(&unturned, &[sensor_xy.x, sensor_xy.y, sensor_z]),
         },
     }))
+}
+
+/// The mode of a camera.
+fn mode(configuration: Configuration) -> &'static str {
+    match configuration {
+        Configuration::Unfocused => "0",
+        Configuration::Keplerian => "1",
+        Configuration::Galilean => "2",
+    }
+}
+
+fn mesh(lattice: &Lattice, pitch: [f64; 2], pose: &Value) -> Value {
+    let geometry = match lattice.kind {
+        LatticeKind::Orthogonal => 0,
+        LatticeKind::HexagonalRows => 1,
+        LatticeKind::HexagonalColumns => 2,
+    };
+    json!({
+        "geometry": geometry.to_string(),
+        "width": lattice.columns.to_string(),
+        "height": lattice.rows.to_string(),
+        "pitch": vector(&pitch),
+        "pose": pose,
+    })
+}
+
+/// The mesh of the micro-images, its origin at micro-image (0, 0).
+fn mia_mesh(grid: &MicroImageArray) -> Value {
+    let lattice = &grid.lattice;
+    let first = mesh_node(lattice.kind, 0, 0) - lattice.node(0, 0);
+    let (sin, cos) = grid.rotation_rad.sin_cos();
+    let turn = nalgebra::Matrix2::new(cos, -sin, sin, cos);
+    let origin = grid.center_px - turn * first * grid.pitch_px;
+    mesh(lattice, [grid.pitch_px, grid.pitch_px], &pose(&turn, origin.as_slice()))
+}
+
+/// The content of a `camera.js`: the datasheet with the micro-images that were found.
+#[must_use]
+pub fn camera_document(sheet: &Datasheet, grid: &MicroImageArray, lens_types: usize) -> Value {
+    json!({
+        "mia": { "mesh": mia_mesh(grid) },
+        "sensor": {
+            "scale": number(sheet.sensor.pixel_size_mm),
+            "width": sheet.sensor.width_px.to_string(),
+            "height": sheet.sensor.height_px.to_string(),
+        },
+        "main_lens": { "aperture": number(sheet.f_number), "f": number(sheet.focal_length_mm) },
+        "dist_focus": number(sheet.focus_distance_mm),
+        "I": lens_types.to_string(),
+        "mode": mode(sheet.configuration),
+    })
+}
+
+/// The content of a `params.js`. Radii and with them m and q are negative in Galilean configuration;
+/// λ = D/(D + d) is that of the initial camera.
+#[must_use]
+pub fn parameters_document(internal: &InternalParameters, sheet: &Datasheet) -> Value {
+    let pitch = internal.micro_image_pitch_mm.unwrap_or(0.0);
+    let image = optics::focus_image_distance(sheet.focal_length_mm, sheet.focus_distance_mm);
+    let (lens_to_mla, mla_to_sensor) =
+        optics::initial_distances(sheet.focal_length_mm, image, internal.m_mm, sheet.configuration);
+    let lambda = lens_to_mla / (lens_to_mla + mla_to_sensor);
+    let side = if sheet.configuration == Configuration::Keplerian { 1.0 } else { -1.0 };
+    let numbers = |values: Vec<f64>| values.into_iter().map(number).collect::<Vec<_>>();
+    json!({
+        "m": number(side * internal.m_mm),
+        "scale": number(sheet.sensor.pixel_size_mm),
+        "q": numbers(internal.q_prime_mm.iter().map(|q| q - pitch / 2.0).collect()),
+        "q_prime": numbers(internal.q_prime_mm.clone()),
+        "dc": number(pitch),
+        "dC": number(lambda * pitch),
+        "lambda": number(lambda),
+        "N": number(sheet.f_number),
+        "I": internal.q_prime_mm.len().to_string(),
+    })
 }
 
 /// The content of a `poses.js`.

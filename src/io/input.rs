@@ -5,7 +5,10 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::{Project, camera_file, compote, poses_file, read_text};
+use super::{
+    PRECALIBRATION_FORMAT, Project, camera_file, compote, poses_file, precalibration_file,
+    read_text,
+};
 use crate::calibration::FramePose;
 use crate::camera::{Board, Datasheet, InternalParameters, PlenopticCamera};
 use crate::error::{Error, Result};
@@ -66,7 +69,7 @@ pub fn read_camera_source(path: &Path) -> Result<CameraSource> {
     source.map_err(|e| e.in_file(path))
 }
 
-/// Reads internal parameters: COMPOTE's `params.js` or a project file. The pixel size, mm, is
+/// Reads internal parameters: `precalibration.json`, COMPOTE's `params.js` or a project file. The pixel size, mm, is
 /// checked against the one they were measured with where that is stated.
 pub fn read_internal_parameters(
     path: &Path,
@@ -76,6 +79,9 @@ pub fn read_internal_parameters(
         Document::Project(project) => project
             .internal()
             .ok_or_else(|| Error::invalid("there is no table [internal_parameters] in it")),
+        Document::Json(value) if is_format(&value, PRECALIBRATION_FORMAT) => {
+            precalibration_file::internal_parameters_from(value)
+        }
         Document::Json(value) => compote::internal_parameters_from(value, pixel_size_mm),
     };
     internal.map_err(|e| e.in_file(path))

@@ -8,6 +8,7 @@ mod input;
 mod observations_file;
 mod output;
 mod poses_file;
+mod precalibration_file;
 mod project_file;
 mod residuals_file;
 mod simulation_file;
@@ -25,6 +26,10 @@ pub use input::{
 pub use observations_file::{read_centers, read_features, write_centers, write_features};
 pub use output::OutputFolder;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
+pub use precalibration_file::{
+    PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION, array_document, precalibration_document,
+    write_measured_centers,
+};
 pub use project_file::{
     CalibrationSection, ImagesSection, LossName, ModeName, Pitches, Project, TranslationImages,
     WhiteImage,

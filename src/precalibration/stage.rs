@@ -11,7 +11,7 @@ use super::pattern::Pattern;
 use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
 use super::shading::{Shaded, fit_shading, shading_moment};
 use super::types::{LensTypes, judge_types};
-use crate::camera::{Configuration, positive};
+use crate::camera::{Configuration, Datasheet, positive};
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::lattice::LatticeKind;
@@ -65,6 +65,8 @@ const SAME_PLACE: f64 = 0.25;
 /// A radius this part away from where the other f-numbers put it speaks of a wrong f-number: half a
 /// stop at f/4 changes a radius by 10 %.
 const CONTRADICTION: f64 = 0.05;
+/// A stated pitch is right within this part.
+const STATED_PITCH: f64 = 2e-3;
 /// Share of micro-images that agrees with the colouring where nothing is wrong.
 const AGREEMENT: f64 = 0.9;
 
@@ -154,6 +156,39 @@ pub fn precalibrate(
         ));
     }
     Ok(Precalibration { array, lens_types, radii, internal, pitch_correction, warnings })
+}
+
+impl Precalibration {
+    /// An error naming both values where the images contradict what is stated of the camera.
+    pub fn check_stated(&self, sheet: &Datasheet) -> Result<()> {
+        let grid = &self.array.grid;
+        if grid.lattice.kind != sheet.lattice_kind {
+            return Err(Error::invalid(format!(
+                "the micro-images lie on a '{}' lattice, but the camera is said to have a '{}' one: \
+                 correct the one, or give the images of that camera",
+                grid.lattice.kind.name(),
+                sheet.lattice_kind.name()
+            )));
+        }
+        if let Some(pitch) = sheet.micro_image_pitch_px
+            && (grid.pitch_px / pitch - 1.0).abs() > STATED_PITCH
+        {
+            return Err(Error::invalid(format!(
+                "the micro-images have a pitch of {:.4} px, but the camera is said to have one of \
+                 {pitch} px",
+                grid.pitch_px
+            )));
+        }
+        let types = self.lens_types.types;
+        if sheet.lens_types > 1 && types != sheet.lens_types {
+            return Err(Error::invalid(format!(
+                "{types} lens type(s) show in the white images, but the camera is said to have {}: \
+                 correct the one, or take sharper white images",
+                sheet.lens_types
+            )));
+        }
+        Ok(())
+    }
 }
 
 fn named(name: &str, error: &Error) -> Error {

@@ -2,10 +2,10 @@
 
 use std::fmt::Write as _;
 
-use comfy_table::presets::NOTHING;
-use comfy_table::{CellAlignment, Table};
+use comfy_table::Table;
 use serde_json::{Value, json};
 
+use super::table::table;
 use crate::calibration::{Calibration, Loss, Termination};
 use crate::camera::intrinsic_parameters;
 use crate::evaluation::{Rmse, WeakDirection};
@@ -70,18 +70,6 @@ fn with_std_dev(value: f64, std_dev: Option<f64>) -> (String, String) {
 #[allow(clippy::cast_possible_truncation)]
 fn decade(value: f64) -> i32 {
     if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 }
-}
-
-fn table(header: &[&str], text_columns: &[usize]) -> Table {
-    let mut table = Table::new();
-    table.load_style(NOTHING);
-    table.set_header(header.to_vec());
-    for (i, column) in table.column_iter_mut().enumerate() {
-        if !text_columns.contains(&i) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    table
 }
 
 fn parameters_table(calibration: &Calibration) -> Table {

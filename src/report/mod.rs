@@ -1,8 +1,13 @@
-//! Results for people (tables, words) and for machines (JSON).
+//! Results for people (tables, words, pictures) and for machines (JSON).
 
 mod calibration;
+mod figures;
+mod precalibration;
+mod table;
 
 pub use calibration::{
     calibrated_camera, calibration_json, calibration_text, termination_text,
     weakest_directions_text,
 };
+pub use figures::{micro_images_figure, radii_figure};
+pub use precalibration::{array_text, precalibration_text};

@@ -1,0 +1,222 @@
+//! `plenocal precalibrate`: from white images to the micro-image array and internal parameters.
+
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use plenocal::camera::Datasheet;
+use plenocal::image::Color;
+use plenocal::io::{self, ImagesSection, OutputFolder, Project, compote};
+use plenocal::precalibration::{
+    Precalibration, PrecalibrationOptions, RadiusEstimator, White, measure_array, precalibrate,
+};
+use plenocal::{Error, Result, report};
+use rayon::prelude::*;
+
+/// Measure the micro-image array and the internal parameters on white images.
+///
+/// Pitch, orientation, packing and lens types are found from the images. Give a project file that
+/// lists them with their f-numbers, or a single white image to measure its array alone.
+#[derive(Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// Project file (TOML) with [images], or one white image (PNG, TIFF, BMP, PGM, JPEG).
+    input: PathBuf,
+    /// Folder for the results: precalibration.json, centers.csv, radii.svg, micro-images.svg, and
+    /// COMPOTE's camera.js and params.js.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// How radii are measured: the edge of a fitted profile, or the paper's second moments, which are
+    /// right for some over-exposures only.
+    #[arg(long, value_enum, default_value = "profile")]
+    estimator: Estimator,
+    /// What the samples of a single image stand for: grey, rgb, bayer-rggb, bayer-grbg, bayer-gbrg
+    /// or bayer-bggr [default: grey or RGB, as the file has it].
+    #[arg(long, value_parser = color)]
+    color: Option<Color>,
+    /// Print the result as one JSON object instead of tables.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Estimator {
+    Profile,
+    Moments,
+}
+
+fn color(name: &str) -> std::result::Result<Color, String> {
+    serde_json::from_value(serde_json::Value::String(name.to_owned()))
+        .map_err(|_| format!("'{name}' is not known"))
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  plenocal precalibrate project.toml --out results
+  plenocal precalibrate white.png --color bayer-rggb --out results
+  plenocal calibrate project.toml --params results/precalibration.json \\
+      --centers results/centers.csv --features features.csv --out results";
+
+/// How often the progress line moves.
+const TICK: Duration = Duration::from_millis(100);
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let mut output = OutputFolder::new(&arguments.out)?;
+    let project = arguments.input.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
+    let (text, document) = if project {
+        of_project(arguments, &mut output)?
+    } else {
+        of_image(arguments, &mut output)?
+    };
+    output.stage_json("precalibration.json", &document)?;
+    let paths = output.commit()?;
+    let text = if arguments.json {
+        format!("{document}\n")
+    } else {
+        let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();
+        format!("{text}\n\nWritten:\n{}", files.concat())
+    };
+    let _ = std::io::stdout().write_all(text.as_bytes());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn of_image(
+    arguments: &Arguments,
+    output: &mut OutputFolder,
+) -> Result<(String, serde_json::Value)> {
+    let path = &arguments.input;
+    let image = read_white(path, arguments.color)?.to_grey();
+    let array = measure_array(&image, None)
+        .map_err(|e| Error::Content { path: path.clone(), message: e.to_string() })?;
+    let half_pitch = array.grid.pitch_px / 2.0;
+    let figure = report::micro_images_figure(&image, &array, &[half_pitch])?;
+    output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))?;
+    output.stage("centers.csv", |out| io::write_measured_centers(out, &array, 1))?;
+    Ok((report::array_text(&array), io::array_document(&array)))
+}
+
+fn of_project(
+    arguments: &Arguments,
+    output: &mut OutputFolder,
+) -> Result<(String, serde_json::Value)> {
+    let path = &arguments.input;
+    let project = Project::read(path)?;
+    let missing = |what: &str| Error::Content { path: path.clone(), message: what.to_owned() };
+    let sheet = project.datasheet()?.ok_or_else(|| {
+        missing("there is no camera in it: add [sensor], [main_lens] and [micro_lens_array]")
+    })?;
+    let images = project
+        .images
+        .as_ref()
+        .ok_or_else(|| missing("it lists no images: add [images] with [[images.whites]]"))?;
+    sheet.validate()?;
+    let (whites, reference) = read_whites(images, &sheet)?;
+    let options = PrecalibrationOptions {
+        pixel_size_mm: sheet.sensor.pixel_size_mm,
+        configuration: sheet.configuration,
+        array_size: Some((sheet.columns, sheet.rows)),
+        estimator: match arguments.estimator {
+            Estimator::Profile => RadiusEstimator::Profile,
+            Estimator::Moments => RadiusEstimator::Moments,
+        },
+    };
+    let bar = progress_bar(arguments.json, whites.len());
+    let result = precalibrate(&whites, reference.as_ref(), &options, &|| bar.inc(1));
+    bar.finish_and_clear();
+    let result = result?;
+    result.check_stated(&sheet)?;
+    for warning in &result.warnings {
+        eprintln!("warning: {warning}");
+    }
+    stage(output, &result, &sheet, &whites)?;
+    Ok((report::precalibration_text(&result), io::precalibration_document(&result)))
+}
+
+fn stage(
+    output: &mut OutputFolder,
+    result: &Precalibration,
+    sheet: &Datasheet,
+    whites: &[White],
+) -> Result<()> {
+    let types = result.lens_types.types;
+    let internal = &result.internal.parameters;
+    output.stage("centers.csv", |out| io::write_measured_centers(out, &result.array, types))?;
+    output.stage_json("params.js", &compote::parameters_document(internal, sheet))?;
+    let camera = compote::camera_document(sheet, &result.array.grid, types);
+    output.stage_json("camera.js", &camera)?;
+    let radii = report::radii_figure(result)?;
+    output.stage("radii.svg", |out| out.write_all(radii.as_bytes()))?;
+    let middle = whites.len() / 2;
+    let shown: Vec<f64> =
+        result.radii[middle * types..(middle + 1) * types].iter().map(|r| r.radius_px).collect();
+    let figure = report::micro_images_figure(&whites[middle].image, &result.array, &shown)?;
+    output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))
+}
+
+fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>, Option<White>)> {
+    let named = images.whites.iter().map(|white| (&white.image, white.f_number));
+    let reference = images.devignetting.iter().map(|path| (path, sheet.f_number));
+    let all: Vec<(&PathBuf, f64)> = named.chain(reference).collect();
+    let mut whites = all
+        .par_iter()
+        .map(|&(path, f_number)| {
+            let raw = read_white(path, Some(images.color))?;
+            let (width, height) = (sheet.sensor.width_px as usize, sheet.sensor.height_px as usize);
+            if (raw.width, raw.height) != (width, height) {
+                return Err(Error::Content {
+                    path: path.clone(),
+                    message: format!(
+                        "this image has {} x {} px, but the sensor {width} x {height}",
+                        raw.width, raw.height
+                    ),
+                });
+            }
+            Ok(White { name: path.display().to_string(), f_number, image: raw.to_grey() })
+        })
+        .collect::<Result<Vec<White>>>()?;
+    let reference = images.devignetting.as_ref().and_then(|_| whites.pop());
+    Ok((whites, reference))
+}
+
+/// Means of a mosaic's greens, or of a grey image's parities, differ by less than this part.
+const ALIKE: f64 = 0.05;
+
+/// Reads an image, and warns where its samples do not look like what they are said to be.
+fn read_white(path: &Path, color: Option<Color>) -> Result<plenocal::image::RawImage> {
+    let raw = io::read_image(path, color)?;
+    if let Some(means) = raw.parity_means() {
+        let apart = |a: f64, b: f64| (a / b - 1.0).abs() > ALIKE;
+        let [a, b, c, d] = means;
+        let wrong = match raw.color {
+            Color::Grey => (apart(a, b) || apart(a, c) || apart(a, d)).then_some(
+                "its pixels alternate in brightness like those behind a colour mosaic: give the \
+                 mosaic's name as the colour of the images",
+            ),
+            Color::BayerRggb | Color::BayerBggr => apart(b, c)
+                .then_some("the pixels that should both be green differ: another mosaic is in it"),
+            _ => apart(a, d)
+                .then_some("the pixels that should both be green differ: another mosaic is in it"),
+        };
+        if let Some(wrong) = wrong {
+            eprintln!("warning: {}: {wrong}", path.display());
+        }
+    }
+    Ok(raw)
+}
+
+fn progress_bar(json: bool, images: usize) -> ProgressBar {
+    if json || !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new(images as u64).with_style(
+        ProgressStyle::with_template("{spinner} measuring white images: {pos} of {len}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar()),
+    );
+    bar.set_draw_target(ProgressDrawTarget::stderr());
+    bar.enable_steady_tick(TICK);
+    bar
+}

@@ -1,0 +1,146 @@
+//! `precalibration.json`: the micro-image array and the internal parameters; the centres beside it.
+
+use std::io::{self, Write};
+
+use serde::Deserialize;
+use serde_json::{Map, Value, json};
+
+use crate::camera::InternalParameters;
+use crate::error::{Error, Result};
+use crate::precalibration::{ArrayMeasurement, Precalibration};
+
+/// `format` of the file.
+pub const PRECALIBRATION_FORMAT: &str = "plenocal-precalibration";
+/// `version` of the file.
+pub const PRECALIBRATION_VERSION: u64 = 1;
+
+#[derive(Deserialize)]
+struct PrecalibrationFile {
+    version: u64,
+    internal_parameters: Option<InternalFile>,
+}
+
+#[derive(Deserialize)]
+struct InternalFile {
+    m_mm: f64,
+    q_prime_mm: Vec<f64>,
+    micro_image_pitch_mm: Option<f64>,
+}
+
+/// The content of `precalibration.json` where only an array was measured.
+#[must_use]
+pub fn array_document(array: &ArrayMeasurement) -> Value {
+    Value::Object(fields_of_array(array))
+}
+
+fn fields_of_array(array: &ArrayMeasurement) -> Map<String, Value> {
+    let (grid, out) = (&array.grid, &array.left_out);
+    let document = json!({
+        "format": PRECALIBRATION_FORMAT,
+        "version": PRECALIBRATION_VERSION,
+        "micro_image_array": {
+            "lattice": grid.lattice.kind,
+            "columns": grid.lattice.columns,
+            "rows": grid.lattice.rows,
+            "shifted": grid.lattice.shifted,
+            "pitch_px": grid.pitch_px,
+            "rotation_rad": grid.rotation_rad,
+            "center_px": <[f64; 2]>::from(grid.center_px),
+            "rms_px": grid.rms_px,
+        },
+        "centers": {
+            "measured": array.centers.len(),
+            "cut": out.cut,
+            "dark": out.dark,
+            "saturated": out.saturated,
+            "misplaced": out.misplaced,
+        },
+    });
+    match document {
+        Value::Object(fields) => fields,
+        _ => Map::new(),
+    }
+}
+
+/// The content of `precalibration.json`; lens types count from 1.
+#[must_use]
+pub fn precalibration_document(result: &Precalibration) -> Value {
+    let internal = &result.internal;
+    let radii: Vec<Value> = result
+        .radii
+        .iter()
+        .map(|r| {
+            json!({
+                "f_number": r.f_number,
+                "lens_type": r.lens_type + 1,
+                "radius_px": r.radius_px,
+                "standard_deviation_px": r.std_dev_px,
+                "residual_px": r.residual_px,
+                "micro_images": r.single_px.len(),
+            })
+        })
+        .collect();
+    let mut fields = fields_of_array(&result.array);
+    fields.insert(
+        "lens_types".to_owned(),
+        json!({
+            "count": result.lens_types.types,
+            "separation": result.lens_types.separation,
+            "agreement": result.lens_types.agreement,
+        }),
+    );
+    fields.insert(
+        "internal_parameters".to_owned(),
+        json!({
+            "m_mm": internal.parameters.m_mm,
+            "q_prime_mm": internal.parameters.q_prime_mm,
+            "micro_image_pitch_mm": internal.parameters.micro_image_pitch_mm,
+            "standard_deviations": {
+                "m_mm": internal.m_std_dev_mm,
+                "q_prime_mm": internal.q_prime_std_dev_mm,
+            },
+            "rms_px": internal.rms_px,
+        }),
+    );
+    fields.insert("radii".to_owned(), json!(radii));
+    fields.insert("pitch_correction".to_owned(), json!(result.pitch_correction));
+    Value::Object(fields)
+}
+
+/// The internal parameters in a JSON document.
+pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameters> {
+    let file: PrecalibrationFile = serde_json::from_value(value)
+        .map_err(|e| Error::invalid(format!("not a valid {PRECALIBRATION_FORMAT} file: {e}")))?;
+    if file.version != PRECALIBRATION_VERSION {
+        return Err(Error::invalid(format!(
+            "this is a {PRECALIBRATION_FORMAT} file of version {}, but only version \
+             {PRECALIBRATION_VERSION} is known",
+            file.version
+        )));
+    }
+    let internal = file.internal_parameters.ok_or_else(|| {
+        Error::invalid(
+            "this pre-calibration is of one image and has no internal parameters; they take white \
+             images at several f-numbers",
+        )
+    })?;
+    Ok(InternalParameters {
+        m_mm: internal.m_mm,
+        q_prime_mm: internal.q_prime_mm,
+        micro_image_pitch_mm: internal.micro_image_pitch_mm,
+    })
+}
+
+/// Writes measured centres as CSV, with the standard deviation per axis of each; lens types count
+/// from 1.
+pub fn write_measured_centers(
+    out: &mut dyn Write,
+    array: &ArrayMeasurement,
+    lens_types: usize,
+) -> io::Result<()> {
+    writeln!(out, "k,l,u,v,std_dev,type")?;
+    array.centers.iter().zip(&array.std_devs_px).try_for_each(|(c, std_dev)| {
+        let lens_type = array.grid.lattice.lens_type(c.k, c.l, lens_types) + 1;
+        writeln!(out, "{},{},{},{},{std_dev:.4},{lens_type}", c.k, c.l, c.u_px, c.v_px)
+    })
+}

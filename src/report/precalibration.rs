@@ -1,0 +1,99 @@
+//! A pre-calibration as text.
+
+use comfy_table::Table;
+
+use super::table::table;
+use crate::precalibration::{ArrayMeasurement, Precalibration};
+
+/// The result of a pre-calibration on a terminal: array, lens types, radii, internal parameters.
+#[must_use]
+pub fn precalibration_text(result: &Precalibration) -> String {
+    let types = &result.lens_types;
+    let types = if types.types == 1 {
+        "One lens type.".to_owned()
+    } else {
+        format!(
+            "{} lens types, {:.0} standard deviations apart; {:.2} % of the micro-images have the \
+             size of their type.",
+            types.types,
+            types.separation,
+            100.0 * types.agreement
+        )
+    };
+    let correction = format!(
+        "The pitch is free of shading, which had changed it by {:.1e}.",
+        -result.pitch_correction
+    );
+    [
+        format!("{}\n{correction}\n{types}", array_text(&result.array)),
+        radii_table(result).to_string(),
+        parameters_table(result).to_string(),
+    ]
+    .join("\n\n")
+}
+
+/// The array on a terminal.
+#[must_use]
+pub fn array_text(array: &ArrayMeasurement) -> String {
+    let (grid, out) = (&array.grid, &array.left_out);
+    let left_out: Vec<String> = [
+        (out.cut, "cut by the border"),
+        (out.dark, "dark"),
+        (out.saturated, "saturated all over"),
+        (out.misplaced, "misplaced"),
+    ]
+    .into_iter()
+    .filter(|&(count, _)| count > 0)
+    .map(|(count, why)| format!("{count} {why}"))
+    .collect();
+    let left_out = if left_out.is_empty() {
+        String::new()
+    } else {
+        format!(" (left out: {})", left_out.join(", "))
+    };
+    format!(
+        "Lattice {}, {} x {}, pitch {:.5} px, rotation {:+.4} mrad, middle at ({:.2}, {:.2}) px.\n{} \
+         centres, {:.3} px RMS from a regular grid{left_out}.",
+        grid.lattice.kind.name(),
+        grid.lattice.columns,
+        grid.lattice.rows,
+        grid.pitch_px,
+        grid.rotation_rad * 1e3,
+        grid.center_px.x,
+        grid.center_px.y,
+        array.centers.len(),
+        grid.rms_px,
+    )
+}
+
+fn radii_table(result: &Precalibration) -> Table {
+    let types = result.lens_types.types;
+    let mut header = vec!["Radius, px, at N".to_owned()];
+    header.extend((1..=types).map(|i| format!("Type {i} ± σ")));
+    header.push("off the lines".to_owned());
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    let mut table = table(&header, &[]);
+    for of_image in result.radii.chunks(types) {
+        let mut row = vec![format!("{:.2}", of_image[0].f_number)];
+        row.extend(of_image.iter().map(|r| format!("{:.3} ± {:.3}", r.radius_px, r.std_dev_px)));
+        let off: Vec<String> = of_image.iter().map(|r| format!("{:+.3}", r.residual_px)).collect();
+        row.push(off.join(" "));
+        table.add_row(row);
+    }
+    table
+}
+
+fn parameters_table(result: &Precalibration) -> Table {
+    let internal = &result.internal;
+    let mut table = table(&["Internal parameter, µm", "", "± σ"], &[0]);
+    let mut add = |name: String, value: f64, std_dev: f64| {
+        table.add_row([name, format!("{:.3}", value * 1e3), format!("{:.3}", std_dev * 1e3)]);
+    };
+    add("|m|".to_owned(), internal.parameters.m_mm, internal.m_std_dev_mm);
+    for (i, (&q, &s)) in
+        internal.parameters.q_prime_mm.iter().zip(&internal.q_prime_std_dev_mm).enumerate()
+    {
+        add(format!("q'_{}", i + 1), q, s);
+    }
+    table
+}
