@@ -25,9 +25,11 @@ fn main() {
     println!("cargo:rustc-link-lib=dylib=glog");
 
     // Tests that need something from outside the repository are reported as ignored without it.
-    for (variable, cfg) in
-        [("PLENOCAL_R12A", "plenocal_r12a"), ("PLENOCAL_PLAIN_CERES", "plenocal_plain_ceres")]
-    {
+    for (variable, cfg) in [
+        ("PLENOCAL_R12A", "plenocal_r12a"),
+        ("PLENOCAL_WHITES", "plenocal_whites"),
+        ("PLENOCAL_PLAIN_CERES", "plenocal_plain_ceres"),
+    ] {
         println!("cargo:rerun-if-env-changed={variable}");
         println!("cargo:rustc-check-cfg=cfg({cfg})");
         if std::env::var_os(variable).is_some() {

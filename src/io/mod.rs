@@ -10,6 +10,7 @@ mod output;
 mod poses_file;
 mod precalibration_file;
 mod project_file;
+mod raytrix;
 mod residuals_file;
 mod simulation_file;
 
@@ -34,6 +35,7 @@ pub use project_file::{
     CalibrationSection, ImagesSection, LossName, ModeName, Pitches, Project, TranslationImages,
     WhiteImage,
 };
+pub use raytrix::{RaytrixCalibration, read_raytrix};
 pub use residuals_file::write_residuals;
 pub use simulation_file::{PRESETS, Preset, preset_settings, read_settings, settings_text};
 

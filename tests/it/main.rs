@@ -9,6 +9,7 @@ mod compote;
 mod independent;
 mod modes;
 mod oracle;
+mod precalibration;
 mod r12a;
 mod recovery;
 mod simulation;
