@@ -168,6 +168,11 @@ impl Profile {
         Some((linear, self.bins.iter().zip(&shape).map(residual).collect()))
     }
 
+    /// Light in the middle of discs of known size, above the background, over what clips it.
+    pub fn peak(&self, outer: f64, inner: f64) -> Option<f64> {
+        self.residuals(outer, inner).map(|(linear, _)| linear.x)
+    }
+
     /// Levenberg-Marquardt from one start: the discs and the sum of squares.
     fn descend(&self, outer: f64, inner: f64, largest: f64) -> Option<(Discs, f64)> {
         const STEP: f64 = 1e-4;

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::array::FoundArray;
 use super::centers::{Blob, darkest_neighbourhood, measure_blob};
 use super::pattern::Pattern;
-use super::profile::{Discs, Stack, seen};
+use super::profile::{Discs, Profile, Stack, seen};
 use crate::image::Image;
 
 /// How the radius of a micro-image is measured.
@@ -27,6 +27,8 @@ pub(super) struct TypeRadius {
     pub std_dev_px: f64,
     /// Of single micro-images.
     pub single_px: Vec<f64>,
+    /// Their light.
+    pub profile: Profile,
 }
 
 /// Micro-images of each type that are looked at, those nearest the middle of the image: enough for a
@@ -67,13 +69,35 @@ pub(super) fn radius_at(
 ) -> Option<TypeRadius> {
     let blobs: Vec<Blob> =
         nodes.iter().filter_map(|&node| measure_blob(image, pattern, node)).collect();
+    let profile = stacked(image, pattern, &blobs);
     match estimator {
-        RadiusEstimator::Profile => profile_radius(image, pattern, &blobs),
-        RadiusEstimator::Moments => moments_radius(image, pattern, &blobs),
+        RadiusEstimator::Profile => profile_radius(image, pattern, &blobs, profile),
+        RadiusEstimator::Moments => moments_radius(image, pattern, &blobs, profile),
     }
 }
 
-fn moments_radius(image: &Image, pattern: &Pattern, blobs: &[Blob]) -> Option<TypeRadius> {
+/// The light of the micro-images at some nodes.
+pub(super) fn profile_at(image: &Image, pattern: &Pattern, nodes: &[(i32, i32)]) -> Profile {
+    let blobs: Vec<Blob> =
+        nodes.iter().filter_map(|&node| measure_blob(image, pattern, node)).collect();
+    stacked(image, pattern, &blobs)
+}
+
+fn stacked(image: &Image, pattern: &Pattern, blobs: &[Blob]) -> Profile {
+    let reach = REACH * pattern.pitch();
+    let mut stack = Stack::new(reach);
+    for blob in blobs {
+        pixels_about(image, &blob.center, reach, |offset, value| stack.add(offset.norm(), value));
+    }
+    stack.profile()
+}
+
+fn moments_radius(
+    image: &Image,
+    pattern: &Pattern,
+    blobs: &[Blob],
+    profile: Profile,
+) -> Option<TypeRadius> {
     let single = |blob: &Blob| {
         let background = darkest_neighbourhood(image, pattern, &blob.center)?;
         let (mut sum, mut first, mut second) = (0.0, Vector2::zeros(), Matrix2::zeros());
@@ -91,23 +115,24 @@ fn moments_radius(image: &Image, pattern: &Pattern, blobs: &[Blob]) -> Option<Ty
     let single_px: Vec<f64> = blobs.iter().filter_map(single).collect();
     let (radius_px, scatter) = mean_and_scatter(&single_px)?;
     let std_dev_px = scatter / (single_px.len() as f64).sqrt();
-    Some(TypeRadius { radius_px, std_dev_px, single_px })
+    Some(TypeRadius { radius_px, std_dev_px, single_px, profile })
 }
 
-fn profile_radius(image: &Image, pattern: &Pattern, blobs: &[Blob]) -> Option<TypeRadius> {
+fn profile_radius(
+    image: &Image,
+    pattern: &Pattern,
+    blobs: &[Blob],
+    profile: Profile,
+) -> Option<TypeRadius> {
     let reach = REACH * pattern.pitch();
-    let mut stack = Stack::new(reach);
-    for blob in blobs {
-        pixels_about(image, &blob.center, reach, |offset, value| stack.add(offset.norm(), value));
-    }
-    let discs = stack.profile().fit(reach)?;
+    let discs = profile.fit(reach)?;
     let template = Template::new(&discs, reach);
     let single_px: Vec<f64> =
         blobs.iter().filter_map(|blob| template.single(image, blob)).collect();
     let (_, scatter) = mean_and_scatter(&single_px)?;
     // What single micro-images differ by is more than what the stack tells of itself.
     let std_dev_px = discs.std_dev.hypot(scatter / (single_px.len() as f64).sqrt());
-    Some(TypeRadius { radius_px: discs.outer, std_dev_px, single_px })
+    Some(TypeRadius { radius_px: discs.outer, std_dev_px, single_px, profile })
 }
 
 /// Mean and standard deviation, those beyond four times the usual distance left out.

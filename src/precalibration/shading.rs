@@ -3,13 +3,14 @@
 //! Light falls off with the angle at which it meets the sensor, by cos⁴ and by what the pixels add.
 //! Away from the optical axis a micro-image is therefore brighter on one side, and its centroid moves
 //! in proportion to its distance from the axis: all centres together seem to have another pitch. By
-//! how much depends on the size of the micro-image. To first order, with the discs of radius a
-//! (pupil) and b (micro-lens, of radius r) that make up a micro-image, the shift is proportional to
+//! how much depends on the micro-image. Light that comes through the point M of a micro-lens to the
+//! point y beside the micro-image's centre is steeper by (y − M)/d than the ray through the middle, and
+//! to first order the centroid moves in proportion to
 //!
-//!     X = (a² − b (r − b)) / 4   (f > d)        X = (a² + b (r + b)) / 4   (f < d),
+//!     X = ⟨y · (y − M)⟩ / 2,
 //!
-//! the mean of offset times the change of slope there. Pitch and centre measured at several f-numbers
-//! and extrapolated to X = 0 are free of it, whatever the law.
+//! the mean over the light that is not clipped. Pitch and centre measured at several f-numbers and
+//! extrapolated to X = 0 are free of it, whatever the law.
 
 use nalgebra::Vector2;
 
@@ -30,11 +31,54 @@ pub(super) struct Shading {
     pub center: Vector2<f64>,
 }
 
-/// X of discs of radius a and b behind a micro-lens of radius r, all on the sensor in px; `inverted`
-/// for f < d.
-pub(super) fn shading_moment(a: f64, b: f64, r: f64, inverted: bool) -> f64 {
-    let of_lens = if inverted { b * (r + b) } else { -b * (r - b) };
-    (a * a + of_lens) / 4.0
+/// Points of a disc that stand for it.
+const POINTS: u32 = 160;
+/// Rings that the micro-image is divided into.
+const RINGS: usize = 48;
+
+/// X (px²) of discs of radius a (pupil) and b (micro-lens, of radius `lens`), all on the sensor in px;
+/// `inverted` for f < d. `peak` is the light in the middle over what clips it, above 1 if it does.
+pub(super) fn shading_moment(a: f64, b: f64, lens: f64, inverted: bool, peak: f64) -> f64 {
+    let (of_pupil, of_lens) = (disc(a), disc(b));
+    // A point of the micro-lens is seen turned around where the micro-lens inverts.
+    let magnified = lens / b.max(1e-9) * if inverted { -1.0 } else { 1.0 };
+    let mut rings = [(0.0, 0.0); RINGS];
+    for pupil in &of_pupil {
+        for spread in &of_lens {
+            let y = pupil + spread;
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within a + b
+            let ring = ((y.norm() / (a + b)) * RINGS as f64) as usize;
+            let ring = &mut rings[ring.min(RINGS - 1)];
+            ring.0 += 1.0;
+            ring.1 += y.dot(&(y - spread * magnified)) / 2.0;
+        }
+    }
+    // All pairs over the area of the rings; full light is the smaller disc's share of all pairs.
+    let area = |i: usize| (2 * i + 1) as f64 / (RINGS * RINGS) as f64 * (a + b).powi(2);
+    let full = f64::from(POINTS).powi(2) / a.max(b).powi(2);
+    let (mut light, mut moment) = (0.0, 0.0);
+    for (i, (count, sum)) in rings.into_iter().enumerate() {
+        let brightness = count / area(i) / full * peak;
+        if brightness < 1.0 {
+            light += count;
+            moment += sum;
+        } else {
+            light += count / brightness;
+        }
+    }
+    moment / light
+}
+
+/// Points evenly over a disc (a sunflower).
+fn disc(radius: f64) -> Vec<Vector2<f64>> {
+    let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    (0..POINTS)
+        .map(|i| {
+            let r = radius * ((f64::from(i) + 0.5) / f64::from(POINTS)).sqrt();
+            let (sin, cos) = (golden * f64::from(i)).sin_cos();
+            Vector2::new(r * cos, r * sin)
+        })
+        .collect()
 }
 
 /// Least range of X (px²) that says something of the slope.
@@ -58,5 +102,31 @@ impl Shading {
     /// The centre free of shading, of a micro-image with moment x.
     pub fn corrected(&self, measured: Vector2<f64>, middle: &Vector2<f64>, x: f64) -> Vector2<f64> {
         measured - (self.center + (measured - middle) * self.pitch) * x
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points of two discs are independent, so X = (a² + b² ∓ b r)/4 without clipping.
+    #[test]
+    fn moments_without_clipping_have_a_closed_form() {
+        for (a, b, lens, inverted) in
+            [(6.5, 5.3, 11.6, false), (1.6, 4.4, 11.6, false), (6.5, 3.0, 11.5, true)]
+        {
+            let side = if inverted { 1.0 } else { -1.0 };
+            let expected = (a * a + b * b + side * b * lens) / 4.0;
+            let x = shading_moment(a, b, lens, inverted, 0.5);
+            assert!((x - expected).abs() < 0.02 * (a * a + b * b), "{x} for {expected}");
+        }
+    }
+
+    #[test]
+    fn what_is_clipped_moves_nothing() {
+        let x = |peak| shading_moment(6.5, 5.3, 11.6, false, peak);
+        assert!((x(0.3) - x(0.9)).abs() < 1e-9);
+        // All but the outermost ring clipped: its share of the light is what is left.
+        assert!(x(1e6).abs() < 0.2 * x(4.0).abs());
     }
 }

@@ -5,13 +5,14 @@ use rayon::prelude::*;
 
 use super::array::{ArrayMeasurement, FoundArray, found_array};
 use super::centers::{Blob, measure_sample};
-use super::grid::fit_grid;
+use super::grid::{MicroImageArray, fit_grid};
 use super::internal::{InternalFit, RadiusMeasurement, fit_internal};
 use super::pattern::Pattern;
-use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
+use super::profile::Profile;
+use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, profile_at, radius_at};
 use super::shading::{Shaded, fit_shading, shading_moment};
 use super::types::{LensTypes, judge_types};
-use crate::camera::{Configuration, Datasheet, positive};
+use crate::camera::{Configuration, Datasheet, InternalParameters, positive};
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::lattice::LatticeKind;
@@ -97,57 +98,50 @@ pub fn precalibrate(
 
     let colors = if found.pattern.kind == LatticeKind::Orthogonal { 1 } else { 3 };
     let nodes = middle_nodes(&found, &reference.image, colors);
-    let of_colors = whites
-        .par_iter()
-        .zip(&samples)
-        .map(|(white, (pattern, _))| radii_of(white, pattern, &nodes, options.estimator))
-        .collect::<Result<Vec<_>>>()?;
-    let lens_types = judge_types(&of_colors, &found);
-    let of_types = if lens_types.types == colors {
-        of_colors
+    let by_profile = all_radii(whites, &samples, &nodes, RadiusEstimator::Profile)?;
+    let lens_types = judge_types(&by_profile, &found);
+    let (nodes, by_profile) = if lens_types.types == colors {
+        (nodes, by_profile)
     } else {
-        let all: Vec<Vec<(i32, i32)>> = vec![nodes.concat()];
-        whites
-            .par_iter()
-            .zip(&samples)
-            .map(|(white, (pattern, _))| radii_of(white, pattern, &all, options.estimator))
-            .collect::<Result<Vec<_>>>()?
+        let all = vec![nodes.concat()];
+        let radii = all_radii(whites, &samples, &all, RadiusEstimator::Profile)?;
+        (all, radii)
     };
-    let mut radii: Vec<RadiusMeasurement> = whites
-        .iter()
-        .zip(of_types)
-        .flat_map(|(white, radii)| {
-            radii.into_iter().enumerate().map(|(lens_type, r)| RadiusMeasurement {
-                f_number: white.f_number,
-                lens_type,
-                radius_px: r.radius_px,
-                std_dev_px: r.std_dev_px,
-                residual_px: 0.0,
-                single_px: r.single_px,
-            })
-        })
-        .collect();
 
-    let mut fit = |pitch_px: f64| {
+    // Shading takes the true sizes of the discs, whatever estimator is asked for.
+    let fit = |radii: &mut [RadiusMeasurement], pitch_px: f64| {
         let (types, pixel) = (lens_types.types, options.pixel_size_mm);
-        fit_internal(&mut radii, types, pixel, pitch_px, options.configuration).ok_or_else(|| {
-            Error::invalid(
-                "the white images do not span a range of f-numbers: take them at two f-numbers at \
-                 least, better at five",
-            )
-        })
+        let fitted = fit_internal(radii, types, pixel, pitch_px, options.configuration);
+        let fitted = fitted.ok_or_else(|| Error::invalid("the white images do not span a line"))?;
+        if fitted.parameters.m_mm <= 0.0 {
+            return Err(Error::invalid(
+                "micro-images do not grow as the f-number falls: the f-numbers do not belong to \
+                 these images, or the lens was not set by them",
+            ));
+        }
+        Ok(fitted)
     };
-    let first = fit(found.array.grid.pitch_px)?;
-    let (array, pitch_correction) =
-        unshaded(whites, reference, &samples, &found, &first, lens_types.types, options)?;
-    let internal = fit(array.grid.pitch_px)?;
+    let first = fit(&mut measurements(whites, &by_profile), found.array.grid.pitch_px)?;
+    let of_reference: Vec<Profile> =
+        nodes.iter().map(|n| profile_at(&reference.image, &found.pattern, n)).collect();
+    let moments = Moments { internal: &first.parameters, grid: &found.array.grid, options };
+    let of_images: Vec<Vec<f64>> = whites
+        .iter()
+        .zip(&by_profile)
+        .map(|(white, radii)| moments.of_image(white.f_number, radii.iter().map(|r| &r.profile)))
+        .collect();
+    let of_reference = moments.of_image(reference.f_number, &of_reference);
+    let (array, pitch_correction) = unshaded(&found, &samples, &of_images, &of_reference)?;
+
+    let mut radii = match options.estimator {
+        RadiusEstimator::Profile => measurements(whites, &by_profile),
+        RadiusEstimator::Moments => {
+            let by_moments = all_radii(whites, &samples, &nodes, RadiusEstimator::Moments)?;
+            measurements(whites, &by_moments)
+        }
+    };
+    let internal = fit(&mut radii, array.grid.pitch_px)?;
     let mut warnings = contradictions(whites, &radii, lens_types.types, options);
-    if internal.parameters.m_mm <= 0.0 {
-        return Err(Error::invalid(
-            "micro-images do not grow as the f-number falls: the f-numbers do not belong to these \
-             images, or the lens was not set by them",
-        ));
-    }
     if lens_types.types == 3 && lens_types.agreement < AGREEMENT {
         warnings.push(format!(
             "only {:.0} % of the micro-images have the size of their lens type: the image is noisy, \
@@ -253,47 +247,85 @@ fn same_pattern(white: &White, reference: &White, pattern: &Pattern) -> Result<S
     Ok((followed, blobs))
 }
 
-fn radii_of(
-    white: &White,
-    pattern: &Pattern,
+/// Radii by image and by group of nodes.
+fn all_radii(
+    whites: &[White],
+    samples: &[Sample],
     nodes: &[Vec<(i32, i32)>],
     estimator: RadiusEstimator,
-) -> Result<Vec<TypeRadius>> {
-    let radius = |nodes: &Vec<(i32, i32)>| {
-        radius_at(&white.image, pattern, nodes, estimator).ok_or_else(|| {
-            Error::invalid(format!(
-                "{}: the micro-images in the middle show no edge: the image is too dark, or \
-                 saturated all over",
-                white.name
-            ))
-        })
+) -> Result<Vec<Vec<TypeRadius>>> {
+    let of_white = |(white, (pattern, _)): (&White, &Sample)| {
+        let radius = |nodes: &Vec<(i32, i32)>| {
+            radius_at(&white.image, pattern, nodes, estimator).ok_or_else(|| {
+                Error::invalid(format!(
+                    "{}: the micro-images in the middle show no edge: the image is too dark, or \
+                     saturated all over",
+                    white.name
+                ))
+            })
+        };
+        nodes.iter().map(radius).collect()
     };
-    nodes.iter().map(radius).collect()
+    whites.par_iter().zip(samples).map(of_white).collect()
 }
 
-/// The array with its centres free of shading, and by how much the pitch has changed.
+fn measurements(whites: &[White], radii: &[Vec<TypeRadius>]) -> Vec<RadiusMeasurement> {
+    let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
+        let measurement = |(lens_type, r): (usize, &TypeRadius)| RadiusMeasurement {
+            f_number: white.f_number,
+            lens_type,
+            radius_px: r.radius_px,
+            std_dev_px: r.std_dev_px,
+            residual_px: 0.0,
+            single_px: r.single_px.clone(),
+        };
+        radii.iter().enumerate().map(measurement).collect::<Vec<_>>()
+    };
+    whites.iter().zip(radii).flat_map(of_white).collect()
+}
+
+/// What the moments of shading follow from.
+struct Moments<'a> {
+    internal: &'a InternalParameters,
+    grid: &'a MicroImageArray,
+    options: &'a PrecalibrationOptions,
+}
+
+impl Moments<'_> {
+    /// X by lens type, see [`super::shading`].
+    fn of_image<'p>(
+        &self,
+        f_number: f64,
+        profiles: impl IntoIterator<Item = &'p Profile>,
+    ) -> Vec<f64> {
+        let pixel = self.options.pixel_size_mm;
+        let half_pitch = self.grid.pitch_px / 2.0;
+        let inverted = self.options.configuration == Configuration::Keplerian;
+        let of_type = |(profile, q_prime): (&Profile, &f64)| {
+            let a = self.internal.m_mm / f_number / pixel;
+            let b = (q_prime / pixel - half_pitch).abs();
+            let peak = profile.peak(a + b, (a - b).abs()).unwrap_or(1.0);
+            shading_moment(a, b, half_pitch, inverted, peak)
+        };
+        profiles.into_iter().zip(&self.internal.q_prime_mm).map(of_type).collect()
+    }
+}
+
+/// The array with its centres free of shading, and by how much the pitch has changed. The moments of
+/// shading are those of each white image, and of the reference, by lens type.
 fn unshaded(
-    whites: &[White],
-    reference: &White,
-    samples: &[Sample],
     found: &FoundArray,
-    internal: &InternalFit,
-    types: usize,
-    options: &PrecalibrationOptions,
+    samples: &[Sample],
+    of_images: &[Vec<f64>],
+    of_reference: &[f64],
 ) -> Result<(ArrayMeasurement, f64)> {
     let grid = &found.array.grid;
-    let half_pitch = grid.pitch_px / 2.0;
-    let pixel = options.pixel_size_mm;
-    let moment = |f_number: f64, lens_type: usize| {
-        let a = internal.parameters.m_mm / f_number / pixel;
-        let b = (internal.parameters.q_prime_mm[lens_type] / pixel - half_pitch).abs();
-        let inverted = options.configuration == Configuration::Keplerian;
-        shading_moment(a, b, half_pitch, inverted)
-    };
-    let shaded = whites
+    let lattice = &grid.lattice;
+    let types = of_reference.len();
+    let shaded = samples
         .par_iter()
-        .zip(samples)
-        .map(|(white, (_, blobs))| {
+        .zip(of_images)
+        .map(|((_, blobs), moments)| {
             let centers: Vec<MicroImageCenter> = blobs
                 .iter()
                 .map(|blob| {
@@ -301,24 +333,22 @@ fn unshaded(
                     MicroImageCenter { k, l, u_px: blob.center.x, v_px: blob.center.y }
                 })
                 .collect();
-            let lattice = &grid.lattice;
             let fitted = fit_grid(&centers, lattice.kind, lattice.columns, lattice.rows)?;
-            let x = (0..types).map(|t| moment(white.f_number, t)).sum::<f64>() / types as f64;
+            let x = moments.iter().sum::<f64>() / types as f64;
             Ok(Shaded { x, pitch_px: fitted.pitch_px, center_px: fitted.center_px })
         })
         .collect::<Result<Vec<Shaded>>>()?;
     let shading = fit_shading(&shaded);
     let mut array = found.array.clone();
     for center in &mut array.centers {
-        let lens_type = grid.lattice.lens_type(center.k, center.l, types);
-        let x = moment(reference.f_number, lens_type);
+        let x = of_reference[lattice.lens_type(center.k, center.l, types)];
         let measured = Vector2::new(center.u_px, center.v_px);
         let place = shading.corrected(measured, &grid.center_px, x);
         (center.u_px, center.v_px) = (place.x, place.y);
     }
-    let lattice = &grid.lattice;
     array.grid = fit_grid(&array.centers, lattice.kind, lattice.columns, lattice.rows)?;
-    Ok((array.clone(), array.grid.pitch_px / grid.pitch_px - 1.0))
+    let correction = array.grid.pitch_px / grid.pitch_px - 1.0;
+    Ok((array, correction))
 }
 
 /// White images whose radii are not where the others put them.
