@@ -14,7 +14,7 @@ export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
 
 help:
 	@echo "make demo       simulate a camera, calibrate it and print the result"
-	@echo "make test       all tests but the slow ones; PLENOCAL_R12A=DIR adds the real R12-A data"
+	@echo "make test       all tests but the slow ones; PLENOCAL_R12A=DIR and PLENOCAL_WHITES=DIR add real data"
 	@echo "make test-slow  the slow tests (Monte Carlo)"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program"

@@ -109,7 +109,7 @@ fn overlap(r: f64, outer: f64, inner: f64) -> f64 {
     if r >= outer {
         return 0.0;
     }
-    let (large, small) = ((outer + inner) / 2.0, (outer - inner) / 2.0);
+    let (large, small) = (f64::midpoint(outer, inner), (outer - inner) / 2.0);
     let (l2, s2, r2) = (large * large, small * small, r * r);
     let of_large = ((r2 + l2 - s2) / (2.0 * r * large)).clamp(-1.0, 1.0);
     let of_small = ((r2 + s2 - l2) / (2.0 * r * small)).clamp(-1.0, 1.0);

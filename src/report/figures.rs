@@ -20,6 +20,7 @@ const TYPE_COLORS: [RGBColor; 3] =
 const INK: RGBColor = RGBColor(60, 60, 60);
 const FITTED: RGBColor = RGBColor(190, 0, 190);
 
+#[allow(clippy::needless_pass_by_value)] // as map_err has it
 fn drawing<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -> Error {
     Error::invalid(format!("a figure could not be drawn: {error}"))
 }
@@ -64,7 +65,7 @@ fn lines(area: &Area, result: &Precalibration) -> Result<()> {
         .label_style(("sans-serif", 13).into_font().color(&INK))
         .draw()
         .map_err(drawing)?;
-    for lens_type in 0..result.lens_types.types {
+    for (lens_type, color) in TYPE_COLORS.into_iter().enumerate().take(result.lens_types.types) {
         let of_type = || radii.iter().filter(move |r| r.lens_type == lens_type);
         // Two points of the fitted line, from what was measured and what is left over.
         let mut fitted: Vec<(f64, f64)> =
@@ -75,7 +76,6 @@ fn lines(area: &Area, result: &Precalibration) -> Result<()> {
             let line = [0.0, largest_inverse].map(|x| (x, at(x)));
             chart.draw_series(LineSeries::new(line, FITTED)).map_err(drawing)?;
         }
-        let color = TYPE_COLORS[lens_type];
         let points = of_type().map(|r| (1.0 / r.f_number, r.radius_px));
         chart
             .draw_series(points.map(|p| Circle::new(p, 4, color.filled())))
@@ -153,6 +153,7 @@ const ENLARGED: usize = 4;
 
 /// The middle of a white image with a circle about every micro-image, coloured by type; `radii_px` by
 /// type.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a small picture of 8 bits
 pub fn micro_images_figure(
     image: &Image,
     array: &ArrayMeasurement,

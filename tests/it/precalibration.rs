@@ -28,6 +28,9 @@ const CENTERS_PX: f64 = 0.05;
 const PITCH: f64 = 1e-5;
 const ROTATION: f64 = 1e-5;
 const INTERNAL: f64 = 0.01;
+/// In Keplerian configuration rays meet the sensor at up to 20 degrees more, and the light that this
+/// costs at the edge is taken for a smaller radius.
+const INTERNAL_KEPLERIAN: f64 = 0.02;
 
 fn white(settings: &Settings, shot: &Shot) -> White {
     White {
@@ -79,7 +82,9 @@ fn assert_right(name: &str, settings: &Settings, result: &Precalibration) {
     let internal = &result.internal.parameters;
     let m = internal.m_mm / truth.m_mm - 1.0;
     println!("{name}: m {:+.2} %", 100.0 * m);
-    assert!(m.abs() < INTERNAL, "{name}: m {m}");
+    let keplerian = settings.camera.configuration() == Some(Configuration::Keplerian);
+    let limit = if keplerian { INTERNAL_KEPLERIAN } else { INTERNAL };
+    assert!(m.abs() < limit, "{name}: m {m}");
     assert_eq!(internal.q_prime_mm.len(), settings.camera.lens_types(), "{name}");
     for (q, truth) in internal.q_prime_mm.iter().zip(&truth.q_prime_mm) {
         println!("{name}: q' {:+.2} %", 100.0 * (q / truth - 1.0));
