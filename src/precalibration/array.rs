@@ -9,6 +9,7 @@ use super::grid::{MicroImageArray, fit_grid};
 use super::pattern::{Pattern, find_pattern};
 use crate::error::{Error, Result};
 use crate::image::Image;
+use crate::lattice::{Lattice, LatticeKind, Parity};
 use crate::observations::MicroImageCenter;
 
 /// The micro-images of a white image.
@@ -92,6 +93,18 @@ impl Labels {
         (k - self.first.0, l - self.first.1)
     }
 
+    /// The lattice so counted.
+    fn lattice(&self, kind: LatticeKind) -> Lattice {
+        let row = match kind {
+            LatticeKind::HexagonalColumns => self.first.0,
+            _ => self.first.1,
+        };
+        // Of the pattern's own rows the odd ones are further, or with `later` the even ones.
+        let odd = row.rem_euclid(2) == i32::from(self.later);
+        let shifted = if odd { Parity::Odd } else { Parity::Even };
+        Lattice { kind, columns: self.size.0, rows: self.size.1, shifted }
+    }
+
     /// Every way to count that suits the stated size, with it; else the ones with the fewest columns
     /// and rows.
     fn possible(
@@ -142,23 +155,26 @@ pub(super) fn found_array(image: &Image, stated: Option<(i32, i32)>) -> Result<F
     let (pattern, blobs) = find(image)?;
     let (blobs, mut left_out) = judge(blobs);
     let all = nodes_in(image, &pattern);
-    let middle = Vector2::new(image.width as f64 - 1.0, image.height as f64 - 1.0) / 2.0;
-    let mut best: Option<(Labels, Vec<MicroImageCenter>, MicroImageArray)> = None;
-    for labels in Labels::possible(&pattern, &all, stated)? {
-        let center = |blob: &Blob| {
-            let (k, l) = labels.index(&pattern, blob.node);
-            MicroImageCenter { k, l, u_px: blob.center.x, v_px: blob.center.y }
-        };
-        let centers: Vec<MicroImageCenter> = blobs.iter().map(center).collect();
-        let grid = fit_grid(&centers, pattern.kind, labels.size.0, labels.size.1)?;
-        let off = |grid: &MicroImageArray| (grid.center_px - middle).norm();
-        if best.as_ref().is_none_or(|(_, _, other)| off(&grid) < off(other)) {
-            best = Some((labels, centers, grid));
-        }
-    }
-    let Some((labels, centers, grid)) = best else {
+    let Some(any) = blobs.first() else {
         return Err(Error::invalid("no micro-image lies wholly in the image"));
     };
+    let middle = Vector2::new(image.width as f64 - 1.0, image.height as f64 - 1.0) / 2.0;
+    // From the middle of the image to that of the array.
+    let off = |labels: &Labels| {
+        let (k, l) = labels.index(&pattern, any.node);
+        (any.center - pattern.lattice_axes() * labels.lattice(pattern.kind).node(k, l) - middle)
+            .norm()
+    };
+    let possible = Labels::possible(&pattern, &all, stated)?;
+    let Some(labels) = possible.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
+        return Err(Error::invalid("the micro-images cannot be counted"));
+    };
+    let center = |blob: &Blob| {
+        let (k, l) = labels.index(&pattern, blob.node);
+        MicroImageCenter { k, l, u_px: blob.center.x, v_px: blob.center.y }
+    };
+    let centers: Vec<MicroImageCenter> = blobs.iter().map(center).collect();
+    let grid = fit_grid(&centers, pattern.kind, labels.size.0, labels.size.1)?;
     let limit = MISPLACED * grid.rms_px + MISPLACED_PX;
     let (centers, std_devs_px): (Vec<_>, Vec<_>) = centers
         .into_iter()

@@ -136,8 +136,10 @@ pub(super) fn measure_blob(image: &Image, pattern: &Pattern, node: (i32, i32)) -
     let background = darkest_neighbourhood(image, pattern, &expected)?;
     let window = Window { image, inner: WINDOW.0 * pitch, outer: WINDOW.1 * pitch, background };
     let mut center = expected;
+    let mut sums = Sums::default();
     for _ in 0..ROUNDS {
-        let next = window.centroid(&center)?;
+        let (next, there) = window.centroid(&center)?;
+        sums = there;
         let step = next - center;
         // Light that leads out of the cell is not of this micro-image.
         if (next - expected).norm() > 0.5 * pitch {
@@ -148,7 +150,15 @@ pub(super) fn measure_blob(image: &Image, pattern: &Pattern, node: (i32, i32)) -
             break;
         }
     }
-    window.describe(node, center)
+    let std_dev = window.std_dev(&center, sums.light)?;
+    std_dev.is_finite().then(|| Blob {
+        node,
+        center,
+        std_dev,
+        light: sums.light / sums.weights,
+        spread: sums.square / sums.light,
+        saturated: sums.saturated / sums.count,
+    })
 }
 
 /// Mean intensity at the places furthest from all micro-images about one, where the least light of
@@ -189,36 +199,7 @@ fn bilinear(image: &Image, p: &Vector2<f64>) -> Option<f64> {
     )
 }
 
-/// Values of an image mirrored in a point. The mirrored pixels lie between four pixels, always in
-/// the same way.
-struct Opposite<'a> {
-    image: &'a Image,
-    twice: (f64, f64),
-    whole: (f64, f64),
-}
-
-impl<'a> Opposite<'a> {
-    fn new(image: &'a Image, center: &Vector2<f64>) -> Self {
-        let twice = (2.0 * center.x, 2.0 * center.y);
-        Self { image, twice, whole: (twice.0.floor(), twice.1.floor()) }
-    }
-
-    #[inline]
-    fn value(&self, u: f64, v: f64) -> f64 {
-        let (du, dv) = (self.twice.0 - self.whole.0, self.twice.1 - self.whole.1);
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image
-        let (u, v) = (
-            ((self.whole.0 - u).round() as usize).min(self.image.width - 2),
-            ((self.whole.1 - v).round() as usize).min(self.image.height - 2),
-        );
-        let row = &self.image.pixels[v * self.image.width + u..];
-        let at = |i: usize| f64::from(row[i]);
-        let next = self.image.width;
-        (at(0) * (1.0 - du) + at(1) * du) * (1.0 - dv)
-            + (at(next) * (1.0 - du) + at(next + 1) * du) * dv
-    }
-}
-
+/// A soft round window on an image.
 struct Window<'a> {
     image: &'a Image,
     inner: f64,
@@ -226,77 +207,138 @@ struct Window<'a> {
     background: f64,
 }
 
+/// Pixels that are added up side by side.
+const LANES: usize = 8;
+
+/// Sums over a window: light, light times offset, light times square offset, weights, pixels and
+/// saturated ones.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    light: f64,
+    x: f64,
+    y: f64,
+    square: f64,
+    weights: f64,
+    count: f64,
+    saturated: f64,
+}
+
+/// A row of a window: first column, number of pixels, and offset of the first from the centre.
+struct Row {
+    v: usize,
+    first: usize,
+    count: usize,
+    dx: f32,
+    dy: f32,
+}
+
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
 impl Window<'_> {
-    /// Calls with offset, weight and intensity of every pixel; `None` if some are outside.
-    #[inline]
-    fn each(&self, center: &Vector2<f64>, mut visit: impl FnMut(f64, f64, f64, f64)) -> Option<()> {
-        let image = self.image;
-        let (left, right) = (center.x - self.outer, center.x + self.outer);
-        let (top, bottom) = (center.y - self.outer, center.y + self.outer);
-        let fits = left >= 0.0
-            && top >= 0.0
-            && right <= image.width as f64 - 1.0
-            && bottom <= image.height as f64 - 1.0;
-        if !fits {
-            return None;
-        }
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image
-        let range = |low: f64, high: f64| low.ceil() as usize..high.floor() as usize + 1;
-        let (inner2, outer2) = (self.inner * self.inner, self.outer * self.outer);
-        let fall = 1.0 / (outer2 - inner2);
-        for v in range(top, bottom) {
-            let dy = v as f64 - center.y;
-            let row = &image.pixels[v * image.width..][..image.width];
-            for u in range(left, right) {
-                let dx = u as f64 - center.x;
-                let r2 = dx * dx + dy * dy;
-                if r2 < outer2 {
-                    // In r² the fall is smooth enough and needs no root.
-                    let weight = ((outer2 - r2) * fall).min(1.0);
-                    visit(dx, dy, weight, f64::from(row[u]));
+    /// The rows of the window about a centre; `None` if it leaves the image.
+    fn rows(&self, center: &Vector2<f64>) -> Option<impl Iterator<Item = Row> + use<>> {
+        let (outer, center) = (self.outer, *center);
+        let fits = center.x - outer >= 0.0
+            && center.y - outer >= 0.0
+            && center.x + outer <= self.image.width as f64 - 1.0
+            && center.y + outer <= self.image.height as f64 - 1.0;
+        let rows = (center.y - outer).ceil() as usize..(center.y + outer).floor() as usize + 1;
+        fits.then(|| {
+            rows.filter_map(move |v| {
+                let dy = v as f64 - center.y;
+                let half = (outer * outer - dy * dy).max(0.0).sqrt();
+                let first = (center.x - half).ceil();
+                let count = (center.x + half).floor() - first + 1.0;
+                (count >= 1.0).then(|| Row {
+                    v,
+                    first: first as usize,
+                    count: count as usize,
+                    dx: (first - center.x) as f32,
+                    dy: dy as f32,
+                })
+            })
+        })
+    }
+
+    /// Reciprocal of the range over which the weight falls, in r²: so it needs no root.
+    fn fall(&self) -> f32 {
+        (1.0 / (self.outer * self.outer - self.inner * self.inner)) as f32
+    }
+
+    fn sums(&self, center: &Vector2<f64>) -> Option<Sums> {
+        let (outer2, fall) = ((self.outer * self.outer) as f32, self.fall());
+        let background = self.background as f32;
+        let mut lanes = [[0.0_f32; LANES]; 7];
+        for row in self.rows(center)? {
+            // Whole chunks; what they hold beyond the window has no weight.
+            let count = row.count.next_multiple_of(LANES);
+            let first = row.first.min(self.image.width.saturating_sub(count));
+            let pixels = self.image.pixels[row.v * self.image.width + first..].get(..count)?;
+            let start = row.dx - (row.first - first) as f32;
+            let left = outer2 - row.dy * row.dy;
+            for (i, chunk) in pixels.as_chunks::<LANES>().0.iter().enumerate() {
+                let start = start + (i * LANES) as f32;
+                for lane in 0..LANES {
+                    let (dx, value) = (start + lane as f32, chunk[lane]);
+                    let weight = ((left - dx * dx) * fall).clamp(0.0, 1.0);
+                    let light = weight * (value - background);
+                    let inside = f32::from(u8::from(weight > 0.0));
+                    lanes[0][lane] += light;
+                    lanes[1][lane] += light * dx;
+                    lanes[2][lane] += light * row.dy;
+                    lanes[3][lane] += light * (dx * dx + row.dy * row.dy);
+                    lanes[4][lane] += weight;
+                    lanes[5][lane] += inside;
+                    lanes[6][lane] += if value >= 1.0 { inside } else { 0.0 };
                 }
             }
         }
-        Some(())
+        let [light, x, y, square, weights, count, saturated] =
+            lanes.map(|lanes| lanes.iter().map(|&x| f64::from(x)).sum::<f64>());
+        Some(Sums { light, x, y, square, weights, count, saturated })
     }
 
-    fn centroid(&self, center: &Vector2<f64>) -> Option<Vector2<f64>> {
-        let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
-        self.each(center, |dx, dy, weight, value| {
-            let light = weight * (value - self.background);
-            sum += light;
-            x += light * dx;
-            y += light * dy;
-        })?;
-        (sum > 0.0).then(|| center + Vector2::new(x, y) / sum)
+    fn centroid(&self, center: &Vector2<f64>) -> Option<(Vector2<f64>, Sums)> {
+        let sums = self.sums(center)?;
+        let moved = Vector2::new(sums.x, sums.y) / sums.light;
+        (sums.light > 0.0).then_some((center + moved, sums))
     }
 
-    fn describe(&self, node: (i32, i32), center: Vector2<f64>) -> Option<Blob> {
-        let (mut sum, mut weights, mut saturated, mut count) = (0.0, 0.0, 0.0, 0.0);
-        let mut spread = 0.0;
-        let mut variance = 0.0;
-        let opposite = Opposite::new(self.image, &center);
-        self.each(&center, |dx, dy, weight, value| {
-            let light = weight * (value - self.background);
-            sum += light;
-            spread += light * (dx * dx + dy * dy);
-            weights += weight;
-            count += 1.0;
-            saturated += f64::from(u8::from(value >= 1.0));
-            // What differs on both sides of the centre is noise or a fault of symmetry. Each pixel
-            // is met twice, as one and as the other side.
-            let odd = (value - opposite.value(center.x + dx, center.y + dy)) / 2.0;
-            variance += (weight * odd).powi(2) * (dx * dx + dy * dy);
-        })?;
-        // 2 Σ (w x e)² along an axis, here the mean of both axes.
-        let std_dev = variance.sqrt() / sum;
-        (std_dev.is_finite() && sum > 0.0).then_some(Blob {
-            node,
-            center,
-            std_dev,
-            light: sum / weights,
-            spread: spread / sum,
-            saturated: saturated / count,
-        })
+    /// Standard deviation of the centroid per axis, px, from what differs on both sides of it: noise,
+    /// or a fault of symmetry.
+    fn std_dev(&self, center: &Vector2<f64>, light: f64) -> Option<f64> {
+        let (outer2, fall) = ((self.outer * self.outer) as f32, self.fall());
+        let (width, height) = (self.image.width, self.image.height);
+        // A pixel mirrored in the centre lies between four pixels, in the same way for all.
+        let (twice_u, twice_v) = (2.0 * center.x, 2.0 * center.y);
+        let (whole_u, whole_v) = (twice_u.floor(), twice_v.floor());
+        let (du, dv) = ((twice_u - whole_u) as f32, (twice_v - whole_v) as f32);
+        let (whole_u, whole_v) = (whole_u as usize, whole_v as usize);
+        let mut variance = 0.0_f64;
+        // The other half of the rows is the mirror of this.
+        for row in self.rows(center)?.take_while(|row| row.dy < 0.0) {
+            let pixels = &self.image.pixels[row.v * width + row.first..][..row.count];
+            let opposite_v = whole_v - row.v;
+            let last = whole_u - row.first;
+            let first = (last + 1).saturating_sub(row.count);
+            if opposite_v + 1 >= height || last + 1 >= width {
+                continue;
+            }
+            let upper = &self.image.pixels[opposite_v * width + first..][..row.count + 1];
+            let lower = &self.image.pixels[(opposite_v + 1) * width + first..][..row.count + 1];
+            let left = outer2 - row.dy * row.dy;
+            let mut of_row = 0.0_f32;
+            for (i, &value) in pixels.iter().enumerate() {
+                let j = row.count - 1 - i;
+                let above = upper[j] * (1.0 - du) + upper[j + 1] * du;
+                let below = lower[j] * (1.0 - du) + lower[j + 1] * du;
+                let odd = (value - above * (1.0 - dv) - below * dv) * 0.5;
+                let dx = row.dx + i as f32;
+                let weight = ((left - dx * dx) * fall).clamp(0.0, 1.0);
+                of_row += (weight * odd).powi(2) * (dx * dx + row.dy * row.dy);
+            }
+            variance += f64::from(of_row);
+        }
+        // 2 Σ (w x e)² over all pixels along an axis, here the mean of both axes, from half of them.
+        Some((2.0 * variance).sqrt() / light)
     }
 }

@@ -33,6 +33,20 @@ impl Pattern {
         self.basis().determinant().abs().sqrt() / cell_area(self.kind).sqrt()
     }
 
+    /// From lattice positions in pitches to px.
+    pub fn lattice_axes(&self) -> Matrix2<f64> {
+        let root = 3.0_f64.sqrt();
+        match self.kind {
+            LatticeKind::Orthogonal => self.basis(),
+            LatticeKind::HexagonalRows => {
+                Matrix2::from_columns(&[self.along, (self.across * 2.0 - self.along) / root])
+            }
+            LatticeKind::HexagonalColumns => {
+                Matrix2::from_columns(&[(self.across * 2.0 - self.along) / root, self.along])
+            }
+        }
+    }
+
     pub fn basis(&self) -> Matrix2<f64> {
         Matrix2::from_columns(&[self.along, self.across])
     }

@@ -7,7 +7,9 @@
 //! point y beside the micro-image's centre is steeper by (y − M)/d than the ray through the middle, and
 //! to first order the centroid moves in proportion to
 //!
+//! ```text
 //!     X = ⟨y · (y − M)⟩ / 2,
+//! ```
 //!
 //! the mean over the light that is not clipped. Pitch and centre measured at several f-numbers and
 //! extrapolated to X = 0 are free of it, whatever the law.
