@@ -50,6 +50,14 @@ pub fn micro_lens_focal_length(q_prime: f64, micro_lens_pitch: f64, mla_to_senso
     mla_to_sensor * micro_lens_pitch / (2.0 * q_prime)
 }
 
+/// The f-number of a stop as it is engraved (4, 5.6, 8, 11 …): N = √(2^AV) with the aperture value AV
+/// rounded to thirds (paper, section 3.2).
+#[must_use]
+pub fn f_number_of_stop(stop: f64) -> f64 {
+    let thirds = (2.0 * stop.log2() * 3.0).round();
+    (thirds / 3.0 / 2.0).exp2()
+}
+
 /// Ω of a known camera: |m| = dF/2D and q'ᵢ = d ΔC/(2 fᵢ), Eq. (miradiusfnumbermc), with Δc of
 /// Eq. (mlinterdist).
 #[must_use]
@@ -91,6 +99,17 @@ mod tests {
             assert!((lens_to_mla + side * mla_to_sensor - h).abs() < EXACT);
             assert!((mla_to_sensor * f / (2.0 * lens_to_mla) - m).abs() < EXACT);
         }
+    }
+
+    #[test]
+    fn engraved_stops_are_rounded_powers() {
+        for (stop, av) in [(1.4, 1.0), (2.8, 3.0), (4.0, 4.0), (5.6, 5.0), (11.0, 7.0), (22.0, 9.0)]
+        {
+            let expected = 2.0_f64.powf(av).sqrt();
+            assert!((f_number_of_stop(stop) - expected).abs() < EXACT, "{stop}");
+        }
+        // A third of a stop below f/5.6.
+        assert!((f_number_of_stop(6.3) - 2.0_f64.powf(16.0 / 3.0).sqrt()).abs() < EXACT);
     }
 
     /// Table 1, column R12-A "Initial", to all printed digits.

@@ -112,6 +112,10 @@ pub fn calibrate(
     Ok(Calibration {
         camera: refinement.camera.clone(),
         initial,
+        m_mm: match &start {
+            Start::Datasheet(_, internal) => Some(internal.m_mm),
+            Start::Camera(_) => None,
+        },
         poses,
         left_out: frames.left_out,
         grid,

@@ -7,6 +7,7 @@ use nalgebra::Isometry3;
 use crate::calibration::CalibrationOptions;
 use crate::camera::PlenopticCamera;
 use crate::evaluation::{Reprojection, Uncertainty};
+use crate::optics;
 use crate::precalibration::MicroImageArray;
 
 /// One iteration of the refinement.
@@ -106,6 +107,8 @@ pub struct LeftOut {
 pub struct Calibration {
     /// The camera before the refinement.
     pub initial: PlenopticCamera,
+    /// |m| as white images had it, mm; `None` if the start was a calibrated camera.
+    pub m_mm: Option<f64>,
     /// The refined camera.
     pub camera: PlenopticCamera,
     /// The poses of the frames used, by label.
@@ -128,6 +131,16 @@ pub struct Calibration {
     pub options: CalibrationOptions,
     /// What the user should know, in words.
     pub warnings: Vec<String>,
+}
+
+impl Calibration {
+    /// ε_m = (m* − m)/m*: by how much m of the white images falls short of that of the refined camera
+    /// (paper, Table 2).
+    #[must_use]
+    pub fn m_error(&self) -> Option<f64> {
+        let of_camera = optics::internal_parameters(&self.camera).m_mm;
+        self.m_mm.map(|m| (of_camera - m) / of_camera)
+    }
 }
 
 impl fmt::Display for LeftOut {

@@ -10,8 +10,10 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use plenocal::camera::Datasheet;
 use plenocal::image::Color;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project, compote};
+use plenocal::observations::MicroImageCenter;
 use plenocal::precalibration::{
-    Precalibration, PrecalibrationOptions, RadiusEstimator, White, measure_array, precalibrate,
+    ArrayMeasurement, Precalibration, PrecalibrationOptions, RadiusEstimator, White, fit_grid,
+    measure_array, precalibrate,
 };
 use plenocal::{Error, Result, report};
 use rayon::prelude::*;
@@ -23,8 +25,12 @@ use rayon::prelude::*;
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
-    /// Project file (TOML) with [images], or one white image (PNG, TIFF, BMP, PGM, JPEG).
+    /// Project file (TOML) with [images], one white image (PNG, TIFF, BMP, PGM, JPEG), or Raytrix'
+    /// calibration (XML), which gives the centres and lens types as their maker has them.
     input: PathBuf,
+    /// Size of the images that Raytrix' calibration is of, e.g. 2048x2048.
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<(u32, u32)>,
     /// Folder for the results: precalibration.json, centers.csv, radii.svg, micro-images.svg, and
     /// COMPOTE's camera.js and params.js.
     #[arg(long, value_name = "DIR")]
@@ -48,6 +54,13 @@ enum Estimator {
     Moments,
 }
 
+fn size(text: &str) -> std::result::Result<(u32, u32), String> {
+    let parse = |number: &str| number.trim().parse::<u32>().ok().filter(|&n| n > 0);
+    text.split_once('x')
+        .and_then(|(w, h)| Some((parse(w)?, parse(h)?)))
+        .ok_or_else(|| format!("'{text}' is no size; write it as 2048x2048"))
+}
+
 fn color(name: &str) -> std::result::Result<Color, String> {
     serde_json::from_value(serde_json::Value::String(name.to_owned()))
         .map_err(|_| format!("'{name}' is not known"))
@@ -66,9 +79,12 @@ const TICK: Duration = Duration::from_millis(100);
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut output = OutputFolder::new(&arguments.out)?;
-    let project = arguments.input.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
-    let (text, document) = if project {
+    let ends_in =
+        |name: &str| arguments.input.extension().is_some_and(|e| e.eq_ignore_ascii_case(name));
+    let (text, document) = if ends_in("toml") {
         of_project(arguments, &mut output)?
+    } else if ends_in("xml") {
+        of_raytrix(arguments, &mut output)?
     } else {
         of_image(arguments, &mut output)?
     };
@@ -93,10 +109,44 @@ fn of_image(
     let array = measure_array(&image, None)
         .map_err(|e| Error::Content { path: path.clone(), message: e.to_string() })?;
     let half_pitch = array.grid.pitch_px / 2.0;
-    let figure = report::micro_images_figure(&image, &array, &[half_pitch])?;
+    let types = array.lens_types.types;
+    let figure = report::micro_images_figure(&image, &array, &vec![half_pitch; types])?;
     output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))?;
-    output.stage("centers.csv", |out| io::write_measured_centers(out, &array, 1))?;
-    Ok((report::array_text(&array), io::array_document(&array)))
+    output.stage("centers.csv", |out| io::write_measured_centers(out, &array, types))?;
+    let text = format!("{}\n{}", report::array_text(&array), report::types_text(&array.lens_types));
+    Ok((text, io::array_document(&array)))
+}
+
+fn of_raytrix(
+    arguments: &Arguments,
+    output: &mut OutputFolder,
+) -> Result<(String, serde_json::Value)> {
+    let maker = io::read_raytrix(&arguments.input)?;
+    let (width, height) = arguments.size.ok_or_else(|| {
+        Error::Invalid(
+            "Raytrix' calibration does not say how large the images are: give --size".to_owned(),
+        )
+    })?;
+    let typed = maker.centers(width, height)?;
+    let centers: Vec<_> = typed.iter().map(|&(center, _)| center).collect();
+    let count =
+        |index: fn(&MicroImageCenter) -> i32| centers.iter().map(index).max().unwrap_or(-1) + 1;
+    let (columns, rows) = (count(|c| c.k), count(|c| c.l));
+    let grid = fit_grid(&centers, maker.kind, columns, rows)?;
+    output.stage("centers.csv", |out| {
+        writeln!(out, "k,l,u,v,type")?;
+        typed.iter().try_for_each(|(c, lens_type)| {
+            let lens_type = lens_type.map_or(1, |t| t + 1);
+            writeln!(out, "{},{},{},{},{lens_type}", c.k, c.l, c.u_px, c.v_px)
+        })
+    })?;
+    let array = ArrayMeasurement::of_grid(grid, centers, maker.lens_types);
+    let text = format!(
+        "{}\n{} lens types, numbered as in the file.",
+        report::array_text(&array),
+        maker.lens_types
+    );
+    Ok((text, io::array_document(&array)))
 }
 
 fn of_project(
@@ -158,9 +208,9 @@ fn stage(
 }
 
 fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>, Option<White>)> {
-    let named = images.whites.iter().map(|white| (&white.image, white.f_number));
-    let reference = images.devignetting.iter().map(|path| (path, sheet.f_number));
-    let all: Vec<(&PathBuf, f64)> = named.chain(reference).collect();
+    let named = images.whites.iter().map(|white| Ok((&white.image, white.f_number()?)));
+    let reference = images.devignetting.iter().map(|path| Ok((path, sheet.f_number)));
+    let all = named.chain(reference).collect::<Result<Vec<(&PathBuf, f64)>>>()?;
     let mut whites = all
         .par_iter()
         .map(|&(path, f_number)| {

@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 
 use crate::camera::InternalParameters;
 use crate::error::{Error, Result};
-use crate::precalibration::{ArrayMeasurement, Precalibration};
+use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// `format` of the file.
 pub const PRECALIBRATION_FORMAT: &str = "plenocal-precalibration";
@@ -30,10 +30,10 @@ struct InternalFile {
 /// The content of `precalibration.json` where only an array was measured.
 #[must_use]
 pub fn array_document(array: &ArrayMeasurement) -> Value {
-    Value::Object(fields_of_array(array))
+    Value::Object(fields_of_array(array, &array.lens_types))
 }
 
-fn fields_of_array(array: &ArrayMeasurement) -> Map<String, Value> {
+fn fields_of_array(array: &ArrayMeasurement, types: &LensTypes) -> Map<String, Value> {
     let (grid, out) = (&array.grid, &array.left_out);
     let document = json!({
         "format": PRECALIBRATION_FORMAT,
@@ -54,6 +54,11 @@ fn fields_of_array(array: &ArrayMeasurement) -> Map<String, Value> {
             "dark": out.dark,
             "saturated": out.saturated,
             "misplaced": out.misplaced,
+        },
+        "lens_types": {
+            "count": types.types,
+            "separation": types.separation,
+            "agreement": types.agreement,
         },
     });
     match document {
@@ -80,15 +85,7 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
             })
         })
         .collect();
-    let mut fields = fields_of_array(&result.array);
-    fields.insert(
-        "lens_types".to_owned(),
-        json!({
-            "count": result.lens_types.types,
-            "separation": result.lens_types.separation,
-            "agreement": result.lens_types.agreement,
-        }),
-    );
+    let mut fields = fields_of_array(&result.array, &result.lens_types);
     fields.insert(
         "internal_parameters".to_owned(),
         json!({

@@ -10,6 +10,7 @@ use crate::camera::{Board, Configuration, Datasheet, InternalParameters, Sensor}
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::lattice::LatticeKind;
+use crate::optics;
 
 /// A project file. Every table may be left out where a command gets its content another way.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -112,8 +113,25 @@ impl ImagesSection {
 pub struct WhiteImage {
     /// The image.
     pub image: PathBuf,
-    /// The f-number it was taken at.
-    pub f_number: f64,
+    /// The f-number it was taken at, as it is.
+    pub f_number: Option<f64>,
+    /// Instead of it the stop as it is engraved: 5.6 stands for 5.657.
+    pub stop: Option<f64>,
+}
+
+impl WhiteImage {
+    /// The f-number; an error unless it or the stop is given.
+    pub fn f_number(&self) -> Result<f64> {
+        match (self.f_number, self.stop) {
+            (Some(n), None) => Ok(n),
+            (None, Some(stop)) if stop > 0.0 => Ok(optics::f_number_of_stop(stop)),
+            (None, Some(stop)) => Err(Error::invalid(format!("a stop of {stop} is not possible"))),
+            _ => Err(Error::invalid(format!(
+                "the white image {} needs f_number, or stop as it is engraved, and not both",
+                self.image.display()
+            ))),
+        }
+    }
 }
 
 /// `[images.translation]`

@@ -11,6 +11,8 @@ use roxmltree::{Document, Node};
 use super::read_text;
 use crate::error::{Error, Result};
 use crate::lattice::LatticeKind;
+use crate::observations::MicroImageCenter;
+use crate::precalibration::lattice_centers;
 
 /// A micro-image array from a `RayCalibData` file.
 #[derive(Debug, Clone, PartialEq)]
@@ -124,6 +126,24 @@ impl RaytrixCalibration {
         self.steps_px * node - from_first
     }
 
+    /// All centres in an image of so many pixels, with the number of their lens type in the file (from
+    /// 0; `None` if it names none).
+    pub fn centers(
+        &self,
+        width: u32,
+        height: u32,
+    ) -> Result<Vec<(MicroImageCenter, Option<usize>)>> {
+        let origin = Self::middle(width, height) + self.offset_px;
+        let (_, centers) = lattice_centers((width, height), &origin, &self.steps_px)?;
+        let typed =
+            |c: MicroImageCenter| (c, self.lens_type(width, height, Vector2::new(c.u_px, c.v_px)));
+        Ok(centers.into_iter().map(typed).collect())
+    }
+
+    fn middle(width: u32, height: u32) -> Vector2<f64> {
+        Vector2::new(f64::from(width) - 1.0, f64::from(height) - 1.0) / 2.0
+    }
+
     /// Lens type (from 0) of the centre nearest to a position; `None` if the file names no types.
     #[must_use]
     pub fn lens_type(&self, width: u32, height: u32, p: Vector2<f64>) -> Option<usize> {
@@ -135,8 +155,7 @@ impl RaytrixCalibration {
 
     /// The nearest node, and the position from node (0, 0).
     fn nearest(&self, width: u32, height: u32, p: Vector2<f64>) -> (Vector2<f64>, Vector2<f64>) {
-        let middle = Vector2::new(f64::from(width) - 1.0, f64::from(height) - 1.0) / 2.0;
-        let from_first = p - middle - self.offset_px;
+        let from_first = p - Self::middle(width, height) - self.offset_px;
         let place = self.steps_px.try_inverse().unwrap_or_else(Matrix2::zeros) * from_first;
         // On a hexagonal lattice rounding is not always nearest; look around.
         let rounded = place.map(f64::round);

@@ -2,11 +2,12 @@
 
 use std::collections::HashMap;
 
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 
 use super::centers::{Blob, measure, nodes_in};
 use super::grid::{MicroImageArray, fit_grid};
-use super::pattern::{Pattern, find_pattern};
+use super::pattern::{Pattern, find_pattern, of_steps};
+use super::types::{LensTypes, judge_single};
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::lattice::{Lattice, LatticeKind, Parity};
@@ -17,12 +18,32 @@ use crate::observations::MicroImageCenter;
 pub struct ArrayMeasurement {
     /// The regular grid.
     pub grid: MicroImageArray,
+    /// Lens types as far as this image alone shows them.
+    pub lens_types: LensTypes,
     /// The centres that agree with it.
     pub centers: Vec<MicroImageCenter>,
     /// Standard deviation of each centre per axis, px.
     pub std_devs_px: Vec<f64>,
     /// How many micro-images gave no centre, by reason.
     pub left_out: LeftOutCenters,
+}
+
+impl ArrayMeasurement {
+    /// An array that is known from elsewhere, without uncertainty.
+    #[must_use]
+    pub fn of_grid(
+        grid: MicroImageArray,
+        centers: Vec<MicroImageCenter>,
+        lens_types: usize,
+    ) -> Self {
+        Self {
+            grid,
+            lens_types: LensTypes { types: lens_types.max(1), separation: 0.0, agreement: 1.0 },
+            std_devs_px: vec![0.0; centers.len()],
+            centers,
+            left_out: LeftOutCenters::default(),
+        }
+    }
 }
 
 /// Micro-images of the grid that gave no centre.
@@ -61,6 +82,28 @@ const BEYOND: i32 = 2;
 /// shows, or not one of the stated size.
 pub fn measure_array(image: &Image, stated: Option<(i32, i32)>) -> Result<ArrayMeasurement> {
     found_array(image, stated).map(|found| found.array)
+}
+
+/// All centres in an image of `size` (width, height), px, that a known lattice puts there: one of them
+/// at `origin`, the next at the two `steps` (columns, px). Indices count as in [`measure_array`].
+pub fn lattice_centers(
+    size: (u32, u32),
+    origin: &Vector2<f64>,
+    steps: &Matrix2<f64>,
+) -> Result<(LatticeKind, Vec<MicroImageCenter>)> {
+    let pattern = of_steps(steps).ok_or_else(|| {
+        Error::invalid("these steps make neither a hexagonal nor a square lattice")
+    })?;
+    let pattern = Pattern { origin: *origin, ..pattern };
+    let nodes = nodes_in((size.0 as usize, size.1 as usize), &pattern);
+    let labels = Labels::possible(&pattern, &nodes, None)?;
+    let labels = labels.first().ok_or_else(|| Error::invalid("no centre lies in the image"))?;
+    let center = |&(i, j): &(i32, i32)| {
+        let (k, l) = labels.index(&pattern, (i, j));
+        let place = pattern.place(i, j);
+        MicroImageCenter { k, l, u_px: place.x, v_px: place.y }
+    };
+    Ok((pattern.kind, nodes.iter().map(center).collect()))
 }
 
 /// The array with what the next steps need of how it was found.
@@ -154,7 +197,7 @@ impl Labels {
 pub(super) fn found_array(image: &Image, stated: Option<(i32, i32)>) -> Result<FoundArray> {
     let (pattern, blobs) = find(image)?;
     let (blobs, mut left_out) = judge(blobs);
-    let all = nodes_in(image, &pattern);
+    let all = nodes_in((image.width, image.height), &pattern);
     let Some(any) = blobs.first() else {
         return Err(Error::invalid("no micro-image lies wholly in the image"));
     };
@@ -184,8 +227,11 @@ pub(super) fn found_array(image: &Image, stated: Option<(i32, i32)>) -> Result<F
     left_out.misplaced = blobs.len() - centers.len();
     left_out.cut =
         all.len() - centers.len() - left_out.dark - left_out.saturated - left_out.misplaced;
-    let array = ArrayMeasurement { grid, centers, std_devs_px, left_out };
-    Ok(FoundArray { array, pattern, blobs, labels })
+    let lens_types = LensTypes { types: 1, separation: 0.0, agreement: 1.0 };
+    let array = ArrayMeasurement { grid, lens_types, centers, std_devs_px, left_out };
+    let mut found = FoundArray { array, pattern, blobs, labels };
+    found.array.lens_types = judge_single(&found);
+    Ok(found)
 }
 
 /// The pattern, looked for in the middle and then, should that be damaged, in the quarters.

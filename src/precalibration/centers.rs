@@ -44,7 +44,7 @@ const FEWEST: usize = 7;
 /// all; `None` if the pattern does not go on from where it was found.
 pub(super) fn measure(image: &Image, found: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
     let pattern = followed(image, found)?;
-    let blobs = measure_nodes(image, &pattern, nodes_in(image, &pattern));
+    let blobs = measure_nodes(image, &pattern, nodes_in((image.width, image.height), &pattern));
     Some((refit(&pattern, &blobs)?, blobs))
 }
 
@@ -56,7 +56,7 @@ fn followed(image: &Image, found: &Pattern) -> Option<Pattern> {
     let furthest = start.norm().max((right_bottom - start).norm());
     let mut reach = FIRST_REACH * pattern.pitch();
     loop {
-        let mut nodes = nodes_in(image, &pattern);
+        let mut nodes = nodes_in((image.width, image.height), &pattern);
         nodes.retain(|&(i, j)| (pattern.place(i, j) - start).norm() < reach);
         let step = nodes.len().div_ceil(SAMPLE);
         let sample = nodes.into_iter().step_by(step.max(1)).collect();
@@ -71,7 +71,7 @@ fn followed(image: &Image, found: &Pattern) -> Option<Pattern> {
 /// Measures a sample of micro-images all over an image whose pattern is known, and fits that to them;
 /// `None` if it does not show there.
 pub(super) fn measure_sample(image: &Image, pattern: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
-    let nodes = nodes_in(image, pattern);
+    let nodes = nodes_in((image.width, image.height), pattern);
     let step = nodes.len().div_ceil(LARGE_SAMPLE).max(1);
     // Every third in a row would be of one lens type.
     let step = if step.is_multiple_of(3) { step + 1 } else { step };
@@ -83,10 +83,10 @@ fn measure_nodes(image: &Image, pattern: &Pattern, nodes: Vec<(i32, i32)>) -> Ve
     nodes.into_par_iter().filter_map(|node| measure_blob(image, pattern, node)).collect()
 }
 
-/// Nodes in the image.
-pub(super) fn nodes_in(image: &Image, pattern: &Pattern) -> Vec<(i32, i32)> {
+/// Nodes in an image of so many pixels.
+pub(super) fn nodes_in((width, height): (usize, usize), pattern: &Pattern) -> Vec<(i32, i32)> {
     let Some(inverse) = pattern.basis().try_inverse() else { return Vec::new() };
-    let (right, bottom) = (image.width as f64 - 1.0, image.height as f64 - 1.0);
+    let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)]
         .map(|(u, v)| inverse * (Vector2::new(u, v) - pattern.origin));
     let low = corners.iter().fold(corners[0], |a, b| a.inf(b));
@@ -323,8 +323,8 @@ impl Window<'_> {
             if opposite_v + 1 >= height || last + 1 >= width {
                 continue;
             }
-            let upper = &self.image.pixels[opposite_v * width + first..][..row.count + 1];
-            let lower = &self.image.pixels[(opposite_v + 1) * width + first..][..row.count + 1];
+            let upper = &self.image.pixels[opposite_v * width + first..][..=row.count];
+            let lower = &self.image.pixels[(opposite_v + 1) * width + first..][..=row.count];
             let left = outer2 - row.dy * row.dy;
             let mut of_row = 0.0_f32;
             for (i, &value) in pixels.iter().enumerate() {

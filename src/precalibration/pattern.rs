@@ -272,7 +272,12 @@ impl Crop {
 /// The hexagonal or square lattice that has two frequencies, if there is one.
 fn regular_lattice(first: &Vector2<f64>, second: &Vector2<f64>) -> Option<Pattern> {
     let frequencies = Matrix2::from_columns(&[*first, *second]);
-    let steps = frequencies.transpose().try_inverse()?;
+    of_steps(&frequencies.transpose().try_inverse()?)
+}
+
+/// The hexagonal or square lattice that two steps (columns, px) make, if they make one; its origin is
+/// at (0, 0).
+pub(super) fn of_steps(steps: &Matrix2<f64>) -> Option<Pattern> {
     // Gauss' reduction: the two shortest steps.
     let (mut a, mut b) = (steps.column(0).into_owned(), steps.column(1).into_owned());
     loop {

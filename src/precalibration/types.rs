@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use super::array::FoundArray;
 use super::radii::TypeRadius;
+use crate::lattice::LatticeKind;
 
 /// Lens types as the micro-images show them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,6 +25,37 @@ const DIFFERENT: f64 = 8.0;
 const DIFFERENT_PART: f64 = 0.005;
 /// Neighbours up to so many nodes away tell what size a type has there.
 const NEAR: i32 = 3;
+
+/// Judges the sizes of the three colours in one white image, from their second moments.
+pub(super) fn judge_single(found: &FoundArray) -> LensTypes {
+    let one = LensTypes { types: 1, separation: 0.0, agreement: 1.0 };
+    let lattice = &found.array.grid.lattice;
+    if lattice.kind == LatticeKind::Orthogonal {
+        return one;
+    }
+    let mut sums = [[0.0_f64; 3]; 3];
+    for blob in &found.blobs {
+        let (k, l) = found.index(blob.node);
+        let sum = &mut sums[lattice.lens_type(k, l, 3)];
+        sum[0] += 1.0;
+        sum[1] += blob.spread;
+        sum[2] += blob.spread * blob.spread;
+    }
+    let of_color = sums.map(|[count, sum, square]| {
+        let mean = sum / count;
+        (mean, ((square / count - mean * mean).max(0.0) / count).sqrt())
+    });
+    let pairs = [(0, 1), (1, 2), (2, 0)].map(|(a, b): (usize, usize)| {
+        let apart = (of_color[a].0 - of_color[b].0).abs();
+        (apart / of_color[a].1.hypot(of_color[b].1).max(1e-9), apart / of_color[a].0)
+    });
+    // A second moment grows with the square of the radius.
+    if !pairs.iter().any(|&(s, part)| s > DIFFERENT && part > 2.0 * DIFFERENT_PART) {
+        return one;
+    }
+    let separation = pairs.iter().map(|&(s, _)| s).fold(f64::INFINITY, f64::min);
+    LensTypes { types: 3, separation, agreement: agreement(found) }
+}
 
 /// Judges the radii of the three colours in every white image.
 pub(super) fn judge_types(images: &[Vec<TypeRadius>], found: &FoundArray) -> LensTypes {

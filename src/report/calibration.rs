@@ -187,6 +187,15 @@ fn summary(calibration: &Calibration) -> String {
         "Spread per coordinate after weighting by the loss, on which σ rests (below the noise)"
     };
     let _ = writeln!(text, "{what}, px: {}.", sigmas.join("; "));
+    if let (Some(m), Some(error)) = (calibration.m_mm, calibration.m_error()) {
+        let _ = writeln!(
+            text,
+            "|m| of the white images is {:.3} µm, of this camera {:.3} µm: error {:.2} %.",
+            m * 1e3,
+            m / (1.0 - error) * 1e3,
+            100.0 * error
+        );
+    }
     let directions = weakest_directions_text(calibration);
     if !directions.is_empty() {
         let _ = writeln!(text, "Weakest directions:");
@@ -310,6 +319,7 @@ pub fn calibration_json(calibration: &Calibration, time_s: f64) -> Value {
         "rmse": rmse,
         "rmse_by_frame": frames,
         "rmse_by_lens_type": types,
+        "m_error": calibration.m_error(),
         "initial_centers_rmse": calibration.initial_centers_rmse_px,
         "noise": {
             "uv": uv,

@@ -10,4 +10,4 @@ pub use calibration::{
     weakest_directions_text,
 };
 pub use figures::{micro_images_figure, radii_figure};
-pub use precalibration::{array_text, precalibration_text};
+pub use precalibration::{array_text, precalibration_text, types_text};

@@ -3,23 +3,12 @@
 use comfy_table::Table;
 
 use super::table::table;
-use crate::precalibration::{ArrayMeasurement, Precalibration};
+use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// The result of a pre-calibration on a terminal: array, lens types, radii, internal parameters.
 #[must_use]
 pub fn precalibration_text(result: &Precalibration) -> String {
-    let types = &result.lens_types;
-    let types = if types.types == 1 {
-        "One lens type.".to_owned()
-    } else {
-        format!(
-            "{} lens types, {:.0} standard deviations apart; {:.2} % of the micro-images have the \
-             size of their type.",
-            types.types,
-            types.separation,
-            100.0 * types.agreement
-        )
-    };
+    let types = types_text(&result.lens_types);
     let correction = format!(
         "The pitch is free of shading, which had changed it by {:.1e}.",
         -result.pitch_correction
@@ -30,6 +19,21 @@ pub fn precalibration_text(result: &Precalibration) -> String {
         parameters_table(result).to_string(),
     ]
     .join("\n\n")
+}
+
+/// Lens types on a terminal.
+#[must_use]
+pub fn types_text(types: &LensTypes) -> String {
+    if types.types == 1 {
+        return "One lens type, or several that cannot be told apart by size.".to_owned();
+    }
+    format!(
+        "{} lens types, {:.0} standard deviations apart; {:.2} % of the micro-images have the size of \
+         their type.",
+        types.types,
+        types.separation,
+        100.0 * types.agreement
+    )
 }
 
 /// The array on a terminal.

@@ -360,6 +360,9 @@ fn bad_projects_and_images_are_refused_in_words() {
     };
     with("bayer-rggb", "bayer-gbrg").stderr(contains("another mosaic is in it"));
     with("\"bayer-rggb\"", "\"grey\"").stderr(contains("alternate in brightness"));
+    // A stop as it is engraved stands for its f-number.
+    with("f_number = 8\n", "stop = 8\n").success().stderr("");
+    with("f_number = 8\n", "stop = 5.6\n").success().stderr(contains("check its f-number"));
     fs::remove_dir_all(&out).unwrap();
     with("\"bayer-rggb\"", "\"rgb\"").code(1).stderr(contains("has 1 channel(s)"));
     with("width_px = 1000", "width_px = 1001")
@@ -367,6 +370,8 @@ fn bad_projects_and_images_are_refused_in_words() {
         .stderr(contains("but the sensor 1001 x 750"));
     with("columns = 43", "columns = 50").code(1).stderr(contains("50 x 37 micro-lenses"));
     with("hexagonal-rows", "hexagonal-columns").code(1).stderr(contains("'hexagonal-columns'"));
+    with("f_number = 8\n", "f_number = 8\nstop = 8\n").code(1).stderr(contains("and not both"));
+    with("f_number = 8\n", "stop = -8\n").code(1).stderr(contains("a stop of -8"));
     with("[images]", "[pictures]").code(1).stderr(contains("other.toml"));
     with("devignetting.png", "gone.png").code(1).stderr(contains("gone.png"));
     let bytes = fs::read(set.join("devignetting.png")).unwrap();
@@ -415,4 +420,30 @@ fn origami_agrees_with_its_maker() {
     }
     let rms = (square / array.centers.len() as f64).sqrt();
     assert!(rms < 1.5, "{rms} px");
+
+    // The three types show in the sizes of the micro-images, and are the maker's.
+    println!("{:?}", array.lens_types);
+    assert_eq!(array.lens_types.types, 3);
+    let mut counts = [[0; 3]; 3];
+    for c in &array.centers {
+        let ours = array.grid.lattice.lens_type(c.k, c.l, 3);
+        let makers = maker.lens_type(2048, 2048, Vector2::new(c.u_px, c.v_px)).unwrap();
+        counts[ours][makers] += 1;
+    }
+    for row in counts {
+        let all: usize = row.iter().sum();
+        assert!(row.iter().any(|&n| n * 100 > all * 98), "{counts:?}");
+    }
+
+    let folder_out = TempDir::new().unwrap();
+    let xml = Path::new(&folder).join("origami.calib.xml");
+    run(&xml, folder_out.path()).code(1).stderr(contains("give --size"));
+    plenocal()
+        .arg("precalibrate")
+        .arg(&xml)
+        .args(["--size", "2048x2048", "--out"])
+        .arg(folder_out.path())
+        .assert()
+        .success()
+        .stdout(contains("hexagonal-columns").and(contains("pitch 23.202")));
 }

@@ -43,6 +43,12 @@ fn with_noise_the_truth_lies_within_the_predicted_uncertainty() {
     let calibration = run(&datasheet_start(), &shipped_observations(), &options());
     assert!(calibration.converged);
     assert!(calibration.left_out.is_empty() && calibration.warnings.is_empty());
+    // The shipped project states 0.1432 mm; the true camera has dF/2D.
+    let m = truth.mla.mla_to_sensor_mm * truth.main_lens.focal_length_mm
+        / (2.0 * truth.mla.lens_to_mla_mm);
+    let expected = 1.0 - 0.1432 / m;
+    // d is known to 0.24 % here.
+    assert!((calibration.m_error().unwrap() - expected).abs() < FOUR_SIGMA * 0.0024);
     let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
     for ((name, value, truth), std_dev) in pairs(&calibration.camera, &truth).iter().zip(std_devs) {
         match std_dev {
