@@ -1,11 +1,11 @@
 //! The micro-image array of a white image as one step: from pixels to centres and grid.
 
-use std::collections::HashMap;
-
 use nalgebra::{Matrix2, Vector2};
+use rayon::prelude::*;
 
 use super::centers::{Blob, measure, nodes_in};
 use super::grid::{MicroImageArray, fit_grid};
+use super::nodes::ByNode;
 use super::pattern::{Pattern, find_pattern, of_steps};
 use super::types::{LensTypes, judge_single};
 use crate::error::{Error, Result};
@@ -261,24 +261,22 @@ fn find(image: &Image) -> Result<(Pattern, Vec<Blob>)> {
 
 /// Sorts out what is dark or saturated.
 fn judge(blobs: Vec<Blob>) -> (Vec<Blob>, LeftOutCenters) {
-    let light: HashMap<(i32, i32), f64> = blobs.iter().map(|b| (b.node, b.light)).collect();
-    let mut left_out = LeftOutCenters::default();
-    let neighbours = |(i, j): (i32, i32)| {
-        let near = (-2..=2).flat_map(move |dj| (-2..=2).map(move |di| (i + di, j + dj)));
-        let mut near: Vec<f64> =
-            near.filter(|&n| n != (i, j)).filter_map(|n| light.get(&n).copied()).collect();
+    let light: Vec<((i32, i32), f64)> = blobs.iter().map(|b| (b.node, b.light)).collect();
+    let light = ByNode::new(&light);
+    let typical = |node: (i32, i32)| {
+        let mut near: Vec<f64> = light.around(node, 2).collect();
         let middle = near.len() / 2;
         (!near.is_empty()).then(|| *near.select_nth_unstable_by(middle, f64::total_cmp).1)
     };
-    let blobs = blobs
-        .into_iter()
-        .filter(|blob| {
-            let dark = neighbours(blob.node).is_some_and(|typical| blob.light < DARK * typical);
-            let saturated = blob.saturated > SATURATED;
-            left_out.dark += usize::from(dark);
-            left_out.saturated += usize::from(saturated && !dark);
-            !dark && !saturated
-        })
-        .collect();
-    (blobs, left_out)
+    let is_dark = |blob: &Blob| typical(blob.node).is_some_and(|t| blob.light < DARK * t);
+    let dark: Vec<bool> = blobs.par_iter().map(is_dark).collect();
+    let mut left_out = LeftOutCenters::default();
+    let good = blobs.into_iter().zip(dark).filter(|(blob, dark)| {
+        let saturated = !dark && blob.saturated > SATURATED;
+        left_out.dark += usize::from(*dark);
+        left_out.saturated += usize::from(saturated);
+        !dark && !saturated
+    });
+    let good = good.map(|(blob, _)| blob).collect();
+    (good, left_out)
 }

@@ -5,6 +5,7 @@ mod array;
 mod centers;
 mod grid;
 mod internal;
+mod nodes;
 mod pattern;
 mod profile;
 mod radii;

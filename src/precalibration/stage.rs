@@ -123,10 +123,10 @@ pub fn precalibrate(
     };
     let first = fit(&mut measurements(whites, &by_profile), found.array.grid.pitch_px)?;
     let of_reference: Vec<Profile> =
-        nodes.iter().map(|n| profile_at(&reference.image, &found.pattern, n)).collect();
+        nodes.par_iter().map(|n| profile_at(&reference.image, &found.pattern, n)).collect();
     let moments = Moments { internal: &first.parameters, grid: &found.array.grid, options };
     let of_images: Vec<Vec<f64>> = whites
-        .iter()
+        .par_iter()
         .zip(&by_profile)
         .map(|(white, radii)| moments.of_image(white.f_number, radii.iter().map(|r| &r.profile)))
         .collect();

@@ -1,8 +1,9 @@
 //! How many lens types there are, and whether they follow the lattice's colouring.
 
-use std::collections::HashMap;
+use rayon::prelude::*;
 
 use super::array::FoundArray;
+use super::nodes::ByNode;
 use super::radii::TypeRadius;
 use crate::lattice::LatticeKind;
 
@@ -77,7 +78,10 @@ pub(super) fn judge_types(images: &[Vec<TypeRadius>], found: &FoundArray) -> Len
     if !different {
         return one;
     }
-    LensTypes { types: 3, separation: best, agreement: agreement(found) }
+    // The reference image was judged already, unless its types did not show.
+    let single = &found.array.lens_types;
+    let agreement = if single.types == 3 { single.agreement } else { agreement(found) };
+    LensTypes { types: 3, separation: best, agreement }
 }
 
 /// Part of the micro-images that look like their own colour.
@@ -87,23 +91,17 @@ fn agreement(found: &FoundArray) -> f64 {
         let (k, l) = found.index(node);
         lattice.lens_type(k, l, 3)
     };
-    let spread: HashMap<(i32, i32), f64> =
-        found.blobs.iter().map(|blob| (blob.node, blob.spread)).collect();
-    let agrees = |node: (i32, i32), own: f64| {
+    let sizes: Vec<((i32, i32), (usize, f64))> =
+        found.blobs.iter().map(|blob| (blob.node, (color(blob.node), blob.spread))).collect();
+    let by_node = ByNode::new(&sizes);
+    let agrees = |&&(node, (own_color, own)): &&((i32, i32), (usize, f64))| {
         let (mut sums, mut counts) = ([0.0; 3], [0.0; 3]);
-        for other in (-NEAR..=NEAR)
-            .flat_map(|dj| (-NEAR..=NEAR).map(move |di| (node.0 + di, node.1 + dj)))
-            .filter(|&other| other != node)
-        {
-            if let Some(spread) = spread.get(&other) {
-                sums[color(other)] += spread;
-                counts[color(other)] += 1.0;
-            }
+        for (color, spread) in by_node.around(node, NEAR) {
+            sums[color] += spread;
+            counts[color] += 1.0;
         }
         let off = |c: usize| (sums[c] / counts[c] - own).abs();
-        let nearest = (0..3).min_by(|&a, &b| off(a).total_cmp(&off(b)));
-        nearest == Some(color(node))
+        (0..3).min_by(|&a, &b| off(a).total_cmp(&off(b))) == Some(own_color)
     };
-    let agreeing = found.blobs.iter().filter(|blob| agrees(blob.node, blob.spread)).count();
-    agreeing as f64 / found.blobs.len().max(1) as f64
+    sizes.par_iter().filter(agrees).count() as f64 / sizes.len().max(1) as f64
 }
