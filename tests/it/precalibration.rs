@@ -76,6 +76,13 @@ fn assert_right(name: &str, settings: &Settings, result: &Precalibration) {
     let (rms, pitch, rotation) = compare(settings, &result.array);
     println!("{name}: centres {rms:.4} px RMS, pitch {pitch:+.1e}, rotation {rotation:+.1e} rad");
     assert!(rms < CENTERS_PX, "{name}: {rms} px");
+    // What is not symmetric about a centre tells how far off it may be; grids of pixels and what is
+    // left of shading add to it.
+    let std_devs = &result.array.std_devs_px;
+    let square = std_devs.iter().map(|s| s * s).sum::<f64>() / std_devs.len() as f64;
+    let ratio = rms / (2.0 * square).sqrt();
+    println!("{name}: error over standard deviation {ratio:.2}");
+    assert!((0.5..2.0).contains(&ratio), "{name}: {ratio}");
     assert!(pitch.abs() < PITCH, "{name}: {pitch}");
     assert!(rotation.abs() < ROTATION, "{name}: {rotation}");
     let truth = optics::internal_parameters(&settings.camera);
