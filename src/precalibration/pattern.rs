@@ -285,10 +285,13 @@ pub(super) fn of_steps(steps: &Matrix2<f64>) -> Option<Pattern> {
             std::mem::swap(&mut a, &mut b);
         }
         let times = (a.dot(&b) / a.norm_squared()).round();
-        if times == 0.0 || !times.is_finite() {
+        let shorter = b - a * times;
+        // Steps at exactly 60 degrees are as long after a round as before it.
+        let gains = shorter.norm_squared() < b.norm_squared() * (1.0 - 1e-9);
+        if !gains {
             break;
         }
-        b -= a * times;
+        b = shorter;
     }
     if !PITCHES.contains(&a.norm()) || (b.norm() / a.norm() - 1.0).abs() > REGULAR {
         return None;
