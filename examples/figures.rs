@@ -10,7 +10,7 @@ use std::path::Path;
 use image::imageops::{FilterType, crop_imm, replace, resize};
 use image::{DynamicImage, GrayImage, ImageFormat, Luma};
 use plenocal::Result;
-use plenocal::image::RawImage;
+use plenocal::image::{RawImage, Samples};
 use plenocal::io::{OutputFolder, PRESETS, preset_settings};
 use plenocal::simulation::{DataSet, Imaging, Shot};
 
@@ -21,10 +21,8 @@ const ENLARGED: u32 = 4;
 const GAP: u32 = 8;
 
 fn grey(raw: &RawImage) -> GrayImage {
-    GrayImage::from_fn(raw.width as u32, raw.height as u32, |u, v| {
-        let sample = raw.samples[v as usize * raw.width + u as usize];
-        Luma([u8::try_from(sample).expect("an 8-bit image")])
-    })
+    let Samples::Bits8(samples) = &raw.samples else { panic!("an 8-bit image") };
+    GrayImage::from_raw(raw.width as u32, raw.height as u32, samples.clone()).expect("its size")
 }
 
 /// Crops about (u, v), enlarged without smoothing, side by side.

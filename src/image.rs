@@ -79,7 +79,16 @@ impl Color {
     }
 }
 
-/// An image as a camera delivers it: whole numbers from 0 to `2^bits − 1`.
+/// Samples as a camera delivers them: whole numbers from 0 to 255, or to 65 535.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Samples {
+    /// Of 8 bits.
+    Bits8(Vec<u8>),
+    /// Of 16 bits.
+    Bits16(Vec<u16>),
+}
+
+/// An image as a camera delivers it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RawImage {
     /// Width, px.
@@ -88,106 +97,61 @@ pub struct RawImage {
     pub height: usize,
     /// What the samples stand for.
     pub color: Color,
-    /// 8 or 16.
-    pub bits: u32,
     /// `width · height · color.samples()` values, row by row.
-    pub samples: Vec<u16>,
+    pub samples: Samples,
 }
 
 /// Samples from here on, in parts of full scale, are too near to it to tell colours by.
 const NEARLY_FULL: f64 = 0.95;
 /// Samples below this part of full scale are mostly noise.
 const NEARLY_DARK: f64 = 0.02;
+/// Pairs of rows all over an image that tell how its channels compare.
+const COMPARED: usize = 256;
 
 impl RawImage {
+    /// Bits of a sample: 8 or 16.
+    #[must_use]
+    pub fn bits(&self) -> u32 {
+        match self.samples {
+            Samples::Bits8(_) => 8,
+            Samples::Bits16(_) => 16,
+        }
+    }
+
     /// The largest value that a sample can have.
     #[must_use]
     pub fn full_scale(&self) -> f64 {
-        f64::from((1_u32 << self.bits) - 1)
+        f64::from((1_u32 << self.bits()) - 1)
     }
 
-    /// The image in grey, linear from 0 to 1, at full resolution.
-    ///
-    /// Light is taken to be neutral: channels are amplified so that all respond as the strongest one
-    /// does, by the sums over places where none is full. Then all are cut at 1, where the strongest
-    /// one is full, so that a pixel of 1 is a saturated one, whatever its colour.
+    /// The image as grey values, to be taken whole or in parts.
+    #[must_use]
+    pub fn grey(&self) -> Grey<'_> {
+        Grey { raw: self, gains: self.channel_gains() }
+    }
+
+    /// The whole image in grey, see [`Grey`].
     #[must_use]
     pub fn to_grey(&self) -> Image {
-        let gains = self.channel_gains();
-        let scale = 1.0 / self.full_scale();
-        // Sample by channel to grey value, for every value that there is.
-        let tables: Vec<Vec<f32>> = gains
-            .iter()
-            .map(|gain| {
-                let value = |sample: u32| (f64::from(sample) * scale * gain).min(1.0);
-                #[allow(clippy::cast_possible_truncation)] // samples have 16 bits at most
-                let table = (0..1_u32 << self.bits).map(|sample| value(sample) as f32);
-                table.collect()
-            })
-            .collect();
-        let look_up = |channel: usize, sample: u16| tables[channel][usize::from(sample)];
-        let pixels = match self.color {
-            Color::Grey => self.samples.par_iter().map(|&s| look_up(0, s)).collect(),
-            Color::Rgb => {
-                let mean = |rgb: &[u16]| {
-                    (0..3).map(|channel| look_up(channel, rgb[channel])).sum::<f32>() / 3.0
-                };
-                self.samples.par_chunks_exact(3).map(mean).collect()
-            }
-            mosaic => {
-                let row = |(v, row): (usize, &[u16])| {
-                    let value = |(u, &s): (usize, &u16)| {
-                        look_up(mosaic.mosaic(u, v).unwrap_or_default(), s)
-                    };
-                    row.iter().enumerate().map(value).collect::<Vec<f32>>()
-                };
-                self.samples.par_chunks_exact(self.width).enumerate().flat_map_iter(row).collect()
-            }
-        };
-        Image { width: self.width, height: self.height, pixels }
+        self.grey().part(0, 0, self.width, self.height)
     }
 
-    /// Amplification of each channel: of red, green and blue, or of grey alone.
-    fn channel_gains(&self) -> Vec<f64> {
-        let channels = if self.color == Color::Grey { 1 } else { 3 };
-        if channels == 1 {
-            return vec![1.0];
-        }
-        let usable = NEARLY_DARK * self.full_scale()..NEARLY_FULL * self.full_scale();
-        let mut sums = vec![(0.0, 0.0); channels];
-        let mut add = |place: &[(usize, u16)]| {
-            if place.iter().all(|&(_, sample)| usable.contains(&f64::from(sample))) {
-                for &(channel, sample) in place {
-                    sums[channel].0 += f64::from(sample);
+    /// Amplification of red, green and blue.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as grey values
+    fn channel_gains(&self) -> [f32; 3] {
+        let mut sums = [(0.0, 0.0); 3];
+        if self.color != Color::Grey {
+            self.compared(|place| {
+                for &(channel, part) in place {
+                    sums[channel].0 += part;
                     sums[channel].1 += 1.0;
                 }
-            }
-        };
-        if self.color == Color::Rgb {
-            for rgb in self.samples.chunks_exact(3) {
-                add(&[(0, rgb[0]), (1, rgb[1]), (2, rgb[2])]);
-            }
-        } else {
-            for (v, rows) in self.samples.chunks_exact(2 * self.width).enumerate() {
-                let (upper, lower) = rows.split_at(self.width);
-                let squares = upper.chunks_exact(2).zip(lower.chunks_exact(2)).enumerate();
-                for (u, (upper, lower)) in squares {
-                    let channel = |u, v| self.color.mosaic(u, v).unwrap_or_default();
-                    let (u, v) = (2 * u, 2 * v);
-                    add(&[
-                        (channel(u, v), upper[0]),
-                        (channel(u + 1, v), upper[1]),
-                        (channel(u, v + 1), lower[0]),
-                        (channel(u + 1, v + 1), lower[1]),
-                    ]);
-                }
-            }
+            });
         }
-        let means: Vec<f64> = sums.iter().map(|&(sum, count)| sum / count).collect();
+        let means = sums.map(|(sum, count)| sum / count);
         let strongest = means.iter().copied().fold(f64::NAN, f64::max);
         // Nothing to go by: an image all dark or full.
-        let gain = |mean: &f64| if *mean > 0.0 { strongest / mean } else { 1.0 };
-        means.iter().map(gain).collect()
+        means.map(|mean| if mean > 0.0 { (strongest / mean) as f32 } else { 1.0 })
     }
 
     /// Means of the samples at even and odd columns of even rows, then of odd rows, over places where
@@ -198,23 +162,132 @@ impl RawImage {
         if self.color == Color::Rgb {
             return None;
         }
-        let usable = NEARLY_DARK * self.full_scale()..NEARLY_FULL * self.full_scale();
         let (mut sums, mut count) = ([0.0; 4], 0.0);
-        for rows in self.samples.chunks_exact(2 * self.width) {
-            let (upper, lower) = rows.split_at(self.width);
+        self.compared(|square| {
+            count += 1.0;
+            for (sum, &(_, part)) in sums.iter_mut().zip(square) {
+                *sum += part;
+            }
+        });
+        (count > 0.0).then(|| sums.map(|sum| sum / count))
+    }
+
+    /// Calls with the channels and samples, in parts of full scale, of many places all over the image
+    /// where none is full or dark: pixels of an RGB image, squares of four pixels of any other.
+    fn compared(&self, visit: impl FnMut(&[(usize, f64)])) {
+        match &self.samples {
+            Samples::Bits8(samples) => self.compared_of(samples, visit),
+            Samples::Bits16(samples) => self.compared_of(samples, visit),
+        }
+    }
+
+    fn compared_of<T: Copy + Into<f64>>(
+        &self,
+        samples: &[T],
+        mut visit: impl FnMut(&[(usize, f64)]),
+    ) {
+        let full_scale = self.full_scale();
+        let part = |sample: T| sample.into() / full_scale;
+        let mut visit_usable = |place: &[(usize, f64)]| {
+            if place.iter().all(|(_, part)| (NEARLY_DARK..NEARLY_FULL).contains(part)) {
+                visit(place);
+            }
+        };
+        let per_row = self.width * self.color.samples();
+        let step = (self.height / (2 * COMPARED)).max(1);
+        let channel = |u, v| self.color.mosaic(u, v).unwrap_or_default();
+        let square = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(u, v)| channel(u, v));
+        for rows in samples.chunks_exact(2 * per_row).step_by(step) {
+            if self.color == Color::Rgb {
+                for rgb in rows.chunks_exact(3) {
+                    visit_usable(&[(0, part(rgb[0])), (1, part(rgb[1])), (2, part(rgb[2]))]);
+                }
+                continue;
+            }
+            let (upper, lower) = rows.split_at(per_row);
             for (upper, lower) in upper.chunks_exact(2).zip(lower.chunks_exact(2)) {
-                let square = [upper[0], upper[1], lower[0], lower[1]].map(f64::from);
-                if square.iter().all(|sample| usable.contains(sample)) {
-                    count += 1.0;
-                    for (sum, sample) in sums.iter_mut().zip(square) {
-                        *sum += sample;
+                visit_usable(&[
+                    (square[0], part(upper[0])),
+                    (square[1], part(upper[1])),
+                    (square[2], part(lower[0])),
+                    (square[3], part(lower[1])),
+                ]);
+            }
+        }
+    }
+}
+
+/// A raw image seen in grey, linear from 0 to 1, at full resolution.
+///
+/// Light is taken to be neutral: channels are amplified so that all respond as the strongest one
+/// does, by the sums over places where none is full. Then all are cut at 1, where the strongest one is
+/// full, so that a pixel of 1 is a saturated one, whatever its colour.
+#[derive(Debug, Clone, Copy)]
+pub struct Grey<'a> {
+    raw: &'a RawImage,
+    gains: [f32; 3],
+}
+
+impl Grey<'_> {
+    /// A part of the image, cut at its borders.
+    #[must_use]
+    pub fn part(&self, left: usize, top: usize, width: usize, height: usize) -> Image {
+        match &self.raw.samples {
+            Samples::Bits8(samples) => self.part_of(samples, (left, top), (width, height)),
+            Samples::Bits16(samples) => self.part_of(samples, (left, top), (width, height)),
+        }
+    }
+
+    #[allow(clippy::cast_possible_truncation)] // full scale has 16 bits
+    fn part_of<T: Copy + Into<f32> + Sync>(
+        &self,
+        samples: &[T],
+        (left, top): (usize, usize),
+        (width, height): (usize, usize),
+    ) -> Image {
+        let raw = self.raw;
+        let (right, bottom) = (raw.width.min(left + width), raw.height.min(top + height));
+        let (width, height) = (right.saturating_sub(left), bottom.saturating_sub(top));
+        let full_scale = raw.full_scale() as f32;
+        // Full scale over itself is 1 exactly; its reciprocal times itself may not be.
+        let value = |sample: T, gain: f32| (sample.into() / full_scale * gain).min(1.0);
+        let per_pixel = raw.color.samples();
+        let fill = |(row, pixels): (usize, &mut [f32])| {
+            let v = top + row;
+            let samples = &samples[(v * raw.width + left) * per_pixel..][..width * per_pixel];
+            match raw.color {
+                Color::Grey => {
+                    pixels.iter_mut().zip(samples).for_each(|(p, &s)| *p = value(s, 1.0));
+                }
+                Color::Rgb => {
+                    for (pixel, rgb) in pixels.iter_mut().zip(samples.chunks_exact(3)) {
+                        let sum: f32 = (0..3).map(|c| value(rgb[c], self.gains[c])).sum();
+                        *pixel = sum / 3.0;
+                    }
+                }
+                mosaic => {
+                    let gain = |u| self.gains[mosaic.mosaic(u, v).unwrap_or_default()];
+                    let gains = [gain(left), gain(left + 1)];
+                    for (u, (pixel, &sample)) in pixels.iter_mut().zip(samples).enumerate() {
+                        *pixel = value(sample, gains[u % 2]);
                     }
                 }
             }
+        };
+        let mut pixels = vec![0.0; width * height];
+        if width > 0 {
+            pixels
+                .par_chunks_exact_mut(width)
+                .enumerate()
+                .with_min_len(SIDE_BY_SIDE)
+                .for_each(fill);
         }
-        (count > 0.0).then(|| sums.map(|sum| sum / count / self.full_scale()))
+        Image { width, height, pixels }
     }
 }
+
+/// Fewer rows are not worth a second thread.
+const SIDE_BY_SIDE: usize = 128;
 
 #[cfg(test)]
 mod tests {
@@ -232,7 +305,7 @@ mod tests {
             sample
         };
         let samples = (0..2 * width).map(sample).collect();
-        RawImage { width, height: 2, color, bits: 16, samples }
+        RawImage { width, height: 2, color, samples: Samples::Bits16(samples) }
     }
 
     #[test]

@@ -203,7 +203,8 @@ fn stage(
     let middle = whites.len() / 2;
     let shown: Vec<f64> =
         result.radii[middle * types..(middle + 1) * types].iter().map(|r| r.radius_px).collect();
-    let figure = report::micro_images_figure(&whites[middle].image, &result.array, &shown)?;
+    let figure =
+        report::micro_images_figure(&whites[middle].image.to_grey(), &result.array, &shown)?;
     output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))
 }
 
@@ -225,7 +226,7 @@ fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>,
                     ),
                 });
             }
-            Ok(White { name: path.display().to_string(), f_number, image: raw.to_grey() })
+            Ok(White { name: path.display().to_string(), f_number, image: raw })
         })
         .collect::<Result<Vec<White>>>()?;
     let reference = images.devignetting.as_ref().and_then(|_| whites.pop());

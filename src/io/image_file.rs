@@ -1,5 +1,6 @@
 //! Image files.
 
+use std::borrow::Cow;
 use std::io::{self, BufReader, Write};
 use std::path::Path;
 
@@ -7,7 +8,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageReader};
 
 use crate::error::{Error, Result};
-use crate::image::{Color, RawImage};
+use crate::image::{Color, RawImage, Samples};
 
 /// Reads a PNG, TIFF, BMP, PGM/PPM or JPEG file of 8 or 16 bits; transparency is passed over.
 ///
@@ -22,16 +23,19 @@ pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
         .decode()
         .map_err(|e| Error::content(path, format!("this image cannot be read: {e}")))?;
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
-    let wide = |samples: Vec<u8>| samples.into_iter().map(u16::from).collect();
-    let (stored, bits, samples): (Color, u32, Vec<u16>) = match decoded {
-        DynamicImage::ImageLuma8(image) => (Color::Grey, 8, wide(image.into_raw())),
-        DynamicImage::ImageLuma16(image) => (Color::Grey, 16, image.into_raw()),
-        DynamicImage::ImageRgb16(image) => (Color::Rgb, 16, image.into_raw()),
-        DynamicImage::ImageRgba16(_) => (Color::Rgb, 16, decoded.into_rgb16().into_raw()),
-        DynamicImage::ImageLumaA8(_) => (Color::Grey, 8, wide(decoded.into_luma8().into_raw())),
-        DynamicImage::ImageLumaA16(_) => (Color::Grey, 16, decoded.into_luma16().into_raw()),
-        DynamicImage::ImageRgb8(image) => (Color::Rgb, 8, wide(image.into_raw())),
-        other => (Color::Rgb, 8, wide(other.into_rgb8().into_raw())),
+    let (stored, samples) = match decoded {
+        DynamicImage::ImageLuma8(image) => (Color::Grey, Samples::Bits8(image.into_raw())),
+        DynamicImage::ImageLuma16(image) => (Color::Grey, Samples::Bits16(image.into_raw())),
+        DynamicImage::ImageRgb16(_) | DynamicImage::ImageRgba16(_) => {
+            (Color::Rgb, Samples::Bits16(decoded.into_rgb16().into_raw()))
+        }
+        DynamicImage::ImageLumaA8(_) => {
+            (Color::Grey, Samples::Bits8(decoded.into_luma8().into_raw()))
+        }
+        DynamicImage::ImageLumaA16(_) => {
+            (Color::Grey, Samples::Bits16(decoded.into_luma16().into_raw()))
+        }
+        other => (Color::Rgb, Samples::Bits8(other.into_rgb8().into_raw())),
     };
     let color = match (color, stored) {
         (None, stored) => stored,
@@ -50,23 +54,21 @@ pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
             ));
         }
     };
-    Ok(RawImage { width, height, color, bits, samples })
+    Ok(RawImage { width, height, color, samples })
 }
 
 /// Writes a raw image as PNG, 8 or 16 bit, grey (a colour mosaic too) or RGB.
 pub fn write_png(out: &mut dyn Write, raw: &RawImage) -> io::Result<()> {
-    let (bytes, color): (Vec<u8>, _) = match (raw.bits, raw.color) {
-        (8, color) => {
-            #[allow(clippy::cast_possible_truncation)] // 8-bit samples
-            let bytes = raw.samples.iter().map(|&s| s as u8).collect();
-            let rgb = color == Color::Rgb;
-            (bytes, if rgb { ExtendedColorType::Rgb8 } else { ExtendedColorType::L8 })
+    let rgb = raw.color == Color::Rgb;
+    let (bytes, color) = match &raw.samples {
+        Samples::Bits8(samples) => {
+            let color = if rgb { ExtendedColorType::Rgb8 } else { ExtendedColorType::L8 };
+            (Cow::from(samples), color)
         }
-        (_, color) => {
+        Samples::Bits16(samples) => {
+            let color = if rgb { ExtendedColorType::Rgb16 } else { ExtendedColorType::L16 };
             // The encoder takes the machine's byte order.
-            let bytes = raw.samples.iter().flat_map(|s| s.to_ne_bytes()).collect();
-            let rgb = color == Color::Rgb;
-            (bytes, if rgb { ExtendedColorType::Rgb16 } else { ExtendedColorType::L16 })
+            (samples.iter().flat_map(|s| s.to_ne_bytes()).collect(), color)
         }
     };
     let size = |pixels: usize| u32::try_from(pixels).map_err(io::Error::other);

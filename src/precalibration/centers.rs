@@ -4,7 +4,7 @@ use nalgebra::{Matrix3x2, Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::pattern::Pattern;
-use crate::image::Image;
+use crate::image::{Grey, Image};
 
 /// What was measured of one micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,17 +26,19 @@ pub(super) struct Blob {
 /// Window of the centroid: 1 up to the first radius, falling to 0 at the second, in pitches. The
 /// soft edge keeps pixels from jumping in and out; it reaches as far as neighbours may touch.
 const WINDOW: (f64, f64) = (0.40, 0.54);
-/// A window that is off by ε has its centroid off by a part of ε; a few rounds end that.
+/// A window that is off by ε has its centroid off by up to a tenth of ε; a few rounds end that.
 const ROUNDS: usize = 4;
-/// Where a round moves a centre by less, px, the next would move it by a small part of that.
-const SETTLED_PX: f64 = 0.02;
+/// Where a round moves a centre by less, px, the next would move it by a tenth of that.
+const SETTLED_PX: f64 = 0.03;
+/// The first round looks at one row in so many: it need only come near.
+const FIRST_ROWS: usize = 2;
 /// The pattern is followed outwards from where it was found, doubling the distance; this is the
 /// first one, in pitches.
 const FIRST_REACH: f64 = 8.0;
 /// Micro-images that the pattern is fitted to on the way outwards.
 const SAMPLE: usize = 400;
 /// Micro-images that give the pitch to 10⁻⁶, with a scatter of 0.03 px over a hundred rows.
-const LARGE_SAMPLE: usize = 2500;
+const LARGE_SAMPLE: usize = 1200;
 /// Enough micro-images for an affine fit that stands a few bad ones.
 const FEWEST: usize = 7;
 
@@ -70,13 +72,45 @@ fn followed(image: &Image, found: &Pattern) -> Option<Pattern> {
 
 /// Measures a sample of micro-images all over an image whose pattern is known, and fits that to them;
 /// `None` if it does not show there.
-pub(super) fn measure_sample(image: &Image, pattern: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
-    let nodes = nodes_in((image.width, image.height), pattern);
+pub(super) fn measure_sample(
+    image: &Grey,
+    size: (usize, usize),
+    pattern: &Pattern,
+) -> Option<(Pattern, Vec<Blob>)> {
+    let nodes = nodes_in(size, pattern);
     let step = nodes.len().div_ceil(LARGE_SAMPLE).max(1);
     // Every third in a row would be of one lens type.
     let step = if step.is_multiple_of(3) { step + 1 } else { step };
-    let blobs = measure_nodes(image, pattern, nodes.into_iter().step_by(step).collect());
+    let measured = |node: (i32, i32)| {
+        let place = pattern.place(node.0, node.1);
+        let (part, corner) = part_with(image, std::iter::once(place), pattern.pitch());
+        let blob = measure_blob(&part, &pattern.seen_from(&corner), node)?;
+        Some(Blob { center: blob.center + corner, ..blob })
+    };
+    let sample: Vec<(i32, i32)> = nodes.into_iter().step_by(step).collect();
+    let blobs: Vec<Blob> = sample.into_par_iter().filter_map(measured).collect();
     Some((refit(pattern, &blobs)?, blobs))
+}
+
+/// The part of an image that holds some places and what is `reach` about them, cut at the border of
+/// the image, and the place of its first pixel.
+pub(super) fn part_with(
+    image: &Grey,
+    places: impl Iterator<Item = Vector2<f64>>,
+    reach: f64,
+) -> (Image, Vector2<f64>) {
+    let nothing = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
+    let (low, high) = places.fold(nothing, |(low, high), p| (low.inf(&p), high.sup(&p)));
+    let corner = low.map(|x| (x - reach).floor().max(0.0));
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
+    let [left, top, width, height] = [
+        corner.x,
+        corner.y,
+        (high.x + reach).ceil() - corner.x + 1.0,
+        (high.y + reach).ceil() - corner.y + 1.0,
+    ]
+    .map(|x| x.max(0.0) as usize);
+    (image.part(left, top, width, height), corner)
 }
 
 fn measure_nodes(image: &Image, pattern: &Pattern, nodes: Vec<(i32, i32)>) -> Vec<Blob> {
@@ -135,10 +169,10 @@ pub(super) fn measure_blob(image: &Image, pattern: &Pattern, node: (i32, i32)) -
     let expected = pattern.place(node.0, node.1);
     let background = darkest_neighbourhood(image, pattern, &expected)?;
     let window = Window { image, inner: WINDOW.0 * pitch, outer: WINDOW.1 * pitch, background };
-    let mut center = expected;
+    let (mut center, _) = window.centroid(&expected, FIRST_ROWS)?;
     let mut sums = Sums::default();
     for _ in 0..ROUNDS {
-        let (next, there) = window.centroid(&center)?;
+        let (next, there) = window.centroid(&center, 1)?;
         sums = there;
         let step = next - center;
         // Light that leads out of the cell is not of this micro-image.
@@ -235,26 +269,27 @@ struct Row {
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
 impl Window<'_> {
     /// The rows of the window about a centre; `None` if it leaves the image.
-    fn rows(&self, center: &Vector2<f64>) -> Option<impl Iterator<Item = Row> + use<>> {
+    fn rows(
+        &self,
+        center: &Vector2<f64>,
+        step: usize,
+    ) -> Option<impl Iterator<Item = Row> + use<>> {
         let (outer, center) = (self.outer, *center);
         let fits = center.x - outer >= 0.0
             && center.y - outer >= 0.0
             && center.x + outer <= self.image.width as f64 - 1.0
             && center.y + outer <= self.image.height as f64 - 1.0;
-        let rows = (center.y - outer).ceil() as usize..(center.y + outer).floor() as usize + 1;
+        // Of what is not below 0 a cast takes the floor, and faster.
+        let ceil = |x: f64| x as usize + usize::from(x > x as usize as f64);
         fits.then(|| {
-            rows.filter_map(move |v| {
+            let rows = ceil(center.y - outer)..(center.y + outer) as usize + 1;
+            rows.step_by(step).filter_map(move |v| {
                 let dy = v as f64 - center.y;
                 let half = (outer * outer - dy * dy).max(0.0).sqrt();
-                let first = (center.x - half).ceil();
-                let count = (center.x + half).floor() - first + 1.0;
-                (count >= 1.0).then(|| Row {
-                    v,
-                    first: first as usize,
-                    count: count as usize,
-                    dx: (first - center.x) as f32,
-                    dy: dy as f32,
-                })
+                let first = ceil(center.x - half);
+                let end = (center.x + half) as usize + 1;
+                let dx = (first as f64 - center.x) as f32;
+                (end > first).then(|| Row { v, first, count: end - first, dx, dy: dy as f32 })
             })
         })
     }
@@ -264,11 +299,11 @@ impl Window<'_> {
         (1.0 / (self.outer * self.outer - self.inner * self.inner)) as f32
     }
 
-    fn sums(&self, center: &Vector2<f64>) -> Option<Sums> {
+    fn sums(&self, center: &Vector2<f64>, step: usize) -> Option<Sums> {
         let (outer2, fall) = ((self.outer * self.outer) as f32, self.fall());
         let background = self.background as f32;
         let mut lanes = [[0.0_f32; LANES]; 7];
-        for row in self.rows(center)? {
+        for row in self.rows(center, step)? {
             // Whole chunks; what they hold beyond the window has no weight.
             let count = row.count.next_multiple_of(LANES);
             let first = row.first.min(self.image.width.saturating_sub(count));
@@ -297,8 +332,8 @@ impl Window<'_> {
         Some(Sums { light, x, y, square, weights, count, saturated })
     }
 
-    fn centroid(&self, center: &Vector2<f64>) -> Option<(Vector2<f64>, Sums)> {
-        let sums = self.sums(center)?;
+    fn centroid(&self, center: &Vector2<f64>, step: usize) -> Option<(Vector2<f64>, Sums)> {
+        let sums = self.sums(center, step)?;
         let moved = Vector2::new(sums.x, sums.y) / sums.light;
         (sums.light > 0.0).then_some((center + moved, sums))
     }
@@ -315,7 +350,7 @@ impl Window<'_> {
         let (whole_u, whole_v) = (whole_u as usize, whole_v as usize);
         let mut variance = 0.0_f64;
         // The other half of the rows is the mirror of this.
-        for row in self.rows(center)?.take_while(|row| row.dy < 0.0) {
+        for row in self.rows(center, 1)?.take_while(|row| row.dy < 0.0) {
             let pixels = &self.image.pixels[row.v * width + row.first..][..row.count];
             let opposite_v = whole_v - row.v;
             let last = whole_u - row.first;

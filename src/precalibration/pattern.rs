@@ -29,6 +29,11 @@ impl Pattern {
         self.origin + self.along * f64::from(i) + self.across * f64::from(j)
     }
 
+    /// The same in a part of the image whose first pixel is at `corner`.
+    pub fn seen_from(&self, corner: &Vector2<f64>) -> Self {
+        Self { origin: self.origin - corner, ..*self }
+    }
+
     pub fn pitch(&self) -> f64 {
         self.basis().determinant().abs().sqrt() / cell_area(self.kind).sqrt()
     }

@@ -47,6 +47,10 @@ const CLIPPED: f64 = 0.97;
 const OUTER_LIGHT: f64 = 0.5;
 /// What discs leave unexplained of the light in the middle: oblique rays, pixels, grids.
 const MODEL_ERROR: f64 = 2e-3;
+/// One bin in so many tells where a descent should start.
+const COARSE: usize = 4;
+/// Gauss-Newton steps shrink fast: after one that is so short, px, nothing is left to gain.
+const SETTLED_PX: f64 = 1e-4;
 /// Starts that are followed down.
 const DESCENTS: usize = 2;
 /// Nodes and weights of Gauss' rule across a pixel.
@@ -131,12 +135,14 @@ pub(super) fn seen(r: f64, outer: f64, inner: f64) -> f64 {
 impl Profile {
     /// Fits two discs; `None` if the profile does not show an edge.
     pub fn fit(&self, largest: f64) -> Option<Discs> {
-        // The sum of squares has several valleys where much is clipped: look all over first.
+        // The sum of squares has several valleys where much is clipped: look all over first, at some
+        // of the bins.
+        let coarse = Self { bins: self.bins.iter().step_by(COARSE).copied().collect() };
         let mut starts: Vec<(f64, f64, f64)> = (9..=22)
             .map(|i| f64::from(i) * 0.05 * largest)
             .flat_map(|outer| [0.05, 0.25, 0.5, 0.75].map(|inner| (outer, inner * outer)))
             .filter_map(|(outer, inner)| {
-                let (linear, residuals) = self.residuals(outer, inner)?;
+                let (linear, residuals) = coarse.residuals(outer, inner)?;
                 let sum = residuals.iter().map(|r| r * r).sum();
                 (linear.x > 0.0).then_some((sum, outer, inner))
             })
@@ -204,7 +210,7 @@ impl Profile {
                 let moved = (next - place).norm();
                 (place, linear, residuals) = (next, next_linear, next_residuals);
                 damping = (damping / 5.0).max(1e-9);
-                if moved < 1e-6 {
+                if moved < SETTLED_PX {
                     break;
                 }
             } else {

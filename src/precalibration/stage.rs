@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 use rayon::prelude::*;
 
 use super::array::{ArrayMeasurement, FoundArray, found_array};
-use super::centers::{Blob, measure_sample};
+use super::centers::{Blob, measure_sample, part_with};
 use super::grid::{MicroImageArray, fit_grid};
 use super::internal::{InternalFit, RadiusMeasurement, fit_internal};
 use super::pattern::Pattern;
@@ -14,7 +14,7 @@ use super::shading::{Shaded, fit_shading, shading_moment};
 use super::types::{LensTypes, judge_types};
 use crate::camera::{Configuration, Datasheet, InternalParameters, positive};
 use crate::error::{Error, Result};
-use crate::image::Image;
+use crate::image::{Image, RawImage};
 use crate::lattice::LatticeKind;
 use crate::observations::MicroImageCenter;
 
@@ -26,7 +26,7 @@ pub struct White {
     /// F-number N, as it is: √(2^AV).
     pub f_number: f64,
     /// The image, linear.
-    pub image: Image,
+    pub image: RawImage,
 }
 
 /// Options of the pre-calibration.
@@ -89,15 +89,15 @@ pub fn precalibrate(
         return Err(Error::invalid("there are no white images"));
     };
     check_sizes(whites, reference)?;
-    let found = found_array(&reference.image, options.array_size)
-        .map_err(|e| named(&reference.name, &e))?;
+    let grey = reference.image.to_grey();
+    let found = found_array(&grey, options.array_size).map_err(|e| named(&reference.name, &e))?;
+    let colors = if found.pattern.kind == LatticeKind::Orthogonal { 1 } else { 3 };
+    let nodes = middle_nodes(&found, &grey, colors);
     let samples = whites
         .par_iter()
-        .map(|white| same_pattern(white, reference, &found.pattern).inspect(|_| progress()))
+        .map(|white| sample(white, reference, &found.pattern, &nodes).inspect(|_| progress()))
         .collect::<Result<Vec<Sample>>>()?;
 
-    let colors = if found.pattern.kind == LatticeKind::Orthogonal { 1 } else { 3 };
-    let nodes = middle_nodes(&found, &reference.image, colors);
     let by_profile = all_radii(whites, &samples, &nodes, RadiusEstimator::Profile)?;
     let lens_types = judge_types(&by_profile, &found);
     let (nodes, by_profile) = if lens_types.types == colors {
@@ -123,7 +123,7 @@ pub fn precalibrate(
     };
     let first = fit(&mut measurements(whites, &by_profile), found.array.grid.pitch_px)?;
     let of_reference: Vec<Profile> =
-        nodes.par_iter().map(|n| profile_at(&reference.image, &found.pattern, n)).collect();
+        nodes.par_iter().map(|n| profile_at(&grey, &found.pattern, n)).collect();
     let moments = Moments { internal: &first.parameters, grid: &found.array.grid, options };
     let of_images: Vec<Vec<f64>> = whites
         .par_iter()
@@ -222,12 +222,26 @@ fn check_sizes(whites: &[White], reference: &White) -> Result<()> {
     }
 }
 
-/// The pattern of a white image, and some of its micro-images.
-type Sample = (Pattern, Vec<Blob>);
+/// What is looked at of a white image.
+struct Sample {
+    /// Micro-images from all over it.
+    blobs: Vec<Blob>,
+    /// Its middle, where radii are measured, and the pattern there.
+    middle: Image,
+    pattern: Pattern,
+}
 
-/// The reference's pattern as it is in another white image; an error if that shows another one.
-fn same_pattern(white: &White, reference: &White, pattern: &Pattern) -> Result<Sample> {
-    let (followed, blobs) = measure_sample(&white.image, pattern).ok_or_else(|| {
+/// Measures a sample of a white image where the reference has micro-images; an error if it has them
+/// elsewhere. `nodes` are those of the middle.
+fn sample(
+    white: &White,
+    reference: &White,
+    pattern: &Pattern,
+    nodes: &[Vec<(i32, i32)>],
+) -> Result<Sample> {
+    let grey = white.image.grey();
+    let size = (white.image.width, white.image.height);
+    let (followed, blobs) = measure_sample(&grey, size, pattern).ok_or_else(|| {
         Error::invalid(format!(
             "{}: no micro-images show where {} has them",
             white.name, reference.name
@@ -244,7 +258,9 @@ fn same_pattern(white: &White, reference: &White, pattern: &Pattern) -> Result<S
             reference.name
         )));
     }
-    Ok((followed, blobs))
+    let places = nodes.iter().flatten().map(|&(i, j)| followed.place(i, j));
+    let (middle, corner) = part_with(&grey, places, 2.0 * pitch);
+    Ok(Sample { blobs, middle, pattern: followed.seen_from(&corner) })
 }
 
 /// Radii by image and by group of nodes.
@@ -254,9 +270,9 @@ fn all_radii(
     nodes: &[Vec<(i32, i32)>],
     estimator: RadiusEstimator,
 ) -> Result<Vec<Vec<TypeRadius>>> {
-    let of_white = |(white, (pattern, _)): (&White, &Sample)| {
+    let of_white = |(white, sample): (&White, &Sample)| {
         let radius = |nodes: &Vec<(i32, i32)>| {
-            radius_at(&white.image, pattern, nodes, estimator).ok_or_else(|| {
+            radius_at(&sample.middle, &sample.pattern, nodes, estimator).ok_or_else(|| {
                 Error::invalid(format!(
                     "{}: the micro-images in the middle show no edge: the image is too dark, or \
                      saturated all over",
@@ -325,8 +341,9 @@ fn unshaded(
     let shaded = samples
         .par_iter()
         .zip(of_images)
-        .map(|((_, blobs), moments)| {
-            let centers: Vec<MicroImageCenter> = blobs
+        .map(|(sample, moments)| {
+            let centers: Vec<MicroImageCenter> = sample
+                .blobs
                 .iter()
                 .map(|blob| {
                     let (k, l) = found.index(blob.node);

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::sampling::hash;
 use crate::error::{Error, Result};
-use crate::image::{Color, Image, RawImage};
+use crate::image::{Color, Image, RawImage, Samples};
 
 /// How the sensor is set and how good it is. The response is linear.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -115,7 +115,13 @@ impl Imaging {
                 }
             }
         });
-        Ok(RawImage { width, height, color: self.color, bits: self.bits, samples })
+        let samples = if self.bits == 8 {
+            #[allow(clippy::cast_possible_truncation)] // at most full scale
+            Samples::Bits8(samples.into_iter().map(|s: u16| s as u8).collect())
+        } else {
+            Samples::Bits16(samples)
+        };
+        Ok(RawImage { width, height, color: self.color, samples })
     }
 
     /// One sample for a mean signal in parts of the full well.
@@ -145,11 +151,18 @@ mod tests {
         Image { width: 200, height: 100, pixels: vec![value; 20_000] }
     }
 
+    fn samples(image: &RawImage) -> Vec<u16> {
+        match &image.samples {
+            Samples::Bits8(samples) => samples.iter().map(|&s| u16::from(s)).collect(),
+            Samples::Bits16(samples) => samples.clone(),
+        }
+    }
+
     fn moments(image: &RawImage) -> (f64, f64) {
-        let n = image.samples.len() as f64;
-        let mean = image.samples.iter().map(|&s| f64::from(s)).sum::<f64>() / n;
-        let variance =
-            image.samples.iter().map(|&s| (f64::from(s) - mean).powi(2)).sum::<f64>() / n;
+        let samples = samples(image);
+        let n = samples.len() as f64;
+        let mean = samples.iter().map(|&s| f64::from(s)).sum::<f64>() / n;
+        let variance = samples.iter().map(|&s| (f64::from(s) - mean).powi(2)).sum::<f64>() / n;
         (mean, variance)
     }
 
@@ -168,7 +181,8 @@ mod tests {
     #[test]
     fn exposure_overflows_the_pixel_and_gain_the_converter() {
         let ideal = Imaging { full_well_electrons: f64::INFINITY, ..Imaging::default() };
-        let value = |imaging: Imaging, light| imaging.read_out(&flat(light), 0).unwrap().samples[0];
+        let value =
+            |imaging: Imaging, light| samples(&imaging.read_out(&flat(light), 0).unwrap())[0];
         assert_eq!(value(Imaging { exposure: 1.0, ..ideal }, 0.5), 128);
         assert_eq!(value(Imaging { exposure: 4.0, ..ideal }, 0.5), 255);
         assert_eq!(value(Imaging { exposure: 4.0, gain: 0.5, ..ideal }, 0.5), 128);
@@ -192,7 +206,7 @@ mod tests {
         assert!((mean - 127.5).abs() < 4.0 * expected.sqrt() / 141.0, "{mean}");
         assert!((variance / expected - 1.0).abs() < 0.04, "{variance} for {expected}");
         let strongest = Imaging { full_well_electrons: MAX_ELECTRONS, gain: 1.0, ..imaging };
-        assert!(strongest.read_out(&flat(1.0), 3).unwrap().samples.iter().all(|&s| s == 255));
+        assert!(samples(&strongest.read_out(&flat(1.0), 3).unwrap()).iter().all(|&s| s == 255));
     }
 
     #[test]
@@ -205,12 +219,12 @@ mod tests {
             ..Imaging::default()
         };
         let [r, g, b] = [13_107, 26_214, 52_428];
-        let read = |color| Imaging { color, ..ideal }.read_out(&flat(1.0), 0).unwrap();
+        let read = |color| samples(&Imaging { color, ..ideal }.read_out(&flat(1.0), 0).unwrap());
         let image = read(Color::BayerGbrg);
-        assert_eq!(image.samples[..2], [g, b]);
-        assert_eq!(image.samples[200..202], [r, g]);
+        assert_eq!(image[..2], [g, b]);
+        assert_eq!(image[200..202], [r, g]);
         let image = read(Color::Rgb);
-        assert_eq!(image.samples.len(), 60_000);
-        assert_eq!(image.samples[..6], [r, g, b, r, g, b]);
+        assert_eq!(image.len(), 60_000);
+        assert_eq!(image[..6], [r, g, b, r, g, b]);
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use nalgebra::Vector2;
 use plenocal::camera::Configuration;
-use plenocal::image::Image;
+use plenocal::image::{Image, RawImage, Samples};
 use plenocal::io::{read_image, read_raytrix};
 use plenocal::lattice::LatticeKind;
 use plenocal::observations::MicroImageCenter;
@@ -36,7 +36,7 @@ fn white(settings: &Settings, shot: &Shot) -> White {
     White {
         name: format!("f/{:.2}", shot.f_number),
         f_number: shot.f_number,
-        image: shot.take(settings, &|| ()).unwrap().to_grey(),
+        image: shot.take(settings, &|| ()).unwrap(),
     }
 }
 
@@ -257,14 +257,19 @@ fn white_images_that_do_not_belong_together_are_refused_in_words() {
         White { f_number: 4.0, ..whites[2].clone() },
     ];
     fails(&swapped, &options, "micro-images do not grow as the f-number falls");
-    let small = Image { width: 10, height: 10, pixels: vec![0.0; 100] };
+    let small = RawImage {
+        width: 10,
+        height: 10,
+        samples: Samples::Bits8(vec![0; 100]),
+        ..whites[1].image.clone()
+    };
     let other = [whites[0].clone(), White { image: small, ..whites[1].clone() }];
     fails(&other, &options, "all white images have to be of one camera");
     let pitch = preset("mini", &["rays=8", "camera.micro_lens_array.pitch_mm=0.12"]);
     let shot = DataSet::plan(&pitch, None).unwrap().whites[2];
     fails(&[whites[0].clone(), white(&pitch, &shot)], &options, "they are of different cameras");
     let black = White {
-        image: Image { pixels: vec![0.0; 750_000], ..whites[1].image.clone() },
+        image: RawImage { samples: Samples::Bits8(vec![0; 750_000]), ..whites[1].image.clone() },
         ..whites[1].clone()
     };
     fails(&[whites[0].clone(), black], &options, "f/8.00: no micro-images show where f/4.00");
