@@ -229,6 +229,12 @@ pub struct Grey<'a> {
 }
 
 impl Grey<'_> {
+    /// Width and height of the whole image, px.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.raw.width, self.raw.height)
+    }
+
     /// A part of the image, cut at its borders.
     #[must_use]
     pub fn part(&self, left: usize, top: usize, width: usize, height: usize) -> Image {
@@ -248,9 +254,9 @@ impl Grey<'_> {
         let raw = self.raw;
         let (right, bottom) = (raw.width.min(left + width), raw.height.min(top + height));
         let (width, height) = (right.saturating_sub(left), bottom.saturating_sub(top));
-        let full_scale = raw.full_scale() as f32;
-        // Full scale over itself is 1 exactly; its reciprocal times itself may not be.
-        let value = |sample: T, gain: f32| (sample.into() / full_scale * gain).min(1.0);
+        // Rounded up, so that full scale is never below 1.
+        let scale = (1.0 / raw.full_scale() as f32).next_up();
+        let value = |sample: T, gain: f32| (sample.into() * scale * gain).min(1.0);
         let per_pixel = raw.color.samples();
         let fill = |(row, pixels): (usize, &mut [f32])| {
             let v = top + row;
@@ -276,11 +282,8 @@ impl Grey<'_> {
         };
         let mut pixels = vec![0.0; width * height];
         if width > 0 {
-            pixels
-                .par_chunks_exact_mut(width)
-                .enumerate()
-                .with_min_len(SIDE_BY_SIDE)
-                .for_each(fill);
+            let rows = pixels.par_chunks_exact_mut(width).enumerate();
+            rows.with_min_len(SIDE_BY_SIDE).for_each(fill);
         }
         Image { width, height, pixels }
     }

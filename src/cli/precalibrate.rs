@@ -105,7 +105,7 @@ fn of_image(
     output: &mut OutputFolder,
 ) -> Result<(String, serde_json::Value)> {
     let path = &arguments.input;
-    let image = read_white(path, arguments.color)?.to_grey();
+    let image = read_white(path, arguments.color)?;
     let array = measure_array(&image, None)
         .map_err(|e| Error::Content { path: path.clone(), message: e.to_string() })?;
     let half_pitch = array.grid.pitch_px / 2.0;
@@ -203,8 +203,7 @@ fn stage(
     let middle = whites.len() / 2;
     let shown: Vec<f64> =
         result.radii[middle * types..(middle + 1) * types].iter().map(|r| r.radius_px).collect();
-    let figure =
-        report::micro_images_figure(&whites[middle].image.to_grey(), &result.array, &shown)?;
+    let figure = report::micro_images_figure(&whites[middle].image, &result.array, &shown)?;
     output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))
 }
 

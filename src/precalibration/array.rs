@@ -9,7 +9,7 @@ use super::nodes::ByNode;
 use super::pattern::{Pattern, find_pattern, of_steps};
 use super::types::{LensTypes, judge_single};
 use crate::error::{Error, Result};
-use crate::image::Image;
+use crate::image::{Grey, RawImage};
 use crate::lattice::{Lattice, LatticeKind, Parity};
 use crate::observations::MicroImageCenter;
 
@@ -80,8 +80,8 @@ const BEYOND: i32 = 2;
 /// count such that the middle of the array is nearest to that of the image; else they count from the
 /// first column and row that have a centre in the image. An error if no lattice of micro-images
 /// shows, or not one of the stated size.
-pub fn measure_array(image: &Image, stated: Option<(i32, i32)>) -> Result<ArrayMeasurement> {
-    found_array(image, stated).map(|found| found.array)
+pub fn measure_array(image: &RawImage, stated: Option<(i32, i32)>) -> Result<ArrayMeasurement> {
+    found_array(&image.grey(), stated).map(|found| found.array)
 }
 
 /// All centres in an image of `size` (width, height), px, that a known lattice puts there: one of them
@@ -194,14 +194,15 @@ impl Labels {
     }
 }
 
-pub(super) fn found_array(image: &Image, stated: Option<(i32, i32)>) -> Result<FoundArray> {
+pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<FoundArray> {
     let (pattern, blobs) = find(image)?;
     let (blobs, mut left_out) = judge(blobs);
-    let all = nodes_in((image.width, image.height), &pattern);
+    let all = nodes_in(image.size(), &pattern);
     let Some(any) = blobs.first() else {
         return Err(Error::invalid("no micro-image lies wholly in the image"));
     };
-    let middle = Vector2::new(image.width as f64 - 1.0, image.height as f64 - 1.0) / 2.0;
+    let (width, height) = image.size();
+    let middle = Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
     // From the middle of the image to that of the array.
     let off = |labels: &Labels| {
         let (k, l) = labels.index(&pattern, any.node);
@@ -235,8 +236,8 @@ pub(super) fn found_array(image: &Image, stated: Option<(i32, i32)>) -> Result<F
 }
 
 /// The pattern, looked for in the middle and then, should that be damaged, in the quarters.
-fn find(image: &Image) -> Result<(Pattern, Vec<Blob>)> {
-    let (w, h) = (image.width, image.height);
+fn find(image: &Grey) -> Result<(Pattern, Vec<Blob>)> {
+    let (w, h) = image.size();
     let places = [
         (w / 2, h / 2),
         (w / 4, h / 4),

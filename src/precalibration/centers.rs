@@ -1,6 +1,7 @@
 //! Sub-pixel centres of micro-images.
 
 use nalgebra::{Matrix3x2, Vector2, Vector3};
+use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 use super::pattern::Pattern;
@@ -32,63 +33,56 @@ const ROUNDS: usize = 4;
 const SETTLED_PX: f64 = 0.03;
 /// The first round looks at one row in so many: it need only come near.
 const FIRST_ROWS: usize = 2;
-/// The pattern is followed outwards from where it was found, doubling the distance; this is the
-/// first one, in pitches.
+/// The pattern is followed outwards from where it was found, so many pitches at first, and each time
+/// so many times further.
 const FIRST_REACH: f64 = 8.0;
+const REACH_FACTOR: f64 = 3.0;
 /// Micro-images that the pattern is fitted to on the way outwards.
-const SAMPLE: usize = 400;
-/// Micro-images that give the pitch to 10⁻⁶, with a scatter of 0.03 px over a hundred rows.
-const LARGE_SAMPLE: usize = 1200;
+const SAMPLE: usize = 250;
+/// Micro-images that give the pitch to 2 · 10⁻⁶, with a scatter of 0.03 px over a hundred rows.
+const LARGE_SAMPLE: usize = 800;
+/// Micro-images along the edge of a tile: some 400 px, so that it stays in a core's cache.
+const TILE: i32 = 16;
 /// Enough micro-images for an affine fit that stands a few bad ones.
 const FEWEST: usize = 7;
 
 /// Measures every micro-image whose window lies in the image, and gives the pattern that fits them
 /// all; `None` if the pattern does not go on from where it was found.
-pub(super) fn measure(image: &Image, found: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
+pub(super) fn measure(image: &Grey, found: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
     let pattern = followed(image, found)?;
-    let blobs = measure_nodes(image, &pattern, nodes_in((image.width, image.height), &pattern));
+    let blobs = measure_all(image, &pattern);
     Some((refit(&pattern, &blobs)?, blobs))
 }
 
 /// The pattern fitted to micro-images all over the image, a sample of them at every reach.
-fn followed(image: &Image, found: &Pattern) -> Option<Pattern> {
+fn followed(image: &Grey, found: &Pattern) -> Option<Pattern> {
     let mut pattern = *found;
     let start = found.origin;
-    let right_bottom = Vector2::new(image.width as f64, image.height as f64);
+    let right_bottom = Vector2::new(image.size().0 as f64, image.size().1 as f64);
     let furthest = start.norm().max((right_bottom - start).norm());
     let mut reach = FIRST_REACH * pattern.pitch();
     loop {
-        let mut nodes = nodes_in((image.width, image.height), &pattern);
+        let mut nodes = nodes_in(image.size(), &pattern);
         nodes.retain(|&(i, j)| (pattern.place(i, j) - start).norm() < reach);
         let step = nodes.len().div_ceil(SAMPLE);
-        let sample = nodes.into_iter().step_by(step.max(1)).collect();
-        pattern = refit(&pattern, &measure_nodes(image, &pattern, sample))?;
+        let sample: Vec<(i32, i32)> = nodes.into_iter().step_by(step.max(1)).collect();
+        pattern = refit(&pattern, &measure_some(image, &pattern, &sample))?;
         if reach > furthest {
             return Some(pattern);
         }
-        reach *= 2.0;
+        reach *= REACH_FACTOR;
     }
 }
 
 /// Measures a sample of micro-images all over an image whose pattern is known, and fits that to them;
 /// `None` if it does not show there.
-pub(super) fn measure_sample(
-    image: &Grey,
-    size: (usize, usize),
-    pattern: &Pattern,
-) -> Option<(Pattern, Vec<Blob>)> {
-    let nodes = nodes_in(size, pattern);
+pub(super) fn measure_sample(image: &Grey, pattern: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
+    let nodes = nodes_in(image.size(), pattern);
     let step = nodes.len().div_ceil(LARGE_SAMPLE).max(1);
     // Every third in a row would be of one lens type.
     let step = if step.is_multiple_of(3) { step + 1 } else { step };
-    let measured = |node: (i32, i32)| {
-        let place = pattern.place(node.0, node.1);
-        let (part, corner) = part_with(image, std::iter::once(place), pattern.pitch());
-        let blob = measure_blob(&part, &pattern.seen_from(&corner), node)?;
-        Some(Blob { center: blob.center + corner, ..blob })
-    };
     let sample: Vec<(i32, i32)> = nodes.into_iter().step_by(step).collect();
-    let blobs: Vec<Blob> = sample.into_par_iter().filter_map(measured).collect();
+    let blobs = measure_some(image, pattern, &sample);
     Some((refit(pattern, &blobs)?, blobs))
 }
 
@@ -113,8 +107,54 @@ pub(super) fn part_with(
     (image.part(left, top, width, height), corner)
 }
 
-fn measure_nodes(image: &Image, pattern: &Pattern, nodes: Vec<(i32, i32)>) -> Vec<Blob> {
-    nodes.into_par_iter().filter_map(|node| measure_blob(image, pattern, node)).collect()
+/// Measures micro-images that are far from each other.
+fn measure_some(image: &Grey, pattern: &Pattern, nodes: &[(i32, i32)]) -> Vec<Blob> {
+    nodes.par_chunks(1).flat_map_iter(|node| measure_near(image, pattern, node)).collect()
+}
+
+/// Measures all micro-images, row by row.
+fn measure_all(image: &Grey, pattern: &Pattern) -> Vec<Blob> {
+    let mut nodes = nodes_in(image.size(), pattern);
+    let tile = |(i, j): (i32, i32)| (j.div_euclid(TILE), i.div_euclid(TILE));
+    nodes.sort_by_key(|&node| tile(node));
+    let tiles: Vec<&[(i32, i32)]> = nodes.chunk_by(|&a, &b| tile(a) == tile(b)).collect();
+    let of_tile = |nodes: &&[(i32, i32)]| measure_near(image, pattern, nodes);
+    let mut blobs: Vec<Blob> = tiles.par_iter().flat_map_iter(of_tile).collect();
+    blobs.sort_by_key(|blob| (blob.node.1, blob.node.0));
+    blobs
+}
+
+/// Measures micro-images that are near to each other, in the part of the image that holds them all.
+fn measure_near(image: &Grey, pattern: &Pattern, nodes: &[(i32, i32)]) -> Vec<Blob> {
+    let places = nodes.iter().map(|&(i, j)| pattern.place(i, j));
+    let (part, corner) = part_with(image, places, pattern.pitch());
+    let pattern = pattern.seen_from(&corner);
+    let mut blobs = Arch::new().dispatch(Near { part: &part, pattern: &pattern, nodes });
+    for blob in &mut blobs {
+        blob.center += corner;
+    }
+    blobs
+}
+
+/// Work that is dispatched to code for the widest registers that the processor has; what it calls has
+/// to be inlined for that.
+struct Near<'a> {
+    part: &'a Image,
+    pattern: &'a Pattern,
+    nodes: &'a [(i32, i32)],
+}
+
+impl NullaryFnOnce for Near<'_> {
+    type Output = Vec<Blob>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<Blob> {
+        let mut blobs = Vec::with_capacity(self.nodes.len());
+        for &node in self.nodes {
+            blobs.extend(measure_blob(self.part, self.pattern, node));
+        }
+        blobs
+    }
 }
 
 /// Nodes in an image of so many pixels.
@@ -164,6 +204,7 @@ fn refit(pattern: &Pattern, blobs: &[Blob]) -> Option<Pattern> {
 
 /// Measures one micro-image from where the pattern expects it; `None` if its window leaves the
 /// image or holds no light.
+#[inline(always)]
 pub(super) fn measure_blob(image: &Image, pattern: &Pattern, node: (i32, i32)) -> Option<Blob> {
     let pitch = pattern.pitch();
     let expected = pattern.place(node.0, node.1);
@@ -257,40 +298,38 @@ struct Sums {
     saturated: f64,
 }
 
-/// A row of a window: first column, number of pixels, and offset of the first from the centre.
-struct Row {
-    v: usize,
-    first: usize,
-    count: usize,
+/// The pixels of the square about a window: the first one, how many columns and rows, and where the
+/// first is from the centre.
+struct Square {
+    left: usize,
+    top: usize,
+    columns: usize,
+    rows: usize,
     dx: f32,
     dy: f32,
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
 impl Window<'_> {
-    /// The rows of the window about a centre; `None` if it leaves the image.
-    fn rows(
-        &self,
-        center: &Vector2<f64>,
-        step: usize,
-    ) -> Option<impl Iterator<Item = Row> + use<>> {
-        let (outer, center) = (self.outer, *center);
-        let fits = center.x - outer >= 0.0
-            && center.y - outer >= 0.0
-            && center.x + outer <= self.image.width as f64 - 1.0
-            && center.y + outer <= self.image.height as f64 - 1.0;
+    /// The square about a centre; `None` if it comes within a pixel of the border of the image. What
+    /// of it is outside the window has no weight.
+    fn square(&self, center: &Vector2<f64>) -> Option<Square> {
+        let (first, last) = (center.map(|x| x - self.outer), center.map(|x| x + self.outer));
+        let fits = first.min() >= 1.0
+            && last.x <= self.image.width as f64 - 2.0
+            && last.y <= self.image.height as f64 - 2.0;
         // Of what is not below 0 a cast takes the floor, and faster.
         let ceil = |x: f64| x as usize + usize::from(x > x as usize as f64);
         fits.then(|| {
-            let rows = ceil(center.y - outer)..(center.y + outer) as usize + 1;
-            rows.step_by(step).filter_map(move |v| {
-                let dy = v as f64 - center.y;
-                let half = (outer * outer - dy * dy).max(0.0).sqrt();
-                let first = ceil(center.x - half);
-                let end = (center.x + half) as usize + 1;
-                let dx = (first as f64 - center.x) as f32;
-                (end > first).then(|| Row { v, first, count: end - first, dx, dy: dy as f32 })
-            })
+            let (left, top) = (ceil(first.x), ceil(first.y));
+            Square {
+                left,
+                top,
+                columns: last.x as usize + 1 - left,
+                rows: last.y as usize + 1 - top,
+                dx: (left as f64 - center.x) as f32,
+                dy: (top as f64 - center.y) as f32,
+            }
         })
     }
 
@@ -299,17 +338,21 @@ impl Window<'_> {
         (1.0 / (self.outer * self.outer - self.inner * self.inner)) as f32
     }
 
+    #[inline(always)]
     fn sums(&self, center: &Vector2<f64>, step: usize) -> Option<Sums> {
         let (outer2, fall) = ((self.outer * self.outer) as f32, self.fall());
         let background = self.background as f32;
         let mut lanes = [[0.0_f32; LANES]; 7];
-        for row in self.rows(center, step)? {
-            // Whole chunks; what they hold beyond the window has no weight.
-            let count = row.count.next_multiple_of(LANES);
-            let first = row.first.min(self.image.width.saturating_sub(count));
-            let pixels = self.image.pixels[row.v * self.image.width + first..].get(..count)?;
-            let start = row.dx - (row.first - first) as f32;
-            let left = outer2 - row.dy * row.dy;
+        let Square { left, top, columns, rows, dx, dy } = self.square(center)?;
+        // Whole chunks; what they hold beyond the window has no weight.
+        let columns = columns.next_multiple_of(LANES);
+        let first = left.min(self.image.width.saturating_sub(columns));
+        let start = dx - (left - first) as f32;
+        for row in (0..rows).step_by(step) {
+            let pixels =
+                self.image.pixels[(top + row) * self.image.width + first..].get(..columns)?;
+            let dy = dy + row as f32;
+            let left = outer2 - dy * dy;
             for (i, chunk) in pixels.as_chunks::<LANES>().0.iter().enumerate() {
                 let start = start + (i * LANES) as f32;
                 for lane in 0..LANES {
@@ -319,8 +362,8 @@ impl Window<'_> {
                     let inside = f32::from(u8::from(weight > 0.0));
                     lanes[0][lane] += light;
                     lanes[1][lane] += light * dx;
-                    lanes[2][lane] += light * row.dy;
-                    lanes[3][lane] += light * (dx * dx + row.dy * row.dy);
+                    lanes[2][lane] += light * dy;
+                    lanes[3][lane] += light * (dx * dx + dy * dy);
                     lanes[4][lane] += weight;
                     lanes[5][lane] += inside;
                     lanes[6][lane] += if value >= 1.0 { inside } else { 0.0 };
@@ -332,6 +375,7 @@ impl Window<'_> {
         Some(Sums { light, x, y, square, weights, count, saturated })
     }
 
+    #[inline(always)]
     fn centroid(&self, center: &Vector2<f64>, step: usize) -> Option<(Vector2<f64>, Sums)> {
         let sums = self.sums(center, step)?;
         let moved = Vector2::new(sums.x, sums.y) / sums.light;
@@ -340,39 +384,43 @@ impl Window<'_> {
 
     /// Standard deviation of the centroid per axis, px, from what differs on both sides of it: noise,
     /// or a fault of symmetry.
+    #[inline(always)]
     fn std_dev(&self, center: &Vector2<f64>, light: f64) -> Option<f64> {
         let (outer2, fall) = ((self.outer * self.outer) as f32, self.fall());
-        let (width, height) = (self.image.width, self.image.height);
+        let width = self.image.width;
+        let Square { left, top, columns, rows, dx, dy } = self.square(center)?;
         // A pixel mirrored in the centre lies between four pixels, in the same way for all.
         let (twice_u, twice_v) = (2.0 * center.x, 2.0 * center.y);
-        let (whole_u, whole_v) = (twice_u.floor(), twice_v.floor());
-        let (du, dv) = ((twice_u - whole_u) as f32, (twice_v - whole_v) as f32);
-        let (whole_u, whole_v) = (whole_u as usize, whole_v as usize);
-        let mut variance = 0.0_f64;
+        let (whole_u, whole_v) = (twice_u as usize, twice_v as usize);
+        let (du, dv) = ((twice_u - whole_u as f64) as f32, (twice_v - whole_v as f64) as f32);
+        let first = whole_u + 1 - left - columns;
+        let mut lanes = [0.0_f32; LANES];
+        let mut odd = vec![0.0_f32; columns.next_multiple_of(LANES)];
         // The other half of the rows is the mirror of this.
-        for row in self.rows(center, 1)?.take_while(|row| row.dy < 0.0) {
-            let pixels = &self.image.pixels[row.v * width + row.first..][..row.count];
-            let opposite_v = whole_v - row.v;
-            let last = whole_u - row.first;
-            let first = (last + 1).saturating_sub(row.count);
-            if opposite_v + 1 >= height || last + 1 >= width {
-                continue;
+        for row in (0..rows).take_while(|&row| dy + (row as f32) < 0.0) {
+            let (v, dy) = (top + row, dy + row as f32);
+            let pixels = &self.image.pixels[v * width + left..][..columns];
+            let opposite = (whole_v - v) * width + first;
+            let upper = &self.image.pixels[opposite..][..=columns];
+            let lower = &self.image.pixels[opposite + width..][..=columns];
+            let left = outer2 - dy * dy;
+            let mirrored = upper.windows(2).zip(lower.windows(2)).rev();
+            for ((odd, &value), (upper, lower)) in odd.iter_mut().zip(pixels).zip(mirrored) {
+                let above = upper[0] * (1.0 - du) + upper[1] * du;
+                let below = lower[0] * (1.0 - du) + lower[1] * du;
+                *odd = (value - above * (1.0 - dv) - below * dv) * 0.5;
             }
-            let upper = &self.image.pixels[opposite_v * width + first..][..=row.count];
-            let lower = &self.image.pixels[(opposite_v + 1) * width + first..][..=row.count];
-            let left = outer2 - row.dy * row.dy;
-            let mut of_row = 0.0_f32;
-            for (i, &value) in pixels.iter().enumerate() {
-                let j = row.count - 1 - i;
-                let above = upper[j] * (1.0 - du) + upper[j + 1] * du;
-                let below = lower[j] * (1.0 - du) + lower[j + 1] * du;
-                let odd = (value - above * (1.0 - dv) - below * dv) * 0.5;
-                let dx = row.dx + i as f32;
-                let weight = ((left - dx * dx) * fall).clamp(0.0, 1.0);
-                of_row += (weight * odd).powi(2) * (dx * dx + row.dy * row.dy);
+            // What the buffer holds beyond the row has no weight.
+            for (i, chunk) in odd.as_chunks::<LANES>().0.iter().enumerate() {
+                let start = dx + (i * LANES) as f32;
+                for lane in 0..LANES {
+                    let dx = start + lane as f32;
+                    let weight = ((left - dx * dx) * fall).clamp(0.0, 1.0);
+                    lanes[lane] += (weight * chunk[lane]).powi(2) * (dx * dx + dy * dy);
+                }
             }
-            variance += f64::from(of_row);
         }
+        let variance = lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
         // 2 Σ (w x e)² over all pixels along an axis, here the mean of both axes, from half of them.
         Some((2.0 * variance).sqrt() / light)
     }

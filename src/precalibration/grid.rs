@@ -2,6 +2,7 @@
 //! extraction": pitch δc, rotation ϑ_z and offset τ).
 
 use nalgebra::{Matrix4, Rotation2, Vector2, Vector4};
+use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::lattice::{Lattice, LatticeKind, Parity};
@@ -69,7 +70,7 @@ pub fn fit_grid(
             _ => &[Parity::Even, Parity::Odd],
         };
         parities
-            .iter()
+            .par_iter()
             .filter_map(|&shifted| fit(centers, Lattice { kind, columns, rows, shifted }))
             .collect()
     };

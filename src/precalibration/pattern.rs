@@ -3,10 +3,11 @@
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, TAU};
 
 use nalgebra::{Matrix2, Vector2};
+use rayon::prelude::*;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 
-use crate::image::Image;
+use crate::image::Grey;
 use crate::lattice::LatticeKind;
 
 /// A lattice of micro-images in an image: `origin + i · along + j · across` for whole i and j.
@@ -79,6 +80,8 @@ fn cell_area(kind: LatticeKind) -> f64 {
 /// Largest edge of the square that the spectrum is taken of, px: some nine micro-images of the
 /// largest pitch, and a hundredth of a pixel of the smallest.
 const LARGEST_CROP: usize = 512;
+/// Rows that one thread transforms.
+const ROWS_AT_ONCE: usize = 32;
 /// Pitches that are looked for, px.
 const PITCHES: std::ops::RangeInclusive<f64> = 5.0..=90.0;
 /// The strongest frequencies are those of the lattice, of its harmonics, and of the lens types.
@@ -95,12 +98,13 @@ const FUNDAMENTAL: f64 = 0.5;
 
 /// The pattern of the part of an image about `middle`; `None` where nothing repeats on a known
 /// lattice.
-pub(super) fn find_pattern(image: &Image, middle: (usize, usize)) -> Option<Pattern> {
-    let size = LARGEST_CROP.min(image.width).min(image.height);
+pub(super) fn find_pattern(image: &Grey, middle: (usize, usize)) -> Option<Pattern> {
+    let (width, height) = image.size();
+    let size = LARGEST_CROP.min(width).min(height);
     let start = |middle: usize, length: usize| {
         middle.saturating_sub(size / 2).min(length.saturating_sub(size))
     };
-    let (left, top) = (start(middle.0, image.width), start(middle.1, image.height));
+    let (left, top) = (start(middle.0, width), start(middle.1, height));
     let crop = Crop::new(image, left, top, size)?;
     let peaks = crop.frequencies();
     let mut candidates: Vec<Pattern> = Vec::new();
@@ -112,10 +116,11 @@ pub(super) fn find_pattern(image: &Image, middle: (usize, usize)) -> Option<Patt
                     && (c.along - candidate.along).norm() < 0.01 * c.along.norm()
             });
             if !known {
-                candidates.push(crop.folded(&candidate));
+                candidates.push(candidate);
             }
         }
     }
+    let candidates: Vec<Pattern> = candidates.par_iter().map(|c| crop.folded(c)).collect();
     let best = candidates.iter().map(|c| c.explained).fold(0.0, f64::max);
     candidates
         .into_iter()
@@ -135,9 +140,8 @@ struct Crop {
 impl Crop {
     /// `None` if the piece is of one value.
     #[allow(clippy::cast_possible_truncation)] // intensities need no more than 32 bits
-    fn new(image: &Image, left: usize, top: usize, size: usize) -> Option<Self> {
-        let row = |v: usize| &image.pixels[v * image.width + left..][..size];
-        let mut values: Vec<f32> = (top..top + size).flat_map(row).copied().collect();
+    fn new(image: &Grey, left: usize, top: usize, size: usize) -> Option<Self> {
+        let mut values = image.part(left, top, size, size).pixels;
         let count = values.len() as f64;
         let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / count;
         for value in &mut values {
@@ -206,14 +210,17 @@ impl Crop {
             .map(|(i, v)| Complex::new(v * window[i % n] * window[i / n], 0.0))
             .collect();
         let transform = FftPlanner::new().plan_fft_forward(n);
-        transform.process(&mut data);
+        let process = |rows: &mut [Complex<f32>]| {
+            rows.par_chunks_mut(ROWS_AT_ONCE * n).for_each(|rows| transform.process(rows));
+        };
+        process(&mut data);
         let mut turned = vec![Complex::default(); n * n];
         for (y, row) in data.chunks_exact(n).enumerate() {
             for (x, &value) in row.iter().enumerate() {
                 turned[x * n + y] = value;
             }
         }
-        transform.process(&mut turned);
+        process(&mut turned);
         let mut power = vec![0.0; n * n];
         for (x, column) in turned.chunks_exact(n).enumerate() {
             for (y, value) in column.iter().enumerate() {

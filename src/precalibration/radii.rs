@@ -42,10 +42,10 @@ const ALPHA: f64 = 2.357;
 /// Nodes in the middle of the image by colour, nearest first.
 pub(super) fn middle_nodes(
     found: &FoundArray,
-    image: &Image,
+    size: (usize, usize),
     colors: usize,
 ) -> Vec<Vec<(i32, i32)>> {
-    let middle = Vector2::new(image.width as f64, image.height as f64) / 2.0;
+    let middle = Vector2::new(size.0 as f64, size.1 as f64) / 2.0;
     let distance = |blob: &Blob| (blob.center - middle).norm_squared();
     let mut blobs: Vec<&Blob> = found.blobs.iter().collect();
     blobs.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
@@ -229,7 +229,12 @@ impl Template {
                 -amplitude * slope * outwards.y,
                 amplitude * at(&self.by_outer),
             );
-            normal += row * row.transpose();
+            // The lower triangle is all that is read.
+            for i in 0..5 {
+                for j in 0..=i {
+                    normal[(i, j)] += row[i] * row[j];
+                }
+            }
             right += row * value;
         });
         let solution = normal.cholesky()?.solve(&right);

@@ -14,7 +14,7 @@ use super::shading::{Shaded, fit_shading, shading_moment};
 use super::types::{LensTypes, judge_types};
 use crate::camera::{Configuration, Datasheet, InternalParameters, positive};
 use crate::error::{Error, Result};
-use crate::image::{Image, RawImage};
+use crate::image::{Grey, Image, RawImage};
 use crate::lattice::LatticeKind;
 use crate::observations::MicroImageCenter;
 
@@ -89,10 +89,10 @@ pub fn precalibrate(
         return Err(Error::invalid("there are no white images"));
     };
     check_sizes(whites, reference)?;
-    let grey = reference.image.to_grey();
+    let grey = reference.image.grey();
     let found = found_array(&grey, options.array_size).map_err(|e| named(&reference.name, &e))?;
     let colors = if found.pattern.kind == LatticeKind::Orthogonal { 1 } else { 3 };
-    let nodes = middle_nodes(&found, &grey, colors);
+    let nodes = middle_nodes(&found, grey.size(), colors);
     let samples = whites
         .par_iter()
         .map(|white| sample(white, reference, &found.pattern, &nodes).inspect(|_| progress()))
@@ -122,8 +122,9 @@ pub fn precalibrate(
         Ok(fitted)
     };
     let first = fit(&mut measurements(whites, &by_profile), found.array.grid.pitch_px)?;
+    let (middle, there) = middle_of(&grey, &found.pattern, &nodes);
     let of_reference: Vec<Profile> =
-        nodes.par_iter().map(|n| profile_at(&grey, &found.pattern, n)).collect();
+        nodes.par_iter().map(|nodes| profile_at(&middle, &there, nodes)).collect();
     let moments = Moments { internal: &first.parameters, grid: &found.array.grid, options };
     let of_images: Vec<Vec<f64>> = whites
         .par_iter()
@@ -240,8 +241,7 @@ fn sample(
     nodes: &[Vec<(i32, i32)>],
 ) -> Result<Sample> {
     let grey = white.image.grey();
-    let size = (white.image.width, white.image.height);
-    let (followed, blobs) = measure_sample(&grey, size, pattern).ok_or_else(|| {
+    let (followed, blobs) = measure_sample(&grey, pattern).ok_or_else(|| {
         Error::invalid(format!(
             "{}: no micro-images show where {} has them",
             white.name, reference.name
@@ -258,9 +258,15 @@ fn sample(
             reference.name
         )));
     }
-    let places = nodes.iter().flatten().map(|&(i, j)| followed.place(i, j));
-    let (middle, corner) = part_with(&grey, places, 2.0 * pitch);
-    Ok(Sample { blobs, middle, pattern: followed.seen_from(&corner) })
+    let (middle, pattern) = middle_of(&grey, &followed, nodes);
+    Ok(Sample { blobs, middle, pattern })
+}
+
+/// The part of an image that holds some nodes, and the pattern there.
+fn middle_of(grey: &Grey, pattern: &Pattern, nodes: &[Vec<(i32, i32)>]) -> (Image, Pattern) {
+    let places = nodes.iter().flatten().map(|&(i, j)| pattern.place(i, j));
+    let (part, corner) = part_with(grey, places, 2.0 * pattern.pitch());
+    (part, pattern.seen_from(&corner))
 }
 
 /// Radii by image and by group of nodes.

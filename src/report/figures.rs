@@ -9,7 +9,7 @@ use image::{GrayImage, ImageFormat, Luma};
 use plotters::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::image::Image;
+use crate::image::RawImage;
 use crate::precalibration::{ArrayMeasurement, Precalibration};
 
 /// Colours of the lens types, after the paper: red, green, blue; readable on white and for the
@@ -155,16 +155,17 @@ const ENLARGED: usize = 4;
 /// type.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a small picture of 8 bits
 pub fn micro_images_figure(
-    image: &Image,
+    image: &RawImage,
     array: &ArrayMeasurement,
     radii_px: &[f64],
 ) -> Result<String> {
     let (width, height) = (CROP.0.min(image.width), CROP.1.min(image.height));
     let (left, top) = ((image.width - width) / 2, (image.height - height) / 2);
-    let brightest = image.pixels.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+    let part = image.grey().part(left, top, width, height);
+    let brightest = part.pixels.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
     let mut crop = GrayImage::new(width as u32, height as u32);
     for (x, y, pixel) in crop.enumerate_pixels_mut() {
-        let value = image.at(left + x as usize, top + y as usize) / brightest * 255.0;
+        let value = part.at(x as usize, y as usize) / brightest * 255.0;
         *pixel = Luma([value as u8]);
     }
     let mut png = Cursor::new(Vec::new());

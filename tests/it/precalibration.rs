@@ -6,7 +6,7 @@ use std::path::Path;
 
 use nalgebra::Vector2;
 use plenocal::camera::Configuration;
-use plenocal::image::{Image, RawImage, Samples};
+use plenocal::image::{Color, RawImage, Samples};
 use plenocal::io::{read_image, read_raytrix};
 use plenocal::lattice::LatticeKind;
 use plenocal::observations::MicroImageCenter;
@@ -131,10 +131,10 @@ fn small_cameras_are_measured_in_every_colour_exposure_and_configuration() {
 }
 
 /// A small camera's white image at f/8.
-fn small_white(replaced: &[&str]) -> (Settings, Image) {
+fn small_white(replaced: &[&str]) -> (Settings, RawImage) {
     let settings = preset("mini", replaced);
     let shot = DataSet::plan(&settings, None).unwrap().devignetting;
-    let image = Shot { f_number: 8.0, ..shot }.take(&settings, &|| ()).unwrap().to_grey();
+    let image = Shot { f_number: 8.0, ..shot }.take(&settings, &|| ()).unwrap();
     (settings, image)
 }
 
@@ -193,15 +193,12 @@ fn any_lattice_pitch_and_rotation_is_found_unaided() {
 fn damage_is_left_out_by_reason_and_does_not_spoil_the_rest() {
     let (settings, mut image) = small_white(&["imperfections.dead_micro_lenses=40"]);
     // A black and a white patch, the black one where the pattern is looked for first.
+    let Samples::Bits8(samples) = &mut image.samples else { panic!("an image of 8 bits") };
     for v in 250..500 {
-        for u in 350..650 {
-            image.pixels[v * image.width + u] = 0.0;
-        }
+        samples[v * image.width..][350..650].fill(0);
     }
     for v in 20..150 {
-        for u in 20..150 {
-            image.pixels[v * image.width + u] = 1.0;
-        }
+        samples[v * image.width..][20..150].fill(255);
     }
     let array = measure_array(&image, Some((43, 37))).unwrap();
     let (rms, pitch, _) = compare(&settings, &array);
@@ -216,21 +213,25 @@ fn damage_is_left_out_by_reason_and_does_not_spoil_the_rest() {
 #[test]
 fn images_without_an_array_are_refused() {
     let size = (600, 500);
-    let picture = |value: fn(usize, usize) -> f32| Image {
-        width: size.0,
-        height: size.1,
-        pixels: (0..size.0 * size.1).map(|i| value(i % size.0, i / size.0)).collect(),
+    let picture = |value: fn(usize, usize) -> usize| {
+        let sample = |i: usize| u16::try_from(value(i % size.0, i / size.0)).unwrap();
+        RawImage {
+            width: size.0,
+            height: size.1,
+            color: Color::Grey,
+            samples: Samples::Bits16((0..size.0 * size.1).map(sample).collect()),
+        }
     };
     // A hash for noise.
-    let noise = |u: usize, v: usize| ((u * 7919 + v * 104_729) % 1009) as f32 / 1009.0;
+    let noise = |u: usize, v: usize| (u * 7919 + v * 104_729) % 1009 * 60;
     for image in [
-        picture(|_, _| 0.0),
-        picture(|_, _| 1.0),
-        picture(|_, _| 0.4),
-        picture(|u, v| (u + v) as f32 / 1100.0),
-        picture(|u, _| if u / 20 % 2 == 0 { 0.0 } else { 1.0 }),
+        picture(|_, _| 0),
+        picture(|_, _| 65_535),
+        picture(|_, _| 26_000),
+        picture(|u, v| (u + v) * 50),
+        picture(|u, _| if u / 20 % 2 == 0 { 0 } else { 65_535 }),
         picture(noise),
-        Image { width: 3, height: 2, pixels: vec![0.5; 6] },
+        RawImage { width: 3, height: 2, color: Color::Grey, samples: Samples::Bits8(vec![128; 6]) },
     ] {
         let error = measure_array(&image, None).unwrap_err().to_string();
         assert!(error.contains("no array of micro-images shows"), "{error}");
@@ -397,7 +398,7 @@ fn bad_projects_and_images_are_refused_in_words() {
 fn measured(name: &str) -> ArrayMeasurement {
     let folder = std::env::var_os("PLENOCAL_WHITES").expect("PLENOCAL_WHITES is set");
     let raw = read_image(&Path::new(&folder).join(name), None).unwrap();
-    measure_array(&raw.to_grey(), None).unwrap()
+    measure_array(&raw, None).unwrap()
 }
 
 #[test]
