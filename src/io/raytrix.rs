@@ -12,7 +12,7 @@ use super::read_text;
 use crate::error::{Error, Result};
 use crate::lattice::LatticeKind;
 use crate::observations::MicroImageCenter;
-use crate::precalibration::lattice_centers;
+use crate::precalibration::{lattice_centers, lattice_orientation};
 
 /// A micro-image array from a `RayCalibData` file.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,28 +57,9 @@ fn calibration(root: Node) -> Result<RaytrixCalibration> {
     let to_nodes = base.try_inverse().ok_or_else(|| {
         Error::invalid("lens_base_x and lens_base_y point the same way, which makes no lattice")
     })?;
-    let angle = (x.dot(&y) / (x.norm() * y.norm())).clamp(-1.0, 1.0).acos().to_degrees();
-    // Straight rows along the image's rows turn by less than a twelfth, else they are columns.
-    let turned = |step: Vector2<f64>, period: f64| {
-        let angle = step.y.atan2(step.x);
-        angle - (angle / period).round() * period
-    };
-    let right = std::f64::consts::FRAC_PI_2;
-    let (kind, rotation) = if (angle - 90.0).abs() < 1.0 {
-        (LatticeKind::Orthogonal, turned(x, right))
-    } else if (angle - 60.0).abs() < 1.0 || (angle - 120.0).abs() < 1.0 {
-        let sixth = std::f64::consts::FRAC_PI_3;
-        let of_rows = turned(x, sixth);
-        if of_rows.abs() < sixth / 4.0 {
-            (LatticeKind::HexagonalRows, of_rows)
-        } else {
-            (LatticeKind::HexagonalColumns, turned(Vector2::new(x.y, -x.x), sixth))
-        }
-    } else {
-        return Err(Error::invalid(format!(
-            "the lattice's steps are {angle:.1} degrees apart: neither hexagonal nor square"
-        )));
-    };
+    let upwards = Matrix2::new(1.0, 0.0, 0.0, -1.0);
+    let steps_px = upwards * base * pitch_px;
+    let (kind, rotation_rad) = lattice_orientation(&steps_px)?;
     let types: Vec<Node> = root.children().filter(|node| node.has_tag_name("lens_type")).collect();
     let color = |node: &Node| {
         let offset = to_nodes * vector(child(*node, "offset")?)?;
@@ -86,16 +67,14 @@ fn calibration(root: Node) -> Result<RaytrixCalibration> {
         let (i, j) = (offset.x.round() as i32, offset.y.round() as i32);
         Ok((i - j).rem_euclid(3))
     };
-    let upwards = Matrix2::new(1.0, 0.0, 0.0, -1.0);
     let offset = child(root, "offset")?;
     Ok(RaytrixCalibration {
         kind,
         pitch_px,
-        // From y upwards to v downwards.
-        rotation_rad: -rotation,
+        rotation_rad,
         lens_types: types.len(),
         offset_px: upwards * vector(offset)?,
-        steps_px: upwards * base * pitch_px,
+        steps_px,
         colors: types.iter().map(color).collect::<Result<_>>()?,
     })
 }
@@ -168,5 +147,87 @@ impl RaytrixCalibration {
             })
             .unwrap_or(rounded);
         (nearest, from_first)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::precalibration::fit_grid;
+
+    /// A file of a lattice turned by so many degrees, seen with y upwards.
+    fn file(turned: f64, between: f64) -> String {
+        let step = |degrees: f64| {
+            let (y, x) = degrees.to_radians().sin_cos();
+            format!("<x>{x}</x><y>{y}</y>")
+        };
+        let lens_type = |i: f64| {
+            let (y, x) = turned.to_radians().sin_cos();
+            format!("<lens_type><offset><x>{}</x><y>{}</y></offset></lens_type>", i * x, i * y)
+        };
+        format!(
+            "<RayCalibData><offset><x>3.5</x><y>-2.25</y></offset><diameter>23.5</diameter>\
+             <lens_base_x>{}</lens_base_x><lens_base_y>{}</lens_base_y>{}{}{}</RayCalibData>",
+            step(turned),
+            step(turned + between),
+            lens_type(0.0),
+            lens_type(1.0),
+            lens_type(2.0),
+        )
+    }
+
+    fn read(text: &str) -> Result<RaytrixCalibration> {
+        calibration(Document::parse(text).unwrap().root_element())
+    }
+
+    #[test]
+    fn turned_lattices_are_read_in_either_packing() {
+        use LatticeKind::{HexagonalColumns, HexagonalRows, Orthogonal};
+        // Turned with y upwards, the rotation left is one back with v downwards.
+        for (turned, between, kind, rotation) in [
+            (4.0, 60.0, HexagonalRows, -4.0),
+            (-3.0, 60.0, HexagonalRows, 3.0),
+            (0.0, 120.0, HexagonalRows, 0.0),
+            (92.0, -60.0, HexagonalColumns, -2.0),
+            (86.5, -60.0, HexagonalColumns, 3.5),
+            (2.5, 90.0, Orthogonal, -2.5),
+        ] {
+            let maker = read(&file(turned, between)).unwrap();
+            assert_eq!(maker.kind, kind, "{turned} degrees");
+            let off = maker.rotation_rad.to_degrees() - rotation;
+            assert!(off.abs() < 1e-9, "{turned} degrees: off by {off}");
+            let centers = maker.centers(600, 500).unwrap();
+            let places: Vec<MicroImageCenter> = centers.iter().map(|&(c, _)| c).collect();
+            let count =
+                |index: fn(&MicroImageCenter) -> i32| places.iter().map(index).max().unwrap() + 1;
+            let grid = fit_grid(&places, kind, count(|c| c.k), count(|c| c.l)).unwrap();
+            assert!((grid.pitch_px - 23.5).abs() < 1e-9 && grid.rms_px < 1e-9);
+            assert!((grid.rotation_rad - maker.rotation_rad).abs() < 1e-12, "{turned} degrees");
+            // Lens (0, 0) is to the right of the middle, and below it as y is negative.
+            let first = Vector2::new(299.5 + 3.5, 249.5 + 2.25);
+            let step = Vector2::new(turned.to_radians().cos(), -turned.to_radians().sin()) * 23.5;
+            for (i, lens_type) in [(0.0, 0), (1.0, 1), (2.0, 2), (3.0, 0)] {
+                let place = first + step * i;
+                let near = place + Vector2::new(4.0, -5.0);
+                assert!((maker.nearest_center(600, 500, near) - (place - near)).norm() < 1e-9);
+                assert_eq!(maker.lens_type(600, 500, near), Some(lens_type), "{turned} degrees");
+            }
+        }
+    }
+
+    #[test]
+    fn files_of_something_else_are_refused_in_words() {
+        let good = file(0.0, 60.0);
+        for (text, words) in [
+            ("<Settings/>".to_owned(), "its root is <Settings>"),
+            (good.replace("23.5", "-1"), "the diameter is -1 px"),
+            (good.replace("23.5", "wide"), "<diameter> is 'wide'"),
+            (good.replace("<y>-2.25</y>", ""), "there is no <y> in it"),
+            (file(0.0, 0.0), "point the same way"),
+            (file(0.0, 75.0), "neither a hexagonal nor a square lattice"),
+        ] {
+            let error = read(&text).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
     }
 }

@@ -91,10 +91,7 @@ pub fn lattice_centers(
     origin: &Vector2<f64>,
     steps: &Matrix2<f64>,
 ) -> Result<(LatticeKind, Vec<MicroImageCenter>)> {
-    let pattern = of_steps(steps).ok_or_else(|| {
-        Error::invalid("these steps make neither a hexagonal nor a square lattice")
-    })?;
-    let pattern = Pattern { origin: *origin, ..pattern };
+    let pattern = Pattern { origin: *origin, ..known(steps)? };
     let nodes = nodes_in((size.0 as usize, size.1 as usize), &pattern);
     let labels = Labels::possible(&pattern, &nodes, None)?;
     let labels = labels.first().ok_or_else(|| Error::invalid("no centre lies in the image"))?;
@@ -104,6 +101,21 @@ pub fn lattice_centers(
         MicroImageCenter { k, l, u_px: place.x, v_px: place.y }
     };
     Ok((pattern.kind, nodes.iter().map(center).collect()))
+}
+
+/// Packing and rotation (rad, from u towards v) of the lattice that two steps (columns, px) make.
+pub fn lattice_orientation(steps: &Matrix2<f64>) -> Result<(LatticeKind, f64)> {
+    let pattern = known(steps)?;
+    let along_rows = pattern.lattice_axes().column(0).into_owned();
+    Ok((pattern.kind, along_rows.y.atan2(along_rows.x)))
+}
+
+fn known(steps: &Matrix2<f64>) -> Result<Pattern> {
+    of_steps(steps).ok_or_else(|| {
+        Error::invalid(
+            "its steps make neither a hexagonal nor a square lattice with a pitch from 5 to 90 px",
+        )
+    })
 }
 
 /// The array with what the next steps need of how it was found.

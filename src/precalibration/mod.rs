@@ -13,7 +13,9 @@ mod shading;
 mod stage;
 mod types;
 
-pub use array::{ArrayMeasurement, LeftOutCenters, lattice_centers, measure_array};
+pub use array::{
+    ArrayMeasurement, LeftOutCenters, lattice_centers, lattice_orientation, measure_array,
+};
 pub use grid::{MicroImageArray, fit_grid};
 pub use internal::{InternalFit, RadiusMeasurement};
 pub use radii::RadiusEstimator;
