@@ -6,9 +6,7 @@ use std::time::Instant;
 
 use plenocal::image::Color;
 use plenocal::io::{PRESETS, preset_settings, read_image, write_png};
-use plenocal::precalibration::{
-    PrecalibrationOptions, RadiusEstimator, White, measure_array, precalibrate,
-};
+use plenocal::precalibration::{PrecalibrationOptions, White, measure_array, precalibrate};
 use plenocal::simulation::DataSet;
 use rayon::prelude::*;
 
@@ -48,12 +46,7 @@ fn main() -> plenocal::Result<()> {
         paths.push((shot.f_number, path));
     }
     let sheet = settings.datasheet();
-    let options = PrecalibrationOptions {
-        pixel_size_mm: sheet.sensor.pixel_size_mm,
-        configuration: sheet.configuration,
-        array_size: Some((sheet.columns, sheet.rows)),
-        estimator: RadiusEstimator::Profile,
-    };
+    let options = PrecalibrationOptions::of_datasheet(&sheet);
     println!(
         "Pre-calibration of five R12 white images (8-bit grey PNG), {} cores:",
         rayon::current_num_threads()

@@ -1,4 +1,5 @@
-//! Writes the figures of the README: crops of simulated raw images, four times enlarged.
+//! Writes the figures of the documents: crops of simulated raw images, four times enlarged, and what
+//! the pre-calibration finds in them.
 //!
 //!     cargo run --release --example figures -- docs/figures
 
@@ -9,10 +10,11 @@ use std::path::Path;
 
 use image::imageops::{FilterType, crop_imm, replace, resize};
 use image::{DynamicImage, GrayImage, ImageFormat, Luma};
-use plenocal::Result;
 use plenocal::image::{RawImage, Samples};
 use plenocal::io::{OutputFolder, PRESETS, preset_settings};
+use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
 use plenocal::simulation::{DataSet, Imaging, Shot};
+use plenocal::{Result, report};
 
 /// Size of a crop, px.
 const CROP: (u32, u32) = (140, 105);
@@ -53,7 +55,25 @@ fn main() -> Result<()> {
     let (far, near) = (take(&frames[frames.len() - 1].1)?, take(&frames[0].1)?);
     let boards = side_by_side(&[far, near], (500, 375));
 
+    let taken = |shot: &Shot| {
+        let name = format!("f/{:.2}", shot.f_number);
+        let image = shot.take(&settings, &|| ())?;
+        Ok(White { name, f_number: shot.f_number, image })
+    };
+    let whites_taken = data_set.whites.iter().map(taken).collect::<Result<Vec<White>>>()?;
+    let sheet = settings.datasheet();
+    let options = PrecalibrationOptions::of_datasheet(&sheet);
+    let result = precalibrate(&whites_taken, None, &options, &|| ())?;
+    let middle = whites_taken.len() / 2;
+    let (image, radii) = (&whites_taken[middle].image, result.radii_px(middle));
+    let found = report::micro_images_figure(image, &result.array, &radii)?;
+
     let mut output = OutputFolder::new(Path::new(&folder))?;
+    for (name, figure) in
+        [("radii.svg", report::radii_figure(&result)?), ("micro-images.svg", found)]
+    {
+        output.stage(name, |out| out.write_all(figure.as_bytes()))?;
+    }
     for (name, figure) in [("white.png", whites), ("board.png", boards)] {
         let mut bytes = Cursor::new(Vec::new());
         DynamicImage::from(figure)

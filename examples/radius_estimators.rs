@@ -40,10 +40,8 @@ fn main() -> Result<()> {
             let mut cells = vec![format!("{exposure}")];
             for estimator in [RadiusEstimator::Profile, RadiusEstimator::Moments] {
                 let options = PrecalibrationOptions {
-                    pixel_size_mm: sheet.sensor.pixel_size_mm,
-                    configuration: sheet.configuration,
-                    array_size: Some((sheet.columns, sheet.rows)),
                     estimator,
+                    ..PrecalibrationOptions::of_datasheet(&sheet)
                 };
                 let found = precalibrate(&whites, None, &options, &|| ())?.internal.parameters;
                 let percent = |a: f64, b: f64| format!("{:+.2}", 100.0 * (a / b - 1.0));

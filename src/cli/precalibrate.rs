@@ -166,13 +166,11 @@ fn of_project(
     sheet.validate()?;
     let (whites, reference) = read_whites(images, &sheet)?;
     let options = PrecalibrationOptions {
-        pixel_size_mm: sheet.sensor.pixel_size_mm,
-        configuration: sheet.configuration,
-        array_size: Some((sheet.columns, sheet.rows)),
         estimator: match arguments.estimator {
             Estimator::Profile => RadiusEstimator::Profile,
             Estimator::Moments => RadiusEstimator::Moments,
         },
+        ..PrecalibrationOptions::of_datasheet(&sheet)
     };
     let bar = progress_bar(arguments.json, whites.len());
     let result = precalibrate(&whites, reference.as_ref(), &options, &|| bar.inc(1));
@@ -201,9 +199,8 @@ fn stage(
     let radii = report::radii_figure(result)?;
     output.stage("radii.svg", |out| out.write_all(radii.as_bytes()))?;
     let middle = whites.len() / 2;
-    let shown: Vec<f64> =
-        result.radii[middle * types..(middle + 1) * types].iter().map(|r| r.radius_px).collect();
-    let figure = report::micro_images_figure(&whites[middle].image, &result.array, &shown)?;
+    let radii = result.radii_px(middle);
+    let figure = report::micro_images_figure(&whites[middle].image, &result.array, &radii)?;
     output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))
 }
 

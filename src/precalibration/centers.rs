@@ -1,5 +1,8 @@
 //! Sub-pixel centres of micro-images.
 
+// Only what is inlined into the dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
 use nalgebra::{Matrix3x2, Vector2, Vector3};
 use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;

@@ -50,7 +50,7 @@ const MODEL_ERROR: f64 = 2e-3;
 /// One bin in so many tells where a descent should start.
 const COARSE: usize = 4;
 /// Gauss-Newton steps shrink fast: after one that is so short, px, nothing is left to gain.
-const SETTLED_PX: f64 = 1e-4;
+const SETTLED_PX: f64 = 1e-6;
 /// Starts that are followed down.
 const DESCENTS: usize = 2;
 /// Nodes and weights of Gauss' rule across a pixel.

@@ -42,6 +42,19 @@ pub struct PrecalibrationOptions {
     pub estimator: RadiusEstimator,
 }
 
+impl PrecalibrationOptions {
+    /// For a camera as its data sheet has it.
+    #[must_use]
+    pub fn of_datasheet(sheet: &Datasheet) -> Self {
+        Self {
+            pixel_size_mm: sheet.sensor.pixel_size_mm,
+            configuration: sheet.configuration,
+            array_size: Some((sheet.columns, sheet.rows)),
+            estimator: RadiusEstimator::default(),
+        }
+    }
+}
+
 /// What white images tell of a camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Precalibration {
@@ -154,6 +167,16 @@ pub fn precalibrate(
 }
 
 impl Precalibration {
+    /// Radii by lens type in one of the white images, px.
+    ///
+    /// # Panics
+    /// If there were fewer white images.
+    #[must_use]
+    pub fn radii_px(&self, white: usize) -> Vec<f64> {
+        let types = self.lens_types.types;
+        self.radii[white * types..(white + 1) * types].iter().map(|r| r.radius_px).collect()
+    }
+
     /// An error naming both values where the images contradict what is stated of the camera.
     pub fn check_stated(&self, sheet: &Datasheet) -> Result<()> {
         let grid = &self.array.grid;

@@ -41,13 +41,7 @@ fn white(settings: &Settings, shot: &Shot) -> White {
 }
 
 fn options(settings: &Settings) -> PrecalibrationOptions {
-    let sheet = settings.datasheet();
-    PrecalibrationOptions {
-        pixel_size_mm: sheet.sensor.pixel_size_mm,
-        configuration: sheet.configuration,
-        array_size: Some((sheet.columns, sheet.rows)),
-        estimator: RadiusEstimator::Profile,
-    }
+    PrecalibrationOptions::of_datasheet(&settings.datasheet())
 }
 
 fn taken(settings: &Settings) -> (Vec<White>, White) {

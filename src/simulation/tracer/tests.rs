@@ -1,0 +1,181 @@
+//! The tracer against the closed form and against by-hand cases.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+
+use super::*;
+use crate::io::{PRESETS, preset_settings};
+use crate::optics;
+use crate::simulation::{Settings, Target};
+
+fn settings(name: &str) -> Settings {
+    let preset = PRESETS.iter().find(|preset| preset.name == name).unwrap();
+    preset_settings(preset, &[]).unwrap()
+}
+
+fn ideal(camera: &PlenopticCamera, f_number: f64) -> Tracer {
+    Tracer::new(camera, f_number, &Imperfections::default(), 0).unwrap()
+}
+
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within the image
+fn pixel_at(place: &Vector2<f64>) -> (usize, usize) {
+    (place.x as usize, place.y as usize)
+}
+
+fn pose(x: f64, y: f64, z: f64, turn: [f64; 3]) -> Isometry3<f64> {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::from(turn));
+    Isometry3::from_parts(Translation3::new(x, y, z), turn)
+}
+
+/// Where a ray from the sensor meets the board, light from there comes back to the sensor
+/// through the same point of the micro-lens. Rays are traced back with the distortion of their
+/// bundle, so a small part of a pixel is lost.
+#[test]
+fn light_returns_along_the_rays() {
+    const LOST_PX: f64 = 2e-3;
+    for (name, board) in [
+        ("mini", pose(-9.0, -7.0, 75.0, [0.6, -0.4, 0.3])),
+        ("r12-a", pose(-40.0, -25.0, 260.0, [-0.5, 0.5, 0.1])),
+        ("keplerian", pose(-20.0, -15.0, 220.0, [0.5, 0.5, -0.4])),
+    ] {
+        let settings = settings(name);
+        let tracer = ideal(&settings.camera, 4.0);
+        let board = PlacedTarget::new(&settings.target, &board, tracer.focal_length).unwrap();
+        let sets = RaySets::new(16);
+        let mut looked_at = 0;
+        for (i, lens) in tracer.array.lenses.iter().enumerate().step_by(97) {
+            let center = tracer.outline(lens).0;
+            if !tracer.sensor.contains(center.x, center.y) {
+                continue;
+            }
+            let (u, v) = pixel_at(&center);
+            let u = u + i % 3;
+            let bundle = tracer.bundle(lens, u, v, Some(&board)).unwrap();
+            for point in sets.set(i as u64) {
+                let pixel =
+                    bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
+                let on_lens = Vector2::from(point.disc) * tracer.array.stop_radius;
+                let ray = tracer.through(lens, on_lens, &pixel).0;
+                if !tracer.passes(&ray) {
+                    continue;
+                }
+                let local = bundle.local.as_ref().unwrap();
+                let z = board.image_z(&ray, &local.shift()).unwrap();
+                let outer = tracer.lens.object_ray(&ray, z, local);
+                let depth = board.depth(&outer);
+                let hit = Point3::from(outer.at(depth).push(depth));
+                let image = tracer.lens.image_of(&hit).unwrap();
+                let back = tracer.array.to_sensor(lens, on_lens, &image);
+                let miss =
+                    (back.x - u as f64 - point.pixel[0]).hypot(back.y - v as f64 - point.pixel[1]);
+                assert!(miss < LOST_PX, "{name} ({}, {}): {miss} px", lens.k, lens.l);
+                looked_at += 1;
+            }
+        }
+        assert!(looked_at > 200);
+    }
+}
+
+/// All light that enters through pupil and micro-lens arrives, whatever the micro-lens does to
+/// it: π² R² r²/D² for a white target seen through two distant discs, less what oblique rays
+/// lose.
+#[test]
+fn light_is_conserved_for_every_lens_type() {
+    // What 1024 rays through a few hundred pixels leave.
+    const NOISE: f64 = 2e-3;
+    for (name, f_number) in [("mini", 4.0), ("mini", 16.0), ("keplerian", 5.66)] {
+        let mut camera = settings(name).camera;
+        camera.mla.rotation_rad.fill(0.0);
+        camera.mla.offset_mm.fill(0.0);
+        // Only the dead surround the one that is looked at.
+        (camera.lattice.columns, camera.lattice.rows) = (3, 1);
+        (camera.sensor.width_px, camera.sensor.height_px) = (90, 40);
+        camera.mla.principal_point_px = camera.sensor.center_px();
+        for alive in 0..3 {
+            let mut tracer = ideal(&camera, f_number);
+            for (i, lens) in tracer.array.lenses.iter_mut().enumerate() {
+                lens.alive = i == alive;
+            }
+            let image = tracer.render(&Scene::White, 1024, 0, &|| ()).unwrap();
+            let sum: f64 = image.pixels.iter().map(|&p| f64::from(p)).sum();
+            let flux = sum * tracer.reference_irradiance() * tracer.array.pixel_size.powi(2);
+            let (pupil, stop) = (tracer.pupil.radius, tracer.array.stop_radius);
+            let distance = camera.mla.lens_to_mla_mm;
+            let all = (std::f64::consts::PI * pupil * stop / distance).powi(2);
+            // The slopes at the sensor are those of pupil and micro-lens, of the mean squares
+            // R²/2D² and r²/2f²; cos⁴ takes off twice these.
+            let power = tracer.array.lenses[alive].power;
+            let oblique = (pupil / distance).powi(2) + (stop * power).powi(2);
+            let part = flux / all / (1.0 - oblique);
+            let next_order = 3.0 * oblique * oblique;
+            assert!((part - 1.0).abs() < next_order + NOISE, "{name} f/{f_number}: {part}");
+        }
+    }
+}
+
+#[test]
+fn white_images_show_the_internal_parameters_of_the_paper() {
+    for name in ["mini", "keplerian", "r12-c", "lytro-like"] {
+        let camera = settings(name).camera;
+        let (shown, paper) =
+            (ideal(&camera, 8.0).internal_parameters(), optics::internal_parameters(&camera));
+        assert!((shown.m_mm / paper.m_mm - 1.0).abs() < 1e-12, "{name}");
+        for (shown, paper) in shown.q_prime_mm.iter().zip(&paper.q_prime_mm) {
+            assert!((shown / paper - 1.0).abs() < 1e-12, "{name}");
+        }
+        let pitches = [shown, paper].map(|p| p.micro_image_pitch_mm.unwrap());
+        assert!((pitches[0] / pitches[1] - 1.0).abs() < 1e-12, "{name}");
+    }
+}
+
+#[test]
+fn the_middle_of_the_brightest_micro_image_has_irradiance_one() {
+    let mut camera = settings("mini").camera;
+    camera.mla.rotation_rad.fill(0.0);
+    for f_number in [4.0, 8.0, 16.0] {
+        let image = ideal(&camera, f_number).render(&Scene::White, 64, 0, &|| ()).unwrap();
+        let brightest = image.pixels.iter().copied().fold(0.0, f32::max);
+        // A pixel is not a point, and rays through the rim of a micro-lens lose 4 %.
+        assert!((0.95..1.01).contains(&brightest), "f/{f_number}: {brightest}");
+    }
+}
+
+#[test]
+fn images_do_not_depend_on_threads() {
+    let settings = settings("mini");
+    let tracer = ideal(&settings.camera, 4.0);
+    let scene = Scene::Board(settings.target, pose(-9.0, -7.0, 75.0, [0.3, 0.0, 0.0]));
+    let render = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| tracer.render(&scene, 8, 5, &|| ()).unwrap())
+    };
+    let one = render(1);
+    assert!(one == render(3));
+    assert!(one != tracer.render(&scene, 8, 6, &|| ()).unwrap(), "another seed, another image");
+}
+
+/// Corner 0 is at the top left of the board and of the image, and the square before it black.
+#[test]
+fn the_image_is_upright() {
+    let settings = settings("mini");
+    let tracer = ideal(&settings.camera, 4.0);
+    let Target { columns, rows, square_mm, .. } = settings.target;
+    let (z, sensor) = (80.0, &settings.camera.sensor);
+    let board = pose(-1.5 * f64::from(columns), -1.5 * f64::from(rows), z, [0.0; 3]);
+    let image = tracer.render(&Scene::Board(settings.target, board), 8, 0, &|| ()).unwrap();
+    let brightness = |column: i32, row: i32| {
+        let center = (f64::from(column) - 0.5, f64::from(row) - 0.5);
+        let p = board * Point3::new(center.0 * square_mm, center.1 * square_mm, 0.0);
+        let scale = -tracer.array.sensor_z / z / sensor.pixel_size_mm;
+        let place = settings.camera.mla.principal_point_px + p.coords.xy() * scale;
+        let (u, v) = pixel_at(&place);
+        let near = (v - 20..v + 20).flat_map(|v| (u - 20..u + 20).map(move |u| (u, v)));
+        near.map(|(u, v)| image.at(u, v)).sum::<f32>()
+    };
+    for row in 1..rows {
+        for column in 1..columns {
+            let (here, next) = (brightness(column, row), brightness(column + 1, row));
+            let black = (column + row) % 2 == 0;
+            assert!(if black { 3.0 * here < next } else { here > 3.0 * next });
+        }
+    }
+}
