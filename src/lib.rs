@@ -78,6 +78,7 @@ pub mod calibration;
 pub mod camera;
 pub mod error;
 pub mod evaluation;
+pub mod features;
 pub mod image;
 pub mod io;
 pub mod lattice;

@@ -6,6 +6,7 @@
 mod bad_input;
 mod command_line;
 mod compote;
+mod features;
 mod independent;
 mod modes;
 mod oracle;

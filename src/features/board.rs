@@ -1,0 +1,424 @@
+//! Which corner of the board is which: the lattice that pinhole images of corners make.
+
+use std::collections::{BTreeMap, HashMap};
+
+use nalgebra::{DMatrix, Matrix2, Matrix3, Vector2, Vector3};
+
+use crate::camera::{Board, Sensor};
+
+/// The pinhole image of a corner, and how the squares about it lie.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LatticePoint {
+    /// Position, px.
+    pub place: Vector2<f64>,
+    /// A form that is positive along directions to bright squares and negative to dark ones; zero if
+    /// that is not known.
+    pub squares: Matrix2<f64>,
+}
+
+/// Points tied to the corners of a board.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TiedBoard {
+    /// For each point its corner; `None` for those that are no corner of the board.
+    pub corners: Vec<Option<i32>>,
+    /// From (column, row, 1) of a corner to its pinhole image, px.
+    pub homography: Matrix3<f64>,
+}
+
+/// Fewest points that make a lattice and its homography with some redundancy.
+const FEWEST: usize = 6;
+/// Neighbours that a lattice may start with.
+const NEIGHBOURS: usize = 6;
+/// Points that a lattice is grown from.
+const SEEDS: usize = 40;
+/// A neighbour is where the last step leads within this part of it; perspective changes steps slowly.
+const STEP_ERROR: f64 = 0.3;
+/// A corner is where the homography puts it within this part of a step.
+const PLACE_ERROR: f64 = 0.15;
+/// Labellings of the points that are tried on the board.
+const TRIED: usize = 12;
+/// Placements whose scores differ by less than this part of the corners cannot be told apart.
+const ALIKE: f64 = 0.08;
+/// Part of the corners in view that has to be there.
+const FOUND: f64 = 0.5;
+
+type Labels = HashMap<(i32, i32), usize>;
+
+impl TiedBoard {
+    /// Ties points to a board; an error in words if they show none, or could be several parts of it.
+    ///
+    /// Corners that should show on the sensor but do not speak against a placement, so that a board
+    /// that is cut by the border of the image is recognised by its other sides. Colours of the squares
+    /// count where they are known; corner 0 has a dark square before it. Of placements that a symmetry
+    /// of the board makes equal the one is taken whose rows run most to the right.
+    pub fn tie(
+        points: &[LatticePoint],
+        board: &Board,
+        sensor: &Sensor,
+        margin_px: f64,
+    ) -> Result<Self, String> {
+        if points.len() < FEWEST {
+            return Err(format!("{} corners are too few for a board", points.len()));
+        }
+        let view = View { points, board, sensor, margin_px };
+        let mut placements: Vec<Placement> =
+            labellings(points).iter().flat_map(|labels| view.placements(labels)).collect();
+        placements.sort_by(|a, b| b.score.total_cmp(&a.score));
+        let Some(best) = placements.first() else {
+            return Err("the corners lie on no lattice".to_owned());
+        };
+        let limit = best.score - ALIKE * f64::from(board.corners());
+        let alike: Vec<&Placement> = placements.iter().filter(|p| p.score >= limit).collect();
+        if let Some(other) = alike.iter().find(|p| !p.is_turned(best)) {
+            return Err(format!(
+                "{} corners could be more than one part of the board (as many as {} at another \
+                 place): show more of it, or its edges",
+                best.tied(),
+                other.tied()
+            ));
+        }
+        let rightmost = alike.into_iter().max_by(|a, b| a.rightwards().total_cmp(&b.rightwards()));
+        let best = rightmost.unwrap_or(best);
+        if (best.tied() as f64) < FOUND * (best.tied() + best.missing) as f64
+            || best.tied() < FEWEST
+        {
+            return Err(format!(
+                "only {} of the {} corners in view were found",
+                best.tied(),
+                best.tied() + best.missing
+            ));
+        }
+        Ok(view.completed(best))
+    }
+
+    /// Pinhole image of a corner, px.
+    #[must_use]
+    pub fn pinhole(&self, board: &Board, corner: i32) -> Vector2<f64> {
+        project(&self.homography, &coordinates(board, corner))
+    }
+}
+
+fn coordinates(board: &Board, corner: i32) -> Vector2<f64> {
+    Vector2::new(
+        f64::from(corner.rem_euclid(board.columns)),
+        f64::from(corner.div_euclid(board.columns)),
+    )
+}
+
+fn project(homography: &Matrix3<f64>, at: &Vector2<f64>) -> Vector2<f64> {
+    let p = homography * Vector3::new(at.x, at.y, 1.0);
+    p.xy() / p.z
+}
+
+/// Integer coordinates for points that lie on a lattice, most points first.
+fn labellings(points: &[LatticePoint]) -> Vec<Labels> {
+    let step = points.len().div_ceil(SEEDS);
+    let mut all: Vec<Labels> = Vec::new();
+    for seed in (0..points.len()).step_by(step) {
+        let mut others: Vec<usize> = (0..points.len()).filter(|&i| i != seed).collect();
+        let away = |i: usize| points[i].place - points[seed].place;
+        others.sort_by(|&a, &b| away(a).norm().total_cmp(&away(b).norm()));
+        others.truncate(NEIGHBOURS);
+        for &right in &others {
+            for &down in &others {
+                let (a, b) = (away(right), away(down));
+                // Neither mirrored nor too skew to be the sides of a square in perspective.
+                if a.perp(&b) > 0.35 * a.norm() * b.norm() && ratio(a.norm(), b.norm()) < 3.0 {
+                    let labels = grow(points, seed, right, down);
+                    if labels.len() >= FEWEST {
+                        all.push(labels);
+                    }
+                }
+            }
+        }
+    }
+    all.sort_by_key(|labels| std::cmp::Reverse(labels.len()));
+    // The same lattice, grown from another seed, has the same points with the same steps.
+    let mut kept: Vec<Labels> = Vec::new();
+    for labels in all {
+        if kept.len() < TRIED && !kept.iter().any(|other| same_steps(other, &labels)) {
+            kept.push(labels);
+        }
+    }
+    kept
+}
+
+fn ratio(a: f64, b: f64) -> f64 {
+    (a / b).max(b / a)
+}
+
+/// Whether two labellings of the same points differ by a shift of the coordinates only.
+fn same_steps(a: &Labels, b: &Labels) -> bool {
+    let of_point: HashMap<usize, (i32, i32)> = b.iter().map(|(&at, &i)| (i, at)).collect();
+    let mut shift = None;
+    a.len() == b.len()
+        && a.iter().all(|(&(x, y), i)| {
+            of_point
+                .get(i)
+                .is_some_and(|&(u, v)| *shift.get_or_insert((x - u, y - v)) == (x - u, y - v))
+        })
+}
+
+/// Grows a lattice from a point and its neighbours to the right and below.
+fn grow(points: &[LatticePoint], seed: usize, right: usize, down: usize) -> Labels {
+    let mut labels = Labels::from([((0, 0), seed), ((1, 0), right), ((0, 1), down)]);
+    let mut taken = vec![false; points.len()];
+    for i in [seed, right, down] {
+        taken[i] = true;
+    }
+    let place = |i: usize| points[i].place;
+    let first = [place(right) - place(seed), place(down) - place(seed)];
+    let mut open = vec![(0, 0), (1, 0), (0, 1)];
+    let mut next = 0;
+    while let Some(&(x, y)) = open.get(next) {
+        next += 1;
+        let here = place(labels[&(x, y)]);
+        for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
+            let to = (x + dx, y + dy);
+            if labels.contains_key(&to) {
+                continue;
+            }
+            // The step that led here, or the same one beside, or the first one.
+            let at = |x, y| labels.get(&(x, y)).map(|&i| place(i));
+            let step = at(x - dx, y - dy)
+                .map(|before| here - before)
+                .or_else(|| {
+                    [(dy, dx), (-dy, -dx)]
+                        .into_iter()
+                        .find_map(|(sx, sy)| Some(at(to.0 + sx, to.1 + sy)? - at(x + sx, y + sy)?))
+                })
+                .unwrap_or_else(|| first[0] * f64::from(dx) + first[1] * f64::from(dy));
+            let expected = here + step;
+            let off = |i: &usize| (place(*i) - expected).norm();
+            let nearest =
+                (0..points.len()).filter(|&i| !taken[i]).min_by(|a, b| off(a).total_cmp(&off(b)));
+            if let Some(i) = nearest.filter(|i| off(i) < STEP_ERROR * step.norm()) {
+                taken[i] = true;
+                labels.insert(to, i);
+                open.push(to);
+            }
+        }
+    }
+    labels
+}
+
+/// What is looked at.
+struct View<'a> {
+    points: &'a [LatticePoint],
+    board: &'a Board,
+    sensor: &'a Sensor,
+    margin_px: f64,
+}
+
+/// Points placed on the board.
+struct Placement {
+    corners: Vec<Option<i32>>,
+    homography: Matrix3<f64>,
+    /// The four outer corners, px.
+    outline: [Vector2<f64>; 4],
+    /// Corners that should show.
+    missing: usize,
+    score: f64,
+}
+
+impl View<'_> {
+    /// Every way to lay a labelled lattice onto the board.
+    fn placements(&self, labels: &Labels) -> Vec<Placement> {
+        let Some((labels, homography)) = self.regular(labels) else { return Vec::new() };
+        let mut placements = Vec::new();
+        for quarter_turns in 0..4 {
+            let turn = |(x, y): (i32, i32)| match quarter_turns {
+                0 => (x, y),
+                1 => (-y, x),
+                2 => (-x, -y),
+                _ => (y, -x),
+            };
+            let turned: Vec<((i32, i32), usize)> =
+                labels.iter().map(|&(at, i)| (turn(at), i)).collect();
+            let shifts = |of: fn(&(i32, i32)) -> i32, count: i32| {
+                let values = || turned.iter().map(|(at, _)| of(at));
+                let (low, high) = (values().min().unwrap_or(0), values().max().unwrap_or(0));
+                let last = high - count + 1;
+                low.min(last)..=low.max(last)
+            };
+            for top in shifts(|at| at.1, self.board.rows) {
+                for left in shifts(|at| at.0, self.board.columns) {
+                    // From corners of the board to the labels.
+                    let (ex, ey, origin) = match quarter_turns {
+                        0 => ((1, 0), (0, 1), (left, top)),
+                        1 => ((0, -1), (1, 0), (top, -left)),
+                        2 => ((-1, 0), (0, -1), (-left, -top)),
+                        _ => ((0, 1), (-1, 0), (-top, left)),
+                    };
+                    let to_labels = Matrix3::new(
+                        ex.0, ey.0, origin.0, //
+                        ex.1, ey.1, origin.1, //
+                        0, 0, 1,
+                    )
+                    .map(f64::from);
+                    let shifted = turned.iter().map(|&((x, y), i)| ((x - left, y - top), i));
+                    placements.push(self.placement(shifted, homography * to_labels));
+                }
+            }
+        }
+        placements
+    }
+
+    /// The labels that a homography agrees with, and that.
+    #[allow(clippy::type_complexity)] // named by the sentence above
+    fn regular(&self, labels: &Labels) -> Option<(Vec<((i32, i32), usize)>, Matrix3<f64>)> {
+        let mut kept: Vec<((i32, i32), usize)> = labels.iter().map(|(&at, &i)| (at, i)).collect();
+        // The order of a hash map changes from run to run.
+        kept.sort_unstable();
+        loop {
+            let pairs: Vec<(Vector2<f64>, Vector2<f64>)> = kept
+                .iter()
+                .map(|&((x, y), i)| {
+                    (Vector2::new(f64::from(x), f64::from(y)), self.points[i].place)
+                })
+                .collect();
+            let homography = homography(&pairs)?;
+            let off = |(at, place): &(Vector2<f64>, Vector2<f64>)| {
+                (project(&homography, at) - place).norm() / step_at(&homography, at)
+            };
+            let (worst, error) = pairs
+                .iter()
+                .map(off)
+                .enumerate()
+                .max_by(|a, b| a.1.total_cmp(&b.1))
+                .filter(|(_, error)| error.is_finite())?;
+            if error < PLACE_ERROR {
+                return Some((kept, homography));
+            }
+            kept.swap_remove(worst);
+            if kept.len() < FEWEST {
+                return None;
+            }
+        }
+    }
+
+    fn placement(
+        &self,
+        labelled: impl Iterator<Item = ((i32, i32), usize)>,
+        homography: Matrix3<f64>,
+    ) -> Placement {
+        let board = self.board;
+        let mut corners = vec![None; self.points.len()];
+        let mut found = vec![false; usize::try_from(board.corners()).unwrap_or(0)];
+        let mut score = 0.0;
+        for ((column, row), i) in labelled {
+            if (0..board.columns).contains(&column) && (0..board.rows).contains(&row) {
+                let corner = row * board.columns + column;
+                corners[i] = Some(corner);
+                found[usize::try_from(corner).unwrap_or(0)] = true;
+                score += 1.0;
+                let at = coordinates(board, corner);
+                let diagonal = project(&homography, &(at + Vector2::new(1.0, 1.0)))
+                    - project(&homography, &at);
+                let bright = diagonal.dot(&(self.points[i].squares * diagonal));
+                let is_even = (column + row) % 2 == 0;
+                // The square before corner 0 is dark, and so are those after even corners.
+                if bright != 0.0 && (bright < 0.0) != is_even {
+                    score -= 2.0;
+                }
+            }
+        }
+        let (right, bottom) =
+            (f64::from(self.sensor.width_px) - 1.0, f64::from(self.sensor.height_px) - 1.0);
+        let in_view = |corner: &i32| {
+            let p = project(&homography, &coordinates(board, *corner));
+            (self.margin_px..=right - self.margin_px).contains(&p.x)
+                && (self.margin_px..=bottom - self.margin_px).contains(&p.y)
+        };
+        let missing = (0..board.corners())
+            .filter(|&corner| !found[usize::try_from(corner).unwrap_or(0)])
+            .filter(in_view)
+            .count();
+        let last = board.corners() - 1;
+        let outline = [0, board.columns - 1, last, last - board.columns + 1]
+            .map(|corner| project(&homography, &coordinates(board, corner)));
+        Placement { corners, homography, outline, missing, score: score - missing as f64 }
+    }
+
+    /// Ties what is at the place of a corner without a point, and fits the homography to all.
+    fn completed(&self, placement: &Placement) -> TiedBoard {
+        let mut by_corner: BTreeMap<i32, usize> = BTreeMap::new();
+        for (i, corner) in placement.corners.iter().enumerate() {
+            by_corner.extend(corner.map(|corner| (corner, i)));
+        }
+        for corner in 0..self.board.corners() {
+            let at = coordinates(self.board, corner);
+            let expected = project(&placement.homography, &at);
+            let off = |i: &usize| (self.points[*i].place - expected).norm();
+            let free = (0..self.points.len()).filter(|&i| placement.corners[i].is_none());
+            let nearest = free.min_by(|a, b| off(a).total_cmp(&off(b)));
+            let near = PLACE_ERROR * step_at(&placement.homography, &at);
+            if let Some(i) = nearest.filter(|i| off(i) < near) {
+                by_corner.entry(corner).or_insert(i);
+            }
+        }
+        let pairs: Vec<(Vector2<f64>, Vector2<f64>)> = by_corner
+            .iter()
+            .map(|(&corner, &i)| (coordinates(self.board, corner), self.points[i].place))
+            .collect();
+        let mut corners = vec![None; self.points.len()];
+        for (corner, i) in by_corner {
+            corners[i] = Some(corner);
+        }
+        TiedBoard { corners, homography: homography(&pairs).unwrap_or(placement.homography) }
+    }
+}
+
+impl Placement {
+    fn tied(&self) -> usize {
+        self.corners.iter().flatten().count()
+    }
+
+    /// Whether a symmetry of the board makes both the same: its outer corners are at the same places.
+    fn is_turned(&self, other: &Self) -> bool {
+        let side = (self.outline[0] - self.outline[2]).norm();
+        self.outline.iter().all(|a| other.outline.iter().any(|b| (a - b).norm() < 0.01 * side))
+    }
+
+    /// How far to the right rows run, from −1 to 1.
+    fn rightwards(&self) -> f64 {
+        let row = self.outline[1] - self.outline[0];
+        row.x / row.norm()
+    }
+}
+
+/// Distance of a corner to the next, px.
+fn step_at(homography: &Matrix3<f64>, at: &Vector2<f64>) -> f64 {
+    let here = project(homography, at);
+    let to = |step: Vector2<f64>| (project(homography, &(at + step)) - here).norm();
+    to(Vector2::x()).min(to(Vector2::y()))
+}
+
+/// The homography between pairs of points, by the linear method on coordinates of unit size; `None`
+/// if they do not determine it.
+fn homography(pairs: &[(Vector2<f64>, Vector2<f64>)]) -> Option<Matrix3<f64>> {
+    let count = pairs.len() as f64;
+    let unit = |of: fn(&(Vector2<f64>, Vector2<f64>)) -> Vector2<f64>| {
+        let middle = pairs.iter().map(of).sum::<Vector2<f64>>() / count;
+        let size = pairs.iter().map(|pair| (of(pair) - middle).norm()).sum::<f64>() / count;
+        let scale = 1.0 / size.max(1e-12);
+        Matrix3::new(scale, 0.0, -middle.x * scale, 0.0, scale, -middle.y * scale, 0.0, 0.0, 1.0)
+    };
+    let (from, to) = (unit(|pair| pair.0), unit(|pair| pair.1));
+    // Two rows a pair; at least nine rows, so that all nine singular vectors come out.
+    let mut rows = DMatrix::zeros((2 * pairs.len()).max(9), 9);
+    for (i, (a, b)) in pairs.iter().enumerate() {
+        let (a, b) = (project(&from, a), project(&to, b));
+        let first = [a.x, a.y, 1.0, 0.0, 0.0, 0.0, -b.x * a.x, -b.x * a.y, -b.x];
+        let second = [0.0, 0.0, 0.0, a.x, a.y, 1.0, -b.y * a.x, -b.y * a.y, -b.y];
+        for (j, (first, second)) in first.into_iter().zip(second).enumerate() {
+            rows[(2 * i, j)] = first;
+            rows[(2 * i + 1, j)] = second;
+        }
+    }
+    let v = rows.svd(false, true).v_t?;
+    let last = v.row(8);
+    let unit_homography = Matrix3::from_row_iterator(last.iter().copied());
+    let homography = to.try_inverse()? * unit_homography * from;
+    homography.iter().all(|x| x.is_finite()).then_some(homography)
+}

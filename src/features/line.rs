@@ -1,0 +1,228 @@
+//! The line that all sights of one corner lie on.
+//!
+//! Micro-lens (k, l) with its micro-image about c shows a point at i = β + γ c: the same β and slope γ
+//! in all micro-images, γ = λ (1 − 1/ν) with λ = D/(D + d). Where i = c the point is seen through the
+//! middle of the main lens: its pinhole image.
+
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
+
+use super::Sight;
+use crate::camera::Configuration;
+
+/// i = β + γ c.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SightLine {
+    /// β, px.
+    pub start: Vector2<f64>,
+    /// γ.
+    pub slope: f64,
+    /// Standard deviation of γ.
+    pub slope_std_dev: f64,
+    /// Covariance of the pinhole image, px².
+    pub pinhole_covariance: Matrix2<f64>,
+    /// Root mean square distance of the sights that count, px.
+    pub rms_px: f64,
+}
+
+/// Sights beyond so many robust standard deviations lose their weight.
+const OUTLIER_SCALES: f64 = 4.0;
+/// The robust standard deviation is not taken below this, px: nothing is measured better.
+const MIN_SCALE_PX: f64 = 0.03;
+/// Reweighted fits settle in a few rounds.
+const ROUNDS: usize = 20;
+/// Median of the length of a 2-D Gaussian vector over its per-axis standard deviation.
+const MEDIAN_LENGTH_2D: f64 = 1.177_410_022_515_474_7;
+/// |1 − γ| that can be told from 0 and from micro-images that do not overlap.
+const INVERSE_DEPTHS: std::ops::Range<f64> = 0.02..0.98;
+
+impl SightLine {
+    /// Where the point is seen in the micro-image about `center`, px.
+    #[must_use]
+    pub fn at(&self, center: &Vector2<f64>) -> Vector2<f64> {
+        self.start + center * self.slope
+    }
+
+    /// Pinhole image of the point: where a ray through the middles of main lens and a micro-lens
+    /// would meet the sensor, px.
+    #[must_use]
+    pub fn pinhole(&self) -> Vector2<f64> {
+        self.start / (1.0 - self.slope)
+    }
+
+    /// 1/ν = 1 − γ/λ, Eq. (virtdepth).
+    #[must_use]
+    pub fn inverse_virtual_depth(&self, lambda: f64) -> f64 {
+        1.0 - self.slope / lambda
+    }
+
+    /// The line through a pinhole image.
+    #[must_use]
+    pub fn through(pinhole: &Vector2<f64>, slope: f64) -> Self {
+        Self {
+            start: pinhole * (1.0 - slope),
+            slope,
+            slope_std_dev: 0.0,
+            pinhole_covariance: Matrix2::zeros(),
+            rms_px: 0.0,
+        }
+    }
+
+    /// Fits the line robustly; `None` if the sights are of a single micro-image.
+    #[must_use]
+    pub fn fit<'a>(sights: impl Iterator<Item = &'a Sight> + Clone) -> Option<Self> {
+        let count = sights.clone().count();
+        let middle = sights.clone().map(|s| s.center).sum::<Vector2<f64>>() / count as f64;
+        let mut weights: Vec<f64> = sights.clone().map(|s| s.std_dev_px.powi(-2)).collect();
+        let mut line = None;
+        for _ in 0..ROUNDS {
+            let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+            for (sight, &weight) in sights.clone().zip(&weights) {
+                let c = sight.center - middle;
+                let rows = Matrix3x2::new(1.0, 0.0, 0.0, 1.0, c.x, c.y);
+                normal += rows * rows.transpose() * weight;
+                right += rows * sight.position * weight;
+            }
+            let inverse = normal.try_inverse().filter(|_| {
+                normal[(2, 2)] * normal[(0, 0)] > 1e-6 * normal[(0, 0)].powi(2) && count > 1
+            })?;
+            let solution = inverse * right;
+            let slope = solution.z;
+            let start = solution.xy() - middle * slope;
+            let next = Self { start, slope, ..Self::through(&Vector2::zeros(), slope) };
+            let lengths: Vec<f64> =
+                sights.clone().map(|s| (s.position - next.at(&s.center)).norm()).collect();
+            let mut sorted = lengths.clone();
+            let median = *sorted.select_nth_unstable_by(count / 2, f64::total_cmp).1;
+            let scale = (median / MEDIAN_LENGTH_2D).max(MIN_SCALE_PX);
+            let weight = |(sight, length): (&Sight, &f64)| {
+                let x = length / (OUTLIER_SCALES * scale);
+                let tukey = if x < 1.0 { (1.0 - x * x).powi(2) } else { 0.0 };
+                tukey * sight.std_dev_px.powi(-2)
+            };
+            weights = sights.clone().zip(&lengths).map(weight).collect();
+            let used = lengths.iter().filter(|&&l| l < OUTLIER_SCALES * scale);
+            let square: f64 = used.clone().map(|l| l * l).sum();
+            let used = used.count() as f64;
+            // Of two coordinates each, three go into the line. Weights are in 1/px²: what they leave
+            // over tells how much larger the errors are.
+            let freedom = (2.0 * used - 3.0).max(1.0);
+            let weighted: f64 = sights
+                .clone()
+                .zip(&lengths)
+                .filter(|&(_, &l)| l < OUTLIER_SCALES * scale)
+                .map(|(s, l)| (l / s.std_dev_px).powi(2))
+                .sum();
+            let factor = weighted / freedom;
+            let covariance = inverse * factor;
+            // Pinhole p = (m − γ c̄)/(1 − γ) of the value m at the mean centre c̄.
+            let by_slope = (solution.xy() - middle) / (1.0 - slope).powi(2);
+            let jacobian = Matrix3x2::new(
+                1.0 / (1.0 - slope),
+                0.0,
+                0.0,
+                1.0 / (1.0 - slope),
+                by_slope.x,
+                by_slope.y,
+            );
+            let settled = line.is_some_and(|last: Self| (last.slope - slope).abs() < 1e-10);
+            line = Some(Self {
+                slope_std_dev: covariance[(2, 2)].max(0.0).sqrt(),
+                pinhole_covariance: jacobian.transpose() * covariance * jacobian,
+                rms_px: (square / used.max(1.0)).sqrt(),
+                ..next
+            });
+            if settled {
+                break;
+            }
+        }
+        line.filter(|l| l.slope.is_finite() && l.start.iter().all(|x| x.is_finite()))
+    }
+}
+
+/// Slopes that a point can have: behind the array (Galilean) neighbouring micro-images show it closer
+/// together than they are, before it (Keplerian) further apart.
+#[must_use]
+pub fn possible_slope(slope: f64, configuration: Configuration) -> bool {
+    match configuration {
+        Configuration::Galilean => INVERSE_DEPTHS.contains(&(1.0 - slope)),
+        Configuration::Keplerian => INVERSE_DEPTHS.contains(&(slope - 1.0)),
+        Configuration::Unfocused => INVERSE_DEPTHS.contains(&(1.0 - slope).abs()),
+    }
+}
+
+/// 1/ν as the paper has it: the median of Eq. (virtdepth) over all pairs of sights, with λ = 1. Of an
+/// even number of pairs the upper one of the middle, as COMPOTE has it; `None` for a single sight.
+#[must_use]
+pub fn median_inverse_virtual_depth(sights: &[Sight]) -> Option<f64> {
+    let mut depths = Vec::new();
+    for (n, a) in sights.iter().enumerate() {
+        for b in &sights[..n] {
+            let baseline = (a.center - b.center).norm();
+            let disparity = baseline - (a.position - b.position).norm();
+            if baseline > 0.0 && disparity != 0.0 {
+                depths.push(baseline / disparity);
+            }
+        }
+    }
+    let middle = depths.len() / 2;
+    (!depths.is_empty()).then(|| 1.0 / *depths.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// Sights of the same line, as indices.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Group {
+    /// Members.
+    pub members: Vec<usize>,
+    /// Their line.
+    pub line: SightLine,
+}
+
+/// Sorts sights into groups with a common line: the line through some two of them that most others
+/// are on, then what is left, and so on. Sights on no line of at least `fewest` are in no group.
+#[must_use]
+pub fn groups_on_lines(
+    sights: &[Sight],
+    cluster: &[usize],
+    tolerance_px: f64,
+    fewest: usize,
+    configuration: Configuration,
+) -> Vec<Group> {
+    let mut left = cluster.to_vec();
+    let mut groups = Vec::new();
+    while left.len() >= fewest.max(2) {
+        let on = |line: &SightLine| -> Vec<usize> {
+            let off = |i: &usize| (sights[*i].position - line.at(&sights[*i].center)).norm();
+            left.iter().copied().filter(|i| off(i) <= tolerance_px).collect()
+        };
+        let mut best: Vec<usize> = Vec::new();
+        for (n, &a) in left.iter().enumerate() {
+            for &b in &left[..n] {
+                let (a, b) = (&sights[a], &sights[b]);
+                let baseline = a.center - b.center;
+                if baseline.norm_squared() == 0.0 {
+                    continue;
+                }
+                let slope = (a.position - b.position).dot(&baseline) / baseline.norm_squared();
+                if !possible_slope(slope, configuration) {
+                    continue;
+                }
+                let middle = (a.position + b.position - (a.center + b.center) * slope) / 2.0;
+                let line = SightLine { start: middle, ..SightLine::through(&middle, slope) };
+                let members = on(&line);
+                if members.len() > best.len() {
+                    best = members;
+                }
+            }
+        }
+        // The fit to all of them may win some more, and lose some.
+        let Some(line) = SightLine::fit(best.iter().map(|&i| &sights[i])) else { break };
+        let members = on(&line);
+        if members.len() < fewest || !possible_slope(line.slope, configuration) {
+            break;
+        }
+        let Some(line) = SightLine::fit(members.iter().map(|&i| &sights[i])) else { break };
+        left.retain(|i| !members.contains(i));
+        groups.push(Group { members, line });
+    }
+    groups
+}
