@@ -8,6 +8,7 @@ use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 use super::pattern::Pattern;
+use super::statistics::median;
 use crate::image::{Grey, Image};
 
 /// What was measured of one micro-image.
@@ -110,6 +111,28 @@ pub(super) fn part_with(
     (image.part(left, top, width, height), corner)
 }
 
+/// Calls with the offset and value of all pixels within a radius.
+pub(super) fn pixels_about(
+    image: &Image,
+    center: &Vector2<f64>,
+    radius: f64,
+    mut visit: impl FnMut(Vector2<f64>, f64),
+) {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to the image
+    let range = |center: f64, length: usize| {
+        (center - radius).ceil().max(0.0) as usize
+            ..((center + radius).floor() + 1.0).max(0.0).min(length as f64) as usize
+    };
+    for v in range(center.y, image.height) {
+        for u in range(center.x, image.width) {
+            let offset = Vector2::new(u as f64, v as f64) - center;
+            if offset.norm_squared() <= radius * radius {
+                visit(offset, f64::from(image.at(u, v)));
+            }
+        }
+    }
+}
+
 /// Measures micro-images that are far from each other.
 fn measure_some(image: &Grey, pattern: &Pattern, nodes: &[(i32, i32)]) -> Vec<Blob> {
     nodes.par_chunks(1).flat_map_iter(|node| measure_near(image, pattern, node)).collect()
@@ -188,9 +211,7 @@ fn refit(pattern: &Pattern, blobs: &[Blob]) -> Option<Pattern> {
     let mut fitted = *pattern;
     for _ in 0..3 {
         let miss = |blob: &Blob| (blob.center - fitted.place(blob.node.0, blob.node.1)).norm();
-        let mut misses: Vec<f64> = blobs.iter().map(miss).collect();
-        let middle = misses.len() / 2;
-        let typical = *misses.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let typical = median(blobs.iter().map(miss))?;
         let mut normal = nalgebra::Matrix3::zeros();
         let mut right = Matrix3x2::zeros();
         for blob in blobs.iter().filter(|blob| miss(blob) <= 3.0 * typical + SETTLED_PX) {
