@@ -112,7 +112,10 @@ fn of_image(
     let types = array.lens_types.types;
     let figure = report::micro_images_figure(&image, &array, &vec![half_pitch; types])?;
     output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))?;
-    output.stage("centers.csv", |out| io::write_measured_centers(out, &array, types))?;
+    output.stage("centers.csv", |out| {
+        let lens_type = |c: &MicroImageCenter| array.grid.lattice.lens_type(c.k, c.l, types);
+        io::write_measured_centers(out, &array, lens_type)
+    })?;
     let text = format!("{}\n{}", report::array_text(&array), report::types_text(&array.lens_types));
     Ok((text, io::array_document(&array)))
 }
@@ -192,7 +195,8 @@ fn stage(
 ) -> Result<()> {
     let types = result.lens_types.types;
     let internal = &result.internal.parameters;
-    output.stage("centers.csv", |out| io::write_measured_centers(out, &result.array, types))?;
+    let lens_type = |c: &MicroImageCenter| result.array.grid.lattice.lens_type(c.k, c.l, types);
+    output.stage("centers.csv", |out| io::write_measured_centers(out, &result.array, lens_type))?;
     output.stage_json("params.js", &compote::parameters_document(internal, sheet))?;
     let camera = compote::camera_document(sheet, &result.array.grid, types);
     output.stage_json("camera.js", &camera)?;

@@ -45,6 +45,10 @@ const REACH_FACTOR: f64 = 3.0;
 const SAMPLE: usize = 250;
 /// Micro-images that give the pitch to 2 · 10⁻⁶, with a scatter of 0.03 px over a hundred rows.
 const LARGE_SAMPLE: usize = 800;
+/// A window may move by this part of a pitch as it follows the centroid.
+const FOLLOWED: f64 = 0.1;
+/// The middle of a micro-image, in pitches.
+const MIDDLE: f64 = 0.25;
 /// Micro-images along the edge of a tile: some 400 px, so that it stays in a core's cache.
 const TILE: i32 = 16;
 /// Enough micro-images for an affine fit that stands a few bad ones.
@@ -78,14 +82,17 @@ fn followed(image: &Grey, found: &Pattern) -> Option<Pattern> {
     }
 }
 
-/// Measures a sample of micro-images all over an image whose pattern is known, and fits that to them;
+/// Measures a sample of some micro-images of an image whose pattern is known, and fits that to them;
 /// `None` if it does not show there.
-pub(super) fn measure_sample(image: &Grey, pattern: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
-    let nodes = nodes_in(image.size(), pattern);
+pub(super) fn measure_sample(
+    image: &Grey,
+    pattern: &Pattern,
+    nodes: &[(i32, i32)],
+) -> Option<(Pattern, Vec<Blob>)> {
     let step = nodes.len().div_ceil(LARGE_SAMPLE).max(1);
     // Every third in a row would be of one lens type.
     let step = if step.is_multiple_of(3) { step + 1 } else { step };
-    let sample: Vec<(i32, i32)> = nodes.into_iter().step_by(step).collect();
+    let sample: Vec<(i32, i32)> = nodes.iter().copied().step_by(step).collect();
     let blobs = measure_some(image, pattern, &sample);
     Some((refit(pattern, &blobs)?, blobs))
 }
@@ -203,7 +210,36 @@ pub(super) fn nodes_in((width, height): (usize, usize), pattern: &Pattern) -> Ve
         .collect()
 }
 
-/// The affine map from nodes to centres, robustly: those far off lose their weight.
+/// Whether the border of an image of so many pixels cuts the window of a micro-image.
+pub(super) fn is_cut((width, height): (usize, usize), pattern: &Pattern, node: (i32, i32)) -> bool {
+    let place = pattern.place(node.0, node.1);
+    let to_border =
+        place.min().min(width as f64 - 1.0 - place.x).min(height as f64 - 1.0 - place.y);
+    to_border < (WINDOW.1 + FOLLOWED) * pattern.pitch() + 1.0
+}
+
+/// Mean light of the middle of a micro-image above the background, and the part of it that is
+/// saturated, also where the border of the image cuts it.
+pub(super) fn middle_light(
+    image: &Grey,
+    pattern: &Pattern,
+    node: (i32, i32),
+) -> Option<(f64, f64)> {
+    let place = pattern.place(node.0, node.1);
+    let (part, corner) = part_with(image, std::iter::once(place), pattern.pitch());
+    let place = place - corner;
+    let background = darkest_neighbourhood(&part, pattern, &place)?;
+    let (mut count, mut light, mut saturated) = (0.0, 0.0, 0.0);
+    pixels_about(&part, &place, MIDDLE * pattern.pitch(), |_, value| {
+        count += 1.0;
+        light += value - background;
+        saturated += f64::from(u8::from(value >= 1.0));
+    });
+    (count > 0.0).then(|| (light / count, saturated / count))
+}
+
+/// The affine map from nodes to centres, robustly: those far off lose their weight, and what is dark
+/// has little, as noise.
 fn refit(pattern: &Pattern, blobs: &[Blob]) -> Option<Pattern> {
     if blobs.len() < FEWEST {
         return None;
@@ -216,8 +252,8 @@ fn refit(pattern: &Pattern, blobs: &[Blob]) -> Option<Pattern> {
         let mut right = Matrix3x2::zeros();
         for blob in blobs.iter().filter(|blob| miss(blob) <= 3.0 * typical + SETTLED_PX) {
             let row = Vector3::new(1.0, f64::from(blob.node.0), f64::from(blob.node.1));
-            normal += row * row.transpose();
-            right += row * blob.center.transpose();
+            normal += row * row.transpose() * blob.light;
+            right += row * blob.center.transpose() * blob.light;
         }
         let solution = normal.cholesky()?.solve(&right);
         let column = |i: usize| Vector2::new(solution[(i, 0)], solution[(i, 1)]);
