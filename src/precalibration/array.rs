@@ -93,23 +93,25 @@ pub fn measure_array(image: &RawImage, stated: Option<(i32, i32)>) -> Result<Arr
 /// All centres in an image of `size` (width, height), px, that a known lattice puts there: one of them
 /// at `origin`, the next at the two `steps` (columns, px). Indices count as in [`measure_array`].
 pub fn lattice_centers(
-    size: (u32, u32),
+    size: (u16, u16),
     origin: &Vector2<f64>,
     steps: &Matrix2<f64>,
-) -> Result<(LatticeKind, Vec<MicroImageCenter>)> {
+) -> Result<Vec<MicroImageCenter>> {
     let pattern = Pattern { origin: *origin, ..known(steps)? };
-    let nodes = nodes_in((size.0 as usize, size.1 as usize), &pattern);
+    let nodes = nodes_in((size.0.into(), size.1.into()), &pattern);
     let labels = Labels::possible(&pattern, &nodes, None)?;
     let labels = labels.first().ok_or_else(|| Error::invalid("no centre lies in the image"))?;
     let center = |&node: &(i32, i32)| labels.center(&pattern, node, &pattern.place(node.0, node.1));
-    Ok((pattern.kind, nodes.iter().map(center).collect()))
+    Ok(nodes.iter().map(center).collect())
 }
 
-/// Packing and rotation (rad, from u towards v) of the lattice that two steps (columns, px) make.
-pub fn lattice_orientation(steps: &Matrix2<f64>) -> Result<(LatticeKind, f64)> {
+/// Packing and rotation (rad, from u towards v) of the lattice that two steps (columns, px) make, and
+/// its steps to two neighbours: along the straight rows (columns), and to the next row (column) at 60
+/// degrees from it, or at 90 on a square lattice.
+pub fn lattice_orientation(steps: &Matrix2<f64>) -> Result<(LatticeKind, f64, Matrix2<f64>)> {
     let pattern = known(steps)?;
     let along_rows = pattern.lattice_axes().column(0).into_owned();
-    Ok((pattern.kind, along_rows.y.atan2(along_rows.x)))
+    Ok((pattern.kind, along_rows.y.atan2(along_rows.x), pattern.basis()))
 }
 
 fn known(steps: &Matrix2<f64>) -> Result<Pattern> {
