@@ -39,7 +39,7 @@ impl ArrayMeasurement {
     ) -> Self {
         Self {
             grid,
-            lens_types: LensTypes::stated(lens_types),
+            lens_types: LensTypes::stated(lens_types.max(1)),
             std_devs_px: Vec::new(),
             centers,
             left_out: LeftOutCenters::default(),
@@ -84,8 +84,8 @@ const BEYOND: i32 = 2;
 ///
 /// `stated` is the number of columns and rows of the array where it is known. Indices (k, l) then
 /// count such that the middle of the array is nearest to that of the image; else they count from the
-/// first column and row that show in the image. An error if no lattice of micro-images
-/// shows, or not one of the stated size.
+/// first column and row that show light. An error if no lattice of micro-images shows, or not one of
+/// the stated size.
 pub fn measure_array(image: &RawImage, stated: Option<(i32, i32)>) -> Result<ArrayMeasurement> {
     found_array(&image.grey(), stated).map(|found| found.array)
 }
@@ -100,7 +100,9 @@ pub fn lattice_centers(
     let pattern = Pattern { origin: *origin, ..known(steps)? };
     let nodes = nodes_in((size.0.into(), size.1.into()), &pattern);
     let labels = Labels::possible(&pattern, &nodes, None)?;
-    let labels = labels.first().ok_or_else(|| Error::invalid("no centre lies in the image"))?;
+    let labels = labels
+        .first()
+        .ok_or_else(|| Error::invalid("no centre lies in it: give a larger image"))?;
     let center = |&node: &(i32, i32)| labels.center(&pattern, node, &pattern.place(node.0, node.1));
     Ok(nodes.iter().map(center).collect())
 }
@@ -179,17 +181,15 @@ impl Labels {
         Lattice { kind, columns: self.size.0, rows: self.size.1, shifted }
     }
 
-    /// Every way to count the nodes that show that suits the stated size, with it; else the ones with the fewest columns
-    /// and rows.
+    /// Every way to count some nodes, those that show, that suits the stated size, with it; else the
+    /// ones with the fewest columns and rows.
     fn possible(
         pattern: &Pattern,
         nodes: &[(i32, i32)],
         stated: Option<(i32, i32)>,
     ) -> Result<Vec<Self>> {
         if nodes.is_empty() {
-            return Err(Error::invalid(
-                "no micro-image shows in the image: give a larger part of a white image",
-            ));
+            return Err(Error::invalid("no micro-image lies in the image: give a larger one"));
         }
         let both = [false, true].map(|later| {
             let indices = || nodes.iter().map(|&node| pattern.index(node, later));
@@ -232,7 +232,7 @@ impl Labels {
 
 pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<FoundArray> {
     let (pattern, blobs) = find(image)?;
-    let Judged { good: mut blobs, lit, without_center } = judge(image, &pattern, blobs);
+    let verdicts = judge(image, &pattern, &blobs);
     let (width, height) = image.size();
     let middle = Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
     // From the middle of the image to that of the array.
@@ -241,7 +241,7 @@ pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<Fo
         (pattern.origin - pattern.lattice_axes() * labels.lattice(pattern.kind).node(k, l) - middle)
             .norm()
     };
-    let possible = Labels::possible(&pattern, &lit, stated)?;
+    let possible = Labels::possible(&pattern, &lit_nodes(&verdicts), stated)?;
     let Some(labels) = possible.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
         return Err(Error::invalid(
             "the micro-images cannot be counted: give a white image of the whole array",
@@ -252,7 +252,12 @@ pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<Fo
         let (k, l) = labels.index(&pattern, node);
         lattice.contains(k, l)
     };
-    blobs.retain(|blob| of_array(blob.node));
+    let blobs: Vec<Blob> = blobs
+        .into_iter()
+        .zip(&verdicts)
+        .filter(|(blob, verdict)| verdict.left_out.is_none() && of_array(blob.node))
+        .map(|(blob, _)| blob)
+        .collect();
     let center = |blob: &Blob| labels.center(&pattern, blob.node, &blob.center);
     let all: Vec<MicroImageCenter> = blobs.iter().map(center).collect();
     let grid = fit_found(&all, &lattice)?;
@@ -263,7 +268,7 @@ pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<Fo
     };
     let (blobs, misplaced): (Vec<Blob>, Vec<Blob>) = blobs.into_iter().partition(fits);
     let count = |reason: LeftOut| {
-        without_center.iter().filter(|&&(node, why)| why == reason && of_array(node)).count()
+        verdicts.iter().filter(|v| v.left_out == Some(reason) && of_array(v.node)).count()
     };
     let array = ArrayMeasurement {
         grid,
@@ -329,71 +334,54 @@ enum LeftOut {
     Saturated,
 }
 
-/// The micro-images of an image by what shows of them.
-struct Judged {
-    /// Those with a centre.
-    good: Vec<Blob>,
-    /// Nodes of those that show light, with or without a centre.
-    lit: Vec<(i32, i32)>,
-    /// Nodes without a centre.
-    without_center: Vec<((i32, i32), LeftOut)>,
+/// What an image shows of a node of its pattern.
+struct Verdict {
+    node: (i32, i32),
+    /// Why it has no centre, if it has none.
+    left_out: Option<LeftOut>,
+    /// Whether light shows, with a centre or without.
+    lit: bool,
 }
 
-/// Sorts out what is cut, dark or saturated.
-fn judge(image: &Grey, pattern: &Pattern, blobs: Vec<Blob>) -> Judged {
+/// Judges the micro-images that were measured, and then the other nodes in the image.
+fn judge(image: &Grey, pattern: &Pattern, blobs: &[Blob]) -> Vec<Verdict> {
     let light: Vec<((i32, i32), f64)> = blobs.iter().map(|b| (b.node, b.light)).collect();
-    let unlit = UNLIT * usual_light(&blobs);
     let light = ByNode::new(&light);
-    let judged = |blob: &Blob| {
+    let unlit = UNLIT * usual_light(blobs);
+    let of_blob = |blob: &Blob| {
         let typical = median(light.around(blob.node, 2)).unwrap_or_default();
-        if blob.light < unlit.max(DARK * typical) {
+        let dark = blob.light < unlit.max(DARK * typical);
+        let left_out = if dark {
             Some(LeftOut::Dark)
         } else {
             (blob.saturated > SATURATED).then_some(LeftOut::Saturated)
-        }
+        };
+        Verdict { node: blob.node, left_out, lit: !dark }
     };
-    let of_blobs: Vec<Option<LeftOut>> = blobs.par_iter().map(judged).collect();
-
-    // What was not measured may still show: cut by the border, or saturated.
-    let mut others = nodes_in(image.size(), pattern);
-    others.retain(|&node| light.at(node).is_none());
-    let glanced = |&node: &(i32, i32)| {
+    let of_other = |&node: &(i32, i32)| {
         let (light, saturated) = middle_light(image, pattern, node).unwrap_or_default();
         let full = saturated > SATURATED;
-        let reason = if is_cut(image.size(), pattern, node) {
+        let left_out = if is_cut(image.size(), pattern, node) {
             LeftOut::Cut
         } else if full {
             LeftOut::Saturated
         } else {
             LeftOut::Dark
         };
-        (node, reason, full || light > unlit)
+        Verdict { node, left_out: Some(left_out), lit: full || light > unlit }
     };
-    let of_others: Vec<((i32, i32), LeftOut, bool)> = others.par_iter().map(glanced).collect();
+    let mut others = nodes_in(image.size(), pattern);
+    others.retain(|&node| light.at(node).is_none());
+    blobs.par_iter().map(of_blob).chain(others.par_iter().map(of_other)).collect()
+}
 
-    let shows = |(blob, reason): &(&Blob, &Option<LeftOut>)| {
-        (**reason != Some(LeftOut::Dark)).then_some((blob.node, ()))
-    };
-    let lit: Vec<((i32, i32), ())> = blobs
-        .iter()
-        .zip(&of_blobs)
-        .filter_map(|pair| shows(&pair))
-        .chain(of_others.iter().filter(|(.., lit)| *lit).map(|&(node, ..)| (node, ())))
-        .collect();
+/// The nodes of the array as far as it shows light.
+fn lit_nodes(verdicts: &[Verdict]) -> Vec<(i32, i32)> {
+    let lit: Vec<((i32, i32), ())> =
+        verdicts.iter().filter(|v| v.lit).map(|v| (v.node, ())).collect();
     let by_node = ByNode::new(&lit);
-    let among_others = |node: (i32, i32)| by_node.around(node, 1).count() >= FEWEST_NEIGHBOURS;
-    let lit = lit.iter().map(|&(node, ())| node).filter(|&node| among_others(node)).collect();
-
-    let mut without_center: Vec<_> =
-        of_others.into_iter().map(|(node, reason, _)| (node, reason)).collect();
-    let mut good = Vec::with_capacity(blobs.len());
-    for (blob, reason) in blobs.into_iter().zip(of_blobs) {
-        match reason {
-            Some(reason) => without_center.push((blob.node, reason)),
-            None => good.push(blob),
-        }
-    }
-    Judged { good, lit, without_center }
+    let among_others = |node: &(i32, i32)| by_node.around(*node, 1).count() >= FEWEST_NEIGHBOURS;
+    lit.iter().map(|&(node, ())| node).filter(among_others).collect()
 }
 
 /// Half of all light is in micro-images at least as bright: so the many dark ones about a small array
