@@ -248,6 +248,7 @@ fn an_array_smaller_than_the_sensor_is_counted_by_what_shows() {
     for (kind, columns, rows, center, rotation_rad) in [
         (HexagonalRows, 30, 22, (499.5, 374.5), 0.0),
         (HexagonalRows, 29, 21, (470.0, 300.0), 0.02),
+        (HexagonalRows, 16, 12, (499.5, 374.5), 0.0),
         (HexagonalColumns, 20, 24, (560.0, 374.5), -0.03),
         (Orthogonal, 14, 12, (499.5, 374.5), 0.05),
         // Beyond the right border.
