@@ -47,7 +47,8 @@ impl Error {
     }
 
     /// Ties an error about values to the file they came from.
-    pub(crate) fn in_file(self, path: &Path) -> Self {
+    #[must_use]
+    pub fn in_file(self, path: &Path) -> Self {
         match self {
             Self::Invalid(message) => Self::content(path, message),
             other => other,

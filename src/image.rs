@@ -194,6 +194,9 @@ impl RawImage {
             }
         };
         let per_row = self.width * self.color.samples();
+        if per_row == 0 {
+            return;
+        }
         let step = (self.height / (2 * COMPARED)).max(1);
         let channel = |u, v| self.color.mosaic(u, v).unwrap_or_default();
         let square = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(u, v)| channel(u, v));
@@ -322,6 +325,17 @@ mod tests {
                 }
             }
             assert!(grey.pixels[6..8].iter().all(|&p| p >= 1.0));
+        }
+    }
+
+    #[test]
+    fn an_image_without_pixels_has_nothing_to_compare() {
+        for (width, height) in [(0, 5), (5, 0)] {
+            for color in [Color::Grey, Color::Rgb, Color::BayerRggb] {
+                let image = RawImage { width, height, color, samples: Samples::Bits8(Vec::new()) };
+                assert_eq!(image.parity_means(), None);
+                assert!(image.to_grey().pixels.is_empty());
+            }
         }
     }
 

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use nalgebra::Vector2;
 use plenocal::camera::Datasheet;
 use plenocal::image::Color;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project, compote};
@@ -30,15 +31,15 @@ pub struct Arguments {
     input: PathBuf,
     /// Size of the images that Raytrix' calibration is of, e.g. 2048x2048.
     #[arg(long, value_name = "WxH", value_parser = size)]
-    size: Option<(u32, u32)>,
-    /// Folder for the results: precalibration.json, centers.csv, radii.svg, micro-images.svg, and
-    /// COMPOTE's camera.js and params.js.
+    size: Option<(u16, u16)>,
+    /// Folder for the results: precalibration.json and centers.csv, of images also micro-images.svg,
+    /// of a project also radii.svg and COMPOTE's camera.js and params.js.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// How radii are measured: the edge of a fitted profile, or the paper's second moments, which are
-    /// right for some over-exposures only.
-    #[arg(long, value_enum, default_value = "profile")]
-    estimator: Estimator,
+    /// right for some over-exposures only; for a project [default: profile].
+    #[arg(long, value_enum)]
+    estimator: Option<Estimator>,
     /// What the samples of a single image stand for: grey, rgb, bayer-rggb, bayer-grbg, bayer-gbrg
     /// or bayer-bggr [default: grey or RGB, as the file has it].
     #[arg(long, value_parser = color)]
@@ -54,11 +55,20 @@ enum Estimator {
     Moments,
 }
 
-fn size(text: &str) -> std::result::Result<(u32, u32), String> {
-    let parse = |number: &str| number.trim().parse::<u32>().ok().filter(|&n| n > 0);
-    text.split_once('x')
-        .and_then(|(w, h)| Some((parse(w)?, parse(h)?)))
-        .ok_or_else(|| format!("'{text}' is no size; write it as 2048x2048"))
+impl From<Estimator> for RadiusEstimator {
+    fn from(estimator: Estimator) -> Self {
+        match estimator {
+            Estimator::Profile => Self::Profile,
+            Estimator::Moments => Self::Moments,
+        }
+    }
+}
+
+fn size(text: &str) -> std::result::Result<(u16, u16), String> {
+    let parse = |number: &str| number.trim().parse::<u16>().ok().filter(|&n| n > 0);
+    text.split_once('x').and_then(|(w, h)| Some((parse(w)?, parse(h)?))).ok_or_else(|| {
+        format!("'{text}' is no size; write it as 2048x2048, each edge from 1 to 65535 px")
+    })
 }
 
 fn color(name: &str) -> std::result::Result<Color, String> {
@@ -76,18 +86,57 @@ Examples:
 /// How often the progress line moves.
 const TICK: Duration = Duration::from_millis(100);
 
+/// What the input is, by the ending of its name.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Project,
+    Raytrix,
+    Image,
+}
+
+impl Kind {
+    fn of(input: &Path) -> Self {
+        let ends_in = |name: &str| input.extension().is_some_and(|e| e.eq_ignore_ascii_case(name));
+        if ends_in("toml") {
+            Self::Project
+        } else if ends_in("xml") {
+            Self::Raytrix
+        } else {
+            Self::Image
+        }
+    }
+}
+
+/// An error naming an option that is for another kind of input.
+fn check_options(arguments: &Arguments, kind: Kind) -> Result<()> {
+    let options = [
+        (arguments.size.is_some(), Kind::Raytrix, "--size is for Raytrix' calibration (XML)"),
+        (arguments.estimator.is_some(), Kind::Project, "--estimator is for a project (TOML)"),
+        (
+            arguments.color.is_some(),
+            Kind::Image,
+            "--color is for a single image; a project has it in [images]",
+        ),
+    ];
+    match options.iter().find(|&&(given, of, _)| given && of != kind) {
+        Some((.., what)) => {
+            let error = Error::Invalid(format!("{what}: leave it out here"));
+            Err(error.in_file(&arguments.input))
+        }
+        None => Ok(()),
+    }
+}
+
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let kind = Kind::of(&arguments.input);
+    check_options(arguments, kind)?;
     let mut output = OutputFolder::new(&arguments.out)?;
-    let ends_in =
-        |name: &str| arguments.input.extension().is_some_and(|e| e.eq_ignore_ascii_case(name));
-    let (text, document) = if ends_in("toml") {
-        of_project(arguments, &mut output)?
-    } else if ends_in("xml") {
-        of_raytrix(arguments, &mut output)?
-    } else {
-        of_image(arguments, &mut output)?
-    };
+    let (text, document) = match kind {
+        Kind::Project => of_project(arguments, &mut output),
+        Kind::Raytrix => of_raytrix(arguments, &mut output),
+        Kind::Image => of_image(arguments, &mut output),
+    }?;
     output.stage_json("precalibration.json", &document)?;
     let paths = output.commit()?;
     let text = if arguments.json {
@@ -106,13 +155,15 @@ fn of_image(
 ) -> Result<(String, serde_json::Value)> {
     let path = &arguments.input;
     let image = read_white(path, arguments.color)?;
-    let array = measure_array(&image, None)
-        .map_err(|e| Error::Content { path: path.clone(), message: e.to_string() })?;
+    let array = measure_array(&image, None).map_err(|e| e.in_file(path))?;
     let half_pitch = array.grid.pitch_px / 2.0;
     let types = array.lens_types.types;
     let figure = report::micro_images_figure(&image, &array, &vec![half_pitch; types])?;
     output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))?;
-    output.stage("centers.csv", |out| io::write_measured_centers(out, &array, types))?;
+    output.stage("centers.csv", |out| {
+        let lens_type = |c: &MicroImageCenter| array.grid.lattice.lens_type(c.k, c.l, types);
+        io::write_measured_centers(out, &array, lens_type)
+    })?;
     let text = format!("{}\n{}", report::array_text(&array), report::types_text(&array.lens_types));
     Ok((text, io::array_document(&array)))
 }
@@ -121,28 +172,30 @@ fn of_raytrix(
     arguments: &Arguments,
     output: &mut OutputFolder,
 ) -> Result<(String, serde_json::Value)> {
-    let maker = io::read_raytrix(&arguments.input)?;
+    let path = &arguments.input;
+    let maker = io::read_raytrix(path)?;
     let (width, height) = arguments.size.ok_or_else(|| {
         Error::Invalid(
             "Raytrix' calibration does not say how large the images are: give --size".to_owned(),
         )
+        .in_file(path)
     })?;
-    let typed = maker.centers(width, height)?;
-    let centers: Vec<_> = typed.iter().map(|&(center, _)| center).collect();
+    let of_this_size = |e: Error| {
+        Error::Invalid(format!("in an image of {width} x {height} px: {e}; check --size"))
+            .in_file(path)
+    };
+    let centers = maker.centers(width, height).map_err(of_this_size)?;
     let count =
         |index: fn(&MicroImageCenter) -> i32| centers.iter().map(index).max().unwrap_or(-1) + 1;
     let (columns, rows) = (count(|c| c.k), count(|c| c.l));
-    let grid = fit_grid(&centers, maker.kind, columns, rows)?;
-    output.stage("centers.csv", |out| {
-        writeln!(out, "k,l,u,v,type")?;
-        typed.iter().try_for_each(|(c, lens_type)| {
-            let lens_type = lens_type.map_or(1, |t| t + 1);
-            writeln!(out, "{},{},{},{},{lens_type}", c.k, c.l, c.u_px, c.v_px)
-        })
-    })?;
+    let grid = fit_grid(&centers, maker.kind, columns, rows).map_err(of_this_size)?;
     let array = ArrayMeasurement::of_grid(grid, centers, maker.lens_types);
+    output.stage("centers.csv", |out| {
+        let place = |c: &MicroImageCenter| Vector2::new(c.u_px, c.v_px);
+        io::write_measured_centers(out, &array, |c| maker.lens_type(width, height, place(c)))
+    })?;
     let text = format!(
-        "{}\n{} lens types, numbered as in the file.",
+        "{}\n{} lens type(s), numbered from 1 in the order of the file.",
         report::array_text(&array),
         maker.lens_types
     );
@@ -155,7 +208,7 @@ fn of_project(
 ) -> Result<(String, serde_json::Value)> {
     let path = &arguments.input;
     let project = Project::read(path)?;
-    let missing = |what: &str| Error::Content { path: path.clone(), message: what.to_owned() };
+    let missing = |what: &str| Error::Invalid(what.to_owned()).in_file(path);
     let sheet = project.datasheet()?.ok_or_else(|| {
         missing("there is no camera in it: add [sensor], [main_lens] and [micro_lens_array]")
     })?;
@@ -163,20 +216,17 @@ fn of_project(
         .images
         .as_ref()
         .ok_or_else(|| missing("it lists no images: add [images] with [[images.whites]]"))?;
-    sheet.validate()?;
-    let (whites, reference) = read_whites(images, &sheet)?;
+    sheet.validate().map_err(|e| e.in_file(path))?;
+    let (whites, reference) = read_whites(images, &sheet).map_err(|e| e.in_file(path))?;
     let options = PrecalibrationOptions {
-        estimator: match arguments.estimator {
-            Estimator::Profile => RadiusEstimator::Profile,
-            Estimator::Moments => RadiusEstimator::Moments,
-        },
+        estimator: arguments.estimator.map_or_else(RadiusEstimator::default, Into::into),
         ..PrecalibrationOptions::of_datasheet(&sheet)
     };
     let bar = progress_bar(arguments.json, whites.len());
     let result = precalibrate(&whites, reference.as_ref(), &options, &|| bar.inc(1));
     bar.finish_and_clear();
-    let result = result?;
-    result.check_stated(&sheet)?;
+    let result = result.map_err(|e| e.in_file(path))?;
+    result.check_stated(&sheet).map_err(|e| e.in_file(path))?;
     for warning in &result.warnings {
         eprintln!("warning: {warning}");
     }
@@ -192,7 +242,8 @@ fn stage(
 ) -> Result<()> {
     let types = result.lens_types.types;
     let internal = &result.internal.parameters;
-    output.stage("centers.csv", |out| io::write_measured_centers(out, &result.array, types))?;
+    let lens_type = |c: &MicroImageCenter| result.array.grid.lattice.lens_type(c.k, c.l, types);
+    output.stage("centers.csv", |out| io::write_measured_centers(out, &result.array, lens_type))?;
     output.stage_json("params.js", &compote::parameters_document(internal, sheet))?;
     let camera = compote::camera_document(sheet, &result.array.grid, types);
     output.stage_json("camera.js", &camera)?;
@@ -214,13 +265,12 @@ fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>,
             let raw = read_white(path, Some(images.color))?;
             let (width, height) = (sheet.sensor.width_px as usize, sheet.sensor.height_px as usize);
             if (raw.width, raw.height) != (width, height) {
-                return Err(Error::Content {
-                    path: path.clone(),
-                    message: format!(
-                        "this image has {} x {} px, but the sensor {width} x {height}",
-                        raw.width, raw.height
-                    ),
-                });
+                let error = Error::Invalid(format!(
+                    "this image has {} x {} px, but the sensor {width} x {height}: correct [sensor], \
+                     or give the image whole as the camera delivered it",
+                    raw.width, raw.height
+                ));
+                return Err(error.in_file(path));
             }
             Ok(White { name: path.display().to_string(), f_number, image: raw })
         })

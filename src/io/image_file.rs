@@ -23,6 +23,12 @@ pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
         .decode()
         .map_err(|e| Error::content(path, format!("this image cannot be read: {e}")))?;
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+    if width == 0 || height == 0 {
+        return Err(Error::content(
+            path,
+            format!("this image of {width} x {height} px is empty: save it anew"),
+        ));
+    }
     let (stored, samples) = match decoded {
         DynamicImage::ImageLuma8(image) => (Color::Grey, Samples::Bits8(image.into_raw())),
         DynamicImage::ImageLuma16(image) => (Color::Grey, Samples::Bits16(image.into_raw())),
@@ -35,7 +41,19 @@ pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
         DynamicImage::ImageLumaA16(_) => {
             (Color::Grey, Samples::Bits16(decoded.into_luma16().into_raw()))
         }
-        other => (Color::Rgb, Samples::Bits8(other.into_rgb8().into_raw())),
+        DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_) => {
+            (Color::Rgb, Samples::Bits8(decoded.into_rgb8().into_raw()))
+        }
+        other => {
+            return Err(Error::content(
+                path,
+                format!(
+                    "samples of the kind {:?} are not read: save the image with whole numbers of 8 \
+                     or 16 bits, linear in light",
+                    other.color()
+                ),
+            ));
+        }
     };
     let color = match (color, stored) {
         (None, stored) => stored,

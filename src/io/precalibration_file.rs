@@ -7,6 +7,7 @@ use serde_json::{Map, Value, json};
 
 use crate::camera::InternalParameters;
 use crate::error::{Error, Result};
+use crate::observations::MicroImageCenter;
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// `format` of the file.
@@ -128,16 +129,16 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
     })
 }
 
-/// Writes measured centres as CSV, with the standard deviation per axis of each; lens types count
-/// from 1.
+/// Writes the centres of an array as CSV, with the standard deviation per axis of each where it was
+/// measured; lens types count from 0 in `lens_type` and from 1 in the file.
 pub fn write_measured_centers(
     out: &mut dyn Write,
     array: &ArrayMeasurement,
-    lens_types: usize,
+    lens_type: impl Fn(&MicroImageCenter) -> usize,
 ) -> io::Result<()> {
     writeln!(out, "k,l,u,v,std_dev,type")?;
-    array.centers.iter().zip(&array.std_devs_px).try_for_each(|(c, std_dev)| {
-        let lens_type = array.grid.lattice.lens_type(c.k, c.l, lens_types) + 1;
-        writeln!(out, "{},{},{},{},{std_dev:.4},{lens_type}", c.k, c.l, c.u_px, c.v_px)
+    array.centers.iter().enumerate().try_for_each(|(i, c)| {
+        let std_dev = array.std_devs_px.get(i).map(|s| format!("{s:.4}")).unwrap_or_default();
+        writeln!(out, "{},{},{},{},{std_dev},{}", c.k, c.l, c.u_px, c.v_px, lens_type(c) + 1)
     })
 }

@@ -9,6 +9,7 @@ use nalgebra::{Matrix2, Vector2};
 use roxmltree::{Document, Node};
 
 use super::read_text;
+use crate::camera::check_lens_types;
 use crate::error::{Error, Result};
 use crate::lattice::LatticeKind;
 use crate::observations::MicroImageCenter;
@@ -23,13 +24,13 @@ pub struct RaytrixCalibration {
     pub pitch_px: f64,
     /// Rotation of the lattice in the image, rad, from u towards v.
     pub rotation_rad: f64,
-    /// Number of lens types.
+    /// Number of lens types; one if the file names none.
     pub lens_types: usize,
     /// Middle of lens (0, 0) from the middle of the image, px, v downwards.
     offset_px: Vector2<f64>,
-    /// Steps to the next lenses, px, v downwards.
+    /// Steps to two neighbours, 60 degrees apart on a hexagonal lattice, px, v downwards.
     steps_px: Matrix2<f64>,
-    /// Colour of each lens type, see [`RaytrixCalibration::lens_type`].
+    /// Colour of each of several lens types, see [`color`].
     colors: Vec<i32>,
 }
 
@@ -48,35 +49,70 @@ fn calibration(root: Node) -> Result<RaytrixCalibration> {
             root.tag_name().name()
         )));
     }
-    let pitch_px = number(child(root, "diameter")?)?;
-    if !(pitch_px.is_finite() && pitch_px > 0.0) {
-        return Err(Error::invalid(format!("the diameter is {pitch_px} px")));
+    let unit_px = number(child(root, "diameter")?)?;
+    if unit_px <= 0.0 {
+        return Err(Error::invalid(format!(
+            "the diameter is {unit_px} px: give the pitch of the micro-images, above 0"
+        )));
     }
     let (x, y) = (vector(child(root, "lens_base_x")?)?, vector(child(root, "lens_base_y")?)?);
     let base = Matrix2::from_columns(&[x, y]);
-    let to_nodes = base.try_inverse().ok_or_else(|| {
-        Error::invalid("lens_base_x and lens_base_y point the same way, which makes no lattice")
-    })?;
+    if !base.is_invertible() {
+        return Err(Error::invalid(
+            "lens_base_x and lens_base_y point the same way, which makes no lattice",
+        ));
+    }
     let upwards = Matrix2::new(1.0, 0.0, 0.0, -1.0);
-    let steps_px = upwards * base * pitch_px;
-    let (kind, rotation_rad) = lattice_orientation(&steps_px)?;
-    let types: Vec<Node> = root.children().filter(|node| node.has_tag_name("lens_type")).collect();
-    let color = |node: &Node| {
-        let offset = to_nodes * vector(child(*node, "offset")?)?;
-        #[allow(clippy::cast_possible_truncation)] // a few lenses
-        let (i, j) = (offset.x.round() as i32, offset.y.round() as i32);
-        Ok((i - j).rem_euclid(3))
-    };
+    let (kind, rotation_rad, steps_px) = lattice_orientation(&(upwards * base * unit_px))?;
+    let to_nodes = steps_px.try_inverse().unwrap_or_else(Matrix2::zeros) * upwards * unit_px;
+    let colors = type_colors(root, kind, &to_nodes)?;
     let offset = child(root, "offset")?;
     Ok(RaytrixCalibration {
         kind,
-        pitch_px,
+        pitch_px: steps_px.column(0).norm(),
         rotation_rad,
-        lens_types: types.len(),
+        lens_types: colors.len().max(1),
         offset_px: upwards * vector(offset)?,
         steps_px,
-        colors: types.iter().map(color).collect::<Result<_>>()?,
+        colors,
     })
+}
+
+/// The offset of a lens type is a whole number of steps within this part of one.
+const ON_NODE: f64 = 0.1;
+
+/// Colours of the lens types of a file if there are several, in its order.
+fn type_colors(root: Node, kind: LatticeKind, to_nodes: &Matrix2<f64>) -> Result<Vec<i32>> {
+    let types: Vec<Node> = root.children().filter(|node| node.has_tag_name("lens_type")).collect();
+    check_lens_types(types.len(), kind)
+        .map_err(|e| Error::invalid(format!("<lens_type> is there {} times: {e}", types.len())))?;
+    if types.len() < 2 {
+        return Ok(Vec::new());
+    }
+    let mut colors = Vec::new();
+    for (i, node) in types.into_iter().enumerate() {
+        let offset = vector(child(node, "offset")?)?;
+        let steps = to_nodes * offset;
+        let node = steps.map(f64::round);
+        let color = color(&node);
+        if (steps - node).amax() > ON_NODE || colors.contains(&color) {
+            return Err(Error::invalid(format!(
+                "the offset ({}, {}) of <lens_type> {} leads to no lens, or to one of a type before \
+                 it: correct the file, so that the types are those of three neighbours",
+                offset.x,
+                offset.y,
+                i + 1
+            )));
+        }
+        colors.push(color);
+    }
+    Ok(colors)
+}
+
+/// One of three colours (0 to 2) that no two neighbours share, by steps 60 degrees apart.
+#[allow(clippy::cast_possible_truncation)] // from 0 to 2
+fn color(node: &Vector2<f64>) -> i32 {
+    (node.x - node.y).rem_euclid(3.0) as i32
 }
 
 fn child<'a>(node: Node<'a, 'a>, name: &str) -> Result<Node<'a, 'a>> {
@@ -98,55 +134,38 @@ fn vector(node: Node) -> Result<Vector2<f64>> {
 }
 
 impl RaytrixCalibration {
-    /// From a position of an image of so many pixels to the nearest centre, px.
-    #[must_use]
-    pub fn nearest_center(&self, width: u32, height: u32, p: Vector2<f64>) -> Vector2<f64> {
-        let (node, from_first) = self.nearest(width, height, p);
-        self.steps_px * node - from_first
-    }
-
-    /// All centres in an image of so many pixels, with the number of their lens type in the file (from
-    /// 0; `None` if it names none).
-    pub fn centers(
-        &self,
-        width: u32,
-        height: u32,
-    ) -> Result<Vec<(MicroImageCenter, Option<usize>)>> {
+    /// All centres in an image of so many pixels.
+    pub fn centers(&self, width: u16, height: u16) -> Result<Vec<MicroImageCenter>> {
         let origin = Self::middle(width, height) + self.offset_px;
-        let (_, centers) = lattice_centers((width, height), &origin, &self.steps_px)?;
-        let typed =
-            |c: MicroImageCenter| (c, self.lens_type(width, height, Vector2::new(c.u_px, c.v_px)));
-        Ok(centers.into_iter().map(typed).collect())
+        lattice_centers((width, height), &origin, &self.steps_px)
     }
 
-    fn middle(width: u32, height: u32) -> Vector2<f64> {
+    fn middle(width: u16, height: u16) -> Vector2<f64> {
         Vector2::new(f64::from(width) - 1.0, f64::from(height) - 1.0) / 2.0
     }
 
-    /// Lens type (from 0) of the centre nearest to a position; `None` if the file names no types.
+    /// Lens type, from 0 in the order of the file, of the centre nearest to a position in an image of
+    /// so many pixels.
     #[must_use]
-    pub fn lens_type(&self, width: u32, height: u32, p: Vector2<f64>) -> Option<usize> {
-        let (node, _) = self.nearest(width, height, p);
-        #[allow(clippy::cast_possible_truncation)] // indices of lenses
-        let color = (node.x - node.y).rem_euclid(3.0).round() as i32 % 3;
-        self.colors.iter().position(|&c| c == color)
+    pub fn lens_type(&self, width: u16, height: u16, p: Vector2<f64>) -> usize {
+        let color = color(&self.nearest(width, height, p));
+        self.colors.iter().position(|&c| c == color).unwrap_or(0)
     }
 
-    /// The nearest node, and the position from node (0, 0).
-    fn nearest(&self, width: u32, height: u32, p: Vector2<f64>) -> (Vector2<f64>, Vector2<f64>) {
+    /// The nearest node.
+    fn nearest(&self, width: u16, height: u16, p: Vector2<f64>) -> Vector2<f64> {
         let from_first = p - Self::middle(width, height) - self.offset_px;
         let place = self.steps_px.try_inverse().unwrap_or_else(Matrix2::zeros) * from_first;
         // On a hexagonal lattice rounding is not always nearest; look around.
         let rounded = place.map(f64::round);
         let around = (-1..=1).flat_map(|i| (-1..=1).map(move |j| (f64::from(i), f64::from(j))));
-        let nearest = around
+        around
             .map(|(i, j)| rounded + Vector2::new(i, j))
             .min_by(|a, b| {
                 let off = |n: &Vector2<f64>| (self.steps_px * n - from_first).norm_squared();
                 off(a).total_cmp(&off(b))
             })
-            .unwrap_or(rounded);
-        (nearest, from_first)
+            .unwrap_or(rounded)
     }
 }
 
@@ -155,24 +174,23 @@ mod tests {
     use super::*;
     use crate::precalibration::fit_grid;
 
-    /// A file of a lattice turned by so many degrees, seen with y upwards.
-    fn file(turned: f64, between: f64) -> String {
+    /// A file of a lattice turned by so many degrees, seen with y upwards, with types at so many steps
+    /// along the first base.
+    fn file(turned: f64, between: f64, types: &[f64]) -> String {
         let step = |degrees: f64| {
             let (y, x) = degrees.to_radians().sin_cos();
             format!("<x>{x}</x><y>{y}</y>")
         };
-        let lens_type = |i: f64| {
+        let lens_type = |&i: &f64| {
             let (y, x) = turned.to_radians().sin_cos();
             format!("<lens_type><offset><x>{}</x><y>{}</y></offset></lens_type>", i * x, i * y)
         };
         format!(
             "<RayCalibData><offset><x>3.5</x><y>-2.25</y></offset><diameter>23.5</diameter>\
-             <lens_base_x>{}</lens_base_x><lens_base_y>{}</lens_base_y>{}{}{}</RayCalibData>",
+             <lens_base_x>{}</lens_base_x><lens_base_y>{}</lens_base_y>{}</RayCalibData>",
             step(turned),
             step(turned + between),
-            lens_type(0.0),
-            lens_type(1.0),
-            lens_type(2.0),
+            types.iter().map(lens_type).collect::<String>(),
         )
     }
 
@@ -188,16 +206,18 @@ mod tests {
             (4.0, 60.0, HexagonalRows, -4.0),
             (-3.0, 60.0, HexagonalRows, 3.0),
             (0.0, 120.0, HexagonalRows, 0.0),
+            (1.5, -120.0, HexagonalRows, -1.5),
             (92.0, -60.0, HexagonalColumns, -2.0),
             (86.5, -60.0, HexagonalColumns, 3.5),
             (2.5, 90.0, Orthogonal, -2.5),
         ] {
-            let maker = read(&file(turned, between)).unwrap();
+            let types: &[f64] = if kind == Orthogonal { &[0.0] } else { &[0.0, 1.0, 2.0] };
+            let maker = read(&file(turned, between, types)).unwrap();
+            assert_eq!(maker.lens_types, types.len());
             assert_eq!(maker.kind, kind, "{turned} degrees");
             let off = maker.rotation_rad.to_degrees() - rotation;
             assert!(off.abs() < 1e-9, "{turned} degrees: off by {off}");
-            let centers = maker.centers(600, 500).unwrap();
-            let places: Vec<MicroImageCenter> = centers.iter().map(|&(c, _)| c).collect();
+            let places = maker.centers(600, 500).unwrap();
             let count =
                 |index: fn(&MicroImageCenter) -> i32| places.iter().map(index).max().unwrap() + 1;
             let grid = fit_grid(&places, kind, count(|c| c.k), count(|c| c.l)).unwrap();
@@ -206,25 +226,49 @@ mod tests {
             // Lens (0, 0) is to the right of the middle, and below it as y is negative.
             let first = Vector2::new(299.5 + 3.5, 249.5 + 2.25);
             let step = Vector2::new(turned.to_radians().cos(), -turned.to_radians().sin()) * 23.5;
+            let at = |c: &MicroImageCenter| Vector2::new(c.u_px, c.v_px);
             for (i, lens_type) in [(0.0, 0), (1.0, 1), (2.0, 2), (3.0, 0)] {
                 let place = first + step * i;
+                assert!(places.iter().any(|c| (at(c) - place).norm() < 1e-9));
                 let near = place + Vector2::new(4.0, -5.0);
-                assert!((maker.nearest_center(600, 500, near) - (place - near)).norm() < 1e-9);
-                assert_eq!(maker.lens_type(600, 500, near), Some(lens_type), "{turned} degrees");
+                let expected = if kind == Orthogonal { 0 } else { lens_type };
+                assert_eq!(maker.lens_type(600, 500, near), expected, "{turned} degrees");
+            }
+            for (n, a) in places.iter().enumerate().filter(|_| kind != Orthogonal) {
+                for b in places[..n].iter().filter(|b| (at(a) - at(b)).norm() < 1.1 * 23.5) {
+                    let of = |c| maker.lens_type(600, 500, at(c));
+                    assert_ne!(of(a), of(b), "{turned}, {between} degrees: {a:?} and {b:?}");
+                }
             }
         }
     }
 
     #[test]
+    fn without_types_or_with_one_there_is_one() {
+        for types in [&[][..], &[1.0]] {
+            let maker = read(&file(0.0, 60.0, types)).unwrap();
+            assert_eq!(maker.lens_types, 1);
+            let centers = maker.centers(600, 500).unwrap();
+            let of = |c: &MicroImageCenter| maker.lens_type(600, 500, Vector2::new(c.u_px, c.v_px));
+            assert!(centers.iter().all(|c| of(c) == 0));
+        }
+    }
+
+    #[test]
     fn files_of_something_else_are_refused_in_words() {
-        let good = file(0.0, 60.0);
+        let three = [0.0, 1.0, 2.0];
+        let good = file(0.0, 60.0, &three);
         for (text, words) in [
             ("<Settings/>".to_owned(), "its root is <Settings>"),
             (good.replace("23.5", "-1"), "the diameter is -1 px"),
             (good.replace("23.5", "wide"), "<diameter> is 'wide'"),
             (good.replace("<y>-2.25</y>", ""), "there is no <y> in it"),
-            (file(0.0, 0.0), "point the same way"),
-            (file(0.0, 75.0), "neither a hexagonal nor a square lattice"),
+            (file(0.0, 0.0, &three), "point the same way"),
+            (file(0.0, 75.0, &three), "neither a hexagonal nor a square lattice"),
+            (file(0.0, 60.0, &[0.0, 1.0]), "<lens_type> is there 2 times"),
+            (file(0.0, 90.0, &three), "<lens_type> is there 3 times"),
+            (file(0.0, 60.0, &[0.0, 1.0, 4.0]), "<lens_type> 3 leads to no lens, or to one of a"),
+            (file(0.0, 60.0, &[0.0, 0.5, 2.0]), "<lens_type> 2 leads to no lens"),
         ] {
             let error = read(&text).unwrap_err().to_string();
             assert!(error.contains(words), "{error}");

@@ -8,6 +8,7 @@ use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 use super::pattern::Pattern;
+use super::statistics::median;
 use crate::image::{Grey, Image};
 
 /// What was measured of one micro-image.
@@ -44,6 +45,10 @@ const REACH_FACTOR: f64 = 3.0;
 const SAMPLE: usize = 250;
 /// Micro-images that give the pitch to 2 · 10⁻⁶, with a scatter of 0.03 px over a hundred rows.
 const LARGE_SAMPLE: usize = 800;
+/// A window may move by this part of a pitch as it follows the centroid.
+const FOLLOWED: f64 = 0.1;
+/// The middle of a micro-image, in pitches.
+const MIDDLE: f64 = 0.25;
 /// Micro-images along the edge of a tile: some 400 px, so that it stays in a core's cache.
 const TILE: i32 = 16;
 /// Enough micro-images for an affine fit that stands a few bad ones.
@@ -77,14 +82,17 @@ fn followed(image: &Grey, found: &Pattern) -> Option<Pattern> {
     }
 }
 
-/// Measures a sample of micro-images all over an image whose pattern is known, and fits that to them;
+/// Measures a sample of some micro-images of an image whose pattern is known, and fits that to them;
 /// `None` if it does not show there.
-pub(super) fn measure_sample(image: &Grey, pattern: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
-    let nodes = nodes_in(image.size(), pattern);
+pub(super) fn measure_sample(
+    image: &Grey,
+    pattern: &Pattern,
+    nodes: &[(i32, i32)],
+) -> Option<(Pattern, Vec<Blob>)> {
     let step = nodes.len().div_ceil(LARGE_SAMPLE).max(1);
     // Every third in a row would be of one lens type.
     let step = if step.is_multiple_of(3) { step + 1 } else { step };
-    let sample: Vec<(i32, i32)> = nodes.into_iter().step_by(step).collect();
+    let sample: Vec<(i32, i32)> = nodes.iter().copied().step_by(step).collect();
     let blobs = measure_some(image, pattern, &sample);
     Some((refit(pattern, &blobs)?, blobs))
 }
@@ -108,6 +116,28 @@ pub(super) fn part_with(
     ]
     .map(|x| x.max(0.0) as usize);
     (image.part(left, top, width, height), corner)
+}
+
+/// Calls with the offset and value of all pixels within a radius.
+pub(super) fn pixels_about(
+    image: &Image,
+    center: &Vector2<f64>,
+    radius: f64,
+    mut visit: impl FnMut(Vector2<f64>, f64),
+) {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to the image
+    let range = |center: f64, length: usize| {
+        (center - radius).ceil().max(0.0) as usize
+            ..((center + radius).floor() + 1.0).max(0.0).min(length as f64) as usize
+    };
+    for v in range(center.y, image.height) {
+        for u in range(center.x, image.width) {
+            let offset = Vector2::new(u as f64, v as f64) - center;
+            if offset.norm_squared() <= radius * radius {
+                visit(offset, f64::from(image.at(u, v)));
+            }
+        }
+    }
 }
 
 /// Measures micro-images that are far from each other.
@@ -180,7 +210,36 @@ pub(super) fn nodes_in((width, height): (usize, usize), pattern: &Pattern) -> Ve
         .collect()
 }
 
-/// The affine map from nodes to centres, robustly: those far off lose their weight.
+/// Whether the border of an image of so many pixels cuts the window of a micro-image.
+pub(super) fn is_cut((width, height): (usize, usize), pattern: &Pattern, node: (i32, i32)) -> bool {
+    let place = pattern.place(node.0, node.1);
+    let to_border =
+        place.min().min(width as f64 - 1.0 - place.x).min(height as f64 - 1.0 - place.y);
+    to_border < (WINDOW.1 + FOLLOWED) * pattern.pitch() + 1.0
+}
+
+/// Mean light of the middle of a micro-image above the background, and the part of it that is
+/// saturated, also where the border of the image cuts it.
+pub(super) fn middle_light(
+    image: &Grey,
+    pattern: &Pattern,
+    node: (i32, i32),
+) -> Option<(f64, f64)> {
+    let place = pattern.place(node.0, node.1);
+    let (part, corner) = part_with(image, std::iter::once(place), pattern.pitch());
+    let place = place - corner;
+    let background = darkest_neighbourhood(&part, pattern, &place)?;
+    let (mut count, mut light, mut saturated) = (0.0, 0.0, 0.0);
+    pixels_about(&part, &place, MIDDLE * pattern.pitch(), |_, value| {
+        count += 1.0;
+        light += value - background;
+        saturated += f64::from(u8::from(value >= 1.0));
+    });
+    (count > 0.0).then(|| (light / count, saturated / count))
+}
+
+/// The affine map from nodes to centres, robustly: those far off lose their weight, and what is dark
+/// has little, as noise.
 fn refit(pattern: &Pattern, blobs: &[Blob]) -> Option<Pattern> {
     if blobs.len() < FEWEST {
         return None;
@@ -188,15 +247,13 @@ fn refit(pattern: &Pattern, blobs: &[Blob]) -> Option<Pattern> {
     let mut fitted = *pattern;
     for _ in 0..3 {
         let miss = |blob: &Blob| (blob.center - fitted.place(blob.node.0, blob.node.1)).norm();
-        let mut misses: Vec<f64> = blobs.iter().map(miss).collect();
-        let middle = misses.len() / 2;
-        let typical = *misses.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let typical = median(blobs.iter().map(miss))?;
         let mut normal = nalgebra::Matrix3::zeros();
         let mut right = Matrix3x2::zeros();
         for blob in blobs.iter().filter(|blob| miss(blob) <= 3.0 * typical + SETTLED_PX) {
             let row = Vector3::new(1.0, f64::from(blob.node.0), f64::from(blob.node.1));
-            normal += row * row.transpose();
-            right += row * blob.center.transpose();
+            normal += row * row.transpose() * blob.light;
+            right += row * blob.center.transpose() * blob.light;
         }
         let solution = normal.cholesky()?.solve(&right);
         let column = |i: usize| Vector2::new(solution[(i, 0)], solution[(i, 1)]);

@@ -4,6 +4,7 @@
 use nalgebra::{Matrix4, Rotation2, Vector2, Vector4};
 use rayon::prelude::*;
 
+use super::statistics::median;
 use crate::error::{Error, Result};
 use crate::lattice::{Lattice, LatticeKind, Parity};
 use crate::observations::MicroImageCenter;
@@ -138,7 +139,7 @@ fn fit(centers: &[MicroImageCenter], lattice: Lattice) -> Option<Fit> {
         let next = solve(&nodes, &observed, &weights)?;
         let lengths: Vec<f64> =
             nodes.iter().zip(&observed).map(|(g, c)| (c - place(&next, g)).norm()).collect();
-        scale_px = (median(&lengths) / MEDIAN_LENGTH_2D).max(MIN_SCALE_PX);
+        scale_px = (median(lengths.iter().copied())? / MEDIAN_LENGTH_2D).max(MIN_SCALE_PX);
         for (weight, length) in weights.iter_mut().zip(&lengths) {
             let x = length / (OUTLIER_SCALES * scale_px);
             *weight = if x < 1.0 { (1.0 - x * x).powi(2) } else { 0.0 };
@@ -194,12 +195,6 @@ fn solve(
     let spread = normal[(2, 2)] * normal[(0, 0)] - normal[(0, 2)].powi(2) - normal[(0, 3)].powi(2);
     (spread > 1e-9 * normal[(0, 0)].powi(2) && solution.iter().all(|v| v.is_finite()))
         .then_some(solution)
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    let middle = sorted.len() / 2;
-    *sorted.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ mod profile;
 mod radii;
 mod shading;
 mod stage;
+mod statistics;
 mod types;
 
 pub use array::{

@@ -31,12 +31,17 @@ impl<T: Copy> ByNode<T> {
         inside.then(|| usize::try_from(y * self.size.0 + x).ok()).flatten()
     }
 
+    /// The value of a node, if it has one.
+    pub fn at(&self, node: (i32, i32)) -> Option<T> {
+        self.values[self.index(node)?]
+    }
+
     /// The values of the nodes up to `reach` steps away along both axes, but not of the node itself.
     pub fn around(&self, node: (i32, i32), reach: i32) -> impl Iterator<Item = T> {
         (-reach..=reach)
             .flat_map(move |dj| (-reach..=reach).map(move |di| (di, dj)))
             .filter(|&step| step != (0, 0))
-            .filter_map(move |(di, dj)| self.values[self.index((node.0 + di, node.1 + dj))?])
+            .filter_map(move |(di, dj)| self.at((node.0 + di, node.1 + dj)))
     }
 }
 

@@ -4,9 +4,10 @@ use nalgebra::{Matrix2, Matrix5, Vector2, Vector5};
 use serde::{Deserialize, Serialize};
 
 use super::array::FoundArray;
-use super::centers::{Blob, darkest_neighbourhood, measure_blob};
+use super::centers::{Blob, darkest_neighbourhood, measure_blob, pixels_about};
 use super::pattern::Pattern;
 use super::profile::{Discs, Profile, Stack, seen};
+use super::statistics::median;
 use crate::image::Image;
 
 /// How the radius of a micro-image is measured.
@@ -67,9 +68,7 @@ pub(super) fn radius_at(
     nodes: &[(i32, i32)],
     estimator: RadiusEstimator,
 ) -> Option<TypeRadius> {
-    let blobs: Vec<Blob> =
-        nodes.iter().filter_map(|&node| measure_blob(image, pattern, node)).collect();
-    let profile = stacked(image, pattern, &blobs);
+    let (blobs, profile) = stacked(image, pattern, nodes);
     match estimator {
         RadiusEstimator::Profile => profile_radius(image, pattern, &blobs, profile),
         RadiusEstimator::Moments => moments_radius(image, pattern, &blobs, profile),
@@ -78,18 +77,19 @@ pub(super) fn radius_at(
 
 /// The light of the micro-images at some nodes.
 pub(super) fn profile_at(image: &Image, pattern: &Pattern, nodes: &[(i32, i32)]) -> Profile {
-    let blobs: Vec<Blob> =
-        nodes.iter().filter_map(|&node| measure_blob(image, pattern, node)).collect();
-    stacked(image, pattern, &blobs)
+    stacked(image, pattern, nodes).1
 }
 
-fn stacked(image: &Image, pattern: &Pattern, blobs: &[Blob]) -> Profile {
+/// The micro-images at some nodes, and their light.
+fn stacked(image: &Image, pattern: &Pattern, nodes: &[(i32, i32)]) -> (Vec<Blob>, Profile) {
+    let blobs: Vec<Blob> =
+        nodes.iter().filter_map(|&node| measure_blob(image, pattern, node)).collect();
     let reach = REACH * pattern.pitch();
     let mut stack = Stack::new(reach);
-    for blob in blobs {
+    for blob in &blobs {
         pixels_about(image, &blob.center, reach, |offset, value| stack.add(offset.norm(), value));
     }
-    stack.profile()
+    (blobs, stack.profile())
 }
 
 fn moments_radius(
@@ -135,45 +135,22 @@ fn profile_radius(
     Some(TypeRadius { radius_px: discs.outer, std_dev_px, single_px, profile })
 }
 
-/// Mean and standard deviation, those beyond four times the usual distance left out.
+/// Values further from the median than this many times the median distance are not of the rest.
+const OUTLYING: f64 = 6.0;
+
+/// Mean and standard deviation, outlying values left out.
 fn mean_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
     if values.len() < 2 {
         return None;
     }
-    let median = |mut values: Vec<f64>| {
-        let middle = values.len() / 2;
-        *values.select_nth_unstable_by(middle, f64::total_cmp).1
-    };
-    let middle = median(values.to_vec());
-    let usual = median(values.iter().map(|v| (v - middle).abs()).collect());
+    let middle = median(values.iter().copied())?;
+    let usual = median(values.iter().map(|v| (v - middle).abs()))?;
     let kept: Vec<f64> =
-        values.iter().copied().filter(|v| (v - middle).abs() <= 6.0 * usual + 1e-9).collect();
+        values.iter().copied().filter(|v| (v - middle).abs() <= OUTLYING * usual + 1e-9).collect();
     let count = kept.len() as f64;
     let mean = kept.iter().sum::<f64>() / count;
     let variance = kept.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
     Some((mean, variance.sqrt()))
-}
-
-/// Calls with the offset and value of all pixels within a radius.
-fn pixels_about(
-    image: &Image,
-    center: &Vector2<f64>,
-    radius: f64,
-    mut visit: impl FnMut(Vector2<f64>, f64),
-) {
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to the image
-    let range = |center: f64, length: usize| {
-        (center - radius).ceil().max(0.0) as usize
-            ..((center + radius).floor() + 1.0).max(0.0).min(length as f64) as usize
-    };
-    for v in range(center.y, image.height) {
-        for u in range(center.x, image.width) {
-            let offset = Vector2::new(u as f64, v as f64) - center;
-            if offset.norm_squared() <= radius * radius {
-                visit(offset, f64::from(image.at(u, v)));
-            }
-        }
-    }
 }
 
 /// The fitted light and its derivatives by distance, for one linear step per micro-image.

@@ -3,9 +3,9 @@
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use super::array::{ArrayMeasurement, FoundArray, found_array};
+use super::array::{ArrayMeasurement, FoundArray, fit_found, found_array};
 use super::centers::{Blob, measure_sample, part_with};
-use super::grid::{MicroImageArray, fit_grid};
+use super::grid::MicroImageArray;
 use super::internal::{InternalFit, RadiusMeasurement, fit_internal};
 use super::pattern::Pattern;
 use super::profile::Profile;
@@ -25,7 +25,7 @@ pub struct White {
     pub name: String,
     /// F-number N, as it is: √(2^AV).
     pub f_number: f64,
-    /// The image, linear.
+    /// The image as the camera delivered it, its samples linear in light.
     pub image: RawImage,
 }
 
@@ -108,7 +108,7 @@ pub fn precalibrate(
     let nodes = middle_nodes(&found, grey.size(), colors);
     let samples = whites
         .par_iter()
-        .map(|white| sample(white, reference, &found.pattern, &nodes).inspect(|_| progress()))
+        .map(|white| sample(white, reference, &found, &nodes).inspect(|_| progress()))
         .collect::<Result<Vec<Sample>>>()?;
 
     let by_profile = all_radii(whites, &samples, &nodes, RadiusEstimator::Profile)?;
@@ -125,7 +125,12 @@ pub fn precalibrate(
     let fit = |radii: &mut [RadiusMeasurement], pitch_px: f64| {
         let (types, pixel) = (lens_types.types, options.pixel_size_mm);
         let fitted = fit_internal(radii, types, pixel, pitch_px, options.configuration);
-        let fitted = fitted.ok_or_else(|| Error::invalid("the white images do not span a line"))?;
+        let fitted = fitted.ok_or_else(|| {
+            Error::invalid(
+                "the f-numbers of the white images are too close to each other for a straight line: \
+                 take them a stop or more apart",
+            )
+        })?;
         if fitted.parameters.m_mm <= 0.0 {
             return Err(Error::invalid(
                 "micro-images do not grow as the f-number falls: the f-numbers do not belong to \
@@ -145,7 +150,7 @@ pub fn precalibrate(
         .map(|(white, radii)| moments.of_image(white.f_number, radii.iter().map(|r| &r.profile)))
         .collect();
     let of_reference = moments.of_image(reference.f_number, &of_reference);
-    let (array, pitch_correction) = unshaded(&found, &samples, &of_images, &of_reference)?;
+    let (array, pitch_correction) = unshaded(&found, whites, &samples, &of_images, &of_reference)?;
 
     let mut radii = match options.estimator {
         RadiusEstimator::Profile => measurements(whites, &by_profile),
@@ -156,11 +161,13 @@ pub fn precalibrate(
     };
     let internal = fit(&mut radii, array.grid.pitch_px)?;
     let mut warnings = contradictions(whites, &radii, lens_types.types, options);
-    if lens_types.types == 3 && lens_types.agreement < AGREEMENT {
+    if let Some(agreement) = lens_types.agreement
+        && agreement < AGREEMENT
+    {
         warnings.push(format!(
             "only {:.0} % of the micro-images have the size of their lens type: the image is noisy, \
              not white, or the types do not follow the lattice",
-            100.0 * lens_types.agreement
+            100.0 * agreement
         ));
     }
     Ok(Precalibration { array, lens_types, radii, internal, pitch_correction, warnings })
@@ -193,12 +200,13 @@ impl Precalibration {
         {
             return Err(Error::invalid(format!(
                 "the micro-images have a pitch of {:.4} px, but the camera is said to have one of \
-                 {pitch} px",
+                 {pitch} px: correct the one, or give the images of that camera",
                 grid.pitch_px
             )));
         }
         let types = self.lens_types.types;
-        if sheet.lens_types > 1 && types != sheet.lens_types {
+        // Pinholes have no lens types that could show.
+        if sheet.lens_types > 0 && types != sheet.lens_types {
             return Err(Error::invalid(format!(
                 "{types} lens type(s) show in the white images, but the camera is said to have {}: \
                  correct the one, or take sharper white images",
@@ -260,11 +268,13 @@ struct Sample {
 fn sample(
     white: &White,
     reference: &White,
-    pattern: &Pattern,
+    found: &FoundArray,
     nodes: &[Vec<(i32, i32)>],
 ) -> Result<Sample> {
     let grey = white.image.grey();
-    let (followed, blobs) = measure_sample(&grey, pattern).ok_or_else(|| {
+    let pattern = &found.pattern;
+    let of_array: Vec<(i32, i32)> = found.blobs.iter().map(|blob| blob.node).collect();
+    let (followed, blobs) = measure_sample(&grey, pattern, &of_array).ok_or_else(|| {
         Error::invalid(format!(
             "{}: no micro-images show where {} has them",
             white.name, reference.name
@@ -360,6 +370,7 @@ impl Moments<'_> {
 /// shading are those of each white image, and of the reference, by lens type.
 fn unshaded(
     found: &FoundArray,
+    whites: &[White],
     samples: &[Sample],
     of_images: &[Vec<f64>],
     of_reference: &[f64],
@@ -369,17 +380,12 @@ fn unshaded(
     let types = of_reference.len();
     let shaded = samples
         .par_iter()
+        .zip(whites)
         .zip(of_images)
-        .map(|(sample, moments)| {
-            let centers: Vec<MicroImageCenter> = sample
-                .blobs
-                .iter()
-                .map(|blob| {
-                    let (k, l) = found.index(blob.node);
-                    MicroImageCenter { k, l, u_px: blob.center.x, v_px: blob.center.y }
-                })
-                .collect();
-            let fitted = fit_grid(&centers, lattice.kind, lattice.columns, lattice.rows)?;
+        .map(|((sample, white), moments)| {
+            let centers: Vec<MicroImageCenter> =
+                sample.blobs.iter().map(|blob| found.center(blob)).collect();
+            let fitted = fit_found(&centers, lattice).map_err(|e| named(&white.name, &e))?;
             let x = moments.iter().sum::<f64>() / types as f64;
             Ok(Shaded { x, pitch_px: fitted.pitch_px, center_px: fitted.center_px })
         })
@@ -392,7 +398,7 @@ fn unshaded(
         let place = shading.corrected(measured, &grid.center_px, x);
         (center.u_px, center.v_px) = (place.x, place.y);
     }
-    array.grid = fit_grid(&array.centers, lattice.kind, lattice.columns, lattice.rows)?;
+    array.grid = fit_found(&array.centers, lattice)?;
     let correction = array.grid.pitch_px / grid.pitch_px - 1.0;
     Ok((array, correction))
 }

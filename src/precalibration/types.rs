@@ -13,11 +13,22 @@ pub struct LensTypes {
     /// Number I of types that can be told apart: 1 or 3.
     pub types: usize,
     /// Least difference of two types' radii in the white image that tells them apart best, in its
-    /// standard deviations; 0 for one type.
-    pub separation: f64,
+    /// standard deviations; none for one type, or where radii were not measured.
+    pub separation: Option<f64>,
     /// Part of all micro-images of the reference whose size is nearest to that of their own colour's
-    /// neighbours; 1 for one type.
-    pub agreement: f64,
+    /// neighbours; none for one type, or where sizes were not measured.
+    pub agreement: Option<f64>,
+}
+
+impl LensTypes {
+    /// One type.
+    pub const ONE: Self = Self::stated(1);
+
+    /// So many types, known from elsewhere.
+    #[must_use]
+    pub const fn stated(types: usize) -> Self {
+        Self { types, separation: None, agreement: None }
+    }
 }
 
 /// Types count as different if some two of their mean radii differ by this many standard deviations
@@ -29,10 +40,9 @@ const NEAR: i32 = 3;
 
 /// Judges the sizes of the three colours in one white image, from their second moments.
 pub(super) fn judge_single(found: &FoundArray) -> LensTypes {
-    let one = LensTypes { types: 1, separation: 0.0, agreement: 1.0 };
     let lattice = &found.array.grid.lattice;
     if lattice.kind == LatticeKind::Orthogonal {
-        return one;
+        return LensTypes::ONE;
     }
     let mut sums = [[0.0_f64; 3]; 3];
     for blob in &found.blobs {
@@ -52,15 +62,14 @@ pub(super) fn judge_single(found: &FoundArray) -> LensTypes {
     });
     // A second moment grows with the square of the radius.
     if !pairs.iter().any(|&(s, part)| s > DIFFERENT && part > 2.0 * DIFFERENT_PART) {
-        return one;
+        return LensTypes::ONE;
     }
     let separation = pairs.iter().map(|&(s, _)| s).fold(f64::INFINITY, f64::min);
-    LensTypes { types: 3, separation, agreement: agreement(found) }
+    LensTypes { types: 3, separation: Some(separation), agreement: Some(agreement(found)) }
 }
 
 /// Judges the radii of the three colours in every white image.
 pub(super) fn judge_types(images: &[Vec<TypeRadius>], found: &FoundArray) -> LensTypes {
-    let one = LensTypes { types: 1, separation: 0.0, agreement: 1.0 };
     let pairs = [(0, 1), (1, 2), (2, 0)];
     let mut different = false;
     let mut best: f64 = 0.0;
@@ -76,12 +85,11 @@ pub(super) fn judge_types(images: &[Vec<TypeRadius>], found: &FoundArray) -> Len
         best = best.max(all.iter().map(|&(s, _)| s).fold(f64::INFINITY, f64::min));
     }
     if !different {
-        return one;
+        return LensTypes::ONE;
     }
     // The reference image was judged already, unless its types did not show.
-    let single = &found.array.lens_types;
-    let agreement = if single.types == 3 { single.agreement } else { agreement(found) };
-    LensTypes { types: 3, separation: best, agreement }
+    let agreement = found.array.lens_types.agreement.unwrap_or_else(|| agreement(found));
+    LensTypes { types: 3, separation: Some(best), agreement: Some(agreement) }
 }
 
 /// Part of the micro-images that look like their own colour.

@@ -27,13 +27,12 @@ pub fn types_text(types: &LensTypes) -> String {
     if types.types == 1 {
         return "One lens type, or several that cannot be told apart by size.".to_owned();
     }
-    format!(
-        "{} lens types, {:.0} standard deviations apart; {:.2} % of the micro-images have the size of \
-         their type.",
-        types.types,
-        types.separation,
-        100.0 * types.agreement
-    )
+    let apart = types.separation.map(|s| format!(", {s:.0} standard deviations apart"));
+    let agree = types
+        .agreement
+        .map(|a| format!("; {:.2} % of the micro-images have the size of their type", 100.0 * a));
+    let [apart, agree] = [apart, agree].map(Option::unwrap_or_default);
+    format!("{} lens types{apart}{agree}.", types.types)
 }
 
 /// The array on a terminal.
