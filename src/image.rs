@@ -1,5 +1,6 @@
 //! Images: linear grey values to compute with, and samples as a camera delivers them.
 
+use nalgebra::Vector2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -290,6 +291,20 @@ impl Grey<'_> {
         }
         Image { width, height, pixels }
     }
+}
+
+/// The rectangle (left, top, width, height) of pixels that holds some places and what is `reach` about
+/// them, not below 0, and the place of its first pixel.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
+pub(crate) fn bounds(
+    places: impl Iterator<Item = Vector2<f64>>,
+    reach: f64,
+) -> ((usize, usize, usize, usize), Vector2<f64>) {
+    let nothing = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
+    let (low, high) = places.fold(nothing, |(low, high), p| (low.inf(&p), high.sup(&p)));
+    let first = low.map(|x| (x - reach).floor().max(0.0));
+    let size = (high - first).map(|x| ((x + reach).ceil() + 1.0).max(0.0));
+    ((first.x as usize, first.y as usize, size.x as usize, size.y as usize), first)
 }
 
 /// Fewer rows are not worth a second thread.

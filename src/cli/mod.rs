@@ -1,6 +1,7 @@
 //! Commands; one file for each.
 
 mod calibrate;
+mod detect;
 mod input;
 mod precalibrate;
 mod simulate;
@@ -20,6 +21,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Calibrate(Box<calibrate::Arguments>),
+    Detect(detect::Arguments),
     Precalibrate(precalibrate::Arguments),
     Simulate(simulate::Arguments),
 }
@@ -35,6 +37,7 @@ Exit status:
 pub fn run() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Detect(arguments) => detect::run(&arguments),
         Command::Precalibrate(arguments) => precalibrate::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
     };

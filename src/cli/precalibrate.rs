@@ -222,7 +222,7 @@ fn of_project(
         estimator: arguments.estimator.map_or_else(RadiusEstimator::default, Into::into),
         ..PrecalibrationOptions::of_datasheet(&sheet)
     };
-    let bar = progress_bar(arguments.json, whites.len());
+    let bar = progress_bar(arguments.json, whites.len(), "measuring white images");
     let result = precalibrate(&whites, reference.as_ref(), &options, &|| bar.inc(1));
     bar.finish_and_clear();
     let result = result.map_err(|e| e.in_file(path))?;
@@ -242,8 +242,7 @@ fn stage(
 ) -> Result<()> {
     let types = result.lens_types.types;
     let internal = &result.internal.parameters;
-    let lens_type = |c: &MicroImageCenter| result.array.grid.lattice.lens_type(c.k, c.l, types);
-    output.stage("centers.csv", |out| io::write_measured_centers(out, &result.array, lens_type))?;
+    stage_centers(output, result)?;
     output.stage_json("params.js", &compote::parameters_document(internal, sheet))?;
     let camera = compote::camera_document(sheet, &result.array.grid, types);
     output.stage_json("camera.js", &camera)?;
@@ -255,7 +254,18 @@ fn stage(
     output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))
 }
 
-fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>, Option<White>)> {
+/// Writes centers.csv.
+pub(super) fn stage_centers(output: &mut OutputFolder, result: &Precalibration) -> Result<()> {
+    let types = result.lens_types.types;
+    let lens_type = |c: &MicroImageCenter| result.array.grid.lattice.lens_type(c.k, c.l, types);
+    output.stage("centers.csv", |out| io::write_measured_centers(out, &result.array, lens_type))
+}
+
+/// Reads the white images of a project, and the one that belongs to the boards.
+pub(super) fn read_whites(
+    images: &ImagesSection,
+    sheet: &Datasheet,
+) -> Result<(Vec<White>, Option<White>)> {
     let named = images.whites.iter().map(|white| Ok((&white.image, white.f_number()?)));
     let reference = images.devignetting.iter().map(|path| Ok((path, sheet.f_number)));
     let all = named.chain(reference).collect::<Result<Vec<(&PathBuf, f64)>>>()?;
@@ -305,15 +315,17 @@ fn read_white(path: &Path, color: Option<Color>) -> Result<plenocal::image::RawI
     Ok(raw)
 }
 
-fn progress_bar(json: bool, images: usize) -> ProgressBar {
+/// A progress line on a terminal.
+pub(super) fn progress_bar(json: bool, images: usize, doing: &str) -> ProgressBar {
     if json || !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new(images as u64).with_style(
-        ProgressStyle::with_template("{spinner} measuring white images: {pos} of {len}")
+        ProgressStyle::with_template("{spinner} {msg}: {pos} of {len}")
             .unwrap_or_else(|_| ProgressStyle::default_bar()),
     );
     bar.set_draw_target(ProgressDrawTarget::stderr());
+    bar.set_message(doing.to_owned());
     bar.enable_steady_tick(TICK);
     bar
 }

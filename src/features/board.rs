@@ -27,6 +27,9 @@ pub struct TiedBoard {
 
 /// Fewest points that make a lattice and its homography with some redundancy.
 const FEWEST: usize = 6;
+/// Boards are looked for up to this size, and among so many times as many points.
+const MOST_CORNERS: usize = 2500;
+const MOST_CLUTTER: usize = 10;
 /// Neighbours that a lattice may start with.
 const NEIGHBOURS: usize = 6;
 /// Points that a lattice is grown from.
@@ -39,18 +42,26 @@ const PLACE_ERROR: f64 = 0.15;
 const TRIED: usize = 12;
 /// Placements whose scores differ by less than this part of the corners cannot be told apart.
 const ALIKE: f64 = 0.08;
+/// Outer corners at places that differ by less than this part of a step are the same.
+const SAME_PLACE: f64 = 0.4;
+/// So many corners beyond the board say that it is larger.
+const BEYOND: usize = 4;
+/// Rows whose directions to the right, as cosines, differ by less run in the same direction.
+const SAME_DIRECTION: f64 = 0.3;
 /// Part of the corners in view that has to be there.
 const FOUND: f64 = 0.5;
 
 type Labels = HashMap<(i32, i32), usize>;
+/// A place on the board, in columns and rows, and in the image.
+type Pair = (Vector2<f64>, Vector2<f64>);
 
 impl TiedBoard {
     /// Ties points to a board; an error in words if they show none, or could be several parts of it.
     ///
     /// Corners that should show on the sensor but do not speak against a placement, so that a board
     /// that is cut by the border of the image is recognised by its other sides. Colours of the squares
-    /// count where they are known; corner 0 has a dark square before it. Of placements that a symmetry
-    /// of the board makes equal the one is taken whose rows run most to the right.
+    /// count where they are known; corner 0 has a dark square before it. Where the board, or what shows
+    /// of it, is the same when turned, the placement is taken whose rows run most to the right.
     pub fn tie(
         points: &[LatticePoint],
         board: &Board,
@@ -60,6 +71,16 @@ impl TiedBoard {
         if points.len() < FEWEST {
             return Err(format!("{} corners are too few for a board", points.len()));
         }
+        let corners = usize::try_from(board.corners()).unwrap_or(0);
+        if corners > MOST_CORNERS {
+            return Err(format!("a board of {corners} corners is too large to be looked for"));
+        }
+        if points.len() > MOST_CLUTTER * corners.max(FEWEST * FEWEST) {
+            return Err(format!(
+                "{} places look like corners, but the board has {corners}: the image is full of texture",
+                points.len()
+            ));
+        }
         let view = View { points, board, sensor, margin_px };
         let mut placements: Vec<Placement> =
             labellings(points).iter().flat_map(|labels| view.placements(labels)).collect();
@@ -68,8 +89,12 @@ impl TiedBoard {
             return Err("the corners lie on no lattice".to_owned());
         };
         let limit = best.score - ALIKE * f64::from(board.corners());
-        let alike: Vec<&Placement> = placements.iter().filter(|p| p.score >= limit).collect();
-        if let Some(other) = alike.iter().find(|p| !p.is_turned(best)) {
+        // Of what cannot be told apart, what runs most to the right; that has to be one place.
+        let alike = || placements.iter().filter(|p| p.score >= limit);
+        let rightmost = alike().map(Placement::rightwards).fold(f64::MIN, f64::max);
+        let towards = |p: &&Placement| p.rightwards() > rightmost - SAME_DIRECTION;
+        let best = alike().find(towards).unwrap_or(best);
+        if let Some(other) = alike().filter(towards).find(|p| !p.is_at(best)) {
             return Err(format!(
                 "{} corners could be more than one part of the board (as many as {} at another \
                  place): show more of it, or its edges",
@@ -77,8 +102,6 @@ impl TiedBoard {
                 other.tied()
             ));
         }
-        let rightmost = alike.into_iter().max_by(|a, b| a.rightwards().total_cmp(&b.rightwards()));
-        let best = rightmost.unwrap_or(best);
         if (best.tied() as f64) < FOUND * (best.tied() + best.missing) as f64
             || best.tied() < FEWEST
         {
@@ -88,13 +111,34 @@ impl TiedBoard {
                 best.tied() + best.missing
             ));
         }
-        Ok(view.completed(best))
+        let tied = view.completed(best);
+        let beyond = view.beyond(&tied);
+        if beyond >= BEYOND {
+            return Err(format!(
+                "{beyond} corners lie on the lattice beyond the board of {} x {} inner corners: correct \
+                 [board]",
+                board.columns, board.rows
+            ));
+        }
+        Ok(tied)
     }
 
     /// Pinhole image of a corner, px.
     #[must_use]
     pub fn pinhole(&self, board: &Board, corner: i32) -> Vector2<f64> {
         project(&self.homography, &coordinates(board, corner))
+    }
+
+    /// Directions of row and column at a corner, in px of the pinhole image to the next corner.
+    #[must_use]
+    pub fn steps(&self, board: &Board, corner: i32) -> (Vector2<f64>, Vector2<f64>) {
+        const PART: f64 = 1e-3;
+        let at = coordinates(board, corner);
+        let step = |axis: Vector2<f64>| {
+            let side = |sign: f64| project(&self.homography, &(at + axis * (sign * PART)));
+            (side(0.5) - side(-0.5)) / PART
+        };
+        (step(Vector2::x()), step(Vector2::y()))
     }
 }
 
@@ -340,6 +384,25 @@ impl View<'_> {
         Placement { corners, homography, outline, missing, score: score - missing as f64 }
     }
 
+    /// Points at the next places of the lattice beyond the board.
+    fn beyond(&self, tied: &TiedBoard) -> usize {
+        let inverse = tied.homography.try_inverse().unwrap_or_else(Matrix3::zeros);
+        let (right, bottom) = (self.board.columns, self.board.rows);
+        let is_beyond = |point: &LatticePoint| {
+            let at = project(&inverse, &point.place);
+            let node = at.map(f64::round);
+            let outside = node.x < 0.0
+                || node.y < 0.0
+                || node.x >= f64::from(right)
+                || node.y >= f64::from(bottom);
+            let next = (-1.0..=f64::from(right)).contains(&node.x)
+                && (-1.0..=f64::from(bottom)).contains(&node.y);
+            outside && next && (at - node).norm() < PLACE_ERROR
+        };
+        let free = self.points.iter().zip(&tied.corners).filter(|(_, corner)| corner.is_none());
+        free.filter(|(point, _)| is_beyond(point)).count()
+    }
+
     /// Ties what is at the place of a corner without a point, and fits the homography to all.
     fn completed(&self, placement: &Placement) -> TiedBoard {
         let mut by_corner: BTreeMap<i32, usize> = BTreeMap::new();
@@ -374,10 +437,10 @@ impl Placement {
         self.corners.iter().flatten().count()
     }
 
-    /// Whether a symmetry of the board makes both the same: its outer corners are at the same places.
-    fn is_turned(&self, other: &Self) -> bool {
-        let side = (self.outline[0] - self.outline[2]).norm();
-        self.outline.iter().all(|a| other.outline.iter().any(|b| (a - b).norm() < 0.01 * side))
+    /// Whether the board is at the same place.
+    fn is_at(&self, other: &Self) -> bool {
+        let step = step_at(&self.homography, &Vector2::zeros());
+        self.outline.iter().zip(&other.outline).all(|(a, b)| (a - b).norm() < SAME_PLACE * step)
     }
 
     /// How far to the right rows run, from −1 to 1.
@@ -396,9 +459,9 @@ fn step_at(homography: &Matrix3<f64>, at: &Vector2<f64>) -> f64 {
 
 /// The homography between pairs of points, by the linear method on coordinates of unit size; `None`
 /// if they do not determine it.
-fn homography(pairs: &[(Vector2<f64>, Vector2<f64>)]) -> Option<Matrix3<f64>> {
+fn homography(pairs: &[Pair]) -> Option<Matrix3<f64>> {
     let count = pairs.len() as f64;
-    let unit = |of: fn(&(Vector2<f64>, Vector2<f64>)) -> Vector2<f64>| {
+    let unit = |of: fn(&Pair) -> Vector2<f64>| {
         let middle = pairs.iter().map(of).sum::<Vector2<f64>>() / count;
         let size = pairs.iter().map(|pair| (of(pair) - middle).norm()).sum::<f64>() / count;
         let scale = 1.0 / size.max(1e-12);

@@ -69,6 +69,7 @@ impl SightLine {
 
     /// Fits the line robustly; `None` if the sights are of a single micro-image.
     #[must_use]
+    #[allow(clippy::needless_pass_by_value)] // an iterator, cloned for every pass
     pub fn fit<'a>(sights: impl Iterator<Item = &'a Sight> + Clone) -> Option<Self> {
         let count = sights.clone().count();
         let middle = sights.clone().map(|s| s.center).sum::<Vector2<f64>>() / count as f64;
@@ -177,6 +178,11 @@ pub struct Group {
     pub line: SightLine,
 }
 
+/// Pairs of sights that a line is tried through.
+const MOST_PAIRS: usize = 4000;
+/// No point shows in more micro-images: a larger cluster is texture.
+const MOST_SIGHTS: usize = 1000;
+
 /// Sorts sights into groups with a common line: the line through some two of them that most others
 /// are on, then what is left, and so on. Sights on no line of at least `fewest` are in no group.
 #[must_use]
@@ -187,31 +193,33 @@ pub fn groups_on_lines(
     fewest: usize,
     configuration: Configuration,
 ) -> Vec<Group> {
-    let mut left = cluster.to_vec();
     let mut groups = Vec::new();
+    if cluster.len() > MOST_SIGHTS {
+        return groups;
+    }
+    let mut left = cluster.to_vec();
     while left.len() >= fewest.max(2) {
         let on = |line: &SightLine| -> Vec<usize> {
             let off = |i: &usize| (sights[*i].position - line.at(&sights[*i].center)).norm();
             left.iter().copied().filter(|i| off(i) <= tolerance_px).collect()
         };
         let mut best: Vec<usize> = Vec::new();
-        for (n, &a) in left.iter().enumerate() {
-            for &b in &left[..n] {
-                let (a, b) = (&sights[a], &sights[b]);
-                let baseline = a.center - b.center;
-                if baseline.norm_squared() == 0.0 {
-                    continue;
-                }
-                let slope = (a.position - b.position).dot(&baseline) / baseline.norm_squared();
-                if !possible_slope(slope, configuration) {
-                    continue;
-                }
-                let middle = (a.position + b.position - (a.center + b.center) * slope) / 2.0;
-                let line = SightLine { start: middle, ..SightLine::through(&middle, slope) };
-                let members = on(&line);
-                if members.len() > best.len() {
-                    best = members;
-                }
+        let pairs =
+            || left.iter().enumerate().flat_map(|(n, &a)| left[..n].iter().map(move |&b| (a, b)));
+        let step = (left.len() * (left.len() - 1) / 2).div_ceil(MOST_PAIRS).max(1);
+        for (a, b) in pairs().step_by(step) {
+            let (a, b) = (&sights[a], &sights[b]);
+            let baseline = a.center - b.center;
+            let slope = (a.position - b.position).dot(&baseline) / baseline.norm_squared();
+            // Not a number for two sights in one micro-image.
+            if !possible_slope(slope, configuration) {
+                continue;
+            }
+            let start = (a.position + b.position - (a.center + b.center) * slope) / 2.0;
+            let line = SightLine { start, ..SightLine::through(&start, slope) };
+            let members = on(&line);
+            if members.len() > best.len() {
+                best = members;
             }
         }
         // The fit to all of them may win some more, and lose some.

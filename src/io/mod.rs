@@ -24,7 +24,9 @@ pub use image_file::{read_image, write_png};
 pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
 };
-pub use observations_file::{read_centers, read_features, write_centers, write_features};
+pub use observations_file::{
+    read_centers, read_features, write_centers, write_detected_features, write_features,
+};
 pub use output::OutputFolder;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
 pub use precalibration_file::{

@@ -9,6 +9,7 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 
 use super::{compote, read_bytes};
 use crate::error::{Error, Result};
+use crate::features::DetectedFeature;
 use crate::observations::{BapFeature, MicroImageCenter, Observations};
 
 /// Reads micro-image centres from CSV.
@@ -67,6 +68,25 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
     writeln!(out, "k,l,u,v,rho,cluster,frame")?;
     features.iter().try_for_each(|f| {
         writeln!(out, "{},{},{},{},{},{},{}", f.k, f.l, f.u_px, f.v_px, f.rho_px, f.corner, f.frame)
+    })
+}
+
+/// Writes detected features as CSV: the columns of BAP features, and the standard deviations of u, v
+/// and ρ, px.
+pub fn write_detected_features(
+    out: &mut dyn Write,
+    features: &[DetectedFeature],
+) -> io::Result<()> {
+    writeln!(out, "k,l,u,v,rho,cluster,frame,std_u,std_v,std_rho")?;
+    features.iter().try_for_each(|detected| {
+        let f = &detected.feature;
+        let std_dev = |i: usize| detected.covariance[(i, i)].sqrt();
+        write!(
+            out,
+            "{},{},{},{},{},{},{},",
+            f.k, f.l, f.u_px, f.v_px, f.rho_px, f.corner, f.frame
+        )?;
+        writeln!(out, "{:.4},{:.4},{:.4}", std_dev(0), std_dev(1), detected.rho_std_dev_px)
     })
 }
 

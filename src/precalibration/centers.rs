@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::pattern::Pattern;
 use super::statistics::median;
-use crate::image::{Grey, Image};
+use crate::image::{Grey, Image, bounds};
 
 /// What was measured of one micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,17 +104,7 @@ pub(super) fn part_with(
     places: impl Iterator<Item = Vector2<f64>>,
     reach: f64,
 ) -> (Image, Vector2<f64>) {
-    let nothing = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
-    let (low, high) = places.fold(nothing, |(low, high), p| (low.inf(&p), high.sup(&p)));
-    let corner = low.map(|x| (x - reach).floor().max(0.0));
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-    let [left, top, width, height] = [
-        corner.x,
-        corner.y,
-        (high.x + reach).ceil() - corner.x + 1.0,
-        (high.y + reach).ceil() - corner.y + 1.0,
-    ]
-    .map(|x| x.max(0.0) as usize);
+    let ((left, top, width, height), corner) = bounds(places, reach);
     (image.part(left, top, width, height), corner)
 }
 

@@ -36,7 +36,7 @@ pub(super) struct TypeRadius {
 /// hundredth of a pixel, and not so far out that vignetting cuts them.
 const OF_EACH_TYPE: usize = 150;
 /// How far from the middle light is taken for a micro-image's own, in pitches.
-const REACH: f64 = 0.52;
+pub(super) const REACH: f64 = 0.52;
 /// α of the paper: 98 % of a normal distribution.
 const ALPHA: f64 = 2.357;
 

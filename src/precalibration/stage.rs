@@ -9,7 +9,7 @@ use super::grid::MicroImageArray;
 use super::internal::{InternalFit, RadiusMeasurement, fit_internal};
 use super::pattern::Pattern;
 use super::profile::Profile;
-use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, profile_at, radius_at};
+use super::radii::{REACH, RadiusEstimator, TypeRadius, middle_nodes, profile_at, radius_at};
 use super::shading::{Shaded, fit_shading, shading_moment};
 use super::types::{LensTypes, judge_types};
 use crate::camera::{Configuration, Datasheet, InternalParameters, positive};
@@ -149,6 +149,7 @@ pub fn precalibrate(
         .zip(&by_profile)
         .map(|(white, radii)| moments.of_image(white.f_number, radii.iter().map(|r| &r.profile)))
         .collect();
+    let other_stop = moments.contradicted_by(reference, &of_reference);
     let of_reference = moments.of_image(reference.f_number, &of_reference);
     let (array, pitch_correction) = unshaded(&found, whites, &samples, &of_images, &of_reference)?;
 
@@ -161,6 +162,7 @@ pub fn precalibrate(
     };
     let internal = fit(&mut radii, array.grid.pitch_px)?;
     let mut warnings = contradictions(whites, &radii, lens_types.types, options);
+    warnings.extend(other_stop);
     if let Some(agreement) = lens_types.agreement
         && agreement < AGREEMENT
     {
@@ -347,18 +349,41 @@ struct Moments<'a> {
 }
 
 impl Moments<'_> {
+    /// Radii of the pupil's image and of its blur, px.
+    fn discs(&self, f_number: f64, q_prime_mm: f64) -> (f64, f64) {
+        let pixel = self.options.pixel_size_mm;
+        let blur = q_prime_mm / pixel - self.grid.pitch_px / 2.0;
+        (self.internal.m_mm / f_number / pixel, blur.abs())
+    }
+
+    /// What is wrong with the reference if its micro-images do not have the size of its f-number.
+    fn contradicted_by(&self, reference: &White, profiles: &[Profile]) -> Option<String> {
+        let measured =
+            |profile: &Profile| profile.fit(REACH * self.grid.pitch_px).map(|discs| discs.outer);
+        let (profile, q_prime) = (profiles.first()?, self.internal.q_prime_mm.first()?);
+        let (a, b) = self.discs(reference.f_number, *q_prime);
+        let radius = measured(profile)?;
+        ((radius / (a + b) - 1.0).abs() > CONTRADICTION).then(|| {
+            format!(
+                "{}: at f/{:.2} micro-images of type 1 should have a radius of {:.2} px, but have \
+                 {radius:.2} px: it was taken with another aperture",
+                reference.name,
+                reference.f_number,
+                a + b
+            )
+        })
+    }
+
     /// X by lens type, see [`super::shading`].
     fn of_image<'p>(
         &self,
         f_number: f64,
         profiles: impl IntoIterator<Item = &'p Profile>,
     ) -> Vec<f64> {
-        let pixel = self.options.pixel_size_mm;
         let half_pitch = self.grid.pitch_px / 2.0;
         let inverted = self.options.configuration == Configuration::Keplerian;
         let of_type = |(profile, q_prime): (&Profile, &f64)| {
-            let a = self.internal.m_mm / f_number / pixel;
-            let b = (q_prime / pixel - half_pitch).abs();
+            let (a, b) = self.discs(f_number, *q_prime);
             let peak = profile.peak(a + b, (a - b).abs()).unwrap_or(1.0);
             shading_moment(a, b, half_pitch, inverted, peak)
         };

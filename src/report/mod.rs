@@ -1,6 +1,7 @@
 //! Results for people (tables, words, pictures) and for machines (JSON).
 
 mod calibration;
+mod detection;
 mod figures;
 mod precalibration;
 mod table;
@@ -9,5 +10,6 @@ pub use calibration::{
     calibrated_camera, calibration_json, calibration_text, termination_text,
     weakest_directions_text,
 };
+pub use detection::{FrameRow, detection_text, features_figure};
 pub use figures::{micro_images_figure, radii_figure};
 pub use precalibration::{array_text, precalibration_text, types_text};

@@ -6,13 +6,19 @@ use std::path::Path;
 
 use nalgebra::{Matrix2, Vector2};
 use plenocal::camera::{Board, Configuration, Sensor};
+use plenocal::evaluation::DetectionScore;
 use plenocal::features::{
-    LatticePoint, Sight, TiedBoard, dbscan, groups_on_lines, median_inverse_virtual_depth,
+    DepthEstimator, LatticePoint, Sight, TiedBoard, dbscan, groups_on_lines,
+    median_inverse_virtual_depth,
 };
 use plenocal::io::{read_centers, read_features, read_internal_parameters};
 use plenocal::lattice::LatticeKind;
 use plenocal::observations::BapFeature;
 use plenocal::precalibration::{MicroImageArray, fit_grid};
+use predicates::prelude::PredicateBooleanExt;
+use predicates::str::contains;
+
+use crate::support::{plenocal, preset};
 
 const R12: Sensor = Sensor { width_px: 4080, height_px: 3068, pixel_size_mm: 0.0055 };
 
@@ -111,4 +117,122 @@ fn the_median_of_pairs_gives_the_published_blur_radii() {
     }
     println!("rho differs by up to {worst:.4} px");
     assert!(worst < RHO_BOUND_PX, "{worst} px");
+}
+
+/// What detected features are held to: parts of what is to be found, of what is reported, and root mean
+/// square errors, px.
+const FOUND: f64 = 0.90;
+const TRUE: f64 = 0.995;
+const SMALL_BLUR_PX: f64 = 0.10;
+const ANY_BLUR_PX: f64 = 0.20;
+
+#[test]
+fn simulated_corners_are_found_where_they_are() {
+    let sets: [(&str, &[&str], usize); 6] = [
+        ("mini", &["rays=32"], 6),
+        ("mini", &["rays=32", "imaging.bits=16"], 2),
+        ("mini", &["rays=32", "imaging.read_noise_electrons=204"], 4),
+        ("mini", &["rays=32", "boards.max_tilt_deg=45", "seed=2"], 4),
+        ("mini", &["rays=32", "boards.min_in_view=0.65", "seed=3"], 4),
+        ("r12-a", &["rays=32"], 1),
+    ];
+    for (name, replaced, frames) in sets {
+        let settings = preset(name, replaced);
+        let score = DetectionScore::of_simulation(&settings, frames, DepthEstimator::Line).unwrap();
+        println!(
+            "{name} {replaced:?}: {} of {frames} frames, {:.1} % found, {:.2} % true, {:.3} px, {:.3} \
+             px, depth {:.2} %",
+            score.tied,
+            100.0 * score.recall(),
+            100.0 * score.precision(),
+            score.small_rms_px(),
+            score.rms_px(),
+            100.0 * score.depth_rms()
+        );
+        // Of a board that is cut by the border one cannot always tell which part shows.
+        let cut = replaced.iter().any(|r| r.contains("min_in_view"));
+        assert!(score.tied >= if cut { frames / 2 } else { frames }, "{name} {replaced:?}");
+        assert!(score.recall() > FOUND && score.precision() > TRUE, "{name} {replaced:?}");
+        assert!(score.small_rms_px() < SMALL_BLUR_PX, "{name} {replaced:?}");
+        assert!(score.rms_px() < ANY_BLUR_PX, "{name} {replaced:?}");
+    }
+}
+
+/// Images to camera: the simulated one within 0.3 % in F and D, 1 % in d and fᵢ.
+#[test]
+fn detected_features_calibrate_the_simulated_camera() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let (set, out) = (folder.path().join("set"), folder.path().join("out"));
+    let run = |arguments: &[&std::ffi::OsStr]| plenocal().args(arguments).assert();
+    let text = |name: &str| std::ffi::OsString::from(name);
+    let project = set.join("project.toml");
+    run(&[&text("simulate"), &text("--set"), &text("rays=32"), &text("--out"), set.as_os_str()])
+        .success();
+    run(&[&text("detect"), project.as_os_str(), &text("--out"), out.as_os_str()])
+        .success()
+        .stdout(contains("10 of 10 frames").and(contains("frame-09.svg")));
+    run(&[
+        &text("calibrate"),
+        project.as_os_str(),
+        &text("--params"),
+        out.join("precalibration.json").as_os_str(),
+        &text("--centers"),
+        out.join("centers.csv").as_os_str(),
+        &text("--features"),
+        out.join("features.csv").as_os_str(),
+        &text("--out"),
+        out.join("camera").as_os_str(),
+    ])
+    .success();
+    let camera = |path: &Path| plenocal::io::read_camera(path).unwrap();
+    let truth = camera(&set.join("truth/camera.json"));
+    let found = camera(&out.join("camera/camera.json"));
+    let off = |a: f64, b: f64| (a / b - 1.0).abs();
+    let (lens, mla) = (&found.main_lens, &found.mla);
+    assert!(off(lens.focal_length_mm, truth.main_lens.focal_length_mm) < 0.003);
+    assert!(off(mla.lens_to_mla_mm, truth.mla.lens_to_mla_mm) < 0.003);
+    assert!(off(mla.mla_to_sensor_mm, truth.mla.mla_to_sensor_mm) < 0.01);
+    for (a, b) in mla.focal_lengths_mm.iter().zip(&truth.mla.focal_lengths_mm) {
+        assert!(off(*a, *b) < 0.01, "{a} for {b}");
+    }
+
+    // What was measured before serves as well, and gives the same.
+    let again = folder.path().join("again");
+    run(&[
+        &text("detect"),
+        project.as_os_str(),
+        &text("--precalibration"),
+        out.as_os_str(),
+        &text("--no-pictures"),
+        &text("--out"),
+        again.as_os_str(),
+    ])
+    .success();
+    let features =
+        |folder: &Path| read_features(&folder.join("features.csv"), true).unwrap().features;
+    assert_eq!(features(&out).len(), features(&again).len());
+
+    // A frame without a board, one that is not there, another size of board, another aperture.
+    let written = std::fs::read_to_string(&project).unwrap();
+    let changed = |from: &str, to: &str| {
+        assert!(written.contains(from), "{from}");
+        let path = set.join("changed.toml");
+        std::fs::write(&path, written.replace(from, to)).unwrap();
+        let other = folder.path().join("other");
+        plenocal().arg("detect").arg(&path).arg("--no-pictures").arg("--out").arg(&other).assert()
+    };
+    changed("calibration/calibration-03.png", "whites/white-0-n-4.00.png")
+        .success()
+        .stderr(contains("frame 3 (white-0-n-4.00.png) is left out: there is no board in it"))
+        .stdout(contains("9 of 10 frames"));
+    changed("calibration/calibration-04.png", "calibration/none.png")
+        .success()
+        .stderr(contains("frame 4 (none.png) is left out: cannot read"));
+    changed("columns = 8\nrows = 5", "columns = 7\nrows = 4")
+        .code(1)
+        .stderr(contains("beyond the board of 7 x 4 inner corners"));
+    changed("\"devignetting.png\"", "\"whites/white-4-n-16.00.png\"")
+        .code(1)
+        .stderr(contains("taken with another aperture").and(contains("no frame shows the board")));
+    changed("[board]", "[bord]").code(1).stderr(contains("bord"));
 }

@@ -1,0 +1,46 @@
+//! Writes a table of how good detected features are: simulated boards against their truth.
+//!
+//!     cargo run --release --example feature_errors
+
+use plenocal::Result;
+use plenocal::evaluation::DetectionScore;
+use plenocal::features::DepthEstimator;
+use plenocal::io::{PRESETS, preset_settings};
+
+/// Name, preset, what is replaced in it, and frames.
+const SETS: [(&str, &str, &[&str], usize); 8] = [
+    ("mini", "mini", &[], 10),
+    ("mini, 16 bit", "mini", &["imaging.bits=16"], 10),
+    ("mini, noise of 2 grey levels", "mini", &["imaging.read_noise_electrons=102"], 10),
+    ("mini, noise of 4 grey levels", "mini", &["imaging.read_noise_electrons=204"], 10),
+    ("mini, tilt up to 45 degrees", "mini", &["boards.max_tilt_deg=45"], 10),
+    ("mini, a third out of view", "mini", &["boards.min_in_view=0.65"], 10),
+    ("r12-a", "r12-a", &[], 6),
+    ("r12-a, noise of 4 grey levels", "r12-a", &["imaging.read_noise_electrons=204"], 4),
+];
+
+fn main() -> Result<()> {
+    println!(
+        "| boards | tied | found | true | position, blur up to 3 px | position, all | 1/ν, line | \
+         1/ν, median |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    for (name, preset, replaced, frames) in SETS {
+        let preset = PRESETS.iter().find(|p| p.name == preset).expect("a preset");
+        let replaced: Vec<String> = replaced.iter().map(ToString::to_string).collect();
+        let settings = preset_settings(preset, &replaced)?;
+        let score = DetectionScore::of_simulation(&settings, frames, DepthEstimator::Line)?;
+        println!(
+            "| {name} | {} of {} | {:.1} % | {:.2} % | {:.3} px | {:.3} px | {:.2} % | {:.2} % |",
+            score.tied,
+            score.frames,
+            100.0 * score.recall(),
+            100.0 * score.precision(),
+            score.small_rms_px(),
+            score.rms_px(),
+            100.0 * score.depth_rms(),
+            100.0 * score.median_depth_rms(),
+        );
+    }
+    Ok(())
+}

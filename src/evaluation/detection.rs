@@ -1,0 +1,217 @@
+//! Detected features against the truth of a simulated data set.
+
+use std::collections::HashMap;
+
+use nalgebra::{Matrix2, Vector2};
+
+use crate::camera::Board;
+use crate::error::Result;
+use crate::features::{
+    DepthEstimator, Detection, MicroImages, Search, Sight, SightLine, detect_frame,
+};
+use crate::observations::{BapFeature, MicroImageCenter};
+use crate::precalibration::{PrecalibrationOptions, White, precalibrate};
+use crate::simulation::{DataSet, Settings, Shot};
+
+/// What detected features are worth, over the frames of a data set.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct DetectionScore {
+    /// True features at least [`INSIDE_PX`] within the edge of a micro-image.
+    pub sought: usize,
+    /// Those of them that were found.
+    pub found: usize,
+    /// Features reported.
+    pub reported: usize,
+    /// Those of them that are true, by micro-image and corner, and nearer than [`TRUE_PX`].
+    pub right: usize,
+    small: usize,
+    small_square: f64,
+    square: f64,
+    depths: usize,
+    depth_square: f64,
+    median_square: f64,
+    /// Frames looked at.
+    pub frames: usize,
+    /// Frames tied to the board.
+    pub tied: usize,
+}
+
+/// True features nearer to the edge of the micro-image need not be found, px.
+pub const INSIDE_PX: f64 = 3.0;
+/// Features further from the truth are false, px.
+pub const TRUE_PX: f64 = 1.0;
+/// A blur that counts as small, px.
+pub const SMALL_RHO_PX: f64 = 3.0;
+
+/// What is true of a frame.
+struct FrameTruth<'a> {
+    features: &'a [BapFeature],
+    centers: &'a HashMap<(i32, i32), MicroImageCenter>,
+    /// Outer radius of micro-image (k, l), px.
+    outer_radius_px: &'a dyn Fn(i32, i32) -> f64,
+    /// It may have been taken for itself turned by half.
+    board: &'a Board,
+    /// λ = D/(D + d).
+    lambda: f64,
+}
+
+impl DetectionScore {
+    /// Simulates the first boards of a data set, and its white images; pre-calibrates, detects, and
+    /// compares with the truth.
+    pub fn of_simulation(
+        settings: &Settings,
+        frames: usize,
+        estimator: DepthEstimator,
+    ) -> Result<Self> {
+        let data_set = DataSet::plan(settings, None)?;
+        let white = |shot: &Shot| {
+            let name = format!("f/{:.2}", shot.f_number);
+            let image = shot.take(settings, &|| ())?;
+            Ok(White { name, f_number: shot.f_number, image })
+        };
+        let whites = data_set.whites.iter().map(white).collect::<Result<Vec<White>>>()?;
+        let reference = white(&data_set.devignetting)?;
+        let (sheet, board) = (settings.datasheet(), settings.target.board());
+        let options = PrecalibrationOptions::of_datasheet(&sheet);
+        let measured = precalibrate(&whites, Some(&reference), &options, &|| ())?;
+        let micro_images = MicroImages::new(
+            &measured.array.grid,
+            &measured.array.centers,
+            &measured.internal.parameters,
+            sheet.configuration,
+            reference.f_number,
+            sheet.sensor.pixel_size_mm,
+        )?;
+        let tracer = settings.tracer(reference.f_number)?;
+        let centers = tracer.centers().into_iter().map(|t| ((t.center.k, t.center.l), t.center));
+        let centers: HashMap<(i32, i32), MicroImageCenter> = centers.collect();
+        let mla = &settings.camera.mla;
+        let search =
+            Search { micro_images: &micro_images, board: &board, sensor: &sheet.sensor, estimator };
+        let mut score = Self::default();
+        for (pose, shot) in data_set.subsets[0].iter().take(frames) {
+            let image = shot.take(settings, &|| ())?;
+            let (result, _) =
+                detect_frame(pose.frame, &image.grey(), &reference.image.grey(), &search);
+            score.frames += 1;
+            let Ok(detection) = result else { continue };
+            score.tied += 1;
+            let features: Vec<BapFeature> = tracer
+                .features(pose.frame, &board, &pose.camera_from_board)
+                .into_iter()
+                .map(|t| t.feature)
+                .collect();
+            let outer = |k, l| micro_images.outer_radius_px(micro_images.lens_type(k, l));
+            let truth = FrameTruth {
+                features: &features,
+                centers: &centers,
+                outer_radius_px: &outer,
+                board: &board,
+                lambda: mla.lens_to_mla_mm / (mla.lens_to_mla_mm + mla.mla_to_sensor_mm),
+            };
+            score.add(&detection, &truth);
+        }
+        Ok(score)
+    }
+
+    fn add(&mut self, detection: &Detection, truth: &FrameTruth) {
+        let by_place: HashMap<(i32, i32, i32), &BapFeature> =
+            truth.features.iter().map(|f| ((f.corner, f.k, f.l), f)).collect();
+        let turned = |corner: i32| truth.board.corners() - 1 - corner;
+        let matches = |of: &dyn Fn(i32) -> i32| {
+            let there = |f: &&BapFeature| by_place.contains_key(&(of(f.corner), f.k, f.l));
+            detection.features.iter().map(|d| &d.feature).filter(there).count()
+        };
+        let is_turned = matches(&turned) > matches(&|corner| corner);
+        let own = |corner: i32| if is_turned { turned(corner) } else { corner };
+
+        let mut found: HashMap<(i32, i32, i32), f64> = HashMap::new();
+        for detected in &detection.features {
+            let f = &detected.feature;
+            self.reported += 1;
+            let place = (own(f.corner), f.k, f.l);
+            let Some(t) = by_place.get(&place) else { continue };
+            let error = Vector2::new(f.u_px - t.u_px, f.v_px - t.v_px);
+            if error.norm() > TRUE_PX {
+                continue;
+            }
+            found.insert(place, error.norm());
+            self.right += 1;
+            self.square += error.norm_squared() / 2.0;
+            if t.rho_px.abs() <= SMALL_RHO_PX {
+                self.small += 1;
+                self.small_square += error.norm_squared() / 2.0;
+            }
+        }
+        for (place, t) in &by_place {
+            let Some(c) = truth.centers.get(&(t.k, t.l)) else { continue };
+            let from_center = (t.u_px - c.u_px).hypot(t.v_px - c.v_px);
+            if from_center + INSIDE_PX <= (truth.outer_radius_px)(t.k, t.l) {
+                self.sought += 1;
+                self.found += usize::from(found.contains_key(place));
+            }
+        }
+        for corner in &detection.corners {
+            let sights: Vec<Sight> = truth
+                .features
+                .iter()
+                .filter(|t| t.corner == own(corner.corner))
+                .filter_map(|t| {
+                    let c = truth.centers.get(&(t.k, t.l))?;
+                    Some(Sight {
+                        k: t.k,
+                        l: t.l,
+                        center: Vector2::new(c.u_px, c.v_px),
+                        position: Vector2::new(t.u_px, t.v_px),
+                        std_dev_px: 1.0,
+                        squares: Matrix2::zeros(),
+                    })
+                })
+                .collect();
+            if let Some(line) = SightLine::fit(sights.iter()) {
+                let of = |line: &SightLine| line.inverse_virtual_depth(truth.lambda);
+                self.depths += 1;
+                self.depth_square += (of(&corner.line) / of(&line) - 1.0).powi(2);
+                let median = corner.median_inverse_virtual_depth;
+                let true_median = line.inverse_virtual_depth(1.0);
+                self.median_square += (median / true_median - 1.0).powi(2);
+            }
+        }
+    }
+
+    /// Part of the features to be found that were.
+    #[must_use]
+    pub fn recall(&self) -> f64 {
+        self.found as f64 / self.sought as f64
+    }
+
+    /// Part of what is reported that is true.
+    #[must_use]
+    pub fn precision(&self) -> f64 {
+        self.right as f64 / self.reported as f64
+    }
+
+    /// Root mean square error of a position per axis, px.
+    #[must_use]
+    pub fn rms_px(&self) -> f64 {
+        (self.square / self.right as f64).sqrt()
+    }
+
+    /// The same of features with a small blur.
+    #[must_use]
+    pub fn small_rms_px(&self) -> f64 {
+        (self.small_square / self.small as f64).sqrt()
+    }
+
+    /// The same by the paper's median over pairs, which takes λ for 1, as the truth it is held against.
+    #[must_use]
+    pub fn median_depth_rms(&self) -> f64 {
+        (self.median_square / self.depths as f64).sqrt()
+    }
+
+    /// Root mean square error of 1/ν of a corner, relative, by the line.
+    #[must_use]
+    pub fn depth_rms(&self) -> f64 {
+        (self.depth_square / self.depths as f64).sqrt()
+    }
+}

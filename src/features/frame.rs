@@ -1,0 +1,551 @@
+//! The features of one frame.
+
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
+
+use super::board::{LatticePoint, TiedBoard};
+use super::corner::{Corner, Free, Spread, saddles};
+use super::dbscan::dbscan;
+use super::line::{Group, SightLine, groups_on_lines, median_inverse_virtual_depth};
+use super::micro_images::MicroImages;
+use super::patch::Pair;
+use super::shade::Shade;
+use super::{DepthEstimator, Detection, Sight};
+use crate::camera::{Board, Configuration, Sensor};
+use crate::image::Grey;
+use crate::observations::BapFeature;
+
+/// What is looked for, and with what.
+#[derive(Debug, Clone, Copy)]
+pub struct Search<'a> {
+    /// The micro-images.
+    pub micro_images: &'a MicroImages,
+    /// The board.
+    pub board: &'a Board,
+    /// The sensor.
+    pub sensor: &'a Sensor,
+    /// How 1/ν is taken from the sights of a corner.
+    pub estimator: DepthEstimator,
+}
+
+/// A BAP feature with its uncertainty.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DetectedFeature {
+    /// The feature.
+    pub feature: BapFeature,
+    /// Covariance of the position, px².
+    pub covariance: Matrix2<f64>,
+    /// Standard deviation of ρ, px.
+    pub rho_std_dev_px: f64,
+}
+
+/// A corner of the board as a whole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DetectedCorner {
+    /// Board corner, `row · columns + column`.
+    pub corner: i32,
+    /// Its line of sights.
+    pub line: SightLine,
+    /// 1/ν as the paper has it, by the median over pairs with λ = 1.
+    pub median_inverse_virtual_depth: f64,
+    /// Number of its features.
+    pub features: usize,
+}
+
+/// What was done with the micro-images of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct FrameCounts {
+    /// Micro-images looked at.
+    pub looked_at: usize,
+    /// Cut by the border, without light in the white image, or saturated.
+    pub unusable: usize,
+    /// Corners found in single micro-images.
+    pub corners: usize,
+    /// DBSCAN's clusters of them.
+    pub clusters: usize,
+    /// Corners in no cluster.
+    pub alone: usize,
+    /// Corners off the line of their cluster.
+    pub off_line: usize,
+    /// Corners on lines that are no corner of the board.
+    pub off_board: usize,
+    /// Board corners tied.
+    pub board_corners: usize,
+    /// Micro-images in which a board corner should be but none was found: too little contrast or too
+    /// uncertain.
+    pub unclear: usize,
+    /// Those in which it was found off its line.
+    pub misplaced: usize,
+}
+
+/// Micro-images along the edge of a tile that is looked at at once.
+const TILE: i32 = 16;
+/// One micro-image in so many tells how bright the frame is.
+const LEVELS: usize = 5;
+/// Darkest and brightest part of the micro-images that are left out for the levels.
+const TAIL: f64 = 0.02;
+/// A frame whose light differs by less, relative to the white image, shows nothing.
+const FEWEST_LEVELS: f64 = 0.04;
+/// Saturated micro-images beyond this part make a frame over-exposed.
+const OVER_EXPOSED: f64 = 0.25;
+/// Corners have at least this part of the frame's contrast.
+const CONTRAST: f64 = 0.35;
+/// and at most this part: beyond the frame's bright and dark squares there is nothing.
+const MOST_CONTRAST: f64 = 1.5;
+/// What a corner explains at least of the light of its micro-image, alone and where it is expected.
+const EXPLAINED: f64 = 0.8;
+const EXPLAINED_EXPECTED: f64 = 0.4;
+/// Steps across single edges, over that across both.
+const IMBALANCE: f64 = 0.25;
+const IMBALANCE_EXPECTED: f64 = 0.5;
+/// Saddles of a micro-image that are tried.
+const STARTS: usize = 2;
+/// Sine of the least angle between two edges.
+const OPENING: f64 = 0.4;
+/// Corners that are less certain than this, px, alone and where they are expected, are not told.
+const UNCERTAIN_PX: f64 = 0.6;
+const UNCERTAIN_EXPECTED_PX: f64 = 0.35;
+/// Corners nearer than this, px, to where no light of theirs arrives are not looked for.
+const EDGE_PX: f64 = 0.15;
+/// Alone they are not looked for nearer to the edge of the micro-image, px.
+const ALONE_EDGE_PX: f64 = 1.5;
+/// Neighbours in a cluster are up to this many times as far from each other as they would be without
+/// a missing one.
+const GAP: f64 = 1.5;
+/// Sights of a line before the pupil's shade is known, in pitches.
+const ROUGH: f64 = 0.06;
+/// Rounds in which every corner is looked for where its line expects it.
+const ROUNDS: usize = 2;
+/// How far from there, px.
+const EXPECTED_PX: f64 = 1.2;
+/// Sights further than this many robust standard deviations from the line are misplaced; the standard
+/// deviation is not taken below the second number, px.
+const OUTLIER: f64 = 4.0;
+const LINE_PX: f64 = 0.08;
+/// A side of the board with so many corners surely in view has to show one of them; surely is this
+/// many pitches from the border.
+const SIDE: usize = 3;
+const SURE_MARGIN: f64 = 2.5;
+/// Border of the image that counts as out of view, in pitches.
+const MARGIN: f64 = 1.0;
+
+/// Detects the features of a frame; the reason in words if it cannot be tied to the board.
+pub fn detect_frame(
+    frame: u32,
+    image: &Grey,
+    white: &Grey,
+    search: &Search,
+) -> (Result<Detection, String>, FrameCounts) {
+    let mut counts = FrameCounts::default();
+    if image.size() != white.size() {
+        let ((a, b), (c, d)) = (image.size(), white.size());
+        let why = format!("it has {a} x {b} px, but the white image {c} x {d}");
+        return (Err(why), counts);
+    }
+    let result = Frame { frame, image, white, search }.detect(&mut counts);
+    (result, counts)
+}
+
+struct Frame<'a> {
+    frame: u32,
+    image: &'a Grey<'a>,
+    white: &'a Grey<'a>,
+    search: &'a Search<'a>,
+}
+
+/// A board corner to look for.
+#[derive(Clone)]
+struct Target {
+    corner: i32,
+    line: SightLine,
+    sights: Vec<(Sight, Corner)>,
+}
+
+impl Frame<'_> {
+    fn detect(&self, counts: &mut FrameCounts) -> Result<Detection, String> {
+        let search = self.search;
+        let contrast = self.contrast(counts)?;
+        let sights = self.all_corners(contrast, counts);
+        counts.corners = sights.len();
+        let groups = self.groups(&sights, counts);
+        let points: Vec<LatticePoint> = groups
+            .iter()
+            .map(|group| LatticePoint {
+                place: group.line.pinhole(),
+                squares: group.members.iter().map(|&i| sights[i].squares).sum(),
+            })
+            .collect();
+        let margin = MARGIN * search.micro_images.grid.pitch_px;
+        let tied = TiedBoard::tie(&points, search.board, search.sensor, margin)?;
+        let targets: Vec<Target> = groups
+            .iter()
+            .zip(&tied.corners)
+            .filter_map(|(group, corner)| {
+                Some(Target { corner: (*corner)?, line: group.line, sights: Vec::new() })
+            })
+            .collect();
+        let tied_sights: usize = groups
+            .iter()
+            .zip(&tied.corners)
+            .filter(|(_, corner)| corner.is_some())
+            .map(|(group, _)| group.members.len())
+            .sum();
+        counts.off_board = groups.iter().map(|g| g.members.len()).sum::<usize>() - tied_sights;
+        let targets = self.looked_for(targets, &tied, contrast, counts);
+        counts.board_corners = targets.len();
+        self.check_outline(&targets, &tied)?;
+        Ok(self.detection(&targets, tied.homography))
+    }
+
+    /// Half the difference between the bright and the dark squares, relative to the white image.
+    fn contrast(&self, counts: &mut FrameCounts) -> Result<f64, String> {
+        let micro_images = self.search.micro_images;
+        let nodes: Vec<(i32, i32)> = self.nodes().into_iter().step_by(LEVELS).collect();
+        let of_node = |&(k, l): &(i32, i32)| {
+            let place = std::iter::once(micro_images.center(k, l));
+            let pair = Pair::about(self.image, self.white, place, micro_images.grid.pitch_px);
+            let patch = pair.patch(micro_images, (k, l));
+            let saturated = patch.as_ref().is_none_or(|p| p.saturated > 0.2);
+            (patch.map(|p| p.mean()), saturated)
+        };
+        let levels: Vec<(Option<f64>, bool)> = nodes.par_iter().map(of_node).collect();
+        let saturated = levels.iter().filter(|(_, saturated)| *saturated).count();
+        let mut means: Vec<f64> = levels.iter().filter_map(|(mean, _)| *mean).collect();
+        means.sort_by(f64::total_cmp);
+        if means.is_empty() || saturated as f64 > OVER_EXPOSED * levels.len() as f64 {
+            counts.looked_at = self.nodes().len();
+            counts.unusable = counts.looked_at;
+            return Err(format!(
+                "{:.0} % of the micro-images are saturated or without light: the frame is \
+                 over-exposed, or the white image is of another camera",
+                100.0 * saturated as f64 / levels.len().max(1) as f64
+            ));
+        }
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a part of the length
+        let at = |part: f64| means[(part * (means.len() - 1) as f64) as usize];
+        let contrast = (at(1.0 - TAIL) - at(TAIL)) / 2.0;
+        if contrast < FEWEST_LEVELS * at(1.0 - TAIL).max(0.1) {
+            return Err("there is no board in it: all is of one brightness".to_owned());
+        }
+        Ok(contrast)
+    }
+
+    fn nodes(&self) -> Vec<(i32, i32)> {
+        let micro_images = self.search.micro_images;
+        let lattice = &micro_images.grid.lattice;
+        let (width, height) = self.image.size();
+        let inside = |&(k, l): &(i32, i32)| {
+            let c = micro_images.center(k, l);
+            (0.0..=width as f64 - 1.0).contains(&c.x) && (0.0..=height as f64 - 1.0).contains(&c.y)
+        };
+        let rows = lattice.rows;
+        (0..rows).flat_map(|l| (0..lattice.columns).map(move |k| (k, l))).filter(inside).collect()
+    }
+
+    /// Corners in all micro-images, each by itself.
+    fn all_corners(&self, contrast: f64, counts: &mut FrameCounts) -> Vec<Sight> {
+        let micro_images = self.search.micro_images;
+        let mut nodes = self.nodes();
+        counts.looked_at = nodes.len();
+        let tile = |(k, l): (i32, i32)| (l / TILE, k / TILE);
+        nodes.sort_by_key(|&node| tile(node));
+        let tiles: Vec<&[(i32, i32)]> = nodes.chunk_by(|&a, &b| tile(a) == tile(b)).collect();
+        let none = Shade::none();
+        let unknown = Spread::unknown(&none);
+        let of_tile = |nodes: &&[(i32, i32)]| {
+            let places = nodes.iter().map(|&(k, l)| micro_images.center(k, l));
+            let reach = 0.6 * micro_images.grid.pitch_px;
+            let pair = Pair::about(self.image, self.white, places, reach);
+            let mut unusable = 0;
+            let mut sights = Vec::new();
+            for &node in *nodes {
+                let Some(patch) = pair.patch(micro_images, node) else {
+                    unusable += 1;
+                    continue;
+                };
+                let lens_type = micro_images.lens_type(node.0, node.1);
+                let reach = micro_images.outer_radius_px(lens_type) - ALONE_EDGE_PX;
+                let clear = |corner: &Corner| {
+                    corner.place.norm() < reach
+                        && corner.explained > EXPLAINED
+                        && (CONTRAST..MOST_CONTRAST).contains(&(corner.contrast.abs() / contrast))
+                        && corner.opening() > OPENING
+                        && corner.covariance.trace() / 2.0 < UNCERTAIN_PX.powi(2)
+                        && corner.imbalance(&patch, &unknown).is_some_and(|part| part < IMBALANCE)
+                };
+                let corner = saddles(&patch, CONTRAST * contrast)
+                    .iter()
+                    .filter(|corner| corner.place.norm() < reach)
+                    .take(STARTS)
+                    .filter_map(|corner| corner.fitted(&patch, &unknown, Free::All))
+                    .find(clear);
+                if let Some(corner) = corner {
+                    sights.push(self.sight(node, &corner));
+                }
+            }
+            (sights, unusable)
+        };
+        let found: Vec<(Vec<Sight>, usize)> = tiles.par_iter().map(of_tile).collect();
+        counts.unusable = found.iter().map(|(_, unusable)| unusable).sum();
+        found.into_iter().flat_map(|(sights, _)| sights).collect()
+    }
+
+    fn sight(&self, (k, l): (i32, i32), corner: &Corner) -> Sight {
+        let center = self.search.micro_images.center(k, l);
+        Sight {
+            k,
+            l,
+            center,
+            position: center + corner.place,
+            std_dev_px: (corner.covariance.trace() / 2.0).max(1e-6).sqrt().max(0.02),
+            squares: corner.squares(),
+        }
+    }
+
+    /// Clusters, and what of them lies on lines.
+    fn groups(&self, sights: &[Sight], counts: &mut FrameCounts) -> Vec<Group> {
+        let micro_images = self.search.micro_images;
+        let pitch = micro_images.grid.pitch_px;
+        // Before the array (Keplerian) neighbours are further apart than their micro-lenses.
+        let furthest = match micro_images.configuration {
+            Configuration::Galilean => 1.0,
+            _ => 1.5,
+        };
+        let places: Vec<Vector2<f64>> = sights.iter().map(|s| s.position).collect();
+        let clusters = dbscan(&places, GAP * furthest * pitch, 2);
+        let count = clusters.iter().flatten().max().map_or(0, |last| last + 1);
+        let mut members = vec![Vec::new(); count];
+        for (i, cluster) in clusters.iter().enumerate() {
+            match cluster {
+                Some(cluster) => members[*cluster].push(i),
+                None => counts.alone += 1,
+            }
+        }
+        counts.clusters = count;
+        let tolerance = ROUGH * pitch;
+        let of_cluster = |members: &Vec<usize>| {
+            groups_on_lines(sights, members, tolerance, 2, micro_images.configuration)
+        };
+        let groups: Vec<Group> = members.par_iter().flat_map_iter(of_cluster).collect();
+        let on_lines: usize = groups.iter().map(|g| g.members.len()).sum();
+        counts.off_line = sights.len() - counts.alone - on_lines;
+        groups
+    }
+
+    /// Looks for every corner of the board where its line, or its neighbours', expects it.
+    fn looked_for(
+        &self,
+        mut targets: Vec<Target>,
+        tied: &TiedBoard,
+        contrast: f64,
+        counts: &mut FrameCounts,
+    ) -> Vec<Target> {
+        let search = self.search;
+        let margin = MARGIN * search.micro_images.grid.pitch_px;
+        for round in 0..ROUNDS {
+            let Some(field) = slope_field(&targets) else { break };
+            let missing: Vec<Target> = (0..search.board.corners())
+                .filter(|corner| targets.iter().all(|target| target.corner != *corner))
+                .map(|corner| (corner, tied.pinhole(search.board, corner)))
+                .filter(|(_, p)| {
+                    (margin..f64::from(search.sensor.width_px) - margin).contains(&p.x)
+                        && (margin..f64::from(search.sensor.height_px) - margin).contains(&p.y)
+                })
+                .map(|(corner, p)| Target {
+                    corner,
+                    line: SightLine::through(&p, slope_at(&field, &p)),
+                    sights: Vec::new(),
+                })
+                .collect();
+            targets.extend(missing);
+            let found: Vec<(Target, usize, usize)> = targets
+                .par_iter()
+                .filter_map(|target| self.target(target, tied, &field, contrast))
+                .collect();
+            if round + 1 == ROUNDS {
+                counts.unclear = found.iter().map(|f| f.1).sum();
+                counts.misplaced = found.iter().map(|f| f.2).sum();
+            }
+            targets = found.into_iter().map(|f| f.0).collect();
+            targets.sort_by_key(|target| target.corner);
+        }
+        targets
+    }
+
+    /// A reason in words if none of the corners along a side of the board is there, though in view.
+    fn check_outline(&self, targets: &[Target], tied: &TiedBoard) -> Result<(), String> {
+        let Search { board, sensor, .. } = *self.search;
+        let margin = SURE_MARGIN * self.search.micro_images.grid.pitch_px;
+        let (right, bottom) = (f64::from(sensor.width_px), f64::from(sensor.height_px));
+        let in_view = |corner: &i32| {
+            let p = tied.pinhole(board, *corner);
+            (margin..right - margin).contains(&p.x) && (margin..bottom - margin).contains(&p.y)
+        };
+        let found = |corner: &i32| targets.iter().any(|target| target.corner == *corner);
+        let (columns, rows) = (board.columns, board.rows);
+        let column = |c: i32| (0..rows).map(move |r| r * columns + c).collect::<Vec<i32>>();
+        let row = |r: i32| (0..columns).map(move |c| r * columns + c).collect::<Vec<i32>>();
+        let sides = [
+            ("first column", column(0)),
+            ("last column", column(columns - 1)),
+            ("first row", row(0)),
+            ("last row", row(rows - 1)),
+        ];
+        for (name, side) in sides {
+            let seen: Vec<i32> = side.into_iter().filter(in_view).collect();
+            if seen.len() >= SIDE && !seen.iter().any(found) {
+                return Err(format!(
+                    "no corner of the {name} shows, though it is in view: check that the board has \
+                     {columns} x {rows} inner corners and is not hidden there"
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// A corner in every micro-image that should show it; how many were unclear, and off the line.
+    fn target(
+        &self,
+        target: &Target,
+        tied: &TiedBoard,
+        field: &Vector3<f64>,
+        contrast: f64,
+    ) -> Option<(Target, usize, usize)> {
+        let Search { micro_images, board, .. } = *self.search;
+        let (pinhole, slope) = (target.line.pinhole(), target.line.slope);
+        let nearness = 1.0 - slope;
+        let lit = |lens_type| {
+            micro_images.lit_px(micro_images.blur_radius_px(slope, lens_type), lens_type)
+        };
+        let largest = (0..micro_images.types()).map(lit).fold(0.0, f64::max);
+        let nodes = micro_images.about(&pinhole, largest / nearness.abs());
+        let places = nodes.iter().map(|&(k, l)| micro_images.center(k, l));
+        let pair = Pair::about(self.image, self.white, places, 0.6 * micro_images.grid.pitch_px);
+        // Rows and columns of the board in the pinhole image.
+        let (right, down) = tied.steps(board, target.corner);
+        let is_even = (target.corner / board.columns + target.corner % board.columns) % 2 == 0;
+        let (mut sights, mut imbalances, mut unclear) = (Vec::new(), Vec::new(), 0);
+        for node in nodes {
+            let center = micro_images.center(node.0, node.1);
+            let lens_type = micro_images.lens_type(node.0, node.1);
+            let expected = target.line.at(&center) - center;
+            let rho = micro_images.blur_radius_px(slope, lens_type);
+            if expected.norm() > micro_images.lit_px(rho, lens_type) - EDGE_PX {
+                continue;
+            }
+            let Some(patch) = pair.patch(micro_images, node) else { continue };
+            // Towards the next corner the slope changes, and with it the magnification.
+            let seen =
+                |step: &Vector2<f64>| step * nearness - (pinhole - center) * field.xy().dot(step);
+            let (right, down) = (seen(&right), seen(&down));
+            let start = Corner {
+                place: expected,
+                angles: [right.y.atan2(right.x), down.y.atan2(down.x)],
+                level: patch.mean(),
+                contrast: if is_even { contrast } else { -contrast },
+                width: 1.0,
+                covariance: Matrix2::zeros(),
+                explained: 0.0,
+            };
+            let spread = Spread::new(rho, micro_images.shade(lens_type));
+            let fitted = start.fitted(&patch, &spread, Free::Place).filter(|corner| {
+                (corner.place - expected).norm() < EXPECTED_PX
+                    && corner.explained > EXPLAINED_EXPECTED
+                    && (corner.contrast > 0.0) == is_even
+                    && corner.contrast.abs() > CONTRAST * contrast
+                    && corner.covariance.trace() / 2.0 < UNCERTAIN_EXPECTED_PX.powi(2)
+            });
+            match fitted {
+                Some(corner) => {
+                    imbalances.extend(corner.imbalance(&patch, &spread));
+                    sights.push((self.sight(node, &corner), corner));
+                }
+                None => unclear += 1,
+            }
+        }
+        imbalances.sort_by(f64::total_cmp);
+        // The outer corners of the board look like corners in some micro-images, but not in most.
+        imbalances.get(imbalances.len() / 2).filter(|&&median| median < IMBALANCE_EXPECTED)?;
+        let line = SightLine::fit(sights.iter().map(|(sight, _)| sight))?;
+        let scale = line.rms_px.max(LINE_PX);
+        let before = sights.len();
+        sights.retain(|(s, _)| (s.position - line.at(&s.center)).norm() < OUTLIER * scale);
+        let misplaced = before - sights.len();
+        let line = SightLine::fit(sights.iter().map(|(sight, _)| sight))?;
+        let possible = super::possible_slope(line.slope, micro_images.configuration);
+        (possible && sights.len() > 1).then_some((
+            Target { corner: target.corner, line, sights },
+            unclear,
+            misplaced,
+        ))
+    }
+
+    fn detection(&self, targets: &[Target], homography: Matrix3<f64>) -> Detection {
+        let micro_images = self.search.micro_images;
+        let half_pitch = micro_images.grid.pitch_px / 2.0;
+        let (mut features, mut corners) = (Vec::new(), Vec::new());
+        for target in targets {
+            let sights: Vec<Sight> = target.sights.iter().map(|(sight, _)| *sight).collect();
+            // A target has two sights at least.
+            let median = median_inverse_virtual_depth(&sights).unwrap_or(f64::NAN);
+            corners.push(DetectedCorner {
+                corner: target.corner,
+                line: target.line,
+                median_inverse_virtual_depth: median,
+                features: sights.len(),
+            });
+            for (sight, corner) in &target.sights {
+                let lens_type = micro_images.lens_type(sight.k, sight.l);
+                let rho_px = match self.search.estimator {
+                    DepthEstimator::Median => {
+                        micro_images.blur_radius_of_depth_px(median, lens_type)
+                    }
+                    DepthEstimator::Line => {
+                        micro_images.blur_radius_px(target.line.slope, lens_type)
+                    }
+                };
+                features.push(DetectedFeature {
+                    feature: BapFeature {
+                        frame: self.frame,
+                        corner: target.corner,
+                        k: sight.k,
+                        l: sight.l,
+                        u_px: sight.position.x,
+                        v_px: sight.position.y,
+                        rho_px,
+                    },
+                    covariance: corner.covariance,
+                    rho_std_dev_px: half_pitch * target.line.slope_std_dev,
+                });
+            }
+        }
+        Detection { features, corners, homography }
+    }
+}
+
+/// Slope as a linear function of the pinhole image: by u, by v, and at (0, 0).
+fn slope_field(targets: &[Target]) -> Option<Vector3<f64>> {
+    let mut weights = vec![1.0; targets.len()];
+    let mut field = None;
+    for _ in 0..10 {
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for (target, weight) in targets.iter().zip(&weights) {
+            let p = target.line.pinhole();
+            let row = Vector3::new(p.x, p.y, 1.0);
+            normal += row * row.transpose() * *weight;
+            right += row * (target.line.slope * weight);
+        }
+        let solution = normal.cholesky()?.solve(&right);
+        let off = |t: &Target| (t.line.slope - slope_at(&solution, &t.line.pinhole())).abs();
+        let mut sorted: Vec<f64> = targets.iter().map(off).collect();
+        let middle = sorted.len() / 2;
+        let scale = sorted.select_nth_unstable_by(middle, f64::total_cmp).1.max(1e-6) * 1.5;
+        weights = targets.iter().map(|t| 1.0 / (1.0 + (off(t) / (3.0 * scale)).powi(4))).collect();
+        field = Some(solution);
+    }
+    field
+}
+
+fn slope_at(field: &Vector3<f64>, p: &Vector2<f64>) -> f64 {
+    field.x * p.x + field.y * p.y + field.z
+}

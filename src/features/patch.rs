@@ -1,0 +1,132 @@
+//! The light of one micro-image, devignetted.
+
+use nalgebra::Vector2;
+
+use super::micro_images::MicroImages;
+use crate::image::{Grey, Image};
+
+/// Pixels of a micro-image: offsets from its centre (px), light relative to the white image, and
+/// weights, 1 where the white image is brightest.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Patch {
+    pub x: Vec<f32>,
+    pub y: Vec<f32>,
+    pub light: Vec<f32>,
+    pub weight: Vec<f32>,
+    /// Part of the pixels that is saturated.
+    pub saturated: f32,
+}
+
+impl Patch {
+    /// Weighted mean of the light.
+    pub fn mean(&self) -> f64 {
+        self.mean_and_std_dev().0
+    }
+
+    /// Weighted mean and standard deviation of the light.
+    pub fn mean_and_std_dev(&self) -> (f64, f64) {
+        let (mut sum, mut first, mut second) = (0.0_f32, 0.0_f32, 0.0_f32);
+        for (light, weight) in self.light.iter().zip(&self.weight) {
+            sum += weight;
+            first += weight * light;
+            second += weight * light * light;
+        }
+        let mean = first / sum;
+        (f64::from(mean), f64::from((second / sum - mean * mean).max(0.0).sqrt()))
+    }
+}
+
+/// Where the white image has less than this part of the micro-image's brightest light, nothing can be
+/// told.
+const USABLE: f32 = 0.06;
+/// Noise of the white image's brightest pixel beside that of photons: darker pixels have more of it
+/// relative to their light.
+const READ_NOISE: f32 = 0.25;
+
+/// Fewer pixels cannot hold a corner of seven parameters with some redundancy.
+const FEWEST_PIXELS: usize = 40;
+
+/// Two images of the same place: a board and its white image.
+pub(super) struct Pair {
+    pub board: Image,
+    pub white: Image,
+    /// Place of the first pixel.
+    pub corner: Vector2<f64>,
+}
+
+impl Pair {
+    /// The part of both images that is up to `reach` from some places.
+    pub fn about(
+        board: &Grey,
+        white: &Grey,
+        places: impl Iterator<Item = Vector2<f64>>,
+        reach: f64,
+    ) -> Self {
+        let ((left, top, width, height), corner) = crate::image::bounds(places, reach);
+        Self {
+            board: board.part(left, top, width, height),
+            white: white.part(left, top, width, height),
+            corner,
+        }
+    }
+
+    /// The patch of a micro-image; `None` if it is not wholly in the images or without light.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
+    pub fn patch(&self, micro_images: &MicroImages, (k, l): (i32, i32)) -> Option<Patch> {
+        let center = micro_images.center(k, l) - self.corner;
+        let reach = micro_images
+            .outer_radius_px(micro_images.lens_type(k, l))
+            .min(micro_images.grid.pitch_px / 2.0);
+        let (first, last) =
+            (center.map(|x| (x - reach).ceil()), center.map(|x| (x + reach).floor()));
+        let inside = first.min() >= 0.0
+            && last.x < self.white.width as f64
+            && last.y < self.white.height as f64;
+        if !inside {
+            return None;
+        }
+        let (left, top) = (first.x as usize, first.y as usize);
+        let (right, bottom) = (last.x as usize, last.y as usize);
+        let mut patch = Patch::default();
+        let mut whites: Vec<f32> = Vec::new();
+        let mut brightest = 0.0_f32;
+        let reach2 = (reach * reach) as f32;
+        for v in top..=bottom {
+            let y = (v as f64 - center.y) as f32;
+            for u in left..=right {
+                let x = (u as f64 - center.x) as f32;
+                if x * x + y * y > reach2 {
+                    continue;
+                }
+                let i = v * self.white.width + u;
+                let (board, white) = (self.board.pixels[i], self.white.pixels[i]);
+                brightest = brightest.max(white);
+                patch.x.push(x);
+                patch.y.push(y);
+                patch.light.push(board);
+                whites.push(white);
+            }
+        }
+        if brightest <= 0.0 {
+            return None;
+        }
+        let count = whites.len() as f32;
+        patch.saturated = patch.light.iter().filter(|&&l| l >= 1.0).count() as f32 / count;
+        let mut kept = 0;
+        for (i, &of_pixel) in whites.iter().enumerate() {
+            let white = of_pixel / brightest;
+            if white < USABLE || patch.light[i] >= 1.0 || of_pixel >= 1.0 {
+                continue;
+            }
+            patch.x[kept] = patch.x[i];
+            patch.y[kept] = patch.y[i];
+            patch.light[kept] = patch.light[i] / of_pixel;
+            patch.weight.push(white * white / (READ_NOISE + white) * (1.0 + READ_NOISE));
+            kept += 1;
+        }
+        patch.x.truncate(kept);
+        patch.y.truncate(kept);
+        patch.light.truncate(kept);
+        (kept >= FEWEST_PIXELS).then_some(patch)
+    }
+}

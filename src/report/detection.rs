@@ -1,0 +1,150 @@
+//! Detected features as text and as pictures.
+
+use std::fmt::Write as _;
+use std::io::Cursor;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use image::{GrayImage, ImageFormat, Luma};
+
+use super::table::table;
+use crate::camera::Board;
+use crate::error::{Error, Result};
+use crate::features::{Detection, FrameCounts};
+use crate::image::RawImage;
+
+/// A frame in the table.
+#[derive(Debug, Clone)]
+pub struct FrameRow {
+    /// Its number.
+    pub frame: u32,
+    /// Name of the image.
+    pub image: String,
+    /// What was done.
+    pub counts: FrameCounts,
+    /// Features; 0 where the frame was left out.
+    pub features: usize,
+}
+
+/// Frame by frame what was found and what was dropped.
+#[must_use]
+pub fn detection_text(rows: &[FrameRow]) -> String {
+    let header = [
+        "Frame",
+        "Image",
+        "Micro-images",
+        "Corners",
+        "Clusters",
+        "Board",
+        "Features",
+        "Alone",
+        "Off line",
+        "Off board",
+        "Unclear",
+        "Misplaced",
+    ];
+    let mut text = table(&header, &[1]);
+    for row in rows {
+        let c = &row.counts;
+        let numbers = [
+            c.looked_at - c.unusable,
+            c.corners,
+            c.clusters,
+            c.board_corners,
+            row.features,
+            c.alone,
+            c.off_line,
+            c.off_board,
+            c.unclear,
+            c.misplaced,
+        ];
+        let mut cells = vec![row.frame.to_string(), row.image.clone()];
+        cells.extend(numbers.iter().map(ToString::to_string));
+        text.add_row(cells);
+    }
+    let features: usize = rows.iter().map(|row| row.features).sum();
+    let frames = rows.iter().filter(|row| row.features > 0).count();
+    format!(
+        "{text}\n\n{features} features in {frames} of {} frames. Corners: found in a micro-image by \
+         itself. Board: corners tied to it.\nDropped: alone (in no cluster), off the line of their \
+         cluster, off the board; where a corner is expected: unclear, or misplaced.",
+        rows.len()
+    )
+}
+
+/// Largest width of the picture under the features, px.
+const PICTURE: usize = 1400;
+
+/// A frame with its features as blur circles, coloured by corner, and the board's lattice.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // pixels
+pub fn features_figure(image: &RawImage, detection: &Detection, board: &Board) -> Result<String> {
+    let (width, height) = (image.width, image.height);
+    let reduced = width.div_ceil(PICTURE).max(1);
+    let grey = image.to_grey();
+    let (columns, rows) = ((width / reduced).max(1), (height / reduced).max(1));
+    let mean = |x: usize, y: usize| {
+        let rows = y * reduced..((y + 1) * reduced).min(height);
+        let row = |v: usize| &grey.pixels[v * width + x * reduced..][..reduced.min(width)];
+        rows.flat_map(row).sum::<f32>() / (reduced * reduced) as f32
+    };
+    let values: Vec<f32> = (0..rows)
+        .flat_map(|y| (0..columns).map(move |x| (x, y)))
+        .map(|(x, y)| mean(x, y))
+        .collect();
+    let brightest = values.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+    let picture = GrayImage::from_fn(columns as u32, rows as u32, |x, y| {
+        Luma([(values[y as usize * columns + x as usize] / brightest * 255.0) as u8])
+    });
+    let mut png = Cursor::new(Vec::new());
+    picture
+        .write_to(&mut png, ImageFormat::Png)
+        .map_err(|e| Error::invalid(format!("a figure could not be drawn: {e}")))?;
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{columns}\" height=\"{rows}\" \
+         viewBox=\"-0.5 -0.5 {width} {height}\" role=\"img\">\n<title>Features of a frame</title>\n\
+         <image x=\"-0.5\" y=\"-0.5\" width=\"{width}\" height=\"{height}\" \
+         href=\"data:image/png;base64,{}\"/>\n",
+        STANDARD.encode(png.get_ref())
+    );
+    let _ =
+        writeln!(svg, "<g stroke=\"rgb(255,210,0)\" stroke-width=\"{reduced}\" opacity=\"0.8\">");
+    let place = |column: i32, row: i32| detection.pinhole(f64::from(column), f64::from(row));
+    for row in 0..board.rows {
+        for column in 0..board.columns {
+            let from = place(column, row);
+            for (right, down) in [(1, 0), (0, 1)] {
+                if column + right < board.columns && row + down < board.rows {
+                    let to = place(column + right, row + down);
+                    let _ = writeln!(
+                        svg,
+                        "<line x1=\"{:.1}\" y1=\"{:.1}\" x2=\"{:.1}\" y2=\"{:.1}\"/>",
+                        from.x, from.y, to.x, to.y
+                    );
+                }
+            }
+        }
+    }
+    let first = place(0, 0);
+    let _ = writeln!(
+        svg,
+        "</g>\n<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{}\" fill=\"rgb(255,210,0)\"><title>corner \
+         0</title></circle>\n<g fill=\"none\" stroke-width=\"0.6\">",
+        first.x,
+        first.y,
+        4 * reduced
+    );
+    for detected in &detection.features {
+        let f = &detected.feature;
+        // Neighbours on the board differ in hue.
+        let hue = f.corner * 137 % 360;
+        let _ = writeln!(
+            svg,
+            "<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{:.2}\" stroke=\"hsl({hue},90%,60%)\"/>",
+            f.u_px,
+            f.v_px,
+            f.rho_px.abs().max(0.3)
+        );
+    }
+    svg.push_str("</g>\n</svg>\n");
+    Ok(svg)
+}
