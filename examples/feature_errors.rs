@@ -1,6 +1,6 @@
 //! Writes a table of how good detected features are: simulated boards against their truth.
 //!
-//!     cargo run --release --example feature_errors
+//!     cargo run --release --example feature_errors [PART OF A NAME]
 
 use plenocal::Result;
 use plenocal::evaluation::DetectionScore;
@@ -25,7 +25,11 @@ fn main() -> Result<()> {
          1/ν, median |"
     );
     println!("|---|---|---|---|---|---|---|---|");
+    let wanted = std::env::args().nth(1).unwrap_or_default();
     for (name, preset, replaced, frames) in SETS {
+        if !name.contains(&wanted) {
+            continue;
+        }
         let preset = PRESETS.iter().find(|p| p.name == preset).expect("a preset");
         let replaced: Vec<String> = replaced.iter().map(ToString::to_string).collect();
         let settings = preset_settings(preset, &replaced)?;

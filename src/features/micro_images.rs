@@ -50,7 +50,7 @@ impl MicroImages {
         let pupil_px = internal.m_mm.abs() / f_number / pixel_size_mm;
         let sizes = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm);
         for size in sizes.chain(std::iter::once(pupil_px)) {
-            if !(size.abs() < MOST_PITCHES * grid.pitch_px) {
+            if size.is_nan() || size.abs() > MOST_PITCHES * grid.pitch_px {
                 return Err(Error::invalid(format!(
                     "the internal parameters make discs of {size:.1} px in micro-images with a pitch of \
                      {:.1} px: they are of another camera, or not in mm",
