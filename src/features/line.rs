@@ -234,3 +234,70 @@ pub fn groups_on_lines(
     }
     groups
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sights of a point on a square array of pitch 20, off by a little.
+    fn sights(pinhole: Vector2<f64>, slope: f64) -> Vec<Sight> {
+        let line = SightLine::through(&pinhole, slope);
+        let mut sights = Vec::new();
+        for (k, l) in (-2..=2).flat_map(|l| (-2..=2).map(move |k| (k, l))) {
+            let center = Vector2::new(f64::from(k), f64::from(l)) * 20.0 + pinhole.map(f64::round);
+            let noise =
+                Vector2::new(f64::from((k * 7 + l * 3) % 5), f64::from((k + l * 4) % 3)) * 0.02;
+            sights.push(Sight {
+                k,
+                l,
+                center,
+                position: line.at(&center) + noise,
+                std_dev_px: 0.05,
+                squares: Matrix2::zeros(),
+            });
+        }
+        sights
+    }
+
+    #[test]
+    fn a_line_comes_back_and_says_how_well() {
+        let pinhole = Vector2::new(503.2, 377.9);
+        let mut seen = sights(pinhole, 0.75);
+        // Two false ones have no say.
+        seen[3].position += Vector2::new(4.0, -2.0);
+        seen[17].position += Vector2::new(-3.0, 5.0);
+        let line = SightLine::fit(seen.iter()).unwrap();
+        // Errors of up to 0.08 px over 80 px.
+        assert!((line.slope - 0.75).abs() < 1e-3, "{}", line.slope);
+        assert!((1e-5..2e-3).contains(&line.slope_std_dev), "{}", line.slope_std_dev);
+        assert!((line.pinhole() - pinhole).norm() < 0.5, "{}", line.pinhole());
+        assert!((line.inverse_virtual_depth(1.0) - 0.25).abs() < 1e-3);
+        assert!(SightLine::fit(seen[..1].iter()).is_none());
+    }
+
+    /// By hand: micro-images 20 px apart that show the point 15 px apart have ν = 4.
+    #[test]
+    fn the_median_over_pairs_is_that_of_the_disparity() {
+        let inverse = median_inverse_virtual_depth(&sights(Vector2::new(500.0, 370.0), 0.75));
+        assert!((inverse.unwrap() - 0.25).abs() < 2e-3);
+        assert!(median_inverse_virtual_depth(&[]).is_none());
+    }
+
+    #[test]
+    fn merged_clusters_become_two_lines() {
+        let mut both = sights(Vector2::new(500.0, 370.0), 0.75);
+        both.extend(sights(Vector2::new(540.0, 376.0), 0.74));
+        let all: Vec<usize> = (0..both.len()).collect();
+        let groups = groups_on_lines(&both, &all, 0.8, 3, Configuration::Galilean);
+        let mut places: Vec<f64> = groups.iter().take(2).map(|g| g.line.pinhole().x).collect();
+        places.sort_by(f64::total_cmp);
+        assert!((places[0] - 500.0).abs() < 2.0 && (places[1] - 540.0).abs() < 2.0, "{places:?}");
+        assert!(groups[0].members.len() > 20 && groups[1].members.len() > 20);
+        // Behind the array neighbours see a point closer together, before it further apart.
+        assert!(groups_on_lines(&both, &all, 0.8, 3, Configuration::Keplerian).len() < 20);
+        assert!(possible_slope(0.75, Configuration::Galilean));
+        assert!(!possible_slope(1.25, Configuration::Galilean));
+        assert!(possible_slope(1.25, Configuration::Keplerian));
+        assert!(!possible_slope(f64::NAN, Configuration::Unfocused));
+    }
+}
