@@ -24,14 +24,7 @@ fn main() -> plenocal::Result<()> {
     let (sheet, board) = (settings.datasheet(), settings.target.board());
     let options = PrecalibrationOptions::of_datasheet(&sheet);
     let measured = precalibrate(&whites, Some(&reference), &options, &|| ())?;
-    let micro_images = MicroImages::new(
-        &measured.array.grid,
-        &measured.array.centers,
-        &measured.internal.parameters,
-        sheet.configuration,
-        reference.f_number,
-        sheet.sensor.pixel_size_mm,
-    )?;
+    let micro_images = MicroImages::of_precalibration(&measured, &sheet)?;
     let estimator = DepthEstimator::Line;
     let search =
         Search { micro_images: &micro_images, board: &board, sensor: &sheet.sensor, estimator };

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
-use plenocal::camera::{Board, Datasheet, InternalParameters};
+use plenocal::camera::{Board, Datasheet};
 use plenocal::features::{
     DepthEstimator, DetectedFeature, Detection, FrameCounts, MicroImages, Search, detect_frame,
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
-use plenocal::observations::{MIN_CORNERS, MicroImageCenter};
+use plenocal::observations::MIN_CORNERS;
 use plenocal::precalibration::{PrecalibrationOptions, fit_grid, precalibrate};
 use plenocal::{Error, Result, report};
 use serde_json::json;
@@ -181,16 +181,6 @@ fn check_size(raw: &RawImage, sheet: &Datasheet) -> Result<()> {
     )))
 }
 
-fn micro_images(
-    grid: &plenocal::precalibration::MicroImageArray,
-    centers: &[MicroImageCenter],
-    internal: &InternalParameters,
-    sheet: &Datasheet,
-) -> Result<MicroImages> {
-    let pixel = sheet.sensor.pixel_size_mm;
-    MicroImages::new(grid, centers, internal, sheet.configuration, sheet.f_number, pixel)
-}
-
 fn read_precalibration(folder: &Path, sheet: &Datasheet) -> Result<MicroImages> {
     let (internal, centers) = (folder.join("precalibration.json"), folder.join("centers.csv"));
     let pixel = Some(sheet.sensor.pixel_size_mm);
@@ -198,7 +188,7 @@ fn read_precalibration(folder: &Path, sheet: &Datasheet) -> Result<MicroImages> 
     let measured = io::read_centers(&centers)?;
     let grid = fit_grid(&measured, sheet.lattice_kind, sheet.columns, sheet.rows)
         .map_err(|e| e.in_file(&centers))?;
-    micro_images(&grid, &measured, &internal, sheet).map_err(|e| e.in_file(folder))
+    MicroImages::new(&grid, &measured, &internal, sheet).map_err(|e| e.in_file(folder))
 }
 
 fn measure(
@@ -220,7 +210,7 @@ fn measure(
     }
     stage_centers(output, &result)?;
     output.stage_json("precalibration.json", &io::precalibration_document(&result))?;
-    micro_images(&result.array.grid, &result.array.centers, &result.internal.parameters, sheet)
+    MicroImages::of_precalibration(&result, sheet)
 }
 
 /// Detects frame by frame: each takes all cores, so that no more than one is in memory.

@@ -74,14 +74,7 @@ impl DetectionScore {
         let (sheet, board) = (settings.datasheet(), settings.target.board());
         let options = PrecalibrationOptions::of_datasheet(&sheet);
         let measured = precalibrate(&whites, Some(&reference), &options, &|| ())?;
-        let micro_images = MicroImages::new(
-            &measured.array.grid,
-            &measured.array.centers,
-            &measured.internal.parameters,
-            sheet.configuration,
-            reference.f_number,
-            sheet.sensor.pixel_size_mm,
-        )?;
+        let micro_images = MicroImages::of_precalibration(&measured, &sheet)?;
         let tracer = settings.tracer(reference.f_number)?;
         let centers = tracer.centers().into_iter().map(|t| ((t.center.k, t.center.l), t.center));
         let centers: HashMap<(i32, i32), MicroImageCenter> = centers.collect();

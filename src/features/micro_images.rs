@@ -5,10 +5,10 @@ use std::collections::HashMap;
 use nalgebra::Vector2;
 
 use super::shade::Shade;
-use crate::camera::{Configuration, InternalParameters};
+use crate::camera::{Configuration, Datasheet, InternalParameters};
 use crate::error::{Error, Result};
 use crate::observations::MicroImageCenter;
-use crate::precalibration::MicroImageArray;
+use crate::precalibration::{MicroImageArray, Precalibration};
 
 /// Micro-images: where they are, and how points are blurred in them.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,10 +36,9 @@ impl MicroImages {
         grid: &MicroImageArray,
         centers: &[MicroImageCenter],
         internal: &InternalParameters,
-        configuration: Configuration,
-        f_number: f64,
-        pixel_size_mm: f64,
+        sheet: &Datasheet,
     ) -> Result<Self> {
+        let pixel_size_mm = sheet.sensor.pixel_size_mm;
         let types = internal.q_prime_mm.len();
         if types == 0 {
             return Err(Error::invalid(
@@ -47,7 +46,7 @@ impl MicroImages {
             ));
         }
         let place = |c: &MicroImageCenter| ((c.k, c.l), Vector2::new(c.u_px, c.v_px));
-        let pupil_px = internal.m_mm.abs() / f_number / pixel_size_mm;
+        let pupil_px = internal.m_mm.abs() / sheet.f_number / pixel_size_mm;
         let sizes = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm);
         for size in sizes.chain(std::iter::once(pupil_px)) {
             if size.is_nan() || size.abs() > MOST_PITCHES * grid.pitch_px {
@@ -62,7 +61,7 @@ impl MicroImages {
         let shade = |q_prime: &f64| Shade::new(pupil_px, q_prime - grid.pitch_px / 2.0);
         Ok(Self {
             grid: *grid,
-            configuration,
+            configuration: sheet.configuration,
             centers: centers.iter().map(place).collect(),
             pupil_px,
             shades: q_prime_px.iter().map(shade).collect(),
@@ -74,6 +73,16 @@ impl MicroImages {
     #[must_use]
     pub fn center(&self, k: i32, l: i32) -> Vector2<f64> {
         self.centers.get(&(k, l)).copied().unwrap_or_else(|| self.grid.center_of(k, l))
+    }
+
+    /// As the white images of a camera have them.
+    pub fn of_precalibration(measured: &Precalibration, sheet: &Datasheet) -> Result<Self> {
+        Self::new(
+            &measured.array.grid,
+            &measured.array.centers,
+            &measured.internal.parameters,
+            sheet,
+        )
     }
 
     /// Number of lens types.

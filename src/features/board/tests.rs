@@ -1,0 +1,93 @@
+//! Boards in perspective: turned, symmetric, incomplete, of another size.
+
+use super::*;
+
+const BOARD: Board = Board { columns: 8, rows: 5, square_mm: 3.0 };
+const SENSOR: Sensor = Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 };
+
+/// A board seen in perspective, turned by some degrees about the middle of the image.
+fn seen(board: &Board, degrees: f64, shift: Vector2<f64>) -> Vec<LatticePoint> {
+    let turn = nalgebra::Rotation2::new(degrees.to_radians());
+    let middle = Vector2::new(f64::from(board.columns - 1), f64::from(board.rows - 1)) / 2.0;
+    let point = |corner: i32| {
+        let at = coordinates(board, corner);
+        let image = |at: Vector2<f64>| {
+            let p = turn * ((at - middle) * 90.0);
+            Vector2::new(499.5, 374.5) + shift + p / (1.0 + 4e-4 * p.x - 3e-4 * p.y)
+        };
+        let diagonal = image(at + Vector2::new(0.5, 0.5)) - image(at);
+        let across = Vector2::new(-diagonal.y, diagonal.x);
+        // Even corners have dark squares along the diagonal.
+        let sign = if (at.x + at.y) % 2.0 == 0.0 { 1.0 } else { -1.0 };
+        let squares = across * across.transpose() - diagonal * diagonal.transpose();
+        LatticePoint { place: image(at), squares: squares * sign }
+    };
+    (0..board.corners()).map(point).collect()
+}
+
+fn in_view(points: Vec<LatticePoint>) -> (Vec<LatticePoint>, Vec<i32>) {
+    let inside = |(_, p): &(i32, LatticePoint)| SENSOR.contains(p.place.x, p.place.y);
+    let (corners, points) = (0..).zip(points).filter(inside).unzip();
+    (points, corners)
+}
+
+fn tied(points: &[LatticePoint], board: &Board) -> Result<Vec<Option<i32>>, String> {
+    TiedBoard::tie(points, board, &SENSOR, 20.0).map(|tied| tied.corners)
+}
+
+#[test]
+fn a_board_is_tied_at_any_turn_by_its_colours() {
+    for degrees in [0.0, 25.0, 90.0, 140.0, 180.0, 265.0] {
+        let (points, corners) = in_view(seen(&BOARD, degrees, Vector2::zeros()));
+        let expected: Vec<Option<i32>> = corners.into_iter().map(Some).collect();
+        assert_eq!(tied(&points, &BOARD).unwrap(), expected, "{degrees} degrees");
+    }
+}
+
+#[test]
+fn a_symmetric_board_runs_to_the_right() {
+    let board = Board { columns: 9, rows: 5, square_mm: 3.0 };
+    let points = seen(&board, 170.0, Vector2::zeros());
+    let turned: Vec<Option<i32>> = (0..board.corners()).rev().map(Some).collect();
+    let corners = tied(&points, &board).unwrap();
+    assert_eq!(corners, turned);
+}
+
+#[test]
+fn missing_corners_and_clutter_do_not_matter() {
+    let mut points = seen(&BOARD, 10.0, Vector2::zeros());
+    let mut expected: Vec<Option<i32>> = (0..BOARD.corners()).map(Some).collect();
+    for lost in [30, 21, 12, 3] {
+        points.remove(lost);
+        expected.remove(lost);
+    }
+    for (u, v) in [(20.0, 30.0), (950.0, 60.0), (480.0, 700.0), (500.0, 410.0)] {
+        let place = Vector2::new(u, v);
+        points.push(LatticePoint { place, squares: Matrix2::zeros() });
+        expected.push(None);
+    }
+    assert_eq!(tied(&points, &BOARD).unwrap(), expected);
+}
+
+#[test]
+fn what_is_no_board_is_told() {
+    let points = seen(&BOARD, 0.0, Vector2::zeros());
+    let smaller = Board { columns: 7, rows: 4, square_mm: 3.0 };
+    for (points, board, words) in [
+        (&points[..3], BOARD, "too few for a board"),
+        (&points[..], smaller, "correct [board]"),
+        (&points[..], Board { columns: 90, rows: 90, square_mm: 1.0 }, "too large"),
+    ] {
+        let why = tied(points, &board).unwrap_err();
+        assert!(why.contains(words), "{why}");
+    }
+    // On a circle lies no lattice.
+    let circle: Vec<LatticePoint> = (0..20)
+        .map(|i| {
+            let (sin, cos) = (f64::from(i) * 0.314).sin_cos();
+            let place = Vector2::new(500.0 + 300.0 * cos, 370.0 + 300.0 * sin);
+            LatticePoint { place, squares: Matrix2::zeros() }
+        })
+        .collect();
+    assert!(tied(&circle, &BOARD).is_err());
+}
