@@ -311,6 +311,7 @@ fn document(frames: &[Frame], board: &Board) -> serde_json::Value {
                 "alone": c.alone,
                 "off_line": c.off_line,
                 "off_board": c.off_board,
+                "lost_board_corners": c.lost,
                 "unclear": c.unclear,
                 "misplaced": c.misplaced,
             },

@@ -69,6 +69,8 @@ pub struct FrameCounts {
     pub off_line: usize,
     /// Corners on lines that are no corner of the board.
     pub off_board: usize,
+    /// Board corners tied at first, but not found again where they are expected.
+    pub lost: usize,
     /// Board corners tied.
     pub board_corners: usize,
     /// Micro-images in which a board corner should be but none was found: too little contrast or too
@@ -191,7 +193,10 @@ impl Frame<'_> {
             .map(|(group, _)| group.members.len())
             .sum();
         counts.off_board = groups.iter().map(|g| g.members.len()).sum::<usize>() - tied_sights;
+        let at_first: Vec<i32> = targets.iter().map(|target| target.corner).collect();
         let targets = self.looked_for(targets, &tied, contrast, counts);
+        let is_lost = |corner: &&i32| targets.iter().all(|target| target.corner != **corner);
+        counts.lost = at_first.iter().filter(is_lost).count();
         counts.board_corners = targets.len();
         self.check_outline(&targets, &tied)?;
         Ok(self.detection(&targets, tied.homography))

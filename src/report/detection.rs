@@ -40,6 +40,7 @@ pub fn detection_text(rows: &[FrameRow]) -> String {
         "Alone",
         "Off line",
         "Off board",
+        "Lost",
         "Unclear",
         "Misplaced",
     ];
@@ -55,6 +56,7 @@ pub fn detection_text(rows: &[FrameRow]) -> String {
             c.alone,
             c.off_line,
             c.off_board,
+            c.lost,
             c.unclear,
             c.misplaced,
         ];
@@ -67,7 +69,8 @@ pub fn detection_text(rows: &[FrameRow]) -> String {
     format!(
         "{text}\n\n{features} features in {frames} of {} frames. Corners: found in a micro-image by \
          itself. Board: corners tied to it.\nDropped: alone (in no cluster), off the line of their \
-         cluster, off the board; where a corner is expected: unclear, or misplaced.",
+         cluster, off the board.\nLooked for again where they are expected: board corners lost; \
+         micro-images unclear, or with the corner misplaced.",
         rows.len()
     )
 }
