@@ -94,7 +94,7 @@ impl DetectionScore {
                 .into_iter()
                 .map(|t| t.feature)
                 .collect();
-            let outer = |k, l| micro_images.outer_radius_px(micro_images.lens_type(k, l));
+            let outer = |k, l| micro_images.optics(k, l).outer_radius_px();
             let truth = FrameTruth {
                 features: &features,
                 centers: &centers,

@@ -7,7 +7,7 @@ use super::board::{LatticePoint, TiedBoard};
 use super::corner::{Corner, Free, Spread, saddles};
 use super::dbscan::dbscan;
 use super::line::{Group, SightLine, groups_on_lines, median_inverse_virtual_depth};
-use super::micro_images::MicroImages;
+use super::micro_images::{MicroImages, MicroOptics};
 use super::patch::Pair;
 use super::shade::Shade;
 use super::{DepthEstimator, Detection, Sight};
@@ -268,8 +268,7 @@ impl Frame<'_> {
                     unusable += 1;
                     continue;
                 };
-                let lens_type = micro_images.lens_type(node.0, node.1);
-                let reach = micro_images.outer_radius_px(lens_type) - ALONE_EDGE_PX;
+                let reach = micro_images.optics(node.0, node.1).outer_radius_px() - ALONE_EDGE_PX;
                 let clear = |corner: &Corner| {
                     corner.place.norm() < reach
                         && corner.explained > EXPLAINED
@@ -419,10 +418,8 @@ impl Frame<'_> {
         let Search { micro_images, board, .. } = *self.search;
         let (pinhole, slope) = (target.line.pinhole(), target.line.slope);
         let nearness = 1.0 - slope;
-        let lit = |lens_type| {
-            micro_images.lit_px(micro_images.blur_radius_px(slope, lens_type), lens_type)
-        };
-        let largest = (0..micro_images.types()).map(lit).fold(0.0, f64::max);
+        let lit = |optics: MicroOptics| optics.lit_px(optics.blur_radius_px(slope));
+        let largest = micro_images.all_optics_at(&pinhole).map(lit).fold(0.0, f64::max);
         let nodes = micro_images.about(&pinhole, largest / nearness.abs());
         let places = nodes.iter().map(|&(k, l)| micro_images.center(k, l));
         let pair = Pair::about(self.image, self.white, places, 0.6 * micro_images.grid.pitch_px);
@@ -432,10 +429,10 @@ impl Frame<'_> {
         let (mut sights, mut imbalances, mut unclear) = (Vec::new(), Vec::new(), 0);
         for node in nodes {
             let center = micro_images.center(node.0, node.1);
-            let lens_type = micro_images.lens_type(node.0, node.1);
+            let optics = micro_images.optics(node.0, node.1);
             let expected = target.line.at(&center) - center;
-            let rho = micro_images.blur_radius_px(slope, lens_type);
-            if expected.norm() > micro_images.lit_px(rho, lens_type) - EDGE_PX {
+            let rho = optics.blur_radius_px(slope);
+            if expected.norm() > optics.lit_px(rho) - EDGE_PX {
                 continue;
             }
             let Some(patch) = pair.patch(micro_images, node) else { continue };
@@ -452,7 +449,7 @@ impl Frame<'_> {
                 covariance: Matrix2::zeros(),
                 explained: 0.0,
             };
-            let spread = Spread::new(rho, micro_images.shade(lens_type));
+            let spread = Spread::new(rho, micro_images.shade(&optics));
             let fitted = start.fitted(&patch, &spread, Free::Place).filter(|corner| {
                 (corner.place - expected).norm() < EXPECTED_PX
                     && corner.explained > EXPLAINED_EXPECTED
@@ -500,14 +497,10 @@ impl Frame<'_> {
                 features: sights.len(),
             });
             for (sight, corner) in &target.sights {
-                let lens_type = micro_images.lens_type(sight.k, sight.l);
+                let optics = micro_images.optics(sight.k, sight.l);
                 let rho_px = match self.search.estimator {
-                    DepthEstimator::Median => {
-                        micro_images.blur_radius_of_depth_px(median, lens_type)
-                    }
-                    DepthEstimator::Line => {
-                        micro_images.blur_radius_px(target.line.slope, lens_type)
-                    }
+                    DepthEstimator::Median => optics.blur_radius_of_depth_px(median),
+                    DepthEstimator::Line => optics.blur_radius_px(target.line.slope),
                 };
                 features.push(DetectedFeature {
                     feature: BapFeature {

@@ -13,25 +13,86 @@ use crate::precalibration::{MicroImageArray, Precalibration};
 /// Micro-images: where they are, and how points are blurred in them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MicroImages {
-    /// The regular grid.
+    /// The grid.
     pub grid: MicroImageArray,
     /// Behind or before the array.
     pub configuration: Configuration,
     centers: HashMap<(i32, i32), Vector2<f64>>,
-    /// a: radius of the main lens's pupil seen through the middle of a micro-lens, px.
+    /// a in the middle of the image, where m and q'ᵢ are measured, px.
     pupil_px: f64,
-    /// q'ᵢ, px.
+    /// q'ᵢ there, px.
     q_prime_px: Vec<f64>,
-    /// What the pupil leaves of the micro-lenses, by type.
-    shades: Vec<Shade>,
+    /// The middle of the image, px.
+    middle: Vector2<f64>,
+    /// Gradient of ln d, 1/px.
+    growth_per_px: Vector2<f64>,
+    /// What the pupil leaves of the micro-lenses, by type and by growth of d.
+    shades: Vec<Vec<Shade>>,
+    /// First step of that growth.
+    first_step: i32,
+}
+
+/// How one micro-lens blurs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MicroOptics {
+    /// Lens type, from 0.
+    pub lens_type: usize,
+    /// a: radius of the main lens's pupil seen through the middle of the micro-lens, px.
+    pub pupil_px: f64,
+    /// q'ᵢ, px.
+    pub q_prime_px: f64,
+    /// Δc/2, px.
+    pub half_pitch_px: f64,
+    /// d over that in the middle of the image, less 1.
+    growth: f64,
+}
+
+impl MicroOptics {
+    /// ρ of a point with slope γ, px: Eq. (radiusfinal) with 1/ν = 1 − γ/λ, in which λ drops out.
+    #[must_use]
+    pub fn blur_radius_px(&self, slope: f64) -> f64 {
+        self.q_prime_px - slope * self.half_pitch_px
+    }
+
+    /// ρ by Eq. (radiusfinal) from 1/ν, with λ = 1 as the paper has it, px.
+    #[must_use]
+    pub fn blur_radius_of_depth_px(&self, inverse_virtual_depth: f64) -> f64 {
+        self.blur_radius_px(1.0 - inverse_virtual_depth)
+    }
+
+    /// qᵢ, px: the blur radius of the pupil itself, which has the slope 1.
+    #[must_use]
+    pub fn q_px(&self) -> f64 {
+        self.blur_radius_px(1.0)
+    }
+
+    /// Outer radius a + |qᵢ| of the white micro-image, px.
+    #[must_use]
+    pub fn outer_radius_px(&self) -> f64 {
+        self.pupil_px + self.q_px().abs()
+    }
+
+    /// How far from the centre a point of blur radius ρ has light that comes through the pupil, px.
+    #[must_use]
+    pub fn lit_px(&self, rho_px: f64) -> f64 {
+        (self.pupil_px + (rho_px - self.q_px()).abs()).min(self.half_pitch_px)
+    }
 }
 
 /// Discs of light and blur are smaller than this many pitches.
 const MOST_PITCHES: f64 = 10.0;
+/// Steps of the growth of d at which shades are kept; of a step the blur changes by 0.02 px.
+const GROWTH_STEP: f64 = 0.005;
+/// d changes less than this across an array that was meant to be parallel to the sensor.
+const MOST_GROWTH: f64 = 0.3;
 
 impl MicroImages {
     /// From a pre-calibration, at the f-number N of the boards. Micro-images without a measured centre
     /// are where the grid puts them.
+    ///
+    /// Where the array leans against the sensor, d changes across it, and a and q'ᵢ in proportion: both
+    /// are d times a length of the micro-lens. The perspective of the grid, t = ∇d/(D + d), tells by
+    /// how much, since m = F d/2D makes ∇d/d = t (1 + F/2|m|).
     pub fn new(
         grid: &MicroImageArray,
         centers: &[MicroImageCenter],
@@ -39,8 +100,7 @@ impl MicroImages {
         sheet: &Datasheet,
     ) -> Result<Self> {
         let pixel_size_mm = sheet.sensor.pixel_size_mm;
-        let types = internal.q_prime_mm.len();
-        if types == 0 {
+        if internal.q_prime_mm.is_empty() {
             return Err(Error::invalid(
                 "the pre-calibration has no lens types: it takes white images at several f-numbers",
             ));
@@ -57,15 +117,38 @@ impl MicroImages {
                 )));
             }
         }
+        let middle = sheet.sensor.center_px();
+        let over_distance = 1.0 + sheet.focal_length_mm / (2.0 * internal.m_mm.abs());
+        let growth_per_px = grid.perspective_per_px * over_distance;
+        let most = growth_per_px.abs().dot(&middle);
+        if most > MOST_GROWTH {
+            return Err(Error::invalid(format!(
+                "the micro-images lie in such a perspective that the array would be {:.0} % further from \
+                 the sensor at a corner of the image than in the middle: the centres are not of one \
+                 flat array, or the focal length is wrong",
+                100.0 * most
+            )));
+        }
+        #[allow(clippy::cast_possible_truncation)] // bounded above
+        let last_step = (most / GROWTH_STEP).ceil() as i32;
         let q_prime_px: Vec<f64> = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect();
-        let shade = |q_prime: &f64| Shade::new(pupil_px, q_prime - grid.pitch_px / 2.0);
+        let shades = |q_prime: &f64| {
+            let of_step = |step: i32| {
+                let scale = 1.0 + f64::from(step) * GROWTH_STEP;
+                Shade::new(pupil_px * scale, q_prime * scale - grid.pitch_px / 2.0)
+            };
+            (-last_step..=last_step).map(of_step).collect()
+        };
         Ok(Self {
             grid: *grid,
             configuration: sheet.configuration,
             centers: centers.iter().map(place).collect(),
             pupil_px,
-            shades: q_prime_px.iter().map(shade).collect(),
+            shades: q_prime_px.iter().map(shades).collect(),
+            first_step: -last_step,
             q_prime_px,
+            middle,
+            growth_per_px,
         })
     }
 
@@ -85,52 +168,34 @@ impl MicroImages {
         )
     }
 
-    /// Number of lens types.
+    /// How the micro-lens of a micro-image blurs.
     #[must_use]
-    pub fn types(&self) -> usize {
-        self.q_prime_px.len()
+    pub fn optics(&self, k: i32, l: i32) -> MicroOptics {
+        let lens_type = self.grid.lattice.lens_type(k, l, self.q_prime_px.len());
+        self.optics_at(&self.center(k, l), lens_type)
     }
 
-    /// Lens type, from 0.
-    #[must_use]
-    pub fn lens_type(&self, k: i32, l: i32) -> usize {
-        self.grid.lattice.lens_type(k, l, self.q_prime_px.len())
+    /// How micro-lenses blur at a place in the image, by type.
+    pub(super) fn all_optics_at(&self, place: &Vector2<f64>) -> impl Iterator<Item = MicroOptics> {
+        (0..self.q_prime_px.len()).map(|lens_type| self.optics_at(place, lens_type))
     }
 
-    /// ρ of a point with slope γ, px: Eq. (radiusfinal) with 1/ν = 1 − γ/λ, in which λ drops out.
-    #[must_use]
-    pub fn blur_radius_px(&self, slope: f64, lens_type: usize) -> f64 {
-        self.q_prime_px[lens_type] - slope * self.grid.pitch_px / 2.0
+    fn optics_at(&self, place: &Vector2<f64>, lens_type: usize) -> MicroOptics {
+        let growth = self.growth_per_px.dot(&(place - self.middle));
+        MicroOptics {
+            lens_type,
+            pupil_px: self.pupil_px * (1.0 + growth),
+            q_prime_px: self.q_prime_px[lens_type] * (1.0 + growth),
+            half_pitch_px: self.grid.pitch_px / 2.0,
+            growth,
+        }
     }
 
-    /// ρ by Eq. (radiusfinal) from 1/ν, with λ = 1 as the paper has it, px.
-    #[must_use]
-    pub fn blur_radius_of_depth_px(&self, inverse_virtual_depth: f64, lens_type: usize) -> f64 {
-        let half_pitch = self.grid.pitch_px / 2.0;
-        half_pitch * inverse_virtual_depth + self.q_prime_px[lens_type] - half_pitch
-    }
-
-    pub(super) fn shade(&self, lens_type: usize) -> &Shade {
-        &self.shades[lens_type]
-    }
-
-    /// qᵢ, px: the blur radius of the pupil itself, which has the slope 1.
-    #[must_use]
-    pub fn q_px(&self, lens_type: usize) -> f64 {
-        self.blur_radius_px(1.0, lens_type)
-    }
-
-    /// Outer radius a + |qᵢ| of a white micro-image, px.
-    #[must_use]
-    pub fn outer_radius_px(&self, lens_type: usize) -> f64 {
-        self.pupil_px + self.q_px(lens_type).abs()
-    }
-
-    /// How far from the centre a point of blur radius ρ has light that comes through the pupil, px.
-    #[must_use]
-    pub fn lit_px(&self, rho_px: f64, lens_type: usize) -> f64 {
-        let overlap = self.pupil_px + (rho_px - self.q_px(lens_type)).abs();
-        overlap.min(self.grid.pitch_px / 2.0)
+    pub(super) fn shade(&self, optics: &MicroOptics) -> &Shade {
+        let shades = &self.shades[optics.lens_type];
+        #[allow(clippy::cast_possible_truncation)] // bounded by the constructor
+        let step = (optics.growth / GROWTH_STEP).round() as i32 - self.first_step;
+        &shades[usize::try_from(step).unwrap_or(0).min(shades.len() - 1)]
     }
 
     /// Micro-images whose centre is up to `reach` from a place, px.

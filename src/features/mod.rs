@@ -16,7 +16,7 @@ pub use board::{LatticePoint, TiedBoard};
 pub use dbscan::dbscan;
 pub use frame::{DetectedCorner, DetectedFeature, FrameCounts, Search, detect_frame};
 pub use line::{Group, SightLine, groups_on_lines, median_inverse_virtual_depth, possible_slope};
-pub use micro_images::MicroImages;
+pub use micro_images::{MicroImages, MicroOptics};
 
 /// A corner of the board seen in a micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -74,9 +74,8 @@ impl Pair {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
     pub fn patch(&self, micro_images: &MicroImages, (k, l): (i32, i32)) -> Option<Patch> {
         let center = micro_images.center(k, l) - self.corner;
-        let reach = micro_images
-            .outer_radius_px(micro_images.lens_type(k, l))
-            .min(micro_images.grid.pitch_px / 2.0);
+        let optics = micro_images.optics(k, l);
+        let reach = optics.outer_radius_px().min(optics.half_pitch_px);
         let (first, last) =
             (center.map(|x| (x - reach).ceil()), center.map(|x| (x + reach).floor()));
         let inside = first.min() >= 0.0

@@ -47,6 +47,7 @@ fn fields_of_array(array: &ArrayMeasurement, types: &LensTypes) -> Map<String, V
             "pitch_px": grid.pitch_px,
             "rotation_rad": grid.rotation_rad,
             "center_px": <[f64; 2]>::from(grid.center_px),
+            "perspective_per_px": <[f64; 2]>::from(grid.perspective_per_px),
             "rms_px": grid.rms_px,
         },
         "centers": {

@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 
 use super::centers::{Blob, is_cut, measure, middle_light, nodes_in};
-use super::grid::{MicroImageArray, fit_grid};
+use super::grid::{MicroImageArray, fit_grid, fit_regular_grid};
 use super::nodes::ByNode;
 use super::pattern::{Pattern, find_pattern, of_steps};
 use super::statistics::median;
@@ -292,13 +292,24 @@ pub(super) fn fit_found(
     centers: &[MicroImageCenter],
     lattice: &Lattice,
 ) -> Result<MicroImageArray> {
-    fit_grid(centers, lattice.kind, lattice.columns, lattice.rows).map_err(|_| {
-        Error::invalid(format!(
-            "{} micro-images show in the image, but they make no regular grid: give a white image, \
-             sharp and undistorted, of a larger part of the array",
-            centers.len()
-        ))
-    })
+    fit_grid(centers, lattice.kind, lattice.columns, lattice.rows).map_err(|_| no_grid(centers))
+}
+
+/// The same without perspective, which moves the middle: for comparing images of one camera.
+pub(super) fn fit_found_regular(
+    centers: &[MicroImageCenter],
+    lattice: &Lattice,
+) -> Result<MicroImageArray> {
+    fit_regular_grid(centers, lattice.kind, lattice.columns, lattice.rows)
+        .map_err(|_| no_grid(centers))
+}
+
+fn no_grid(centers: &[MicroImageCenter]) -> Error {
+    Error::invalid(format!(
+        "{} micro-images show in the image, but they make no grid: give a white image, sharp and \
+         undistorted, of a larger part of the array",
+        centers.len()
+    ))
 }
 
 /// The pattern, looked for in the middle and then, should that be damaged, in the quarters.

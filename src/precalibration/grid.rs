@@ -1,7 +1,12 @@
-//! The micro-image array as a regular grid, fitted to observed centres (paper, "Features
-//! extraction": pitch δc, rotation ϑ_z and offset τ).
+//! The micro-image array as a grid, fitted to observed centres (paper, "Features extraction": pitch
+//! δc, rotation ϑ_z and offset τ).
+//!
+//! The paper's grid is regular. Of an array that leans against the sensor the pitch grows where the
+//! micro-lenses are nearer to the main lens: its centres are a projection, c = p (1 + t · p) to first
+//! order, with t = θ/(D + d) for a lean of θ. On an R12 with 1 mrad that is 0.4 px at the border, and
+//! tells θ to a few per cent before any board is seen.
 
-use nalgebra::{Matrix4, Rotation2, Vector2, Vector4};
+use nalgebra::{Matrix2, Matrix6, Rotation2, Vector2, Vector6};
 use rayon::prelude::*;
 
 use super::statistics::median;
@@ -9,7 +14,8 @@ use crate::error::{Error, Result};
 use crate::lattice::{Lattice, LatticeKind, Parity};
 use crate::observations::MicroImageCenter;
 
-/// A grid of micro-image centres: c(k, l) = center + pitch · R(rotation) · node(k, l).
+/// A grid of micro-image centres: c(k, l) = center + p (1 + t · p) with p = pitch · R(rotation) ·
+/// node(k, l) and the perspective t.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MicroImageArray {
     /// Indices, packing, and which rows are shifted.
@@ -20,6 +26,9 @@ pub struct MicroImageArray {
     pub rotation_rad: f64,
     /// Position of the middle of the lattice, px.
     pub center_px: Vector2<f64>,
+    /// Perspective t, 1/px: the relative growth of the pitch is 2 t · p along t and t · p across it.
+    /// 0 where the centres do not show any.
+    pub perspective_per_px: Vector2<f64>,
     /// Root mean square distance of the centres that agree with the grid, px.
     pub rms_px: f64,
     /// Number of centres further than six robust standard deviations from the grid.
@@ -31,7 +40,8 @@ impl MicroImageArray {
     #[must_use]
     pub fn center_of(&self, k: i32, l: i32) -> Vector2<f64> {
         let turn = Rotation2::new(self.rotation_rad);
-        self.center_px + self.pitch_px * (turn * self.lattice.node(k, l))
+        let regular = self.pitch_px * (turn * self.lattice.node(k, l));
+        self.center_px + regular * (1.0 + self.perspective_per_px.dot(&regular))
     }
 }
 
@@ -46,14 +56,30 @@ const MAX_ROUNDS: usize = 50;
 /// A lattice whose typical distance to the centres is beyond this part of the pitch is not theirs:
 /// a wrong parity alone gives about half a pitch, the centroid noise of real cameras a hundredth.
 const MAX_RELATIVE_SCALE: f64 = 0.15;
+/// A perspective that is fewer standard deviations from none is none: beyond the centres it would only
+/// carry their noise outwards.
+const SIGNIFICANT: f64 = 5.0;
 /// Median of the length of a 2-D Gaussian vector over its per-axis standard deviation.
 const MEDIAN_LENGTH_2D: f64 = 1.177_410_022_515_474_7;
 
-/// Fits the grid robustly; which rows (columns) are shifted is found by trying both.
+/// Fits the grid robustly, perspective included; which rows (columns) are shifted is found by trying
+/// both.
 ///
 /// An error if there are too few centres, if they do not span the plane, or if they do not lie on a
 /// lattice of this kind (then the kinds on which they do are named).
 pub fn fit_grid(
+    centers: &[MicroImageCenter],
+    kind: LatticeKind,
+    columns: i32,
+    rows: i32,
+) -> Result<MicroImageArray> {
+    let regular = fit_regular_grid(centers, kind, columns, rows)?;
+    let bent = fit(centers, regular.lattice, true).filter(|fit| fit.deviations > SIGNIFICANT);
+    Ok(bent.map_or(regular, |fit| fit.grid))
+}
+
+/// The same without perspective.
+pub(super) fn fit_regular_grid(
     centers: &[MicroImageCenter],
     kind: LatticeKind,
     columns: i32,
@@ -72,7 +98,7 @@ pub fn fit_grid(
         };
         parities
             .par_iter()
-            .filter_map(|&shifted| fit(centers, Lattice { kind, columns, rows, shifted }))
+            .filter_map(|&shifted| fit(centers, Lattice { kind, columns, rows, shifted }, false))
             .collect()
     };
     let best_of =
@@ -118,6 +144,8 @@ struct Fit {
     grid: MicroImageArray,
     /// Robust standard deviation per axis, px.
     scale_px: f64,
+    /// Standard deviations that the perspective is from none.
+    deviations: f64,
 }
 
 impl Fit {
@@ -126,80 +154,110 @@ impl Fit {
     }
 }
 
-/// Iteratively reweighted least squares with Tukey's weight. The parameters (center, a, b) with
-/// a + ib = pitch · exp(i rotation) enter linearly. `None` where they are not determined.
-fn fit(centers: &[MicroImageCenter], lattice: Lattice) -> Option<Fit> {
+/// A grid as the fit has it: center, a and b with a + ib = pitch · exp(i rotation), and the perspective
+/// s by node; c = center + (1 + s · g) A g for the node g, with A the rotation times the pitch.
+#[derive(Clone, Copy)]
+struct Form(Vector6<f64>);
+
+impl Form {
+    fn turn(&self) -> Matrix2<f64> {
+        Matrix2::new(self.0[2], -self.0[3], self.0[3], self.0[2])
+    }
+
+    fn place(&self, g: &Vector2<f64>) -> Vector2<f64> {
+        self.0.xy() + self.turn() * g * (1.0 + self.0[4] * g.x + self.0[5] * g.y)
+    }
+}
+
+/// Iteratively reweighted least squares with Tukey's weight, with or without perspective. All is
+/// linear if s is multiplied by the A of the round before. `None` where it is not determined.
+fn fit(centers: &[MicroImageCenter], lattice: Lattice, perspective: bool) -> Option<Fit> {
     let nodes: Vec<Vector2<f64>> = centers.iter().map(|c| lattice.node(c.k, c.l)).collect();
     let observed: Vec<Vector2<f64>> =
         centers.iter().map(|c| Vector2::new(c.u_px, c.v_px)).collect();
     let mut weights = vec![1.0; centers.len()];
-    let mut parameters: Option<Vector4<f64>> = None;
+    let mut form: Option<Form> = None;
+    let mut normal = Matrix6::zeros();
     let mut scale_px = f64::INFINITY;
+    let mut lengths = Vec::new();
     for _ in 0..MAX_ROUNDS {
-        let next = solve(&nodes, &observed, &weights)?;
-        let lengths: Vec<f64> =
-            nodes.iter().zip(&observed).map(|(g, c)| (c - place(&next, g)).norm()).collect();
+        let turn = form.filter(|_| perspective).map(|form| form.turn());
+        let next;
+        (next, normal) = solve(&nodes, &observed, &weights, turn)?;
+        lengths = nodes.iter().zip(&observed).map(|(g, c)| (c - next.place(g)).norm()).collect();
         scale_px = (median(lengths.iter().copied())? / MEDIAN_LENGTH_2D).max(MIN_SCALE_PX);
         for (weight, length) in weights.iter_mut().zip(&lengths) {
             let x = length / (OUTLIER_SCALES * scale_px);
             *weight = if x < 1.0 { (1.0 - x * x).powi(2) } else { 0.0 };
         }
-        let settled = parameters.is_some_and(|last| (next - last).norm() <= 1e-13 * next.norm());
-        parameters = Some(next);
+        let settled = form.is_some_and(|last| (next.0 - last.0).norm() <= 1e-13 * next.0.norm());
+        form = Some(next);
         if settled {
             break;
         }
     }
-    let p = parameters?;
-    let inliers: Vec<f64> = nodes
+    let form = form?;
+    let squares: Vec<f64> = lengths
         .iter()
-        .zip(&observed)
         .zip(&weights)
         .filter(|&(_, &weight)| weight > 0.0)
-        .map(|((g, c), _)| (c - place(&p, g)).norm_squared())
+        .map(|(length, _)| length * length)
         .collect();
+    let by_node = Vector2::new(form.0[4], form.0[5]);
+    let inverse = normal.cholesky()?.inverse().fixed_view::<2, 2>(4, 4).try_inverse()?;
+    let turn = form.turn();
     Some(Fit {
         grid: MicroImageArray {
             lattice,
-            pitch_px: p[2].hypot(p[3]),
-            rotation_rad: p[3].atan2(p[2]),
-            center_px: Vector2::new(p[0], p[1]),
-            rms_px: (inliers.iter().sum::<f64>() / inliers.len() as f64).sqrt(),
-            outliers: centers.len() - inliers.len(),
+            pitch_px: turn.determinant().sqrt(),
+            rotation_rad: form.0[3].atan2(form.0[2]),
+            center_px: form.0.xy(),
+            perspective_per_px: turn * by_node / turn.determinant(),
+            rms_px: (squares.iter().sum::<f64>() / squares.len() as f64).sqrt(),
+            outliers: centers.len() - squares.len(),
         },
         scale_px,
+        deviations: by_node.dot(&(inverse * by_node)).sqrt() / scale_px,
     })
 }
 
-fn place(p: &Vector4<f64>, g: &Vector2<f64>) -> Vector2<f64> {
-    Vector2::new(p[0] + p[2] * g.x - p[3] * g.y, p[1] + p[3] * g.x + p[2] * g.y)
-}
-
+/// The form that fits best, and its normal matrix; without the A that the perspective is multiplied by
+/// it is left at 0.
 fn solve(
     nodes: &[Vector2<f64>],
     observed: &[Vector2<f64>],
     weights: &[f64],
-) -> Option<Vector4<f64>> {
-    let mut normal = Matrix4::zeros();
-    let mut right = Vector4::zeros();
+    turn: Option<Matrix2<f64>>,
+) -> Option<(Form, Matrix6<f64>)> {
+    let mut normal = Matrix6::zeros();
+    let mut right = Vector6::zeros();
     for ((g, c), &w) in nodes.iter().zip(observed).zip(weights) {
-        for (row, value) in
-            [(Vector4::new(1.0, 0.0, g.x, -g.y), c.x), (Vector4::new(0.0, 1.0, g.y, g.x), c.y)]
-        {
+        let p = turn.map_or_else(Vector2::zeros, |turn| turn * g);
+        for (row, value) in [
+            (Vector6::new(1.0, 0.0, g.x, -g.y, g.x * p.x, g.y * p.x), c.x),
+            (Vector6::new(0.0, 1.0, g.y, g.x, g.x * p.y, g.y * p.y), c.y),
+        ] {
             normal += w * row * row.transpose();
             right += w * value * row;
         }
     }
     // Nodes all in one place leave pitch and rotation open.
-    let solution = normal.cholesky()?.solve(&right);
     let spread = normal[(2, 2)] * normal[(0, 0)] - normal[(0, 2)].powi(2) - normal[(0, 3)].powi(2);
-    (spread > 1e-9 * normal[(0, 0)].powi(2) && solution.iter().all(|v| v.is_finite()))
-        .then_some(solution)
+    if spread <= 1e-9 * normal[(0, 0)].powi(2) {
+        return None;
+    }
+    if turn.is_none() {
+        normal[(4, 4)] = 1.0;
+        normal[(5, 5)] = 1.0;
+    }
+    let solution = normal.cholesky()?.solve(&right);
+    solution.iter().all(|v| v.is_finite()).then_some((Form(solution), normal))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::noise::{Noise, NoiseSource};
     use proptest::prelude::*;
 
     /// Linear least squares on perfect data: rounding only.
@@ -227,6 +285,7 @@ mod tests {
             pitch_px,
             rotation_rad,
             center_px: Vector2::new(160.25, 140.5),
+            perspective_per_px: Vector2::zeros(),
             rms_px: 0.0,
             outliers: 0,
         }
@@ -260,6 +319,38 @@ mod tests {
             prop_assert!((found.center_px - truth.center_px).norm() < EXACT);
             prop_assert_eq!(found.outliers, (3..centers.len()).step_by(10).count());
         }
+
+        #[test]
+        fn any_perspective_is_found_again(
+            rotation in -3.0..3.0,
+            along in 0.0..3.0,
+            strength in 1e-7..1e-5,
+        ) {
+            let mut truth = grid(LatticeKind::HexagonalRows, Parity::Odd, 23.3, rotation);
+            truth.perspective_per_px = Rotation2::new(along) * Vector2::new(strength, 0.0);
+            let found = fit_grid(&centers_of(&truth), LatticeKind::HexagonalRows, 13, 11).unwrap();
+            let off = (found.perspective_per_px - truth.perspective_per_px).norm();
+            prop_assert!(off < 1e-6 * strength, "{off}");
+            prop_assert!((found.pitch_px - truth.pitch_px).abs() < EXACT);
+        }
+    }
+
+    /// Noise is not carried beyond the centres.
+    #[test]
+    fn a_perspective_within_the_noise_is_none() {
+        let mut truth = grid(LatticeKind::HexagonalRows, Parity::Odd, 23.3, 0.01);
+        let mut noisy = |perspective: f64| {
+            truth.perspective_per_px = Vector2::new(0.0, perspective);
+            let mut centers = centers_of(&truth);
+            let noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.05 };
+            let mut source = NoiseSource::new(&noise, 7).unwrap();
+            for c in &mut centers {
+                *c = source.center(c);
+            }
+            fit_grid(&centers, LatticeKind::HexagonalRows, 13, 11).unwrap().perspective_per_px
+        };
+        assert_eq!(noisy(0.0), Vector2::zeros());
+        assert!((noisy(1e-5).y - 1e-5).abs() < 1e-6);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use super::array::{ArrayMeasurement, FoundArray, fit_found, found_array};
+use super::array::{ArrayMeasurement, FoundArray, fit_found, fit_found_regular, found_array};
 use super::centers::{Blob, measure_sample, part_with};
 use super::grid::MicroImageArray;
 use super::internal::{InternalFit, RadiusMeasurement, fit_internal};
@@ -410,7 +410,8 @@ fn unshaded(
         .map(|((sample, white), moments)| {
             let centers: Vec<MicroImageCenter> =
                 sample.blobs.iter().map(|blob| found.center(blob)).collect();
-            let fitted = fit_found(&centers, lattice).map_err(|e| named(&white.name, &e))?;
+            let fitted =
+                fit_found_regular(&centers, lattice).map_err(|e| named(&white.name, &e))?;
             let x = moments.iter().sum::<f64>() / types as f64;
             Ok(Shaded { x, pitch_px: fitted.pitch_px, center_px: fitted.center_px })
         })

@@ -260,6 +260,7 @@ fn an_array_smaller_than_the_sensor_is_counted_by_what_shows() {
             pitch_px: 23.3,
             rotation_rad,
             center_px: Vector2::new(center.0, center.1),
+            perspective_per_px: Vector2::zeros(),
             rms_px: 0.0,
             outliers: 0,
         };
