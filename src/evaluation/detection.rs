@@ -162,12 +162,12 @@ impl DetectionScore {
                 })
                 .collect();
             if let Some(line) = SightLine::fit(sights.iter()) {
-                let of = |line: &SightLine| line.inverse_virtual_depth(truth.lambda);
+                // Both with the true λ, so that they can be held against each other.
+                let of = |slope: f64| 1.0 - slope / truth.lambda;
+                let off = |slope: f64| (of(slope) / of(line.slope) - 1.0).powi(2);
                 self.depths += 1;
-                self.depth_square += (of(&corner.line) / of(&line) - 1.0).powi(2);
-                let median = corner.median_inverse_virtual_depth;
-                let true_median = line.inverse_virtual_depth(1.0);
-                self.median_square += (median / true_median - 1.0).powi(2);
+                self.depth_square += off(corner.line.slope);
+                self.median_square += off(1.0 - corner.median_inverse_virtual_depth);
             }
         }
     }
@@ -196,7 +196,7 @@ impl DetectionScore {
         (self.small_square / self.small as f64).sqrt()
     }
 
-    /// The same by the paper's median over pairs, which takes λ for 1, as the truth it is held against.
+    /// The same by the paper's median over pairs.
     #[must_use]
     pub fn median_depth_rms(&self) -> f64 {
         (self.median_square / self.depths as f64).sqrt()

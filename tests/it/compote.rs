@@ -26,6 +26,7 @@ fn grid(camera: &PlenopticCamera) -> MicroImageArray {
         pitch_px: 23.3,
         rotation_rad: 0.001,
         center_px: camera.sensor.center_px(),
+        perspective_per_px: Vector2::zeros(),
         rms_px: 0.1,
         outliers: 0,
     }
