@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::board::{LatticePoint, TiedBoard};
 use super::corner::{Corner, Free, Spread, saddles};
 use super::dbscan::dbscan;
-use super::line::{Group, SightLine, groups_on_lines, median_inverse_virtual_depth};
+use super::line::{Group, LineSearch, SightLine, groups_on_lines, median_inverse_virtual_depth};
 use super::micro_images::{MicroImages, MicroOptics};
 use super::patch::Pair;
 use super::shade::Shade;
@@ -326,10 +326,13 @@ impl Frame<'_> {
             }
         }
         counts.clusters = count;
-        let tolerance = ROUGH * pitch;
-        let of_cluster = |members: &Vec<usize>| {
-            groups_on_lines(sights, members, tolerance, 2, micro_images.configuration)
+        let line_search = LineSearch {
+            tolerance_px: ROUGH * pitch,
+            reach_px: micro_images.largest_outer_radius_px(),
+            pitch_px: pitch,
+            configuration: micro_images.configuration,
         };
+        let of_cluster = |members: &Vec<usize>| groups_on_lines(sights, members, &line_search);
         let groups: Vec<Group> = members.par_iter().flat_map_iter(of_cluster).collect();
         let on_lines: usize = groups.iter().map(|g| g.members.len()).sum();
         counts.off_line = sights.len() - counts.alone - on_lines;

@@ -178,59 +178,98 @@ pub struct Group {
     pub line: SightLine,
 }
 
+/// What sights of one corner have in common.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LineSearch {
+    /// How far from their line they are at most, px.
+    pub tolerance_px: f64,
+    /// How far from the centre of a micro-image a corner shows at most, px.
+    pub reach_px: f64,
+    /// Pitch of the micro-images, px.
+    pub pitch_px: f64,
+    /// Behind or before the array.
+    pub configuration: Configuration,
+}
+
 /// Pairs of sights that a line is tried through.
 const MOST_PAIRS: usize = 4000;
 /// No point shows in more micro-images: a larger cluster is texture.
 const MOST_SIGHTS: usize = 1000;
+/// Fewest sights of a line.
+const FEWEST: usize = 2;
+/// A line on which fewer of the micro-images that should show its corner do so is chance: the flatter
+/// it is the more of them there are.
+const LEAST_SHOWN: f64 = 0.06;
+
+impl LineSearch {
+    /// Number of micro-images, about, that show a corner with this slope: those with a centre within
+    /// reach/|1 − γ| of its pinhole image.
+    fn shown_in(&self, slope: f64) -> f64 {
+        std::f64::consts::PI * (self.spread(slope) / self.pitch_px).powi(2)
+    }
+
+    /// How far from the pinhole image the centres of micro-images are that show it, px.
+    fn spread(&self, slope: f64) -> f64 {
+        self.reach_px / (1.0 - slope).abs()
+    }
+
+    /// The line through two sights, if both can be of one corner.
+    fn through(&self, a: &Sight, b: &Sight) -> Option<SightLine> {
+        let (baseline, moved) = (a.center - b.center, a.position - b.position);
+        // Not a number for two sights in one micro-image.
+        let slope = moved.dot(&baseline) / baseline.norm_squared();
+        let possible = possible_slope(slope, self.configuration)
+            && baseline.norm() < 2.0 * self.spread(slope)
+            && (moved - baseline * slope).norm() < 2.0 * self.tolerance_px;
+        let start = (a.position + b.position - (a.center + b.center) * slope) / 2.0;
+        possible.then(|| SightLine { start, ..SightLine::through(&start, slope) })
+    }
+
+    fn is_enough(&self, members: usize, slope: f64) -> bool {
+        members >= FEWEST
+            && members as f64 >= LEAST_SHOWN * self.shown_in(slope)
+            && possible_slope(slope, self.configuration)
+    }
+}
 
 /// Sorts sights into groups with a common line: the line through some two of them that most others
-/// are on, then what is left, and so on. Sights on no line of at least `fewest` are in no group.
+/// are on, then what is left, and so on. Sights on no line are in no group.
 #[must_use]
-pub fn groups_on_lines(
-    sights: &[Sight],
-    cluster: &[usize],
-    tolerance_px: f64,
-    fewest: usize,
-    configuration: Configuration,
-) -> Vec<Group> {
+pub fn groups_on_lines(sights: &[Sight], cluster: &[usize], search: &LineSearch) -> Vec<Group> {
     let mut groups = Vec::new();
     if cluster.len() > MOST_SIGHTS {
         return groups;
     }
     let mut left = cluster.to_vec();
-    while left.len() >= fewest.max(2) {
+    while left.len() >= FEWEST {
         let on = |line: &SightLine| -> Vec<usize> {
             let off = |i: &usize| (sights[*i].position - line.at(&sights[*i].center)).norm();
-            left.iter().copied().filter(|i| off(i) <= tolerance_px).collect()
+            left.iter().copied().filter(|i| off(i) <= search.tolerance_px).collect()
         };
-        let mut best: Vec<usize> = Vec::new();
         let pairs =
-            || left.iter().enumerate().flat_map(|(n, &a)| left[..n].iter().map(move |&b| (a, b)));
-        let step = (left.len() * (left.len() - 1) / 2).div_ceil(MOST_PAIRS).max(1);
-        for (a, b) in pairs().step_by(step) {
-            let (a, b) = (&sights[a], &sights[b]);
-            let baseline = a.center - b.center;
-            let slope = (a.position - b.position).dot(&baseline) / baseline.norm_squared();
-            // Not a number for two sights in one micro-image.
-            if !possible_slope(slope, configuration) {
-                continue;
-            }
-            let start = (a.position + b.position - (a.center + b.center) * slope) / 2.0;
-            let line = SightLine { start, ..SightLine::through(&start, slope) };
-            let members = on(&line);
-            if members.len() > best.len() {
-                best = members;
-            }
-        }
+            left.iter().enumerate().flat_map(|(n, &a)| left[..n].iter().map(move |&b| (a, b)));
+        let lines: Vec<SightLine> =
+            pairs.filter_map(|(a, b)| search.through(&sights[a], &sights[b])).collect();
+        let step = lines.len().div_ceil(MOST_PAIRS).max(1);
+        let best = lines
+            .iter()
+            .step_by(step)
+            .map(|line| (on(line), line.slope))
+            .filter(|(members, slope)| search.is_enough(members.len(), *slope))
+            .map(|(members, _)| members)
+            .max_by_key(Vec::len);
+        let Some(best) = best else { break };
         // The fit to all of them may win some more, and lose some.
         let Some(line) = SightLine::fit(best.iter().map(|&i| &sights[i])) else { break };
         let members = on(&line);
-        if members.len() < fewest || !possible_slope(line.slope, configuration) {
-            break;
+        let line = SightLine::fit(members.iter().map(|&i| &sights[i]));
+        let line = line.filter(|line| search.is_enough(members.len(), line.slope));
+        if let Some(line) = line {
+            left.retain(|i| !members.contains(i));
+            groups.push(Group { members, line });
+        } else {
+            left.retain(|i| !best.contains(i));
         }
-        let Some(line) = SightLine::fit(members.iter().map(|&i| &sights[i])) else { break };
-        left.retain(|i| !members.contains(i));
-        groups.push(Group { members, line });
     }
     groups
 }
@@ -288,13 +327,20 @@ mod tests {
         let mut both = sights(Vector2::new(500.0, 370.0), 0.75);
         both.extend(sights(Vector2::new(540.0, 376.0), 0.74));
         let all: Vec<usize> = (0..both.len()).collect();
-        let groups = groups_on_lines(&both, &all, 0.8, 3, Configuration::Galilean);
+        let behind = LineSearch {
+            tolerance_px: 0.8,
+            reach_px: 10.0,
+            pitch_px: 20.0,
+            configuration: Configuration::Galilean,
+        };
+        let groups = groups_on_lines(&both, &all, &behind);
         let mut places: Vec<f64> = groups.iter().take(2).map(|g| g.line.pinhole().x).collect();
         places.sort_by(f64::total_cmp);
         assert!((places[0] - 500.0).abs() < 2.0 && (places[1] - 540.0).abs() < 2.0, "{places:?}");
         assert!(groups[0].members.len() > 20 && groups[1].members.len() > 20);
         // Behind the array neighbours see a point closer together, before it further apart.
-        let before = groups_on_lines(&both, &all, 0.8, 3, Configuration::Keplerian);
+        let before = LineSearch { configuration: Configuration::Keplerian, ..behind };
+        let before = groups_on_lines(&both, &all, &before);
         assert!(before.iter().all(|g| g.line.slope > 1.0 && g.members.len() < 10));
         assert!(possible_slope(0.75, Configuration::Galilean));
         assert!(!possible_slope(1.25, Configuration::Galilean));

@@ -175,6 +175,13 @@ impl MicroImages {
         self.optics_at(&self.center(k, l), lens_type)
     }
 
+    /// Outer radius of the largest white micro-images in the middle of the image, but not beyond their
+    /// neighbours, px.
+    pub(super) fn largest_outer_radius_px(&self) -> f64 {
+        let radii = self.all_optics_at(&self.middle).map(|optics| optics.outer_radius_px());
+        radii.fold(0.0, f64::max).min(self.grid.pitch_px / 2.0)
+    }
+
     /// How micro-lenses blur at a place in the image, by type.
     pub(super) fn all_optics_at(&self, place: &Vector2<f64>) -> impl Iterator<Item = MicroOptics> {
         (0..self.q_prime_px.len()).map(|lens_type| self.optics_at(place, lens_type))

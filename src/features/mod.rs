@@ -15,7 +15,9 @@ use serde::{Deserialize, Serialize};
 pub use board::{LatticePoint, TiedBoard};
 pub use dbscan::dbscan;
 pub use frame::{DetectedCorner, DetectedFeature, FrameCounts, Search, detect_frame};
-pub use line::{Group, SightLine, groups_on_lines, median_inverse_virtual_depth, possible_slope};
+pub use line::{
+    Group, LineSearch, SightLine, groups_on_lines, median_inverse_virtual_depth, possible_slope,
+};
 pub use micro_images::{MicroImages, MicroOptics};
 
 /// A corner of the board seen in a micro-image.

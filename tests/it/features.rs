@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, Vector2};
 use plenocal::camera::{Board, Configuration, Sensor};
 use plenocal::evaluation::DetectionScore;
 use plenocal::features::{
-    DepthEstimator, LatticePoint, Sight, TiedBoard, dbscan, groups_on_lines,
+    DepthEstimator, LatticePoint, LineSearch, Sight, TiedBoard, dbscan, groups_on_lines,
     median_inverse_virtual_depth,
 };
 use plenocal::io::{read_centers, read_features, read_internal_parameters};
@@ -48,6 +48,12 @@ fn sight(grid: &MicroImageArray, f: &BapFeature) -> Sight {
 fn real_corners_are_clustered_and_tied_as_published() {
     let (grid, features) = observed();
     let board = Board { columns: 9, rows: 5, square_mm: 10.0 };
+    let search = LineSearch {
+        tolerance_px: 5.0,
+        reach_px: grid.pitch_px / 2.0,
+        pitch_px: grid.pitch_px,
+        configuration: Configuration::Galilean,
+    };
     let frames: BTreeSet<u32> = features.iter().map(|f| f.frame).collect();
     assert_eq!(frames.len(), 16);
     for frame in frames {
@@ -61,10 +67,8 @@ fn real_corners_are_clustered_and_tied_as_published() {
                 by_cluster.entry(*cluster).or_default().push(i);
             }
         }
-        let groups: Vec<_> = by_cluster
-            .values()
-            .flat_map(|c| groups_on_lines(&sights, c, 5.0, 2, Configuration::Galilean))
-            .collect();
+        let groups: Vec<_> =
+            by_cluster.values().flat_map(|c| groups_on_lines(&sights, c, &search)).collect();
         let points: Vec<LatticePoint> = groups
             .iter()
             .map(|g| LatticePoint { place: g.line.pinhole(), squares: Matrix2::zeros() })
