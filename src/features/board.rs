@@ -83,7 +83,7 @@ impl TiedBoard {
         }
         let view = View { points, board, sensor, margin_px };
         let mut placements: Vec<Placement> =
-            labellings(points).iter().flat_map(|labels| view.placements(labels)).collect();
+            labellings(points, board).iter().flat_map(|labels| view.placements(labels)).collect();
         placements.sort_by(|a, b| b.score.total_cmp(&a.score));
         let Some(best) = placements.first() else {
             return Err("the corners lie on no lattice".to_owned());
@@ -154,10 +154,10 @@ fn project(homography: &Matrix3<f64>, at: &Vector2<f64>) -> Vector2<f64> {
     p.xy() / p.z
 }
 
-/// Integer coordinates for points that lie on a lattice, most points first.
-fn labellings(points: &[LatticePoint]) -> Vec<Labels> {
+/// Integer coordinates for points that lie on a lattice, those first of which most fit on the board.
+fn labellings(points: &[LatticePoint], board: &Board) -> Vec<Labels> {
     let step = points.len().div_ceil(SEEDS);
-    let mut all: Vec<Labels> = Vec::new();
+    let mut all: Vec<(usize, Labels)> = Vec::new();
     for seed in (0..points.len()).step_by(step) {
         let mut others: Vec<usize> = (0..points.len()).filter(|&i| i != seed).collect();
         let away = |i: usize| points[i].place - points[seed].place;
@@ -169,17 +169,20 @@ fn labellings(points: &[LatticePoint]) -> Vec<Labels> {
                 // Neither mirrored nor too skew to be the sides of a square in perspective.
                 if a.perp(&b) > 0.35 * a.norm() * b.norm() && ratio(a.norm(), b.norm()) < 3.0 {
                     let labels = grow(points, seed, right, down);
-                    if labels.len() >= FEWEST {
-                        all.push(labels);
+                    let fitting = fitting(&labels, board);
+                    if fitting >= FEWEST {
+                        all.push((fitting, labels));
                     }
                 }
             }
         }
     }
-    all.sort_by_key(|labels| std::cmp::Reverse(labels.len()));
-    // The same lattice, grown from another seed, has the same points with the same steps.
+    // Skewed lattices hold as many points as the true one, but these do not fit on the board.
+    all.sort_by_key(|(fitting, _)| std::cmp::Reverse(*fitting));
+    // The same lattice, grown from another seed or in another direction, has the same points with the
+    // same steps.
     let mut kept: Vec<Labels> = Vec::new();
-    for labels in all {
+    for (_, labels) in all {
         if kept.len() < TRIED && !kept.iter().any(|other| same_steps(other, &labels)) {
             kept.push(labels);
         }
@@ -187,20 +190,52 @@ fn labellings(points: &[LatticePoint]) -> Vec<Labels> {
     kept
 }
 
+/// Most labels that a board covers, upright or on its side.
+fn fitting(labels: &Labels, board: &Board) -> usize {
+    let range = |of: fn(&(i32, i32)) -> i32, count: i32| {
+        let (low, high) = (labels.keys().map(of).min(), labels.keys().map(of).max());
+        let (low, last) = (low.unwrap_or(0), high.unwrap_or(0) - count + 1);
+        low.min(last)..=low.max(last)
+    };
+    let sizes = [(board.columns, board.rows), (board.rows, board.columns)];
+    let windows = sizes.into_iter().flat_map(|(columns, rows)| {
+        let tops = range(|at| at.1, rows);
+        range(|at| at.0, columns)
+            .flat_map(move |left| tops.clone().map(move |top| (left, top)))
+            .map(move |(left, top)| (left..left + columns, top..top + rows))
+    });
+    windows
+        .map(|(x, y)| labels.keys().filter(|at| x.contains(&at.0) && y.contains(&at.1)).count())
+        .max()
+        .unwrap_or(0)
+}
+
 fn ratio(a: f64, b: f64) -> f64 {
     (a / b).max(b / a)
 }
 
-/// Whether two labellings of the same points differ by a shift of the coordinates only.
+/// Whether two labellings of the same points differ by a shift and quarter turns of the coordinates only.
 fn same_steps(a: &Labels, b: &Labels) -> bool {
     let of_point: HashMap<usize, (i32, i32)> = b.iter().map(|(&at, &i)| (i, at)).collect();
-    let mut shift = None;
-    a.len() == b.len()
-        && a.iter().all(|(&(x, y), i)| {
+    let same = |quarter_turns: u8| {
+        let mut shift = None;
+        a.iter().all(|(&at, i)| {
+            let (x, y) = turned(at, quarter_turns);
             of_point
                 .get(i)
                 .is_some_and(|&(u, v)| *shift.get_or_insert((x - u, y - v)) == (x - u, y - v))
         })
+    };
+    a.len() == b.len() && (0..4).any(same)
+}
+
+fn turned((x, y): (i32, i32), quarter_turns: u8) -> (i32, i32) {
+    match quarter_turns {
+        0 => (x, y),
+        1 => (-y, x),
+        2 => (-x, -y),
+        _ => (y, -x),
+    }
 }
 
 /// Grows a lattice from a point and its neighbours to the right and below.
@@ -271,14 +306,8 @@ impl View<'_> {
         let Some((labels, homography)) = self.regular(labels) else { return Vec::new() };
         let mut placements = Vec::new();
         for quarter_turns in 0..4 {
-            let turn = |(x, y): (i32, i32)| match quarter_turns {
-                0 => (x, y),
-                1 => (-y, x),
-                2 => (-x, -y),
-                _ => (y, -x),
-            };
             let turned: Vec<((i32, i32), usize)> =
-                labels.iter().map(|&(at, i)| (turn(at), i)).collect();
+                labels.iter().map(|&(at, i)| (turned(at, quarter_turns), i)).collect();
             let shifts = |of: fn(&(i32, i32)) -> i32, count: i32| {
                 let values = || turned.iter().map(|(at, _)| of(at));
                 let (low, high) = (values().min().unwrap_or(0), values().max().unwrap_or(0));

@@ -1,5 +1,6 @@
 //! COMPOTE's files: what is written is read back, and projects alike.
 
+use nalgebra::Vector2;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use plenocal::calibration::{FramePose, Mode, Start};
 use plenocal::camera::PlenopticCamera;

@@ -91,3 +91,49 @@ fn what_is_no_board_is_told() {
         .collect();
     assert!(tied(&circle, &BOARD).is_err());
 }
+
+/// Skewed lattices hold as many of these points as the true one, in many ways; a quarter are missing.
+#[test]
+fn the_true_lattice_is_among_those_tried() {
+    let found = [
+        (7, 699.7, 57.2),
+        (5, 489.6, 58.0),
+        (4, 389.1, 58.4),
+        (3, 292.8, 59.3),
+        (2, 199.8, 60.1),
+        (1, 110.2, 61.3),
+        (8, 38.1, 164.6),
+        (9, 124.2, 165.4),
+        (10, 213.6, 166.2),
+        (11, 306.2, 166.9),
+        (12, 402.1, 168.1),
+        (13, 501.8, 169.3),
+        (14, 604.6, 170.8),
+        (17, 138.3, 267.9),
+        (18, 226.9, 270.5),
+        (19, 319.0, 273.2),
+        (21, 514.0, 278.7),
+        (22, 616.0, 281.8),
+        (23, 721.4, 285.5),
+        (24, 67.0, 364.8),
+        (26, 240.8, 373.3),
+        (27, 332.4, 378.0),
+        (29, 525.6, 386.9),
+        (30, 627.1, 391.5),
+        (31, 731.6, 396.6),
+        (33, 166.7, 468.5),
+        (34, 254.5, 474.5),
+        (35, 345.5, 480.6),
+        (36, 439.7, 486.5),
+        (37, 537.4, 493.0),
+        (39, 741.1, 505.4),
+    ];
+    let diagonals = Matrix2::new(0.0, -1.0, -1.0, 0.0);
+    let point = |&(corner, u, v): &(i32, f64, f64)| LatticePoint {
+        place: Vector2::new(u, v),
+        squares: diagonals * if (corner / 8 + corner % 8) % 2 == 0 { 1.0 } else { -1.0 },
+    };
+    let points: Vec<LatticePoint> = found.iter().map(point).collect();
+    let expected: Vec<Option<i32>> = found.iter().map(|&(corner, _, _)| Some(corner)).collect();
+    assert_eq!(tied(&points, &BOARD).unwrap(), expected);
+}
