@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix4, Matrix6, Vector2, Vector4, Ve
 use pulp::{Arch, NullaryFnOnce};
 
 use super::patch::Patch;
-use super::shade::Shade;
+use super::shade::{Obliquity, Shade};
 
 /// Two edges that cross: light m + h at directions between n₁ and n₂, m − h beside.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,6 +41,8 @@ pub(super) struct Spread<'a> {
     rho: f64,
     /// What the pupil leaves of it.
     shade: &'a Shade,
+    /// At which angles it arrives.
+    obliquity: Obliquity,
     /// Points of the unit disc that stand for equal shares of it.
     points: Vec<Vector2<f64>>,
     /// Half the width of steps between two of them, and of a pixel.
@@ -52,7 +54,7 @@ const RINGS: [u32; 3] = [1, 6, 12];
 
 impl<'a> Spread<'a> {
     /// For a blur radius ρ, px.
-    pub fn new(rho: f64, shade: &'a Shade) -> Self {
+    pub fn new(rho: f64, shade: &'a Shade, obliquity: Obliquity) -> Self {
         let all = f64::from(RINGS.iter().sum::<u32>());
         let mut points = Vec::new();
         let mut inside = 0;
@@ -73,12 +75,13 @@ impl<'a> Spread<'a> {
         let held = points.iter().map(|p| p.norm_squared() / 2.0).sum::<f64>() / all;
         // The step's derivative has a variance of a fifth of its half width squared.
         let width = (5.0 * (1.0 / 12.0 + rho * rho * (0.25 - held))).sqrt();
-        Self { rho, shade, points, width }
+        Self { rho, shade, obliquity, points, width }
     }
 
     /// A point alone, for steps of unknown width.
     pub fn unknown(shade: &'a Shade) -> Self {
-        Self { rho: 0.0, shade, points: vec![Vector2::zeros()], width: 3.0 }
+        let obliquity = Obliquity::default();
+        Self { rho: 0.0, shade, obliquity, points: vec![Vector2::zeros()], width: 3.0 }
     }
 
     /// By point, where every pixel looks: its offset less what the spread moves it by.
@@ -87,8 +90,10 @@ impl<'a> Spread<'a> {
         let rho = self.rho;
         let (mut middle, mut squeeze) = (Vec::new(), Vec::new());
         for (&x, &y) in patch.x.iter().zip(&patch.y) {
-            let part = self.shade.part(&Vector2::new(f64::from(x), f64::from(y)));
-            middle.push((part.seen_at - part.mean * rho).map(|x| x as f32));
+            let offset = Vector2::new(f64::from(x), f64::from(y));
+            let part = self.shade.part(&offset);
+            let mean = part.mean + self.obliquity.shift(&offset, &part);
+            middle.push((part.seen_at - mean * rho).map(|x| x as f32));
             squeeze.push((part.squeeze * rho).map(|x| x as f32));
         }
         let of_point = |point: &Vector2<f64>| {

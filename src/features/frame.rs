@@ -452,7 +452,7 @@ impl Frame<'_> {
                 covariance: Matrix2::zeros(),
                 explained: 0.0,
             };
-            let spread = Spread::new(rho, micro_images.shade(&optics));
+            let spread = Spread::new(rho, micro_images.shade(&optics), optics.obliquity);
             let fitted = start.fitted(&patch, &spread, Free::Place).filter(|corner| {
                 (corner.place - expected).norm() < EXPECTED_PX
                     && corner.explained > EXPLAINED_EXPECTED

@@ -4,10 +4,11 @@ use std::collections::HashMap;
 
 use nalgebra::Vector2;
 
-use super::shade::Shade;
+use super::shade::{Obliquity, Shade};
 use crate::camera::{Configuration, Datasheet, InternalParameters};
 use crate::error::{Error, Result};
 use crate::observations::MicroImageCenter;
+use crate::optics;
 use crate::precalibration::{MicroImageArray, Precalibration};
 
 /// Micro-images: where they are, and how points are blurred in them.
@@ -24,6 +25,9 @@ pub struct MicroImages {
     q_prime_px: Vec<f64>,
     /// The middle of the image, px.
     middle: Vector2<f64>,
+    /// D + d and, in the middle of the image, d, px; of the initial camera.
+    lens_to_sensor_px: f64,
+    mla_to_sensor_px: f64,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
     /// What the pupil leaves of the micro-lenses, by type and by growth of d.
@@ -43,6 +47,8 @@ pub struct MicroOptics {
     pub q_prime_px: f64,
     /// Δc/2, px.
     pub half_pitch_px: f64,
+    /// At which angles light comes.
+    pub obliquity: Obliquity,
     /// d over that in the middle of the image, less 1.
     growth: f64,
 }
@@ -91,8 +97,8 @@ impl MicroImages {
     /// are where the grid puts them.
     ///
     /// Where the array leans against the sensor, d changes across it, and a and q'ᵢ in proportion: both
-    /// are d times a length of the micro-lens. The perspective of the grid, t = ∇d/(D + d), tells by
-    /// how much, since m = F d/2D makes ∇d/d = t (1 + F/2|m|).
+    /// are d times an angle that the micro-lens keeps. The perspective of the grid, t = ∇d/(D + d), tells
+    /// by how much, with D and d as the refinement starts with them.
     pub fn new(
         grid: &MicroImageArray,
         centers: &[MicroImageCenter],
@@ -118,10 +124,19 @@ impl MicroImages {
             }
         }
         let middle = sheet.sensor.center_px();
-        let over_distance = 1.0 + sheet.focal_length_mm / (2.0 * internal.m_mm.abs());
-        let growth_per_px = grid.perspective_per_px * over_distance;
+        let image_distance =
+            optics::focus_image_distance(sheet.focal_length_mm, sheet.focus_distance_mm);
+        let (lens_to_mla, mla_to_sensor) = optics::initial_distances(
+            sheet.focal_length_mm,
+            image_distance,
+            internal.m_mm.abs(),
+            sheet.configuration,
+        );
+        let lens_to_sensor_px = (lens_to_mla + mla_to_sensor) / pixel_size_mm;
+        let mla_to_sensor_px = mla_to_sensor / pixel_size_mm;
+        let growth_per_px = grid.perspective_per_px * (lens_to_sensor_px / mla_to_sensor_px);
         let most = growth_per_px.abs().dot(&middle);
-        if most > MOST_GROWTH {
+        if !(most <= MOST_GROWTH) {
             return Err(Error::invalid(format!(
                 "the micro-images lie in such a perspective that the array would be {:.0} % further from \
                  the sensor at a corner of the image than in the middle: the centres are not of one \
@@ -148,6 +163,8 @@ impl MicroImages {
             first_step: -last_step,
             q_prime_px,
             middle,
+            lens_to_sensor_px,
+            mla_to_sensor_px,
             growth_per_px,
         })
     }
@@ -188,12 +205,18 @@ impl MicroImages {
     }
 
     fn optics_at(&self, place: &Vector2<f64>, lens_type: usize) -> MicroOptics {
-        let growth = self.growth_per_px.dot(&(place - self.middle));
+        let from_middle = place - self.middle;
+        let growth = self.growth_per_px.dot(&from_middle);
         MicroOptics {
             lens_type,
             pupil_px: self.pupil_px * (1.0 + growth),
             q_prime_px: self.q_prime_px[lens_type] * (1.0 + growth),
             half_pitch_px: self.grid.pitch_px / 2.0,
+            obliquity: Obliquity {
+                chief: from_middle / self.lens_to_sensor_px,
+                inverse_distance: 1.0 / (self.mla_to_sensor_px * (1.0 + growth)),
+                lens_px: self.grid.pitch_px / 2.0,
+            },
             growth,
         }
     }

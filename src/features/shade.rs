@@ -3,6 +3,10 @@
 //! In units of the micro-lens's radius the pupil is a disc of radius a/|qᵢ| about (p − c)/qᵢ: light
 //! reaches pixel p through what that disc and the micro-lens have in common. Its centroid and spread
 //! depend on the distance of p from the centre c only.
+//!
+//! Light falls off with the angle at which it meets the sensor, by cos⁴: the steeper side of the
+//! micro-lens counts for more, and the centroid moves there. Points of the micro-lens are counted as in
+//! p − ρ w, that is turned by half against where they are.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -96,6 +100,32 @@ pub(super) struct Part {
     pub mean: Vector2<f64>,
     /// Squeezes the disc of the micro-lens into the visible part.
     pub squeeze: Matrix2<f64>,
+}
+
+/// At which angles light comes to a micro-image.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Obliquity {
+    /// Angle of the ray from the middle of the main lens to the centre of the micro-image, rad.
+    pub chief: Vector2<f64>,
+    /// 1/d, 1/px.
+    pub inverse_distance: f64,
+    /// Radius of the micro-lens, px.
+    pub lens_px: f64,
+}
+
+/// Power of the cosine.
+const FALL_OFF: f64 = 4.0;
+
+impl Obliquity {
+    /// How far the centroid of the visible part moves, in radii of the micro-lens. To first order: cosⁿ
+    /// of an angle θ is 1 − n θ²/2, and of a part with covariance C a weight with the gradient g moves
+    /// the centroid by C g.
+    pub(super) fn shift(&self, offset: &Vector2<f64>, part: &Part) -> Vector2<f64> {
+        let angle = self.chief + (offset + part.mean * self.lens_px) * self.inverse_distance;
+        let gradient = angle * (-FALL_OFF * self.lens_px * self.inverse_distance);
+        // A disc has a standard deviation of half its radius.
+        part.squeeze * (part.squeeze * gradient) / 4.0
+    }
 }
 
 /// Moments of the common part of the unit disc and one of another radius at a distance; `None` if it
