@@ -8,13 +8,25 @@ use plenocal::features::DepthEstimator;
 use plenocal::io::{PRESETS, preset_settings};
 
 /// Name, preset, what is replaced in it, and frames.
-const SETS: [(&str, &str, &[&str], usize); 8] = [
+const SETS: [(&str, &str, &[&str], usize); 11] = [
     ("mini", "mini", &[], 10),
     ("mini, 16 bit", "mini", &["imaging.bits=16"], 10),
     ("mini, noise of 2 grey levels", "mini", &["imaging.read_noise_electrons=102"], 10),
     ("mini, noise of 4 grey levels", "mini", &["imaging.read_noise_electrons=204"], 10),
     ("mini, tilt up to 45 degrees", "mini", &["boards.max_tilt_deg=45"], 10),
     ("mini, a third out of view", "mini", &["boards.min_in_view=0.65"], 10),
+    ("mini, Bayer mosaic", "mini", &["imaging.color=bayer-rggb"], 10),
+    (
+        "mini, square array, one lens type",
+        "mini",
+        &[
+            "camera.micro_lens_array.lattice=orthogonal",
+            "camera.micro_lens_array.rows=32",
+            "camera.micro_lens_array.focal_lengths_mm=[0.552]",
+        ],
+        10,
+    ),
+    ("keplerian", "keplerian", &[], 8),
     ("r12-a", "r12-a", &[], 6),
     ("r12-a, noise of 4 grey levels", "r12-a", &["imaging.read_noise_electrons=204"], 4),
 ];

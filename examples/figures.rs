@@ -1,5 +1,5 @@
 //! Writes the figures of the documents: crops of simulated raw images, four times enlarged, and what
-//! the pre-calibration finds in them.
+//! pre-calibration and detection find in them.
 //!
 //!     cargo run --release --example figures -- docs/figures
 
@@ -10,6 +10,7 @@ use std::path::Path;
 
 use image::imageops::{FilterType, crop_imm, replace, resize};
 use image::{DynamicImage, GrayImage, ImageFormat, Luma};
+use plenocal::features::{DepthEstimator, MicroImages, Search, detect_frame};
 use plenocal::image::{RawImage, Samples};
 use plenocal::io::{OutputFolder, PRESETS, preset_settings};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
@@ -68,10 +69,27 @@ fn main() -> Result<()> {
     let (image, radii) = (&whites_taken[middle].image, result.radii_px(middle));
     let found = report::micro_images_figure(image, &result.array, &radii)?;
 
+    let micro_images = MicroImages::of_precalibration(&result, &sheet)?;
+    let board = settings.target.board();
+    let search = Search {
+        micro_images: &micro_images,
+        board: &board,
+        sensor: &sheet.sensor,
+        estimator: DepthEstimator::default(),
+    };
+    let (pose, shot) = &data_set.subsets[0][4];
+    let reference = data_set.devignetting.take(&settings, &|| ())?;
+    let image = shot.take(&settings, &|| ())?;
+    let (detected, _) = detect_frame(pose.frame, &image.grey(), &reference.grey(), &search);
+    let detected = detected.expect("the board is in view");
+    let features = report::features_figure(&image, &detected, &board)?;
+
     let mut output = OutputFolder::new(Path::new(&folder))?;
-    for (name, figure) in
-        [("radii.svg", report::radii_figure(&result)?), ("micro-images.svg", found)]
-    {
+    for (name, figure) in [
+        ("radii.svg", report::radii_figure(&result)?),
+        ("micro-images.svg", found),
+        ("features.svg", features),
+    ] {
         output.stage(name, |out| out.write_all(figure.as_bytes()))?;
     }
     for (name, figure) in [("white.png", whites), ("board.png", boards)] {

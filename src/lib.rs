@@ -76,6 +76,7 @@
 
 pub mod calibration;
 pub mod camera;
+pub mod discs;
 pub mod error;
 pub mod evaluation;
 pub mod features;

@@ -13,7 +13,8 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix4, Matrix6, Vector2, Vector4, Ve
 use pulp::{Arch, NullaryFnOnce};
 
 use super::patch::Patch;
-use super::shade::{Obliquity, Shade};
+use super::shade::Shade;
+use crate::discs::Obliquity;
 
 /// Two edges that cross: light m + h at directions between n₁ and n₂, m − h beside.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,7 +93,9 @@ impl<'a> Spread<'a> {
         for (&x, &y) in patch.x.iter().zip(&patch.y) {
             let offset = Vector2::new(f64::from(x), f64::from(y));
             let part = self.shade.part(&offset);
-            let mean = part.mean + self.obliquity.shift(&offset, &part);
+            // Points of the micro-lens are turned by half against where they are.
+            let from_lens = offset + part.mean * self.obliquity.lens_px;
+            let mean = part.mean - self.obliquity.shift(&from_lens, &part.squeeze);
             middle.push((part.seen_at - mean * rho).map(|x| x as f32));
             squeeze.push((part.squeeze * rho).map(|x| x as f32));
         }

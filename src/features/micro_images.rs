@@ -4,8 +4,9 @@ use std::collections::HashMap;
 
 use nalgebra::Vector2;
 
-use super::shade::{Obliquity, Shade};
+use super::shade::Shade;
 use crate::camera::{Configuration, Datasheet, InternalParameters};
+use crate::discs::Obliquity;
 use crate::error::{Error, Result};
 use crate::observations::MicroImageCenter;
 use crate::optics;

@@ -19,7 +19,6 @@ pub use line::{
     Group, LineSearch, SightLine, groups_on_lines, median_inverse_virtual_depth, possible_slope,
 };
 pub use micro_images::{MicroImages, MicroOptics};
-pub use shade::Obliquity;
 
 /// A corner of the board seen in a micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]

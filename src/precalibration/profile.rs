@@ -7,6 +7,8 @@
 
 use nalgebra::{Matrix2, Vector2};
 
+use crate::discs::{CommonPart, Obliquity, common_part, overlap};
+
 /// Mean light at distances from the middle of micro-images of one type.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Profile {
@@ -20,6 +22,8 @@ pub(super) struct Bin {
     pub light: f64,
     /// Standard deviation of the mean.
     pub std_dev: f64,
+    /// Light over what it would be if it came straight.
+    pub fall_off: f64,
 }
 
 /// Two discs fitted to a profile.
@@ -95,6 +99,7 @@ impl Stack {
                 radius: radius / count,
                 light: mean,
                 std_dev: (variance / count).sqrt(),
+                fall_off: 1.0,
             })
         };
         let bins: Vec<Bin> = self.bins.iter().filter_map(bin).collect();
@@ -105,25 +110,7 @@ impl Stack {
     }
 }
 
-/// Overlap of discs of radius a and b at distance r, in parts of the smaller one.
-fn overlap(r: f64, outer: f64, inner: f64) -> f64 {
-    if r <= inner {
-        return 1.0;
-    }
-    if r >= outer {
-        return 0.0;
-    }
-    let (large, small) = (f64::midpoint(outer, inner), (outer - inner) / 2.0);
-    let (l2, s2, r2) = (large * large, small * small, r * r);
-    let of_large = ((r2 + l2 - s2) / (2.0 * r * large)).clamp(-1.0, 1.0);
-    let of_small = ((r2 + s2 - l2) / (2.0 * r * small)).clamp(-1.0, 1.0);
-    let kite =
-        (-r + large + small) * (r + large - small) * (r - large + small) * (r + large + small);
-    let area = s2 * of_small.acos() + l2 * of_large.acos() - 0.5 * kite.max(0.0).sqrt();
-    area / (std::f64::consts::PI * s2)
-}
-
-/// The same averaged over a pixel.
+/// Overlap of discs averaged over a pixel.
 pub(super) fn seen(r: f64, outer: f64, inner: f64) -> f64 {
     // Across the direction to the middle a pixel has a mean square of 1/12.
     PIXEL
@@ -133,6 +120,23 @@ pub(super) fn seen(r: f64, outer: f64, inner: f64) -> f64 {
 }
 
 impl Profile {
+    /// The same profile, knowing that light comes obliquely: through a micro-lens with the blur radius
+    /// `q_px` (with the sign that Eq. (radiusfinal) gives it) from a pupil of radius `pupil_px`.
+    ///
+    /// Where f < d the far side of the micro-lens lights the edge of the micro-image, at a steep angle;
+    /// where f > d the near side does.
+    pub fn oblique(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity) -> Self {
+        let q = q_px.abs().max(1e-6);
+        let of_bin = |bin: &Bin| {
+            let part = common_part(bin.radius / q, pupil_px / q);
+            let part = part.unwrap_or(CommonPart { mean: 1.0, along: 0.0, across: 0.0, area: 0.0 });
+            let from_lens = bin.radius + part.mean * q_px.signum() * obliquity.lens_px;
+            let from_lens = Vector2::new(from_lens, 0.0);
+            Bin { fall_off: obliquity.light(&from_lens, part.along, part.across), ..*bin }
+        };
+        Self { bins: self.bins.iter().map(of_bin).collect() }
+    }
+
     /// Fits two discs; `None` if the profile does not show an edge.
     pub fn fit(&self, largest: f64) -> Option<Discs> {
         // The sum of squares has several valleys where much is clipped: look all over first, at some
@@ -160,7 +164,8 @@ impl Profile {
     fn residuals(&self, outer: f64, inner: f64) -> Option<(Vector2<f64>, Vec<f64>)> {
         let brightest = self.bins.iter().map(|b| b.light).fold(0.0, f64::max);
         let weight = |bin: &Bin| 1.0 / bin.std_dev.hypot(MODEL_ERROR * brightest);
-        let shape: Vec<f64> = self.bins.iter().map(|b| seen(b.radius, outer, inner)).collect();
+        let shape = |b: &Bin| seen(b.radius, outer, inner) * b.fall_off;
+        let shape: Vec<f64> = self.bins.iter().map(shape).collect();
         let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
         for (bin, &shape) in self.bins.iter().zip(&shape) {
             let w2 = weight(bin).powi(2);
@@ -239,22 +244,6 @@ impl Profile {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// By hand: equal discs at the distance of their radius share 2π/3 − √3/2 of r².
-    #[test]
-    fn overlap_of_discs() {
-        let equal = (2.0 * std::f64::consts::PI / 3.0 - 0.75_f64.sqrt()) / std::f64::consts::PI;
-        assert!((overlap(2.0, 4.0, 0.0) - equal).abs() < 1e-12);
-        assert!((overlap(0.5, 4.0, 1.0) - 1.0).abs() < 1e-12);
-        assert!(overlap(4.0, 4.0, 1.0).abs() < 1e-12);
-        // The integral over the plane is the area of the larger disc.
-        let (outer, inner) = (7.0, 2.0);
-        let area: f64 = (0..70_000)
-            .map(|i| (f64::from(i) + 0.5) * 1e-4)
-            .map(|r| std::f64::consts::TAU * r * overlap(r, outer, inner) * 1e-4)
-            .sum();
-        assert!((area / (std::f64::consts::PI * 4.5 * 4.5) - 1.0).abs() < 1e-6);
-    }
 
     fn drawn(outer: f64, inner: f64, amplitude: f64) -> Profile {
         let mut stack = Stack::new(14.0);

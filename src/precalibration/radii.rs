@@ -8,6 +8,7 @@ use super::centers::{Blob, darkest_neighbourhood, measure_blob, pixels_about};
 use super::pattern::Pattern;
 use super::profile::{Discs, Profile, Stack, seen};
 use super::statistics::median;
+use crate::discs::Obliquity;
 use crate::image::Image;
 
 /// How the radius of a micro-image is measured.
@@ -30,6 +31,20 @@ pub(super) struct TypeRadius {
     pub single_px: Vec<f64>,
     /// Their light.
     pub profile: Profile,
+}
+
+impl TypeRadius {
+    /// The radius where light comes obliquely, see [`Profile::oblique`]; as it was if that shows no edge.
+    pub fn seen_obliquely(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity) -> Self {
+        let mut again = self.clone();
+        let largest = REACH * 2.0 * obliquity.lens_px;
+        if let Some(discs) = self.profile.oblique(pupil_px, q_px, obliquity).fit(largest) {
+            let change = discs.outer - self.radius_px;
+            again.radius_px += change;
+            again.single_px.iter_mut().for_each(|radius| *radius += change);
+        }
+        again
+    }
 }
 
 /// Micro-images of each type that are looked at, those nearest the middle of the image: enough for a

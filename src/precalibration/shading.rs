@@ -16,6 +16,8 @@
 
 use nalgebra::Vector2;
 
+use crate::discs::Obliquity;
+
 /// What is known of a white image: X (px²), and pitch and centre of the grid fitted to it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shaded {
@@ -38,12 +40,18 @@ const POINTS: u32 = 160;
 /// Rings that the micro-image is divided into.
 const RINGS: usize = 48;
 
-/// X (px²) of discs of radius a (pupil) and b (micro-lens, of radius `lens`), all on the sensor in px;
-/// `inverted` for f < d. `peak` is the light in the middle over what clips it, above 1 if it does.
-pub(super) fn shading_moment(a: f64, b: f64, lens: f64, inverted: bool, peak: f64) -> f64 {
+/// X (px²) of discs of radius a (pupil) and b (micro-lens), on the sensor in px, in the middle of the
+/// image; `inverted` for f < d. `peak` is the light in the middle over what clips it, above 1 if it does.
+pub(super) fn shading_moment(
+    a: f64,
+    b: f64,
+    obliquity: &Obliquity,
+    inverted: bool,
+    peak: f64,
+) -> f64 {
     let (of_pupil, of_lens) = (disc(a), disc(b));
     // A point of the micro-lens is seen turned around where the micro-lens inverts.
-    let magnified = lens / b.max(1e-9) * if inverted { -1.0 } else { 1.0 };
+    let magnified = obliquity.lens_px / b.max(1e-9) * if inverted { -1.0 } else { 1.0 };
     let mut rings = [(0.0, 0.0); RINGS];
     for pupil in &of_pupil {
         for spread in &of_lens {
@@ -51,21 +59,23 @@ pub(super) fn shading_moment(a: f64, b: f64, lens: f64, inverted: bool, peak: f6
             #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within a + b
             let ring = ((y.norm() / (a + b)) * RINGS as f64) as usize;
             let ring = &mut rings[ring.min(RINGS - 1)];
-            ring.0 += 1.0;
-            ring.1 += y.dot(&(y - spread * magnified)) / 2.0;
+            let from_lens = y - spread * magnified;
+            let light = obliquity.light(&from_lens, 0.0, 0.0);
+            ring.0 += light;
+            ring.1 += light * y.dot(&from_lens) / 2.0;
         }
     }
     // All pairs over the area of the rings; full light is the smaller disc's share of all pairs.
     let area = |i: usize| (2 * i + 1) as f64 / (RINGS * RINGS) as f64 * (a + b).powi(2);
     let full = f64::from(POINTS).powi(2) / a.max(b).powi(2);
     let (mut light, mut moment) = (0.0, 0.0);
-    for (i, (count, sum)) in rings.into_iter().enumerate() {
-        let brightness = count / area(i) / full * peak;
+    for (i, (of_ring, sum)) in rings.into_iter().enumerate() {
+        let brightness = of_ring / area(i) / full * peak;
         if brightness < 1.0 {
-            light += count;
+            light += of_ring;
             moment += sum;
         } else {
-            light += count / brightness;
+            light += of_ring / brightness;
         }
     }
     moment / light
@@ -111,6 +121,10 @@ impl Shading {
 mod tests {
     use super::*;
 
+    fn lens_of(lens_px: f64) -> Obliquity {
+        Obliquity { lens_px, ..Obliquity::default() }
+    }
+
     /// Points of two discs are independent, so X = (a² + b² ∓ b r)/4 without clipping.
     #[test]
     fn moments_without_clipping_have_a_closed_form() {
@@ -119,14 +133,14 @@ mod tests {
         {
             let side = if inverted { 1.0 } else { -1.0 };
             let expected = (a * a + b * b + side * b * lens) / 4.0;
-            let x = shading_moment(a, b, lens, inverted, 0.5);
+            let x = shading_moment(a, b, &lens_of(lens), inverted, 0.5);
             assert!((x - expected).abs() < 0.02 * (a * a + b * b), "{x} for {expected}");
         }
     }
 
     #[test]
     fn what_is_clipped_moves_nothing() {
-        let x = |peak| shading_moment(6.5, 5.3, 11.6, false, peak);
+        let x = |peak| shading_moment(6.5, 5.3, &lens_of(11.6), false, peak);
         // The smallest rings hold few pairs, so that some seem clipped early.
         assert!((x(0.3) - x(0.9)).abs() < 0.1);
         // All but the outermost ring clipped: its share of the light is what is left.

@@ -13,10 +13,12 @@ use super::radii::{REACH, RadiusEstimator, TypeRadius, middle_nodes, profile_at,
 use super::shading::{Shaded, fit_shading, shading_moment};
 use super::types::{LensTypes, judge_types};
 use crate::camera::{Configuration, Datasheet, InternalParameters, positive};
+use crate::discs::Obliquity;
 use crate::error::{Error, Result};
 use crate::image::{Grey, Image, RawImage};
 use crate::lattice::LatticeKind;
 use crate::observations::MicroImageCenter;
+use crate::optics;
 
 /// A white image.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,6 +42,9 @@ pub struct PrecalibrationOptions {
     pub array_size: Option<(i32, i32)>,
     /// How radii are measured.
     pub estimator: RadiusEstimator,
+    /// Focal length F and focus distance h of the main lens as its scale has them, mm: they give the
+    /// distance of the array, and so the angles of the light.
+    pub lens_mm: (f64, f64),
 }
 
 impl PrecalibrationOptions {
@@ -51,6 +56,20 @@ impl PrecalibrationOptions {
             configuration: sheet.configuration,
             array_size: Some((sheet.columns, sheet.rows)),
             estimator: RadiusEstimator::default(),
+            lens_mm: (sheet.focal_length_mm, sheet.focus_distance_mm),
+        }
+    }
+
+    /// Angles of the light in the middle of the image, for a slope m of the radii.
+    fn obliquity(&self, m_mm: f64, pitch_px: f64) -> Obliquity {
+        let (focal_length, focus_distance) = self.lens_mm;
+        let image_distance = optics::focus_image_distance(focal_length, focus_distance);
+        let (_, mla_to_sensor) =
+            optics::initial_distances(focal_length, image_distance, m_mm, self.configuration);
+        Obliquity {
+            chief: Vector2::zeros(),
+            inverse_distance: self.pixel_size_mm / mla_to_sensor,
+            lens_px: pitch_px / 2.0,
         }
     }
 }
@@ -139,7 +158,10 @@ pub fn precalibrate(
         }
         Ok(fitted)
     };
-    let first = fit(&mut measurements(whites, &by_profile), found.array.grid.pitch_px)?;
+    let pitch_px = found.array.grid.pitch_px;
+    let first = fit(&mut measurements(whites, &by_profile), pitch_px)?;
+    let by_profile = seen_obliquely(whites, &by_profile, &first.parameters, pitch_px, options);
+    let first = fit(&mut measurements(whites, &by_profile), pitch_px)?;
     let (middle, there) = middle_of(&grey, &found.pattern, &nodes);
     let of_reference: Vec<Profile> =
         nodes.par_iter().map(|nodes| profile_at(&middle, &there, nodes)).collect();
@@ -326,6 +348,26 @@ fn all_radii(
     whites.par_iter().zip(samples).map(of_white).collect()
 }
 
+/// The radii once more, now that it is known how obliquely the light of the profiles came.
+fn seen_obliquely(
+    whites: &[White],
+    radii: &[Vec<TypeRadius>],
+    internal: &InternalParameters,
+    pitch_px: f64,
+    options: &PrecalibrationOptions,
+) -> Vec<Vec<TypeRadius>> {
+    let obliquity = options.obliquity(internal.m_mm, pitch_px);
+    let pixel = options.pixel_size_mm;
+    let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
+        let pupil_px = internal.m_mm / white.f_number / pixel;
+        let again = |(radius, q_prime): (&TypeRadius, &f64)| {
+            radius.seen_obliquely(pupil_px, q_prime / pixel - pitch_px / 2.0, &obliquity)
+        };
+        radii.iter().zip(&internal.q_prime_mm).map(again).collect()
+    };
+    whites.par_iter().zip(radii).map(of_white).collect()
+}
+
 fn measurements(whites: &[White], radii: &[Vec<TypeRadius>]) -> Vec<RadiusMeasurement> {
     let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
         let measurement = |(lens_type, r): (usize, &TypeRadius)| RadiusMeasurement {
@@ -380,12 +422,12 @@ impl Moments<'_> {
         f_number: f64,
         profiles: impl IntoIterator<Item = &'p Profile>,
     ) -> Vec<f64> {
-        let half_pitch = self.grid.pitch_px / 2.0;
+        let obliquity = self.options.obliquity(self.internal.m_mm, self.grid.pitch_px);
         let inverted = self.options.configuration == Configuration::Keplerian;
         let of_type = |(profile, q_prime): (&Profile, &f64)| {
             let (a, b) = self.discs(f_number, *q_prime);
             let peak = profile.peak(a + b, (a - b).abs()).unwrap_or(1.0);
-            shading_moment(a, b, half_pitch, inverted, peak)
+            shading_moment(a, b, &obliquity, inverted, peak)
         };
         profiles.into_iter().zip(&self.internal.q_prime_mm).map(of_type).collect()
     }

@@ -1,11 +1,11 @@
 //! Detected features as text and as pictures.
 
 use std::fmt::Write as _;
-use std::io::Cursor;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use image::{GrayImage, ImageFormat, Luma};
+use image::codecs::jpeg::JpegEncoder;
+use image::{GrayImage, Luma};
 
 use super::table::table;
 use crate::camera::Board;
@@ -77,6 +77,8 @@ pub fn detection_text(rows: &[FrameRow]) -> String {
 
 /// Largest width of the picture under the features, px.
 const PICTURE: usize = 1400;
+/// Its quality, of 100.
+const QUALITY: u8 = 80;
 
 /// A frame with its features as blur circles, coloured by corner, and the board's lattice.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // pixels
@@ -98,16 +100,16 @@ pub fn features_figure(image: &RawImage, detection: &Detection, board: &Board) -
     let picture = GrayImage::from_fn(columns as u32, rows as u32, |x, y| {
         Luma([(values[y as usize * columns + x as usize] / brightest * 255.0) as u8])
     });
-    let mut png = Cursor::new(Vec::new());
-    picture
-        .write_to(&mut png, ImageFormat::Png)
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+        .encode_image(&picture)
         .map_err(|e| Error::invalid(format!("a figure could not be drawn: {e}")))?;
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{columns}\" height=\"{rows}\" \
          viewBox=\"-0.5 -0.5 {width} {height}\" role=\"img\">\n<title>Features of a frame</title>\n\
          <image x=\"-0.5\" y=\"-0.5\" width=\"{width}\" height=\"{height}\" \
-         href=\"data:image/png;base64,{}\"/>\n",
-        STANDARD.encode(png.get_ref())
+         href=\"data:image/jpeg;base64,{}\"/>\n",
+        STANDARD.encode(&jpeg)
     );
     let _ =
         writeln!(svg, "<g stroke=\"rgb(255,210,0)\" stroke-width=\"{reduced}\" opacity=\"0.8\">");
