@@ -137,7 +137,7 @@ impl MicroImages {
         let mla_to_sensor_px = mla_to_sensor / pixel_size_mm;
         let growth_per_px = grid.perspective_per_px * (lens_to_sensor_px / mla_to_sensor_px);
         let most = growth_per_px.abs().dot(&middle);
-        if !(most <= MOST_GROWTH) {
+        if most.is_nan() || most > MOST_GROWTH {
             return Err(Error::invalid(format!(
                 "the micro-images lie in such a perspective that the array would be {:.0} % further from \
                  the sensor at a corner of the image than in the middle: the centres are not of one \
