@@ -12,6 +12,7 @@ use plenocal::io::{self, CalibrationSection, LossName, ModeName, OutputFolder, P
 use plenocal::{Error, Result, report};
 
 use super::input::{Files, Input};
+use super::warn;
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///
@@ -126,12 +127,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
 
     stage_results(&mut output, &calibration, with_compote)?;
     let paths = output.commit()?;
-    for left_out in &calibration.left_out {
-        eprintln!("warning: {left_out}");
-    }
-    for warning in &calibration.warnings {
-        eprintln!("warning: {warning}");
-    }
+    warn(&calibration.left_out);
+    warn(&calibration.warnings);
     let text = if json {
         format!("{}\n", report::calibration_json(&calibration, begun.elapsed().as_secs_f64()))
     } else {

@@ -1,5 +1,6 @@
 //! Commands; one file for each.
 
+mod boards;
 mod calibrate;
 mod detect;
 mod input;
@@ -45,4 +46,11 @@ pub fn run() -> ExitCode {
         eprintln!("error: {error}");
         ExitCode::FAILURE
     })
+}
+
+/// Tells what the user should know.
+fn warn(warnings: &[impl std::fmt::Display]) {
+    for warning in warnings {
+        eprintln!("warning: {warning}");
+    }
 }

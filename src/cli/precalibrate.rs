@@ -19,6 +19,8 @@ use plenocal::precalibration::{
 use plenocal::{Error, Result, report};
 use rayon::prelude::*;
 
+use super::warn;
+
 /// Measure the micro-image array and the internal parameters on white images.
 ///
 /// Pitch, orientation, packing and lens types are found from the images. Give a project file that
@@ -217,24 +219,35 @@ fn of_project(
         .as_ref()
         .ok_or_else(|| missing("it lists no images: add [images] with [[images.whites]]"))?;
     sheet.validate().map_err(|e| e.in_file(path))?;
-    let (whites, reference) = read_whites(images, &sheet).map_err(|e| e.in_file(path))?;
     let options = PrecalibrationOptions {
         estimator: arguments.estimator.map_or_else(RadiusEstimator::default, Into::into),
         ..PrecalibrationOptions::of_datasheet(&sheet)
     };
-    let bar = progress_bar(arguments.json, whites.len(), "measuring white images");
-    let result = precalibrate(&whites, reference.as_ref(), &options, &|| bar.inc(1));
-    bar.finish_and_clear();
-    let result = result.map_err(|e| e.in_file(path))?;
-    result.check_stated(&sheet).map_err(|e| e.in_file(path))?;
-    for warning in &result.warnings {
-        eprintln!("warning: {warning}");
-    }
+    let (result, whites) = measure(path, images, &sheet, &options, arguments.json)?;
+    warn(&result.warnings);
     stage(output, &result, &sheet, &whites)?;
     Ok((report::precalibration_text(&result), io::precalibration_document(&result)))
 }
 
-fn stage(
+/// Measures the white images of a project; those that were measured come with it.
+pub(super) fn measure(
+    path: &Path,
+    images: &ImagesSection,
+    sheet: &Datasheet,
+    options: &PrecalibrationOptions,
+    quiet: bool,
+) -> Result<(Precalibration, Vec<White>)> {
+    let (whites, reference) = read_whites(images, sheet).map_err(|e| e.in_file(path))?;
+    let bar = progress_bar(quiet, whites.len(), "measuring white images");
+    let result = precalibrate(&whites, reference.as_ref(), options, &|| bar.inc(1));
+    bar.finish_and_clear();
+    let result = result.map_err(|e| e.in_file(path))?;
+    result.check_stated(sheet).map_err(|e| e.in_file(path))?;
+    Ok((result, whites))
+}
+
+/// Writes everything but precalibration.json.
+pub(super) fn stage(
     output: &mut OutputFolder,
     result: &Precalibration,
     sheet: &Datasheet,
@@ -262,10 +275,7 @@ pub(super) fn stage_centers(output: &mut OutputFolder, result: &Precalibration) 
 }
 
 /// Reads the white images of a project, and the one that belongs to the boards.
-pub(super) fn read_whites(
-    images: &ImagesSection,
-    sheet: &Datasheet,
-) -> Result<(Vec<White>, Option<White>)> {
+fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>, Option<White>)> {
     let named = images.whites.iter().map(|white| Ok((&white.image, white.f_number()?)));
     let reference = images.devignetting.iter().map(|path| Ok((path, sheet.f_number)));
     let all = named.chain(reference).collect::<Result<Vec<(&PathBuf, f64)>>>()?;

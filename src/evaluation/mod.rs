@@ -1,10 +1,20 @@
-//! How good a calibration is: reprojection errors, the uncertainty of the parameters, and detected
-//! features against the truth.
+//! How good a calibration is: reprojection errors, the uncertainty of the parameters, known motions,
+//! frames held out, and cameras, poses and features against the truth.
 
+mod cross_validation;
 mod detection;
+mod evaluate;
 mod reprojection;
+mod translation;
+mod truth;
 mod uncertainty;
 
+pub use cross_validation::{CrossValidation, Fold, cross_validate};
 pub use detection::{DetectionScore, INSIDE_PX, SMALL_RHO_PX, TRUE_PX};
+pub use evaluate::{
+    Candidate, CandidateResult, Evaluation, EvaluationInput, Posed, evaluate, pose_boards,
+};
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
+pub use translation::{Displacement, Displacements, Spread};
+pub use truth::{ParameterError, PoseErrors, parameter_errors, pose_errors};
 pub use uncertainty::{Component, Uncertainty, WeakDirection};

@@ -222,5 +222,14 @@ fn project_text(settings: &Settings, data_set: &DataSet) -> String {
             list(Subset::Translation, translation)
         ));
     }
+    table(
+        "\n[truth]                      # to compare with\ncamera = \"truth/camera.json\"\n"
+            .to_owned(),
+    );
+    for (subset, boards) in [(Subset::Calibration, calibration), (Subset::Evaluation, evaluation)] {
+        if !boards.is_empty() {
+            table(format!("{0}_poses = \"truth/{0}/poses.json\"\n", subset.name()));
+        }
+    }
     text
 }

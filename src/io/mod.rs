@@ -5,8 +5,10 @@ pub mod compote;
 mod data_set_folder;
 mod image_file;
 mod input;
+mod manifest;
 mod observations_file;
 mod output;
+mod point_cloud;
 mod poses_file;
 mod precalibration_file;
 mod project_file;
@@ -24,10 +26,12 @@ pub use image_file::{read_image, write_png};
 pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
 };
+pub use manifest::{MANIFEST, Manifest, StageRecord, hash_file, hash_text};
 pub use observations_file::{
     read_centers, read_features, write_centers, write_detected_features, write_features,
 };
 pub use output::OutputFolder;
+pub use point_cloud::read_point_cloud_distance;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
 pub use precalibration_file::{
     PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION, array_document, precalibration_document,
@@ -35,7 +39,7 @@ pub use precalibration_file::{
 };
 pub use project_file::{
     CalibrationSection, ImagesSection, LossName, ModeName, Pitches, Project, TranslationImages,
-    WhiteImage,
+    TruthSection, WhiteImage,
 };
 pub use raytrix::{RaytrixCalibration, read_raytrix};
 pub use residuals_file::write_residuals;

@@ -30,9 +30,23 @@ pub struct Project {
     pub images: Option<ImagesSection>,
     /// Where the observations are, relative to the project file.
     pub observations: Option<ObservationsSection>,
+    /// What is known beforehand, relative to the project file; to compare with.
+    pub truth: Option<TruthSection>,
     /// Options of the calibration.
     #[serde(default)]
     pub calibration: CalibrationSection,
+}
+
+/// `[truth]`
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TruthSection {
+    /// The camera, `camera.json` or COMPOTE's `intrinsics.js`.
+    pub camera: PathBuf,
+    /// Poses of the boards of `calibration`.
+    pub calibration_poses: Option<PathBuf>,
+    /// Poses of the boards of `evaluation`.
+    pub evaluation_poses: Option<PathBuf>,
 }
 
 /// `[main_lens]`
@@ -101,7 +115,8 @@ pub struct ImagesSection {
 impl ImagesSection {
     fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let whites = self.whites.iter_mut().map(|white| &mut white.image);
-        let moved = self.translation.iter_mut().flat_map(|t| &mut t.images);
+        let moved =
+            self.translation.iter_mut().flat_map(|t| t.images.iter_mut().chain(&mut t.clouds));
         let boards = self.calibration.iter_mut().chain(&mut self.evaluation).chain(moved);
         whites.chain(&mut self.devignetting).chain(boards)
     }
@@ -142,6 +157,9 @@ pub struct TranslationImages {
     pub step_mm: f64,
     /// The images, in order.
     pub images: Vec<PathBuf>,
+    /// Point clouds (`.xyz`) of the same frames by other software, to compare with.
+    #[serde(default)]
+    pub clouds: Vec<PathBuf>,
 }
 
 /// `[observations]`
@@ -279,6 +297,12 @@ impl Project {
         if let Some(observations) = &mut project.observations {
             observations.features = folder.join(&observations.features);
             observations.centers = observations.centers.take().map(|file| folder.join(file));
+        }
+        if let Some(truth) = &mut project.truth {
+            let poses = truth.calibration_poses.iter_mut().chain(&mut truth.evaluation_poses);
+            for file in poses.chain([&mut truth.camera]) {
+                *file = folder.join(&file);
+            }
         }
         for image in project.images.iter_mut().flat_map(ImagesSection::paths) {
             *image = folder.join(&image);

@@ -2,10 +2,9 @@
 
 use std::fmt::Write as _;
 
-use comfy_table::Table;
 use serde_json::{Value, json};
 
-use super::table::table;
+use super::table::{Table, table};
 use crate::calibration::{Calibration, Loss, Termination};
 use crate::camera::intrinsic_parameters;
 use crate::evaluation::{Rmse, WeakDirection};
@@ -27,7 +26,7 @@ pub fn calibration_text(calibration: &Calibration) -> String {
 }
 
 /// Unit in which people read a parameter, and its factor.
-fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64) {
+pub(super) fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64) {
     match name {
         "d" | "dC" => ("µm", 1e3),
         name if name.starts_with("f_") => ("µm", 1e3),
@@ -37,7 +36,7 @@ fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64) {
 }
 
 /// A signed value with three significant digits.
-fn signed(value: f64) -> String {
+pub(super) fn signed(value: f64) -> String {
     match decade(value) {
         d if (-3..3).contains(&d) => {
             format!("{value:+.precision$}", precision = usize::try_from(2 - d).unwrap_or(0))
@@ -47,7 +46,7 @@ fn signed(value: f64) -> String {
 }
 
 /// A value with two digits of its standard deviation; six significant digits without one.
-fn with_std_dev(value: f64, std_dev: Option<f64>) -> (String, String) {
+pub(super) fn with_std_dev(value: f64, std_dev: Option<f64>) -> (String, String) {
     let digits = |reference: f64, significant: i32| {
         usize::try_from(significant - 1 - decade(reference)).unwrap_or(0)
     };
@@ -280,7 +279,7 @@ pub fn calibrated_camera(calibration: &Calibration) -> Value {
     camera
 }
 
-fn rmse_json(rmse: &Rmse) -> Value {
+pub(super) fn rmse_json(rmse: &Rmse) -> Value {
     json!({ "features": rmse.count, "all": rmse.all_px, "uv": rmse.uv_px, "rho": rmse.rho_px })
 }
 

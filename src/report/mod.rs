@@ -2,7 +2,9 @@
 
 mod calibration;
 mod detection;
+mod evaluation;
 mod figures;
+mod html;
 mod precalibration;
 mod table;
 
@@ -11,5 +13,9 @@ pub use calibration::{
     weakest_directions_text,
 };
 pub use detection::{FrameRow, detection_text, features_figure};
+pub use evaluation::{
+    cameras_table, evaluation_json, evaluation_tables, folds_tables, pose_errors_table, truth_table,
+};
 pub use figures::{micro_images_figure, radii_figure};
+pub use html::{Figure, HtmlReport, HtmlTable, Part, Section};
 pub use precalibration::{array_text, precalibration_text, types_text};

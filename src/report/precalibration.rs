@@ -1,8 +1,6 @@
 //! A pre-calibration as text.
 
-use comfy_table::Table;
-
-use super::table::table;
+use super::table::{Table, table};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// The result of a pre-calibration on a terminal: array, lens types, radii, internal parameters.

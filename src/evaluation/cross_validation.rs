@@ -1,0 +1,107 @@
+//! Cross-validation: frames that a calibration has not seen, reprojected by it.
+
+use std::collections::BTreeSet;
+
+use rayon::prelude::*;
+
+use super::{FeatureResidual, Rmse};
+use crate::calibration::{Calibration, CalibrationOptions, Mode, Start, calibrate};
+use crate::camera::{Board, PlenopticCamera};
+use crate::error::{Error, Result};
+use crate::observations::Observations;
+
+/// One fold.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fold {
+    /// The frames held out.
+    pub frames: Vec<u32>,
+    /// The camera calibrated without them.
+    pub camera: PlenopticCamera,
+    /// Whether that calibration converged.
+    pub converged: bool,
+    /// Their reprojection errors, poses refined with the camera held.
+    pub rmse: Rmse,
+}
+
+/// All folds, and the errors of all frames when held out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CrossValidation {
+    /// The folds.
+    pub folds: Vec<Fold>,
+    /// Over all frames.
+    pub rmse: Rmse,
+}
+
+impl CrossValidation {
+    /// Standard deviation of every intrinsic parameter of the full calibration, by the jackknife over the
+    /// folds: √((k − 1)/k Σ (θᵢ − θ̄)²), in the order of [`PlenopticCamera::intrinsics`]. Unlike the
+    /// covariance it takes frames, not observations, as independent.
+    #[must_use]
+    pub fn jackknife_std_devs(&self) -> Vec<f64> {
+        let values: Vec<Vec<f64>> = self.folds.iter().map(|f| f.camera.intrinsics()).collect();
+        let folds = values.len() as f64;
+        let of_parameter = |i: usize| {
+            let mean = values.iter().map(|v| v[i]).sum::<f64>() / folds;
+            let square: f64 = values.iter().map(|v| (v[i] - mean).powi(2)).sum();
+            ((folds - 1.0) / folds * square).sqrt()
+        };
+        (0..values.first().map_or(0, Vec::len)).map(of_parameter).collect()
+    }
+}
+
+/// Calibrates as often as there are folds, each time without every so-manieth frame, and reprojects these.
+///
+/// `progress` is told of every finished fold. An error if there are fewer frames than folds, fewer than
+/// two folds, or if a calibration fails.
+pub fn cross_validate(
+    start: &Start,
+    board: &Board,
+    observations: &Observations,
+    options: &CalibrationOptions,
+    folds: usize,
+    progress: &(dyn Fn() + Sync),
+) -> Result<CrossValidation> {
+    let excluded: BTreeSet<u32> = options.exclude_frames.iter().copied().collect();
+    let frames: Vec<u32> =
+        observations.frames().into_iter().filter(|f| !excluded.contains(f)).collect();
+    if folds < 2 || frames.len() < folds {
+        return Err(Error::invalid(format!(
+            "{} frames cannot be divided into {folds} folds: take two folds or more, and not more than \
+             there are frames",
+            frames.len()
+        )));
+    }
+    // Every fold has a thread of its own.
+    let mut options = options.clone();
+    options.solver.threads = 1;
+    let options = &options;
+    let fold = |number: usize| -> Result<(Fold, Vec<FeatureResidual>)> {
+        let held_out: Vec<u32> = frames.iter().copied().skip(number).step_by(folds).collect();
+        let mut without = options.clone();
+        without.exclude_frames.extend(&held_out);
+        let calibration = calibrate(start, board, observations, &without, &mut |_| true)?;
+        let Calibration { camera, converged, .. } = calibration;
+        let poses_only = CalibrationOptions { mode: Mode::PosesOnly, ..options.clone() };
+        let seen = Observations {
+            centers: Vec::new(),
+            features: observations
+                .features
+                .iter()
+                .filter(|f| held_out.contains(&f.frame))
+                .copied()
+                .collect(),
+        };
+        let poses_only = CalibrationOptions { exclude_frames: Vec::new(), ..poses_only };
+        let known = Start::Camera(camera.clone());
+        let posed = calibrate(&known, board, &seen, &poses_only, &mut |_| true)?;
+        let residuals = posed.reprojection.features;
+        progress();
+        Ok((Fold { frames: held_out, camera, converged, rmse: Rmse::of(&residuals) }, residuals))
+    };
+    let named = |number: usize| {
+        fold(number).map_err(|e| Error::invalid(format!("fold {} of {folds}: {e}", number + 1)))
+    };
+    let done = (0..folds).into_par_iter().map(named).collect::<Result<Vec<_>>>()?;
+    let rmse = Rmse::of(done.iter().flat_map(|(_, residuals)| residuals));
+    Ok(CrossValidation { folds: done.into_iter().map(|(fold, _)| fold).collect(), rmse })
+}

@@ -1,0 +1,135 @@
+//! A board moved in known steps: the displacement along the optical axis against the truth (paper,
+//! Table 3).
+
+use crate::calibration::FramePose;
+use crate::camera::Board;
+use crate::error::{Error, Result};
+
+/// Motion between two frames that follow each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Displacement {
+    /// The earlier frame.
+    pub from: u32,
+    /// The later frame.
+    pub to: u32,
+    /// Known motion, mm; positive away from the camera.
+    pub true_mm: f64,
+    /// Measured motion along the optical axis, mm.
+    pub measured_mm: f64,
+}
+
+impl Displacement {
+    /// |measured − true|, mm.
+    #[must_use]
+    pub fn absolute_error_mm(&self) -> f64 {
+        (self.measured_mm - self.true_mm).abs()
+    }
+
+    /// The absolute error over the true motion.
+    #[must_use]
+    pub fn relative_error(&self) -> f64 {
+        self.absolute_error_mm() / self.true_mm.abs()
+    }
+}
+
+/// Mean and standard deviation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spread {
+    /// Mean.
+    pub mean: f64,
+    /// Standard deviation about the mean; 0 of a single value.
+    pub std_dev: f64,
+}
+
+impl Spread {
+    fn of(values: impl Iterator<Item = f64> + Clone) -> Self {
+        let count = values.clone().count() as f64;
+        let mean = values.clone().sum::<f64>() / count;
+        let square: f64 = values.map(|v| (v - mean).powi(2)).sum();
+        Self { mean, std_dev: (square / (count - 1.0).max(1.0)).sqrt() }
+    }
+}
+
+/// All motions of a series, with the errors that Table 3 of the paper has: mean and standard deviation
+/// over the steps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Displacements {
+    /// From every frame to the next one.
+    pub steps: Vec<Displacement>,
+    /// From the first frame to the last one.
+    pub whole: Displacement,
+}
+
+impl Displacements {
+    /// From distances along the optical axis, by frame; frames are `step_mm` apart, and may be missing.
+    ///
+    /// Distances may have either sign and grow either way (`RxLive` measures towards the camera), so the
+    /// direction is taken from the whole way. An error if there are fewer than two frames.
+    pub fn of(distances_mm: &[(u32, f64)], step_mm: f64) -> Result<Self> {
+        if !(step_mm.is_finite() && step_mm != 0.0) {
+            return Err(Error::invalid(format!("a step of {step_mm} mm is no motion")));
+        }
+        let mut sorted = distances_mm.to_vec();
+        sorted.sort_by_key(|&(frame, _)| frame);
+        let (Some(&first), Some(&last)) = (sorted.first(), sorted.last()) else {
+            return Err(Error::invalid("there are no frames with a distance"));
+        };
+        if sorted.len() < 2 {
+            return Err(Error::invalid("a motion takes two frames, but there is one"));
+        }
+        let side = ((last.1 - first.1) * step_mm).signum();
+        let between = |a: (u32, f64), b: (u32, f64)| Displacement {
+            from: a.0,
+            to: b.0,
+            true_mm: step_mm * f64::from(b.0 - a.0),
+            measured_mm: (b.1 - a.1) * side,
+        };
+        Ok(Self {
+            steps: sorted.windows(2).map(|pair| between(pair[0], pair[1])).collect(),
+            whole: between(first, last),
+        })
+    }
+
+    /// The same from poses, by the middle of the board: its distance is known best.
+    pub fn of_poses(poses: &[FramePose], board: &Board, step_mm: f64) -> Result<Self> {
+        let corners = [0, board.corners() - 1].map(|corner| board.point_mm(corner));
+        let middle = nalgebra::center(&corners[0], &corners[1]);
+        let distances: Vec<(u32, f64)> =
+            poses.iter().map(|p| (p.frame, (p.camera_from_board * middle).z)).collect();
+        Self::of(&distances, step_mm)
+    }
+
+    /// Relative errors of the steps.
+    #[must_use]
+    pub fn relative(&self) -> Spread {
+        Spread::of(self.steps.iter().map(Displacement::relative_error))
+    }
+
+    /// Absolute errors of the steps, mm.
+    #[must_use]
+    pub fn absolute_mm(&self) -> Spread {
+        Spread::of(self.steps.iter().map(Displacement::absolute_error_mm))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_are_of_steps_and_missing_frames_make_longer_ones() {
+        // Steps of 10 mm; frame 2 is missing. By hand: 10.1, 20.4 and 9.5 mm.
+        let distances = [(0, 400.0), (1, 410.1), (3, 430.5), (4, 440.0)];
+        let all = Displacements::of(&distances, 10.0).unwrap();
+        assert_eq!(all.steps.len(), 3);
+        let relative = all.relative();
+        assert!((relative.mean - (0.01 + 0.02 + 0.05) / 3.0).abs() < 1e-12);
+        assert!((all.absolute_mm().mean - (0.1 + 0.4 + 0.5) / 3.0).abs() < 1e-12);
+        assert!((all.whole.measured_mm - 40.0).abs() < 1e-12);
+        // Measured towards the camera, in any order.
+        let turned: Vec<(u32, f64)> = distances.iter().rev().map(|&(f, z)| (f, -z)).collect();
+        assert_eq!(Displacements::of(&turned, 10.0).unwrap(), all);
+        assert!(Displacements::of(&distances[..1], 10.0).is_err());
+        assert!(Displacements::of(&distances, 0.0).is_err());
+    }
+}

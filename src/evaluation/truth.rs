@@ -1,0 +1,115 @@
+//! A calibration against a camera and poses that are known.
+
+use nalgebra::Isometry3;
+
+use crate::calibration::FramePose;
+use crate::camera::{PlenopticCamera, intrinsic_parameters};
+use crate::error::{Error, Result};
+
+/// An intrinsic parameter against its true value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParameterError {
+    /// The paper's symbol.
+    pub name: String,
+    /// Unit of the values.
+    pub unit: &'static str,
+    /// True value.
+    pub truth: f64,
+    /// Estimated value.
+    pub estimate: f64,
+    /// Its standard deviation, if known.
+    pub std_dev: Option<f64>,
+}
+
+impl ParameterError {
+    /// Estimate less truth.
+    #[must_use]
+    pub fn error(&self) -> f64 {
+        self.estimate - self.truth
+    }
+
+    /// The error in standard deviations.
+    #[must_use]
+    pub fn standardised(&self) -> Option<f64> {
+        self.std_dev.filter(|s| *s > 0.0 && s.is_finite()).map(|s| self.error() / s)
+    }
+}
+
+/// Every parameter that both cameras have, in the order of [`intrinsic_parameters`]; standard deviations
+/// in the same order, of the estimate. An error if the cameras are of different kinds.
+pub fn parameter_errors(
+    truth: &PlenopticCamera,
+    estimate: &PlenopticCamera,
+    std_devs: &[Option<f64>],
+) -> Result<Vec<ParameterError>> {
+    let (of_truth, of_estimate) = (truth.lattice, estimate.lattice);
+    if of_truth != of_estimate {
+        return Err(Error::invalid(format!(
+            "the true camera has a lattice '{}' of {} x {} micro-lenses, the estimated one '{}' of {} x \
+             {} with other rows shifted or of another size: they are not the same camera",
+            of_truth.kind.name(),
+            of_truth.columns,
+            of_truth.rows,
+            of_estimate.kind.name(),
+            of_estimate.columns,
+            of_estimate.rows,
+        )));
+    }
+    let types = truth.lens_types().min(estimate.lens_types());
+    let values = truth.intrinsics().into_iter().zip(estimate.intrinsics());
+    let std_devs = std_devs.iter().copied().chain(std::iter::repeat(None));
+    Ok(intrinsic_parameters(types)
+        .into_iter()
+        .zip(values)
+        .zip(std_devs)
+        .map(|((parameter, (truth, estimate)), std_dev)| ParameterError {
+            name: parameter.name,
+            unit: parameter.unit,
+            truth,
+            estimate,
+            std_dev,
+        })
+        .collect())
+}
+
+/// Errors of poses, as root mean squares over the frames that both have.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PoseErrors {
+    /// Number of frames.
+    pub frames: usize,
+    /// Of the board's position across the optical axis, mm.
+    pub across_mm: f64,
+    /// Of its distance, mm.
+    pub along_mm: f64,
+    /// Of its rotation, rad.
+    pub rotation_rad: f64,
+}
+
+/// Compares poses by frame; a board that is the same when turned by half may have been taken so
+/// (`turned` takes the turned board's frame to its own). `None` without common frames.
+#[must_use]
+pub fn pose_errors(
+    truth: &[FramePose],
+    estimate: &[FramePose],
+    turned: &Isometry3<f64>,
+) -> Option<PoseErrors> {
+    let mut sum = PoseErrors { frames: 0, across_mm: 0.0, along_mm: 0.0, rotation_rad: 0.0 };
+    for pose in estimate {
+        let Some(truth) = truth.iter().find(|t| t.frame == pose.frame) else { continue };
+        let candidates = [pose.camera_from_board, pose.camera_from_board * turned];
+        let off = candidates.map(|p| p.rotation.angle_to(&truth.camera_from_board.rotation));
+        let best = usize::from(off[1] < off[0]);
+        let away = candidates[best].translation.vector - truth.camera_from_board.translation.vector;
+        sum.frames += 1;
+        sum.across_mm += away.xy().norm_squared();
+        sum.along_mm += away.z.powi(2);
+        sum.rotation_rad += off[best].powi(2);
+    }
+    let root = |square: f64| (square / sum.frames as f64).sqrt();
+    (sum.frames > 0).then(|| PoseErrors {
+        frames: sum.frames,
+        across_mm: root(sum.across_mm),
+        along_mm: root(sum.along_mm),
+        rotation_rad: root(sum.rotation_rad),
+    })
+}

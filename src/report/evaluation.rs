@@ -1,0 +1,318 @@
+//! An evaluation as tables and as JSON.
+
+use serde_json::{Value, json};
+
+use super::calibration::{display_unit, rmse_json, signed, with_std_dev};
+use super::html::HtmlTable;
+use super::table::table;
+use crate::camera::{PlenopticCamera, intrinsic_parameters};
+use crate::evaluation::{
+    Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors, Rmse, Spread,
+};
+
+/// Name of other software's point clouds in tables.
+const CLOUDS: &str = "point clouds";
+
+/// The tables of an evaluation: reprojection (Table 4), known motions (Table 3), and the true camera.
+#[must_use]
+pub fn evaluation_tables(evaluation: &Evaluation) -> Vec<HtmlTable> {
+    let mut tables = Vec::new();
+    let mut reprojection = table(
+        &["Camera", "Frames", "Features", "Σ all², px²", "RMSE all, px", "(u, v)", "ρ"],
+        &[0],
+    );
+    let mut motion = table(
+        &["Camera", "Steps", "Mean error, %", "± σ", "Mean error, mm", "± σ", "Whole way, %"],
+        &[0],
+    );
+    let (mut posed, mut moved) = (false, false);
+    for candidate in &evaluation.candidates {
+        if let Some(found) = &candidate.evaluation {
+            let rmse = found.reprojection.rmse();
+            posed = true;
+            reprojection.add_row(
+                [candidate.name.clone(), found.poses.len().to_string()]
+                    .into_iter()
+                    .chain(rmse_cells(&rmse, true)),
+            );
+        }
+        if let Some(displacements) = &candidate.translation {
+            moved = true;
+            motion.add_row(motion_row(&candidate.name, displacements));
+        }
+    }
+    if let Some(clouds) = &evaluation.clouds {
+        motion.add_row(motion_row(CLOUDS, clouds));
+    }
+    if posed {
+        tables.push(reprojection.captioned(
+            "Boards that were not calibrated with, poses refined with the camera held (paper, Table 4)",
+        ));
+    }
+    if moved {
+        tables.push(motion.captioned(
+            "A board moved in known steps: error of the displacement along the optical axis (paper, \
+             Table 3)",
+        ));
+        tables.extend(steps_table(evaluation));
+    }
+    for candidate in &evaluation.candidates {
+        if let Some(errors) = &candidate.truth {
+            let caption = format!("Against the true camera: {}", candidate.name);
+            tables.push(truth_table(errors, &caption));
+        }
+    }
+    tables
+}
+
+fn number(value: f64) -> String {
+    if value.is_finite() { format!("{value:.4}") } else { "-".to_owned() }
+}
+
+fn rmse_cells(rmse: &Rmse, with_sum: bool) -> Vec<String> {
+    let mut cells = vec![rmse.count.to_string()];
+    if with_sum {
+        cells.push(format!("{:.1}", rmse.all_px.powi(2) * rmse.count as f64));
+    }
+    cells.extend([
+        number(rmse.all_px),
+        number(rmse.uv_px),
+        rmse.rho_px.map_or("-".to_owned(), number),
+    ]);
+    cells
+}
+
+fn motion_row(name: &str, displacements: &Displacements) -> Vec<String> {
+    let percent = |part: f64| format!("{:.3}", 100.0 * part);
+    let (relative, absolute) = (displacements.relative(), displacements.absolute_mm());
+    vec![
+        name.to_owned(),
+        displacements.steps.len().to_string(),
+        percent(relative.mean),
+        percent(relative.std_dev),
+        number(absolute.mean),
+        number(absolute.std_dev),
+        percent(displacements.whole.relative_error()),
+    ]
+}
+
+fn steps_table(evaluation: &Evaluation) -> Option<HtmlTable> {
+    let series: Vec<(&str, &Displacements)> = evaluation
+        .candidates
+        .iter()
+        .filter_map(|c| Some((c.name.as_str(), c.translation.as_ref()?)))
+        .chain(evaluation.clouds.iter().map(|clouds| (CLOUDS, clouds)))
+        .collect();
+    let first = series.first()?.1;
+    let mut header = vec!["Frames".to_owned(), "True, mm".to_owned()];
+    header.extend(series.iter().map(|(name, _)| format!("{name}, mm")));
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    let mut table = table(&header, &[0]);
+    for step in &first.steps {
+        let mut row = vec![format!("{} to {}", step.from, step.to), format!("{:.3}", step.true_mm)];
+        // Series may lack frames that others have.
+        let same = |displacements: &Displacements| {
+            displacements.steps.iter().find(|s| s.from == step.from && s.to == step.to).copied()
+        };
+        row.extend(series.iter().map(|(_, displacements)| {
+            same(displacements).map_or("-".to_owned(), |s| format!("{:.3}", s.measured_mm))
+        }));
+        table.add_row(row);
+    }
+    Some(table.captioned("The steps one by one"))
+}
+
+/// Parameters against their true values.
+#[must_use]
+pub fn truth_table(errors: &[ParameterError], caption: &str) -> HtmlTable {
+    let mut table = table(
+        &["Parameter", "Unit", "Truth", "Estimate", "± σ", "Error", "Error, %", "Error/σ"],
+        &[0, 1],
+    );
+    for e in errors {
+        let (unit, factor) = display_unit(&e.name, e.unit);
+        let (value, deviation) = with_std_dev(e.estimate * factor, e.std_dev.map(|s| s * factor));
+        let percent = 100.0 * e.error() / e.truth;
+        table.add_row([
+            e.name.clone(),
+            unit.to_owned(),
+            with_std_dev(e.truth * factor, None).0,
+            value,
+            deviation,
+            signed(e.error() * factor),
+            if e.truth == 0.0 { "-".to_owned() } else { format!("{percent:+.3}") },
+            e.standardised().map_or("-".to_owned(), |s| format!("{s:+.1}")),
+        ]);
+    }
+    table.captioned(caption)
+}
+
+/// Errors of poses by subset of the boards.
+#[must_use]
+pub fn pose_errors_table(subsets: &[(String, PoseErrors)]) -> HtmlTable {
+    let mut table =
+        table(&["Boards", "Frames", "Across, mm", "Along the axis, mm", "Rotation, mrad"], &[0]);
+    for (name, errors) in subsets {
+        table.add_row([
+            name.clone(),
+            errors.frames.to_string(),
+            number(errors.across_mm),
+            number(errors.along_mm),
+            number(errors.rotation_rad * 1e3),
+        ]);
+    }
+    table.captioned("Poses against the true ones, root mean square")
+}
+
+/// Cameras side by side (paper, Table 1); the first is the one before the refinement.
+#[must_use]
+pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> HtmlTable {
+    let mut header = vec!["Parameter".to_owned(), "Unit".to_owned(), "Initial".to_owned()];
+    header.extend(candidates.iter().flat_map(|c| [c.name.clone(), "± σ".to_owned()]));
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    let mut table = table(&header, &[0, 1]);
+    let parameters = intrinsic_parameters(initial.lens_types());
+    for (i, (parameter, value)) in parameters.iter().zip(initial.intrinsics()).enumerate() {
+        let (unit, factor) = display_unit(&parameter.name, parameter.unit);
+        let mut row =
+            vec![parameter.name.clone(), unit.to_owned(), with_std_dev(value * factor, None).0];
+        for candidate in candidates {
+            let std_dev = candidate.std_devs.get(i).copied().flatten().map(|s| s * factor);
+            match candidate.camera.intrinsics().get(i) {
+                Some(value) => {
+                    row.extend(<[String; 2]>::from(with_std_dev(value * factor, std_dev)))
+                }
+                None => row.extend(["-".to_owned(), String::new()]),
+            }
+        }
+        table.add_row(row);
+    }
+    table.captioned("Parameters before and after the refinement (paper, Table 1)")
+}
+
+/// Frames held out, and what the jackknife says of the parameters beside the covariance.
+#[must_use]
+pub fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<HtmlTable> {
+    let mut of_folds = table(
+        &["Held out", "Frames", "Features", "RMSE all, px", "(u, v)", "ρ", "Converged"],
+        &[0, 1, 6],
+    );
+    for (i, fold) in folds.folds.iter().enumerate() {
+        let frames: Vec<String> = fold.frames.iter().map(ToString::to_string).collect();
+        let converged = if fold.converged { "yes" } else { "no" };
+        of_folds.add_row(
+            [format!("fold {}", i + 1), frames.join(", ")]
+                .into_iter()
+                .chain(rmse_cells(&fold.rmse, false))
+                .chain([converged.to_owned()]),
+        );
+    }
+    of_folds.add_row(
+        ["all".to_owned(), String::new()]
+            .into_iter()
+            .chain(rmse_cells(&folds.rmse, false))
+            .chain([String::new()]),
+    );
+    let mut spread = table(&["Parameter", "Unit", "± σ", "± σ, jackknife", "Ratio"], &[0, 1]);
+    let parameters = intrinsic_parameters(candidate.camera.lens_types());
+    for ((parameter, std_dev), jackknife) in
+        parameters.iter().zip(&candidate.std_devs).zip(folds.jackknife_std_devs())
+    {
+        let Some(std_dev) = std_dev.filter(|s| s.is_finite() && *s > 0.0) else { continue };
+        let (unit, factor) = display_unit(&parameter.name, parameter.unit);
+        let two_digits = |s: f64| with_std_dev(0.0, Some(s * factor)).1;
+        spread.add_row([
+            parameter.name.clone(),
+            unit.to_owned(),
+            two_digits(std_dev),
+            two_digits(jackknife),
+            format!("{:.2}", jackknife / std_dev),
+        ]);
+    }
+    vec![
+        of_folds.captioned("Cross-validation: frames reprojected by a camera calibrated without them"),
+        spread.captioned(
+            "Standard deviations: from the covariance, which takes observations as independent, and from \
+             leaving frames out",
+        ),
+    ]
+}
+
+/// The same for machines: values in px, mm, rad; relative errors as parts.
+#[must_use]
+pub fn evaluation_json(
+    evaluation: &Evaluation,
+    poses: &[(String, PoseErrors)],
+    folds: Option<&CrossValidation>,
+) -> Value {
+    let candidates: Vec<Value> = evaluation
+        .candidates
+        .iter()
+        .map(|candidate| {
+            json!({
+                "name": candidate.name,
+                "evaluation": candidate.evaluation.as_ref().map(|found| {
+                    let mut value = rmse_json(&found.reprojection.rmse());
+                    value["frames"] = json!(found.poses.len());
+                    value["frames_left_out"] = json!(found.left_out.len());
+                    value
+                }),
+                "translation": candidate.translation.as_ref().map(displacements_json),
+                "truth": candidate.truth.as_ref().map(|errors| {
+                    errors.iter().map(parameter_json).collect::<Vec<_>>()
+                }),
+            })
+        })
+        .collect();
+    let poses: Vec<Value> = poses
+        .iter()
+        .map(|(name, e)| {
+            json!({
+                "boards": name,
+                "frames": e.frames,
+                "across_mm": e.across_mm,
+                "along_mm": e.along_mm,
+                "rotation_rad": e.rotation_rad,
+            })
+        })
+        .collect();
+    json!({
+        "format": "plenocal-evaluation",
+        "version": 1,
+        "cameras": candidates,
+        "point_clouds": evaluation.clouds.as_ref().map(displacements_json),
+        "poses_against_truth": poses,
+        "cross_validation": folds.map(|folds| json!({
+            "rmse": rmse_json(&folds.rmse),
+            "folds": folds.folds.iter().map(|fold| json!({
+                "frames": fold.frames,
+                "converged": fold.converged,
+                "rmse": rmse_json(&fold.rmse),
+            })).collect::<Vec<_>>(),
+        })),
+    })
+}
+
+fn parameter_json(e: &ParameterError) -> Value {
+    json!({
+        "parameter": e.name,
+        "unit": e.unit,
+        "truth": e.truth,
+        "estimate": e.estimate,
+        "standard_deviation": e.std_dev,
+    })
+}
+
+fn displacements_json(displacements: &Displacements) -> Value {
+    let spread = |s: Spread| json!({ "mean": s.mean, "standard_deviation": s.std_dev });
+    json!({
+        "relative_error": spread(displacements.relative()),
+        "absolute_error_mm": spread(displacements.absolute_mm()),
+        "steps": displacements.steps.iter().map(|s| json!({
+            "from": s.from,
+            "to": s.to,
+            "true_mm": s.true_mm,
+            "measured_mm": s.measured_mm,
+        })).collect::<Vec<_>>(),
+    })
+}
