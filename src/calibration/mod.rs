@@ -11,5 +11,5 @@ mod result;
 pub use initial::initial_camera;
 pub use options::{CalibrationOptions, CostOptions, Loss, Mode, SolverOptions, Start};
 pub use poses::initial_poses;
-pub use refine::calibrate;
+pub use refine::{calibrate, initial_from};
 pub use result::{Calibration, FramePose, Iteration, LeftOut, Refinement, Termination};

@@ -49,13 +49,7 @@ pub fn calibrate(
     let observations = &observations;
     check_observations(&start, board, observations, options.mode)?;
 
-    let grid = match observations.centers.as_slice() {
-        [] => None,
-        centers => {
-            let (kind, columns, rows) = start.array();
-            Some(fit_grid(centers, kind, columns, rows)?)
-        }
-    };
+    let grid = fitted_grid(&start, observations)?;
     if let Some(grid) = &grid {
         check_stated_pitch(&start, grid)?;
         warnings.extend(outlying_centers(grid, observations.centers.len()));
@@ -127,6 +121,17 @@ pub fn calibrate(
         options: options.clone(),
         warnings,
     })
+}
+
+/// The camera that a calibration of these observations starts from.
+pub fn initial_from(start: &Start, observations: &Observations) -> Result<PlenopticCamera> {
+    start_camera(start, fitted_grid(start, observations)?.as_ref())
+}
+
+fn fitted_grid(start: &Start, observations: &Observations) -> Result<Option<MicroImageArray>> {
+    let (kind, columns, rows) = start.array();
+    let centers = &observations.centers;
+    (!centers.is_empty()).then(|| fit_grid(centers, kind, columns, rows)).transpose()
 }
 
 /// Refines, and again for boards that turn out to lean the other way.

@@ -10,6 +10,7 @@ use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
 use plenocal::observations::{BapFeature, MIN_CORNERS};
 use plenocal::precalibration::fit_grid;
+use plenocal::report::Figure;
 use plenocal::{Error, Result, report};
 use serde_json::{Value, json};
 
@@ -155,6 +156,22 @@ impl Found {
         self.features.iter().map(|f| f.feature).collect()
     }
 
+    /// The pictures that were written, by name.
+    pub fn figures(&self, pictures: bool) -> Vec<Figure> {
+        let tied = self.frames.iter().filter(|frame| pictures && frame.result.is_ok());
+        let figure = |frame: &Frame| Figure {
+            name: picture(frame.number),
+            caption: format!(
+                "Frame {} ({}): features with their blur circles, coloured by corner, and the lattice of \
+                 the board.",
+                frame.number,
+                name(&frame.path)
+            ),
+            svg: String::new(),
+        };
+        tied.map(figure).collect()
+    }
+
     pub fn rows(&self) -> Vec<report::FrameRow> {
         let row = |frame: &Frame| report::FrameRow {
             frame: frame.number,
@@ -164,6 +181,10 @@ impl Found {
         };
         self.frames.iter().map(row).collect()
     }
+}
+
+fn picture(frame: u32) -> String {
+    format!("frame-{frame:02}.svg")
 }
 
 fn name(path: &Path) -> String {
@@ -228,8 +249,7 @@ fn detect_all(
                 let found = detect_frame(number, &image.grey(), &white, search);
                 if let (Ok(detection), true) = (&found.0, look.pictures) {
                     let figure = report::features_figure(&image, detection, search.board)?;
-                    let name = format!("frame-{number:02}.svg");
-                    output.stage(name, |out| out.write_all(figure.as_bytes()))?;
+                    output.stage(picture(number), |out| out.write_all(figure.as_bytes()))?;
                 }
                 found
             }

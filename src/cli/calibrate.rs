@@ -157,7 +157,8 @@ fn progress_bar(json: bool) -> ProgressBar {
     bar
 }
 
-fn stage_results(
+/// Writes the results of a calibration.
+pub(super) fn stage_results(
     output: &mut OutputFolder,
     calibration: &Calibration,
     with_compote: bool,

@@ -2,9 +2,13 @@
 
 mod boards;
 mod calibrate;
+mod demo;
 mod detect;
+mod evaluate;
+mod extrinsics;
 mod input;
 mod precalibrate;
+mod run;
 mod simulate;
 
 use std::process::ExitCode;
@@ -21,9 +25,13 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    Calibrate(Box<calibrate::Arguments>),
-    Detect(detect::Arguments),
+    Run(run::Arguments),
+    Demo(demo::Arguments),
     Precalibrate(precalibrate::Arguments),
+    Detect(detect::Arguments),
+    Calibrate(Box<calibrate::Arguments>),
+    Extrinsics(extrinsics::Arguments),
+    Evaluate(evaluate::Arguments),
     Simulate(simulate::Arguments),
 }
 
@@ -37,9 +45,13 @@ Exit status:
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
     let outcome = match Cli::parse().command {
-        Command::Calibrate(arguments) => calibrate::run(&arguments),
-        Command::Detect(arguments) => detect::run(&arguments),
+        Command::Run(arguments) => run::run(&arguments),
+        Command::Demo(arguments) => demo::run(&arguments),
         Command::Precalibrate(arguments) => precalibrate::run(&arguments),
+        Command::Detect(arguments) => detect::run(&arguments),
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Extrinsics(arguments) => extrinsics::run(&arguments),
+        Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {

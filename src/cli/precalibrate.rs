@@ -16,6 +16,7 @@ use plenocal::precalibration::{
     ArrayMeasurement, Precalibration, PrecalibrationOptions, RadiusEstimator, White, fit_grid,
     measure_array, precalibrate,
 };
+use plenocal::report::Figure;
 use plenocal::{Error, Result, report};
 use rayon::prelude::*;
 
@@ -252,19 +253,38 @@ pub(super) fn stage(
     result: &Precalibration,
     sheet: &Datasheet,
     whites: &[White],
-) -> Result<()> {
+) -> Result<Vec<Figure>> {
     let types = result.lens_types.types;
     let internal = &result.internal.parameters;
     stage_centers(output, result)?;
     output.stage_json("params.js", &compote::parameters_document(internal, sheet))?;
     let camera = compote::camera_document(sheet, &result.array.grid, types);
     output.stage_json("camera.js", &camera)?;
-    let radii = report::radii_figure(result)?;
-    output.stage("radii.svg", |out| out.write_all(radii.as_bytes()))?;
     let middle = whites.len() / 2;
-    let radii = result.radii_px(middle);
-    let figure = report::micro_images_figure(&whites[middle].image, &result.array, &radii)?;
-    output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))
+    let figures = vec![
+        Figure {
+            name: "radii.svg".to_owned(),
+            caption: "Radii of the micro-images over 1/N, with the fitted lines and, below, how radii of \
+                      single micro-images scatter. Lines of all lens types have the same slope m."
+                .to_owned(),
+            svg: report::radii_figure(result)?,
+        },
+        Figure {
+            name: "micro-images.svg".to_owned(),
+            caption: "The middle of a white image with the micro-images found, coloured by lens type."
+                .to_owned(),
+            svg: report::micro_images_figure(
+                &whites[middle].image,
+                &result.array,
+                &result.radii_px(middle),
+            )?,
+        },
+        report::array_residuals_figure(&result.array)?,
+    ];
+    for figure in &figures {
+        output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))?;
+    }
+    Ok(figures)
 }
 
 /// Writes centers.csv.

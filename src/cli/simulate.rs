@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
@@ -41,6 +41,21 @@ pub struct Arguments {
     /// Threads; the images are the same with any number [default: all cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+}
+
+impl Arguments {
+    /// The first preset as it is.
+    pub fn preset(out: &Path) -> Self {
+        Self {
+            file: None,
+            preset: None,
+            out: Some(out.to_owned()),
+            set: Vec::new(),
+            poses: None,
+            print: false,
+            threads: None,
+        }
+    }
 }
 
 fn preset_names() -> PossibleValuesParser {

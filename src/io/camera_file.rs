@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 
 use super::read_text;
 use crate::camera::{
-    LensSetting, MainLens, MicroLensArray, PlenopticCamera, Sensor, intrinsic_parameters,
+    LensSetting, MainLens, MicroLensArray, Parameter, PlenopticCamera, Sensor, intrinsic_parameters,
 };
 use crate::error::{Error, Result};
 use crate::evaluation::Uncertainty;
@@ -182,6 +182,17 @@ pub fn read_camera(path: &Path) -> Result<PlenopticCamera> {
     let value: Value = serde_json::from_str(&read_text(path)?)
         .map_err(|e| Error::content(path, format!("this is not valid JSON: {e}")))?;
     camera_from(value).map_err(|e| e.in_file(path))
+}
+
+/// Reads the standard deviations in a `camera.json`, in the order of
+/// [`PlenopticCamera::intrinsics`]; `None` for parameters that were held, not determined, or where the
+/// file has none.
+pub fn read_std_devs(path: &Path, lens_types: usize) -> Result<Vec<Option<f64>>> {
+    let value: Value = serde_json::from_str(&read_text(path)?)
+        .map_err(|e| Error::content(path, format!("this is not valid JSON: {e}")))?;
+    let std_devs = &value["uncertainty"]["standard_deviations"];
+    let of_parameter = |p: Parameter| std_devs[p.name.as_str()]["value"].as_f64();
+    Ok(intrinsic_parameters(lens_types).into_iter().map(of_parameter).collect())
 }
 
 /// The camera in a JSON document.

@@ -20,7 +20,7 @@ use std::fs;
 use std::path::Path;
 
 pub(crate) use camera_file::CameraFields;
-pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera};
+pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera, read_std_devs};
 pub use data_set_folder::{DataSetProgress, stage_data_set};
 pub use image_file::{read_image, write_png};
 pub use input::{

@@ -65,6 +65,17 @@ impl OutputFolder {
         })
     }
 
+    /// An error unless files can be written into the folder; leaves nothing behind.
+    pub fn probe(mut self) -> Result<()> {
+        self.stage(".probe", |_| Ok(()))
+    }
+
+    /// What another folder has staged is committed with this one.
+    pub fn take(&mut self, mut other: Self) {
+        self.created.append(&mut other.created);
+        self.staged.append(&mut other.staged);
+    }
+
     /// Gives all files their names, replacing older ones. Returns the paths.
     pub fn commit(mut self) -> Result<Vec<PathBuf>> {
         // What would keep one of them from its name is looked for before the first gets it.

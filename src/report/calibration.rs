@@ -71,7 +71,7 @@ fn decade(value: f64) -> i32 {
     if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 }
 }
 
-fn parameters_table(calibration: &Calibration) -> Table {
+pub(super) fn parameters_table(calibration: &Calibration) -> Table {
     let lens_types = calibration.camera.lens_types();
     let mut table = table(&["Parameter", "Unit", "Initial", "Optimised", "± σ"], &[0, 1]);
     let std_devs = calibration.uncertainty.intrinsic_std_devs(lens_types);
@@ -120,7 +120,7 @@ fn poses_table(calibration: &Calibration) -> Table {
     table
 }
 
-fn errors_table(calibration: &Calibration) -> Table {
+pub(super) fn errors_table(calibration: &Calibration) -> Table {
     let reprojection = &calibration.reprojection;
     let mut table = table(&["RMSE, px", "Features", "All", "(u, v)", "ρ", "Centres"], &[0]);
     let number = |value: f64| if value.is_nan() { "-".to_owned() } else { format!("{value:.4}") };
@@ -145,7 +145,7 @@ fn errors_table(calibration: &Calibration) -> Table {
     table
 }
 
-fn summary(calibration: &Calibration) -> String {
+pub(super) fn summary(calibration: &Calibration) -> String {
     let refinement = &calibration.refinement;
     let mut text = String::new();
     // Writing to a String cannot fail.

@@ -7,7 +7,7 @@ use base64::engine::general_purpose::STANDARD;
 use image::codecs::jpeg::JpegEncoder;
 use image::{GrayImage, Luma};
 
-use super::table::table;
+use super::table::{Table, table};
 use crate::camera::Board;
 use crate::error::{Error, Result};
 use crate::features::{Detection, FrameCounts};
@@ -29,6 +29,10 @@ pub struct FrameRow {
 /// Frame by frame what was found and what was dropped.
 #[must_use]
 pub fn detection_text(rows: &[FrameRow]) -> String {
+    format!("{}\n\n{}", detection_table(rows), dropped_text(rows))
+}
+
+pub(super) fn detection_table(rows: &[FrameRow]) -> Table {
     let header = [
         "Frame",
         "Image",
@@ -64,10 +68,15 @@ pub fn detection_text(rows: &[FrameRow]) -> String {
         cells.extend(numbers.iter().map(ToString::to_string));
         text.add_row(cells);
     }
+    text
+}
+
+/// What the columns mean.
+pub(super) fn dropped_text(rows: &[FrameRow]) -> String {
     let features: usize = rows.iter().map(|row| row.features).sum();
     let frames = rows.iter().filter(|row| row.features > 0).count();
     format!(
-        "{text}\n\n{features} features in {frames} of {} frames. Corners: found in a micro-image by \
+        "{features} features in {frames} of {} frames. Corners: found in a micro-image by \
          itself. Board: corners tied to it.\nDropped: alone (in no cluster), off the line of their \
          cluster, off the board.\nLooked for again where they are expected: board corners lost; \
          micro-images unclear, or with the corner misplaced.",

@@ -6,6 +6,7 @@ mod evaluation;
 mod figures;
 mod html;
 mod precalibration;
+mod sections;
 mod table;
 
 pub use calibration::{
@@ -17,5 +18,10 @@ pub use evaluation::{
     cameras_table, evaluation_json, evaluation_tables, folds_tables, pose_errors_table, truth_table,
 };
 pub use figures::{micro_images_figure, radii_figure};
-pub use html::{Figure, HtmlReport, HtmlTable, Part, Section};
+pub use html::{
+    Figure, HtmlReport, HtmlTable, Part, Section, array_residuals_figure, calibration_figures,
+};
 pub use precalibration::{array_text, precalibration_text, types_text};
+pub use sections::{
+    calibration_section, detection_section, precalibration_section, tables_section,
+};

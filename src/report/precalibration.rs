@@ -14,7 +14,7 @@ pub fn precalibration_text(result: &Precalibration) -> String {
     [
         format!("{}\n{correction}\n{types}", array_text(&result.array)),
         radii_table(result).to_string(),
-        parameters_table(result).to_string(),
+        internal_table(result).to_string(),
     ]
     .join("\n\n")
 }
@@ -67,7 +67,7 @@ pub fn array_text(array: &ArrayMeasurement) -> String {
     )
 }
 
-fn radii_table(result: &Precalibration) -> Table {
+pub(super) fn radii_table(result: &Precalibration) -> Table {
     let types = result.lens_types.types;
     let mut header = vec!["Radius, px, at N".to_owned()];
     header.extend((1..=types).map(|i| format!("Type {i} ± σ")));
@@ -84,7 +84,7 @@ fn radii_table(result: &Precalibration) -> Table {
     table
 }
 
-fn parameters_table(result: &Precalibration) -> Table {
+pub(super) fn internal_table(result: &Precalibration) -> Table {
     let internal = &result.internal;
     let mut table = table(&["Internal parameter, µm", "", "± σ"], &[0]);
     let mut add = |name: String, value: f64, std_dev: f64| {

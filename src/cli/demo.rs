@@ -1,0 +1,41 @@
+//! `plenocal demo`: a simulated camera, from its images to a report.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+use plenocal::Result;
+
+use super::boards::Estimator;
+use super::run::{self as whole, Arguments as RunArguments};
+use super::simulate;
+
+/// Simulate a small camera, calibrate it from its images, and set the result beside the truth.
+///
+/// The images are those of `plenocal simulate --preset mini`; the rest is `plenocal run`.
+#[derive(Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// Folder for images, results and the report.
+    #[arg(long, value_name = "DIR", default_value = "out/demo")]
+    out: PathBuf,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  plenocal demo
+  plenocal demo --out /tmp/demo";
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    simulate::run(&simulate::Arguments::preset(&arguments.out))?;
+    whole::run(&RunArguments {
+        project: arguments.out.join("project.toml"),
+        out: arguments.out.join("results"),
+        force: true,
+        estimator: Estimator::Line,
+        folds: 5,
+        no_pictures: false,
+        json: false,
+    })
+}

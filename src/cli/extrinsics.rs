@@ -1,0 +1,89 @@
+//! `plenocal extrinsics`: poses of boards with a calibrated camera.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+use plenocal::calibration::{CalibrationOptions, Mode, Start, calibrate};
+use plenocal::io::{OutputFolder, Project};
+use plenocal::observations::Observations;
+use plenocal::{Result, report};
+
+use super::boards::{self, Estimator, Look, Shoot, Subset};
+use super::calibrate::stage_results;
+use super::evaluate::calibrated;
+use super::warn;
+
+/// Find the poses of boards in raw images with a calibrated camera.
+///
+/// Every frame that shows the board gives camera_from_board with its standard deviations.
+// Names in the help are no code.
+#[allow(clippy::doc_markdown)]
+#[derive(Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// Project file (TOML) with the camera, [board] and [images].
+    project: PathBuf,
+    /// Folder for the results: poses.json, residuals.csv, features.csv, detection.json.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Calibrated camera (camera.json, COMPOTE's intrinsics.js).
+    #[arg(long, value_name = "FILE")]
+    camera: PathBuf,
+    /// Folder that `plenocal precalibrate` has written.
+    #[arg(long, value_name = "DIR")]
+    precalibration: PathBuf,
+    /// Images of the project to look at.
+    #[arg(long, value_enum, default_value = "evaluation")]
+    subset: Subset,
+    /// How the virtual depth of a corner is taken.
+    #[arg(long, value_enum, default_value = "line")]
+    estimator: Estimator,
+    /// Print the result as one JSON object instead of tables.
+    #[arg(long)]
+    json: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  plenocal extrinsics project.toml --camera results/calibration/camera.json \\
+      --precalibration results/precalibration --out poses
+  plenocal extrinsics project.toml --subset translation --camera camera.json \\
+      --precalibration white --out poses
+
+Of features that are found already: plenocal calibrate --mode poses-only";
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let path = &arguments.project;
+    let begun = std::time::Instant::now();
+    let mut output = OutputFolder::new(&arguments.out)?;
+    let shoot = Shoot::of(path, &Project::read(path)?)?;
+    let camera = calibrated(&arguments.camera)?;
+    let micro_images = shoot.read_precalibration(&arguments.precalibration)?;
+    let look = Look {
+        subset: arguments.subset,
+        estimator: arguments.estimator,
+        pictures: false,
+        quiet: arguments.json,
+    };
+    let found = boards::detect(path, &shoot, &micro_images, &look, &mut output)?;
+    let observations = Observations { centers: Vec::new(), features: found.bap_features() };
+    let options = CalibrationOptions { mode: Mode::PosesOnly, ..CalibrationOptions::default() };
+    let result =
+        calibrate(&Start::Camera(camera), &shoot.board, &observations, &options, &mut |_| true)?;
+    stage_results(&mut output, &result, false)?;
+    let paths = output.commit()?;
+    warn(&found.warnings);
+    warn(&result.left_out);
+    warn(&result.warnings);
+    let text = if arguments.json {
+        format!("{}\n", report::calibration_json(&result, begun.elapsed().as_secs_f64()))
+    } else {
+        let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();
+        format!("{}\nWritten:\n{}", report::calibration_text(&result), files.concat())
+    };
+    let _ = std::io::stdout().write_all(text.as_bytes());
+    Ok(if result.converged { ExitCode::SUCCESS } else { ExitCode::from(3) })
+}

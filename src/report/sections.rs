@@ -1,0 +1,105 @@
+//! The sections of a run's report: what each stage has to show.
+
+use super::calibration::{errors_table, parameters_table, summary};
+use super::detection::{FrameRow, detection_table, dropped_text};
+use super::html::{Figure, HtmlTable, Part, Section};
+use super::precalibration::{array_text, internal_table, radii_table, types_text};
+use crate::calibration::Calibration;
+use crate::precalibration::Precalibration;
+
+/// Pictures of frames that are shown at once; the others on demand.
+const FRAMES_SHOWN: usize = 2;
+
+fn paragraphs(text: &str) -> impl Iterator<Item = Part> {
+    text.lines().map(str::trim).filter(|line| !line.is_empty()).map(|l| Part::Text(l.to_owned()))
+}
+
+fn warnings_part(warnings: &[String]) -> Option<Part> {
+    (!warnings.is_empty()).then(|| Part::Details {
+        summary: format!("{} warning(s)", warnings.len()),
+        parts: warnings.iter().map(|warning| Part::Text(warning.clone())).collect(),
+    })
+}
+
+/// Micro-image array, radii and internal parameters.
+#[must_use]
+pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> Section {
+    let mut parts: Vec<Part> = paragraphs(&array_text(&result.array)).collect();
+    parts.extend(paragraphs(&types_text(&result.lens_types)));
+    parts.extend(warnings_part(&result.warnings));
+    parts.push(Part::Table(
+        internal_table(result).captioned("Internal parameters (paper, Table 2)"),
+    ));
+    parts.push(Part::Table(
+        radii_table(result).captioned("Radii of the micro-images by f-number and lens type"),
+    ));
+    parts.extend(figures.into_iter().map(Part::Figure));
+    Section { title: "Pre-calibration".to_owned(), parts }
+}
+
+/// The boards of a subset, frame by frame.
+#[must_use]
+pub fn detection_section(
+    subset: &str,
+    rows: &[FrameRow],
+    warnings: &[String],
+    figures: Vec<Figure>,
+) -> Section {
+    let mut parts = Vec::new();
+    parts.extend(warnings_part(warnings));
+    parts.push(Part::Table(detection_table(rows).captioned("Frame by frame")));
+    parts.extend(paragraphs(&dropped_text(rows)));
+    let mut figures = figures.into_iter().map(Part::Figure);
+    parts.extend(figures.by_ref().take(FRAMES_SHOWN));
+    let others: Vec<Part> = figures.collect();
+    if !others.is_empty() {
+        parts.push(Part::Details { summary: "The other frames".to_owned(), parts: others });
+    }
+    Section { title: format!("Boards: {subset}"), parts }
+}
+
+/// Parameters, errors, and what they are worth.
+#[must_use]
+pub fn calibration_section(
+    title: &str,
+    calibration: &Calibration,
+    figures: Vec<Figure>,
+) -> Section {
+    let mut parts = Vec::new();
+    let left_out = calibration.left_out.iter().map(ToString::to_string);
+    let warnings: Vec<String> = left_out.chain(calibration.warnings.iter().cloned()).collect();
+    parts.extend(warnings_part(&warnings));
+    parts.push(Part::Table(parameters_table(calibration).captioned("Parameters")));
+    parts.extend(paragraphs(&summary(calibration)));
+    parts.push(Part::Table(
+        errors_table(calibration).captioned("Reprojection errors, px, root mean square"),
+    ));
+    parts.extend(figures.into_iter().map(Part::Figure));
+    Section { title: title.to_owned(), parts }
+}
+
+/// Tables under a title.
+#[must_use]
+pub fn tables_section(title: &str, tables: Vec<HtmlTable>, texts: &[String]) -> Section {
+    let texts = texts.iter().map(|text| Part::Text(text.clone()));
+    let parts = tables.into_iter().map(Part::Table).chain(texts).collect();
+    Section { title: title.to_owned(), parts }
+}
+
+impl Section {
+    /// All figures of it.
+    pub fn figures_mut(&mut self) -> Vec<&mut Figure> {
+        fn collect<'a>(parts: &'a mut [Part], figures: &mut Vec<&'a mut Figure>) {
+            for part in parts {
+                match part {
+                    Part::Figure(figure) => figures.push(figure),
+                    Part::Details { parts, .. } => collect(parts, figures),
+                    Part::Text(_) | Part::Table(_) => {}
+                }
+            }
+        }
+        let mut figures = Vec::new();
+        collect(&mut self.parts, &mut figures);
+        figures
+    }
+}
