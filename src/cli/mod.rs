@@ -3,7 +3,9 @@
 mod calibrate;
 mod detect;
 mod input;
+mod interrupt;
 mod precalibrate;
+mod progress;
 mod simulate;
 
 use std::process::ExitCode;
@@ -31,11 +33,14 @@ Exit status:
   0  done, and the result is converged and finite
   1  bad input or a failure: nothing was written
   2  the command line was not understood
-  3  not converged: results were written, marked as such";
+  3  not converged: results were written, marked as such
+  130  interrupted (Ctrl-C, SIGTERM, SIGHUP): nothing half-written is left";
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
-    let outcome = match Cli::parse().command {
+    let command = Cli::parse().command;
+    interrupt::handle();
+    let outcome = match command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Detect(arguments) => detect::run(&arguments),
         Command::Precalibrate(arguments) => precalibrate::run(&arguments),

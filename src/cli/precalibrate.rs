@@ -1,6 +1,6 @@
 //! `plenocal precalibrate`: from white images to the micro-image array and internal parameters.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -18,6 +18,8 @@ use plenocal::precalibration::{
 };
 use plenocal::{Error, Result, report};
 use rayon::prelude::*;
+
+use super::progress;
 
 /// Measure the micro-image array and the internal parameters on white images.
 ///
@@ -317,7 +319,7 @@ fn read_white(path: &Path, color: Option<Color>) -> Result<plenocal::image::RawI
 
 /// A progress line on a terminal.
 pub(super) fn progress_bar(json: bool, images: usize, doing: &str) -> ProgressBar {
-    if json || !std::io::stderr().is_terminal() {
+    if json || !progress::is_shown() {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new(images as u64).with_style(

@@ -27,7 +27,7 @@ pub use input::{
 pub use observations_file::{
     read_centers, read_features, write_centers, write_detected_features, write_features,
 };
-pub use output::OutputFolder;
+pub use output::{OutputFolder, abandon_output};
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
 pub use precalibration_file::{
     PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION, array_document, precalibration_document,
