@@ -1,9 +1,13 @@
 //! Commands; one file for each.
 
 mod calibrate;
+mod completions;
 mod detect;
+mod init;
 mod input;
 mod interrupt;
+mod logging;
+mod man;
 mod precalibrate;
 mod progress;
 mod simulate;
@@ -13,38 +17,61 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 /// Calibrates multi-focus plenoptic (light-field) cameras.
+///
+/// From white images and images of a checkerboard to the main lens, the micro-lens array with the
+/// focal length of every lens type, the poses of the boards, and the uncertainty of all of it.
 #[derive(Parser)]
-#[command(version, after_help = EXIT_STATUS, max_term_width = 100)]
+#[command(name = "plenocal", version, after_help = AFTER_HELP, max_term_width = 100)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
+
+    /// Tell on stderr what is done: -v files, stages and their results, -vv also every frame and
+    /// iteration, -vvv also every white image. Progress lines are left out then.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count, display_order = 999)]
+    verbose: u8,
 }
 
+// In the order in which they are used.
 #[derive(Subcommand)]
 enum Command {
-    Calibrate(Box<calibrate::Arguments>),
-    Detect(detect::Arguments),
-    Precalibrate(precalibrate::Arguments),
+    Init(init::Arguments),
     Simulate(simulate::Arguments),
+    Precalibrate(precalibrate::Arguments),
+    Detect(detect::Arguments),
+    Calibrate(Box<calibrate::Arguments>),
+    Completions(completions::Arguments),
+    Man(man::Arguments),
 }
 
-const EXIT_STATUS: &str = "\
+const AFTER_HELP: &str = "\
+Example, from images to a camera:
+  plenocal init images --preset r12-a --board 9x5x10 --out project.toml
+  plenocal precalibrate project.toml --out white
+  plenocal detect project.toml --precalibration white --out boards
+  plenocal calibrate project.toml --params white/precalibration.json \\
+      --centers white/centers.csv --features boards/features.csv --out results
+
 Exit status:
-  0  done, and the result is converged and finite
-  1  bad input or a failure: nothing was written
-  2  the command line was not understood
-  3  not converged: results were written, marked as such
+  0    done, and the result is converged and finite
+  1    bad input or a failure: nothing was written
+  2    the command line was not understood
+  3    not converged: results were written, marked as such
   130  interrupted (Ctrl-C, SIGTERM, SIGHUP): nothing half-written is left";
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
-    let command = Cli::parse().command;
+    let arguments = Cli::parse();
+    logging::begin(arguments.verbose);
     interrupt::handle();
-    let outcome = match command {
-        Command::Calibrate(arguments) => calibrate::run(&arguments),
-        Command::Detect(arguments) => detect::run(&arguments),
-        Command::Precalibrate(arguments) => precalibrate::run(&arguments),
+    let outcome = match arguments.command {
+        Command::Init(arguments) => init::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
+        Command::Precalibrate(arguments) => precalibrate::run(&arguments),
+        Command::Detect(arguments) => detect::run(&arguments),
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Completions(arguments) => completions::run(&arguments),
+        Command::Man(arguments) => man::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {
         eprintln!("error: {error}");

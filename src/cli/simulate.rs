@@ -45,7 +45,7 @@ pub struct Arguments {
     threads: Option<u16>,
 }
 
-fn preset_names() -> PossibleValuesParser {
+pub(super) fn preset_names() -> PossibleValuesParser {
     PRESETS.map(|preset| preset.name).into()
 }
 

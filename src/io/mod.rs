@@ -4,11 +4,13 @@ mod camera_file;
 pub mod compote;
 mod data_set_folder;
 mod image_file;
+mod image_folder;
 mod input;
 mod observations_file;
 mod output;
 mod poses_file;
 mod precalibration_file;
+mod project_draft;
 mod project_file;
 mod raytrix;
 mod residuals_file;
@@ -21,6 +23,7 @@ pub(crate) use camera_file::CameraFields;
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera};
 pub use data_set_folder::{DataSetProgress, stage_data_set};
 pub use image_file::{read_image, write_png};
+pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
 };
@@ -33,6 +36,7 @@ pub use precalibration_file::{
     PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION, array_document, precalibration_document,
     write_measured_centers,
 };
+pub use project_draft::{DraftText, ProjectDraft};
 pub use project_file::{
     CalibrationSection, ImagesSection, LossName, ModeName, Pitches, Project, TranslationImages,
     WhiteImage,

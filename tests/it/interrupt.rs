@@ -22,7 +22,16 @@ fn files(folder: &Path) -> usize {
 
 /// A simulation that takes a while, once its first image is under way.
 fn simulation(out: &Path) -> Child {
-    let child = Command::new(assert_cmd::cargo::cargo_bin("plenocal"))
+    let program = assert_cmd::cargo::cargo_bin("plenocal");
+    let mut command = if cfg!(target_os = "linux") {
+        // What runs in the background of a script ignores interrupts, and leaves that to its children.
+        let mut command = Command::new("env");
+        command.arg("--default-signal=INT,TERM,HUP").arg(program);
+        command
+    } else {
+        Command::new(program)
+    };
+    let child = command
         .args(["simulate", "--set", "rays=256", "--out"])
         .arg(out)
         .stdout(Stdio::piped())
