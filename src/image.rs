@@ -27,6 +27,15 @@ impl Image {
     }
 }
 
+/// Means of a mosaic's greens, or of a grey image's parities, differ by less than this part.
+const ALIKE: f64 = 0.05;
+
+/// Whether two of [`RawImage::parity_means`] differ as two colours of a mosaic do.
+#[must_use]
+pub fn alternate(a: f64, b: f64) -> bool {
+    (a / b - 1.0).abs() > ALIKE
+}
+
 /// What the samples of a raw image stand for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

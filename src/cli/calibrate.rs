@@ -1,6 +1,6 @@
 //! `plenocal calibrate`: from observations to a camera.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use plenocal::io::{self, CalibrationSection, LossName, ModeName, OutputFolder, P
 use plenocal::{Error, Result, report};
 
 use super::input::{Files, Input};
-use super::warn;
+use super::{progress, warn};
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///
@@ -145,7 +145,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
 }
 
 fn progress_bar(json: bool) -> ProgressBar {
-    if json || !std::io::stderr().is_terminal() {
+    if json || !progress::is_shown() {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new_spinner().with_style(

@@ -2,12 +2,18 @@
 
 mod boards;
 mod calibrate;
+mod completions;
 mod demo;
 mod detect;
 mod evaluate;
 mod extrinsics;
+mod init;
 mod input;
+mod interrupt;
+mod logging;
+mod man;
 mod precalibrate;
+mod progress;
 mod run;
 mod simulate;
 
@@ -16,43 +22,72 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 /// Calibrates multi-focus plenoptic (light-field) cameras.
+///
+/// From white images and images of a checkerboard to the main lens, the micro-lens array with the
+/// focal length of every lens type, the poses of the boards, and the uncertainty of all of it.
 #[derive(Parser)]
-#[command(version, after_help = EXIT_STATUS, max_term_width = 100)]
+#[command(name = "plenocal", version, after_help = AFTER_HELP, max_term_width = 100)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
+
+    /// Tell on stderr what is done: -v files, stages and their results, -vv also every frame and
+    /// iteration, -vvv also every white image. Progress lines are left out then.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count, display_order = 999)]
+    verbose: u8,
 }
 
+// In the order in which they are used.
 #[derive(Subcommand)]
 enum Command {
+    Init(init::Arguments),
     Run(run::Arguments),
     Demo(demo::Arguments),
+    Simulate(simulate::Arguments),
     Precalibrate(precalibrate::Arguments),
     Detect(detect::Arguments),
     Calibrate(Box<calibrate::Arguments>),
     Extrinsics(extrinsics::Arguments),
     Evaluate(evaluate::Arguments),
-    Simulate(simulate::Arguments),
+    Completions(completions::Arguments),
+    Man(man::Arguments),
 }
 
-const EXIT_STATUS: &str = "\
+const AFTER_HELP: &str = "\
+From images to a report:
+  plenocal init images --preset r12-a --board 9x5x10 --out project.toml
+  plenocal run project.toml --out results
+
+The same step by step:
+  plenocal precalibrate project.toml --out white
+  plenocal detect project.toml --precalibration white --out boards
+  plenocal calibrate project.toml --params white/precalibration.json \\
+      --centers white/centers.csv --features boards/features.csv --out results
+
 Exit status:
-  0  done, and the result is converged and finite
-  1  bad input or a failure: nothing was written
-  2  the command line was not understood
-  3  not converged: results were written, marked as such";
+  0    done, and the result is converged and finite
+  1    bad input or a failure: nothing was written
+  2    the command line was not understood
+  3    not converged: results were written, marked as such
+  130  interrupted (Ctrl-C, SIGTERM, SIGHUP): nothing half-written is left";
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
-    let outcome = match Cli::parse().command {
+    let arguments = Cli::parse();
+    logging::begin(arguments.verbose);
+    interrupt::handle();
+    let outcome = match arguments.command {
+        Command::Init(arguments) => init::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
+        Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Precalibrate(arguments) => precalibrate::run(&arguments),
         Command::Detect(arguments) => detect::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Extrinsics(arguments) => extrinsics::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
-        Command::Simulate(arguments) => simulate::run(&arguments),
+        Command::Completions(arguments) => completions::run(&arguments),
+        Command::Man(arguments) => man::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {
         eprintln!("error: {error}");

@@ -1,6 +1,6 @@
 //! `plenocal precalibrate`: from white images to the micro-image array and internal parameters.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use nalgebra::Vector2;
 use plenocal::camera::Datasheet;
-use plenocal::image::Color;
+use plenocal::image::{Color, alternate};
 use plenocal::io::{self, ImagesSection, OutputFolder, Project, compote};
 use plenocal::observations::MicroImageCenter;
 use plenocal::precalibration::{
@@ -20,7 +20,7 @@ use plenocal::report::Figure;
 use plenocal::{Error, Result, report};
 use rayon::prelude::*;
 
-use super::warn;
+use super::{progress, warn};
 
 /// Measure the micro-image array and the internal parameters on white images.
 ///
@@ -74,7 +74,7 @@ fn size(text: &str) -> std::result::Result<(u16, u16), String> {
     })
 }
 
-fn color(name: &str) -> std::result::Result<Color, String> {
+pub(super) fn color(name: &str) -> std::result::Result<Color, String> {
     serde_json::from_value(serde_json::Value::String(name.to_owned()))
         .map_err(|_| format!("'{name}' is not known"))
 }
@@ -319,23 +319,19 @@ fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>,
     Ok((whites, reference))
 }
 
-/// Means of a mosaic's greens, or of a grey image's parities, differ by less than this part.
-const ALIKE: f64 = 0.05;
-
 /// Reads an image, and warns where its samples do not look like what they are said to be.
 fn read_white(path: &Path, color: Option<Color>) -> Result<plenocal::image::RawImage> {
     let raw = io::read_image(path, color)?;
     if let Some(means) = raw.parity_means() {
-        let apart = |a: f64, b: f64| (a / b - 1.0).abs() > ALIKE;
         let [a, b, c, d] = means;
         let wrong = match raw.color {
-            Color::Grey => (apart(a, b) || apart(a, c) || apart(a, d)).then_some(
+            Color::Grey => (alternate(a, b) || alternate(a, c) || alternate(a, d)).then_some(
                 "its pixels alternate in brightness like those behind a colour mosaic: give the \
                  mosaic's name as the colour of the images",
             ),
-            Color::BayerRggb | Color::BayerBggr => apart(b, c)
+            Color::BayerRggb | Color::BayerBggr => alternate(b, c)
                 .then_some("the pixels that should both be green differ: another mosaic is in it"),
-            _ => apart(a, d)
+            _ => alternate(a, d)
                 .then_some("the pixels that should both be green differ: another mosaic is in it"),
         };
         if let Some(wrong) = wrong {
@@ -347,7 +343,7 @@ fn read_white(path: &Path, color: Option<Color>) -> Result<plenocal::image::RawI
 
 /// A progress line on a terminal.
 pub(super) fn progress_bar(json: bool, images: usize, doing: &str) -> ProgressBar {
-    if json || !std::io::stderr().is_terminal() {
+    if json || !progress::is_shown() {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new(images as u64).with_style(

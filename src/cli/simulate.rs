@@ -1,7 +1,7 @@
 //! `plenocal simulate`: raw images of a simulated camera, with their truth.
 
 use std::fmt::Write as _;
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -12,6 +12,8 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use plenocal::io::{self, DataSetProgress, OutputFolder, PRESETS};
 use plenocal::simulation::{DataSet, Settings, Subset};
 use plenocal::{Error, Result};
+
+use super::progress;
 
 /// Simulate a plenoptic camera: raw images by ray tracing, with their truth.
 ///
@@ -58,7 +60,7 @@ impl Arguments {
     }
 }
 
-fn preset_names() -> PossibleValuesParser {
+pub(super) fn preset_names() -> PossibleValuesParser {
     PRESETS.map(|preset| preset.name).into()
 }
 
@@ -143,7 +145,7 @@ struct Progress {
 
 impl Progress {
     fn new(settings: &Settings, data_set: &DataSet) -> Self {
-        if !std::io::stderr().is_terminal() {
+        if !progress::is_shown() {
             return Self { bar: ProgressBar::hidden() };
         }
         let rows = data_set.shots().count() as u64 * u64::from(settings.camera.sensor.height_px);

@@ -133,7 +133,7 @@ fn stage_observed(
 }
 
 /// The name of a choice as it stands in files, quoted.
-fn name_of(choice: &impl Serialize) -> String {
+pub(super) fn name_of(choice: &impl Serialize) -> String {
     toml::Value::try_from(choice).map_or_else(|_| String::new(), |name| name.to_string())
 }
 

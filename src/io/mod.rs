@@ -4,6 +4,7 @@ mod camera_file;
 pub mod compote;
 mod data_set_folder;
 mod image_file;
+mod image_folder;
 mod input;
 mod manifest;
 mod observations_file;
@@ -11,6 +12,7 @@ mod output;
 mod point_cloud;
 mod poses_file;
 mod precalibration_file;
+mod project_draft;
 mod project_file;
 mod raytrix;
 mod residuals_file;
@@ -23,6 +25,7 @@ pub(crate) use camera_file::CameraFields;
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera, read_std_devs};
 pub use data_set_folder::{DataSetProgress, stage_data_set};
 pub use image_file::{read_image, write_png};
+pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
 };
@@ -30,13 +33,14 @@ pub use manifest::{MANIFEST, Manifest, StageRecord, hash_file, hash_text};
 pub use observations_file::{
     read_centers, read_features, write_centers, write_detected_features, write_features,
 };
-pub use output::OutputFolder;
+pub use output::{OutputFolder, abandon_output};
 pub use point_cloud::read_point_cloud_distance;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
 pub use precalibration_file::{
     PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION, array_document, precalibration_document,
     write_measured_centers,
 };
+pub use project_draft::{DraftText, ProjectDraft};
 pub use project_file::{
     CalibrationSection, ImagesSection, LossName, ModeName, Pitches, Project, TranslationImages,
     TruthSection, WhiteImage,

@@ -4,13 +4,16 @@ use std::fs;
 use std::io::{self, Write};
 use std::mem;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use tempfile::NamedTempFile;
+use tracing::{debug, info};
 
 use crate::error::{Error, Result};
 
 /// Collects files under temporary names in their folder; `commit` gives them their names. What is
-/// not committed leaves nothing behind.
+/// not committed leaves nothing behind, also after [`abandon_output`].
 #[derive(Debug)]
 pub struct OutputFolder {
     folder: PathBuf,
@@ -19,12 +22,62 @@ pub struct OutputFolder {
     created: Vec<PathBuf>,
 }
 
+/// What all output folders of the process have on disk without having committed it.
+struct Registry {
+    files: Vec<PathBuf>,
+    folders: Vec<PathBuf>,
+    committed: bool,
+}
+
+static REGISTRY: Mutex<Registry> =
+    Mutex::new(Registry { files: Vec::new(), folders: Vec::new(), committed: false });
+
+/// Held wherever files or folders come, go or get their names.
+fn registry() -> MutexGuard<'static, Registry> {
+    REGISTRY.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes all that is staged and not committed, for a process that is about to end before its time.
+/// Returns whether something had been committed before.
+///
+/// A commit that is under way is waited for. From then on whoever stages, commits or drops an
+/// [`OutputFolder`] waits for the end of the process, so that nothing appears after all.
+#[must_use]
+pub fn abandon_output() -> bool {
+    let registry = registry();
+    for file in &registry.files {
+        let _ = fs::remove_file(file);
+    }
+    remove_empty(&registry.folders);
+    let committed = registry.committed;
+    mem::forget(registry);
+    committed
+}
+
+/// Removes folders, the last first; one that is not empty stays.
+fn remove_empty(folders: &[PathBuf]) {
+    for folder in folders.iter().rev() {
+        let _ = fs::remove_dir(folder);
+    }
+}
+
 impl OutputFolder {
-    /// An error if the path cannot become a folder; nothing is created yet.
+    /// An error if the path cannot become a folder, or nothing can be written there; nothing is
+    /// created yet.
     pub fn new(folder: &Path) -> Result<Self> {
         if folder.exists() && !folder.is_dir() {
             return Err(Error::content(folder, "is a file, but results go into a folder"));
         }
+        let there = folder.ancestors().find(|f| f.exists()).unwrap_or(Path::new("."));
+        if !there.is_dir() {
+            return Err(Error::content(
+                folder,
+                format!("cannot become a folder, because {} is a file", there.display()),
+            ));
+        }
+        // Found out now rather than after the work; the file has no name on most systems.
+        tempfile::tempfile_in(there)
+            .map_err(|e| Error::Write { path: folder.to_owned(), source: plain(e) })?;
         Ok(Self { folder: folder.to_owned(), staged: Vec::new(), created: Vec::new() })
     }
 
@@ -35,26 +88,35 @@ impl OutputFolder {
         write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
     ) -> Result<()> {
         let path = self.folder.join(name);
-        let folder = path.parent().unwrap_or(&self.folder);
-        let missing = folder.ancestors().take_while(|f| !f.as_os_str().is_empty() && !f.exists());
-        let missing: Vec<PathBuf> = missing.map(Path::to_owned).collect();
-        self.created.extend(missing.into_iter().rev());
-        let staged = fs::create_dir_all(folder).and_then(|()| temporary_file(folder)).and_then(
-            |mut file| {
-                let mut buffer = io::BufWriter::new(&mut file);
-                write(&mut buffer)?;
-                buffer.flush()?;
-                drop(buffer);
-                Ok(file)
-            },
-        );
+        let folder = path.parent().map_or_else(|| self.folder.clone(), Path::to_owned);
+        let staged = self.open(&folder).and_then(|mut file| {
+            let mut buffer = io::BufWriter::new(&mut file);
+            write(&mut buffer)?;
+            buffer.flush()?;
+            drop(buffer);
+            Ok(file)
+        });
         match staged {
             Ok(file) => {
                 self.staged.push((file, path));
                 Ok(())
             }
-            Err(source) => Err(Error::Write { path, source }),
+            Err(source) => Err(Error::Write { path, source: plain(source) }),
         }
+    }
+
+    /// A temporary file, its folder created if need be, both known to the registry.
+    fn open(&mut self, folder: &Path) -> io::Result<NamedTempFile> {
+        let mut registry = registry();
+        let missing = folder.ancestors().take_while(|f| !f.as_os_str().is_empty() && !f.exists());
+        let mut missing: Vec<PathBuf> = missing.map(Path::to_owned).collect();
+        missing.reverse();
+        registry.folders.extend(missing.iter().cloned());
+        self.created.extend(missing);
+        fs::create_dir_all(folder)?;
+        let file = temporary_file(folder)?;
+        registry.files.push(file.path().to_owned());
+        Ok(file)
     }
 
     /// Writes a JSON file, indented, with a final line break.
@@ -82,12 +144,29 @@ impl OutputFolder {
         if let Some((_, path)) = self.staged.iter().find(|(_, path)| path.is_dir()) {
             return Err(Error::content(path, "is a folder, but a result has this name"));
         }
+        let begun = Instant::now();
         let mut paths = Vec::new();
-        for (file, path) in mem::take(&mut self.staged) {
-            file.persist(&path)
-                .map_err(|e| Error::Write { path: path.clone(), source: e.error })?;
-            paths.push(path);
+        {
+            // No interrupt comes between the first and the last.
+            let mut registry = registry();
+            for (file, path) in mem::take(&mut self.staged) {
+                let staged = file.path().to_owned();
+                file.persist(&path)
+                    .map_err(|e| Error::Write { path: path.clone(), source: e.error })?;
+                registry.files.retain(|file| *file != staged);
+                registry.committed = true;
+                paths.push(path);
+            }
         }
+        for path in &paths {
+            debug!("written: {}", path.display());
+        }
+        info!(
+            "{} file(s) written to {} in {:.3} s",
+            paths.len(),
+            self.folder.display(),
+            begun.elapsed().as_secs_f64()
+        );
         Ok(paths)
     }
 }
@@ -95,12 +174,20 @@ impl OutputFolder {
 impl Drop for OutputFolder {
     /// Folders in which nothing came to be go again.
     fn drop(&mut self) {
+        let mut registry = registry();
         self.staged.clear();
-        for folder in self.created.iter().rev() {
-            // One that is not empty stays.
-            let _ = fs::remove_dir(folder);
-        }
+        remove_empty(&self.created);
+        registry.folders.retain(|folder| !self.created.contains(folder));
+        // Those of this folder are gone, or have their names.
+        registry.files.retain(|file| file.exists());
     }
+}
+
+/// The system's reason alone: the temporary file's name would only mislead.
+fn plain(error: io::Error) -> io::Error {
+    let inner = error.get_ref().and_then(|inner| inner.source());
+    let code = inner.and_then(|e| e.downcast_ref::<io::Error>()).and_then(io::Error::raw_os_error);
+    code.map_or(error, io::Error::from_raw_os_error)
 }
 
 /// Temporary files are private by default; results are as readable as any other new file.

@@ -8,6 +8,8 @@ mod command_line;
 mod compote;
 mod features;
 mod independent;
+#[cfg(unix)]
+mod interrupt;
 mod modes;
 mod oracle;
 mod precalibration;

@@ -1,0 +1,224 @@
+//! `plenocal init`: from a folder of images to a project file.
+
+use std::ffi::OsStr;
+use std::fmt::Write as _;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::Args;
+use plenocal::camera::{Board, Datasheet};
+use plenocal::image::{Color, alternate};
+use plenocal::io::{
+    self, CommonFormat, DraftText, OutputFolder, PRESETS, ProjectDraft, SortedImages,
+};
+use plenocal::{Error, Result};
+
+use super::precalibrate::color;
+use super::simulate::preset_names;
+
+/// Write a project file for a folder of images.
+///
+/// Images are sorted by the names of folders and files. What is not known, from names, images,
+/// options or a preset, stands in the file as a comment that says what to fill in.
+#[derive(Args)]
+#[command(after_help = HELP, allow_negative_numbers = true)]
+pub struct Arguments {
+    /// Folder with the images (PNG, TIFF, BMP, PGM, JPEG), looked through with all folders in it.
+    images: PathBuf,
+    /// The project file to write.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Replace the file if it is there.
+    #[arg(long)]
+    force: bool,
+
+    /// A camera of this kind, for the values of its datasheet: pixel size, main lens, array.
+    #[arg(long, value_name = "NAME", value_parser = preset_names(), help_heading = "Camera")]
+    preset: Option<String>,
+    /// Focal length as engraved on the main lens.
+    #[arg(long, value_name = "MM", value_parser = length, help_heading = "Camera")]
+    focal_length: Option<f64>,
+    /// F-number of the images of boards, as it is: 5.657 where 5.6 is engraved.
+    #[arg(long, value_name = "N", value_parser = length, help_heading = "Camera")]
+    f_number: Option<f64>,
+    /// Focus distance from the sensor; inf for infinity.
+    #[arg(long, value_name = "MM", value_parser = distance, help_heading = "Camera")]
+    focus_distance: Option<f64>,
+    /// What the samples of the images stand for: grey, rgb, bayer-rggb, bayer-grbg, bayer-gbrg or
+    /// bayer-bggr [default: found where images show it].
+    #[arg(long, value_parser = color, help_heading = "Camera")]
+    color: Option<Color>,
+
+    /// The checkerboard: inner corners along a row and along a column, and edge of a square in mm.
+    #[arg(long, value_name = "CxRxMM", value_parser = board, help_heading = "Board")]
+    board: Option<Board>,
+    /// Motion between the images of a translation, mm; negative towards the camera.
+    #[arg(long, value_name = "MM", value_parser = step, help_heading = "Board")]
+    step: Option<f64>,
+}
+
+const HELP: &str = "\
+Names that are understood, of files and of folders, the file's going first:
+  white images   white*, or an f-number alone: whites/white-n-4.00.png, flat_f4.0.png, N8.tif
+  devignetting   devignetting*, vignetting*
+  calibration    calib*, board*, check*, chess*
+  evaluation     eval*
+  translation    translation*, step*
+An f-number follows an f or n that stands alone: f4, f_5.6, n-11.31. Engraved stops are taken as
+such (5.6 for 5.657).
+
+Examples:
+  plenocal init images --out project.toml
+  plenocal init images --preset r12-a --board 9x5x10 --out project.toml
+  plenocal init images --preset r12-b --board 8x5x20 --step 10 --color bayer-rggb --out project.toml
+  plenocal run project.toml --out results";
+
+fn positive(text: &str, allowed: fn(f64) -> bool, what: &str) -> std::result::Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|&number| allowed(number));
+    number.ok_or_else(|| format!("'{text}' is no {what}"))
+}
+
+fn length(text: &str) -> std::result::Result<f64, String> {
+    positive(text, |number| number > 0.0 && number.is_finite(), "number above 0")
+}
+
+fn distance(text: &str) -> std::result::Result<f64, String> {
+    positive(text, |number| number > 0.0, "distance; give mm, or inf")
+}
+
+fn step(text: &str) -> std::result::Result<f64, String> {
+    positive(text, |number| number.is_finite() && number != 0.0, "motion; give mm")
+}
+
+fn board(text: &str) -> std::result::Result<Board, String> {
+    let parts: Vec<&str> = text.split('x').map(str::trim).collect();
+    let parsed = match parts.as_slice() {
+        [columns, rows, square] => {
+            columns.parse().ok().zip(rows.parse().ok()).zip(square.parse().ok())
+        }
+        _ => None,
+    };
+    let ((columns, rows), square_mm) = parsed.ok_or_else(|| {
+        format!("'{text}' is no board; write 9x5x10 for 9 x 5 inner corners and squares of 10 mm")
+    })?;
+    let board = Board { columns, rows, square_mm };
+    board.validate().map(|()| board).map_err(|e| e.to_string())
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let out = &arguments.out;
+    if !arguments.force && out.exists() {
+        return Err(Error::Invalid(
+            "this file is there already: give another name, or --force to replace it".to_owned(),
+        )
+        .in_file(out));
+    }
+    let name = out
+        .file_name()
+        .filter(|_| !out.is_dir())
+        .ok_or_else(|| Error::Invalid("this is no file: name one".to_owned()).in_file(out))?;
+    let folder = out.parent().filter(|folder| *folder != OsStr::new("")).unwrap_or(Path::new("."));
+    let mut output = OutputFolder::new(folder)?;
+
+    let images = io::sort_images(&arguments.images)?;
+    let format = images.common_format().map_err(|e| e.in_file(&arguments.images))?;
+    let preset = arguments.preset.as_deref();
+    let sheet = preset.map(datasheet).transpose()?;
+    let draft = ProjectDraft {
+        images: &images,
+        format,
+        color: match arguments.color {
+            Some(color) => Some(color),
+            None => found_color(&images, format)?,
+        },
+        preset: preset.zip(sheet.as_ref()),
+        focal_length_mm: arguments.focal_length,
+        f_number: arguments.f_number,
+        focus_distance_mm: arguments.focus_distance,
+        board: arguments.board,
+        step_mm: arguments.step,
+    };
+    let drafted = draft.text(folder)?;
+    output.stage(name, |file| file.write_all(drafted.text.as_bytes()))?;
+    output.commit()?;
+    let text = summary(&draft, &drafted, out);
+    let _ = std::io::stdout().write_all(text.as_bytes());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn datasheet(name: &str) -> Result<Datasheet> {
+    let preset = PRESETS.iter().find(|preset| preset.name == name).unwrap_or(&PRESETS[0]);
+    Ok(io::preset_settings(preset, &[])?.datasheet())
+}
+
+/// Three channels are RGB. A single one is grey where a white image shows no mosaic; which mosaic it
+/// is, no image of a white target tells for certain.
+fn found_color(images: &SortedImages, format: Option<CommonFormat>) -> Result<Option<Color>> {
+    match format.and_then(|format| format.channels) {
+        Some(Color::Grey) => {}
+        known => return Ok(known),
+    }
+    let whites = images.whites.iter().map(|(path, _)| path);
+    for path in images.devignetting.iter().chain(whites) {
+        if let Some([a, b, c, d]) = io::read_image(path, Some(Color::Grey))?.parity_means() {
+            let mosaic = alternate(a, b) || alternate(a, c) || alternate(a, d);
+            return Ok((!mosaic).then_some(Color::Grey));
+        }
+    }
+    Ok(None)
+}
+
+fn summary(draft: &ProjectDraft, drafted: &DraftText, out: &Path) -> String {
+    let images = draft.images;
+    let mut text = format!("{}:\n", out.display());
+    for (count, what) in [
+        (images.whites.len(), "white image(s)"),
+        (images.devignetting.len(), "devignetting image(s)"),
+        (images.calibration.len(), "board(s) to calibrate with"),
+        (images.evaluation.len(), "board(s) to evaluate with"),
+        (images.translation.len(), "image(s) of a translation"),
+        (images.unsorted.len(), "image(s) whose names do not tell what they show"),
+    ] {
+        if count > 0 {
+            let _ = writeln!(text, "  {count:>4} {what}");
+        }
+    }
+    if let Some((name, sheet)) = draft.preset {
+        let _ = writeln!(
+            text,
+            "\nWhat is marked (preset) in the file is taken from {name}: compare it with your camera,\n\
+             above all focal length, f-number and focus distance of the main lens."
+        );
+        let (width, height) = (sheet.sensor.width_px, sheet.sensor.height_px);
+        if let Some(format) = draft.format
+            && (format.width_px, format.height_px) != (width, height)
+        {
+            let _ = writeln!(
+                text,
+                "The images have {} x {} px, but the sensor of {name} {width} x {height}: size of \
+                 pixels and\narray are left open.",
+                format.width_px, format.height_px
+            );
+        }
+    }
+    for (none, what) in [
+        (images.whites.is_empty(), "white images, which the pre-calibration needs"),
+        (images.calibration.is_empty(), "boards to calibrate with"),
+    ] {
+        if none {
+            let _ =
+                writeln!(text, "\nThere are no {what}: add them to the file, or rename images.");
+        }
+    }
+    if !drafted.missing.is_empty() {
+        let _ = writeln!(text, "\nTo fill in, where the file says so:");
+    }
+    for missing in &drafted.missing {
+        let _ = writeln!(text, "  {missing}");
+    }
+    let then = if drafted.missing.is_empty() { "Next" } else { "Then" };
+    let _ = writeln!(text, "\n{then}:\n  plenocal run {} --out results", out.display());
+    text
+}

@@ -1,0 +1,359 @@
+//! A folder of images, sorted by the names of its folders and files into what a project lists.
+
+use std::cmp::Ordering;
+use std::collections::HashSet;
+use std::fs;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use image::{ImageDecoder, ImageReader};
+
+use crate::error::{Error, Result};
+use crate::image::Color;
+use crate::optics;
+
+/// An f-number as a file name has it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum NamedFNumber {
+    /// One that is engraved on lenses, such as 5.6, which stands for 5.657.
+    Stop(f64),
+    /// Any other: it is what it says.
+    FNumber(f64),
+}
+
+impl NamedFNumber {
+    fn of(number: f64) -> Self {
+        if ENGRAVED.contains(&number) { Self::Stop(number) } else { Self::FNumber(number) }
+    }
+
+    /// The number that the name has.
+    fn number(self) -> f64 {
+        match self {
+            Self::Stop(number) | Self::FNumber(number) => number,
+        }
+    }
+
+    /// Whether lenses have such a stop: what looks like an f-number may also count images.
+    fn is_stop(self) -> bool {
+        let number = self.number();
+        ENGRAVED.contains(&number)
+            || (number / optics::f_number_of_stop(number) - 1.0).abs() < ROUNDED
+    }
+}
+
+/// The images of a folder, each list in natural order (2 before 10).
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SortedImages {
+    /// White images, with the f-number where a name has one.
+    pub whites: Vec<(PathBuf, Option<NamedFNumber>)>,
+    /// White images in the light of the boards; a project takes one.
+    pub devignetting: Vec<PathBuf>,
+    /// Boards to calibrate with.
+    pub calibration: Vec<PathBuf>,
+    /// Boards to evaluate with.
+    pub evaluation: Vec<PathBuf>,
+    /// A board moved along the optical axis.
+    pub translation: Vec<PathBuf>,
+    /// Images whose names do not tell what they show, or contradict themselves.
+    pub unsorted: Vec<PathBuf>,
+}
+
+/// What all sorted images have in common.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CommonFormat {
+    /// Width, px.
+    pub width_px: u32,
+    /// Height, px.
+    pub height_px: u32,
+    /// RGB if all files have three channels, grey if all have one; what a single channel stands for
+    /// (grey, a colour mosaic) is not in the files. `None` if they differ.
+    pub channels: Option<Color>,
+}
+
+const ENDINGS: [&str; 9] = ["png", "tif", "tiff", "bmp", "pgm", "ppm", "pnm", "jpg", "jpeg"];
+/// Full stops and thirds of them, as they stand on lenses.
+#[rustfmt::skip]
+const ENGRAVED: [f64; 35] = [
+    0.95, 1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.2, 2.5, 2.8, 3.2, 3.5, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1,
+    8.0, 9.0, 10.0, 11.0, 13.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 29.0, 32.0, 36.0, 40.0, 45.0,
+];
+/// Names round f-numbers to two digits.
+const ROUNDED: f64 = 2e-3;
+/// Beyond this no number is an f-number.
+const LARGEST: f64 = 128.0;
+/// So many files are named in a message.
+const NAMED: usize = 8;
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    White,
+    Devignetting,
+    Calibration,
+    Evaluation,
+    Translation,
+}
+
+/// Looks for PNG, TIFF, BMP, PGM/PPM and JPEG files in a folder and all folders in it, and sorts
+/// them by their names below it. Hidden files are passed over.
+///
+/// An error if there are none.
+pub fn sort_images(folder: &Path) -> Result<SortedImages> {
+    let mut files = Vec::new();
+    images_in(folder, &mut HashSet::new(), &mut files)?;
+    if files.is_empty() {
+        return Err(Error::content(
+            folder,
+            "there are no images in this folder: give one with PNG, TIFF, BMP, PGM or JPEG files",
+        ));
+    }
+    let below =
+        |path: &Path| path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
+    files.sort_by(|a, b| natural_order(&below(a), &below(b)));
+    let mut sorted = SortedImages::default();
+    for path in files {
+        let name = below(&path);
+        let name = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem).to_lowercase();
+        let f_number = named_f_number(&name);
+        // Without a word of what it is, an f-number tells a white image.
+        let only_stop = || f_number.filter(|n| n.is_stop()).map(|_| Kind::White);
+        match kind(&name) {
+            Ok(found) => match found.or_else(only_stop) {
+                Some(Kind::White) => sorted.whites.push((path, f_number)),
+                Some(Kind::Devignetting) => sorted.devignetting.push(path),
+                Some(Kind::Calibration) => sorted.calibration.push(path),
+                Some(Kind::Evaluation) => sorted.evaluation.push(path),
+                Some(Kind::Translation) => sorted.translation.push(path),
+                None => sorted.unsorted.push(path),
+            },
+            Err(Contradiction) => sorted.unsorted.push(path),
+        }
+    }
+    Ok(sorted)
+}
+
+fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBuf>) -> Result<()> {
+    let unreadable = |source| Error::Read { path: folder.to_owned(), source };
+    // Links may lead back.
+    if !seen.insert(fs::canonicalize(folder).map_err(unreadable)?) {
+        return Ok(());
+    }
+    for entry in fs::read_dir(folder).map_err(unreadable)? {
+        let path = entry.map_err(unreadable)?.path();
+        let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
+        let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        if hidden {
+            continue;
+        }
+        if path.is_dir() {
+            images_in(&path, seen, images)?;
+        } else if ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) {
+            images.push(path);
+        }
+    }
+    Ok(())
+}
+
+/// Runs of digits by their value, all else by its letters, capitals as small ones.
+fn natural_order(a: &str, b: &str) -> Ordering {
+    fn split(text: &str) -> (&str, &str) {
+        let digits = text.starts_with(|c: char| c.is_ascii_digit());
+        let end = text.find(|c: char| c.is_ascii_digit() != digits).unwrap_or(text.len());
+        text.split_at(end)
+    }
+    let (mut rest_a, mut rest_b) = (a, b);
+    while !rest_a.is_empty() && !rest_b.is_empty() {
+        let ((part_a, after_a), (part_b, after_b)) = (split(rest_a), split(rest_b));
+        let digits = |part: &str| part.starts_with(|c: char| c.is_ascii_digit());
+        let order = if digits(part_a) && digits(part_b) {
+            let (x, y) = (part_a.trim_start_matches('0'), part_b.trim_start_matches('0'));
+            x.len().cmp(&y.len()).then_with(|| x.cmp(y))
+        } else {
+            part_a.to_lowercase().cmp(&part_b.to_lowercase())
+        };
+        if order != Ordering::Equal {
+            return order;
+        }
+        (rest_a, rest_b) = (after_a, after_b);
+    }
+    rest_a.len().cmp(&rest_b.len()).then_with(|| a.cmp(b))
+}
+
+struct Contradiction;
+
+/// What a name, in small letters, says of an image: its own words go before those of the folders,
+/// and clear words before the one that all boards have.
+fn kind(name: &str) -> std::result::Result<Option<Kind>, Contradiction> {
+    let of_parts = |of_part: fn(&str) -> Option<Kind>| name.rsplit('/').filter_map(of_part);
+    let clear: Vec<Kind> = of_parts(clear_kind).collect();
+    let is_board = |kind: &Kind| !matches!(kind, Kind::White | Kind::Devignetting);
+    if let [first, rest @ ..] = clear.as_slice() {
+        let contradicted = rest.iter().any(|kind| is_board(kind) && kind != first);
+        return if is_board(first) && contradicted { Err(Contradiction) } else { Ok(Some(*first)) };
+    }
+    Ok(of_parts(unclear_kind).next())
+}
+
+fn words(part: &str) -> impl Iterator<Item = &str> {
+    part.split(|c: char| !c.is_alphabetic()).filter(|word| !word.is_empty())
+}
+
+fn clear_kind(part: &str) -> Option<Kind> {
+    const CONTAINED: [(&str, Kind); 5] = [
+        ("devign", Kind::Devignetting),
+        ("vignett", Kind::Devignetting),
+        ("white", Kind::White),
+        ("calib", Kind::Calibration),
+        ("translation", Kind::Translation),
+    ];
+    const BEGINNING: [(&str, Kind); 2] = [("eval", Kind::Evaluation), ("step", Kind::Translation)];
+    let contained = CONTAINED.iter().find(|(word, _)| part.contains(word));
+    let begun = || BEGINNING.iter().find(|(start, _)| words(part).any(|w| w.starts_with(start)));
+    contained.or_else(begun).map(|&(_, kind)| kind)
+}
+
+fn unclear_kind(part: &str) -> Option<Kind> {
+    let board =
+        |word: &str| ["board", "check", "chess"].iter().any(|start| word.starts_with(start));
+    words(part).any(board).then_some(Kind::Calibration)
+}
+
+/// The f-number in a name, in small letters: of the file, or else of the innermost folder that has
+/// one. None if a name has two different ones.
+fn named_f_number(name: &str) -> Option<NamedFNumber> {
+    let numbers = name.rsplit('/').map(f_numbers).find(|numbers| !numbers.is_empty())?;
+    let first = *numbers.first()?;
+    let same = numbers.iter().all(|n| n.to_bits() == first.to_bits());
+    same.then(|| NamedFNumber::of(first))
+}
+
+/// Numbers after an f or n that stands alone: f4.0, f_5.6, n-11.31, N8.
+fn f_numbers(part: &str) -> Vec<f64> {
+    let mut found = Vec::new();
+    for (at, letter) in part.char_indices() {
+        let alone = !part[..at].ends_with(char::is_alphanumeric);
+        if !alone || !matches!(letter, 'f' | 'n') {
+            continue;
+        }
+        let rest = &part[at + 1..];
+        let rest = rest.strip_prefix(['-', '_', '=', ' ']).unwrap_or(rest);
+        let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
+        let digits = rest[..end].trim_end_matches('.');
+        // 01 counts images.
+        let counts = digits.len() > 1 && digits.starts_with('0') && !digits.starts_with("0.");
+        let number = digits.parse::<f64>().ok().filter(|n| (0.5..=LARGEST).contains(n));
+        if let (Some(number), false) = (number, counts) {
+            found.push(number);
+        }
+    }
+    found
+}
+
+impl SortedImages {
+    /// All that are sorted.
+    pub fn sorted(&self) -> impl Iterator<Item = &Path> {
+        let whites = self.whites.iter().map(|(path, _)| path);
+        let boards = self.calibration.iter().chain(&self.evaluation).chain(&self.translation);
+        whites.chain(&self.devignetting).chain(boards).map(PathBuf::as_path)
+    }
+
+    /// Size and channels of the sorted images; `None` if there are none. An error naming those of
+    /// another size than most.
+    pub fn common_format(&self) -> Result<Option<CommonFormat>> {
+        let formats = self.sorted().map(|path| Ok((path, format_of(path)?)));
+        let formats = formats.collect::<Result<Vec<(&Path, (u32, u32, Color))>>>()?;
+        let size = |&(_, (width, height, _)): &(&Path, (u32, u32, Color))| (width, height);
+        let alike = |this| formats.iter().filter(|format| size(format) == this).count();
+        // Of two that are equally frequent the first.
+        let Some((width_px, height_px)) =
+            formats.iter().rev().map(size).max_by_key(|&this| alike(this))
+        else {
+            return Ok(None);
+        };
+        let other = formats.iter().filter(|format| size(format) != (width_px, height_px));
+        let other: Vec<String> = other
+            .map(|&(path, (width, height, _))| format!("  {}: {width} x {height}", path.display()))
+            .collect();
+        if !other.is_empty() {
+            let more = other.len().saturating_sub(NAMED);
+            return Err(Error::invalid(format!(
+                "{} of {} images have {width_px} x {height_px} px, but these have not:\n{}{}\nGive \
+                 all images whole as the camera delivered them, or take these out of the folder",
+                formats.len() - other.len(),
+                formats.len(),
+                other[..other.len().min(NAMED)].join("\n"),
+                if more > 0 { format!("\n  and {more} more") } else { String::new() }
+            )));
+        }
+        let (_, (.., first)) = formats[0];
+        let channels = formats.iter().all(|&(_, (.., color))| color == first).then_some(first);
+        Ok(Some(CommonFormat { width_px, height_px, channels }))
+    }
+}
+
+/// Width, height and channels, from the first bytes of an image.
+fn format_of(path: &Path) -> Result<(u32, u32, Color)> {
+    let unreadable = |source| Error::Read { path: path.to_owned(), source };
+    let file = fs::File::open(path).map_err(unreadable)?;
+    let reader =
+        ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(unreadable)?;
+    let decoder = reader
+        .into_decoder()
+        .map_err(|e| Error::content(path, format!("this image cannot be read: {e}")))?;
+    let (width, height) = decoder.dimensions();
+    let color = if decoder.color_type().has_color() { Color::Rgb } else { Color::Grey };
+    Ok((width, height, color))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_count_by_their_value() {
+        let mut names = ["b/2.png", "a10.png", "B/10.png", "a2.png", "a02.png", "a.png"];
+        names.sort_by(|a, b| natural_order(a, b));
+        assert_eq!(names, ["a.png", "a02.png", "a2.png", "a10.png", "b/2.png", "B/10.png"]);
+    }
+
+    #[test]
+    fn f_numbers_of_names() {
+        use NamedFNumber::{FNumber, Stop};
+        for (name, expected) in [
+            ("white-0-n-4.00", Some(Stop(4.0))),
+            ("whites/white-1-n-5.66", Some(FNumber(5.66))),
+            ("white_f4.0_03", Some(Stop(4.0))),
+            ("f_5.6", Some(Stop(5.6))),
+            ("n8", Some(Stop(8.0))),
+            ("f_5.6/03", Some(Stop(5.6))),
+            ("f8/white_f11", Some(Stop(11.0))),
+            ("f4_n8", None),
+            ("n01", None),
+            ("img_4", None),
+            ("frame4", None),
+            ("screen8", None),
+            ("n1234", None),
+        ] {
+            assert_eq!(named_f_number(name), expected, "{name}");
+        }
+        assert!(FNumber(5.66).is_stop() && !FNumber(3.0).is_stop());
+    }
+
+    #[test]
+    fn kinds_of_names() {
+        for (name, expected) in [
+            ("whites/img-03", Some(Kind::White)),
+            ("calibration/white-f4", Some(Kind::White)),
+            ("whites/devignetting", Some(Kind::Devignetting)),
+            ("calib_03", Some(Kind::Calibration)),
+            ("boards/7", Some(Kind::Calibration)),
+            ("evaluation/board-02", Some(Kind::Evaluation)),
+            ("eval03", Some(Kind::Evaluation)),
+            ("medieval", None),
+            ("step-10/board", Some(Kind::Translation)),
+            ("img_0007", None),
+        ] {
+            assert!(kind(name).is_ok_and(|kind| kind == expected), "{name}");
+        }
+        assert!(kind("eval/calib-03").is_err());
+    }
+}

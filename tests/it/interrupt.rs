@@ -1,0 +1,88 @@
+//! Ctrl-C leaves nothing half-written.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+
+use crate::support::plenocal;
+
+const PATIENCE: Duration = Duration::from_secs(60);
+const TICK: Duration = Duration::from_millis(10);
+
+/// Files in a folder and those in it.
+fn files(folder: &Path) -> usize {
+    let Ok(entries) = fs::read_dir(folder) else { return 0 };
+    let count = |path: &Path| if path.is_dir() { files(path) } else { 1 };
+    entries.flatten().map(|entry| count(&entry.path())).sum()
+}
+
+/// A simulation that takes a while, once its first image is under way.
+fn simulation(out: &Path) -> Child {
+    let program = assert_cmd::cargo::cargo_bin("plenocal");
+    let mut command = if cfg!(target_os = "linux") {
+        // What runs in the background of a script ignores interrupts, and leaves that to its children.
+        let mut command = Command::new("env");
+        command.arg("--default-signal=INT,TERM,HUP").arg(program);
+        command
+    } else {
+        Command::new(program)
+    };
+    let child = command
+        .args(["simulate", "--set", "rays=256", "--out"])
+        .arg(out)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let begun = Instant::now();
+    while files(&out.join("whites")) == 0 {
+        assert!(begun.elapsed() < PATIENCE, "no temporary file shows");
+        sleep(TICK);
+    }
+    child
+}
+
+fn send(signal: &str, child: &Child) {
+    let status = Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+    assert!(status.success());
+}
+
+fn assert_interrupted(output: &Output) {
+    let words = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{words}");
+    assert_eq!(words, "interrupted: nothing was written\n");
+    assert!(output.stdout.is_empty());
+}
+
+#[test]
+fn an_interrupt_leaves_nothing_behind() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("new/set");
+    for signal in ["-INT", "-TERM"] {
+        let child = simulation(&out);
+        send(signal, &child);
+        assert_interrupted(&child.wait_with_output().unwrap());
+        assert!(!folder.path().join("new").exists(), "{signal}");
+    }
+    // The folder can be used after that.
+    plenocal().args(["simulate", "--set", "rays=1", "--out"]).arg(&out).assert().success();
+    assert!(out.join("project.toml").is_file());
+}
+
+#[test]
+fn an_interrupt_keeps_older_files() {
+    let folder = TempDir::new().unwrap();
+    let project = folder.path().join("project.toml");
+    fs::write(&project, "older").unwrap();
+    let child = simulation(folder.path());
+    send("-INT", &child);
+    // Impatience changes nothing.
+    let _ = Command::new("kill").args(["-INT", &child.id().to_string()]).output();
+    assert_interrupted(&child.wait_with_output().unwrap());
+    assert_eq!(fs::read_to_string(&project).unwrap(), "older");
+    assert_eq!(files(folder.path()), 1);
+}
