@@ -1,8 +1,11 @@
 //! Results for people (tables, words, pictures) and for machines (JSON).
 
 mod calibration;
+mod calibration_figures;
 mod detection;
+mod drawing;
 mod figures;
+mod html;
 mod precalibration;
 mod table;
 
@@ -10,6 +13,8 @@ pub use calibration::{
     calibrated_camera, calibration_json, calibration_text, termination_text,
     weakest_directions_text,
 };
+pub use calibration_figures::{array_residuals_figure, calibration_figures};
 pub use detection::{FrameRow, detection_text, features_figure};
 pub use figures::{micro_images_figure, radii_figure};
+pub use html::{Figure, HtmlReport, HtmlTable, Part, Section};
 pub use precalibration::{array_text, precalibration_text, types_text};

@@ -13,5 +13,6 @@ mod oracle;
 mod precalibration;
 mod r12a;
 mod recovery;
+mod report;
 mod simulation;
 mod support;
