@@ -8,22 +8,10 @@ use base64::engine::general_purpose::STANDARD;
 use image::{GrayImage, ImageFormat, Luma};
 use plotters::prelude::*;
 
+use super::drawing::{Area, FITTED, INK, TYPE_COLORS, drawing, font, quantile};
 use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::precalibration::{ArrayMeasurement, Precalibration};
-
-/// Colours of the lens types, after the paper: red, green, blue; readable on white and for the
-/// colour-blind by their lightness.
-const TYPE_COLORS: [RGBColor; 3] =
-    [RGBColor(200, 30, 30), RGBColor(40, 140, 60), RGBColor(30, 70, 200)];
-/// Text and lines.
-const INK: RGBColor = RGBColor(60, 60, 60);
-const FITTED: RGBColor = RGBColor(190, 0, 190);
-
-#[allow(clippy::needless_pass_by_value)] // as map_err has it
-fn drawing<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -> Error {
-    Error::invalid(format!("a figure could not be drawn: {error}"))
-}
 
 /// The paper's figure of radii: over 1/N with the fitted lines, and a histogram for each type at the
 /// f-number in the middle.
@@ -43,14 +31,12 @@ pub fn radii_figure(result: &Precalibration) -> Result<String> {
     Ok(svg)
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
-
 fn lines(area: &Area, result: &Precalibration) -> Result<()> {
     let radii = &result.radii;
     let largest_inverse = radii.iter().map(|r| 1.0 / r.f_number).fold(0.0, f64::max) * 1.05;
     let largest_radius = radii.iter().map(|r| r.radius_px).fold(0.0, f64::max) * 1.08;
     let mut chart = ChartBuilder::on(area)
-        .caption("Radii of micro-images", ("sans-serif", 18).into_font().color(&INK))
+        .caption("Radii of micro-images", font(18))
         .margin(8)
         .x_label_area_size(40)
         .y_label_area_size(52)
@@ -62,7 +48,7 @@ fn lines(area: &Area, result: &Precalibration) -> Result<()> {
         .axis_style(INK)
         .x_desc("1/N")
         .y_desc("radius, px")
-        .label_style(("sans-serif", 13).into_font().color(&INK))
+        .label_style(font(13))
         .draw()
         .map_err(drawing)?;
     for (lens_type, color) in TYPE_COLORS.into_iter().enumerate().take(result.lens_types.types) {
@@ -87,7 +73,7 @@ fn lines(area: &Area, result: &Precalibration) -> Result<()> {
         .configure_series_labels()
         .position(SeriesLabelPosition::LowerRight)
         .border_style(INK)
-        .label_font(("sans-serif", 13).into_font().color(&INK))
+        .label_font(font(13))
         .draw()
         .map_err(drawing)
 }
@@ -99,15 +85,11 @@ fn histogram(area: &Area, result: &Precalibration, lens_type: usize) -> Result<(
     let of_type: Vec<_> = result.radii.iter().filter(|r| r.lens_type == lens_type).collect();
     let Some(shown) = of_type.get(of_type.len() / 2) else { return Ok(()) };
     let mut sorted = shown.single_px.clone();
-    sorted.sort_by(f64::total_cmp);
     // A few outliers may not hide the rest.
-    let at = |part: f64| {
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a position
-        let i = (part * (sorted.len() as f64 - 1.0)).round() as usize;
-        sorted.get(i).copied().unwrap_or_default()
-    };
-    let width = ((at(0.98) - at(0.02)) * 1.2).max(0.05);
-    let low = f64::midpoint(at(0.02), at(0.98)) - width / 2.0;
+    let mut at = |part: f64| quantile(&mut sorted, part).unwrap_or_default();
+    let (first, last) = (at(0.02), at(0.98));
+    let width = ((last - first) * 1.2).max(0.05);
+    let low = f64::midpoint(first, last) - width / 2.0;
     let bin_width = width / f64::from(BINS);
     let mut counts = [0_u32; BINS as usize];
     for radius in &sorted {
@@ -120,7 +102,7 @@ fn histogram(area: &Area, result: &Precalibration, lens_type: usize) -> Result<(
     let highest = counts.iter().max().copied().unwrap_or(1).max(1);
     let title = format!("type {} at f/{:.2}", lens_type + 1, shown.f_number);
     let mut chart = ChartBuilder::on(area)
-        .caption(title, ("sans-serif", 15).into_font().color(&INK))
+        .caption(title, font(15))
         .margin(8)
         .x_label_area_size(38)
         .y_label_area_size(40)
@@ -133,7 +115,7 @@ fn histogram(area: &Area, result: &Precalibration, lens_type: usize) -> Result<(
         .x_labels(4)
         .x_desc("radius, px")
         .y_desc("micro-images")
-        .label_style(("sans-serif", 12).into_font().color(&INK))
+        .label_style(font(12))
         .draw()
         .map_err(drawing)?;
     let bars = (0..BINS).zip(counts).map(|(i, count)| {

@@ -1,7 +1,9 @@
 //! Results for people (tables, words, pictures) and for machines (JSON).
 
 mod calibration;
+mod calibration_figures;
 mod detection;
+mod drawing;
 mod evaluation;
 mod figures;
 mod html;
@@ -13,14 +15,13 @@ pub use calibration::{
     calibrated_camera, calibration_json, calibration_text, termination_text,
     weakest_directions_text,
 };
+pub use calibration_figures::{array_residuals_figure, calibration_figures};
 pub use detection::{FrameRow, detection_text, features_figure};
 pub use evaluation::{
     cameras_table, evaluation_json, evaluation_tables, folds_tables, pose_errors_table, truth_table,
 };
 pub use figures::{micro_images_figure, radii_figure};
-pub use html::{
-    Figure, HtmlReport, HtmlTable, Part, Section, array_residuals_figure, calibration_figures,
-};
+pub use html::{Figure, HtmlReport, HtmlTable, Part, Section};
 pub use precalibration::{array_text, precalibration_text, types_text};
 pub use sections::{
     calibration_section, detection_section, precalibration_section, tables_section,

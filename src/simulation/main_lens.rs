@@ -26,9 +26,7 @@ impl Ray {
 
 #[derive(Debug, Clone)]
 pub(super) struct ThinMainLens {
-    focal_length: f64,
-    radial: [f64; 3],
-    tangential: [f64; 2],
+    lens: MainLens,
     distorts: bool,
 }
 
@@ -52,39 +50,22 @@ const NEWTON_STEPS: usize = 4;
 impl ThinMainLens {
     pub fn new(lens: &MainLens) -> Self {
         let distorts = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
-        Self {
-            focal_length: lens.focal_length_mm,
-            radial: lens.radial,
-            tangential: lens.tangential,
-            distorts,
-        }
+        Self { lens: *lens, distorts }
     }
 
     /// Where all rays of an object point meet behind the lens; `None` for points not beyond F.
     pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
-        if point.z <= self.focal_length {
+        if point.z <= self.lens.focal_length_mm {
             return None;
         }
-        let magnification = -self.focal_length / (point.z - self.focal_length);
+        let magnification = -self.lens.focal_length_mm / (point.z - self.lens.focal_length_mm);
         let ideal = point.xy().coords * magnification;
-        Some(Point3::from((ideal + self.distortion(ideal)).push(point.z * magnification)))
-    }
-
-    /// Shift of an ideal image point by distortion (Brown-Conrady, in mm; paper, section 2.1).
-    #[inline]
-    fn distortion(&self, x: Vector2<f64>) -> Vector2<f64> {
-        let [q1, q2, q3] = self.radial;
-        let [p1, p2] = self.tangential;
-        let r2 = x.norm_squared();
-        let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
-        let across = p1 * x.x + p2 * x.y;
-        // P1 (r² + 2x²) + 2 P2 x y = P1 r² + 2x (P1 x + P2 y), and the same along y.
-        x * (radial + 2.0 * across) + Vector2::new(p1, p2) * r2
+        Some(Point3::from((ideal + self.lens.distortion_mm(ideal)).push(point.z * magnification)))
     }
 
     fn distortion_jacobian(&self, x: Vector2<f64>) -> Matrix2<f64> {
-        let [q1, q2, q3] = self.radial;
-        let p = Vector2::from(self.tangential);
+        let [q1, q2, q3] = self.lens.radial;
+        let p = Vector2::from(self.lens.tangential);
         let r2 = x.norm_squared();
         let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
         let growth = 2.0 * ((3.0 * q3 * r2 + 2.0 * q2) * r2 + q1);
@@ -99,7 +80,7 @@ impl ThinMainLens {
         (1..=FOLD_STEPS).map(|step| f64::from(step) / f64::from(FOLD_STEPS)).find(|&part| {
             let local = self.about(distorted * part);
             let ideal = local.undistorted;
-            let miss = ideal + self.distortion(ideal) - local.distorted;
+            let miss = ideal + self.lens.distortion_mm(ideal) - local.distorted;
             let jacobian = Matrix2::identity() + self.distortion_jacobian(ideal);
             // A fold turns one direction round; the negated test takes NaN for one too.
             !(miss.norm() < FOUND_MM && jacobian.determinant() > 0.0 && jacobian.trace() > 0.0)
@@ -112,7 +93,7 @@ impl ThinMainLens {
         let mut inverse = Matrix2::identity();
         if self.distorts {
             for _ in 0..NEWTON_STEPS {
-                let miss = undistorted + self.distortion(undistorted) - distorted;
+                let miss = undistorted + self.lens.distortion_mm(undistorted) - distorted;
                 let jacobian = Matrix2::identity() + self.distortion_jacobian(undistorted);
                 inverse = jacobian.try_inverse().unwrap_or_else(Matrix2::identity);
                 undistorted -= inverse * miss;
@@ -132,10 +113,10 @@ impl ThinMainLens {
         if self.distorts {
             let target = ray.at(image_z);
             let near = local.undistorted + local.inverse * (target - local.distorted);
-            let ideal = near - local.inverse * (near + self.distortion(near) - target);
+            let ideal = near - local.inverse * (near + self.lens.distortion_mm(near) - target);
             slope = (ideal - ray.at_lens) / image_z;
         }
-        Ray { at_lens: ray.at_lens, slope: slope - ray.at_lens / self.focal_length }
+        Ray { at_lens: ray.at_lens, slope: slope - ray.at_lens / self.lens.focal_length_mm }
     }
 }
 
@@ -177,7 +158,7 @@ mod tests {
             tangential: [1e-2, 1e-3],
             setting: None,
         });
-        let shift = lens.distortion(Vector2::new(1.0, 2.0));
+        let shift = lens.lens.distortion_mm(Vector2::new(1.0, 2.0));
         let radial = 5e-3 + 25e-4 + 125e-5;
         let expected = Vector2::new(
             radial + 1e-2 * (5.0 + 2.0) + 2.0 * 1e-3 * 2.0,
@@ -192,7 +173,8 @@ mod tests {
         for (axis, column) in
             [Vector2::x(), Vector2::y()].into_iter().zip(lens.distortion_jacobian(x).column_iter())
         {
-            let difference = lens.distortion(x + axis * step) - lens.distortion(x - axis * step);
+            let difference =
+                lens.lens.distortion_mm(x + axis * step) - lens.lens.distortion_mm(x - axis * step);
             assert!((difference / (2.0 * step) - column).norm() < 1e-9);
         }
     }

@@ -15,5 +15,6 @@ mod oracle;
 mod precalibration;
 mod r12a;
 mod recovery;
+mod report;
 mod simulation;
 mod support;

@@ -1,0 +1,99 @@
+//! Correlations of the intrinsic parameters.
+
+use nalgebra::Vector2;
+
+use super::figure;
+use crate::calibration::Calibration;
+use crate::camera::intrinsic_parameters;
+use crate::error::Result;
+use crate::report::drawing::{Anchor, BLUE, INK, ON_COLOR, ORANGE, Overlay, picture};
+use crate::report::html::Figure;
+
+/// Correlations beyond this have their value written.
+const STRONG: f64 = 0.9;
+/// Edge of a cell, px, and room at the upper left for names.
+const CELL: f64 = 36.0;
+const NAMES: f64 = 86.0;
+
+pub(super) fn correlations(calibration: &Calibration) -> Result<Option<Figure>> {
+    let uncertainty = &calibration.uncertainty;
+    let parameters = intrinsic_parameters(calibration.camera.lens_types());
+    let names: Vec<&str> =
+        uncertainty.free_intrinsics.iter().map(|&i| parameters[i].name.as_str()).collect();
+    if names.len() < 2 {
+        return Ok(None);
+    }
+    let matrix = uncertainty.intrinsic_correlations();
+    let edge = NAMES + CELL * names.len() as f64;
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // of a picture
+    let size = ((edge + 110.0) as u32, (edge + 16.0).max(230.0) as u32);
+    let svg = picture(size, |_, overlay| {
+        for (row, name) in names.iter().enumerate() {
+            let middle = NAMES + (row as f64 + 0.5) * CELL;
+            let known = uncertainty.determined.get(row).copied().unwrap_or(true);
+            let name = if known { (*name).to_owned() } else { format!("{name} ?") };
+            overlay.text(Vector2::new(NAMES - 8.0, middle), Anchor::End, 14.0, &name);
+            overlay.upward_text(Vector2::new(middle, NAMES - 8.0), Anchor::Start, 14.0, &name);
+            for column in 0..names.len() {
+                let value = matrix[(row, column)];
+                let value = if value.is_finite() { value.clamp(-1.0, 1.0) } else { 0.0 };
+                cell(row, column, value, overlay);
+            }
+        }
+        grid(names.len(), overlay);
+        scale(edge + 28.0, overlay);
+        Ok(())
+    })?;
+    let mut caption = format!(
+        "Correlations of the free intrinsic parameters; those beyond ±{STRONG} have their value in \
+         hundredths. A strong correlation says that the observations tell only a combination of the \
+         two well."
+    );
+    if uncertainty.determined[..names.len()].contains(&false) {
+        caption.push_str(" A question mark stands for parameters that are not determined at all.");
+    }
+    Ok(Some(figure("correlations", caption, svg)))
+}
+
+fn cell(row: usize, column: usize, value: f64, overlay: &mut Overlay) {
+    let corner = Vector2::new(NAMES + CELL * column as f64, NAMES + CELL * row as f64);
+    if row == column {
+        // Each with itself says nothing.
+        overlay.rectangle(corner, Vector2::repeat(CELL), INK, 0.25);
+        return;
+    }
+    overlay.rectangle(corner, Vector2::repeat(CELL), sign_color(value), value.abs());
+    if value.abs() > STRONG {
+        let words = format!("{:+.0}", 100.0 * value);
+        let middle = corner + Vector2::repeat(CELL / 2.0);
+        overlay.colored_text(middle, Anchor::Middle, 13.0, ON_COLOR, &words);
+    }
+}
+
+fn sign_color(value: f64) -> plotters::style::RGBColor {
+    if value < 0.0 { ORANGE } else { BLUE }
+}
+
+fn grid(count: usize, overlay: &mut Overlay) {
+    let far = NAMES + CELL * count as f64;
+    for i in 0..=count {
+        let at = NAMES + CELL * i as f64;
+        overlay.line(&[Vector2::new(NAMES, at), Vector2::new(far, at)], INK, 0.3);
+        overlay.line(&[Vector2::new(at, NAMES), Vector2::new(at, far)], INK, 0.3);
+    }
+}
+
+/// The colours and what they mean.
+fn scale(left: f64, overlay: &mut Overlay) {
+    const STEPS: u32 = 20;
+    const STEP: f64 = 6.0;
+    for i in 0..STEPS {
+        let value = 1.0 - 2.0 * (f64::from(i) + 0.5) / f64::from(STEPS);
+        let corner = Vector2::new(left, NAMES + STEP * f64::from(i));
+        overlay.rectangle(corner, Vector2::new(18.0, STEP), sign_color(value), value.abs());
+    }
+    for (value, words) in [(1.0, "+1"), (0.0, "0"), (-1.0, "−1")] {
+        let at = NAMES + STEP * f64::from(STEPS) * (1.0 - value) / 2.0;
+        overlay.text(Vector2::new(left + 26.0, at), Anchor::Start, 13.0, words);
+    }
+}

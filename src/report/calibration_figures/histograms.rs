@@ -1,0 +1,144 @@
+//! Residuals as histograms with the normal curve that they should follow.
+
+use nalgebra::Vector2;
+use plotters::prelude::*;
+
+use super::figure;
+use crate::calibration::{Calibration, Loss};
+use crate::error::Result;
+use crate::report::drawing::{
+    Anchor, Area, BLUE, FITTED, INK, Overlay, Plane, axis_number, drawing, font, picture, quantile,
+};
+use crate::report::html::Figure;
+
+const BINS: usize = 40;
+/// Residuals beyond so many standard deviations are counted, not drawn.
+const SHOWN_STD_DEVS: f64 = 4.5;
+/// The narrowest range shown, px.
+const NARROWEST: f64 = 1e-9;
+const CURVE_POINTS: u32 = 120;
+
+struct Panel {
+    name: &'static str,
+    values: Vec<f64>,
+    std_dev: f64,
+}
+
+pub(super) fn residual_histograms(calibration: &Calibration) -> Result<Option<Figure>> {
+    let (features, centers) =
+        (&calibration.reprojection.features, &calibration.reprojection.centers);
+    let [uv, rho, of_centers] = calibration.uncertainty.residual_std_dev_px;
+    let panel = |name, values: Vec<f64>, std_dev| Panel {
+        name,
+        values: values.into_iter().filter(|v| v.is_finite()).collect(),
+        std_dev,
+    };
+    let mut panels = vec![
+        panel("u", features.iter().map(|f| f.du_px).collect(), uv),
+        panel("v", features.iter().map(|f| f.dv_px).collect(), uv),
+        panel("ρ", features.iter().filter_map(|f| f.drho_px).collect(), rho),
+        panel(
+            "centres, u and v",
+            centers.iter().flat_map(|c| [c.du_px, c.dv_px]).collect(),
+            of_centers,
+        ),
+    ];
+    panels.retain(|panel| !panel.values.is_empty());
+    if panels.is_empty() {
+        return Ok(None);
+    }
+    let rows = panels.len().div_ceil(2);
+    #[allow(clippy::cast_possible_truncation)] // two rows at most
+    let height = 300 * rows as u32;
+    let svg = picture((900, height), |root, overlay| {
+        let areas = root.split_evenly((rows, panels.len().min(2)));
+        panels.iter().zip(&areas).try_for_each(|(panel, area)| histogram(area, panel, overlay))
+    })?;
+    let spread = if calibration.options.cost.loss == Loss::None {
+        "the measured standard deviation"
+    } else {
+        "the standard deviation after weighting by the loss"
+    };
+    let caption = format!(
+        "Residuals with the normal curve of {spread}. Bars that stand beside the curve, or far out, \
+         are errors other than noise: false observations, or something that the model lacks."
+    );
+    Ok(Some(figure("residual-histograms", caption, svg)))
+}
+
+fn histogram(area: &Area, panel: &Panel, overlay: &mut Overlay) -> Result<()> {
+    let mut sizes: Vec<f64> = panel.values.iter().map(|v| v.abs()).collect();
+    let most = quantile(&mut sizes, 0.98).unwrap_or(0.0);
+    let has_curve = panel.std_dev.is_finite() && panel.std_dev > 0.0;
+    let std_dev = if has_curve { panel.std_dev } else { 0.0 };
+    // Under a robust loss the standard deviation may be much below the spread.
+    let half = (SHOWN_STD_DEVS * std_dev).max(1.2 * most).max(NARROWEST);
+    let bin_width = 2.0 * half / BINS as f64;
+    let mut counts = [0_u32; BINS];
+    let mut beyond = 0;
+    for value in &panel.values {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // negative is beyond
+        match ((value + half) / bin_width).floor() {
+            bin if (0.0..BINS as f64).contains(&bin) => counts[bin as usize] += 1,
+            _ => beyond += 1,
+        }
+    }
+    let drawn = panel.values.len() as f64;
+    let normal = |x: f64| {
+        let z = x / std_dev;
+        drawn * bin_width / std_dev / (2.0 * std::f64::consts::PI).sqrt() * (-z * z / 2.0).exp()
+    };
+    let highest = f64::from(counts.iter().copied().max().unwrap_or(1));
+    let highest =
+        1.08 * if has_curve { highest.max(normal(0.0).min(2.0 * highest)) } else { highest };
+
+    let area = area.margin(34, 6, 8, 16);
+    let mut chart = ChartBuilder::on(&area)
+        .x_label_area_size(42)
+        .y_label_area_size(56)
+        .build_cartesian_2d(-half..half, 0.0..highest)
+        .map_err(drawing)?;
+    chart
+        .configure_mesh()
+        .disable_mesh()
+        .axis_style(INK)
+        .x_labels(7)
+        .y_labels(5)
+        .x_label_formatter(&|x| axis_number(*x))
+        .y_label_formatter(&|y| axis_number(*y))
+        .x_desc("residual, px")
+        .y_desc("number")
+        .label_style(font(13))
+        .draw()
+        .map_err(drawing)?;
+    let plane = Plane::of_chart(
+        chart.plotting_area().get_pixel_range(),
+        Vector2::new(-half, 0.0),
+        Vector2::new(half, highest),
+    );
+    for (bin, &count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
+        let corner = plane.place(-half + bin as f64 * bin_width, f64::from(count));
+        let size = Vector2::new(bin_width, f64::from(count)).component_mul(&plane.scale).abs();
+        overlay.rectangle(corner, size - Vector2::new(1.0, 0.0), BLUE, 0.75);
+    }
+    let mut title = format!("{}: {} residuals", panel.name, panel.values.len());
+    if has_curve {
+        let points: Vec<_> = (0..=CURVE_POINTS)
+            .map(|i| -half + 2.0 * half * f64::from(i) / f64::from(CURVE_POINTS))
+            .map(|x| plane.place(x, normal(x).min(highest)))
+            .collect();
+        overlay.line(&points, FITTED, 2.0);
+        title = format!("{title}, σ {} px", short(panel.std_dev));
+    }
+    if beyond > 0 {
+        title = format!("{title}, {beyond} beyond");
+    }
+    let above = plane.place(-half, highest) - Vector2::new(0.0, 17.0);
+    overlay.text(above, Anchor::Start, 14.0, &title);
+    Ok(())
+}
+
+/// A standard deviation in px with the digits that matter.
+fn short(value: f64) -> String {
+    if value >= 1e-3 { format!("{value:.4}") } else { format!("{value:.1e}") }
+}
