@@ -1,6 +1,7 @@
 //! The calibration as one stage: from observations to a refined camera (paper, section 5.3).
 
 use nalgebra::Isometry3;
+use tracing::{debug, info};
 
 use crate::bridge::{self, Problem};
 use crate::calibration::checks::{
@@ -19,6 +20,7 @@ use crate::error::{Error, Result};
 use crate::evaluation::{CenterResidual, Reprojection};
 use crate::observations::{MicroImageCenter, Observations};
 use crate::precalibration::{MicroImageArray, fit_grid};
+use crate::records::Stage;
 
 /// The minimum counts as reached when one more Gauss-Newton step would gain less than this part of
 /// the cost. A parameter n standard deviations from its place adds n² s²/2 to the cost, s² being the
@@ -41,6 +43,14 @@ pub fn calibrate(
     options: &CalibrationOptions,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Calibration> {
+    let _stage = Stage::begin("calibration");
+    let progress = &mut |iteration: &Iteration| {
+        let Iteration { number, cost, gradient_max_norm, step_norm, .. } = iteration;
+        debug!(
+            "iteration {number}: cost {cost:.9}, gradient {gradient_max_norm:.3e}, step {step_norm:.3e}"
+        );
+        progress(iteration)
+    };
     let mut warnings = Vec::new();
     let start = start.for_mode(options.mode);
     start.validate()?;
@@ -71,6 +81,13 @@ pub fn calibrate(
     }
     frames.left_out.extend(excluded);
 
+    info!(
+        "{} features of {} frames, {} left out; {} centres",
+        frames.features.len(),
+        frames.poses.len(),
+        frames.left_out.len(),
+        observations.centers.len()
+    );
     let features = solver_features(&frames.features, &frames.poses, board);
     let start_poses: Vec<Isometry3<f64>> =
         frames.poses.iter().map(|p| p.camera_from_board).collect();
@@ -90,7 +107,18 @@ pub fn calibrate(
     let refinement = refine(&problem, board, &frames, &cost, options, progress)?;
 
     let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
+    info!(
+        "cost {:.6} (at the start {:.6}) after {} iterations in {:.3} s",
+        refinement.cost,
+        refinement.initial_cost,
+        refinement.iterations.len().saturating_sub(1),
+        refinement.time_s
+    );
     let uncertainty = bridge::uncertainty(&refined, &cost)?;
+    debug!(
+        "a further step would lower the cost by {:.3e}; rank {} of the information",
+        uncertainty.expected_decrease, uncertainty.rank
+    );
     let reprojection = Reprojection {
         features: feature_residuals(&refined, &frames.features)?,
         centers: center_residuals(&refined)?,
@@ -151,6 +179,7 @@ fn refine(
         else {
             break;
         };
+        info!("boards that may lean the other way are reconsidered");
         let done = refinement.iterations.len().saturating_sub(1);
         let max_iterations = options.solver.max_iterations.saturating_sub(done);
         if max_iterations == 0 {

@@ -106,7 +106,8 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
             "there are no images in this folder: give one with PNG, TIFF, BMP, PGM or JPEG files",
         ));
     }
-    let below = |path: &Path| path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
+    let below =
+        |path: &Path| path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
     files.sort_by(|a, b| natural_order(&below(a), &below(b)));
     let mut sorted = SortedImages::default();
     for path in files {
@@ -130,11 +131,7 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
     Ok(sorted)
 }
 
-fn images_in(
-    folder: &Path,
-    seen: &mut HashSet<PathBuf>,
-    images: &mut Vec<PathBuf>,
-) -> Result<()> {
+fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBuf>) -> Result<()> {
     let unreadable = |source| Error::Read { path: folder.to_owned(), source };
     // Links may lead back.
     if !seen.insert(fs::canonicalize(folder).map_err(unreadable)?) {
@@ -215,7 +212,8 @@ fn clear_kind(part: &str) -> Option<Kind> {
 }
 
 fn unclear_kind(part: &str) -> Option<Kind> {
-    let board = |word: &str| ["board", "check", "chess"].iter().any(|start| word.starts_with(start));
+    let board =
+        |word: &str| ["board", "check", "chess"].iter().any(|start| word.starts_with(start));
     words(part).any(board).then_some(Kind::Calibration)
 }
 
@@ -296,7 +294,8 @@ impl SortedImages {
 fn format_of(path: &Path) -> Result<(u32, u32, Color)> {
     let unreadable = |source| Error::Read { path: path.to_owned(), source };
     let file = fs::File::open(path).map_err(unreadable)?;
-    let reader = ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(unreadable)?;
+    let reader =
+        ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(unreadable)?;
     let decoder = reader
         .into_decoder()
         .map_err(|e| Error::content(path, format!("this image cannot be read: {e}")))?;

@@ -183,7 +183,12 @@ impl ProjectDraft<'_> {
         draft.value("board", "columns", columns, "inner corners along a row");
         let rows = board.map(|b| b.rows.to_string());
         draft.value("board", "rows", rows, "inner corners along a column");
-        draft.value("board", "square_mm", board.map(|b| b.square_mm.to_string()), "edge of a square");
+        draft.value(
+            "board",
+            "square_mm",
+            board.map(|b| b.square_mm.to_string()),
+            "edge of a square",
+        );
     }
 
     fn image_lists(&self, draft: &mut DraftText, folder: &Path) -> Result<()> {
