@@ -44,13 +44,6 @@ pub fn calibrate(
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Calibration> {
     let _stage = Stage::begin("calibration");
-    let progress = &mut |iteration: &Iteration| {
-        let Iteration { number, cost, gradient_max_norm, step_norm, .. } = iteration;
-        debug!(
-            "iteration {number}: cost {cost:.9}, gradient {gradient_max_norm:.3e}, step {step_norm:.3e}"
-        );
-        progress(iteration)
-    };
     let mut warnings = Vec::new();
     let start = start.for_mode(options.mode);
     start.validate()?;
@@ -81,13 +74,6 @@ pub fn calibrate(
     }
     frames.left_out.extend(excluded);
 
-    info!(
-        "{} features of {} frames, {} left out; {} centres",
-        frames.features.len(),
-        frames.poses.len(),
-        frames.left_out.len(),
-        observations.centers.len()
-    );
     let features = solver_features(&frames.features, &frames.poses, board);
     let start_poses: Vec<Isometry3<f64>> =
         frames.poses.iter().map(|p| p.camera_from_board).collect();
@@ -107,13 +93,6 @@ pub fn calibrate(
     let refinement = refine(&problem, board, &frames, &cost, options, progress)?;
 
     let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
-    info!(
-        "cost {:.6} (at the start {:.6}) after {} iterations in {:.3} s",
-        refinement.cost,
-        refinement.initial_cost,
-        refinement.iterations.len().saturating_sub(1),
-        refinement.time_s
-    );
     let uncertainty = bridge::uncertainty(&refined, &cost)?;
     debug!(
         "a further step would lower the cost by {:.3e}; rank {} of the information",
@@ -166,6 +145,20 @@ fn refine(
     options: &CalibrationOptions,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Refinement> {
+    info!(
+        "{} features of {} frames, {} left out; {} centres",
+        problem.features.len(),
+        problem.poses.len(),
+        frames.left_out.len(),
+        problem.centers.len()
+    );
+    let progress = &mut |iteration: &Iteration| {
+        let Iteration { number, cost, gradient_max_norm, step_norm, .. } = iteration;
+        debug!(
+            "iteration {number}: cost {cost:.9}, gradient {gradient_max_norm:.3e}, step {step_norm:.3e}"
+        );
+        progress(iteration)
+    };
     let mut refinement = bridge::refine(problem, cost, &options.solver, progress)?;
     check_refined(&refinement)?;
     for _ in 0..MAX_RECONSIDERATIONS {
@@ -195,6 +188,13 @@ fn refine(
             _ => break,
         }
     }
+    info!(
+        "cost {:.6} (at the start {:.6}) after {} iterations in {:.3} s",
+        refinement.cost,
+        refinement.initial_cost,
+        refinement.iterations.len().saturating_sub(1),
+        refinement.time_s
+    );
     Ok(refinement)
 }
 

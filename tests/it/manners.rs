@@ -60,6 +60,12 @@ fn completions_of_every_shell() {
             .success()
             .stdout(predicate::str::contains("precalibrate"));
     }
+    if let (true, Ok(full)) = (cfg!(target_os = "linux"), fs::File::create("/dev/full")) {
+        let mut command = Command::new(assert_cmd::cargo::cargo_bin("plenocal"));
+        let output = command.args(["completions", "bash"]).stdout(full).output().unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        assert!(String::from_utf8_lossy(&output.stderr).contains("cannot write standard output"));
+    }
     plenocal().args(["completions", "cmd"]).assert().code(2);
     let folder = TempDir::new().unwrap();
     let script = folder.path().join("plenocal.bash");
