@@ -92,5 +92,6 @@ pub mod simulation;
 pub mod synthetic;
 
 mod bridge;
+mod records;
 
 pub use error::{Error, Result};

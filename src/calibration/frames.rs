@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Isometry3;
+use tracing::debug;
 
 use crate::bridge::{self, Problem, SolverFeature};
 use crate::calibration::{CostOptions, FramePose, LeftOut, SolverOptions, initial_poses};
@@ -97,6 +98,9 @@ pub(super) fn reconsidered_poses(
     let chosen = choose(camera, board, &candidates, &frames.features, cost, solver)?;
     if chosen.iter().all(|&i| i == 0) {
         return Ok(None);
+    }
+    for ((frame, _), _) in candidates.iter().zip(&chosen).filter(|&(_, &i)| i > 0) {
+        debug!("frame {frame} fits better with another pose");
     }
     let pose = |((frame, poses), i): (&(u32, Vec<Isometry3<f64>>), usize)| FramePose {
         frame: *frame,

@@ -1,6 +1,7 @@
 //! The calibration as one stage: from observations to a refined camera (paper, section 5.3).
 
 use nalgebra::Isometry3;
+use tracing::{debug, info};
 
 use crate::bridge::{self, Problem};
 use crate::calibration::checks::{
@@ -19,6 +20,7 @@ use crate::error::{Error, Result};
 use crate::evaluation::{CenterResidual, Reprojection};
 use crate::observations::{MicroImageCenter, Observations};
 use crate::precalibration::{MicroImageArray, fit_grid};
+use crate::records::Stage;
 
 /// The minimum counts as reached when one more Gauss-Newton step would gain less than this part of
 /// the cost. A parameter n standard deviations from its place adds n² s²/2 to the cost, s² being the
@@ -41,6 +43,7 @@ pub fn calibrate(
     options: &CalibrationOptions,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Calibration> {
+    let _stage = Stage::begin("calibration");
     let mut warnings = Vec::new();
     let start = start.for_mode(options.mode);
     start.validate()?;
@@ -85,6 +88,10 @@ pub fn calibrate(
 
     let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
     let uncertainty = bridge::uncertainty(&refined, &cost)?;
+    debug!(
+        "a further step would lower the cost by {:.3e}; rank {} of the information",
+        uncertainty.expected_decrease, uncertainty.rank
+    );
     let reprojection = Reprojection {
         features: feature_residuals(&refined, &frames.features)?,
         centers: center_residuals(&refined)?,
@@ -143,6 +150,20 @@ fn refine(
     options: &CalibrationOptions,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Refinement> {
+    info!(
+        "{} features of {} frames, {} left out; {} centres",
+        problem.features.len(),
+        problem.poses.len(),
+        frames.left_out.len(),
+        problem.centers.len()
+    );
+    let progress = &mut |iteration: &Iteration| {
+        let Iteration { number, cost, gradient_max_norm, step_norm, .. } = iteration;
+        debug!(
+            "iteration {number}: cost {cost:.9}, gradient {gradient_max_norm:.3e}, step {step_norm:.3e}"
+        );
+        progress(iteration)
+    };
     let mut refinement = bridge::refine(problem, cost, &options.solver, progress)?;
     check_refined(&refinement)?;
     for _ in 0..MAX_RECONSIDERATIONS {
@@ -156,6 +177,7 @@ fn refine(
         else {
             break;
         };
+        info!("boards that may lean the other way are reconsidered");
         let done = refinement.iterations.len().saturating_sub(1);
         let max_iterations = options.solver.max_iterations.saturating_sub(done);
         if max_iterations == 0 {
@@ -171,6 +193,13 @@ fn refine(
             _ => break,
         }
     }
+    info!(
+        "cost {:.6} (at the start {:.6}) after {} iterations in {:.3} s",
+        refinement.cost,
+        refinement.initial_cost,
+        refinement.iterations.len().saturating_sub(1),
+        refinement.time_s
+    );
     Ok(refinement)
 }
 

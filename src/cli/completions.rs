@@ -1,6 +1,5 @@
 //! `plenocal completions`: scripts that complete command lines in a shell.
 
-use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Args, CommandFactory};
@@ -22,10 +21,9 @@ Examples:
   plenocal completions fish > ~/.config/fish/completions/plenocal.fish";
 
 /// Runs the command.
-#[allow(clippy::unnecessary_wraps)] // as all commands
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut super::Cli::command(), "plenocal", &mut script);
-    let _ = std::io::stdout().write_all(&script);
+    super::print(&script)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -143,7 +143,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let drafted = draft.text(folder)?;
     output.stage(name, |file| file.write_all(drafted.text.as_bytes()))?;
     output.commit()?;
-    let text = summary(&draft, &drafted, out);
+    let text = summary(&draft, &drafted, arguments.color.is_some(), out);
     let _ = std::io::stdout().write_all(text.as_bytes());
     Ok(ExitCode::SUCCESS)
 }
@@ -170,7 +170,7 @@ fn found_color(images: &SortedImages, format: Option<CommonFormat>) -> Result<Op
     Ok(None)
 }
 
-fn summary(draft: &ProjectDraft, drafted: &DraftText, out: &Path) -> String {
+fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out: &Path) -> String {
     let images = draft.images;
     let mut text = format!("{}:\n", out.display());
     for (count, what) in [
@@ -202,6 +202,17 @@ fn summary(draft: &ProjectDraft, drafted: &DraftText, out: &Path) -> String {
                 format.width_px, format.height_px
             );
         }
+    }
+    if let (Some(color), false) = (draft.color, color_is_stated) {
+        let _ = writeln!(
+            text,
+            "\nThe images are taken as {}: {}.",
+            color.name(),
+            match color {
+                Color::Grey => "one channel, and a white image shows no mosaic",
+                _ => "their files have three channels",
+            }
+        );
     }
     for (none, what) in [
         (images.whites.is_empty(), "white images, which the pre-calibration needs"),

@@ -43,7 +43,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
 fn page(command: Command, out: &mut dyn Write) -> io::Result<()> {
     let after_help = command.get_after_help().map(ToString::to_string);
     let has_commands = command.has_subcommands();
-    let man = Man::new(command);
+    let source = concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION"));
+    let man = Man::new(command).source(source);
     man.render_title(out)?;
     man.render_name_section(out)?;
     man.render_synopsis_section(out)?;

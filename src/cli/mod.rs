@@ -17,9 +17,11 @@ mod progress;
 mod run;
 mod simulate;
 
+use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use plenocal::{Error, Result};
 
 /// Calibrates multi-focus plenoptic (light-field) cameras.
 ///
@@ -70,6 +72,17 @@ Exit status:
   2    the command line was not understood
   3    not converged: results were written, marked as such
   130  interrupted (Ctrl-C, SIGTERM, SIGHUP): nothing half-written is left";
+
+/// Prints what a command is asked for. A reader that has gone away (a closed pipe) is no failure.
+fn print(text: &[u8]) -> Result<()> {
+    let mut stdout = std::io::stdout();
+    match stdout.write_all(text).and_then(|()| stdout.flush()) {
+        Err(source) if source.kind() != ErrorKind::BrokenPipe => {
+            Err(Error::Write { path: "standard output".into(), source })
+        }
+        _ => Ok(()),
+    }
+}
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {

@@ -81,7 +81,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let begun = Instant::now();
     let settings = settings(arguments)?;
     if arguments.print {
-        let _ = std::io::stdout().write_all(io::settings_text(&settings)?.as_bytes());
+        super::print(io::settings_text(&settings)?.as_bytes())?;
         return Ok(ExitCode::SUCCESS);
     }
     let Some(out) = &arguments.out else {

@@ -1,7 +1,10 @@
 //! The features of one frame.
 
+use std::time::Instant;
+
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
+use tracing::{debug, info, trace};
 
 use super::board::{LatticePoint, TiedBoard};
 use super::corner::{Corner, Free, Spread, saddles};
@@ -144,7 +147,18 @@ pub fn detect_frame(
         let why = format!("it has {a} x {b} px, but the white image {c} x {d}");
         return (Err(why), counts);
     }
+    let begun = Instant::now();
     let result = Frame { frame, image, white, search }.detect(&mut counts);
+    match &result {
+        Ok(detection) => info!(
+            "frame {frame}: {} features of {} board corners in {:.3} s",
+            detection.features.len(),
+            counts.board_corners,
+            begun.elapsed().as_secs_f64()
+        ),
+        Err(why) => info!("frame {frame}: left out, {why}"),
+    }
+    debug!("frame {frame}: {counts:?}");
     (result, counts)
 }
 
@@ -177,6 +191,7 @@ impl Frame<'_> {
                 squares: group.members.iter().map(|&i| sights[i].squares).sum(),
             })
             .collect();
+        trace!("frame {}: contrast {contrast:.3}, {} lines", self.frame, groups.len());
         let margin = MARGIN * search.micro_images.grid.pitch_px;
         let tied = TiedBoard::tie(&points, search.board, search.sensor, margin)?;
         let targets: Vec<Target> = groups

@@ -13,6 +13,7 @@ use crate::camera::InternalParameters;
 use crate::error::Result;
 use crate::noise::NoiseSource;
 use crate::observations::{BapFeature, MicroImageCenter};
+use crate::records::Stage;
 use crate::simulation::{DataSet, Settings, Shot, Subset, Tracer, TrueCenter, TrueFeature};
 
 /// How far the writing of a data set has come.
@@ -41,6 +42,7 @@ pub fn stage_data_set(
     data_set: &DataSet,
     progress: &dyn DataSetProgress,
 ) -> Result<()> {
+    let _stage = Stage::begin("simulation");
     let project = project_text(settings, data_set);
     output.stage("project.toml", |out| out.write_all(project.as_bytes()))?;
     let text = settings_text(settings)?;

@@ -3,10 +3,12 @@
 use std::borrow::Cow;
 use std::io::{self, BufReader, Write};
 use std::path::Path;
+use std::time::Instant;
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageReader};
+use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageReader};
 
+use super::record_read;
 use crate::error::{Error, Result};
 use crate::image::{Color, RawImage, Samples};
 
@@ -15,11 +17,13 @@ use crate::image::{Color, RawImage, Samples};
 /// `color` says what the samples stand for; without it grey or RGB, as the file has them. A file of
 /// three channels cannot be a colour mosaic, and one of a single channel cannot be RGB.
 pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
-    let file = std::fs::File::open(path)
-        .map_err(|source| Error::Read { path: path.to_owned(), source })?;
+    let begun = Instant::now();
+    let unreadable = |source| Error::Read { path: path.to_owned(), source };
+    let file = std::fs::File::open(path).map_err(unreadable)?;
+    let bytes = file.metadata().map_err(unreadable)?.len();
     let decoded = ImageReader::new(BufReader::new(file))
         .with_guessed_format()
-        .map_err(|source| Error::Read { path: path.to_owned(), source })?
+        .map_err(unreadable)?
         .decode()
         .map_err(|e| Error::content(path, format!("this image cannot be read: {e}")))?;
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
@@ -72,6 +76,7 @@ pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
             ));
         }
     };
+    record_read(path, bytes, begun);
     Ok(RawImage { width, height, color, samples })
 }
 
@@ -92,5 +97,9 @@ pub fn write_png(out: &mut dyn Write, raw: &RawImage) -> io::Result<()> {
     let size = |pixels: usize| u32::try_from(pixels).map_err(io::Error::other);
     PngEncoder::new_with_quality(out, CompressionType::Fast, FilterType::Adaptive)
         .write_image(&bytes, size(raw.width)?, size(raw.height)?, color)
-        .map_err(io::Error::other)
+        .map_err(|error| match error {
+            // A full disk, in the system's own words.
+            ImageError::IoError(error) => error,
+            other => io::Error::other(other),
+        })
 }

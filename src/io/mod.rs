@@ -20,6 +20,7 @@ mod simulation_file;
 
 use std::fs;
 use std::path::Path;
+use std::time::Instant;
 
 pub(crate) use camera_file::CameraFields;
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera, read_std_devs};
@@ -49,10 +50,20 @@ pub use raytrix::{RaytrixCalibration, read_raytrix};
 pub use residuals_file::write_residuals;
 pub use simulation_file::{PRESETS, Preset, preset_settings, read_settings, settings_text};
 
+use tracing::info;
+
 use crate::error::{Error, Result};
 
 fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })
+    let begun = Instant::now();
+    let bytes = fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+    record_read(path, bytes.len() as u64, begun);
+    Ok(bytes)
+}
+
+fn record_read(path: &Path, bytes: u64, begun: Instant) {
+    let time_s = begun.elapsed().as_secs_f64();
+    info!("read: {}, {bytes} bytes in {time_s:.3} s", path.display());
 }
 
 fn read_text(path: &Path) -> Result<String> {

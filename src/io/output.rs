@@ -1,7 +1,7 @@
 //! A folder of results that appear all together or not at all.
 
 use std::fs;
-use std::io::{self, Write};
+use std::io::{self, ErrorKind, Write};
 use std::mem;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -90,7 +90,7 @@ impl OutputFolder {
         let path = self.folder.join(name);
         let folder = path.parent().map_or_else(|| self.folder.clone(), Path::to_owned);
         let staged = self.open(&folder).and_then(|mut file| {
-            let mut buffer = io::BufWriter::new(&mut file);
+            let mut buffer = io::BufWriter::new(file.as_file_mut());
             write(&mut buffer)?;
             buffer.flush()?;
             drop(buffer);
@@ -101,7 +101,7 @@ impl OutputFolder {
                 self.staged.push((file, path));
                 Ok(())
             }
-            Err(source) => Err(Error::Write { path, source: plain(source) }),
+            Err(source) => Err(Error::Write { path, source }),
         }
     }
 
@@ -185,9 +185,14 @@ impl Drop for OutputFolder {
 
 /// The system's reason alone: the temporary file's name would only mislead.
 fn plain(error: io::Error) -> io::Error {
-    let inner = error.get_ref().and_then(|inner| inner.source());
-    let code = inner.and_then(|e| e.downcast_ref::<io::Error>()).and_then(io::Error::raw_os_error);
-    code.map_or(error, io::Error::from_raw_os_error)
+    match error.kind() {
+        kind @ (ErrorKind::NotFound
+        | ErrorKind::PermissionDenied
+        | ErrorKind::StorageFull
+        | ErrorKind::QuotaExceeded
+        | ErrorKind::ReadOnlyFilesystem) => kind.into(),
+        _ => error,
+    }
 }
 
 /// Temporary files are private by default; results are as readable as any other new file.
@@ -198,5 +203,5 @@ fn temporary_file(folder: &Path) -> io::Result<NamedTempFile> {
         use std::os::unix::fs::PermissionsExt;
         builder.permissions(fs::Permissions::from_mode(0o666)); // less the user's umask
     }
-    builder.tempfile_in(folder)
+    builder.tempfile_in(folder).map_err(plain)
 }

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector2;
 use rayon::prelude::*;
+use tracing::{debug, info, trace};
 
 use super::array::{ArrayMeasurement, FoundArray, fit_found, fit_found_regular, found_array};
 use super::centers::{Blob, measure_sample, part_with};
@@ -19,6 +20,7 @@ use crate::image::{Grey, Image, RawImage};
 use crate::lattice::LatticeKind;
 use crate::observations::MicroImageCenter;
 use crate::optics;
+use crate::records::Stage;
 
 /// A white image.
 #[derive(Debug, Clone, PartialEq)]
@@ -114,6 +116,7 @@ pub fn precalibrate(
     options: &PrecalibrationOptions,
     progress: &(dyn Fn() + Sync),
 ) -> Result<Precalibration> {
+    let _stage = Stage::begin("pre-calibration");
     positive(options.pixel_size_mm, "the pixel size (mm)")?;
     check_f_numbers(whites)?;
     let widest = whites.iter().min_by(|a, b| a.f_number.total_cmp(&b.f_number));
@@ -123,6 +126,13 @@ pub fn precalibrate(
     check_sizes(whites, reference)?;
     let grey = reference.image.grey();
     let found = found_array(&grey, options.array_size).map_err(|e| named(&reference.name, &e))?;
+    debug!(
+        "{}: a '{}' lattice with a pitch of {:.4} px, {} centres measured",
+        reference.name,
+        found.pattern.kind.name(),
+        found.pattern.pitch(),
+        found.array.centers.len()
+    );
     let colors = if found.pattern.kind == LatticeKind::Orthogonal { 1 } else { 3 };
     let nodes = middle_nodes(&found, grey.size(), colors);
     let samples = whites
@@ -183,6 +193,19 @@ pub fn precalibrate(
         }
     };
     let internal = fit(&mut radii, array.grid.pitch_px)?;
+    info!(
+        "{} centres, {:.3} px RMS about a grid of {} x {} with a pitch of {:.5} px; {} lens type(s)",
+        array.centers.len(),
+        array.grid.rms_px,
+        array.grid.lattice.columns,
+        array.grid.lattice.rows,
+        array.grid.pitch_px,
+        lens_types.types
+    );
+    info!(
+        "|m| = {:.6} mm, q' = {:.6?} mm; radii {:.4} px RMS about the lines",
+        internal.parameters.m_mm, internal.parameters.q_prime_mm, internal.rms_px
+    );
     let mut warnings = contradictions(whites, &radii, lens_types.types, options);
     warnings.extend(other_stop);
     if let Some(agreement) = lens_types.agreement
@@ -315,6 +338,7 @@ fn sample(
             reference.name
         )));
     }
+    trace!("{}: pitch {:.5} px, {} micro-images", white.name, followed.pitch(), blobs.len());
     let (middle, pattern) = middle_of(&grey, &followed, nodes);
     Ok(Sample { blobs, middle, pattern })
 }

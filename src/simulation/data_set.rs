@@ -1,11 +1,13 @@
 //! Which images a data set consists of, and how each is taken.
 
 use std::collections::HashSet;
+use std::time::Instant;
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
+use tracing::debug;
 
 use super::imaging::Imaging;
 use super::sampling::hash;
@@ -57,10 +59,14 @@ pub struct Shot {
 impl Shot {
     /// Takes the image. `progress` is told of every finished row.
     pub fn take(&self, settings: &Settings, progress: &(dyn Fn() + Sync)) -> Result<RawImage> {
+        let begun = Instant::now();
         let seed = hash([settings.seed, self.number, 0, 0]);
         let irradiance =
             settings.tracer(self.f_number)?.render(&self.scene, settings.rays, seed, progress)?;
-        self.imaging.read_out(&irradiance, seed)
+        let image = self.imaging.read_out(&irradiance, seed);
+        let time_s = begun.elapsed().as_secs_f64();
+        debug!("image {} at f/{:.2} taken in {time_s:.3} s", self.number, self.f_number);
+        image
     }
 }
 

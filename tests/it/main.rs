@@ -8,8 +8,10 @@ mod command_line;
 mod compote;
 mod features;
 mod independent;
+mod init;
 #[cfg(unix)]
 mod interrupt;
+mod manners;
 mod modes;
 mod oracle;
 mod precalibration;
