@@ -10,12 +10,14 @@ MAKEFLAGS += --no-print-directory
 # built anew between them.
 export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
 
-.PHONY: help deps demo cpp test test-slow test-cpp test-rust lint bench doc data figures format clean
+.PHONY: help deps demo cpp test test-slow test-report test-cpp test-rust lint bench doc data figures \
+        format clean
 
 help:
 	@echo "make demo       simulate a camera, calibrate it and print the result"
 	@echo "make test       all tests but the slow ones; PLENOCAL_R12A=DIR and PLENOCAL_WHITES=DIR add real data"
 	@echo "make test-slow  the slow tests (Monte Carlo)"
+	@echo "make test-report  reports in a browser; installs Chromium"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program"
 	@echo "make doc        API documentation in target/doc"
@@ -55,6 +57,11 @@ test-rust: cpp
 
 test-slow: cpp
 	cargo test --release --test it -- --ignored --nocapture monte_carlo
+
+test-report: PACKAGES += chromium
+test-report: export PLENOCAL_CHROMIUM = chromium
+test-report: deps cpp
+	cargo test --release --test it report::
 
 # The cmake crate silences C++ warnings; the plain build shows them, as errors.
 lint: deps

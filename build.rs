@@ -29,6 +29,7 @@ fn main() {
         ("PLENOCAL_R12A", "plenocal_r12a"),
         ("PLENOCAL_WHITES", "plenocal_whites"),
         ("PLENOCAL_PLAIN_CERES", "plenocal_plain_ceres"),
+        ("PLENOCAL_CHROMIUM", "plenocal_chromium"),
     ] {
         println!("cargo:rerun-if-env-changed={variable}");
         println!("cargo:rustc-check-cfg=cfg({cfg})");

@@ -19,11 +19,11 @@ pub(super) const FITTED: RGBColor = RGBColor(190, 0, 190);
 /// Two colours that everybody tells apart, for quantities side by side and for the two signs.
 pub(super) const BLUE: RGBColor = RGBColor(0, 100, 170);
 pub(super) const ORANGE: RGBColor = RGBColor(200, 80, 0);
-/// Words on one of these two; the same on a dark page.
+/// Words on one of these two.
 pub(super) const ON_COLOR: RGBColor = RGBColor(253, 253, 253);
 
 /// Colours as they are on white, and what they become on a dark page.
-pub(super) const ON_DARK: [(RGBColor, RGBColor); 9] = [
+pub(super) const ON_DARK: [(RGBColor, RGBColor); 10] = [
     (WHITE, RGBColor(30, 31, 34)),
     (BLACK, RGBColor(255, 255, 255)),
     (INK, RGBColor(222, 222, 222)),
@@ -33,6 +33,7 @@ pub(super) const ON_DARK: [(RGBColor, RGBColor); 9] = [
     (FITTED, RGBColor(240, 120, 240)),
     (BLUE, RGBColor(70, 160, 225)),
     (ORANGE, RGBColor(240, 140, 60)),
+    (ON_COLOR, RGBColor(18, 18, 18)),
 ];
 
 /// A colour as attributes have it, in the spelling of the SVG backend.
@@ -104,7 +105,30 @@ impl Overlay {
         self.path(points, "z", &format!("fill=\"{fill}\" fill-opacity=\"{opacity:.3}\""));
     }
 
-    /// A rectangle without an edge, by its upper left corner and its size.
+    /// Rectangles without edges, each by its upper left corner and its size; no gap shows between those
+    /// that touch.
+    pub fn rectangles(
+        &mut self,
+        rectangles: &[(Vector2<f64>, Vector2<f64>)],
+        color: RGBColor,
+        opacity: f64,
+    ) {
+        self.svg.push_str("<path d=\"");
+        for (corner, size) in rectangles {
+            let _ = write!(
+                self.svg,
+                "M{:.1} {:.1}h{:.1}v{:.1}h{:.1}z",
+                corner.x, corner.y, size.x, size.y, -size.x
+            );
+        }
+        let _ = writeln!(
+            self.svg,
+            "\" fill=\"{}\" fill-opacity=\"{opacity:.3}\" shape-rendering=\"crispEdges\"/>",
+            hex(color)
+        );
+    }
+
+    /// One of them.
     pub fn rectangle(
         &mut self,
         corner: Vector2<f64>,
@@ -112,16 +136,7 @@ impl Overlay {
         color: RGBColor,
         opacity: f64,
     ) {
-        let _ = writeln!(
-            self.svg,
-            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"{}\" \
-             fill-opacity=\"{opacity:.3}\"/>",
-            corner.x,
-            corner.y,
-            size.x,
-            size.y,
-            hex(color)
-        );
+        self.rectangles(&[(corner, size)], color, opacity);
     }
 
     /// Filled discs.
@@ -233,10 +248,13 @@ fn stroke(color: RGBColor, width: f64) -> String {
     format!("stroke=\"{}\" stroke-width=\"{width}\"", hex(color))
 }
 
+/// What is left of a tick at 0 after rounding.
+const NOTHING: f64 = 1e-12;
+
 /// A number on an axis: short, whatever its size.
 pub(super) fn axis_number(value: f64) -> String {
     let size = value.abs();
-    if size < f64::MIN_POSITIVE {
+    if size < NOTHING {
         "0".to_owned()
     } else if (1e-3..1e5).contains(&size) {
         // Ticks are multiples that rounding has touched.
@@ -318,7 +336,7 @@ mod tests {
     #[test]
     fn numbers_on_axes_are_short() {
         let text = |value: f64| axis_number(value);
-        assert_eq!(text(0.0), "0");
+        assert_eq!(text(-6e-17), "0");
         assert_eq!(text(0.1 + 0.2), "0.3");
         assert_eq!(text(-400.0), "-400");
         assert_eq!(text(2e-7), "2e-7");

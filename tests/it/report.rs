@@ -1,9 +1,11 @@
 //! Pictures and the page of a report.
 
 use std::collections::HashSet;
+use std::process::Command;
 
 use plenocal::calibration::{Calibration, Mode, Start};
 use plenocal::camera::Board;
+use plenocal::evaluation::Reprojection;
 use plenocal::precalibration::ArrayMeasurement;
 use plenocal::report::{
     Figure, HtmlReport, HtmlTable, Part, Section, array_residuals_figure, calibration_figures,
@@ -14,7 +16,7 @@ use crate::support::{
     NO_NOISE, board, datasheet_start, drawn, options, run, shipped_observations, true_camera,
 };
 
-/// All pictures of a report stay below this together with room for its tables, bytes each.
+/// A page with ten such pictures still opens at once, bytes.
 const LARGEST_SVG: usize = 300_000;
 
 fn shipped() -> Calibration {
@@ -109,12 +111,6 @@ fn a_calibration_gives_all_pictures_and_a_page() {
     );
     figures.iter().for_each(check);
     let html = report(figures.clone()).to_html();
-    if let Some(folder) = std::env::var_os("PLENOCAL_REPORT_FOLDER").map(std::path::PathBuf::from) {
-        for figure in &figures {
-            std::fs::write(folder.join(&figure.name), &figure.svg).unwrap();
-        }
-        std::fs::write(folder.join("report.html"), &html).unwrap();
-    }
     assert!(!html.contains("http://") && !html.contains("https://") && !html.contains("<script"));
     let ids: Vec<&str> =
         html.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
@@ -124,4 +120,155 @@ fn a_calibration_gives_all_pictures_and_a_page() {
         assert!(ids.contains(&target), "{target}");
     }
     assert_eq!(html.matches("role=\"img\" aria-label=\"").count(), figures.len());
+}
+
+#[test]
+fn corners_alone_have_no_lens_types_and_no_blur() {
+    let mut options = options();
+    options.mode = Mode::CornersOnly;
+    let calibration = run(&datasheet_start(), &shipped_observations(), &options);
+    let figures = figures_of(&calibration, &board());
+    figures.iter().for_each(check);
+    let by_name = |name: &str| figures.iter().find(|f| f.name == name).unwrap();
+    assert!(!by_name("rmse.svg").svg.contains("lens type"));
+    assert!(!by_name("rmse.svg").caption.contains("type"));
+    for name in ["rmse.svg", "residual-histograms.svg"] {
+        assert!(!by_name(name).svg.contains('ρ'), "{name}");
+    }
+}
+
+#[test]
+fn what_there_is_nothing_to_show_of_is_left_out() {
+    let mut truth = true_camera();
+    truth.main_lens.radial = [0.0; 3];
+    truth.main_lens.tangential = [0.0; 2];
+    let mut observations = drawn(&truth, &NO_NOISE, 0);
+    observations.centers.clear();
+    let mut options = options();
+    options.mode = Mode::PosesOnly;
+    let calibration = run(&Start::Camera(truth), &observations, &options);
+    let figures = figures_of(&calibration, &board());
+    // Without centres, free intrinsics and distortion; residuals are rounding only.
+    assert_eq!(
+        names(&figures),
+        [
+            "residual-vectors.svg",
+            "residual-histograms.svg",
+            "rmse.svg",
+            "convergence.svg",
+            "scene.svg"
+        ]
+    );
+    figures.iter().for_each(check);
+}
+
+#[test]
+fn next_to_nothing_can_be_shown_too() {
+    let mut calibration = shipped();
+    calibration.poses.truncate(1);
+    calibration.refinement.iterations.truncate(1);
+    calibration.uncertainty.residual_std_dev_px = [0.0, f64::NAN, 0.0];
+    let reprojection = &mut calibration.reprojection;
+    reprojection.features.truncate(1);
+    reprojection.centers.truncate(1);
+    for size in [0.0, 1e-300, 0.3, 1e6] {
+        let reprojection = &mut calibration.reprojection;
+        reprojection.features[0].du_px = size;
+        reprojection.features[0].dv_px = -size;
+        reprojection.features[0].drho_px = Some(size);
+        reprojection.centers[0].du_px = size;
+        reprojection.centers[0].dv_px = size;
+        let figures = calibration_figures(&calibration, &board()).unwrap();
+        assert_eq!(figures.len(), 8, "{:?}", names(&figures));
+        figures.iter().for_each(check);
+    }
+    calibration.reprojection = Reprojection::default();
+    calibration.refinement.iterations.clear();
+    calibration.uncertainty.free_intrinsics.clear();
+    calibration.poses.clear();
+    let figures = calibration_figures(&calibration, &board()).unwrap();
+    assert_eq!(names(&figures), ["distortion.svg"]);
+}
+
+#[test]
+fn many_features_are_shown_by_their_means() {
+    let mut calibration = shipped();
+    let features = &mut calibration.reprojection.features;
+    for _ in 0..3 {
+        features.extend_from_within(..);
+    }
+    let (count, board) = (features.len(), board());
+    // More frames than there is room for their numbers.
+    let poses = calibration.poses.clone();
+    calibration.poses.extend((100..200).map(|frame| {
+        let mut pose = poses[frame as usize % poses.len()];
+        pose.frame = frame;
+        pose
+    }));
+    let figures = calibration_figures(&calibration, &board).unwrap();
+    figures.iter().for_each(check);
+    assert!(figures[0].caption.contains(&format!("{count} features: means over cells")));
+    assert!(figures[0].svg.len() < LARGEST_SVG / 3);
+}
+
+/// Collects what fails from the start on, and at the end what became of the pictures.
+const WATCH: &str = "<script>var failures = [];
+addEventListener('error', e => failures.push(e.message || e.target.tagName), true);</script>";
+const MEASURE: &str = "<script>addEventListener('load', () => {
+  const page = document.documentElement;
+  document.querySelectorAll('details').forEach(d => { d.open = true; });
+  const sizes = [...document.querySelectorAll('figure svg')].map(svg => {
+    const box = svg.getBoundingClientRect();
+    return Math.floor(box.width) + 'x' + Math.floor(box.height);
+  });
+  page.dataset.sizes = sizes.join(' ');
+  page.dataset.beyond = page.scrollWidth - page.clientWidth;
+  page.dataset.failures = failures.join('; ');
+});</script>";
+
+/// The value that the page has left in an attribute of its root.
+fn left_behind<'a>(dom: &'a str, name: &str) -> &'a str {
+    let start = format!("data-{name}=\"");
+    let rest =
+        dom.split_once(&start).unwrap_or_else(|| panic!("the page did not run:\n{dom:.500}")).1;
+    rest.split_once('"').expect("an attribute ends").0
+}
+
+#[test]
+#[cfg_attr(not(plenocal_chromium), ignore = "set PLENOCAL_CHROMIUM to a Chromium browser")]
+fn a_browser_shows_all_pictures() {
+    let browser = std::env::var_os("PLENOCAL_CHROMIUM").expect("PLENOCAL_CHROMIUM is set");
+    let figures = figures_of(&shipped(), &board());
+    let count = figures.len();
+    let html = report(figures).to_html();
+    let html = html.replacen("<head>", &format!("<head>{WATCH}"), 1);
+    let html = html.replacen("</body>", &format!("{MEASURE}</body>"), 1);
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("report.html");
+    std::fs::write(&page, html).unwrap();
+    // A wide screen, and the narrowest window that the browser opens.
+    for width in [1400, 500] {
+        let output = Command::new(&browser)
+            .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic"])
+            .args(["--no-first-run", "--disable-background-networking", "--disable-sync"])
+            .args(["--disable-component-update", "--enable-logging=stderr", "--dump-dom"])
+            .arg(format!("--user-data-dir={}", folder.path().join("profile").display()))
+            .arg(format!("--window-size={width},900"))
+            .arg(format!("file://{}", page.display()))
+            .output()
+            .unwrap();
+        let dom = String::from_utf8_lossy(&output.stdout);
+        let log = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{log}");
+        assert!(!log.contains("CONSOLE"), "{log}");
+        assert_eq!(left_behind(&dom, "failures"), "");
+        assert_eq!(left_behind(&dom, "beyond"), "0", "wider than the page at {width} px");
+        let sizes: Vec<(u32, u32)> = left_behind(&dom, "sizes")
+            .split_whitespace()
+            .map(|size| size.split_once('x').expect("width and height"))
+            .map(|(width, height)| (width.parse().unwrap(), height.parse().unwrap()))
+            .collect();
+        assert_eq!(sizes.len(), count);
+        assert!(sizes.iter().all(|s| s.0 > 100 && s.1 > 50 && s.0 <= width), "{sizes:?}");
+    }
 }

@@ -66,16 +66,13 @@ pub(super) fn rmse(calibration: &Calibration) -> Result<Option<Figure>> {
         overlay.text(Vector2::new(12.0, 18.0), Anchor::Start, 16.0, "RMSE of features");
         Ok(())
     })?;
-    let caption = "Root mean square errors of features by lens type and by frame, the dashed lines those \
-                   of all. A frame or type that stands out has worse observations than the others, or \
-                   is where the model fits worst."
-        .to_owned();
-    let caption = if types > 0 { caption } else { caption.replace("by lens type and ", "") };
-    Ok(Some(figure(
-        "rmse",
-        caption.replace(" or type ", if types > 0 { " or type " } else { " " }),
-        svg,
-    )))
+    let (by, which) =
+        if types > 0 { ("lens type and by frame", "frame or type") } else { ("frame", "frame") };
+    let caption = format!(
+        "Root mean square errors of features by {by}, the dashed lines those of all. A {which} that \
+         stands out has worse observations than the others, or is where the model fits worst."
+    );
+    Ok(Some(figure("rmse", caption, svg)))
 }
 
 fn bars(area: &Area, bars: &Bars, all: &Rmse, largest: f64, overlay: &mut Overlay) -> Result<()> {

@@ -12,7 +12,7 @@ use crate::report::html::Figure;
 /// Correlations beyond this have their value written.
 const STRONG: f64 = 0.9;
 /// Edge of a cell, px, and room at the upper left for names.
-const CELL: f64 = 36.0;
+const CELL: f64 = 40.0;
 const NAMES: f64 = 86.0;
 
 pub(super) fn correlations(calibration: &Calibration) -> Result<Option<Figure>> {
@@ -46,7 +46,7 @@ pub(super) fn correlations(calibration: &Calibration) -> Result<Option<Figure>> 
     })?;
     let mut caption = format!(
         "Correlations of the free intrinsic parameters; those beyond ±{STRONG} have their value in \
-         hundredths. A strong correlation says that the observations tell only a combination of the \
+         per cent. A strong correlation says that the observations tell only a combination of the \
          two well."
     );
     if uncertainty.determined[..names.len()].contains(&false) {
@@ -64,9 +64,10 @@ fn cell(row: usize, column: usize, value: f64, overlay: &mut Overlay) {
     }
     overlay.rectangle(corner, Vector2::repeat(CELL), sign_color(value), value.abs());
     if value.abs() > STRONG {
-        let words = format!("{:+.0}", 100.0 * value);
+        // Cut off rather than rounded: only what is 1 says so.
+        let words = format!("{:+.1}", (1000.0 * value).trunc() / 10.0);
         let middle = corner + Vector2::repeat(CELL / 2.0);
-        overlay.colored_text(middle, Anchor::Middle, 13.0, ON_COLOR, &words);
+        overlay.colored_text(middle, Anchor::Middle, 12.0, ON_COLOR, &words);
     }
 }
 

@@ -6,14 +6,16 @@ use super::figure;
 use super::vectors::{Arrow, draw_arrows, enlarged, enlargement, key, sensor_picture};
 use crate::camera::PlenopticCamera;
 use crate::error::Result;
-use crate::report::drawing::{Anchor, BLUE, INK, Overlay, Plane, axis_number};
+use crate::report::drawing::{Anchor, BLUE, INK, Overlay, Plane, axis_number, round_below};
 use crate::report::html::Figure;
 
-/// Cells along the longer side: those of the colour, and every third of them has an arrow.
-const CELLS: f64 = 54.0;
-const ARROW_EVERY: usize = 3;
+/// Places along the longer side: those of the colour, and of the arrows.
+const CELLS: f64 = 120.0;
+const ARROWS: f64 = 18.0;
+/// Bands of colour are this many or up to 2.5 times as many.
+const BANDS: f64 = 5.0;
 /// The colour of the largest distortion lets arrows be seen on any page.
-const MOST_OPAQUE: f64 = 0.55;
+const MOST_OPAQUE: f64 = 0.6;
 const SCALE_WIDTH: u32 = 74;
 
 pub(super) fn distortion(camera: &PlenopticCamera) -> Result<Option<Figure>> {
@@ -23,77 +25,115 @@ pub(super) fn distortion(camera: &PlenopticCamera) -> Result<Option<Figure>> {
     }
     let sensor = &camera.sensor;
     let image_px = Vector2::new(f64::from(sensor.width_px), f64::from(sensor.height_px));
-    let cell = image_px.max() / CELLS;
     // The image is stored upright: pixels run against the optical image.
     let shift_px = |at: Vector2<f64>| {
         let image_point = (camera.mla.principal_point_px - at) * sensor.pixel_size_mm;
         -lens.distortion_mm(image_point) / sensor.pixel_size_mm
     };
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a small number
-    let [columns, rows] = [image_px.x, image_px.y].map(|edge| (edge / cell).ceil() as usize);
-    let places = (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row)));
-    let cells: Vec<((usize, usize), Arrow)> = places
-        .map(|(column, row)| {
-            let at = (Vector2::new(column as f64, row as f64) + Vector2::repeat(0.5)) * cell
-                - Vector2::repeat(0.5);
-            ((column, row), Arrow { at, along: shift_px(at), lens_type: 0 })
-        })
-        .filter(|(_, arrow)| arrow.along.iter().all(|v| v.is_finite()))
+    let arrows: Vec<Arrow> = places(image_px, ARROWS)
+        .into_iter()
+        .flatten()
+        .map(|at| Arrow { at, along: shift_px(at), lens_type: 0 })
         .collect();
-    let largest = cells.iter().map(|(_, a)| a.along.norm()).fold(f64::MIN_POSITIVE, f64::max);
-    let middle = ARROW_EVERY / 2;
-    let arrows: Vec<Arrow> = cells
-        .iter()
-        .filter(|((c, r), _)| c % ARROW_EVERY == middle && r % ARROW_EVERY == middle)
-        .map(|(_, arrow)| Arrow { ..*arrow })
+    let sizes: Vec<Vec<(Vector2<f64>, f64)>> = places(image_px, CELLS)
+        .into_iter()
+        .map(|row| row.into_iter().map(|at| (at, shift_px(at).norm())).collect())
         .collect();
-    let factor = enlargement(&arrows, 1.5 * ARROW_EVERY as f64 * cell);
+    let largest = sizes.iter().flatten().map(|(_, size)| *size).fold(0.0, f64::max);
+    if !(largest.is_finite() && largest > 0.0) {
+        return Ok(None);
+    }
+    let bands = Bands::up_to(largest);
+    let factor = enlargement(&arrows, 1.5 * image_px.max() / ARROWS);
     let title = "Distortion of the main lens";
     let svg = sensor_picture(image_px, SCALE_WIDTH, title, |plane, overlay| {
-        for (_, arrow) in &cells {
-            let half = Vector2::repeat(cell / 2.0);
-            let end = (arrow.at + half).inf(&(image_px - Vector2::repeat(0.5)));
-            let corner = plane.place(arrow.at.x - half.x, arrow.at.y - half.y);
-            // A little larger, so that no gap shows.
-            let size = plane.place(end.x, end.y) - corner + Vector2::repeat(0.3);
-            let opacity = MOST_OPAQUE * arrow.along.norm() / largest;
-            overlay.rectangle(corner, size, BLUE, opacity);
-        }
+        bands.draw(&sizes, image_px, plane, overlay);
         draw_arrows(&arrows, INK, factor, plane, overlay);
         key(plane, image_px, factor, overlay);
-        scale(plane, image_px, largest, overlay);
+        bands.draw_scale(plane, image_px, overlay);
     })?;
     let caption = format!(
-        "By how much the main lens moves an image point at each place, in px of the sensor (up to {}); \
-         the arrows are {}. It counts as known only as far out as the features reach.",
-        digits(largest),
+        "By how much the main lens moves an image point at each place of the sensor, in px (the \
+         colours); the arrows are {}. It counts as known only as far out as the features reach.",
         enlarged(factor)
     );
     Ok(Some(figure("distortion", caption, svg)))
 }
 
-/// The colours and what they mean.
-fn scale(plane: &Plane, image_px: Vector2<f64>, largest: f64, overlay: &mut Overlay) {
-    const STEPS: u32 = 30;
-    let top = plane.place(image_px.x - 0.5, -0.5) + Vector2::new(18.0, 10.0);
-    let step = 6.0;
-    for i in 0..STEPS {
-        let part = 1.0 - (f64::from(i) + 0.5) / f64::from(STEPS);
-        let corner = top + Vector2::new(0.0, step * f64::from(i));
-        overlay.rectangle(corner, Vector2::new(16.0, step), BLUE, MOST_OPAQUE * part);
-    }
-    for part in [0.0, 0.5, 1.0] {
-        let at = top + Vector2::new(22.0, step * f64::from(STEPS) * (1.0 - part));
-        overlay.text(at, Anchor::Start, 13.0, &format!("{} px", digits(part * largest)));
-    }
+/// Middles of square cells, row by row, so many along the longer side.
+fn places(image_px: Vector2<f64>, along: f64) -> Vec<Vec<Vector2<f64>>> {
+    let cell = image_px.max() / along;
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a small number
+    let [columns, rows] =
+        [image_px.x, image_px.y].map(|edge| (edge / cell).round().max(1.0) as u32);
+    let step = image_px.component_div(&Vector2::new(f64::from(columns), f64::from(rows)));
+    let middle = |column: u32, row: u32| {
+        let index = Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+        index.component_mul(&step) - Vector2::repeat(0.5)
+    };
+    (0..rows).map(|row| (0..columns).map(|column| middle(column, row)).collect()).collect()
 }
 
-/// Three significant digits.
-fn digits(value: f64) -> String {
-    match value {
-        v if v >= 100.0 => format!("{v:.0}"),
-        v if v >= 10.0 => format!("{v:.1}"),
-        v if v >= 0.01 => format!("{v:.2}"),
-        v => axis_number(v),
+/// Ranges of sizes that have a colour each.
+struct Bands {
+    step: f64,
+    count: usize,
+}
+
+impl Bands {
+    fn up_to(largest: f64) -> Self {
+        let step = round_below(largest / BANDS);
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 5 to 13
+        Self { step, count: (largest / step).ceil() as usize }
+    }
+
+    fn of(&self, size: f64) -> usize {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // no size is negative
+        let band = (size / self.step) as usize;
+        band.min(self.count - 1)
+    }
+
+    fn opacity(&self, band: usize) -> f64 {
+        MOST_OPAQUE * band as f64 / (self.count - 1).max(1) as f64
+    }
+
+    fn draw(
+        &self,
+        sizes: &[Vec<(Vector2<f64>, f64)>],
+        image_px: Vector2<f64>,
+        plane: &Plane,
+        overlay: &mut Overlay,
+    ) {
+        let cell = image_px.y / sizes.len() as f64;
+        let mut runs: Vec<Vec<(Vector2<f64>, Vector2<f64>)>> = vec![Vec::new(); self.count];
+        for row in sizes {
+            let across = image_px.x / row.len() as f64;
+            for run in row.chunk_by(|a, b| self.of(a.1) == self.of(b.1)) {
+                let first = run[0].0 - Vector2::new(across, cell) / 2.0;
+                let size = Vector2::new(across * run.len() as f64, cell);
+                let corner = plane.place(first.x, first.y);
+                runs[self.of(run[0].1)].push((corner, size.component_mul(&plane.scale)));
+            }
+        }
+        for (band, runs) in runs.iter().enumerate().skip(1) {
+            overlay.rectangles(runs, BLUE, self.opacity(band));
+        }
+    }
+
+    /// The colours and what they mean.
+    fn draw_scale(&self, plane: &Plane, image_px: Vector2<f64>, overlay: &mut Overlay) {
+        let size = Vector2::new(16.0, 22.0);
+        let top = plane.place(image_px.x - 0.5, -0.5) + Vector2::new(18.0, 10.0);
+        let edge = |step: usize| top + Vector2::new(0.0, size.y * (self.count - step) as f64);
+        for band in 0..self.count {
+            overlay.rectangle(edge(band + 1), size, BLUE, self.opacity(band));
+        }
+        let (low, high) = (edge(0), edge(self.count));
+        let across = Vector2::new(size.x, 0.0);
+        overlay.line(&[low, low + across, high + across, high, low], INK, 0.5);
+        for step in 0..=self.count {
+            let words = format!("{} px", axis_number(step as f64 * self.step));
+            overlay.text(edge(step) + Vector2::new(22.0, 0.0), Anchor::Start, 13.0, &words);
+        }
     }
 }

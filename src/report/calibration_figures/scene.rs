@@ -51,7 +51,7 @@ impl View {
         view.scale = ((WIDTH - 2.0 * MARGIN.x) / size.x).min(MOST_HEIGHT / size.y);
         let across = (WIDTH - view.scale * (low.x + high.x)) / 2.0;
         view.origin = Vector2::new(across, NUMBERS + MARGIN.y / 2.0 - view.scale * low.y);
-        let height = NUMBERS + MARGIN.y * 1.8 + view.scale * size.y;
+        let height = NUMBERS + MARGIN.y * 1.4 + view.scale * size.y;
         (view, height)
     }
 
@@ -272,11 +272,11 @@ impl Box3 {
 }
 
 /// Distance of the ticks of an axis at least, px.
-const TICK: f64 = 48.0;
+const TICK: f64 = 32.0;
 
 /// Round numbers along an axis, with their names.
 fn ticks(low: f64, high: f64, view: &View) -> Vec<(f64, String)> {
-    // A round number below twice the least distance is above that.
+    // Round numbers are at most a factor of 2.5 apart.
     let step = round_below(2.5 * TICK / view.scale);
     let mut ticks = Vec::new();
     let mut tick = (low / step).ceil() * step;
