@@ -19,5 +19,6 @@ mod precalibration;
 mod r12a;
 mod recovery;
 mod report;
+mod run;
 mod simulation;
 mod support;
