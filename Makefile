@@ -14,7 +14,7 @@ export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
         format clean
 
 help:
-	@echo "make demo       simulate a camera, calibrate it and print the result"
+	@echo "make demo       simulate a camera, calibrate it from its images, write a report"
 	@echo "make test       all tests but the slow ones; PLENOCAL_R12A=DIR and PLENOCAL_WHITES=DIR add real data"
 	@echo "make test-slow  the slow tests (Monte Carlo)"
 	@echo "make test-report  reports in a browser; installs Chromium"
@@ -38,8 +38,7 @@ deps:
 	fi
 
 demo: deps
-	cargo run --release --quiet -- simulate --out out/demo
-	cargo run --release --quiet -- calibrate out/demo/observed/project.toml --out out/demo/results
+	cargo run --release --quiet -- demo --out out/demo
 
 test: test-cpp test-rust
 

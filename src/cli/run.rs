@@ -491,7 +491,11 @@ impl Stages<'_> {
     /// Writes report.html from what the stages have left.
     fn report(&self, ledger: &Ledger, time_s: f64) -> Result<PathBuf> {
         let mut sections = vec![self.overview(ledger, time_s)];
-        for (name, _) in &ledger.stages {
+        // What people look for first, then where it came from.
+        let is_result = |name: &str| [CALIBRATION, EVALUATION].contains(&name);
+        let (results, rest): (Vec<_>, Vec<_>) =
+            ledger.stages.iter().map(|(name, _)| name).partition(|name| is_result(name));
+        for name in results.into_iter().chain(rest) {
             sections.push(read_section(&self.folder(name))?);
         }
         let camera = self.path.parent().and_then(Path::file_name).unwrap_or_default();

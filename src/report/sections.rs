@@ -8,7 +8,7 @@ use crate::calibration::Calibration;
 use crate::precalibration::Precalibration;
 
 /// Pictures of frames that are shown at once; the others on demand.
-const FRAMES_SHOWN: usize = 2;
+const FRAMES_SHOWN: usize = 1;
 
 fn paragraphs(text: &str) -> impl Iterator<Item = Part> {
     text.lines().map(str::trim).filter(|line| !line.is_empty()).map(|l| Part::Text(l.to_owned()))
