@@ -59,14 +59,14 @@ pub struct Arguments {
 }
 
 const HELP: &str = "\
-Names that are understood, of files and of folders, the file's going first:
+Names of files and folders:
   white images   white*, or an f-number alone: whites/white-n-4.00.png, flat_f4.0.png, N8.tif
   devignetting   devignetting*, vignetting*
   calibration    calib*, board*, check*, chess*
   evaluation     eval*
   translation    translation*, step*
-An f-number follows an f or n that stands alone: f4, f_5.6, n-11.31. Engraved stops are taken as
-such (5.6 for 5.657).
+  The name of a file goes before those of its folders. An f-number follows an f or n that stands
+  alone: f4, f_5.6, n-11.31. Engraved stops are taken as such (5.6 for 5.657).
 
 Examples:
   plenocal init images --out project.toml

@@ -310,9 +310,9 @@ mod tests {
 
     #[test]
     fn numbers_count_by_their_value() {
-        let mut names = ["b/2.png", "a10.png", "B/10.png", "a2.png", "a02.png", "a.png"];
+        let mut names = ["b/2.png", "a10.png", "B/10.png", "a2.png", "a02.png"];
         names.sort_by(|a, b| natural_order(a, b));
-        assert_eq!(names, ["a.png", "a02.png", "a2.png", "a10.png", "b/2.png", "B/10.png"]);
+        assert_eq!(names, ["a02.png", "a2.png", "a10.png", "b/2.png", "B/10.png"]);
     }
 
     #[test]
