@@ -169,7 +169,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let shoot = Shoot::of(path, &project)?;
     let options = calibration_options(path, &project)?;
     // Whether the folder can be written is better known before the work than after.
-    OutputFolder::new(&arguments.out)?.probe()?;
+    OutputFolder::new(&arguments.out)?;
     let manifest = Manifest::read(&arguments.out).unwrap_or_else(|| Manifest::new(path));
     let mut ledger = Ledger {
         out: arguments.out.clone(),
@@ -408,7 +408,8 @@ impl Stages<'_> {
         if self.has_both() {
             return Ok(vec![named(BLUR_AWARE, CALIBRATION)?, named(CORNERS, CORNERS_ONLY)?]);
         }
-        let only = if self.options.mode == Mode::Full { BLUR_AWARE } else { CORNERS };
+        let is_blur_aware = self.options.mode == Mode::Full && self.shoot.sheet.lens_types > 0;
+        let only = if is_blur_aware { BLUR_AWARE } else { CORNERS };
         Ok(vec![named(only, CALIBRATION)?])
     }
 

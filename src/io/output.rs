@@ -127,11 +127,6 @@ impl OutputFolder {
         })
     }
 
-    /// An error unless files can be written into the folder; leaves nothing behind.
-    pub fn probe(mut self) -> Result<()> {
-        self.stage(".probe", |_| Ok(()))
-    }
-
     /// What another folder has staged is committed with this one.
     pub fn take(&mut self, mut other: Self) {
         self.created.append(&mut other.created);
