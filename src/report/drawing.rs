@@ -115,11 +115,9 @@ impl Overlay {
     ) {
         self.svg.push_str("<path d=\"");
         for (corner, size) in rectangles {
-            let _ = write!(
-                self.svg,
-                "M{:.1} {:.1}h{:.1}v{:.1}h{:.1}z",
-                corner.x, corner.y, size.x, size.y, -size.x
-            );
+            // Edges as places, not as lengths: neighbours have the same ones to the last digit.
+            let (left, top, end) = (corner.x, corner.y, corner + size);
+            let _ = write!(self.svg, "M{left:.1} {top:.1}H{:.1}V{:.1}H{left:.1}z", end.x, end.y);
         }
         let _ = writeln!(
             self.svg,

@@ -180,7 +180,7 @@ pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> Htm
             let std_dev = candidate.std_devs.get(i).copied().flatten().map(|s| s * factor);
             match candidate.camera.intrinsics().get(i) {
                 Some(value) => {
-                    row.extend(<[String; 2]>::from(with_std_dev(value * factor, std_dev)))
+                    row.extend(<[String; 2]>::from(with_std_dev(value * factor, std_dev)));
                 }
                 None => row.extend(["-".to_owned(), String::new()]),
             }

@@ -20,6 +20,8 @@ use crate::report::html::Figure;
 const MOST_ARROWS: usize = 3000;
 /// Cells along the longer side of the sensor.
 const CELLS: f64 = 28.0;
+/// The mean of a cell with less than this part of the usual number is mostly noise.
+const FEWEST: f64 = 0.25;
 /// Arrows smaller than rounding are not blown up to be seen.
 const MOST_ENLARGED: f64 = 1e6;
 /// Largest width and height of the sensor in a picture, and the smallest, px.
@@ -127,21 +129,25 @@ pub(super) fn draw_arrows(
     overlay.arrows(&drawn, color, 1.0);
 }
 
-/// Means over square cells.
-fn cell_means(arrows: &[Arrow], cell_px: f64) -> Vec<Arrow> {
+/// Means over square cells, and the fewest arrows that such a cell has.
+fn cell_means(arrows: &[Arrow], cell_px: f64) -> (Vec<Arrow>, usize) {
     let mut cells: BTreeMap<(i64, i64), Vec<&Arrow>> = BTreeMap::new();
     for arrow in arrows {
         #[allow(clippy::cast_possible_truncation)] // a small index
         let index = |position: f64| ((position + 0.5) / cell_px).floor() as i64;
         cells.entry((index(arrow.at.x), index(arrow.at.y))).or_default().push(arrow);
     }
+    let mut counts: Vec<f64> = cells.values().map(|cell| cell.len() as f64).collect();
+    let typical = quantile(&mut counts, 0.5).unwrap_or(1.0);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a count
+    let fewest = ((typical * FEWEST).floor() as usize).max(1);
     let mean_of = |cell: &Vec<&Arrow>| {
         let mean = |of: fn(&Arrow) -> Vector2<f64>| {
             cell.iter().map(|arrow| of(arrow)).sum::<Vector2<f64>>() / cell.len() as f64
         };
         Arrow { at: mean(|a| a.at), along: mean(|a| a.along), lens_type: 0 }
     };
-    cells.values().map(mean_of).collect()
+    (cells.values().filter(|cell| cell.len() >= fewest).map(mean_of).collect(), fewest)
 }
 
 fn finite(arrow: &Arrow) -> bool {
@@ -159,13 +165,17 @@ fn means_picture(
     title: &str,
 ) -> Result<(String, String)> {
     let cell = cell_of(image_px);
-    let means = cell_means(arrows, cell);
+    let (means, fewest) = cell_means(arrows, cell);
     let factor = enlargement(&means, 1.3 * cell);
     let svg = sensor_picture(image_px, 0, title, |plane, overlay| {
         draw_arrows(&means, BLUE, factor, plane, overlay);
         key(plane, image_px, factor, overlay);
     })?;
-    Ok((svg, format!("means over cells of {cell} px, {}", enlarged(factor))))
+    let left_out = match fewest {
+        1 => String::new(),
+        fewest => format!(" (but for those with fewer than {fewest}, mostly noise)"),
+    };
+    Ok((svg, format!("means over cells of {cell} px{left_out}, {}", enlarged(factor))))
 }
 
 fn size_of(sensor: &Sensor) -> Vector2<f64> {
@@ -276,9 +286,9 @@ pub fn array_residuals_figure(array: &ArrayMeasurement) -> Result<Figure> {
     let (svg, how) =
         means_picture(&arrows, image_px.map(f64::ceil), "Measured centres minus the fitted grid")?;
     let caption = format!(
-        "Measured centres of {} micro-images minus the fitted grid: {how}. A few hundredths of a pixel \
-         in all directions are noise; a pattern over the image says that the array is not regular or \
-         that shading draws the centres.",
+        "Measured centres of {} micro-images minus the fitted grid: {how}. Arrows in all directions are \
+         noise; a pattern over the image says that the array is not regular, or that shading moves the \
+         centres.",
         arrows.len()
     );
     Ok(figure("array-residuals", caption, svg))
