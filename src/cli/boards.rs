@@ -200,7 +200,7 @@ pub fn detect(
     path: &Path,
     shoot: &Shoot,
     micro_images: &MicroImages,
-    look: &Look,
+    look: Look,
     output: &mut OutputFolder,
 ) -> Result<Found> {
     let images = look.subset.images(&shoot.images);
@@ -237,7 +237,7 @@ fn detect_all(
     paths: &[PathBuf],
     white: &RawImage,
     search: &Search,
-    look: &Look,
+    look: Look,
     output: &mut OutputFolder,
 ) -> Result<Vec<Frame>> {
     let bar = progress_bar(look.quiet, paths.len(), "looking at boards");

@@ -57,17 +57,15 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let path = &arguments.project;
     let mut output = OutputFolder::new(&arguments.out)?;
     let shoot = Shoot::of(path, &Project::read(path)?)?;
-    let micro_images = match &arguments.precalibration {
-        Some(folder) => shoot.read_precalibration(folder)?,
-        None => {
-            let options = PrecalibrationOptions::of_datasheet(&shoot.sheet);
-            let (measured, _) =
-                measure(path, &shoot.images, &shoot.sheet, &options, arguments.json)?;
-            warn(&measured.warnings);
-            stage_centers(&mut output, &measured)?;
-            output.stage_json("precalibration.json", &io::precalibration_document(&measured))?;
-            MicroImages::of_precalibration(&measured, &shoot.sheet)?
-        }
+    let micro_images = if let Some(folder) = &arguments.precalibration {
+        shoot.read_precalibration(folder)?
+    } else {
+        let options = PrecalibrationOptions::of_datasheet(&shoot.sheet);
+        let (measured, _) = measure(path, &shoot.images, &shoot.sheet, &options, arguments.json)?;
+        warn(&measured.warnings);
+        stage_centers(&mut output, &measured)?;
+        output.stage_json("precalibration.json", &io::precalibration_document(&measured))?;
+        MicroImages::of_precalibration(&measured, &shoot.sheet)?
     };
     let look = Look {
         subset: arguments.subset,
@@ -75,7 +73,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         pictures: !arguments.no_pictures,
         quiet: arguments.json,
     };
-    let found = boards::detect(path, &shoot, &micro_images, &look, &mut output)?;
+    let found = boards::detect(path, &shoot, &micro_images, look, &mut output)?;
     warn(&found.warnings);
     let paths = output.commit()?;
     let text = if arguments.json {

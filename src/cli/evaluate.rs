@@ -199,7 +199,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         let look =
             Look { subset, estimator: arguments.estimator, pictures: false, quiet: arguments.json };
         let mut of_subset = OutputFolder::new(&arguments.out.join(subset.name()))?;
-        let found = boards::detect(path, &shoot, &micro_images, &look, &mut of_subset)?;
+        let found = boards::detect(path, &shoot, &micro_images, look, &mut of_subset)?;
         warn(&found.warnings);
         output.take(of_subset);
         Ok(found.bap_features())

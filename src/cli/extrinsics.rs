@@ -68,7 +68,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         pictures: false,
         quiet: arguments.json,
     };
-    let found = boards::detect(path, &shoot, &micro_images, &look, &mut output)?;
+    let found = boards::detect(path, &shoot, &micro_images, look, &mut output)?;
     let observations = Observations { centers: Vec::new(), features: found.bap_features() };
     let options = CalibrationOptions { mode: Mode::PosesOnly, ..CalibrationOptions::default() };
     let result =

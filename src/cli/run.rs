@@ -90,7 +90,7 @@ struct Ledger {
 }
 
 impl Ledger {
-    fn hashes(&mut self, inputs: &[PathBuf]) -> Result<Vec<String>> {
+    fn hashes(&mut self, inputs: &[PathBuf]) -> Vec<String> {
         let unknown: Vec<&PathBuf> =
             inputs.iter().filter(|path| !self.hashes.contains_key(*path)).collect();
         // An image that cannot be read is told when its turn comes.
@@ -99,7 +99,7 @@ impl Ledger {
             .map(|path| ((*path).clone(), io::hash_file(path).unwrap_or_default()))
             .collect();
         self.hashes.extend(known);
-        Ok(inputs.iter().map(|path| self.hashes[path].clone()).collect())
+        inputs.iter().map(|path| self.hashes[path].clone()).collect()
     }
 
     /// Does a stage unless it is done: `work` stages files and gives what the report shows.
@@ -111,7 +111,7 @@ impl Ledger {
         work: impl FnOnce(&mut OutputFolder) -> Result<Section>,
     ) -> Result<()> {
         let begun = Instant::now();
-        let hashes = self.hashes(inputs)?;
+        let hashes = self.hashes(inputs);
         let names: Vec<_> = inputs.iter().map(|path| path.file_name()).collect();
         let names: Vec<String> =
             names.iter().map(|n| n.unwrap_or_default().to_string_lossy().into_owned()).collect();
@@ -348,7 +348,7 @@ impl Stages<'_> {
         });
         ledger.stage(boards_stage(subset), &inputs, options, |output| {
             let micro_images = shoot.read_precalibration(&self.folder(PRECALIBRATION))?;
-            let found = boards::detect(self.path, shoot, &micro_images, &look, output)?;
+            let found = boards::detect(self.path, shoot, &micro_images, look, output)?;
             warn(&found.warnings);
             let figures = found.figures(look.pictures);
             let rows = found.rows();
@@ -441,9 +441,12 @@ impl Stages<'_> {
             "folds": self.arguments.folds,
         });
         ledger.stage(EVALUATION, &inputs, told, |output| {
-            let features = |wanted: bool, subset: Subset| match wanted {
-                true => Ok(io::read_features(&self.features(subset), true)?.features),
-                false => Ok(Vec::new()),
+            let features = |wanted: bool, subset: Subset| {
+                if wanted {
+                    Ok(io::read_features(&self.features(subset), true)?.features)
+                } else {
+                    Ok(Vec::new())
+                }
             };
             let evaluation = features(has_evaluation, Subset::Evaluation)?;
             let translation = features(has_translation, Subset::Translation)?;

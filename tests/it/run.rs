@@ -137,13 +137,17 @@ fn a_run_goes_from_images_to_a_report_and_does_nothing_twice() {
         .stderr(contains("warning: boards of evaluation: no frame shows the board"))
         .stdout(contains("\"evaluation\":null"));
 
-    // Single commands on what a run has left.
+    single_commands(folder.path(), &project, &out);
+}
+
+/// Single commands on what a run has left; no board of the evaluation shows.
+fn single_commands(folder: &Path, project: &Path, out: &Path) {
     let precalibration = out.join("precalibration");
     let single = |command: &str| {
         let mut program = plenocal();
-        program.arg(command).arg(&project).arg("--precalibration").arg(&precalibration);
+        program.arg(command).arg(project).arg("--precalibration").arg(&precalibration);
         program.arg("--camera").arg(out.join("calibration/camera.json"));
-        program.arg("--out").arg(folder.path().join(command));
+        program.arg("--out").arg(folder.join(command));
         program
     };
     single("extrinsics")
@@ -151,18 +155,18 @@ fn a_run_goes_from_images_to_a_report_and_does_nothing_twice() {
         .assert()
         .success()
         .stdout(contains("poses.json"));
-    let poses = json(&folder.path().join("extrinsics/poses.json"));
+    let poses = json(&folder.join("extrinsics/poses.json"));
     assert_eq!(poses["poses"].as_array().unwrap().len(), 4);
     single("extrinsics").assert().code(1).stderr(contains("no frame shows the board"));
     single("evaluate").assert().code(1).stderr(contains("no frame shows the board"));
-    let text = fs::read_to_string(&project).unwrap();
+    let text = fs::read_to_string(project).unwrap();
     let without = text.replace("evaluation = [", "calibration_unused = [");
     assert!(without != text);
-    fs::write(&project, without).unwrap();
+    fs::write(project, without).unwrap();
     single("evaluate").assert().code(1).stderr(contains("calibration_unused"));
     let list = text.find("evaluation = [").unwrap();
     let end = list + text[list..].find(']').unwrap() + 1;
-    fs::write(&project, format!("{}{}", &text[..list], &text[end..])).unwrap();
+    fs::write(project, format!("{}{}", &text[..list], &text[end..])).unwrap();
     single("evaluate")
         .args(["--folds", "2", "--features"])
         .arg(out.join("boards-calibration/features.csv"))
