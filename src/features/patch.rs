@@ -13,8 +13,25 @@ pub(super) struct Patch {
     pub y: Vec<f32>,
     pub light: Vec<f32>,
     pub weight: Vec<f32>,
-    /// Part of the pixels that is saturated.
+    /// Part of the pixels that is saturated in the board's image.
     pub saturated: f32,
+    /// Part of them that is saturated in the white image.
+    pub saturated_white: f32,
+}
+
+/// Why nothing can be told of a micro-image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unusable {
+    /// Cut by the border of the image.
+    Cut,
+    /// Without light in the white image.
+    Dark,
+    /// Too few pixels, though none is saturated.
+    TooSmall,
+    /// Saturated in the board's image.
+    Saturated,
+    /// Saturated in the white image.
+    SaturatedWhite,
 }
 
 impl Patch {
@@ -70,9 +87,9 @@ impl Pair {
         }
     }
 
-    /// The patch of a micro-image; `None` if it is not wholly in the images or without light.
+    /// The patch of a micro-image, or why there is none.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
-    pub fn patch(&self, micro_images: &MicroImages, (k, l): (i32, i32)) -> Option<Patch> {
+    pub fn patch(&self, micro_images: &MicroImages, (k, l): (i32, i32)) -> Result<Patch, Unusable> {
         let center = micro_images.center(k, l) - self.corner;
         let optics = micro_images.optics(k, l);
         let reach = optics.outer_radius_px().min(optics.half_pitch_px);
@@ -82,7 +99,7 @@ impl Pair {
             && last.x < self.white.width as f64
             && last.y < self.white.height as f64;
         if !inside {
-            return None;
+            return Err(Unusable::Cut);
         }
         let (left, top) = (first.x as usize, first.y as usize);
         let (right, bottom) = (last.x as usize, last.y as usize);
@@ -107,14 +124,22 @@ impl Pair {
             }
         }
         if brightest <= 0.0 {
-            return None;
+            return Err(Unusable::Dark);
         }
-        let count = whites.len() as f32;
-        patch.saturated = patch.light.iter().filter(|&&l| l >= 1.0).count() as f32 / count;
-        let mut kept = 0;
+        let part = |light: &[f32]| {
+            light.iter().filter(|&&l| l >= 1.0).count() as f32 / light.len() as f32
+        };
+        patch.saturated = part(&patch.light);
+        patch.saturated_white = part(&whites);
+        let (mut kept, mut lit, mut lit_white) = (0, 0, 0);
         for (i, &of_pixel) in whites.iter().enumerate() {
             let white = of_pixel / brightest;
-            if white < USABLE || patch.light[i] >= 1.0 || of_pixel >= 1.0 {
+            if white < USABLE {
+                continue;
+            }
+            lit += 1;
+            lit_white += usize::from(of_pixel < 1.0);
+            if patch.light[i] >= 1.0 || of_pixel >= 1.0 {
                 continue;
             }
             patch.x[kept] = patch.x[i];
@@ -126,6 +151,11 @@ impl Pair {
         patch.x.truncate(kept);
         patch.y.truncate(kept);
         patch.light.truncate(kept);
-        (kept >= FEWEST_PIXELS).then_some(patch)
+        match (kept, lit_white, lit) {
+            (FEWEST_PIXELS.., ..) => Ok(patch),
+            (_, FEWEST_PIXELS.., _) => Err(Unusable::Saturated),
+            (_, _, FEWEST_PIXELS..) => Err(Unusable::SaturatedWhite),
+            _ => Err(Unusable::TooSmall),
+        }
     }
 }

@@ -73,7 +73,10 @@ fn real_corners_are_clustered_and_tied_as_published() {
             .iter()
             .map(|g| LatticePoint { place: g.line.pinhole(), squares: Matrix2::zeros() })
             .collect();
-        let tied = TiedBoard::tie(&points, &board, &R12, 60.0)
+        let in_view = |p: &Vector2<f64>| {
+            R12.contains(p.x - 60.0, p.y - 60.0) && R12.contains(p.x + 60.0, p.y + 60.0)
+        };
+        let tied = TiedBoard::tie(&points, &board, &in_view)
             .unwrap_or_else(|why| panic!("frame {frame}: {why}"));
         let mut same = 0;
         let mut turned = 0;
@@ -156,12 +159,13 @@ fn simulated_corners_are_found_where_they_are() {
         let score = DetectionScore::of_simulation(&settings, frames, DepthEstimator::Line).unwrap();
         println!(
             "{name} {replaced:?}: {} of {frames} frames, {:.1} % found, {:.2} % true, {:.3} px, {:.3} \
-             px, depth {:.2} %",
+             px, rho {:.3} px, depth {:.2} %",
             score.tied,
             100.0 * score.recall(),
             100.0 * score.precision(),
             score.small_rms_px(),
             score.rms_px(),
+            score.rho_rms_px(),
             100.0 * score.depth_rms()
         );
         // Of a board that is cut by the border one cannot always tell which part shows.
