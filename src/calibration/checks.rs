@@ -3,9 +3,7 @@
 
 use crate::bridge::{self, Problem};
 use crate::calibration::{FramePose, LeftOut, Mode, Refinement, Start};
-use crate::camera::{
-    Board, Datasheet, InternalParameters, PlenopticCamera, intrinsic_parameters,
-};
+use crate::camera::{Board, Datasheet, InternalParameters, PlenopticCamera, intrinsic_parameters};
 use crate::error::{Error, Result};
 use crate::evaluation::{Reprojection, Uncertainty};
 use crate::observations::{BapFeature, MicroImageCenter, Observations};

@@ -270,11 +270,7 @@ fn turned((x, y): (i32, i32), quarter_turns: u8) -> (i32, i32) {
 }
 
 /// Grows a lattice from a point and its neighbours to the right and below.
-fn grow(
-    places: &[Vector2<f64>],
-    cells: &Cells,
-    [seed, right, down]: [usize; 3],
-) -> Labels {
+fn grow(places: &[Vector2<f64>], cells: &Cells, [seed, right, down]: [usize; 3]) -> Labels {
     let mut labels = Labels::from([((0, 0), seed), ((1, 0), right), ((0, 1), down)]);
     let mut taken = vec![false; places.len()];
     for i in [seed, right, down] {
@@ -515,9 +511,8 @@ impl Placement {
     /// Whether the board is at the same place, be it turned.
     fn covers(&self, other: &Self) -> bool {
         let step = step_at(&self.homography, &Vector2::zeros());
-        let is_outer = |a: &Vector2<f64>| {
-            other.outline.iter().any(|b| (a - b).norm() < SAME_PLACE * step)
-        };
+        let is_outer =
+            |a: &Vector2<f64>| other.outline.iter().any(|b| (a - b).norm() < SAME_PLACE * step);
         self.outline.iter().all(is_outer)
     }
 

@@ -273,9 +273,11 @@ impl Frame<'_> {
         // Those at the border say nothing of the light.
         levels.retain(|level| *level != Err(Unusable::Cut));
         if levels.is_empty() {
-            return Err("no micro-image is whole in it: the white images are of another camera, or \
+            return Err(
+                "no micro-image is whole in it: the white images are of another camera, or \
                         the array has too few micro-lenses"
-                .to_owned());
+                    .to_owned(),
+            );
         }
         let part = |why: Unusable| {
             let count = levels.iter().filter(|level| **level == Err(why)).count();
@@ -579,8 +581,7 @@ impl Frame<'_> {
         let scale = line.rms_px.max(LINE_PX);
         sights.retain(|(s, _)| (s.position - line.at(&s.center)).norm() < OUTLIER * scale);
         let line = SightLine::fit(sights.iter().map(|(sight, _)| sight))?;
-        let possible =
-            super::possible_slope(line.slope, self.search.micro_images.configuration);
+        let possible = super::possible_slope(line.slope, self.search.micro_images.configuration);
         (possible && sights.len() > 1).then_some(Target { corner: target.corner, line, sights })
     }
 

@@ -446,8 +446,8 @@ mod tests {
         // Texture has corners anywhere.
         for (n, sight) in (0_u32..).zip(&mut all) {
             let turn = f64::from(n) * 2.399_963;
-            sight.position =
-                sight.center + 9.0 * f64::from(n % 97).sqrt() / 10.0 * Vector2::new(turn.cos(), turn.sin());
+            sight.position = sight.center
+                + 9.0 * f64::from(n % 97).sqrt() / 10.0 * Vector2::new(turn.cos(), turn.sin());
         }
         let groups = groups_on_lines(&all, &cluster, &search);
         let members: usize = groups.iter().map(|g| g.members.len()).sum();

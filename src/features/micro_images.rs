@@ -239,7 +239,8 @@ impl MicroImages {
         // Nodes lie about the middle of their bounding box, which the first one reaches, or the first
         // two where every second is shifted.
         let (right, below) = (1.min(grid.lattice.columns - 1), 1.min(grid.lattice.rows - 1));
-        let outermost = [(0, 0), (right, 0), (0, below)].map(|(k, l)| grid.lattice.node(k, l).abs());
+        let outermost =
+            [(0, 0), (right, 0), (0, below)].map(|(k, l)| grid.lattice.node(k, l).abs());
         let reach = outermost.iter().fold(Vector2::zeros(), |a: Vector2<f64>, b| a.sup(b));
         let inside = (reach + Vector2::repeat(0.5)) * grid.pitch_px - at.abs();
         let margin = Vector2::repeat(margin_px);

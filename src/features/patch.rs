@@ -126,9 +126,8 @@ impl Pair {
         if brightest <= 0.0 {
             return Err(Unusable::Dark);
         }
-        let part = |light: &[f32]| {
-            light.iter().filter(|&&l| l >= 1.0).count() as f32 / light.len() as f32
-        };
+        let part =
+            |light: &[f32]| light.iter().filter(|&&l| l >= 1.0).count() as f32 / light.len() as f32;
         patch.saturated = part(&patch.light);
         patch.saturated_white = part(&whites);
         let (mut kept, mut lit, mut lit_white) = (0, 0, 0);
@@ -157,5 +156,82 @@ impl Pair {
             (_, _, FEWEST_PIXELS..) => Err(Unusable::SaturatedWhite),
             _ => Err(Unusable::TooSmall),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{Configuration, Datasheet, InternalParameters, Sensor};
+    use crate::lattice::{Lattice, LatticeKind, Parity};
+    use crate::precalibration::MicroImageArray;
+
+    /// Three by three micro-images about the middle of an image of 61 x 61 px.
+    fn micro_images(pitch_px: f64) -> MicroImages {
+        let sheet = Datasheet {
+            sensor: Sensor { width_px: 61, height_px: 61, pixel_size_mm: 0.0055 },
+            focal_length_mm: 16.0,
+            focus_distance_mm: 120.0,
+            f_number: 4.0,
+            configuration: Configuration::Galilean,
+            lattice_kind: LatticeKind::Orthogonal,
+            columns: 3,
+            rows: 3,
+            lens_types: 1,
+            micro_image_pitch_px: None,
+        };
+        let internal = InternalParameters {
+            m_mm: 0.5 * pitch_px * 0.0055,
+            q_prime_mm: vec![0.9 * pitch_px * 0.0055],
+            micro_image_pitch_mm: None,
+        };
+        let grid = MicroImageArray {
+            lattice: Lattice {
+                kind: LatticeKind::Orthogonal,
+                columns: 3,
+                rows: 3,
+                shifted: Parity::Even,
+            },
+            pitch_px,
+            rotation_rad: 0.0,
+            center_px: Vector2::new(30.0, 30.0),
+            perspective_per_px: Vector2::zeros(),
+            rms_px: 0.0,
+            outliers: 0,
+        };
+        MicroImages::new(&grid, &[], &internal, &sheet).unwrap()
+    }
+
+    #[test]
+    fn a_micro_image_that_tells_nothing_says_why() {
+        let flat = |light: f32| Image { width: 61, height: 61, pixels: vec![light; 61 * 61] };
+        let of = |board: f32, white: f32, pitch_px: f64, corner: Vector2<f64>| {
+            let pair = Pair { board: flat(board), white: flat(white), corner };
+            pair.patch(&micro_images(pitch_px), (1, 1)).map(|patch| patch.light.len())
+        };
+        let whole = Vector2::zeros();
+        assert!(of(0.5, 0.8, 16.0, whole).is_ok_and(|pixels| pixels > 100));
+        assert_eq!(of(1.0, 0.8, 16.0, whole), Err(Unusable::Saturated));
+        assert_eq!(of(0.5, 1.0, 16.0, whole), Err(Unusable::SaturatedWhite));
+        assert_eq!(of(1.0, 1.0, 16.0, whole), Err(Unusable::SaturatedWhite));
+        assert_eq!(of(0.5, 0.0, 16.0, whole), Err(Unusable::Dark));
+        assert_eq!(of(0.5, 0.8, 6.0, whole), Err(Unusable::TooSmall));
+        assert_eq!(of(0.5, 0.8, 16.0, Vector2::new(25.0, 0.0)), Err(Unusable::Cut));
+    }
+
+    /// The array may be smaller than the sensor.
+    #[test]
+    fn in_view_is_what_the_micro_images_show() {
+        let micro_images = micro_images(16.0);
+        let large = Sensor { width_px: 61, height_px: 61, pixel_size_mm: 0.0055 };
+        let small = Sensor { height_px: 41, ..large };
+        let shows = |u: f64, v: f64, sensor: &Sensor, margin_px: f64| {
+            micro_images.show(&Vector2::new(u, v), sensor, margin_px)
+        };
+        // 24 px to every side of (30, 30).
+        assert!(shows(53.0, 30.0, &large, 0.0) && !shows(55.0, 30.0, &large, 0.0));
+        assert!(shows(7.0, 7.0, &large, 0.5) && !shows(7.0, 7.0, &large, 2.0));
+        assert!(shows(30.0, 53.0, &large, 0.0) && !shows(30.0, 53.0, &small, 0.0));
+        assert!(!shows(f64::NAN, 30.0, &large, 0.0));
     }
 }
