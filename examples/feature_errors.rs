@@ -33,10 +33,10 @@ const SETS: [(&str, &str, &[&str], usize); 11] = [
 
 fn main() -> Result<()> {
     println!(
-        "| boards | tied | found | true | position, blur up to 3 px | position, all | 1/ν, line | \
+        "| boards | tied | found | true | position, blur up to 3 px | position, all | ρ | 1/ν, line | \
          1/ν, median |"
     );
-    println!("|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|");
     let wanted = std::env::args().nth(1).unwrap_or_default();
     for (name, preset, replaced, frames) in SETS {
         if !name.contains(&wanted) {
@@ -47,13 +47,14 @@ fn main() -> Result<()> {
         let settings = preset_settings(preset, &replaced)?;
         let score = DetectionScore::of_simulation(&settings, frames, DepthEstimator::Line)?;
         println!(
-            "| {name} | {} of {} | {:.1} % | {:.2} % | {:.3} px | {:.3} px | {:.2} % | {:.2} % |",
+            "| {name} | {} of {} | {:.1} % | {:.2} % | {:.3} px | {:.3} px | {:.3} px | {:.2} % | {:.2} % |",
             score.tied,
             score.frames,
             100.0 * score.recall(),
             100.0 * score.precision(),
             score.small_rms_px(),
             score.rms_px(),
+            score.rho_rms_px(),
             100.0 * score.depth_rms(),
             100.0 * score.median_depth_rms(),
         );

@@ -3,7 +3,7 @@
 
 use crate::bridge::{self, Problem};
 use crate::calibration::{FramePose, LeftOut, Mode, Refinement, Start};
-use crate::camera::{Board, PlenopticCamera, intrinsic_parameters};
+use crate::camera::{Board, Datasheet, InternalParameters, PlenopticCamera, intrinsic_parameters};
 use crate::error::{Error, Result};
 use crate::evaluation::{Reprojection, Uncertainty};
 use crate::observations::{BapFeature, MicroImageCenter, Observations};
@@ -65,9 +65,12 @@ pub(super) fn check_observations(
     Ok(())
 }
 
-/// An error if the camera's file states another pitch than the centres have.
-pub(super) fn check_stated_pitch(start: &Start, grid: &MicroImageArray) -> Result<()> {
-    let Start::Datasheet(sheet, internal) = start else { return Ok(()) };
+/// An error if the camera's file or the internal parameters state another pitch than the centres have.
+pub fn check_stated_pitch(
+    sheet: &Datasheet,
+    internal: &InternalParameters,
+    grid: &MicroImageArray,
+) -> Result<()> {
     let measured = internal.micro_image_pitch_mm.map(|mm| mm / sheet.sensor.pixel_size_mm);
     for (stated, whose) in [
         (sheet.micro_image_pitch_px, "the camera states"),

@@ -8,6 +8,7 @@ mod poses;
 mod refine;
 mod result;
 
+pub use checks::check_stated_pitch;
 pub use initial::initial_camera;
 pub use options::{CalibrationOptions, CostOptions, Loss, Mode, SolverOptions, Start};
 pub use poses::initial_poses;

@@ -54,7 +54,9 @@ pub fn calibrate(
 
     let grid = fitted_grid(&start, observations)?;
     if let Some(grid) = &grid {
-        check_stated_pitch(&start, grid)?;
+        if let Start::Datasheet(sheet, internal) = &start {
+            check_stated_pitch(sheet, internal, grid)?;
+        }
         warnings.extend(outlying_centers(grid, observations.centers.len()));
     }
     let initial = start_camera(&start, grid.as_ref())?;

@@ -2,13 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
+use plenocal::calibration::check_stated_pitch;
 use plenocal::camera::{Board, Datasheet};
 use plenocal::features::{
-    DepthEstimator, DetectedFeature, Detection, FrameCounts, MicroImages, Search, detect_frame,
+    DepthEstimator, DetectedFeature, Detection, FrameCounts, MicroImages, Search, TiedBoard,
+    detect_frame,
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
-use plenocal::observations::{BapFeature, MIN_CORNERS};
+use plenocal::observations::{BapFeature, Observations};
 use plenocal::precalibration::fit_grid;
 use plenocal::report::Figure;
 use plenocal::{Error, Result, report};
@@ -77,24 +79,39 @@ impl Shoot {
             .images
             .clone()
             .ok_or_else(|| missing("it lists no images: add [images] with calibration = [...]"))?;
-        sheet.validate().and_then(|()| board.validate()).map_err(|e| e.in_file(path))?;
+        sheet
+            .validate()
+            .and_then(|()| board.validate())
+            .and_then(|()| TiedBoard::check_size(&board))
+            .map_err(|e| e.in_file(path))?;
         Ok(Self { sheet, board, images })
     }
 
     /// The white image in the light of the boards, or the one at their f-number.
     pub fn white_image(&self) -> Result<PathBuf> {
-        const SAME_STOP: f64 = 0.02;
+        // f/11 is engraved for f/11.31, f/22 for f/22.63.
+        const SAME_STOP: f64 = 0.04;
         if let Some(path) = &self.images.devignetting {
             return Ok(path.clone());
         }
+        let mut nearest: Option<(f64, f64, &PathBuf)> = None;
         for white in &self.images.whites {
-            if (white.f_number()? / self.sheet.f_number - 1.0).abs() < SAME_STOP {
-                return Ok(white.image.clone());
+            let f_number = white.f_number()?;
+            let off = (f_number / self.sheet.f_number - 1.0).abs();
+            if nearest.is_none_or(|(least, ..)| off < least) {
+                nearest = Some((off, f_number, &white.image));
             }
         }
+        let at = match nearest {
+            Some((off, _, image)) if off < SAME_STOP => return Ok(image.clone()),
+            Some((_, f_number, image)) => {
+                format!(" (the nearest is {}, at f/{f_number:.2})", name(image))
+            }
+            None => String::new(),
+        };
         Err(Error::Invalid(format!(
-            "there is no white image at f/{:.2}, the f-number of the boards: add devignetting = \"...\" \
-             to [images]",
+            "there is no white image at f/{:.2}, the f-number of the boards{at}: add devignetting = \
+             \"...\" to [images]",
             self.sheet.f_number
         )))
     }
@@ -112,7 +129,8 @@ impl Shoot {
         )))
     }
 
-    /// What a folder that `precalibrate` has written says of the micro-images.
+    /// What a folder that `precalibrate` has written says of the micro-images; an error if it is of
+    /// another camera.
     pub fn read_precalibration(&self, folder: &Path) -> Result<MicroImages> {
         let (internal, centers) = (folder.join("precalibration.json"), folder.join("centers.csv"));
         let (sheet, pixel) = (&self.sheet, Some(self.sheet.sensor.pixel_size_mm));
@@ -120,6 +138,13 @@ impl Shoot {
         let measured = io::read_centers(&centers)?;
         let grid = fit_grid(&measured, sheet.lattice_kind, sheet.columns, sheet.rows)
             .map_err(|e| e.in_file(&centers))?;
+        Observations { centers: measured.clone(), features: Vec::new() }
+            .validate(&sheet.sensor, (sheet.columns, sheet.rows), &self.board, false)
+            .map_err(|e| e.in_file(&centers))?;
+        internal
+            .validate(sheet.lens_types)
+            .and_then(|()| check_stated_pitch(sheet, &internal, &grid))
+            .map_err(|e| e.in_file(folder))?;
         MicroImages::new(&grid, &measured, &internal, sheet).map_err(|e| e.in_file(folder))
     }
 }
@@ -173,18 +198,22 @@ impl Found {
     }
 
     pub fn rows(&self) -> Vec<report::FrameRow> {
-        let row = |frame: &Frame| report::FrameRow {
-            frame: frame.number,
-            image: name(&frame.path),
-            counts: frame.counts,
-            features: frame.result.as_ref().map_or(0, |detection| detection.features.len()),
-        };
-        self.frames.iter().map(row).collect()
+        rows(&self.frames)
     }
 }
 
 fn picture(frame: u32) -> String {
     format!("frame-{frame:02}.svg")
+}
+
+fn rows(frames: &[Frame]) -> Vec<report::FrameRow> {
+    let row = |frame: &Frame| report::FrameRow {
+        frame: frame.number,
+        image: name(&frame.path),
+        counts: frame.counts,
+        features: frame.result.as_ref().map_or(0, |detection| detection.features.len()),
+    };
+    frames.iter().map(row).collect()
 }
 
 fn name(path: &Path) -> String {
@@ -195,7 +224,7 @@ fn name(path: &Path) -> String {
 const FEW_FRAMES: usize = 4;
 
 /// Detects the features of a subset and stages features.csv, detection.json and the pictures. Frames that
-/// are left out are in the warnings; an error if all are.
+/// are left out are in the warnings; an error if all are, with what was found and dropped in them.
 pub fn detect(
     path: &Path,
     shoot: &Shoot,
@@ -218,7 +247,15 @@ pub fn detect(
         estimator: look.estimator.into(),
     };
     let frames = detect_all(shoot, images, &white, &search, look, output)?;
-    let mut warnings = rejected(&frames, look.subset)?;
+    let mut warnings = rejected(&frames);
+    if frames.iter().all(|frame| frame.result.is_err()) {
+        return Err(Error::Invalid(format!(
+            "no frame shows the board: check [board], the white image and the images\n  {}\n{}",
+            warnings.join("\n  "),
+            report::detection_text(&rows(&frames))
+        )));
+    }
+    warnings.extend(too_few(&frames, look.subset));
     warnings.extend(unseen_size(&frames, &shoot.board));
     let features: Vec<DetectedFeature> = frames
         .iter()
@@ -263,32 +300,22 @@ fn detect_all(
     Ok(frames)
 }
 
-/// Which frames are left out and why; an error if all are.
-fn rejected(frames: &[Frame], subset: Subset) -> Result<Vec<String>> {
+/// Which frames are left out and why.
+fn rejected(frames: &[Frame]) -> Vec<String> {
     let left_out = |frame: &Frame| {
         let why = frame.result.as_ref().err()?;
         Some(format!("frame {} ({}) is left out: {why}", frame.number, name(&frame.path)))
     };
-    let mut warnings: Vec<String> = frames.iter().filter_map(left_out).collect();
+    frames.iter().filter_map(left_out).collect()
+}
+
+fn too_few(frames: &[Frame], subset: Subset) -> Option<String> {
     let good = frames.iter().filter(|frame| frame.result.is_ok()).count();
-    if good == 0 {
-        return Err(Error::Invalid(format!(
-            "no frame shows the board: check [board], the white image and the images\n  {}",
-            warnings.join("\n  ")
-        )));
-    }
-    if good < FEW_FRAMES && subset == Subset::Calibration {
-        warnings.push(format!(
+    (good < FEW_FRAMES && subset == Subset::Calibration).then(|| {
+        format!(
             "{good} frame(s) are few for a calibration: take ten or more, at several distances and tilts"
-        ));
-    }
-    for frame in frames {
-        let tied = frame.counts.board_corners;
-        if frame.result.is_ok() && tied < MIN_CORNERS {
-            warnings.push(format!("frame {} shows {tied} corners only", frame.number));
-        }
-    }
-    Ok(warnings)
+        )
+    })
 }
 
 /// A board that is stated too large fits as well where its other sides are out of view.
@@ -327,10 +354,12 @@ fn document(frames: &[Frame], board: &Board) -> Value {
             "dropped": {
                 "alone": c.alone,
                 "off_line": c.off_line,
+                "texture": c.texture,
                 "off_board": c.off_board,
                 "lost_board_corners": c.lost,
                 "unclear": c.unclear,
                 "misplaced": c.misplaced,
+                "given_up": c.given_up,
             },
         })
     };

@@ -27,6 +27,7 @@ pub struct DetectionScore {
     small: usize,
     small_square: f64,
     square: f64,
+    rho_square: f64,
     depths: usize,
     depth_square: f64,
     median_square: f64,
@@ -57,7 +58,7 @@ struct FrameTruth<'a> {
 
 impl DetectionScore {
     /// Simulates the first boards of a data set, and its white images; pre-calibrates, detects, and
-    /// compares with the truth.
+    /// compares with the truth. The estimator decides which ρ is held against it; of 1/ν both are.
     pub fn of_simulation(
         settings: &Settings,
         frames: usize,
@@ -131,6 +132,7 @@ impl DetectionScore {
             found.insert(place, error.norm());
             self.right += 1;
             self.square += error.norm_squared() / 2.0;
+            self.rho_square += (f.rho_px - t.rho_px).powi(2);
             if t.rho_px.abs() <= SMALL_RHO_PX {
                 self.small += 1;
                 self.small_square += error.norm_squared() / 2.0;
@@ -196,15 +198,21 @@ impl DetectionScore {
         (self.small_square / self.small as f64).sqrt()
     }
 
-    /// The same by the paper's median over pairs.
+    /// Root mean square error of ρ, px, by the estimator that the features were detected with.
     #[must_use]
-    pub fn median_depth_rms(&self) -> f64 {
-        (self.median_square / self.depths as f64).sqrt()
+    pub fn rho_rms_px(&self) -> f64 {
+        (self.rho_square / self.right as f64).sqrt()
     }
 
     /// Root mean square error of 1/ν of a corner, relative, by the line.
     #[must_use]
     pub fn depth_rms(&self) -> f64 {
         (self.depth_square / self.depths as f64).sqrt()
+    }
+
+    /// Root mean square error of 1/ν of a corner, relative, by the paper's median over pairs.
+    #[must_use]
+    pub fn median_depth_rms(&self) -> f64 {
+        (self.median_square / self.depths as f64).sqrt()
     }
 }

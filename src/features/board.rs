@@ -3,8 +3,11 @@
 use std::collections::{BTreeMap, HashMap};
 
 use nalgebra::{DMatrix, Matrix2, Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
 
-use crate::camera::{Board, Sensor};
+use super::cells::Cells;
+use crate::camera::Board;
+use crate::error::Error;
 
 /// The pinhole image of a corner, and how the squares about it lie.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,6 +41,8 @@ const SEEDS: usize = 40;
 const STEP_ERROR: f64 = 0.3;
 /// A corner is where the homography puts it within this part of a step.
 const PLACE_ERROR: f64 = 0.15;
+/// Of a lattice that no homography agrees with one in so many points is dropped at a time.
+const DROPPED: usize = 40;
 /// Labellings of the points that are tried on the board.
 const TRIED: usize = 12;
 /// Placements whose scores differ by less than this part of the corners cannot be told apart.
@@ -56,32 +61,43 @@ type Labels = HashMap<(i32, i32), usize>;
 type Pair = (Vector2<f64>, Vector2<f64>);
 
 impl TiedBoard {
+    /// An error unless boards of this size can be looked for.
+    pub fn check_size(board: &Board) -> Result<(), Error> {
+        let corners = usize::try_from(board.corners()).unwrap_or(usize::MAX);
+        if (FEWEST..=MOST_CORNERS).contains(&corners) {
+            return Ok(());
+        }
+        Err(Error::invalid(format!(
+            "a board of {} x {} inner corners cannot be looked for: it takes {FEWEST} to \
+             {MOST_CORNERS} of them",
+            board.columns, board.rows
+        )))
+    }
+
     /// Ties points to a board; an error in words if they show none, or could be several parts of it.
     ///
-    /// Corners that should show on the sensor but do not speak against a placement, so that a board
+    /// Corners at places where they should show but do not speak against a placement, so that a board
     /// that is cut by the border of the image is recognised by its other sides. Colours of the squares
     /// count where they are known; corner 0 has a dark square before it. Where the board, or what shows
-    /// of it, is the same when turned, the placement is taken whose rows run most to the right.
+    /// of it, is the same when turned, the placement is taken whose rows run most to the right; of those
+    /// that run up and down, or up and down on a slant, the one with corner 0 on top.
     pub fn tie(
         points: &[LatticePoint],
         board: &Board,
-        sensor: &Sensor,
-        margin_px: f64,
+        in_view: &(dyn Fn(&Vector2<f64>) -> bool + Sync),
     ) -> Result<Self, String> {
         if points.len() < FEWEST {
             return Err(format!("{} corners are too few for a board", points.len()));
         }
+        Self::check_size(board).map_err(|e| e.to_string())?;
         let corners = usize::try_from(board.corners()).unwrap_or(0);
-        if corners > MOST_CORNERS {
-            return Err(format!("a board of {corners} corners is too large to be looked for"));
-        }
         if points.len() > MOST_CLUTTER * corners.max(FEWEST * FEWEST) {
             return Err(format!(
                 "{} places look like corners, but the board has {corners}: the image is full of texture",
                 points.len()
             ));
         }
-        let view = View { points, board, sensor, margin_px };
+        let view = View { points, board, in_view };
         let mut placements: Vec<Placement> =
             labellings(points, board).iter().flat_map(|labels| view.placements(labels)).collect();
         placements.sort_by(|a, b| b.score.total_cmp(&a.score));
@@ -92,9 +108,9 @@ impl TiedBoard {
         // Of what cannot be told apart, what runs most to the right; that has to be one place.
         let alike = || placements.iter().filter(|p| p.score >= limit);
         let rightmost = alike().map(Placement::rightwards).fold(f64::MIN, f64::max);
-        let towards = |p: &&Placement| p.rightwards() > rightmost - SAME_DIRECTION;
-        let best = alike().find(towards).unwrap_or(best);
-        if let Some(other) = alike().filter(towards).find(|p| !p.is_at(best)) {
+        let towards = || alike().filter(|p| p.rightwards() > rightmost - SAME_DIRECTION);
+        let best = towards().next().unwrap_or(best);
+        if let Some(other) = towards().find(|p| !p.covers(best)) {
             return Err(format!(
                 "{} corners could be more than one part of the board (as many as {} at another \
                  place): show more of it, or its edges, or correct [board]",
@@ -102,6 +118,11 @@ impl TiedBoard {
                 other.tied()
             ));
         }
+        // What is left is the board, turned.
+        let top = |p: &&Placement| p.outline[0].y;
+        let best = towards().min_by(|a, b| top(a).total_cmp(&top(b))).unwrap_or(best);
+        // The same again may tie more of its corners.
+        let best = towards().find(|p| p.is_at(best)).unwrap_or(best);
         if (best.tied() as f64) < FOUND * (best.tied() + best.missing) as f64
             || best.tied() < FEWEST
         {
@@ -156,27 +177,33 @@ fn project(homography: &Matrix3<f64>, at: &Vector2<f64>) -> Vector2<f64> {
 
 /// Integer coordinates for points that lie on a lattice, those first of which most fit on the board.
 fn labellings(points: &[LatticePoint], board: &Board) -> Vec<Labels> {
-    let step = points.len().div_ceil(SEEDS);
-    let mut all: Vec<(usize, Labels)> = Vec::new();
-    for seed in (0..points.len()).step_by(step) {
+    let places: Vec<Vector2<f64>> = points.iter().map(|point| point.place).collect();
+    let (low, high) = places.iter().fold((places[0], places[0]), |(a, b), p| (a.inf(p), b.sup(p)));
+    let cells = Cells::new(&places, ((high - low).product() / places.len() as f64).sqrt());
+    let of_seed = |seed: usize| {
         let mut others: Vec<usize> = (0..points.len()).filter(|&i| i != seed).collect();
-        let away = |i: usize| points[i].place - points[seed].place;
+        let away = |i: usize| places[i] - places[seed];
         others.sort_by(|&a, &b| away(a).norm().total_cmp(&away(b).norm()));
         others.truncate(NEIGHBOURS);
+        let mut found: Vec<(usize, Labels)> = Vec::new();
         for &right in &others {
             for &down in &others {
                 let (a, b) = (away(right), away(down));
                 // Neither mirrored nor too skew to be the sides of a square in perspective.
                 if a.perp(&b) > 0.35 * a.norm() * b.norm() && ratio(a.norm(), b.norm()) < 3.0 {
-                    let labels = grow(points, seed, right, down);
+                    let labels = grow(&places, &cells, [seed, right, down]);
                     let fitting = fitting(&labels, board);
                     if fitting >= FEWEST {
-                        all.push((fitting, labels));
+                        found.push((fitting, labels));
                     }
                 }
             }
         }
-    }
+        found
+    };
+    let seeds: Vec<usize> = (0..points.len()).step_by(points.len().div_ceil(SEEDS)).collect();
+    let mut all: Vec<(usize, Labels)> =
+        seeds.par_iter().flat_map_iter(|&seed| of_seed(seed)).collect();
     // Skewed lattices hold as many points as the true one, but these do not fit on the board.
     all.sort_by_key(|(fitting, _)| std::cmp::Reverse(*fitting));
     // The same lattice, grown from another seed or in another direction, has the same points with the
@@ -192,22 +219,23 @@ fn labellings(points: &[LatticePoint], board: &Board) -> Vec<Labels> {
 
 /// Most labels that a board covers, upright or on its side.
 fn fitting(labels: &Labels, board: &Board) -> usize {
-    let range = |of: fn(&(i32, i32)) -> i32, count: i32| {
-        let (low, high) = (labels.keys().map(of).min(), labels.keys().map(of).max());
-        let (low, last) = (low.unwrap_or(0), high.unwrap_or(0) - count + 1);
-        low.min(last)..=low.max(last)
+    let most = |columns: i32, rows: i32| {
+        let xs = || labels.keys().map(|at| at.0);
+        let (left, right) = (xs().min().unwrap_or(0), xs().max().unwrap_or(0));
+        let top = labels.keys().map(|at| at.1).min().unwrap_or(0);
+        let index = |y: i32| usize::try_from(y - top).unwrap_or(0);
+        let height = labels.keys().map(|at| index(at.1)).max().unwrap_or(0) + 1;
+        let from = |left: i32| {
+            let mut in_row = vec![0; height];
+            for at in labels.keys().filter(|at| (left..left + columns).contains(&at.0)) {
+                in_row[index(at.1)] += 1;
+            }
+            let rows = usize::try_from(rows).unwrap_or(1).clamp(1, height);
+            in_row.windows(rows).map(|rows| rows.iter().sum::<usize>()).max().unwrap_or(0)
+        };
+        (left..=left.max(right - columns + 1)).map(from).max().unwrap_or(0)
     };
-    let sizes = [(board.columns, board.rows), (board.rows, board.columns)];
-    let windows = sizes.into_iter().flat_map(|(columns, rows)| {
-        let tops = range(|at| at.1, rows);
-        range(|at| at.0, columns)
-            .flat_map(move |left| tops.clone().map(move |top| (left, top)))
-            .map(move |(left, top)| (left..left + columns, top..top + rows))
-    });
-    windows
-        .map(|(x, y)| labels.keys().filter(|at| x.contains(&at.0) && y.contains(&at.1)).count())
-        .max()
-        .unwrap_or(0)
+    most(board.columns, board.rows).max(most(board.rows, board.columns))
 }
 
 fn ratio(a: f64, b: f64) -> f64 {
@@ -216,6 +244,9 @@ fn ratio(a: f64, b: f64) -> f64 {
 
 /// Whether two labellings of the same points differ by a shift and quarter turns of the coordinates only.
 fn same_steps(a: &Labels, b: &Labels) -> bool {
+    if a.len() != b.len() {
+        return false;
+    }
     let of_point: HashMap<usize, (i32, i32)> = b.iter().map(|(&at, &i)| (i, at)).collect();
     let same = |quarter_turns: u8| {
         let mut shift = None;
@@ -226,7 +257,7 @@ fn same_steps(a: &Labels, b: &Labels) -> bool {
                 .is_some_and(|&(u, v)| *shift.get_or_insert((x - u, y - v)) == (x - u, y - v))
         })
     };
-    a.len() == b.len() && (0..4).any(same)
+    (0..4).any(same)
 }
 
 fn turned((x, y): (i32, i32), quarter_turns: u8) -> (i32, i32) {
@@ -239,13 +270,13 @@ fn turned((x, y): (i32, i32), quarter_turns: u8) -> (i32, i32) {
 }
 
 /// Grows a lattice from a point and its neighbours to the right and below.
-fn grow(points: &[LatticePoint], seed: usize, right: usize, down: usize) -> Labels {
+fn grow(places: &[Vector2<f64>], cells: &Cells, [seed, right, down]: [usize; 3]) -> Labels {
     let mut labels = Labels::from([((0, 0), seed), ((1, 0), right), ((0, 1), down)]);
-    let mut taken = vec![false; points.len()];
+    let mut taken = vec![false; places.len()];
     for i in [seed, right, down] {
         taken[i] = true;
     }
-    let place = |i: usize| points[i].place;
+    let place = |i: usize| places[i];
     let first = [place(right) - place(seed), place(down) - place(seed)];
     let mut open = vec![(0, 0), (1, 0), (0, 1)];
     let mut next = 0;
@@ -269,9 +300,9 @@ fn grow(points: &[LatticePoint], seed: usize, right: usize, down: usize) -> Labe
                 .unwrap_or_else(|| first[0] * f64::from(dx) + first[1] * f64::from(dy));
             let expected = here + step;
             let off = |i: &usize| (place(*i) - expected).norm();
-            let nearest =
-                (0..points.len()).filter(|&i| !taken[i]).min_by(|a, b| off(a).total_cmp(&off(b)));
-            if let Some(i) = nearest.filter(|i| off(i) < STEP_ERROR * step.norm()) {
+            let near = cells.near(&expected, STEP_ERROR * step.norm());
+            let free = near.into_iter().filter(|&i| !taken[i]);
+            if let Some(i) = free.min_by(|a, b| off(a).total_cmp(&off(b))) {
                 taken[i] = true;
                 labels.insert(to, i);
                 open.push(to);
@@ -285,8 +316,7 @@ fn grow(points: &[LatticePoint], seed: usize, right: usize, down: usize) -> Labe
 struct View<'a> {
     points: &'a [LatticePoint],
     board: &'a Board,
-    sensor: &'a Sensor,
-    margin_px: f64,
+    in_view: &'a (dyn Fn(&Vector2<f64>) -> bool + Sync),
 }
 
 /// Points placed on the board.
@@ -304,8 +334,7 @@ impl View<'_> {
     /// Every way to lay a labelled lattice onto the board.
     fn placements(&self, labels: &Labels) -> Vec<Placement> {
         let Some((labels, homography)) = self.regular(labels) else { return Vec::new() };
-        let mut placements = Vec::new();
-        for quarter_turns in 0..4 {
+        let of_turn = |quarter_turns: u8| {
             let turned: Vec<((i32, i32), usize)> =
                 labels.iter().map(|&(at, i)| (turned(at, quarter_turns), i)).collect();
             let shifts = |of: fn(&(i32, i32)) -> i32, count: i32| {
@@ -314,27 +343,30 @@ impl View<'_> {
                 let last = high - count + 1;
                 low.min(last)..=low.max(last)
             };
-            for top in shifts(|at| at.1, self.board.rows) {
-                for left in shifts(|at| at.0, self.board.columns) {
-                    // From corners of the board to the labels.
-                    let (ex, ey, origin) = match quarter_turns {
-                        0 => ((1, 0), (0, 1), (left, top)),
-                        1 => ((0, -1), (1, 0), (top, -left)),
-                        2 => ((-1, 0), (0, -1), (-left, -top)),
-                        _ => ((0, 1), (-1, 0), (-top, left)),
-                    };
-                    let to_labels = Matrix3::new(
-                        ex.0, ey.0, origin.0, //
-                        ex.1, ey.1, origin.1, //
-                        0, 0, 1,
-                    )
-                    .map(f64::from);
-                    let shifted = turned.iter().map(|&((x, y), i)| ((x - left, y - top), i));
-                    placements.push(self.placement(shifted, homography * to_labels));
-                }
-            }
-        }
-        placements
+            let lefts = shifts(|at| at.0, self.board.columns);
+            let places: Vec<(i32, i32)> = shifts(|at| at.1, self.board.rows)
+                .flat_map(|top| lefts.clone().map(move |left| (left, top)))
+                .collect();
+            let at_place = |&(left, top): &(i32, i32)| {
+                // From corners of the board to the labels.
+                let (ex, ey, origin) = match quarter_turns {
+                    0 => ((1, 0), (0, 1), (left, top)),
+                    1 => ((0, -1), (1, 0), (top, -left)),
+                    2 => ((-1, 0), (0, -1), (-left, -top)),
+                    _ => ((0, 1), (-1, 0), (-top, left)),
+                };
+                let to_labels = Matrix3::new(
+                    ex.0, ey.0, origin.0, //
+                    ex.1, ey.1, origin.1, //
+                    0, 0, 1,
+                )
+                .map(f64::from);
+                let shifted = turned.iter().map(|&((x, y), i)| ((x - left, y - top), i));
+                self.placement(shifted, homography * to_labels)
+            };
+            places.par_iter().map(at_place).collect::<Vec<Placement>>()
+        };
+        (0..4).flat_map(of_turn).collect()
     }
 
     /// The labels that a homography agrees with, and that.
@@ -354,16 +386,25 @@ impl View<'_> {
             let off = |(at, place): &(Vector2<f64>, Vector2<f64>)| {
                 (project(&homography, at) - place).norm() / step_at(&homography, at)
             };
-            let (worst, error) = pairs
-                .iter()
-                .map(off)
-                .enumerate()
-                .max_by(|a, b| a.1.total_cmp(&b.1))
-                .filter(|(_, error)| error.is_finite())?;
-            if error < PLACE_ERROR {
+            let mut errors: Vec<(f64, usize)> = pairs.iter().map(off).zip(0..).collect();
+            // Not a number comes first.
+            errors.sort_by(|a, b| b.0.total_cmp(&a.0));
+            if !errors[0].0.is_finite() {
+                return None;
+            }
+            let mut wrong: Vec<usize> = errors
+                .into_iter()
+                .take_while(|(error, _)| *error >= PLACE_ERROR)
+                .map(|(_, i)| i)
+                .take(kept.len().div_ceil(DROPPED))
+                .collect();
+            if wrong.is_empty() {
                 return Some((kept, homography));
             }
-            kept.swap_remove(worst);
+            wrong.sort_unstable();
+            for i in wrong.into_iter().rev() {
+                kept.swap_remove(i);
+            }
             if kept.len() < FEWEST {
                 return None;
             }
@@ -396,13 +437,8 @@ impl View<'_> {
                 }
             }
         }
-        let (right, bottom) =
-            (f64::from(self.sensor.width_px) - 1.0, f64::from(self.sensor.height_px) - 1.0);
-        let in_view = |corner: &i32| {
-            let p = project(&homography, &coordinates(board, *corner));
-            (self.margin_px..=right - self.margin_px).contains(&p.x)
-                && (self.margin_px..=bottom - self.margin_px).contains(&p.y)
-        };
+        let in_view =
+            |corner: &i32| (self.in_view)(&project(&homography, &coordinates(board, *corner)));
         let missing = (0..board.corners())
             .filter(|&corner| !found[usize::try_from(corner).unwrap_or(0)])
             .filter(in_view)
@@ -470,6 +506,14 @@ impl Placement {
     fn is_at(&self, other: &Self) -> bool {
         let step = step_at(&self.homography, &Vector2::zeros());
         self.outline.iter().zip(&other.outline).all(|(a, b)| (a - b).norm() < SAME_PLACE * step)
+    }
+
+    /// Whether the board is at the same place, be it turned.
+    fn covers(&self, other: &Self) -> bool {
+        let step = step_at(&self.homography, &Vector2::zeros());
+        let is_outer =
+            |a: &Vector2<f64>| other.outline.iter().any(|b| (a - b).norm() < SAME_PLACE * step);
+        self.outline.iter().all(is_outer)
     }
 
     /// How far to the right rows run, from −1 to 1.

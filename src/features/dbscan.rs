@@ -2,83 +2,43 @@
 
 use nalgebra::Vector2;
 
+use super::cells::Cells;
+
 /// The cluster of every point, counted from 0 in the order of the first member; `None` for points
 /// that are in no dense place.
 ///
 /// A point with at least `fewest` points (itself included) up to `reach` away is in the core of a
-/// cluster; clusters are what cores within reach connect, with the points within their reach.
+/// cluster; clusters are what cores within reach connect, with the points within their reach. A reach
+/// of 0 connects points at the same place; points that are not finite are near none.
 #[must_use]
 pub fn dbscan(points: &[Vector2<f64>], reach: f64, fewest: usize) -> Vec<Option<usize>> {
     let cells = Cells::new(points, reach);
+    let near = |i: usize| cells.near(&points[i], reach);
     let mut clusters = vec![None; points.len()];
     let mut count = 0;
     for first in 0..points.len() {
         if clusters[first].is_some() {
             continue;
         }
-        let near = cells.near(points, first);
-        if near.len() < fewest {
+        let of_first = near(first);
+        if of_first.len() < fewest {
             continue;
         }
         clusters[first] = Some(count);
-        let mut open = near;
+        let mut open = of_first;
         while let Some(next) = open.pop() {
             if clusters[next].is_some() {
                 continue;
             }
             clusters[next] = Some(count);
-            let near = cells.near(points, next);
-            if near.len() >= fewest {
-                open.extend(near.into_iter().filter(|&i| clusters[i].is_none()));
+            let of_next = near(next);
+            if of_next.len() >= fewest {
+                open.extend(of_next.into_iter().filter(|&i| clusters[i].is_none()));
             }
         }
         count += 1;
     }
     clusters
-}
-
-/// Points sorted into square cells as large as the reach.
-struct Cells {
-    reach: f64,
-    low: Vector2<f64>,
-    columns: usize,
-    rows: usize,
-    members: Vec<Vec<usize>>,
-}
-
-impl Cells {
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-    fn new(points: &[Vector2<f64>], reach: f64) -> Self {
-        let first = points.first().copied().unwrap_or_else(Vector2::zeros);
-        let (low, high) = points.iter().fold((first, first), |(a, b), p| (a.inf(p), b.sup(p)));
-        let count = |length: f64| ((length / reach) as usize).saturating_add(1);
-        let (columns, rows) = (count(high.x - low.x), count(high.y - low.y));
-        let mut cells =
-            Self { reach, low, columns, rows, members: vec![Vec::new(); columns * rows] };
-        for (i, point) in points.iter().enumerate() {
-            let (x, y) = cells.cell(point);
-            cells.members[y * columns + x].push(i);
-        }
-        cells
-    }
-
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-    fn cell(&self, point: &Vector2<f64>) -> (usize, usize) {
-        let cell = (point - self.low) / self.reach;
-        ((cell.x as usize).min(self.columns - 1), (cell.y as usize).min(self.rows - 1))
-    }
-
-    /// Points up to the reach away from one, with it.
-    fn near(&self, points: &[Vector2<f64>], from: usize) -> Vec<usize> {
-        let (x, y) = self.cell(&points[from]);
-        let columns = x.saturating_sub(1)..(x + 2).min(self.columns);
-        let rows = y.saturating_sub(1)..(y + 2).min(self.rows);
-        rows.flat_map(|y| columns.clone().map(move |x| (x, y)))
-            .flat_map(|(x, y)| &self.members[y * self.columns + x])
-            .copied()
-            .filter(|&i| (points[i] - points[from]).norm() <= self.reach)
-            .collect()
-    }
 }
 
 #[cfg(test)]
@@ -106,5 +66,20 @@ mod tests {
         assert_eq!(clusters, expected);
         assert!(dbscan(&[], 1.0, 2).is_empty());
         assert_eq!(dbscan(&points[..1], 1.0, 1), [Some(0)]);
+    }
+
+    /// Neither of them may take memory or time without bound, nor overflow.
+    #[test]
+    fn any_reach_and_any_spread_will_do() {
+        let places = [0.0, 0.0, 1.0, 1e300, -1e300, 1e18, f64::INFINITY, f64::NAN];
+        let points: Vec<Vector2<f64>> = places.iter().map(|&x| Vector2::new(x, -x)).collect();
+        let pair = [Some(0), Some(0), None, None, None, None, None, None];
+        for reach in [0.0, 1e-300, 0.5] {
+            assert_eq!(dbscan(&points, reach, 2), pair, "{reach}");
+        }
+        assert_eq!(dbscan(&points, f64::NAN, 2), [None; 8]);
+        assert_eq!(dbscan(&points, -1.0, 2), [None; 8]);
+        let near = [Some(0), Some(0), Some(0), None, None, Some(0), None, None];
+        assert_eq!(dbscan(&points, 1e20, 2), near);
     }
 }

@@ -9,14 +9,16 @@ use tracing::{debug, info, trace};
 use super::board::{LatticePoint, TiedBoard};
 use super::corner::{Corner, Free, Spread, saddles};
 use super::dbscan::dbscan;
-use super::line::{Group, LineSearch, SightLine, groups_on_lines, median_inverse_virtual_depth};
+use super::line::{
+    Group, LineSearch, SightLine, groups_on_lines, is_texture, median_inverse_virtual_depth,
+};
 use super::micro_images::{MicroImages, MicroOptics};
-use super::patch::Pair;
+use super::patch::{Pair, Patch, Unusable};
 use super::shade::Shade;
 use super::{DepthEstimator, Detection, Sight};
 use crate::camera::{Board, Configuration, Sensor};
 use crate::image::Grey;
-use crate::observations::BapFeature;
+use crate::observations::{BapFeature, MIN_CORNERS};
 
 /// What is looked for, and with what.
 #[derive(Debug, Clone, Copy)]
@@ -38,7 +40,9 @@ pub struct DetectedFeature {
     pub feature: BapFeature,
     /// Covariance of the position, px².
     pub covariance: Matrix2<f64>,
-    /// Standard deviation of ρ, px.
+    /// Standard deviation of ρ by that of the slope of the corner's line, px: the uncertainty of q'ᵢ,
+    /// which all features of a lens type share, is not in it. The median over pairs tells none, and has
+    /// the line's.
     pub rho_std_dev_px: f64,
 }
 
@@ -70,15 +74,20 @@ pub struct FrameCounts {
     pub alone: usize,
     /// Corners off the line of their cluster.
     pub off_line: usize,
+    /// Corners in clusters that are texture: large, and hardly any of them on a line.
+    pub texture: usize,
     /// Corners on lines that are no corner of the board.
     pub off_board: usize,
     /// Board corners tied at first, but not found again where they are expected.
     pub lost: usize,
     /// Board corners tied.
     pub board_corners: usize,
-    /// Micro-images in which a board corner should be but none was found: too little contrast or too
-    /// uncertain.
+    /// Micro-images in which a board corner should be but none was found: unusable, too little contrast
+    /// or too uncertain.
     pub unclear: usize,
+    /// Those in which one was found of a board corner that was given up: its sights are on no line, or
+    /// few of them look like a corner.
+    pub given_up: usize,
     /// Those in which it was found off its line.
     pub misplaced: usize,
 }
@@ -91,6 +100,10 @@ const LEVELS: usize = 5;
 const TAIL: f64 = 0.02;
 /// A frame whose light differs by less, relative to the white image, shows nothing.
 const FEWEST_LEVELS: f64 = 0.04;
+/// Micro-images that are saturated beyond this part count as such, in a board's image and in the white
+/// image, of which more is bright.
+const SATURATED: f32 = 0.2;
+const SATURATED_WHITE: f32 = 0.5;
 /// Saturated micro-images beyond this part make a frame over-exposed.
 const OVER_EXPOSED: f64 = 0.25;
 /// Corners have at least this part of the frame's contrast.
@@ -177,11 +190,23 @@ struct Target {
     sights: Vec<(Sight, Corner)>,
 }
 
+/// What came of looking for a board corner in the micro-images that should show it, in numbers of these.
+struct Look {
+    target: Option<Target>,
+    unclear: usize,
+    misplaced: usize,
+    given_up: usize,
+}
+
 impl Frame<'_> {
     fn detect(&self, counts: &mut FrameCounts) -> Result<Detection, String> {
         let search = self.search;
-        let contrast = self.contrast(counts)?;
-        let sights = self.all_corners(contrast, counts);
+        let nodes = self.nodes();
+        counts.looked_at = nodes.len();
+        let contrast = self.contrast(&nodes).inspect_err(|_| {
+            counts.unusable = self.levels(nodes.iter()).iter().filter(|l| l.is_err()).count();
+        })?;
+        let sights = self.all_corners(nodes, contrast, counts);
         counts.corners = sights.len();
         let groups = self.groups(&sights, counts);
         let points: Vec<LatticePoint> = groups
@@ -192,8 +217,14 @@ impl Frame<'_> {
             })
             .collect();
         trace!("frame {}: contrast {contrast:.3}, {} lines", self.frame, groups.len());
-        let margin = MARGIN * search.micro_images.grid.pitch_px;
-        let tied = TiedBoard::tie(&points, search.board, search.sensor, margin)?;
+        let in_view = |place: &Vector2<f64>| self.in_view(place, MARGIN);
+        let tied = TiedBoard::tie(&points, search.board, &in_view).map_err(|why| {
+            if counts.texture > 0 {
+                format!("{why}; {} more corners are of texture, not of a board", counts.texture)
+            } else {
+                why
+            }
+        })?;
         let targets: Vec<Target> = groups
             .iter()
             .zip(&tied.corners)
@@ -214,33 +245,91 @@ impl Frame<'_> {
         counts.lost = at_first.iter().filter(is_lost).count();
         counts.board_corners = targets.len();
         self.check_outline(&targets, &tied)?;
+        if targets.len() < MIN_CORNERS {
+            return Err(format!(
+                "only {} corners of the board are left where it was looked for again, but a pose takes \
+                 {MIN_CORNERS}",
+                targets.len()
+            ));
+        }
         Ok(self.detection(&targets, tied.homography))
     }
 
-    /// Half the difference between the bright and the dark squares, relative to the white image.
-    fn contrast(&self, counts: &mut FrameCounts) -> Result<f64, String> {
+    /// Whether a place is in the micro-images, so many pitches within the border.
+    fn in_view(&self, place: &Vector2<f64>, pitches: f64) -> bool {
         let micro_images = self.search.micro_images;
-        let nodes: Vec<(i32, i32)> = self.nodes().into_iter().step_by(LEVELS).collect();
+        micro_images.show(place, self.search.sensor, pitches * micro_images.grid.pitch_px)
+    }
+
+    /// Mean light of micro-images, relative to the white image, or why it does not tell.
+    fn levels<'n>(
+        &self,
+        nodes: impl Iterator<Item = &'n (i32, i32)>,
+    ) -> Vec<Result<f64, Unusable>> {
+        let micro_images = self.search.micro_images;
         let of_node = |&(k, l): &(i32, i32)| {
             let place = std::iter::once(micro_images.center(k, l));
             let pair = Pair::about(self.image, self.white, place, micro_images.grid.pitch_px);
-            let patch = pair.patch(micro_images, (k, l));
-            let saturated = patch.as_ref().is_none_or(|p| p.saturated > 0.2);
-            (patch.map(|p| p.mean()), saturated)
+            let patch: Patch = pair.patch(micro_images, (k, l))?;
+            if patch.saturated_white > SATURATED_WHITE {
+                return Err(Unusable::SaturatedWhite);
+            }
+            if patch.saturated > SATURATED {
+                return Err(Unusable::Saturated);
+            }
+            Ok(patch.mean())
         };
-        let levels: Vec<(Option<f64>, bool)> = nodes.par_iter().map(of_node).collect();
-        let saturated = levels.iter().filter(|(_, saturated)| *saturated).count();
-        let mut means: Vec<f64> = levels.iter().filter_map(|(mean, _)| *mean).collect();
-        means.sort_by(f64::total_cmp);
-        if means.is_empty() || saturated as f64 > OVER_EXPOSED * levels.len() as f64 {
-            counts.looked_at = self.nodes().len();
-            counts.unusable = counts.looked_at;
+        nodes.collect::<Vec<_>>().into_par_iter().map(of_node).collect()
+    }
+
+    /// Half the difference between the bright and the dark squares, relative to the white image.
+    fn contrast(&self, nodes: &[(i32, i32)]) -> Result<f64, String> {
+        let mut levels = self.levels(nodes.iter().step_by(LEVELS));
+        // Those at the border say nothing of the light.
+        levels.retain(|level| *level != Err(Unusable::Cut));
+        if levels.is_empty() {
+            return Err(
+                "no micro-image is whole in it: the white images are of another camera, or \
+                        the array has too few micro-lenses"
+                    .to_owned(),
+            );
+        }
+        let part = |why: Unusable| {
+            let count = levels.iter().filter(|level| **level == Err(why)).count();
+            count as f64 / levels.len() as f64
+        };
+        let percent = |why: Unusable| format!("{:.0} % of the micro-images", 100.0 * part(why));
+        if part(Unusable::SaturatedWhite) > OVER_EXPOSED {
             return Err(format!(
-                "{:.0} % of the micro-images are saturated or without light: the frame is \
-                 over-exposed, or the white image is of another camera",
-                100.0 * saturated as f64 / levels.len().max(1) as f64
+                "{} are saturated in the white image: take it with a shorter exposure",
+                percent(Unusable::SaturatedWhite)
             ));
         }
+        if part(Unusable::Saturated) > OVER_EXPOSED {
+            return Err(format!(
+                "{} are saturated: the frame is over-exposed",
+                percent(Unusable::Saturated)
+            ));
+        }
+        if part(Unusable::TooSmall) > OVER_EXPOSED {
+            return Err(format!(
+                "{} have too few pixels with light to hold a corner: at a pitch of {:.1} px corners \
+                 cannot be found in them",
+                percent(Unusable::TooSmall),
+                self.search.micro_images.grid.pitch_px
+            ));
+        }
+        if part(Unusable::Dark) > OVER_EXPOSED {
+            return Err(format!(
+                "{} are without light in the white image: it is of another camera, or no white image",
+                percent(Unusable::Dark)
+            ));
+        }
+        let mut means: Vec<f64> = levels.into_iter().flatten().collect();
+        if means.is_empty() {
+            return Err("none of the micro-images can be used".to_owned());
+        }
+        means.sort_by(f64::total_cmp);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a part of the length
         let at = |part: f64| means[(part * (means.len() - 1) as f64) as usize];
         let contrast = (at(1.0 - TAIL) - at(TAIL)) / 2.0;
@@ -263,10 +352,13 @@ impl Frame<'_> {
     }
 
     /// Corners in all micro-images, each by itself.
-    fn all_corners(&self, contrast: f64, counts: &mut FrameCounts) -> Vec<Sight> {
+    fn all_corners(
+        &self,
+        mut nodes: Vec<(i32, i32)>,
+        contrast: f64,
+        counts: &mut FrameCounts,
+    ) -> Vec<Sight> {
         let micro_images = self.search.micro_images;
-        let mut nodes = self.nodes();
-        counts.looked_at = nodes.len();
         let tile = |(k, l): (i32, i32)| (l / TILE, k / TILE);
         nodes.sort_by_key(|&node| tile(node));
         let tiles: Vec<&[(i32, i32)]> = nodes.chunk_by(|&a, &b| tile(a) == tile(b)).collect();
@@ -279,7 +371,7 @@ impl Frame<'_> {
             let mut unusable = 0;
             let mut sights = Vec::new();
             for &node in *nodes {
-                let Some(patch) = pair.patch(micro_images, node) else {
+                let Ok(patch) = pair.patch(micro_images, node) else {
                     unusable += 1;
                     continue;
                 };
@@ -348,10 +440,17 @@ impl Frame<'_> {
             configuration: micro_images.configuration,
         };
         let of_cluster = |members: &Vec<usize>| groups_on_lines(sights, members, &line_search);
-        let groups: Vec<Group> = members.par_iter().flat_map_iter(of_cluster).collect();
-        let on_lines: usize = groups.iter().map(|g| g.members.len()).sum();
-        counts.off_line = sights.len() - counts.alone - on_lines;
-        groups
+        let groups: Vec<Vec<Group>> = members.par_iter().map(of_cluster).collect();
+        for (members, groups) in members.iter().zip(&groups) {
+            let on_line: usize = groups.iter().map(|g| g.members.len()).sum();
+            let off_line = members.len() - on_line;
+            if is_texture(off_line, on_line) {
+                counts.texture += off_line;
+            } else {
+                counts.off_line += off_line;
+            }
+        }
+        groups.into_iter().flatten().collect()
     }
 
     /// Looks for every corner of the board where its line, or its neighbours', expects it.
@@ -363,16 +462,12 @@ impl Frame<'_> {
         counts: &mut FrameCounts,
     ) -> Vec<Target> {
         let search = self.search;
-        let margin = MARGIN * search.micro_images.grid.pitch_px;
-        for round in 0..ROUNDS {
+        for _ in 0..ROUNDS {
             let Some(field) = slope_field(&targets) else { break };
             let missing: Vec<Target> = (0..search.board.corners())
                 .filter(|corner| targets.iter().all(|target| target.corner != *corner))
                 .map(|corner| (corner, tied.pinhole(search.board, corner)))
-                .filter(|(_, p)| {
-                    (margin..f64::from(search.sensor.width_px) - margin).contains(&p.x)
-                        && (margin..f64::from(search.sensor.height_px) - margin).contains(&p.y)
-                })
+                .filter(|(_, p)| self.in_view(p, MARGIN))
                 .map(|(corner, p)| Target {
                     corner,
                     line: SightLine::through(&p, slope_at(&field, &p)),
@@ -380,29 +475,24 @@ impl Frame<'_> {
                 })
                 .collect();
             targets.extend(missing);
-            let found: Vec<(Target, usize, usize)> = targets
-                .par_iter()
-                .filter_map(|target| self.target(target, tied, &field, contrast))
-                .collect();
-            if round + 1 == ROUNDS {
-                counts.unclear = found.iter().map(|f| f.1).sum();
-                counts.misplaced = found.iter().map(|f| f.2).sum();
-            }
-            targets = found.into_iter().map(|f| f.0).collect();
+            let looks: Vec<Look> =
+                targets.par_iter().map(|t| self.target(t, tied, &field, contrast)).collect();
+            // Those of the last round count.
+            counts.unclear = looks.iter().map(|look| look.unclear).sum();
+            counts.misplaced = looks.iter().map(|look| look.misplaced).sum();
+            counts.given_up = looks.iter().map(|look| look.given_up).sum();
+            targets = looks.into_iter().filter_map(|look| look.target).collect();
             targets.sort_by_key(|target| target.corner);
         }
+        // None if there was no round.
+        targets.retain(|target| !target.sights.is_empty());
         targets
     }
 
     /// A reason in words if none of the corners along a side of the board is there, though in view.
     fn check_outline(&self, targets: &[Target], tied: &TiedBoard) -> Result<(), String> {
-        let Search { board, sensor, .. } = *self.search;
-        let margin = SURE_MARGIN * self.search.micro_images.grid.pitch_px;
-        let (right, bottom) = (f64::from(sensor.width_px), f64::from(sensor.height_px));
-        let in_view = |corner: &i32| {
-            let p = tied.pinhole(board, *corner);
-            (margin..right - margin).contains(&p.x) && (margin..bottom - margin).contains(&p.y)
-        };
+        let board = self.search.board;
+        let in_view = |corner: &i32| self.in_view(&tied.pinhole(board, *corner), SURE_MARGIN);
         let found = |corner: &i32| targets.iter().any(|target| target.corner == *corner);
         let (columns, rows) = (board.columns, board.rows);
         let column = |c: i32| (0..rows).map(move |r| r * columns + c).collect::<Vec<i32>>();
@@ -425,14 +515,14 @@ impl Frame<'_> {
         Ok(())
     }
 
-    /// A corner in every micro-image that should show it; how many were unclear, and off the line.
+    /// A corner in every micro-image that should show it.
     fn target(
         &self,
         target: &Target,
         tied: &TiedBoard,
         field: &Vector3<f64>,
         contrast: f64,
-    ) -> Option<(Target, usize, usize)> {
+    ) -> Look {
         let Search { micro_images, board, .. } = *self.search;
         let (pinhole, slope) = (target.line.pinhole(), target.line.slope);
         let nearness = 1.0 - slope;
@@ -453,7 +543,10 @@ impl Frame<'_> {
             if expected.norm() > optics.lit_px(rho) - EDGE_PX {
                 continue;
             }
-            let Some(patch) = pair.patch(micro_images, node) else { continue };
+            let Ok(patch) = pair.patch(micro_images, node) else {
+                unclear += 1;
+                continue;
+            };
             // Towards the next corner the slope changes, and with it the magnification.
             let seen =
                 |step: &Vector2<f64>| step * nearness - (pinhole - center) * field.xy().dot(step);
@@ -484,20 +577,27 @@ impl Frame<'_> {
             }
         }
         imbalances.sort_by(f64::total_cmp);
+        let all = sights.len();
         // The outer corners of the board look like corners in some micro-images, but not in most.
-        imbalances.get(imbalances.len() / 2).filter(|&&median| median < IMBALANCE_EXPECTED)?;
+        let is_corner =
+            imbalances.get(imbalances.len() / 2).is_some_and(|&median| median < IMBALANCE_EXPECTED);
+        match Some(sights).filter(|_| is_corner).and_then(|sights| self.on_line(target, sights)) {
+            Some(target) => {
+                let misplaced = all - target.sights.len();
+                Look { target: Some(target), unclear, misplaced, given_up: 0 }
+            }
+            None => Look { target: None, unclear, misplaced: 0, given_up: all },
+        }
+    }
+
+    /// A corner with those of its sights that are on one line.
+    fn on_line(&self, target: &Target, mut sights: Vec<(Sight, Corner)>) -> Option<Target> {
         let line = SightLine::fit(sights.iter().map(|(sight, _)| sight))?;
         let scale = line.rms_px.max(LINE_PX);
-        let before = sights.len();
         sights.retain(|(s, _)| (s.position - line.at(&s.center)).norm() < OUTLIER * scale);
-        let misplaced = before - sights.len();
         let line = SightLine::fit(sights.iter().map(|(sight, _)| sight))?;
-        let possible = super::possible_slope(line.slope, micro_images.configuration);
-        (possible && sights.len() > 1).then_some((
-            Target { corner: target.corner, line, sights },
-            unclear,
-            misplaced,
-        ))
+        let possible = super::possible_slope(line.slope, self.search.micro_images.configuration);
+        (possible && sights.len() > 1).then_some(Target { corner: target.corner, line, sights })
     }
 
     fn detection(&self, targets: &[Target], homography: Matrix3<f64>) -> Detection {

@@ -4,7 +4,7 @@
 //! in all micro-images, γ = λ (1 − 1/ν) with λ = D/(D + d). Where i = c the point is seen through the
 //! middle of the main lens: its pinhole image.
 
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
 
 use super::Sight;
 use crate::camera::Configuration;
@@ -16,10 +16,9 @@ pub struct SightLine {
     pub start: Vector2<f64>,
     /// γ.
     pub slope: f64,
-    /// Standard deviation of γ.
+    /// Standard deviation of γ: by the uncertainty that sights state or their scatter about the line,
+    /// whichever is larger.
     pub slope_std_dev: f64,
-    /// Covariance of the pinhole image, px².
-    pub pinhole_covariance: Matrix2<f64>,
     /// Root mean square distance of the sights that count, px.
     pub rms_px: f64,
 }
@@ -58,13 +57,12 @@ impl SightLine {
     /// The line through a pinhole image.
     #[must_use]
     pub fn through(pinhole: &Vector2<f64>, slope: f64) -> Self {
-        Self {
-            start: pinhole * (1.0 - slope),
-            slope,
-            slope_std_dev: 0.0,
-            pinhole_covariance: Matrix2::zeros(),
-            rms_px: 0.0,
-        }
+        Self::exact(pinhole * (1.0 - slope), slope)
+    }
+
+    /// The line with these parameters.
+    fn exact(start: Vector2<f64>, slope: f64) -> Self {
+        Self { start, slope, slope_std_dev: 0.0, rms_px: 0.0 }
     }
 
     /// Fits the line robustly; `None` if the sights are of a single micro-image.
@@ -89,7 +87,7 @@ impl SightLine {
             let solution = inverse * right;
             let slope = solution.z;
             let start = solution.xy() - middle * slope;
-            let next = Self { start, slope, ..Self::through(&Vector2::zeros(), slope) };
+            let next = Self::exact(start, slope);
             let lengths: Vec<f64> =
                 sights.clone().map(|s| (s.position - next.at(&s.center)).norm()).collect();
             let mut sorted = lengths.clone();
@@ -113,22 +111,11 @@ impl SightLine {
                 .filter(|&(_, &l)| l < OUTLIER_SCALES * scale)
                 .map(|(s, l)| (l / s.std_dev_px).powi(2))
                 .sum();
-            let factor = weighted / freedom;
-            let covariance = inverse * factor;
-            // Pinhole p = (m − γ c̄)/(1 − γ) of the value m at the mean centre c̄.
-            let by_slope = (solution.xy() - middle) / (1.0 - slope).powi(2);
-            let jacobian = Matrix3x2::new(
-                1.0 / (1.0 - slope),
-                0.0,
-                0.0,
-                1.0 / (1.0 - slope),
-                by_slope.x,
-                by_slope.y,
-            );
+            // Few sights may agree by chance, which makes them no better than they are.
+            let factor = (weighted / freedom).max(1.0);
             let settled = line.is_some_and(|last: Self| (last.slope - slope).abs() < 1e-10);
             line = Some(Self {
-                slope_std_dev: covariance[(2, 2)].max(0.0).sqrt(),
-                pinhole_covariance: jacobian.transpose() * covariance * jacobian,
+                slope_std_dev: (inverse[(2, 2)] * factor).max(0.0).sqrt(),
                 rms_px: (square / used.max(1.0)).sqrt(),
                 ..next
             });
@@ -193,8 +180,17 @@ pub struct LineSearch {
 
 /// Pairs of sights that a line is tried through.
 const MOST_PAIRS: usize = 4000;
-/// No point shows in more micro-images: a larger cluster is texture.
-const MOST_SIGHTS: usize = 1000;
+const MOST_PAIRS_OF_PART: usize = 1000;
+/// Sights that a line is looked for among, those about one of them: clusters of neighbouring corners
+/// merge where the squares are as small as a corner's spread, and hold thousands.
+const AT_ONCE: usize = 500;
+/// About a sight without a line so many are given up.
+const GIVEN_UP: usize = 100;
+/// Two or three sights are on a line by chance where there are many.
+const STURDY: usize = 4;
+/// If so many sights are on no such line, and so many times as many as are, the rest is texture.
+const TEXTURE: usize = 1000;
+const TEXTURE_RATIO: usize = 9;
 /// Fewest sights of a line.
 const FEWEST: usize = 2;
 /// A line on which fewer of the micro-images that should show its corner do so is chance: the flatter
@@ -222,7 +218,11 @@ impl LineSearch {
             && baseline.norm() < 2.0 * self.spread(slope)
             && (moved - baseline * slope).norm() < 2.0 * self.tolerance_px;
         let start = (a.position + b.position - (a.center + b.center) * slope) / 2.0;
-        possible.then(|| SightLine { start, ..SightLine::through(&start, slope) })
+        possible.then(|| SightLine::exact(start, slope))
+    }
+
+    fn is_on(&self, line: &SightLine, sight: &Sight) -> bool {
+        (sight.position - line.at(&sight.center)).norm_squared() <= self.tolerance_px.powi(2)
     }
 
     fn is_enough(&self, members: usize, slope: f64) -> bool {
@@ -232,50 +232,85 @@ impl LineSearch {
     }
 }
 
+/// Whether sights of a cluster that are on no line are of texture, rather than false corners among true
+/// ones.
+pub(super) fn is_texture(off_line: usize, on_line: usize) -> bool {
+    off_line >= TEXTURE && off_line >= TEXTURE_RATIO * on_line
+}
+
 /// Sorts sights into groups with a common line: the line through some two of them that most others
 /// are on, then what is left, and so on. Sights on no line are in no group.
+///
+/// Of a large cluster a part is looked at at a time, so that the time it takes grows as the square of
+/// its size at most; texture, which has lines of two or three sights by chance only, is given up.
 #[must_use]
 pub fn groups_on_lines(sights: &[Sight], cluster: &[usize], search: &LineSearch) -> Vec<Group> {
-    let mut groups = Vec::new();
-    if cluster.len() > MOST_SIGHTS {
-        return groups;
-    }
+    let mut groups: Vec<Group> = Vec::new();
+    let (mut on_line, mut off_line) = (0, 0);
     let mut left = cluster.to_vec();
-    while left.len() >= FEWEST {
-        let on = |line: &SightLine| -> Vec<usize> {
-            let off = |i: &usize| (sights[*i].position - line.at(&sights[*i].center)).norm();
-            left.iter().copied().filter(|i| off(i) <= search.tolerance_px).collect()
+    while left.len() >= FEWEST && !is_texture(off_line, on_line) {
+        let is_part = left.len() > AT_ONCE;
+        if is_part {
+            let first = sights[left[0]].center;
+            let away = |i: &usize| (sights[*i].center - first).norm();
+            left.select_nth_unstable_by(AT_ONCE, |a, b| away(a).total_cmp(&away(b)));
+            left[..AT_ONCE].sort_by(|a, b| away(a).total_cmp(&away(b)));
+        }
+        let near = &left[..left.len().min(AT_ONCE)];
+        let on = |line: &SightLine, among: &[usize]| -> Vec<usize> {
+            among.iter().copied().filter(|&i| search.is_on(line, &sights[i])).collect()
         };
         let pairs =
-            left.iter().enumerate().flat_map(|(n, &a)| left[..n].iter().map(move |&b| (a, b)));
+            near.iter().enumerate().flat_map(|(n, &a)| near[..n].iter().map(move |&b| (a, b)));
         let lines: Vec<SightLine> =
             pairs.filter_map(|(a, b)| search.through(&sights[a], &sights[b])).collect();
-        let step = lines.len().div_ceil(MOST_PAIRS).max(1);
+        let most = if is_part { MOST_PAIRS_OF_PART } else { MOST_PAIRS };
+        let step = lines.len().div_ceil(most).max(1);
+        let count =
+            |line: &SightLine| near.iter().filter(|&&i| search.is_on(line, &sights[i])).count();
         let best = lines
             .iter()
             .step_by(step)
-            .map(|line| (on(line), line.slope))
-            .filter(|(members, slope)| search.is_enough(members.len(), *slope))
-            .map(|(members, _)| members)
-            .max_by_key(Vec::len);
-        let Some(best) = best else { break };
+            .map(|line| (count(line), line))
+            .filter(|(members, line)| search.is_enough(*members, line.slope))
+            .max_by_key(|(members, _)| *members)
+            .map(|(_, line)| on(line, near));
+        let Some(best) = best else {
+            if !is_part {
+                break;
+            }
+            left.drain(..GIVEN_UP);
+            off_line += GIVEN_UP;
+            continue;
+        };
         // The fit to all of them may win some more, and lose some.
-        let Some(line) = SightLine::fit(best.iter().map(|&i| &sights[i])) else { break };
-        let members = on(&line);
+        let fitted = SightLine::fit(best.iter().map(|&i| &sights[i]));
+        let members = fitted.map_or_else(Vec::new, |line| on(&line, &left));
         let line = SightLine::fit(members.iter().map(|&i| &sights[i]));
         let line = line.filter(|line| search.is_enough(members.len(), line.slope));
         if let Some(line) = line {
             left.retain(|i| !members.contains(i));
+            if members.len() >= STURDY {
+                on_line += members.len();
+            } else {
+                off_line += members.len();
+            }
             groups.push(Group { members, line });
         } else {
             left.retain(|i| !best.contains(i));
+            off_line += best.len();
         }
+    }
+    if is_texture(off_line, on_line) {
+        groups.retain(|group| group.members.len() >= STURDY);
     }
     groups
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Matrix2;
+
     use super::*;
 
     /// Sights of a point on a square array of pitch 20, off by a little.
@@ -346,5 +381,76 @@ mod tests {
         assert!(!possible_slope(1.25, Configuration::Galilean));
         assert!(possible_slope(1.25, Configuration::Keplerian));
         assert!(!possible_slope(f64::NAN, Configuration::Unfocused));
+    }
+
+    /// Two sights that happen to agree are as uncertain as they state.
+    #[test]
+    fn chance_agreement_is_not_certainty() {
+        let mut seen = sights(Vector2::new(500.0, 370.0), 0.75);
+        let line = SightLine::through(&Vector2::new(500.0, 370.0), 0.75);
+        seen.truncate(2);
+        for sight in &mut seen {
+            sight.position = line.at(&sight.center);
+        }
+        let line = SightLine::fit(seen.iter()).unwrap();
+        // 0.05 px each, 20 px apart.
+        assert!((line.slope_std_dev - 0.05 * 2.0_f64.sqrt() / 20.0).abs() < 1e-9);
+    }
+
+    /// A corner shows in 60 micro-images, and each micro-image shows one of the corners within reach.
+    #[test]
+    fn corners_of_a_merged_cluster_are_told_apart() {
+        const SIDE: i32 = 80;
+        let slope = 0.885;
+        let corner = |x: i32, y: i32| {
+            Vector2::new(f64::from(x), f64::from(y)) * 105.0 + Vector2::new(64.3, 57.9)
+        };
+        let nodes = (0..SIDE).flat_map(|l| (0..SIDE).map(move |k| (k, l)));
+        let shown = nodes.filter_map(|(k, l)| {
+            let center = Vector2::new(f64::from(k), f64::from(l)) * 20.0;
+            let (x, y) = ((k * 13 + l * 7) % 15, (k * 5 + l * 11) % 15);
+            // From anywhere, the first corner that shows.
+            (0..225).map(|n| ((x + n % 15) % 15, (y + n / 15) % 15)).find_map(|(x, y)| {
+                let line = SightLine::through(&corner(x, y), slope);
+                let position = line.at(&center);
+                let off = Vector2::new(f64::from((k * 7 + l * 3) % 5), f64::from((k + l * 4) % 3));
+                ((position - center).norm() < 10.0).then_some(Sight {
+                    k,
+                    l,
+                    center,
+                    position: position + off * 0.02,
+                    std_dev_px: 0.05,
+                    squares: Matrix2::zeros(),
+                })
+            })
+        });
+        let mut all: Vec<Sight> = shown.collect();
+        let search = LineSearch {
+            tolerance_px: 0.8,
+            reach_px: 10.0,
+            pitch_px: 20.0,
+            configuration: Configuration::Galilean,
+        };
+        let cluster: Vec<usize> = (0..all.len()).collect();
+        assert!(cluster.len() > 5000, "{}", cluster.len());
+        let groups = groups_on_lines(&all, &cluster, &search);
+        let members: usize = groups.iter().map(|g| g.members.len()).sum();
+        let found = (0..225).filter(|n| {
+            let true_place = corner(n % 15, n / 15);
+            groups.iter().any(|g| (g.line.pinhole() - true_place).norm() < 2.0)
+        });
+        assert_eq!(found.count(), 225);
+        assert!(members * 100 > 98 * all.len(), "{members} of {}", all.len());
+        assert!(!is_texture(all.len() - members, members));
+
+        // Texture has corners anywhere.
+        for (n, sight) in (0_u32..).zip(&mut all) {
+            let turn = f64::from(n) * 2.399_963;
+            sight.position = sight.center
+                + 9.0 * f64::from(n % 97).sqrt() / 10.0 * Vector2::new(turn.cos(), turn.sin());
+        }
+        let groups = groups_on_lines(&all, &cluster, &search);
+        let members: usize = groups.iter().map(|g| g.members.len()).sum();
+        assert!(is_texture(all.len() - members, members), "{members} of {}", all.len());
     }
 }

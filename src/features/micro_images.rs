@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use nalgebra::Vector2;
 
 use super::shade::Shade;
-use crate::camera::{Configuration, Datasheet, InternalParameters};
+use crate::camera::{Configuration, Datasheet, InternalParameters, Sensor};
 use crate::discs::Obliquity;
 use crate::error::{Error, Result};
 use crate::observations::MicroImageCenter;
@@ -227,6 +227,27 @@ impl MicroImages {
         #[allow(clippy::cast_possible_truncation)] // bounded by the constructor
         let step = (optics.growth / GROWTH_STEP).round() as i32 - self.first_step;
         &shades[usize::try_from(step).unwrap_or(0).min(shades.len() - 1)]
+    }
+
+    /// Whether a place is in micro-images of the array on the sensor, and at least `margin_px` within the
+    /// border of both: the array may be smaller than the sensor.
+    #[must_use]
+    pub fn show(&self, place: &Vector2<f64>, sensor: &Sensor, margin_px: f64) -> bool {
+        let grid = &self.grid;
+        let turn = nalgebra::Rotation2::new(-grid.rotation_rad);
+        let at = turn * (place - grid.center_px);
+        // Nodes lie about the middle of their bounding box, which the first one reaches, or the first
+        // two where every second is shifted.
+        let (right, below) = (1.min(grid.lattice.columns - 1), 1.min(grid.lattice.rows - 1));
+        let outermost =
+            [(0, 0), (right, 0), (0, below)].map(|(k, l)| grid.lattice.node(k, l).abs());
+        let reach = outermost.iter().fold(Vector2::zeros(), |a: Vector2<f64>, b| a.sup(b));
+        let inside = (reach + Vector2::repeat(0.5)) * grid.pitch_px - at.abs();
+        let margin = Vector2::repeat(margin_px);
+        let (low, high) = (place - margin, place + margin);
+        inside.min() >= margin_px
+            && sensor.contains(low.x, low.y)
+            && sensor.contains(high.x, high.y)
     }
 
     /// Micro-images whose centre is up to `reach` from a place, px.

@@ -1,6 +1,7 @@
 //! BAP features from raw images of a checkerboard (paper, section 4).
 
 mod board;
+mod cells;
 mod corner;
 mod dbscan;
 mod frame;

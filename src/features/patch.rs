@@ -13,8 +13,25 @@ pub(super) struct Patch {
     pub y: Vec<f32>,
     pub light: Vec<f32>,
     pub weight: Vec<f32>,
-    /// Part of the pixels that is saturated.
+    /// Part of the pixels that is saturated in the board's image.
     pub saturated: f32,
+    /// Part of them that is saturated in the white image.
+    pub saturated_white: f32,
+}
+
+/// Why nothing can be told of a micro-image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unusable {
+    /// Cut by the border of the image.
+    Cut,
+    /// Without light in the white image.
+    Dark,
+    /// Too few pixels, though none is saturated.
+    TooSmall,
+    /// Saturated in the board's image.
+    Saturated,
+    /// Saturated in the white image.
+    SaturatedWhite,
 }
 
 impl Patch {
@@ -70,9 +87,9 @@ impl Pair {
         }
     }
 
-    /// The patch of a micro-image; `None` if it is not wholly in the images or without light.
+    /// The patch of a micro-image, or why there is none.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
-    pub fn patch(&self, micro_images: &MicroImages, (k, l): (i32, i32)) -> Option<Patch> {
+    pub fn patch(&self, micro_images: &MicroImages, (k, l): (i32, i32)) -> Result<Patch, Unusable> {
         let center = micro_images.center(k, l) - self.corner;
         let optics = micro_images.optics(k, l);
         let reach = optics.outer_radius_px().min(optics.half_pitch_px);
@@ -82,7 +99,7 @@ impl Pair {
             && last.x < self.white.width as f64
             && last.y < self.white.height as f64;
         if !inside {
-            return None;
+            return Err(Unusable::Cut);
         }
         let (left, top) = (first.x as usize, first.y as usize);
         let (right, bottom) = (last.x as usize, last.y as usize);
@@ -107,14 +124,21 @@ impl Pair {
             }
         }
         if brightest <= 0.0 {
-            return None;
+            return Err(Unusable::Dark);
         }
-        let count = whites.len() as f32;
-        patch.saturated = patch.light.iter().filter(|&&l| l >= 1.0).count() as f32 / count;
-        let mut kept = 0;
+        let part =
+            |light: &[f32]| light.iter().filter(|&&l| l >= 1.0).count() as f32 / light.len() as f32;
+        patch.saturated = part(&patch.light);
+        patch.saturated_white = part(&whites);
+        let (mut kept, mut lit, mut lit_white) = (0, 0, 0);
         for (i, &of_pixel) in whites.iter().enumerate() {
             let white = of_pixel / brightest;
-            if white < USABLE || patch.light[i] >= 1.0 || of_pixel >= 1.0 {
+            if white < USABLE {
+                continue;
+            }
+            lit += 1;
+            lit_white += usize::from(of_pixel < 1.0);
+            if patch.light[i] >= 1.0 || of_pixel >= 1.0 {
                 continue;
             }
             patch.x[kept] = patch.x[i];
@@ -126,6 +150,88 @@ impl Pair {
         patch.x.truncate(kept);
         patch.y.truncate(kept);
         patch.light.truncate(kept);
-        (kept >= FEWEST_PIXELS).then_some(patch)
+        match (kept, lit_white, lit) {
+            (FEWEST_PIXELS.., ..) => Ok(patch),
+            (_, FEWEST_PIXELS.., _) => Err(Unusable::Saturated),
+            (_, _, FEWEST_PIXELS..) => Err(Unusable::SaturatedWhite),
+            _ => Err(Unusable::TooSmall),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{Configuration, Datasheet, InternalParameters, Sensor};
+    use crate::lattice::{Lattice, LatticeKind, Parity};
+    use crate::precalibration::MicroImageArray;
+
+    /// Three by three micro-images about the middle of an image of 61 x 61 px.
+    fn micro_images(pitch_px: f64) -> MicroImages {
+        let sheet = Datasheet {
+            sensor: Sensor { width_px: 61, height_px: 61, pixel_size_mm: 0.0055 },
+            focal_length_mm: 16.0,
+            focus_distance_mm: 120.0,
+            f_number: 4.0,
+            configuration: Configuration::Galilean,
+            lattice_kind: LatticeKind::Orthogonal,
+            columns: 3,
+            rows: 3,
+            lens_types: 1,
+            micro_image_pitch_px: None,
+        };
+        let internal = InternalParameters {
+            m_mm: 0.5 * pitch_px * 0.0055,
+            q_prime_mm: vec![0.9 * pitch_px * 0.0055],
+            micro_image_pitch_mm: None,
+        };
+        let grid = MicroImageArray {
+            lattice: Lattice {
+                kind: LatticeKind::Orthogonal,
+                columns: 3,
+                rows: 3,
+                shifted: Parity::Even,
+            },
+            pitch_px,
+            rotation_rad: 0.0,
+            center_px: Vector2::new(30.0, 30.0),
+            perspective_per_px: Vector2::zeros(),
+            rms_px: 0.0,
+            outliers: 0,
+        };
+        MicroImages::new(&grid, &[], &internal, &sheet).unwrap()
+    }
+
+    #[test]
+    fn a_micro_image_that_tells_nothing_says_why() {
+        let flat = |light: f32| Image { width: 61, height: 61, pixels: vec![light; 61 * 61] };
+        let of = |board: f32, white: f32, pitch_px: f64, corner: Vector2<f64>| {
+            let pair = Pair { board: flat(board), white: flat(white), corner };
+            pair.patch(&micro_images(pitch_px), (1, 1)).map(|patch| patch.light.len())
+        };
+        let whole = Vector2::zeros();
+        assert!(of(0.5, 0.8, 16.0, whole).is_ok_and(|pixels| pixels > 100));
+        assert_eq!(of(1.0, 0.8, 16.0, whole), Err(Unusable::Saturated));
+        assert_eq!(of(0.5, 1.0, 16.0, whole), Err(Unusable::SaturatedWhite));
+        assert_eq!(of(1.0, 1.0, 16.0, whole), Err(Unusable::SaturatedWhite));
+        assert_eq!(of(0.5, 0.0, 16.0, whole), Err(Unusable::Dark));
+        assert_eq!(of(0.5, 0.8, 6.0, whole), Err(Unusable::TooSmall));
+        assert_eq!(of(0.5, 0.8, 16.0, Vector2::new(25.0, 0.0)), Err(Unusable::Cut));
+    }
+
+    /// The array may be smaller than the sensor.
+    #[test]
+    fn in_view_is_what_the_micro_images_show() {
+        let micro_images = micro_images(16.0);
+        let large = Sensor { width_px: 61, height_px: 61, pixel_size_mm: 0.0055 };
+        let small = Sensor { height_px: 41, ..large };
+        let shows = |u: f64, v: f64, sensor: &Sensor, margin_px: f64| {
+            micro_images.show(&Vector2::new(u, v), sensor, margin_px)
+        };
+        // 24 px to every side of (30, 30).
+        assert!(shows(53.0, 30.0, &large, 0.0) && !shows(55.0, 30.0, &large, 0.0));
+        assert!(shows(7.0, 7.0, &large, 0.5) && !shows(7.0, 7.0, &large, 2.0));
+        assert!(shows(30.0, 53.0, &large, 0.0) && !shows(30.0, 53.0, &small, 0.0));
+        assert!(!shows(f64::NAN, 30.0, &large, 0.0));
     }
 }

@@ -43,10 +43,12 @@ pub(super) fn detection_table(rows: &[FrameRow]) -> Table {
         "Features",
         "Alone",
         "Off line",
+        "Texture",
         "Off board",
         "Lost",
         "Unclear",
         "Misplaced",
+        "Given up",
     ];
     let mut text = table(&header, &[1]);
     for row in rows {
@@ -59,10 +61,12 @@ pub(super) fn detection_table(rows: &[FrameRow]) -> Table {
             row.features,
             c.alone,
             c.off_line,
+            c.texture,
             c.off_board,
             c.lost,
             c.unclear,
             c.misplaced,
+            c.given_up,
         ];
         let mut cells = vec![row.frame.to_string(), row.image.clone()];
         cells.extend(numbers.iter().map(ToString::to_string));
@@ -78,8 +82,9 @@ pub(super) fn dropped_text(rows: &[FrameRow]) -> String {
     format!(
         "{features} features in {frames} of {} frames. Corners: found in a micro-image by \
          itself. Board: corners tied to it.\nDropped: alone (in no cluster), off the line of their \
-         cluster, off the board.\nLooked for again where they are expected: board corners lost; \
-         micro-images unclear, or with the corner misplaced.",
+         cluster, texture (a large cluster with hardly a line), off the board.\nLooked for again where \
+         they are expected: board corners lost; micro-images unclear, with the corner misplaced, or of \
+         a corner given up.",
         rows.len()
     )
 }
@@ -116,8 +121,10 @@ pub fn features_figure(image: &RawImage, detection: &Detection, board: &Board) -
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{columns}\" height=\"{rows}\" \
          viewBox=\"-0.5 -0.5 {width} {height}\" role=\"img\">\n<title>Features of a frame</title>\n\
-         <image x=\"-0.5\" y=\"-0.5\" width=\"{width}\" height=\"{height}\" \
+         <image x=\"-0.5\" y=\"-0.5\" width=\"{}\" height=\"{}\" \
          href=\"data:image/jpeg;base64,{}\"/>\n",
+        columns * reduced,
+        rows * reduced,
         STANDARD.encode(&jpeg)
     );
     let _ =

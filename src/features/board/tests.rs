@@ -1,6 +1,7 @@
 //! Boards in perspective: turned, symmetric, incomplete, of another size.
 
 use super::*;
+use crate::camera::Sensor;
 
 const BOARD: Board = Board { columns: 8, rows: 5, square_mm: 3.0 };
 const SENSOR: Sensor = Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 };
@@ -32,7 +33,12 @@ fn in_view(points: Vec<LatticePoint>) -> (Vec<LatticePoint>, Vec<i32>) {
 }
 
 fn tied(points: &[LatticePoint], board: &Board) -> Result<Vec<Option<i32>>, String> {
-    TiedBoard::tie(points, board, &SENSOR, 20.0).map(|tied| tied.corners)
+    let margin = Vector2::repeat(20.0);
+    let in_view = |place: &Vector2<f64>| {
+        let (low, high) = (place - margin, place + margin);
+        SENSOR.contains(low.x, low.y) && SENSOR.contains(high.x, high.y)
+    };
+    TiedBoard::tie(points, board, &in_view).map(|tied| tied.corners)
 }
 
 #[test]
@@ -51,6 +57,51 @@ fn a_symmetric_board_runs_to_the_right() {
     let turned: Vec<Option<i32>> = (0..board.corners()).rev().map(Some).collect();
     let corners = tied(&points, &board).unwrap();
     assert_eq!(corners, turned);
+}
+
+/// Turned by about 90 degrees neither way runs to the right; the first corner is on top then.
+#[test]
+fn a_symmetric_board_on_its_side_is_at_one_place() {
+    for (columns, rows, angles) in [
+        (9, 5, vec![80, 85, 90, 95, 100, 265, 270]),
+        (6, 4, vec![80, 90, 100, 272]),
+        // The same when turned by a quarter.
+        (8, 8, vec![0, 44, 45, 46, 90, 135]),
+    ] {
+        let board = Board { columns, rows, square_mm: 3.0 };
+        for degrees in angles {
+            // Far enough away to be seen whole.
+            let points: Vec<LatticePoint> = seen(&board, f64::from(degrees), Vector2::zeros())
+                .into_iter()
+                .map(|p| LatticePoint { place: p.place * 0.7 + Vector2::new(150.0, 112.0), ..p })
+                .collect();
+            let corners = tied(&points, &board)
+                .unwrap_or_else(|why| panic!("{columns} x {rows}, {degrees} degrees: {why}"));
+            let place = |corner: i32| {
+                points[corners.iter().position(|c| *c == Some(corner)).unwrap()].place
+            };
+            let row = (place(columns - 1) - place(0)).normalize();
+            let above = |corner: i32| place(0).y <= place(corner).y;
+            let last = columns * rows - 1;
+            assert!(row.x > 0.1 || above(last), "{columns} x {rows}, {degrees} degrees");
+            // Two ways run to the right alike here, of which one has its first corner on top.
+            let is_top = above(columns - 1) && above(last - columns + 1) && above(last);
+            assert!(degrees != 45 || is_top, "{columns} x {rows}, {degrees} degrees");
+        }
+    }
+    // It is not at one place if it may go on to either side.
+    let board = Board { columns: 9, rows: 5, square_mm: 3.0 };
+    let middle = |corner: &i32| (2..7).contains(&(corner % 9));
+    let points: Vec<LatticePoint> = (0..)
+        .zip(seen(&board, 90.0, Vector2::zeros()))
+        .filter(|(corner, _)| middle(corner))
+        .map(|(_, p)| LatticePoint {
+            place: (p.place - Vector2::new(499.5, 374.5)) * 2.0 + Vector2::new(499.5, 374.5),
+            ..p
+        })
+        .collect();
+    let why = tied(&points, &board).unwrap_err();
+    assert!(why.contains("more than one part"), "{why}");
 }
 
 #[test]
@@ -76,7 +127,7 @@ fn what_is_no_board_is_told() {
     for (points, board, words) in [
         (&points[..3], BOARD, "too few for a board"),
         (&points[..], smaller, "correct [board]"),
-        (&points[..], Board { columns: 90, rows: 90, square_mm: 1.0 }, "too large"),
+        (&points[..], Board { columns: 90, rows: 90, square_mm: 1.0 }, "6 to 2500"),
     ] {
         let why = tied(points, &board).unwrap_err();
         assert!(why.contains(words), "{why}");

@@ -1,0 +1,56 @@
+//! Points in square cells, to find those near a place.
+
+use std::collections::HashMap;
+
+use nalgebra::Vector2;
+
+type Cell = (i64, i64);
+
+/// Points sorted into square cells. Only cells with points take memory, so that it is bounded by the
+/// number of points however far they spread.
+pub(super) struct Cells<'a> {
+    points: &'a [Vector2<f64>],
+    size: f64,
+    members: HashMap<Cell, Vec<usize>>,
+}
+
+impl<'a> Cells<'a> {
+    /// Cells of a size: about the distance at which points are asked for. A size that is none (zero,
+    /// negative, infinite) is taken as 1.
+    pub fn new(points: &'a [Vector2<f64>], size: f64) -> Self {
+        let size = if size.is_finite() && size > 0.0 { size } else { 1.0 };
+        let mut cells = Self { points, size, members: HashMap::new() };
+        for (i, point) in points.iter().enumerate() {
+            let cell = cells.cell(point);
+            cells.members.entry(cell).or_default().push(i);
+        }
+        cells
+    }
+
+    #[allow(clippy::cast_possible_truncation)] // saturates: what is so far away shares a cell
+    fn cell(&self, place: &Vector2<f64>) -> Cell {
+        let cell = place / self.size;
+        (cell.x.floor() as i64, cell.y.floor() as i64)
+    }
+
+    /// Points up to `reach` away from a place.
+    pub fn near(&self, place: &Vector2<f64>, reach: f64) -> Vec<usize> {
+        let is_near = |i: &usize| (self.points[*i] - place).norm() <= reach;
+        let corner = Vector2::repeat(reach);
+        let (low, high) = (self.cell(&(place - corner)), self.cell(&(place + corner)));
+        let count = |low: i64, high: i64| high.saturating_sub(low).saturating_add(1);
+        let cells = count(low.0, high.0).saturating_mul(count(low.1, high.1));
+        // Where the reach covers more cells than there are, all points are looked at.
+        if usize::try_from(cells).is_ok_and(|cells| cells <= self.members.len()) {
+            (low.1..=high.1)
+                .flat_map(|y| (low.0..=high.0).map(move |x| (x, y)))
+                .filter_map(|cell| self.members.get(&cell))
+                .flatten()
+                .copied()
+                .filter(is_near)
+                .collect()
+        } else {
+            (0..self.points.len()).filter(is_near).collect()
+        }
+    }
+}
