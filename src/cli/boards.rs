@@ -14,6 +14,7 @@ use plenocal::observations::{BapFeature, Observations};
 use plenocal::precalibration::fit_grid;
 use plenocal::report::Figure;
 use plenocal::{Error, Result, report};
+use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::precalibrate::progress_bar;
@@ -268,7 +269,10 @@ pub fn detect(
     Ok(Found { frames, features, document, warnings })
 }
 
-/// Frame by frame: each takes all cores, so that no more than one is in memory.
+/// Frames that are in memory at once.
+const AT_ONCE: usize = 4;
+
+/// A few frames at once: reading and drawing take one core, so that several keep all of them busy.
 fn detect_all(
     shoot: &Shoot,
     paths: &[PathBuf],
@@ -279,22 +283,33 @@ fn detect_all(
 ) -> Result<Vec<Frame>> {
     let bar = progress_bar(look.quiet, paths.len(), "looking at boards");
     let white = white.grey();
-    let mut frames = Vec::new();
-    for (number, path) in (0..).zip(paths) {
+    let of_image = |&(number, path): &(u32, &PathBuf)| {
+        let mut drawn = None;
         let (result, counts) = match io::read_image(path, Some(shoot.images.color)) {
             Ok(image) => {
                 let found = detect_frame(number, &image.grey(), &white, search);
                 if let (Ok(detection), true) = (&found.0, look.pictures) {
-                    let figure = report::features_figure(&image, detection, search.board)?;
-                    output.stage(picture(number), |out| out.write_all(figure.as_bytes()))?;
+                    drawn = Some(report::features_figure(&image, detection, search.board)?);
                 }
                 found
             }
             // A damaged image among good ones is told as any frame that is left out.
             Err(error) => (Err(error.to_string()), FrameCounts::default()),
         };
-        frames.push(Frame { number, path: path.clone(), result, counts });
         bar.inc(1);
+        Ok((Frame { number, path: path.clone(), result, counts }, drawn))
+    };
+    let numbered: Vec<(u32, &PathBuf)> = (0..).zip(paths).collect();
+    let mut frames = Vec::new();
+    for some in numbered.chunks(rayon::current_num_threads().min(AT_ONCE)) {
+        let done: Vec<(Frame, Option<String>)> =
+            some.par_iter().map(of_image).collect::<Result<_>>()?;
+        for (frame, drawn) in done {
+            if let Some(drawn) = drawn {
+                output.stage(picture(frame.number), |out| out.write_all(drawn.as_bytes()))?;
+            }
+            frames.push(frame);
+        }
     }
     bar.finish_and_clear();
     Ok(frames)
