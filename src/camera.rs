@@ -395,7 +395,7 @@ pub(crate) fn check_lens_types(types: usize, kind: LatticeKind) -> Result<()> {
     match (types, kind) {
         (0 | 1, _) | (3, LatticeKind::HexagonalRows | LatticeKind::HexagonalColumns) => Ok(()),
         _ => Err(Error::invalid(format!(
-            "{types} lens types on a {} lattice are not known: give 0 (pinholes) or 1, or 3 on a \
+            "{types} lens types on the lattice '{}' are not known: give 0 (pinholes) or 1, or 3 on a \
              hexagonal lattice",
             kind.name()
         ))),

@@ -251,7 +251,8 @@ pub fn detect(
     let mut warnings = rejected(&frames);
     if frames.iter().all(|frame| frame.result.is_err()) {
         return Err(Error::Invalid(format!(
-            "no frame shows the board: check [board], the white image and the images\n  {}\n{}",
+            "no frame shows the board: check [board], the images, the f-number of their white image, \
+             and the configuration of the array\n  {}\n{}",
             warnings.join("\n  "),
             report::detection_text(&rows(&frames))
         )));

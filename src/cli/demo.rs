@@ -28,7 +28,7 @@ Examples:
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
-    simulate::run(&simulate::Arguments::preset(&arguments.out))?;
+    simulate::simulate(&simulate::Arguments::preset(&arguments.out))?;
     whole::run(&RunArguments {
         project: arguments.out.join("project.toml"),
         out: arguments.out.join("results"),

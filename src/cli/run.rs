@@ -87,6 +87,8 @@ struct Ledger {
     hashes: HashMap<PathBuf, String>,
     /// Stages of this run, in order; whether they were done.
     stages: Vec<(String, bool)>,
+    /// What could not be done, in words.
+    missing: Vec<String>,
 }
 
 impl Ledger {
@@ -178,6 +180,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         quiet: arguments.json,
         hashes: HashMap::new(),
         stages: Vec::new(),
+        missing: Vec::new(),
     };
     let stages = Stages { arguments, path, project: &project, shoot: &shoot, options };
     stages.precalibration(&mut ledger)?;
@@ -187,7 +190,9 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         if !subset.images(&shoot.images).is_empty()
             && let Err(error) = stages.boards(&mut ledger, subset)
         {
-            eprintln!("warning: boards of {}: {error}", subset.name());
+            let text = format!("boards of {}: {error}", subset.name());
+            eprintln!("warning: {text}");
+            ledger.missing.push(text);
         }
     }
     stages.calibration(&mut ledger, CALIBRATION)?;
@@ -549,6 +554,7 @@ impl Stages<'_> {
             self.path.display(),
             ledger.manifest.inputs.len()
         );
-        report::tables_section("Overview", vec![table], &[text])
+        let texts: Vec<String> = ledger.missing.iter().cloned().chain([text]).collect();
+        report::tables_section("Overview", vec![table], &texts)
     }
 }

@@ -1,7 +1,6 @@
 //! `plenocal simulate`: raw images of a simulated camera, with their truth.
 
 use std::fmt::Write as _;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -78,11 +77,21 @@ const TICK: Duration = Duration::from_millis(100);
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let text = simulate(arguments)?;
+    let printed = super::print(text.as_bytes());
+    // Of a data set that is written it is no failure that nobody reads of it.
+    if arguments.print {
+        printed?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the data set; what there is to print.
+pub fn simulate(arguments: &Arguments) -> Result<String> {
     let begun = Instant::now();
     let settings = settings(arguments)?;
     if arguments.print {
-        super::print(io::settings_text(&settings)?.as_bytes())?;
-        return Ok(ExitCode::SUCCESS);
+        return io::settings_text(&settings);
     }
     let Some(out) = &arguments.out else {
         return Err(Error::Invalid("--out is missing".to_owned()));
@@ -100,9 +109,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     io::stage_data_set(&mut output, &settings, &data_set, &progress)?;
     progress.bar.finish_and_clear();
     output.commit()?;
-    let text = summary(&data_set, &out.display().to_string(), begun.elapsed());
-    let _ = std::io::stdout().write_all(text.as_bytes());
-    Ok(ExitCode::SUCCESS)
+    Ok(summary(&data_set, &out.display().to_string(), begun.elapsed()))
 }
 
 fn settings(arguments: &Arguments) -> Result<Settings> {

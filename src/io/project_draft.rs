@@ -45,7 +45,7 @@ pub struct DraftText {
 }
 
 /// What stands where something is missing.
-const FILL_IN: &str = "FILL IN";
+pub(super) const FILL_IN: &str = "FILL IN";
 /// Column of the comments.
 const COMMENT: usize = 30;
 

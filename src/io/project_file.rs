@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::project_draft::FILL_IN;
 use super::read_text;
 use crate::calibration::{CalibrationOptions, Loss, Mode};
 use crate::camera::{Board, Configuration, Datasheet, InternalParameters, Sensor};
@@ -291,8 +292,16 @@ impl CalibrationSection {
 impl Project {
     /// Reads a project file; paths in it become relative to the working folder.
     pub fn read(path: &Path) -> Result<Self> {
-        let mut project: Self = toml::from_str(&read_text(path)?)
-            .map_err(|e| Error::content(path, format!("not a valid project file: {e}")))?;
+        let text = read_text(path)?;
+        let mut project: Self = toml::from_str(&text).map_err(|e| {
+            let waiting = text.lines().filter(|line| line.contains(FILL_IN)).count();
+            let hint = if waiting > 0 {
+                format!("\n{waiting} line(s) of it say {FILL_IN}: give these values first")
+            } else {
+                String::new()
+            };
+            Error::content(path, format!("not a valid project file: {e}{hint}"))
+        })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         if let Some(observations) = &mut project.observations {
             observations.features = folder.join(&observations.features);

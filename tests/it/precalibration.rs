@@ -455,6 +455,7 @@ fn bad_projects_and_images_are_refused_in_words() {
     // A stop as it is engraved stands for its f-number.
     with("f_number = 8\n", "stop = 8\n").success().stderr("");
     with("f_number = 8\n", "stop = 5.6\n").success().stderr(contains("check its f-number"));
+    with("f_number = 8\n", "f_number = 9\n").success().stderr(contains("check its f-number"));
     fs::remove_dir_all(&out).unwrap();
     with("\"bayer-rggb\"", "\"rgb\"").code(1).stderr(contains("has 1 channel(s)"));
     with("width_px = 1000", "width_px = 1001")

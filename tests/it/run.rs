@@ -136,6 +136,8 @@ fn a_run_goes_from_images_to_a_report_and_does_nothing_twice() {
         .success()
         .stderr(contains("warning: boards of evaluation: no frame shows the board"))
         .stdout(contains("\"evaluation\":null"));
+    let report = fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(report.contains("boards of evaluation: no frame shows the board"));
 
     single_commands(folder.path(), &project, &out);
 }
