@@ -133,7 +133,7 @@ const TRUE: f64 = 0.995;
 const SMALL_BLUR_PX: f64 = 0.10;
 const ANY_BLUR_PX: f64 = 0.20;
 /// Of ρ, without noise and with one of 4 grey levels.
-const RHO_PX: f64 = 0.025;
+const RHO_PX: f64 = 0.04;
 const NOISY_RHO_PX: f64 = 0.12;
 /// Of 1/ν, relative. Half a per cent is held without noise; a noise of 4 grey levels adds to it.
 const DEPTH: f64 = 0.008;
@@ -161,7 +161,7 @@ fn simulated_corners_are_found_where_they_are() {
         ("mini", &["rays=32", "boards.min_in_view=0.65", "seed=3"], 4),
         ("mini", &["rays=32", "imaging.color=bayer-rggb"], 2),
         ("mini", square, 2),
-        ("mini", small, 3),
+        ("mini", small, 4),
         ("keplerian", &["rays=32", "boards.depth_mm=[200.0, 400.0]", "seed=4"], 3),
         ("r12-a", &["rays=32"], 1),
     ];
@@ -180,7 +180,8 @@ fn simulated_corners_are_found_where_they_are() {
             100.0 * score.depth_rms()
         );
         // Of a board that is cut by the border one cannot always tell which part shows.
-        let cut = replaced.iter().any(|r| r.contains("min_in_view"));
+        let is_cut = |r: &&str| r.contains("min_in_view") || r.contains("columns=35");
+        let cut = replaced.iter().any(is_cut);
         assert!(score.tied >= if cut { frames / 2 } else { frames }, "{name} {replaced:?}");
         assert!(score.recall() > FOUND && score.precision() > TRUE, "{name} {replaced:?}");
         assert!(score.small_rms_px() < SMALL_BLUR_PX, "{name} {replaced:?}");
@@ -399,7 +400,7 @@ fn detection_does_what_it_is_told_or_says_why_not() {
     let smaller = changed(&[("columns = 8\nrows = 5", "columns = 7\nrows = 4")]);
     detect(&smaller, &out, "failed", &["--subset", "evaluation"])
         .code(1)
-        .stderr(contains("evaluation-02.png").and(contains("beyond the board")))
+        .stderr(contains("frame 2 (evaluation-02.png) is left out"))
         .stderr(contains("Micro-images").and(contains("0 features in 0 of 3 frames")));
     assert!(!folder.path().join("failed").exists());
     // A white image that is clipped is not an over-exposed frame.

@@ -32,13 +32,14 @@ fn in_view(points: Vec<LatticePoint>) -> (Vec<LatticePoint>, Vec<i32>) {
     (points, corners)
 }
 
-fn tied(points: &[LatticePoint], board: &Board) -> Result<Vec<Option<i32>>, String> {
+fn on_sensor(place: &Vector2<f64>) -> bool {
     let margin = Vector2::repeat(20.0);
-    let in_view = |place: &Vector2<f64>| {
-        let (low, high) = (place - margin, place + margin);
-        SENSOR.contains(low.x, low.y) && SENSOR.contains(high.x, high.y)
-    };
-    TiedBoard::tie(points, board, &in_view).map(|tied| tied.corners)
+    let (low, high) = (place - margin, place + margin);
+    SENSOR.contains(low.x, low.y) && SENSOR.contains(high.x, high.y)
+}
+
+fn tied(points: &[LatticePoint], board: &Board) -> Result<Vec<Option<i32>>, String> {
+    TiedBoard::tie(points, board, &on_sensor).map(|tied| tied.corners)
 }
 
 #[test]
@@ -57,6 +58,21 @@ fn a_symmetric_board_runs_to_the_right() {
     let turned: Vec<Option<i32>> = (0..board.corners()).rev().map(Some).collect();
     let corners = tied(&points, &board).unwrap();
     assert_eq!(corners, turned);
+}
+
+/// Two columns are beyond what can be seen, though not beyond the sensor.
+#[test]
+fn what_is_out_of_view_does_not_count_as_missing() {
+    let seen = (0..).zip(seen(&BOARD, 0.0, Vector2::zeros()));
+    let (corners, points): (Vec<i32>, Vec<LatticePoint>) =
+        seen.filter(|(corner, _)| corner % 8 > 1).unzip();
+    let between = |a: i32| points[corners.iter().position(|c| *c == a).unwrap()].place.x - 30.0;
+    let border = between(2).min(between(34));
+    let in_view = |place: &Vector2<f64>| on_sensor(place) && place.x > border;
+    let expected: Vec<Option<i32>> = corners.iter().copied().map(Some).collect();
+    assert_eq!(TiedBoard::tie(&points, &BOARD, &in_view).unwrap().corners, expected);
+    let why = tied(&points, &BOARD).unwrap_err();
+    assert!(why.contains("more than one part"), "{why}");
 }
 
 /// Turned by about 90 degrees neither way runs to the right; the first corner is on top then.
