@@ -44,9 +44,10 @@ fn the_help_tells_the_order_of_things() {
     let help = plenocal().arg("--help").output().unwrap();
     let help = String::from_utf8(help.stdout).unwrap();
     let at = |word: &str| help.find(&format!("\n  {word} ")).unwrap_or_else(|| panic!("{word}"));
-    let order = ["init", "precalibrate", "detect", "calibrate", "completions"].map(at);
+    let order =
+        ["init", "run", "precalibrate", "detect", "calibrate", "evaluate", "completions"].map(at);
     assert!(order.is_sorted(), "{help}");
-    for word in ["Example", "130  interrupted", "--verbose"] {
+    for word in ["From images to a report", "130  interrupted", "--verbose"] {
         assert!(help.contains(word), "{word}");
     }
 }
