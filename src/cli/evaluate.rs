@@ -94,11 +94,13 @@ pub struct Folds {
 pub struct Assessment {
     pub tables: Vec<HtmlTable>,
     pub document: Value,
+    /// What could not be evaluated.
+    pub problems: Vec<String>,
 }
 
 impl Subjects {
     /// Evaluates all there is.
-    pub fn assess(&self, quiet: bool) -> Result<Assessment> {
+    pub fn assess(&self, quiet: bool) -> Assessment {
         let input = EvaluationInput {
             board: &self.board,
             evaluation: &self.evaluation,
@@ -106,7 +108,7 @@ impl Subjects {
             clouds_mm: &self.clouds_mm,
             truth: self.truth.as_ref(),
         };
-        let evaluation = evaluate(&self.candidates, &input)?;
+        let mut evaluation = evaluate(&self.candidates, &input);
         let mut tables = report::evaluation_tables(&evaluation);
         let turned = half_turn(&self.board);
         let mut poses: Vec<(String, PoseErrors)> = self
@@ -128,14 +130,14 @@ impl Subjects {
             let bar = progress_bar(quiet, folds.count, "calibrating without some frames");
             let result = folds.validate(&self.board, &bar);
             bar.finish_and_clear();
-            result
+            result.map_err(|error| evaluation.problems.push(format!("cross-validation: {error}")))
         });
-        let folds = folds.transpose()?;
+        let folds = folds.and_then(std::result::Result::ok);
         if let (Some(folds), Some(candidate)) = (&folds, self.candidates.first()) {
             tables.extend(report::folds_tables(folds, candidate));
         }
         let document = report::evaluation_json(&evaluation, &poses, folds.as_ref());
-        Ok(Assessment { tables, document })
+        Assessment { tables, document, problems: evaluation.problems }
     }
 }
 
@@ -237,7 +239,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         evaluation_poses: true_poses.map(io::read_poses).transpose()?,
         folds,
     };
-    let assessment = subjects.assess(arguments.json)?;
+    let assessment = subjects.assess(arguments.json);
+    warn(&assessment.problems);
     if assessment.tables.is_empty() {
         return Err(Error::Invalid(
             "there is nothing to evaluate with: list boards under evaluation or \

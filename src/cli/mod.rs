@@ -68,7 +68,7 @@ The same step by step:
 
 Exit status:
   0    done, and the result is converged and finite
-  1    bad input or a failure: nothing was written
+  1    bad input or a failure: nothing was written; of run, stages that were done are kept
   2    the command line was not understood
   3    not converged: results were written, marked as such
   130  interrupted (Ctrl-C, SIGTERM, SIGHUP): nothing half-written is left";

@@ -117,9 +117,15 @@ impl Ledger {
         let names: Vec<_> = inputs.iter().map(|path| path.file_name()).collect();
         let names: Vec<String> =
             names.iter().map(|n| n.unwrap_or_default().to_string_lossy().into_owned()).collect();
-        let key = json!([name, self.manifest.plenocal, names, hashes, options]).to_string();
+        let key = json!([name, env!("CARGO_PKG_VERSION"), names, hashes, options]).to_string();
         let key = io::hash_text(&key);
         let folder = self.out.join(name);
+        for (path, hash) in inputs.iter().zip(&hashes) {
+            // What other stages have written is noted with them.
+            if !path.starts_with(&self.out) {
+                self.manifest.inputs.insert(path.display().to_string(), hash.clone());
+            }
+        }
         let before = self.manifest.stage(name).cloned();
         if let Some(record) = &before
             && !self.force
@@ -145,15 +151,25 @@ impl Ledger {
         for file in stale.filter(|file| !files.contains_key(*file)) {
             let _ = fs::remove_file(folder.join(file));
         }
-        for (path, hash) in inputs.iter().zip(hashes) {
-            self.manifest.inputs.insert(path.display().to_string(), hash);
-        }
         let time_s = begun.elapsed().as_secs_f64();
         self.manifest.note(StageRecord { name: name.to_owned(), key, options, time_s, files });
         self.manifest.write(&self.out)?;
         self.say(&format!("{name}: {time_s:.1} s"));
         self.stages.push((name.to_owned(), true));
         Ok(())
+    }
+
+    /// Notes what is wrong with a part without which the rest is still of use.
+    fn tolerate(&mut self, what: &str, result: Result<()>) {
+        if let Err(error) = result {
+            let text = format!("{what}: {error}");
+            eprintln!("warning: {text}");
+            self.missing.push(text);
+        }
+    }
+
+    fn has(&self, stage: &str) -> bool {
+        self.stages.iter().any(|(name, _)| name == stage)
     }
 
     fn say(&self, line: &str) {
@@ -172,7 +188,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let options = calibration_options(path, &project)?;
     // Whether the folder can be written is better known before the work than after.
     OutputFolder::new(&arguments.out)?;
-    let manifest = Manifest::read(&arguments.out).unwrap_or_else(|| Manifest::new(path));
+    let mut manifest = Manifest::new(path);
+    manifest.stages = Manifest::read(&arguments.out).map(|m| m.stages).unwrap_or_default();
     let mut ledger = Ledger {
         out: arguments.out.clone(),
         manifest,
@@ -187,19 +204,19 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     stages.boards(&mut ledger, Subset::Calibration)?;
     for subset in [Subset::Evaluation, Subset::Translation] {
         // Without these there is still a calibration.
-        if !subset.images(&shoot.images).is_empty()
-            && let Err(error) = stages.boards(&mut ledger, subset)
-        {
-            let text = format!("boards of {}: {error}", subset.name());
-            eprintln!("warning: {text}");
-            ledger.missing.push(text);
+        if !subset.images(&shoot.images).is_empty() {
+            let result = stages.boards(&mut ledger, subset);
+            ledger.tolerate(&format!("boards of {}", subset.name()), result);
         }
     }
     stages.calibration(&mut ledger, CALIBRATION)?;
     if stages.has_both() {
-        stages.calibration(&mut ledger, CORNERS_ONLY)?;
+        let result = stages.calibration(&mut ledger, CORNERS_ONLY);
+        ledger.tolerate("corners alone", result);
     }
-    stages.evaluation(&mut ledger)?;
+    let result = stages.evaluation(&mut ledger);
+    ledger.tolerate("evaluation", result);
+    ledger.manifest.write(&arguments.out)?;
     let report = stages.report(&ledger, begun.elapsed().as_secs_f64())?;
 
     let folder = &arguments.out;
@@ -209,13 +226,19 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         let document = json!({
             "report": report.display().to_string(),
             "calibration": read_json(&folder.join(CALIBRATION).join("calibration.json"))?,
-            "evaluation": read_json(&folder.join(EVALUATION).join("evaluation.json"))?,
+            "evaluation": if ledger.has(EVALUATION) {
+                read_json(&folder.join(EVALUATION).join("evaluation.json"))?
+            } else {
+                Value::Null
+            },
         });
         format!("{document}\n")
     } else {
         let mut tables = tables_of(&read_section(&folder.join(CALIBRATION))?);
         tables.truncate(1);
-        tables.extend(tables_of(&read_section(&folder.join(EVALUATION))?));
+        if ledger.has(EVALUATION) {
+            tables.extend(tables_of(&read_section(&folder.join(EVALUATION))?));
+        }
         let tables: Vec<String> = tables.iter().map(|table| format!("{table}\n\n")).collect();
         format!("{}Written: {}\n", tables.concat(), report.display())
     };
@@ -273,6 +296,13 @@ fn stage_figures(output: &mut OutputFolder, figures: &[Figure]) -> Result<()> {
     figures.iter().try_for_each(|figure| {
         output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))
     })
+}
+
+/// What results depend on: they are the same to rounding with any number of threads.
+fn told(options: &CalibrationOptions) -> String {
+    let mut options = options.clone();
+    options.solver.threads = 0;
+    format!("{options:?}")
 }
 
 struct Stages<'a> {
@@ -384,11 +414,13 @@ impl Stages<'_> {
         let mut title = "Calibration";
         if stage == CORNERS_ONLY {
             options.mode = Mode::CornersOnly;
+            // Pinholes have no focal lengths that could be held.
+            options.cost.held.retain(|name| !name.starts_with("f_"));
             title = "Calibration from corners alone, for comparison";
         }
         let inputs: Vec<PathBuf> =
             self.measured().into_iter().chain([self.features(Subset::Calibration)]).collect();
-        let told = json!({ "camera": self.camera(), "options": format!("{options:?}") });
+        let told = json!({ "camera": self.camera(), "options": told(&options) });
         ledger.stage(stage, &inputs, told, |output| {
             let begun = Instant::now();
             let (start, observations) = (self.start()?, self.observations()?);
@@ -397,6 +429,8 @@ impl Stages<'_> {
             if stage == CALIBRATION {
                 warn(&result.left_out);
                 warn(&result.warnings);
+            } else if !result.converged {
+                warn(&["the calibration from corners alone is not converged"]);
             }
             stage_results(output, &result, false)?;
             let document = report::calibration_json(&result, begun.elapsed().as_secs_f64());
@@ -407,27 +441,28 @@ impl Stages<'_> {
         })
     }
 
-    fn candidates(&self) -> Result<Vec<Candidate>> {
+    fn candidates(&self, has_corners: bool) -> Result<Vec<Candidate>> {
         let named =
             |name: &str, stage: &str| read_candidate(name, &self.folder(stage).join("camera.json"));
-        if self.has_both() {
-            return Ok(vec![named(BLUR_AWARE, CALIBRATION)?, named(CORNERS, CORNERS_ONLY)?]);
-        }
         let is_blur_aware = self.options.mode == Mode::Full && self.shoot.sheet.lens_types > 0;
-        let only = if is_blur_aware { BLUR_AWARE } else { CORNERS };
-        Ok(vec![named(only, CALIBRATION)?])
+        let own = if is_blur_aware { BLUR_AWARE } else { CORNERS };
+        let mut candidates = vec![named(own, CALIBRATION)?];
+        if has_corners {
+            candidates.push(named(CORNERS, CORNERS_ONLY)?);
+        }
+        Ok(candidates)
     }
 
     fn evaluation(&self, ledger: &mut Ledger) -> Result<()> {
         let shoot = self.shoot;
         let truth = self.project.truth.as_ref();
-        let has =
-            |subset: Subset| ledger.stages.iter().any(|(name, _)| name == boards_stage(subset));
-        let (has_evaluation, has_translation) = (has(Subset::Evaluation), has(Subset::Translation));
+        let has_corners = ledger.has(CORNERS_ONLY);
+        let [has_evaluation, has_translation] = [Subset::Evaluation, Subset::Translation]
+            .map(|subset| ledger.has(boards_stage(subset)));
         let mut inputs: Vec<PathBuf> = self.measured().to_vec();
         inputs.push(self.features(Subset::Calibration));
         inputs.extend(["camera.json", "poses.json"].map(|f| self.folder(CALIBRATION).join(f)));
-        if self.has_both() {
+        if has_corners {
             inputs.push(self.folder(CORNERS_ONLY).join("camera.json"));
         }
         inputs.extend(has_evaluation.then(|| self.features(Subset::Evaluation)));
@@ -441,7 +476,13 @@ impl Stages<'_> {
         let step_mm = shoot.images.translation.as_ref().map(|t| t.step_mm);
         let told = json!({
             "camera": self.camera(),
-            "options": format!("{:?}", self.options),
+            "options": told(&self.options),
+            // Which file is which.
+            "evaluation": has_evaluation,
+            "translation": has_translation,
+            "clouds": shoot.images.translation.as_ref().map(|t| t.clouds.len()),
+            "true_poses": truth
+                .map(|t| [t.calibration_poses.is_some(), t.evaluation_poses.is_some()]),
             "step_mm": step_mm,
             "folds": self.arguments.folds,
         });
@@ -455,12 +496,14 @@ impl Stages<'_> {
             };
             let evaluation = features(has_evaluation, Subset::Evaluation)?;
             let translation = features(has_translation, Subset::Translation)?;
-            let candidates = self.candidates()?;
+            let candidates = self.candidates(has_corners)?;
             let found = io::read_poses(&self.folder(CALIBRATION).join("poses.json"))?;
             let poses = truth.and_then(|t| t.calibration_poses.as_deref());
             let poses = poses.map(io::read_poses).transpose()?;
             let observations = self.observations()?;
-            let frames = observations.frames().len();
+            let excluded = &self.options.exclude_frames;
+            let frames = observations.frames();
+            let frames = frames.iter().filter(|frame| !excluded.contains(frame)).count();
             let count = self.arguments.folds.min(frames);
             let start = self.start()?;
             let initial = plenocal::calibration::initial_from(&start, &observations)?;
@@ -489,11 +532,12 @@ impl Stages<'_> {
                     .transpose()?,
                 folds,
             };
-            let assessment = subjects.assess(self.arguments.json)?;
+            let assessment = subjects.assess(self.arguments.json);
+            warn(&assessment.problems);
             output.stage_json("evaluation.json", &assessment.document)?;
             let mut tables = vec![report::cameras_table(&initial, &subjects.candidates)];
             tables.extend(assessment.tables);
-            Ok(report::tables_section("Evaluation", tables, &[]))
+            Ok(report::tables_section("Evaluation", tables, &assessment.problems))
         })
     }
 
@@ -549,7 +593,7 @@ impl Stages<'_> {
             text_columns: vec![0, 1],
         };
         let text = format!(
-            "Project {}, {} images and other files read; this run took {time_s:.1} s. manifest.json has \
+            "Project {}, {} files read; this run took {time_s:.1} s. manifest.json has \
              their hashes.",
             self.path.display(),
             ledger.manifest.inputs.len()

@@ -19,7 +19,9 @@ pub struct Fold {
     pub camera: PlenopticCamera,
     /// Whether that calibration converged.
     pub converged: bool,
-    /// Their reprojection errors, poses refined with the camera held.
+    /// How many of them found no pose.
+    pub left_out: usize,
+    /// Reprojection errors of the others, poses refined with the camera held.
     pub rmse: Rmse,
 }
 
@@ -96,7 +98,9 @@ pub fn cross_validate(
         let posed = calibrate(&known, board, &seen, &poses_only, &mut |_| true)?;
         let residuals = posed.reprojection.features;
         progress();
-        Ok((Fold { frames: held_out, camera, converged, rmse: Rmse::of(&residuals) }, residuals))
+        let left_out = posed.left_out.len();
+        let rmse = Rmse::of(&residuals);
+        Ok((Fold { frames: held_out, camera, converged, left_out, rmse }, residuals))
     };
     let named = |number: usize| {
         fold(number).map_err(|e| Error::invalid(format!("fold {} of {folds}: {e}", number + 1)))

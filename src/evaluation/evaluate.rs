@@ -1,7 +1,9 @@
 //! The evaluation as one stage: cameras on boards that they were not calibrated with (paper, section 6).
 
 use super::{Displacements, ParameterError, Reprojection, parameter_errors};
-use crate::calibration::{CalibrationOptions, FramePose, LeftOut, Mode, Start, calibrate};
+use crate::calibration::{
+    Calibration, CalibrationOptions, FramePose, LeftOut, Mode, Start, calibrate,
+};
 use crate::camera::{Board, PlenopticCamera};
 use crate::error::Result;
 use crate::observations::{BapFeature, Observations};
@@ -41,6 +43,8 @@ pub struct Posed {
     pub reprojection: Reprojection,
     /// Frames without a pose.
     pub left_out: Vec<LeftOut>,
+    /// Whether their poses are at a minimum.
+    pub converged: bool,
 }
 
 /// What was found of one camera.
@@ -63,6 +67,8 @@ pub struct Evaluation {
     pub candidates: Vec<CandidateResult>,
     /// The motion as other software has it.
     pub clouds: Option<Displacements>,
+    /// What could not be evaluated and why, in words.
+    pub problems: Vec<String>,
 }
 
 /// Finds the poses of boards with a camera that is held.
@@ -75,34 +81,52 @@ pub fn pose_boards(
     let seen = Observations { centers: Vec::new(), features: features.to_vec() };
     let start = Start::Camera(camera.clone());
     let result = calibrate(&start, board, &seen, &options, &mut |_| true)?;
-    Ok(Posed { poses: result.poses, reprojection: result.reprojection, left_out: result.left_out })
+    let Calibration { poses, reprojection, left_out, converged, .. } = result;
+    Ok(Posed { poses, reprojection, left_out, converged })
 }
 
-/// Evaluates cameras.
-///
-/// An error if boards cannot be posed, motions are none, or the true camera is of another kind.
-pub fn evaluate(candidates: &[Candidate], input: &EvaluationInput) -> Result<Evaluation> {
-    let of_candidate = |candidate: &Candidate| {
-        let posed = |features: &[BapFeature]| pose_boards(&candidate.camera, input.board, features);
+/// Evaluates cameras. What fails (boards without a pose, a motion of one frame, a true camera of another
+/// kind) is told in `problems` and does not keep the rest from being evaluated.
+#[must_use]
+pub fn evaluate(candidates: &[Candidate], input: &EvaluationInput) -> Evaluation {
+    let mut problems = Vec::new();
+    let mut results = Vec::new();
+    for candidate in candidates {
+        let mut posed = |what: &str, features: &[BapFeature]| {
+            let posed = pose_boards(&candidate.camera, input.board, features);
+            let what = format!("{}, boards of {what}", candidate.name);
+            if let Ok(posed) = &posed {
+                let left_out = posed.left_out.iter().map(|l| format!("{what}: {l}"));
+                problems.extend(left_out);
+                if !posed.converged {
+                    problems.push(format!("{what}: their poses are not converged"));
+                }
+            }
+            kept(&what, posed, &mut problems)
+        };
         let evaluation =
-            (!input.evaluation.is_empty()).then(|| posed(input.evaluation)).transpose()?;
-        let translation = input
+            (!input.evaluation.is_empty()).then(|| posed("evaluation", input.evaluation)).flatten();
+        let moved = input
             .translation
-            .map(|(features, step_mm)| {
-                Displacements::of_poses(&posed(features)?.poses, input.board, step_mm)
-            })
-            .transpose()?;
-        let truth = input
-            .truth
-            .map(|truth| parameter_errors(truth, &candidate.camera, &candidate.std_devs))
-            .transpose()?;
-        Ok(CandidateResult { name: candidate.name.clone(), evaluation, translation, truth })
-    };
+            .and_then(|(features, step_mm)| Some((posed("translation", features)?, step_mm)));
+        let translation = moved.and_then(|(posed, step_mm)| {
+            let found = Displacements::of_poses(&posed.poses, input.board, step_mm);
+            kept(&format!("{}, known motion", candidate.name), found, &mut problems)
+        });
+        let truth = input.truth.and_then(|truth| {
+            let errors = parameter_errors(truth, &candidate.camera, &candidate.std_devs);
+            kept(&format!("{}, truth", candidate.name), errors, &mut problems)
+        });
+        let name = candidate.name.clone();
+        results.push(CandidateResult { name, evaluation, translation, truth });
+    }
     let step_mm = input.translation.map(|(_, step_mm)| step_mm);
-    let clouds = step_mm
-        .filter(|_| !input.clouds_mm.is_empty())
-        .map(|step_mm| Displacements::of(input.clouds_mm, step_mm))
-        .transpose()?;
-    let candidates = candidates.iter().map(of_candidate).collect::<Result<_>>()?;
-    Ok(Evaluation { candidates, clouds })
+    let clouds = step_mm.filter(|_| !input.clouds_mm.is_empty()).and_then(|step_mm| {
+        kept("point clouds", Displacements::of(input.clouds_mm, step_mm), &mut problems)
+    });
+    Evaluation { candidates: results, clouds, problems }
+}
+
+fn kept<T>(what: &str, result: Result<T>, problems: &mut Vec<String>) -> Option<T> {
+    result.map_err(|error| problems.push(format!("{what}: {error}"))).ok()
 }

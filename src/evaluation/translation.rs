@@ -37,8 +37,8 @@ impl Displacement {
 pub struct Spread {
     /// Mean.
     pub mean: f64,
-    /// Standard deviation about the mean; 0 of a single value.
-    pub std_dev: f64,
+    /// Standard deviation about the mean; `None` of a single value.
+    pub std_dev: Option<f64>,
 }
 
 impl Spread {
@@ -46,7 +46,7 @@ impl Spread {
         let count = values.clone().count() as f64;
         let mean = values.clone().sum::<f64>() / count;
         let square: f64 = values.map(|v| (v - mean).powi(2)).sum();
-        Self { mean, std_dev: (square / (count - 1.0).max(1.0)).sqrt() }
+        Self { mean, std_dev: (count > 1.0).then(|| (square / (count - 1.0)).sqrt()) }
     }
 }
 

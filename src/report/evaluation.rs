@@ -7,7 +7,8 @@ use super::html::HtmlTable;
 use super::table::table;
 use crate::camera::{PlenopticCamera, intrinsic_parameters};
 use crate::evaluation::{
-    Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors, Rmse, Spread,
+    Candidate, CrossValidation, Displacement, Displacements, Evaluation, ParameterError,
+    PoseErrors, Rmse, Spread,
 };
 
 /// Name of other software's point clouds in tables.
@@ -89,9 +90,9 @@ fn motion_row(name: &str, displacements: &Displacements) -> Vec<String> {
         name.to_owned(),
         displacements.steps.len().to_string(),
         percent(relative.mean),
-        percent(relative.std_dev),
+        relative.std_dev.map_or("-".to_owned(), percent),
         number(absolute.mean),
-        number(absolute.std_dev),
+        absolute.std_dev.map_or("-".to_owned(), number),
         percent(displacements.whole.relative_error()),
     ]
 }
@@ -132,7 +133,7 @@ pub fn truth_table(errors: &[ParameterError], caption: &str) -> HtmlTable {
     for e in errors {
         let (unit, factor) = display_unit(&e.name, e.unit);
         let (value, deviation) = with_std_dev(e.estimate * factor, e.std_dev.map(|s| s * factor));
-        let percent = 100.0 * e.error() / e.truth;
+        let percent = 100.0 * e.error() / e.truth.abs();
         table.add_row([
             e.name.clone(),
             unit.to_owned(),
@@ -194,21 +195,30 @@ pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> Htm
 #[must_use]
 pub fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<HtmlTable> {
     let mut of_folds = table(
-        &["Held out", "Frames", "Features", "RMSE all, px", "(u, v)", "ρ", "Converged"],
-        &[0, 1, 6],
+        &[
+            "Held out",
+            "Frames",
+            "Without pose",
+            "Features",
+            "RMSE all, px",
+            "(u, v)",
+            "ρ",
+            "Converged",
+        ],
+        &[0, 1, 7],
     );
     for (i, fold) in folds.folds.iter().enumerate() {
         let frames: Vec<String> = fold.frames.iter().map(ToString::to_string).collect();
         let converged = if fold.converged { "yes" } else { "no" };
         of_folds.add_row(
-            [format!("fold {}", i + 1), frames.join(", ")]
+            [format!("fold {}", i + 1), frames.join(", "), fold.left_out.to_string()]
                 .into_iter()
                 .chain(rmse_cells(&fold.rmse, false))
                 .chain([converged.to_owned()]),
         );
     }
     of_folds.add_row(
-        ["all".to_owned(), String::new()]
+        ["all".to_owned(), String::new(), String::new()]
             .into_iter()
             .chain(rmse_cells(&folds.rmse, false))
             .chain([String::new()]),
@@ -229,13 +239,17 @@ pub fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<HtmlT
             format!("{:.2}", jackknife / std_dev),
         ]);
     }
-    vec![
-        of_folds.captioned("Cross-validation: frames reprojected by a camera calibrated without them"),
-        spread.captioned(
-            "Standard deviations: from the covariance, which takes observations as independent, and from \
-             leaving frames out",
-        ),
-    ]
+    let mut tables = vec![
+        of_folds
+            .captioned("Cross-validation: frames reprojected by a camera calibrated without them"),
+    ];
+    let spread = spread.captioned(
+        "Standard deviations: from the covariance, which takes observations as independent, and from \
+         leaving frames out",
+    );
+    // Cameras of other programs come without standard deviations.
+    tables.extend((!spread.rows.is_empty()).then_some(spread));
+    tables
 }
 
 /// The same for machines: values in px, mm, rad; relative errors as parts.
@@ -282,10 +296,13 @@ pub fn evaluation_json(
         "cameras": candidates,
         "point_clouds": evaluation.clouds.as_ref().map(displacements_json),
         "poses_against_truth": poses,
+        "problems": evaluation.problems,
         "cross_validation": folds.map(|folds| json!({
             "rmse": rmse_json(&folds.rmse),
+            "jackknife_standard_deviations": folds.jackknife_std_devs(),
             "folds": folds.folds.iter().map(|fold| json!({
                 "frames": fold.frames,
+                "without_pose": fold.left_out,
                 "converged": fold.converged,
                 "rmse": rmse_json(&fold.rmse),
             })).collect::<Vec<_>>(),
@@ -306,13 +323,18 @@ fn parameter_json(e: &ParameterError) -> Value {
 fn displacements_json(displacements: &Displacements) -> Value {
     let spread = |s: Spread| json!({ "mean": s.mean, "standard_deviation": s.std_dev });
     json!({
+        "whole_way": step_json(&displacements.whole),
         "relative_error": spread(displacements.relative()),
         "absolute_error_mm": spread(displacements.absolute_mm()),
-        "steps": displacements.steps.iter().map(|s| json!({
-            "from": s.from,
-            "to": s.to,
-            "true_mm": s.true_mm,
-            "measured_mm": s.measured_mm,
-        })).collect::<Vec<_>>(),
+        "steps": displacements.steps.iter().map(step_json).collect::<Vec<_>>(),
+    })
+}
+
+fn step_json(s: &Displacement) -> Value {
+    json!({
+        "from": s.from,
+        "to": s.to,
+        "true_mm": s.true_mm,
+        "measured_mm": s.measured_mm,
     })
 }

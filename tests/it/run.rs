@@ -116,6 +116,26 @@ fn a_run_goes_from_images_to_a_report_and_does_nothing_twice() {
         .stdout(contains("Cross-validation").not())
         .stderr(contains("calibration: unchanged").and(contains("\nevaluation: unchanged").not()));
 
+    // What the comparison and the folds cannot take over of the options does not stop the run.
+    let text = fs::read_to_string(&project).unwrap();
+    let options = "\n[calibration]\nfix = [\"f_1\"]\nexclude_frames = [5]\n";
+    fs::write(&project, format!("{text}{options}")).unwrap();
+    run(&[]).success().stdout(contains("fold 5")).stderr(contains("warning: frame 5 is left out"));
+    fs::write(&project, &text).unwrap();
+
+    // A truth of another camera: the rest is there, and it is said.
+    let other = text.replace("truth/camera.json", "../other.json");
+    let camera = fs::read_to_string(set.join("truth/camera.json")).unwrap();
+    let odd = camera.replace("\"columns\": 43", "\"columns\": 42");
+    assert!(odd != camera);
+    fs::write(folder.path().join("other.json"), odd).unwrap();
+    fs::write(&project, other).unwrap();
+    run(&["--folds", "0"])
+        .success()
+        .stderr(contains("warning: blur aware, truth: the true camera has"))
+        .stdout(contains("Table 3"));
+    fs::write(&project, &text).unwrap();
+
     // A damaged image among good ones is told and left out, here and in the report.
     let image = set.join("calibration/calibration-02.png");
     let whole = fs::read(&image).unwrap();
@@ -177,6 +197,23 @@ fn single_commands(folder: &Path, project: &Path, out: &Path) {
         .stdout(
             contains("Table 3").and(contains("Against the true camera")).and(contains("fold 2")),
         );
+
+    // The same motion by other software: steps of 5 mm, 2 % too long, measured towards the camera.
+    let clouds: Vec<String> = (0..4)
+        .map(|frame| {
+            let name = format!("cloud-{frame}.xyz");
+            let z = -60.0 - 5.1 * f64::from(frame);
+            let points = format!("x y z\n1 2 {z} 9 9 9\n3 4 {z}\n5 6 {}\n", z - 40.0);
+            fs::write(project.with_file_name(&name), points).unwrap();
+            format!("\"{name}\"")
+        })
+        .collect();
+    let text = fs::read_to_string(project).unwrap();
+    let clouds = format!("[images.translation]\nclouds = [{}]\n", clouds.join(", "));
+    let table = text.find("[images.translation]").unwrap();
+    let line = table + text[table..].find('\n').unwrap() + 1;
+    fs::write(project, format!("{}{clouds}{}", &text[..table], &text[line..])).unwrap();
+    single("evaluate").assert().success().stdout(contains("point clouds").and(contains("2.000")));
 }
 
 #[test]
