@@ -116,25 +116,7 @@ fn a_run_goes_from_images_to_a_report_and_does_nothing_twice() {
         .stdout(contains("Cross-validation").not())
         .stderr(contains("calibration: unchanged").and(contains("\nevaluation: unchanged").not()));
 
-    // What the comparison and the folds cannot take over of the options does not stop the run.
-    let text = fs::read_to_string(&project).unwrap();
-    let options = "\n[calibration]\nfix = [\"f_1\"]\nexclude_frames = [5]\n";
-    fs::write(&project, format!("{text}{options}")).unwrap();
-    run(&[]).success().stdout(contains("fold 5")).stderr(contains("warning: frame 5 is left out"));
-    fs::write(&project, &text).unwrap();
-
-    // A truth of another camera: the rest is there, and it is said.
-    let other = text.replace("truth/camera.json", "../other.json");
-    let camera = fs::read_to_string(set.join("truth/camera.json")).unwrap();
-    let odd = camera.replace("\"columns\": 43", "\"columns\": 42");
-    assert!(odd != camera);
-    fs::write(folder.path().join("other.json"), odd).unwrap();
-    fs::write(&project, other).unwrap();
-    run(&["--folds", "0"])
-        .success()
-        .stderr(contains("warning: blur aware, truth: the true camera has"))
-        .stdout(contains("Table 3"));
-    fs::write(&project, &text).unwrap();
+    parts_that_fail(&project, &run);
 
     // A damaged image among good ones is told and left out, here and in the report.
     let image = set.join("calibration/calibration-02.png");
@@ -160,6 +142,29 @@ fn a_run_goes_from_images_to_a_report_and_does_nothing_twice() {
     assert!(report.contains("boards of evaluation: no frame shows the board"));
 
     single_commands(folder.path(), &project, &out);
+}
+
+/// The rest of a run goes on, and it is said.
+fn parts_that_fail(project: &Path, run: &dyn Fn(&[&str]) -> assert_cmd::assert::Assert) {
+    // What the comparison and the folds cannot take over of the options does not stop the run.
+    let text = fs::read_to_string(project).unwrap();
+    let options = "\n[calibration]\nfix = [\"f_1\"]\nexclude_frames = [5]\n";
+    fs::write(project, format!("{text}{options}")).unwrap();
+    run(&[]).success().stdout(contains("fold 5")).stderr(contains("warning: frame 5 is left out"));
+    fs::write(project, &text).unwrap();
+
+    // A truth of another camera: the rest is there, and it is said.
+    let other = text.replace("truth/camera.json", "other.json");
+    let camera = fs::read_to_string(project.with_file_name("truth/camera.json")).unwrap();
+    let odd = camera.replace("\"columns\": 43", "\"columns\": 42");
+    assert!(odd != camera);
+    fs::write(project.with_file_name("other.json"), odd).unwrap();
+    fs::write(project, other).unwrap();
+    run(&["--folds", "0"])
+        .success()
+        .stderr(contains("warning: blur aware, truth: the true camera has"))
+        .stdout(contains("Table 3"));
+    fs::write(project, &text).unwrap();
 }
 
 /// Single commands on what a run has left; no board of the evaluation shows.
