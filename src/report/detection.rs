@@ -92,7 +92,7 @@ pub(super) fn dropped_text(rows: &[FrameRow]) -> String {
 /// Largest width of the picture under the features, px.
 const PICTURE: usize = 1400;
 /// Its quality, of 100.
-const QUALITY: u8 = 80;
+const QUALITY: u8 = 60;
 
 /// A frame with its features as blur circles, coloured by corner, and the board's lattice.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // pixels

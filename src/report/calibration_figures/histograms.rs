@@ -121,7 +121,7 @@ fn histogram(area: &Area, panel: &Panel, overlay: &mut Overlay) -> Result<()> {
         let size = Vector2::new(bin_width, f64::from(count)).component_mul(&plane.scale).abs();
         overlay.rectangle(corner, size - Vector2::new(1.0, 0.0), BLUE, 0.75);
     }
-    let mut title = format!("{}: {} residuals", panel.name, panel.values.len());
+    let mut title = format!("{}: {}", panel.name, panel.values.len());
     if has_curve {
         let points: Vec<_> = (0..=CURVE_POINTS)
             .map(|i| -half + 2.0 * half * f64::from(i) / f64::from(CURVE_POINTS))
