@@ -12,7 +12,7 @@ use plenocal::io::{self, CalibrationSection, LossName, ModeName, OutputFolder, P
 use plenocal::{Error, Result, report};
 
 use super::input::{Files, Input};
-use super::{progress, warn};
+use super::{progress, tell, warn};
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///
@@ -140,7 +140,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     if calibration.converged {
         return Ok(ExitCode::SUCCESS);
     }
-    eprintln!("error: not converged: {}", report::termination_text(&calibration));
+    tell(&format!("error: not converged: {}", report::termination_text(&calibration)));
     Ok(ExitCode::from(3))
 }
 

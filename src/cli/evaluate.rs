@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use plenocal::calibration::{CalibrationOptions, FramePose, Start};
 use plenocal::camera::{Board, PlenopticCamera};
 use plenocal::evaluation::{
-    Candidate, EvaluationInput, PoseErrors, cross_validate, evaluate, pose_errors,
+    Candidate, EvaluationInput, PoseErrors, cross_validate, evaluate, foldable_frames, pose_errors,
 };
 use plenocal::io::{self, CameraSource, OutputFolder, Project};
 use plenocal::observations::{BapFeature, Observations};
@@ -194,6 +194,24 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let shoot = Shoot::of(path, &project)?;
     let candidates = candidates(&arguments.camera)?;
     let micro_images = shoot.read_precalibration(&arguments.precalibration)?;
+    let folds = match (arguments.folds, &arguments.features) {
+        (Some(count), Some(features)) => {
+            let files = Files {
+                project: Some(path),
+                camera: None,
+                params: Some(&arguments.precalibration.join("precalibration.json")),
+                scene: None,
+                centers: Some(&arguments.precalibration.join("centers.csv")),
+                features: Some(features),
+            };
+            let Input { start, observations, options, .. } =
+                Input::read(&files, io::CalibrationSection::default())?;
+            // What is asked for and cannot be is told before the work.
+            foldable_frames(&observations, &options, count)?;
+            Some(Folds { start, observations, options, count })
+        }
+        _ => None,
+    };
     let mut found = |subset: Subset| -> Result<Vec<BapFeature>> {
         if subset.images(&shoot.images).is_empty() {
             return Ok(Vec::new());
@@ -212,22 +230,6 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let true_camera = arguments.truth.as_deref();
     let true_camera = true_camera.or(project.truth.as_ref().map(|t| t.camera.as_path()));
     let true_poses = project.truth.as_ref().and_then(|t| t.evaluation_poses.as_deref());
-    let folds = match (arguments.folds, &arguments.features) {
-        (Some(count), Some(features)) => {
-            let files = Files {
-                project: Some(path),
-                camera: None,
-                params: Some(&arguments.precalibration.join("precalibration.json")),
-                scene: None,
-                centers: Some(&arguments.precalibration.join("centers.csv")),
-                features: Some(features),
-            };
-            let Input { start, observations, options, .. } =
-                Input::read(&files, io::CalibrationSection::default())?;
-            Some(Folds { start, observations, options, count })
-        }
-        _ => None,
-    };
     let subjects = Subjects {
         board: shoot.board,
         candidates,

@@ -103,7 +103,7 @@ pub fn run() -> ExitCode {
         Command::Man(arguments) => man::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {
-        eprintln!("error: {error}");
+        tell(&format!("error: {error}"));
         ExitCode::FAILURE
     })
 }
@@ -111,6 +111,11 @@ pub fn run() -> ExitCode {
 /// Tells what the user should know.
 fn warn(warnings: &[impl std::fmt::Display]) {
     for warning in warnings {
-        eprintln!("warning: {warning}");
+        tell(&format!("warning: {warning}"));
     }
+}
+
+/// Writes a line on stderr; that nobody reads there is no failure.
+fn tell(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
 }

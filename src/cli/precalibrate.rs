@@ -20,7 +20,7 @@ use plenocal::report::Figure;
 use plenocal::{Error, Result, report};
 use rayon::prelude::*;
 
-use super::{progress, warn};
+use super::{progress, tell, warn};
 
 /// Measure the micro-image array and the internal parameters on white images.
 ///
@@ -335,7 +335,7 @@ fn read_white(path: &Path, color: Option<Color>) -> Result<plenocal::image::RawI
                 .then_some("the pixels that should both be green differ: another mosaic is in it"),
         };
         if let Some(wrong) = wrong {
-            eprintln!("warning: {}: {wrong}", path.display());
+            tell(&format!("warning: {}: {wrong}", path.display()));
         }
     }
     Ok(raw)

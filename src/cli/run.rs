@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 use super::boards::{self, Estimator, Look, Shoot, Subset};
 use super::calibrate::stage_results;
 use super::evaluate::{Folds, Subjects, calibrated, clouds, read_candidate};
-use super::{precalibrate, warn};
+use super::{precalibrate, tell, warn};
 
 /// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
 ///
@@ -163,7 +163,7 @@ impl Ledger {
     fn tolerate(&mut self, what: &str, result: Result<()>) {
         if let Err(error) = result {
             let text = format!("{what}: {error}");
-            eprintln!("warning: {text}");
+            tell(&format!("warning: {text}"));
             self.missing.push(text);
         }
     }
@@ -174,7 +174,7 @@ impl Ledger {
 
     fn say(&self, line: &str) {
         if !self.quiet {
-            eprintln!("{line}");
+            tell(line);
         }
     }
 }
@@ -186,6 +186,12 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let project = Project::read(path)?;
     let shoot = Shoot::of(path, &project)?;
     let options = calibration_options(path, &project)?;
+    if arguments.folds == 1 {
+        return Err(Error::Invalid(
+            "one fold leaves nothing to calibrate with: give --folds 0 for none, or 2 and more"
+                .to_owned(),
+        ));
+    }
     // Whether the folder can be written is better known before the work than after.
     OutputFolder::new(&arguments.out)?;
     let mut manifest = Manifest::new(path);
@@ -246,7 +252,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     if converged {
         return Ok(ExitCode::SUCCESS);
     }
-    eprintln!("error: the calibration is not converged; see {}", report.display());
+    tell(&format!("error: the calibration is not converged; see {}", report.display()));
     Ok(ExitCode::from(3))
 }
 

@@ -63,16 +63,7 @@ pub fn cross_validate(
     folds: usize,
     progress: &(dyn Fn() + Sync),
 ) -> Result<CrossValidation> {
-    let excluded: BTreeSet<u32> = options.exclude_frames.iter().copied().collect();
-    let frames: Vec<u32> =
-        observations.frames().into_iter().filter(|f| !excluded.contains(f)).collect();
-    if folds < 2 || frames.len() < folds {
-        return Err(Error::invalid(format!(
-            "{} frames cannot be divided into {folds} folds: take two folds or more, and not more than \
-             there are frames",
-            frames.len()
-        )));
-    }
+    let frames = foldable_frames(observations, options, folds)?;
     // Every fold has a thread of its own.
     let mut options = options.clone();
     options.solver.threads = 1;
@@ -108,4 +99,24 @@ pub fn cross_validate(
     let done = (0..folds).into_par_iter().map(named).collect::<Result<Vec<_>>>()?;
     let rmse = Rmse::of(done.iter().flat_map(|(_, residuals)| residuals));
     Ok(CrossValidation { folds: done.into_iter().map(|(fold, _)| fold).collect(), rmse })
+}
+
+/// The frames that are divided into folds; an error if there are fewer of them than folds, or fewer than
+/// two folds.
+pub fn foldable_frames(
+    observations: &Observations,
+    options: &CalibrationOptions,
+    folds: usize,
+) -> Result<Vec<u32>> {
+    let excluded: BTreeSet<u32> = options.exclude_frames.iter().copied().collect();
+    let frames: Vec<u32> =
+        observations.frames().into_iter().filter(|f| !excluded.contains(f)).collect();
+    if folds < 2 || frames.len() < folds {
+        return Err(Error::invalid(format!(
+            "{} frames cannot be divided into {folds} folds: take two folds or more, and not more than \
+             there are frames",
+            frames.len()
+        )));
+    }
+    Ok(frames)
 }

@@ -9,7 +9,7 @@ mod translation;
 mod truth;
 mod uncertainty;
 
-pub use cross_validation::{CrossValidation, Fold, cross_validate};
+pub use cross_validation::{CrossValidation, Fold, cross_validate, foldable_frames};
 pub use detection::{DetectionScore, INSIDE_PX, SMALL_RHO_PX, TRUE_PX};
 pub use evaluate::{
     Candidate, CandidateResult, Evaluation, EvaluationInput, Posed, evaluate, pose_boards,

@@ -84,6 +84,8 @@ fn a_run_goes_from_images_to_a_report_and_does_nothing_twice() {
     assert!(off.abs() < 0.01, "{off}");
     assert_eq!(camera(&out.join("corners-only/camera.json")).lens_types(), 0);
 
+    run(&["--folds", "1"]).code(1).stderr(contains("one fold leaves nothing"));
+
     // The report holds all stages, and nothing from elsewhere.
     let report = fs::read_to_string(out.join("report.html")).unwrap();
     for words in ["Pre-calibration", "Boards: calibration", "Boards: translation", "Evaluation"] {
@@ -184,6 +186,12 @@ fn single_commands(folder: &Path, project: &Path, out: &Path) {
         .stdout(contains("poses.json"));
     let poses = json(&folder.join("extrinsics/poses.json"));
     assert_eq!(poses["poses"].as_array().unwrap().len(), 4);
+    single("evaluate")
+        .args(["--folds", "100", "--features"])
+        .arg(out.join("boards-calibration/features.csv"))
+        .assert()
+        .code(1)
+        .stderr(contains("cannot be divided into 100 folds"));
     single("extrinsics").assert().code(1).stderr(contains("no frame shows the board"));
     single("evaluate").assert().code(1).stderr(contains("no frame shows the board"));
     let text = fs::read_to_string(project).unwrap();
