@@ -10,6 +10,7 @@ mod extrinsics;
 mod init;
 mod input;
 mod interrupt;
+mod ledger;
 mod logging;
 mod man;
 mod precalibrate;

@@ -1,6 +1,5 @@
 //! `plenocal run`: from the images of a project to a report.
 
-use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -10,17 +9,17 @@ use std::time::Instant;
 use clap::Args;
 use plenocal::calibration::{CalibrationOptions, Mode, Start, calibrate};
 use plenocal::evaluation::Candidate;
-use plenocal::io::{self, Manifest, ModeName, OutputFolder, Project, StageRecord};
+use plenocal::io::{self, ModeName, OutputFolder, Project};
 use plenocal::observations::Observations;
 use plenocal::precalibration::PrecalibrationOptions;
 use plenocal::report::{Figure, HtmlReport, HtmlTable, Part, Section};
 use plenocal::{Error, Result, report};
-use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::boards::{self, Estimator, Look, Shoot, Subset};
 use super::calibrate::stage_results;
 use super::evaluate::{Folds, Subjects, calibrated, clouds, read_candidate};
+use super::ledger::{Ledger, SECTION};
 use super::{precalibrate, tell, warn};
 
 /// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
@@ -64,8 +63,6 @@ const CALIBRATION: &str = "calibration";
 const CORNERS_ONLY: &str = "corners-only";
 const EVALUATION: &str = "evaluation";
 const REPORT: &str = "report.html";
-/// What a stage has for the report.
-const SECTION: &str = "section.json";
 /// Names of the two methods in tables.
 const BLUR_AWARE: &str = "blur aware";
 const CORNERS: &str = "corners only";
@@ -75,107 +72,6 @@ fn boards_stage(subset: Subset) -> &'static str {
         Subset::Calibration => "boards-calibration",
         Subset::Evaluation => "boards-evaluation",
         Subset::Translation => "boards-translation",
-    }
-}
-
-/// Keeps account of the stages.
-struct Ledger {
-    out: PathBuf,
-    manifest: Manifest,
-    force: bool,
-    quiet: bool,
-    hashes: HashMap<PathBuf, String>,
-    /// Stages of this run, in order; whether they were done.
-    stages: Vec<(String, bool)>,
-    /// What could not be done, in words.
-    missing: Vec<String>,
-}
-
-impl Ledger {
-    fn hashes(&mut self, inputs: &[PathBuf]) -> Vec<String> {
-        let unknown: Vec<&PathBuf> =
-            inputs.iter().filter(|path| !self.hashes.contains_key(*path)).collect();
-        // An image that cannot be read is told when its turn comes.
-        let known: Vec<(PathBuf, String)> = unknown
-            .par_iter()
-            .map(|path| ((*path).clone(), io::hash_file(path).unwrap_or_default()))
-            .collect();
-        self.hashes.extend(known);
-        inputs.iter().map(|path| self.hashes[path].clone()).collect()
-    }
-
-    /// Does a stage unless it is done: `work` stages files and gives what the report shows.
-    fn stage(
-        &mut self,
-        name: &str,
-        inputs: &[PathBuf],
-        options: Value,
-        work: impl FnOnce(&mut OutputFolder) -> Result<Section>,
-    ) -> Result<()> {
-        let begun = Instant::now();
-        let hashes = self.hashes(inputs);
-        let names: Vec<_> = inputs.iter().map(|path| path.file_name()).collect();
-        let names: Vec<String> =
-            names.iter().map(|n| n.unwrap_or_default().to_string_lossy().into_owned()).collect();
-        let key = json!([name, env!("CARGO_PKG_VERSION"), names, hashes, options]).to_string();
-        let key = io::hash_text(&key);
-        let folder = self.out.join(name);
-        for (path, hash) in inputs.iter().zip(&hashes) {
-            // What other stages have written is noted with them.
-            if !path.starts_with(&self.out) {
-                self.manifest.inputs.insert(path.display().to_string(), hash.clone());
-            }
-        }
-        let before = self.manifest.stage(name).cloned();
-        if let Some(record) = &before
-            && !self.force
-            && record.key == key
-            && record.is_intact(&folder)
-        {
-            self.say(&format!("{name}: unchanged"));
-            self.stages.push((name.to_owned(), false));
-            return Ok(());
-        }
-        let mut output = OutputFolder::new(&folder)?;
-        let section = work(&mut output)?;
-        let section = serde_json::to_value(&section)
-            .map_err(|e| Error::Invalid(format!("the section of {name} cannot be written: {e}")))?;
-        output.stage_json(SECTION, &section)?;
-        let mut files = BTreeMap::new();
-        for path in output.commit()? {
-            let file = path.strip_prefix(&folder).unwrap_or(&path).display().to_string();
-            files.insert(file, io::hash_file(&path)?);
-        }
-        // Of an earlier run, such as pictures of frames that are no more.
-        let stale = before.iter().flat_map(|record| record.files.keys());
-        for file in stale.filter(|file| !files.contains_key(*file)) {
-            let _ = fs::remove_file(folder.join(file));
-        }
-        let time_s = begun.elapsed().as_secs_f64();
-        self.manifest.note(StageRecord { name: name.to_owned(), key, options, time_s, files });
-        self.manifest.write(&self.out)?;
-        self.say(&format!("{name}: {time_s:.1} s"));
-        self.stages.push((name.to_owned(), true));
-        Ok(())
-    }
-
-    /// Notes what is wrong with a part without which the rest is still of use.
-    fn tolerate(&mut self, what: &str, result: Result<()>) {
-        if let Err(error) = result {
-            let text = format!("{what}: {error}");
-            tell(&format!("warning: {text}"));
-            self.missing.push(text);
-        }
-    }
-
-    fn has(&self, stage: &str) -> bool {
-        self.stages.iter().any(|(name, _)| name == stage)
-    }
-
-    fn say(&self, line: &str) {
-        if !self.quiet {
-            tell(line);
-        }
     }
 }
 
@@ -194,17 +90,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     }
     // Whether the folder can be written is better known before the work than after.
     OutputFolder::new(&arguments.out)?;
-    let mut manifest = Manifest::new(path);
-    manifest.stages = Manifest::read(&arguments.out).map(|m| m.stages).unwrap_or_default();
-    let mut ledger = Ledger {
-        out: arguments.out.clone(),
-        manifest,
-        force: arguments.force,
-        quiet: arguments.json,
-        hashes: HashMap::new(),
-        stages: Vec::new(),
-        missing: Vec::new(),
-    };
+    let mut ledger = Ledger::open(&arguments.out, path, arguments.force, arguments.json);
     let stages = Stages { arguments, path, project: &project, shoot: &shoot, options };
     stages.precalibration(&mut ledger)?;
     stages.boards(&mut ledger, Subset::Calibration)?;
