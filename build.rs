@@ -8,7 +8,7 @@ fn main() {
         .define("PLENOCAL_BUILD_EXAMPLES", "OFF")
         .define("CMAKE_INSTALL_LIBDIR", "lib")
         .build();
-    cxx_build::bridge("src/bridge.rs")
+    cxx_build::bridge("src/solver/bridge.rs")
         .file("cpp/bridge/bridge.cpp")
         .include("cpp/bridge")
         .include(core.join("include"))
@@ -40,7 +40,7 @@ fn main() {
 
     for path in [
         "build.rs",
-        "src/bridge.rs",
+        "src/solver/bridge.rs",
         "cpp/CMakeLists.txt",
         "cpp/cmake",
         "cpp/include",

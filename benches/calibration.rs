@@ -10,14 +10,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-use plenocal::calibration::{CalibrationOptions, SolverOptions, Start, calibrate};
-use plenocal::camera::Board;
+use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::io::{
     CameraSource, Project, read_board, read_camera_source, read_centers, read_features,
     read_internal_parameters,
 };
-use plenocal::observations::Observations;
+use plenocal::model::{Board, Observations};
 use plenocal::precalibration::fit_grid;
+use plenocal::solver::SolverOptions;
 use serde_json::Value;
 
 /// Enough for a median; a run of the baseline takes seconds.

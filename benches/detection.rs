@@ -3,17 +3,15 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use plenocal::features::{DepthEstimator, MicroImages, Search, detect_frame};
-use plenocal::io::{PRESETS, preset_settings};
+use plenocal::detection::{DepthEstimator, MicroImages, Search, detect_frame};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
-use plenocal::simulation::{DataSet, Shot};
+use plenocal::simulation::{DataSet, Settings, Shot};
 
 const RUNS: usize = 7;
 const FRAMES: usize = 3;
 
 fn main() -> plenocal::Result<()> {
-    let preset = PRESETS.iter().find(|preset| preset.name == "r12-a").expect("a preset");
-    let settings = preset_settings(preset, &["rays=32".to_owned()])?;
+    let settings = Settings::preset("r12-a", &["rays=32".to_owned()])?;
     let data_set = DataSet::plan(&settings, None)?;
     let white = |shot: &Shot| {
         let image = shot.take(&settings, &|| ())?;

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use plenocal::image::Color;
-use plenocal::io::{PRESETS, preset_settings, read_image, write_png};
+use plenocal::io::{read_image, write_png};
 use plenocal::precalibration::{PrecalibrationOptions, White, measure_array, precalibrate};
-use plenocal::simulation::DataSet;
+use plenocal::simulation::{DataSet, Settings};
 use rayon::prelude::*;
 
 const RUNS: usize = 7;
@@ -34,8 +34,7 @@ fn read(paths: &[(f64, PathBuf)]) -> Vec<White> {
 }
 
 fn main() -> plenocal::Result<()> {
-    let preset = PRESETS.iter().find(|preset| preset.name == "r12-a").expect("a preset");
-    let settings = preset_settings(preset, &["rays=16".to_owned()])?;
+    let settings = Settings::preset("r12-a", &["rays=16".to_owned()])?;
     let folder = std::env::temp_dir().join(format!("plenocal-bench-{}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("a folder for temporary files");
     let mut paths = Vec::new();

@@ -2,7 +2,6 @@
 
 use std::time::Instant;
 
-use plenocal::io::{PRESETS, preset_settings};
 use plenocal::simulation::{DataSet, Settings, Shot};
 
 fn seconds(settings: &Settings, shot: &Shot, threads: usize, runs: usize) -> f64 {
@@ -24,8 +23,7 @@ fn seconds(settings: &Settings, shot: &Shot, threads: usize, runs: usize) -> f64
 fn main() -> plenocal::Result<()> {
     println!("Simulation, {} cores, median:", rayon::current_num_threads());
     for (name, runs) in [("mini", 7), ("r12-a", 1)] {
-        let preset = PRESETS.iter().find(|preset| preset.name == name).expect("a preset");
-        let settings = preset_settings(preset, &["rays=64".to_owned()])?;
+        let settings = Settings::preset(name, &["rays=64".to_owned()])?;
         let data_set = DataSet::plan(&settings, None)?;
         let sensor = settings.camera.sensor;
         println!("  {name}: {} x {} px, 64 rays per pixel", sensor.width_px, sensor.height_px);

@@ -3,9 +3,9 @@
 //!     cargo run --release --example feature_errors [PART OF A NAME]
 
 use plenocal::Result;
+use plenocal::detection::DepthEstimator;
 use plenocal::evaluation::DetectionScore;
-use plenocal::features::DepthEstimator;
-use plenocal::io::{PRESETS, preset_settings};
+use plenocal::simulation::Settings;
 
 /// Name, preset, what is replaced in it, and frames.
 const SETS: [(&str, &str, &[&str], usize); 11] = [
@@ -42,9 +42,8 @@ fn main() -> Result<()> {
         if !name.contains(&wanted) {
             continue;
         }
-        let preset = PRESETS.iter().find(|p| p.name == preset).expect("a preset");
         let replaced: Vec<String> = replaced.iter().map(ToString::to_string).collect();
-        let settings = preset_settings(preset, &replaced)?;
+        let settings = Settings::preset(preset, &replaced)?;
         let score = DetectionScore::of_simulation(&settings, frames, DepthEstimator::Line)?;
         println!(
             "| {name} | {} of {} | {:.1} % | {:.2} % | {:.3} px | {:.3} px | {:.3} px | {:.2} % | {:.2} % |",

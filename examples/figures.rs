@@ -10,11 +10,11 @@ use std::path::Path;
 
 use image::imageops::{FilterType, crop_imm, replace, resize};
 use image::{DynamicImage, GrayImage, ImageFormat, Luma};
-use plenocal::features::{DepthEstimator, MicroImages, Search, detect_frame};
+use plenocal::detection::{DepthEstimator, MicroImages, Search, detect_frame};
 use plenocal::image::{RawImage, Samples};
-use plenocal::io::{OutputFolder, PRESETS, preset_settings};
+use plenocal::io::OutputFolder;
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
-use plenocal::simulation::{DataSet, Imaging, Shot};
+use plenocal::simulation::{DataSet, Imaging, PRESETS, Settings, Shot};
 use plenocal::{Result, report};
 
 /// Size of a crop, px.
@@ -43,7 +43,7 @@ fn side_by_side(images: &[GrayImage], (u, v): (u32, u32)) -> GrayImage {
 
 fn main() -> Result<()> {
     let folder = std::env::args().nth(1).unwrap_or_else(|| "docs/figures".to_owned());
-    let settings = preset_settings(&PRESETS[0], &["rays=256".to_owned()])?;
+    let settings = Settings::preset(PRESETS[0].name, &["rays=256".to_owned()])?;
     let data_set = DataSet::plan(&settings, None)?;
     let take = |shot: &Shot| shot.take(&settings, &|| ()).map(|raw| grey(&raw));
 

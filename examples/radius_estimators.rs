@@ -5,15 +5,13 @@
 
 use plenocal::Result;
 use plenocal::image::Image;
-use plenocal::io::{PRESETS, preset_settings};
-use plenocal::optics;
+use plenocal::model::optics;
 use plenocal::precalibration::{PrecalibrationOptions, RadiusEstimator, White, precalibrate};
-use plenocal::simulation::{DataSet, Imaging, Scene};
+use plenocal::simulation::{DataSet, Imaging, Scene, Settings};
 
 fn main() -> Result<()> {
     for name in ["r12-a", "keplerian"] {
-        let preset = PRESETS.iter().find(|preset| preset.name == name).expect("a preset");
-        let settings = preset_settings(preset, &["rays=64".to_owned()])?;
+        let settings = Settings::preset(name, &["rays=64".to_owned()])?;
         let sheet = settings.datasheet();
         let plan = DataSet::plan(&settings, None)?;
         let light: Vec<(f64, Image)> = plan

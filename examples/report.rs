@@ -4,11 +4,13 @@
 
 use std::path::Path;
 
+use plenocal::Result;
 use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::io::{OutputFolder, Project, read_centers, read_features};
 use plenocal::precalibration::ArrayMeasurement;
-use plenocal::report::{HtmlReport, Part, Section, array_residuals_figure, calibration_figures};
-use plenocal::{Result, report};
+use plenocal::report::{
+    self, HtmlReport, Part, Section, array_residuals_figure, calibration_figures,
+};
 
 fn main() -> Result<()> {
     let folder = std::env::args().nth(1).expect("the folder to write to");

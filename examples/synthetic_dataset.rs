@@ -6,13 +6,12 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use plenocal::Result;
-use plenocal::calibration::FramePose;
-use plenocal::camera::{Board, LensSetting, MainLens, MicroLensArray, PlenopticCamera, Sensor};
 use plenocal::io::{OutputFolder, camera_document, poses_document, write_centers, write_features};
-use plenocal::lattice::{Lattice, LatticeKind, Parity};
-use plenocal::noise::Noise;
-use plenocal::observations::{BapFeature, MicroImageCenter, Observations};
-use plenocal::synthetic::synthesize;
+use plenocal::model::{
+    BapFeature, Board, FramePose, Lattice, LensSetting, MainLens, MicroImageCenter, MicroLensArray,
+    Noise, Observations, Packing, Parity, PlenopticCamera, Sensor,
+};
+use plenocal::solver::synthesize;
 
 const SEED: u64 = 2020;
 
@@ -57,12 +56,7 @@ features = "features.csv"
 fn camera() -> PlenopticCamera {
     PlenopticCamera {
         sensor: Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 },
-        lattice: Lattice {
-            kind: LatticeKind::HexagonalRows,
-            columns: 43,
-            rows: 37,
-            shifted: Parity::Even,
-        },
+        lattice: Lattice { packing: Packing::HexagonalRows(Parity::Even), columns: 43, rows: 37 },
         main_lens: MainLens {
             focal_length_mm: 16.2,
             radial: [-2.0e-3, 1.0e-4, -4.0e-6],

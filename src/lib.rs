@@ -41,7 +41,7 @@
 //!   hence node(k, l) lies at −ΔC times its lattice position.
 //! - *Board*: corners at z = 0, x along its columns, y along its rows. `camera_from_board` takes its
 //!   points into the camera frame.
-//! - *Lens types*: by the colouring of the lattice, see [`lattice::Lattice::lens_type`].
+//! - *Lens types*: by the colouring of the lattice, see [`model::Lattice::lens_type`].
 //!
 //! COMPOTE's files follow other conventions; only [`io::compote`] knows them.
 //!
@@ -60,38 +60,33 @@
 //! | f⁽ⁱ⁾ | `focal_lengths_mm` | mm | focal lengths of the micro-lenses by type |
 //! | s | `pixel_size_mm` | mm | edge of a pixel |
 //! | Δc, δc | `micro_image_pitch_mm`, `pitch_px` | mm, px | distance of neighbouring micro-image centres |
-//! | h, H | `focus_distance_mm` | mm | focus distance and its image distance ([`optics`]) |
+//! | h, H | `focus_distance_mm` | mm | focus distance and its image distance ([`model::optics`]) |
 //! | N | `f_number` | 1 | f-number |
 //! | m, q'ᵢ | `m_mm`, `q_prime_mm` | mm | internal parameters, Eq. (miradiusfnumber) |
 //! | ρ | `rho_px` | px | signed blur radius, Eq. (blurradius) |
-//! | (u, v, ρ) | [`observations::BapFeature`] | px | BAP feature, Eq. (completemodel) |
+//! | (u, v, ρ) | [`model::BapFeature`] | px | BAP feature, Eq. (completemodel) |
 //!
 //! # Where the equations are
 //!
 //! The projection, Eq. (completemodel), and the blur radius, Eq. (blurradius), are in the C++
 //! header `cpp/include/plenocal/projection.hpp`, and nowhere else; the cost of section 5.3 is in
-//! `residuals.hpp` beside it. The scalar relations of section 5.1 are in [`optics`].
+//! `residuals.hpp` beside it. The scalar relations of section 5.1 are in [`model::optics`].
 
 #![allow(clippy::doc_markdown)] // names such as COMPOTE and plenocal are no code
 
 pub mod calibration;
-pub mod camera;
-pub mod discs;
+pub mod detection;
 pub mod error;
 pub mod evaluation;
-pub mod features;
 pub mod image;
 pub mod io;
-pub mod lattice;
-pub mod noise;
-pub mod observations;
-pub mod optics;
+pub mod model;
 pub mod precalibration;
 pub mod report;
 pub mod simulation;
-pub mod synthetic;
+pub mod solver;
 
-mod bridge;
-mod records;
+mod numerics;
+mod vignetting;
 
 pub use error::{Error, Result};

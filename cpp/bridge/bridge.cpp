@@ -1,7 +1,7 @@
 #include "bridge.hpp"
 
 #include "plenocal/refine.hpp"
-#include "plenocal/src/bridge.rs.h"
+#include "plenocal/src/solver/bridge.rs.h"
 
 namespace plenocal::bridge {
 namespace {

@@ -1,13 +1,14 @@
 //! What a calibration looks at before and after the refinement: whether camera and observations
 //! belong together, and what the user should know of the result.
 
-use crate::bridge::{self, Problem};
-use crate::calibration::{FramePose, LeftOut, Mode, Refinement, Start};
-use crate::camera::{Board, Datasheet, InternalParameters, PlenopticCamera, intrinsic_parameters};
+use crate::calibration::{LeftOut, Mode, Start};
 use crate::error::{Error, Result};
-use crate::evaluation::{Reprojection, Uncertainty};
-use crate::observations::{BapFeature, MicroImageCenter, Observations};
+use crate::model::{
+    BapFeature, Board, Datasheet, FramePose, InternalParameters, MicroImageCenter, Observations,
+    PlenopticCamera, Reprojection, intrinsic_parameters,
+};
 use crate::precalibration::MicroImageArray;
+use crate::solver::{self, Problem, Refinement, Uncertainty};
 
 /// Boards tilted by less than this, rad (5°), look alike in a projection.
 const FRONTO_PARALLEL_RAD: f64 = 0.087;
@@ -105,7 +106,7 @@ pub(super) fn check_indices(
             .map(|f| MicroImageCenter { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px })
             .collect();
         let problem = Problem { camera, poses: &[], features: &[], centers: &named };
-        (bridge::project_centers(&problem)?, camera.micro_image_pitch_px())
+        (solver::project_centers(&problem)?, camera.micro_image_pitch_px())
     };
     let mut far = features
         .iter()
@@ -176,7 +177,7 @@ pub(super) fn undetermined(camera: &PlenopticCamera, uncertainty: &Uncertainty) 
     let names: Vec<&str> = uncertainty
         .undetermined_intrinsics()
         .into_iter()
-        .map(|index| parameters[index].name.as_str())
+        .map(|index| parameters[index].name)
         .collect();
     let which = if names.is_empty() { "some poses".to_owned() } else { names.join(", ") };
     Some(format!(

@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use nalgebra::Isometry3;
 use tracing::debug;
 
-use crate::bridge::{self, Problem, SolverFeature};
-use crate::calibration::{CostOptions, FramePose, LeftOut, SolverOptions, initial_poses};
-use crate::camera::{Board, PlenopticCamera, intrinsic_parameters};
+use crate::calibration::{LeftOut, initial_poses};
 use crate::error::{Error, Result};
-use crate::evaluation::FeatureResidual;
-use crate::observations::{BapFeature, Observations};
+use crate::model::{
+    BapFeature, Board, FeatureResidual, FramePose, Observations, PlenopticCamera,
+    intrinsic_parameters,
+};
+use crate::solver::{self, CostOptions, Problem, SolverFeature, SolverOptions};
 
 /// A pose alone converges in a few steps; the choice between two needs no more.
 const CHOICE_ITERATIONS: usize = 5;
@@ -122,8 +123,8 @@ fn choose(
     let mut best = vec![(f64::INFINITY, 0); candidates.len()];
     let rounds = candidates.iter().map(|(_, poses)| poses.len()).max().unwrap_or(0);
     let parameters = intrinsic_parameters(camera.lens_types());
-    let held = parameters.into_iter().map(|parameter| parameter.name).collect();
-    let cost = CostOptions { held, ..cost.clone() };
+    let fixed = parameters.iter().map(|parameter| parameter.name.to_owned()).collect();
+    let cost = CostOptions { fixed, ..cost.clone() };
     let solver = SolverOptions { max_iterations: CHOICE_ITERATIONS, ..*solver };
     for round in 0..rounds {
         let start: Vec<FramePose> = candidates
@@ -138,7 +139,7 @@ fn choose(
         let solver_features = solver_features(&seen, &start, board);
         let problem =
             Problem { camera, poses: &start_poses, features: &solver_features, centers: &[] };
-        let refined = bridge::refine(&problem, &cost, &solver, &mut |_| true)?;
+        let refined = solver::refine(&problem, &cost, &solver, &mut |_| true)?;
         let refined = Problem { poses: &refined.poses, ..problem };
         let costs = frame_costs(&refined, &seen, &cost)?;
         for ((frame, poses), best) in candidates.iter().zip(&mut best) {
@@ -158,7 +159,7 @@ fn frame_costs(
     cost: &CostOptions,
 ) -> Result<BTreeMap<u32, f64>> {
     let mut costs = BTreeMap::new();
-    for (f, projected) in features.iter().zip(bridge::project(problem)?) {
+    for (f, projected) in features.iter().zip(solver::project(problem)?) {
         let squared = projected.map_or(f64::INFINITY, |[u, v, rho]| {
             let rho_px = if problem.camera.lens_types() > 0 { f.rho_px - rho } else { 0.0 };
             ((f.u_px - u) / cost.uv_std_dev_px).powi(2)
@@ -209,5 +210,5 @@ pub(super) fn feature_residuals(
             drho_px: (problem.camera.lens_types() > 0).then_some(feature.rho_px - rho),
         })
     };
-    features.iter().zip(bridge::project(problem)?).map(residual).collect()
+    features.iter().zip(solver::project(problem)?).map(residual).collect()
 }

@@ -2,11 +2,10 @@
 
 use nalgebra::Vector3;
 
-use crate::camera::{
-    Datasheet, InternalParameters, LensSetting, MainLens, MicroLensArray, PlenopticCamera,
-};
 use crate::error::{Error, Result};
-use crate::optics;
+use crate::model::{
+    Datasheet, InternalParameters, LensSetting, MainLens, MicroLensArray, PlenopticCamera, optics,
+};
 use crate::precalibration::MicroImageArray;
 
 /// The camera to start the refinement from. The array is placed so that the micro-image centres are

@@ -10,7 +10,7 @@ mod result;
 
 pub use checks::check_stated_pitch;
 pub use initial::initial_camera;
-pub use options::{CalibrationOptions, CostOptions, Loss, Mode, SolverOptions, Start};
+pub use options::{CalibrationOptions, Mode, Start};
 pub use poses::initial_poses;
 pub use refine::{calibrate, initial_from};
-pub use result::{Calibration, FramePose, Iteration, LeftOut, Refinement, Termination};
+pub use result::{Calibration, LeftOut};

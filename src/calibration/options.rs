@@ -1,75 +1,11 @@
 //! What a calibration is told: where it starts, what it estimates, and at which cost.
 
-use crate::camera::{
-    Datasheet, InternalParameters, PlenopticCamera, Sensor, intrinsic_parameters, positive,
-};
 use crate::error::{Error, Result};
-use crate::lattice::LatticeKind;
-
-/// Robust loss on the norm of an observation's standardised residual.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Loss {
-    /// Least squares, the paper.
-    None,
-    /// Linear beyond `scale` standard deviations.
-    Huber {
-        /// In standard deviations.
-        scale: f64,
-    },
-    /// Logarithmic beyond `scale` standard deviations.
-    Cauchy {
-        /// In standard deviations.
-        scale: f64,
-    },
-}
-
-/// The cost: ½ Σ loss(|r/σ|²).
-#[derive(Debug, Clone, PartialEq)]
-pub struct CostOptions {
-    /// σ of u and v of a feature, px.
-    pub uv_std_dev_px: f64,
-    /// σ of ρ, px.
-    pub rho_std_dev_px: f64,
-    /// σ of u and v of a micro-image centre, px.
-    pub centers_std_dev_px: f64,
-    /// Loss on features and on centres.
-    pub loss: Loss,
-    /// Names of the intrinsic parameters that keep their value.
-    pub held: Vec<String>,
-}
-
-impl Default for CostOptions {
-    /// The paper's cost: 1 px each, no loss, one pitch.
-    fn default() -> Self {
-        Self {
-            uv_std_dev_px: 1.0,
-            rho_std_dev_px: 1.0,
-            centers_std_dev_px: 1.0,
-            loss: Loss::None,
-            held: vec!["dC_ratio".to_owned()],
-        }
-    }
-}
-
-/// How to minimise the cost.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SolverOptions {
-    /// Limit of Levenberg-Marquardt iterations.
-    pub max_iterations: usize,
-    /// Threads of the solver.
-    pub threads: usize,
-    /// Go to the extrapolated limit of the steps where they become slow; false leaves all to Ceres.
-    pub extrapolate: bool,
-    /// Initial trust-region radius; large, since the first steps are nearly Gauss-Newton's.
-    pub initial_trust_region_radius: f64,
-}
-
-impl Default for SolverOptions {
-    fn default() -> Self {
-        let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { max_iterations: 200, threads, initial_trust_region_radius: 1e10, extrapolate: true }
-    }
-}
+use crate::model::{
+    Datasheet, InternalParameters, LatticeKind, PlenopticCamera, Sensor, intrinsic_parameters,
+    positive,
+};
+use crate::solver::{CostOptions, Loss, SolverOptions};
 
 /// What is estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -112,7 +48,7 @@ impl Start {
         match self {
             Self::Datasheet(sheet, _) => (sheet.lattice_kind, sheet.columns, sheet.rows),
             Self::Camera(camera) => {
-                (camera.lattice.kind, camera.lattice.columns, camera.lattice.rows)
+                (camera.lattice.kind(), camera.lattice.columns, camera.lattice.rows)
             }
         }
     }
@@ -177,11 +113,11 @@ impl CalibrationOptions {
             return Err(Error::invalid("iterations and threads have to be at least 1"));
         }
         let known = intrinsic_parameters(start.lens_types());
-        for name in &self.cost.held {
+        for name in &self.cost.fixed {
             if !known.iter().any(|parameter| parameter.name == *name) {
-                let names: Vec<String> = known.into_iter().map(|p| p.name).collect();
+                let names: Vec<&str> = known.iter().map(|p| p.name).collect();
                 return Err(Error::invalid(format!(
-                    "there is no parameter '{name}' to hold; this camera has {}",
+                    "there is no parameter '{name}' to fix; this camera has {}",
                     names.join(", ")
                 )));
             }

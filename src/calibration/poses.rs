@@ -9,8 +9,7 @@ use opencv::calib3d;
 use opencv::core::{Mat, Point2d, Point3d, Vector, no_array};
 use opencv::prelude::*;
 
-use crate::camera::{Board, PlenopticCamera};
-use crate::observations::{BapFeature, MIN_CORNERS};
+use crate::model::{BapFeature, Board, MIN_CORNERS, PlenopticCamera};
 
 /// Corners are taken for collinear when their spread across the best line is below this part of the
 /// spread along it.

@@ -3,7 +3,6 @@
 use nalgebra::Isometry3;
 use tracing::{debug, info};
 
-use crate::bridge::{self, Problem};
 use crate::calibration::checks::{
     array_beyond_image, bad_fit, check_indices, check_observations, check_refined,
     check_stated_pitch, fronto_parallel, outlying_centers, undetermined, without_frames,
@@ -11,16 +10,16 @@ use crate::calibration::checks::{
 use crate::calibration::frames::{
     Frames, feature_residuals, initial_frames, reconsidered_poses, solver_features,
 };
-use crate::calibration::{
-    Calibration, CalibrationOptions, CostOptions, FramePose, Iteration, Mode, Refinement,
-    SolverOptions, Start, Termination, initial_camera,
-};
-use crate::camera::{Board, PlenopticCamera, intrinsic_parameters};
+use crate::calibration::{Calibration, CalibrationOptions, Mode, Start, initial_camera};
 use crate::error::{Error, Result};
-use crate::evaluation::{CenterResidual, Reprojection};
-use crate::observations::{MicroImageCenter, Observations};
+use crate::model::{
+    Board, CenterResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
+    Reprojection, intrinsic_parameters,
+};
 use crate::precalibration::{MicroImageArray, fit_grid};
-use crate::records::Stage;
+use crate::solver::{
+    self, CostOptions, Iteration, Problem, Refinement, SolverOptions, Termination,
+};
 
 /// The minimum counts as reached when one more Gauss-Newton step would gain less than this part of
 /// the cost. A parameter n standard deviations from its place adds n² s²/2 to the cost, s² being the
@@ -43,7 +42,7 @@ pub fn calibrate(
     options: &CalibrationOptions,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Calibration> {
-    let _stage = Stage::begin("calibration");
+    let _span = tracing::info_span!("calibration").entered();
     let mut warnings = Vec::new();
     let start = start.for_mode(options.mode);
     start.validate()?;
@@ -84,12 +83,12 @@ pub fn calibrate(
     let mut cost = options.cost.clone();
     if options.mode == Mode::PosesOnly {
         let all = intrinsic_parameters(initial.lens_types());
-        cost.held = all.into_iter().map(|parameter| parameter.name).collect();
+        cost.fixed = all.iter().map(|parameter| parameter.name.to_owned()).collect();
     }
     let refinement = refine(&problem, board, &frames, &cost, options, progress)?;
 
     let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
-    let uncertainty = bridge::uncertainty(&refined, &cost)?;
+    let uncertainty = solver::uncertainty(&refined, &cost)?;
     debug!(
         "a further step would lower the cost by {:.3e}; rank {} of the information",
         uncertainty.expected_decrease, uncertainty.rank
@@ -166,7 +165,7 @@ fn refine(
         );
         progress(iteration)
     };
-    let mut refinement = bridge::refine(problem, cost, &options.solver, progress)?;
+    let mut refinement = solver::refine(problem, cost, &options.solver, progress)?;
     check_refined(&refinement)?;
     for _ in 0..MAX_RECONSIDERATIONS {
         if refinement.termination == Termination::Stopped {
@@ -188,7 +187,7 @@ fn refine(
         let poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
         let again = Problem { camera, poses: &poses, ..*problem };
         let solver = SolverOptions { max_iterations, ..options.solver };
-        match bridge::refine(&again, cost, &solver, progress) {
+        match solver::refine(&again, cost, &solver, progress) {
             Ok(again) if again.cost < refinement.cost && check_refined(&again).is_ok() => {
                 refinement = refinement.followed_by(again);
             }
@@ -213,9 +212,9 @@ fn start_camera(start: &Start, grid: Option<&MicroImageArray>) -> Result<Plenopt
         (Start::Datasheet(..), None) => Err(Error::invalid("there are no micro-image centres")),
         (Start::Camera(camera), Some(grid)) if camera.lattice != grid.lattice => {
             Err(Error::invalid(format!(
-                "the camera's shifted rows are those of {:?} index, but the centres show the \
-                 {:?} ones shifted: they are of different cameras",
-                camera.lattice.shifted, grid.lattice.shifted
+                "the camera has the lattice {:?}, but the centres lie on {:?}: they are of different \
+                 cameras",
+                camera.lattice, grid.lattice
             )))
         }
         (Start::Camera(camera), _) => Ok(camera.clone()),
@@ -229,5 +228,5 @@ fn center_residuals(problem: &Problem) -> Result<Vec<CenterResidual>> {
         du_px: center.u_px - u,
         dv_px: center.v_px - v,
     };
-    Ok(problem.centers.iter().zip(bridge::project_centers(problem)?).map(residual).collect())
+    Ok(problem.centers.iter().zip(solver::project_centers(problem)?).map(residual).collect())
 }

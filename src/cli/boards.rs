@@ -3,17 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use plenocal::calibration::check_stated_pitch;
-use plenocal::camera::{Board, Datasheet};
-use plenocal::features::{
+use plenocal::detection::{
     DepthEstimator, DetectedFeature, Detection, FrameCounts, MicroImages, Search, TiedBoard,
     detect_frame,
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
-use plenocal::observations::{BapFeature, Observations};
+use plenocal::model::{BapFeature, Board, Datasheet, Observations};
 use plenocal::precalibration::fit_grid;
-use plenocal::report::Figure;
-use plenocal::{Error, Result, report};
+use plenocal::report::{self, Figure};
+use plenocal::{Error, Result};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 

@@ -7,8 +7,9 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use plenocal::calibration::{Calibration, Iteration, calibrate};
+use plenocal::calibration::{Calibration, calibrate};
 use plenocal::io::{self, CalibrationSection, LossName, ModeName, OutputFolder, Pitches, compote};
+use plenocal::solver::Iteration;
 use plenocal::{Error, Result, report};
 
 use super::input::{Files, Input};

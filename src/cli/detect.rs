@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
-use plenocal::features::MicroImages;
+use plenocal::detection::MicroImages;
 use plenocal::io::{self, OutputFolder, Project};
 use plenocal::precalibration::PrecalibrationOptions;
 use plenocal::{Result, report};

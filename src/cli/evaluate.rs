@@ -7,15 +7,14 @@ use std::process::ExitCode;
 use clap::Args;
 use indicatif::ProgressBar;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use plenocal::calibration::{CalibrationOptions, FramePose, Start};
-use plenocal::camera::{Board, PlenopticCamera};
+use plenocal::calibration::{CalibrationOptions, Start};
 use plenocal::evaluation::{
     Candidate, EvaluationInput, PoseErrors, cross_validate, evaluate, foldable_frames, pose_errors,
 };
 use plenocal::io::{self, CameraSource, OutputFolder, Project};
-use plenocal::observations::{BapFeature, Observations};
-use plenocal::report::HtmlTable;
-use plenocal::{Error, Result, report};
+use plenocal::model::{BapFeature, Board, FramePose, Observations, PlenopticCamera};
+use plenocal::report::{self, HtmlTable};
+use plenocal::{Error, Result};
 use serde_json::Value;
 
 use super::boards::{self, Estimator, Look, Shoot, Subset};

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use clap::Args;
 use plenocal::calibration::{CalibrationOptions, Mode, Start, calibrate};
 use plenocal::io::{OutputFolder, Project};
-use plenocal::observations::Observations;
+use plenocal::model::Observations;
 use plenocal::{Result, report};
 
 use super::boards::{self, Estimator, Look, Shoot, Subset};

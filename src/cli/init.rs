@@ -7,11 +7,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
-use plenocal::camera::{Board, Datasheet};
 use plenocal::image::{Color, alternate};
-use plenocal::io::{
-    self, CommonFormat, DraftText, OutputFolder, PRESETS, ProjectDraft, SortedImages,
-};
+use plenocal::io::{self, CommonFormat, DraftText, OutputFolder, ProjectDraft, SortedImages};
+use plenocal::model::{Board, Datasheet};
+use plenocal::simulation::Settings;
 use plenocal::{Error, Result};
 
 use super::precalibrate::color;
@@ -149,8 +148,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
 }
 
 fn datasheet(name: &str) -> Result<Datasheet> {
-    let preset = PRESETS.iter().find(|preset| preset.name == name).unwrap_or(&PRESETS[0]);
-    Ok(io::preset_settings(preset, &[])?.datasheet())
+    Ok(Settings::preset(name, &[])?.datasheet())
 }
 
 /// Three channels are RGB. A single one is grey where a white image shows no mosaic; which mosaic it

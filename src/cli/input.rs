@@ -3,9 +3,8 @@
 use std::path::Path;
 
 use plenocal::calibration::{CalibrationOptions, Mode, Start};
-use plenocal::camera::{Board, Datasheet};
 use plenocal::io::{self, CalibrationSection, CameraSource, LossName, Project};
-use plenocal::observations::Observations;
+use plenocal::model::{Board, Datasheet, Observations};
 use plenocal::{Error, Result};
 
 /// The files named on the command line.

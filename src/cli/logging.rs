@@ -3,6 +3,7 @@
 use std::io::IsTerminal;
 
 use tracing::Level;
+use tracing_subscriber::fmt::format::FmtSpan;
 use tracing_subscriber::fmt::time::uptime;
 
 use super::progress;
@@ -21,6 +22,7 @@ pub fn begin(verbosity: u8) {
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
+        .with_span_events(FmtSpan::NEW | FmtSpan::CLOSE)
         .with_timer(uptime())
         .init();
 }

@@ -8,16 +8,15 @@ use std::time::Duration;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use nalgebra::Vector2;
-use plenocal::camera::Datasheet;
 use plenocal::image::{Color, alternate};
 use plenocal::io::{self, ImagesSection, OutputFolder, Project, compote};
-use plenocal::observations::MicroImageCenter;
+use plenocal::model::{Datasheet, MicroImageCenter};
 use plenocal::precalibration::{
     ArrayMeasurement, Precalibration, PrecalibrationOptions, RadiusEstimator, White, fit_grid,
     measure_array, precalibrate,
 };
-use plenocal::report::Figure;
-use plenocal::{Error, Result, report};
+use plenocal::report::{self, Figure};
+use plenocal::{Error, Result};
 use rayon::prelude::*;
 
 use super::{progress, tell, warn};

@@ -10,10 +10,10 @@ use clap::Args;
 use plenocal::calibration::{CalibrationOptions, Mode, Start, calibrate};
 use plenocal::evaluation::Candidate;
 use plenocal::io::{self, ModeName, OutputFolder, Project};
-use plenocal::observations::Observations;
+use plenocal::model::Observations;
 use plenocal::precalibration::PrecalibrationOptions;
-use plenocal::report::{Figure, HtmlReport, HtmlTable, Part, Section};
-use plenocal::{Error, Result, report};
+use plenocal::report::{self, Figure, HtmlReport, HtmlTable, Part, Section};
+use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
 use super::boards::{self, Estimator, Look, Shoot, Subset};
@@ -267,7 +267,7 @@ impl Stages<'_> {
             pictures: !self.arguments.no_pictures,
             quiet: self.arguments.json,
         };
-        let estimator = plenocal::features::DepthEstimator::from(look.estimator);
+        let estimator = plenocal::detection::DepthEstimator::from(look.estimator);
         let options = json!({
             "camera": self.camera(),
             "estimator": estimator,
@@ -307,7 +307,7 @@ impl Stages<'_> {
         if stage == CORNERS_ONLY {
             options.mode = Mode::CornersOnly;
             // Pinholes have no focal lengths that could be held.
-            options.cost.held.retain(|name| !name.starts_with("f_"));
+            options.cost.fixed.retain(|name| !name.starts_with("f_"));
             title = "Calibration from corners alone, for comparison";
         }
         let inputs: Vec<PathBuf> =

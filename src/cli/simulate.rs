@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use plenocal::io::{self, DataSetProgress, OutputFolder, PRESETS};
-use plenocal::simulation::{DataSet, Settings, Subset};
+use plenocal::io::{self, DataSetProgress, OutputFolder};
+use plenocal::simulation::{DataSet, PRESETS, Settings, Subset};
 use plenocal::{Error, Result};
 
 use super::progress;
@@ -91,7 +91,7 @@ pub fn simulate(arguments: &Arguments) -> Result<String> {
     let begun = Instant::now();
     let settings = settings(arguments)?;
     if arguments.print {
-        return io::settings_text(&settings);
+        return settings.to_toml();
     }
     let Some(out) = &arguments.out else {
         return Err(Error::Invalid("--out is missing".to_owned()));
@@ -114,11 +114,11 @@ pub fn simulate(arguments: &Arguments) -> Result<String> {
 
 fn settings(arguments: &Arguments) -> Result<Settings> {
     if let Some(path) = &arguments.file {
-        return io::read_settings(path, &arguments.set);
+        return Settings::from_toml(&io::read_text(path)?, &arguments.set)
+            .map_err(|e| e.in_file(path));
     }
     let name = arguments.preset.as_deref().unwrap_or(PRESETS[0].name);
-    let preset = PRESETS.iter().find(|preset| preset.name == name).unwrap_or(&PRESETS[0]);
-    io::preset_settings(preset, &arguments.set)
+    Settings::preset(name, &arguments.set)
 }
 
 fn summary(data_set: &DataSet, folder: &str, time: Duration) -> String {

@@ -4,11 +4,9 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
-use super::{FeatureResidual, Rmse};
 use crate::calibration::{Calibration, CalibrationOptions, Mode, Start, calibrate};
-use crate::camera::{Board, PlenopticCamera};
 use crate::error::{Error, Result};
-use crate::observations::Observations;
+use crate::model::{Board, FeatureResidual, Observations, PlenopticCamera, Rmse};
 
 /// One fold.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,12 +4,11 @@ use std::collections::HashMap;
 
 use nalgebra::{Matrix2, Vector2};
 
-use crate::camera::Board;
-use crate::error::Result;
-use crate::features::{
+use crate::detection::{
     DepthEstimator, Detection, MicroImages, Search, Sight, SightLine, detect_frame,
 };
-use crate::observations::{BapFeature, MicroImageCenter};
+use crate::error::Result;
+use crate::model::{BapFeature, Board, MicroImageCenter};
 use crate::precalibration::{PrecalibrationOptions, White, precalibrate};
 use crate::simulation::{DataSet, Settings, Shot};
 

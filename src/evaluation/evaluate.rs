@@ -1,12 +1,9 @@
 //! The evaluation as one stage: cameras on boards that they were not calibrated with (paper, section 6).
 
-use super::{Displacements, ParameterError, Reprojection, parameter_errors};
-use crate::calibration::{
-    Calibration, CalibrationOptions, FramePose, LeftOut, Mode, Start, calibrate,
-};
-use crate::camera::{Board, PlenopticCamera};
+use super::{Displacements, ParameterError, parameter_errors};
+use crate::calibration::{Calibration, CalibrationOptions, LeftOut, Mode, Start, calibrate};
 use crate::error::Result;
-use crate::observations::{BapFeature, Observations};
+use crate::model::{BapFeature, Board, FramePose, Observations, PlenopticCamera, Reprojection};
 
 /// A camera to evaluate.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,17 +4,13 @@
 mod cross_validation;
 mod detection;
 mod evaluate;
-mod reprojection;
 mod translation;
 mod truth;
-mod uncertainty;
 
 pub use cross_validation::{CrossValidation, Fold, cross_validate, foldable_frames};
 pub use detection::{DetectionScore, INSIDE_PX, SMALL_RHO_PX, TRUE_PX};
 pub use evaluate::{
     Candidate, CandidateResult, Evaluation, EvaluationInput, Posed, evaluate, pose_boards,
 };
-pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
 pub use translation::{Displacement, Displacements, Spread};
 pub use truth::{ParameterError, PoseErrors, parameter_errors, pose_errors};
-pub use uncertainty::{Component, Uncertainty, WeakDirection};

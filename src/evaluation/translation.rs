@@ -1,9 +1,8 @@
 //! A board moved in known steps: the displacement along the optical axis against the truth (paper,
 //! Table 3).
 
-use crate::calibration::FramePose;
-use crate::camera::Board;
 use crate::error::{Error, Result};
+use crate::model::{Board, FramePose};
 
 /// Motion between two frames that follow each other.
 #[derive(Debug, Clone, Copy, PartialEq)]

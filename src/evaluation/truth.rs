@@ -2,9 +2,8 @@
 
 use nalgebra::Isometry3;
 
-use crate::calibration::FramePose;
-use crate::camera::{PlenopticCamera, intrinsic_parameters};
 use crate::error::{Error, Result};
+use crate::model::{FramePose, PlenopticCamera, intrinsic_parameters};
 
 /// An intrinsic parameter against its true value.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,10 +46,10 @@ pub fn parameter_errors(
         return Err(Error::invalid(format!(
             "the true camera has a lattice '{}' of {} x {} micro-lenses, the estimated one '{}' of {} x \
              {} with other rows shifted or of another size: they are not the same camera",
-            of_truth.kind.name(),
+            of_truth.kind().name(),
             of_truth.columns,
             of_truth.rows,
-            of_estimate.kind.name(),
+            of_estimate.kind().name(),
             of_estimate.columns,
             of_estimate.rows,
         )));
@@ -63,7 +62,7 @@ pub fn parameter_errors(
         .zip(values)
         .zip(std_devs)
         .map(|((parameter, (truth, estimate)), std_dev)| ParameterError {
-            name: parameter.name,
+            name: parameter.name.to_owned(),
             unit: parameter.unit,
             truth,
             estimate,

@@ -25,14 +25,11 @@ mod linked;
 use nalgebra::{Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 use serde_json::{Value, json};
 
-use crate::calibration::FramePose;
-use crate::camera::{
-    Board, Configuration, Datasheet, InternalParameters, LensSetting, MainLens, MicroLensArray,
-    PlenopticCamera, Sensor,
-};
 use crate::error::{Error, Result};
-use crate::lattice::{Lattice, LatticeKind, Parity};
-use crate::optics;
+use crate::model::{
+    Board, Configuration, Datasheet, FramePose, InternalParameters, Lattice, LatticeKind,
+    LensSetting, MainLens, MicroLensArray, Packing, Parity, PlenopticCamera, Sensor, optics,
+};
 use crate::precalibration::MicroImageArray;
 use files::{CameraFile, IntrinsicsFile, ParametersFile, PosesFile, SceneFile};
 use json::{matrix, number, parse, vector};
@@ -145,7 +142,7 @@ fn mesh_to_center(lattice: &Lattice, pitch_mm: f64, ratio: f64) -> Vector3<f64> 
     // Node (0, 0) of the mesh is the last of the lattice; positions in the two run against each
     // other.
     let center =
-        mesh_node(lattice.kind, 0, 0) + lattice.node(lattice.columns - 1, lattice.rows - 1);
+        mesh_node(lattice.kind(), 0, 0) + lattice.node(lattice.columns - 1, lattice.rows - 1);
     Vector3::new(center.x * pitch_mm, center.y * pitch_mm * ratio, 0.0)
 }
 
@@ -155,7 +152,8 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     let sensor = file.sensor.sensor.sensor()?;
     let mesh = &file.mla.mesh.mesh;
     let (kind, (columns, rows)) = (mesh.lattice_kind()?, mesh.size()?);
-    let lattice = Lattice { kind, columns, rows, shifted: shifted_parity(kind, columns, rows) };
+    let lattice =
+        Lattice { packing: Packing::new(kind, shifted_parity(kind, columns, rows)), columns, rows };
     let focal_lengths_mm: Vec<f64> = file.mla.focal_lengths.iter().map(|f| f.0).collect();
     if file.lens_types.count("I")? != focal_lengths_mm.len() {
         return Err(Error::invalid(format!(
@@ -231,10 +229,9 @@ fn pose<const N: usize>(parent_from_own: &SMatrix<f64, N, N>, origin: &[f64]) ->
 pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> Result<Value> {
     let (lens, mla, lattice) = (&camera.main_lens, &camera.mla, &camera.lattice);
     let (sensor, columns, rows) = (&camera.sensor, lattice.columns, lattice.rows);
-    if lattice.kind != LatticeKind::Orthogonal
-        && (lattice.shifted != Parity::Even
-            || shifted_parity(lattice.kind, columns, rows) != Parity::Even)
-    {
+    if lattice.packing.shifted().is_some_and(|shifted| {
+        shifted != Parity::Even || shifted_parity(lattice.kind(), columns, rows) != Parity::Even
+    }) {
         return Err(Error::invalid(format!(
             "COMPOTE cannot express this array of {columns} x {rows}: it takes an even number of rows \
              (columns), of which the even ones are shifted"
@@ -292,7 +289,7 @@ fn mode(configuration: Configuration) -> &'static str {
 }
 
 fn mesh(lattice: &Lattice, pitch: [f64; 2], pose: &Value) -> Value {
-    let geometry = match lattice.kind {
+    let geometry = match lattice.kind() {
         LatticeKind::Orthogonal => 0,
         LatticeKind::HexagonalRows => 1,
         LatticeKind::HexagonalColumns => 2,
@@ -309,7 +306,7 @@ fn mesh(lattice: &Lattice, pitch: [f64; 2], pose: &Value) -> Value {
 /// The mesh of the micro-images, its origin at micro-image (0, 0).
 fn mia_mesh(grid: &MicroImageArray) -> Value {
     let lattice = &grid.lattice;
-    let first = mesh_node(lattice.kind, 0, 0) - lattice.node(0, 0);
+    let first = mesh_node(lattice.kind(), 0, 0) - lattice.node(0, 0);
     let (sin, cos) = grid.rotation_rad.sin_cos();
     let turn = nalgebra::Matrix2::new(cos, -sin, sin, cos);
     let origin = grid.center_px - turn * first * grid.pitch_px;

@@ -6,14 +6,10 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::{
-    OutputFolder, camera_document, poses_document, settings_text, write_centers, write_features,
-    write_png,
+    OutputFolder, camera_document, poses_document, write_centers, write_features, write_png,
 };
-use crate::camera::InternalParameters;
 use crate::error::Result;
-use crate::noise::NoiseSource;
-use crate::observations::{BapFeature, MicroImageCenter};
-use crate::records::Stage;
+use crate::model::{BapFeature, InternalParameters, MicroImageCenter, NoiseSource};
 use crate::simulation::{DataSet, Settings, Shot, Subset, Tracer, TrueCenter, TrueFeature};
 
 /// How far the writing of a data set has come.
@@ -42,10 +38,10 @@ pub fn stage_data_set(
     data_set: &DataSet,
     progress: &dyn DataSetProgress,
 ) -> Result<()> {
-    let _stage = Stage::begin("simulation");
+    let _span = tracing::info_span!("simulation").entered();
     let project = project_text(settings, data_set);
     output.stage("project.toml", |out| out.write_all(project.as_bytes()))?;
-    let text = settings_text(settings)?;
+    let text = settings.to_toml()?;
     output.stage("simulation.toml", |out| out.write_all(text.as_bytes()))?;
     stage_truth(output, settings, data_set)?;
     for (name, shot) in named_shots(data_set) {
@@ -199,7 +195,7 @@ fn project_text(settings: &Settings, data_set: &DataSet) -> String {
          [images]\ncolor = \"{color}\"\ndevignetting = \"{DEVIGNETTING}\"\n",
         camera_text(settings)
     );
-    let list = |subset: Subset, boards: &[(crate::calibration::FramePose, Shot)]| {
+    let list = |subset: Subset, boards: &[(crate::model::FramePose, Shot)]| {
         let names = boards.iter().map(|(p, _)| format!("  \"{}\",\n", frame_name(subset, p.frame)));
         format!("[\n{}]", names.collect::<String>())
     };

@@ -10,7 +10,7 @@ use image::{ImageDecoder, ImageReader};
 
 use crate::error::{Error, Result};
 use crate::image::Color;
-use crate::optics;
+use crate::model::optics;
 
 /// An f-number as a file name has it.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -9,9 +9,8 @@ use super::{
     PRECALIBRATION_FORMAT, Project, camera_file, compote, poses_file, precalibration_file,
     read_text,
 };
-use crate::calibration::FramePose;
-use crate::camera::{Board, Datasheet, InternalParameters, PlenopticCamera};
 use crate::error::{Error, Result};
+use crate::model::{Board, Datasheet, FramePose, InternalParameters, PlenopticCamera};
 
 /// What a camera file holds.
 #[derive(Debug, Clone, PartialEq)]

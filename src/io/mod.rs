@@ -16,13 +16,11 @@ mod project_draft;
 mod project_file;
 mod raytrix;
 mod residuals_file;
-mod simulation_file;
 
 use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
-pub(crate) use camera_file::CameraFields;
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera, read_std_devs};
 pub use data_set_folder::{DataSetProgress, stage_data_set};
 pub use image_file::{read_image, write_png};
@@ -48,7 +46,6 @@ pub use project_file::{
 };
 pub use raytrix::{RaytrixCalibration, read_raytrix};
 pub use residuals_file::write_residuals;
-pub use simulation_file::{PRESETS, Preset, preset_settings, read_settings, settings_text};
 
 use tracing::info;
 
@@ -66,7 +63,8 @@ fn record_read(path: &Path, bytes: u64, begun: Instant) {
     info!("read: {}, {bytes} bytes in {time_s:.3} s", path.display());
 }
 
-fn read_text(path: &Path) -> Result<String> {
+/// Reads a text file.
+pub fn read_text(path: &Path) -> Result<String> {
     String::from_utf8(read_bytes(path)?)
         .map_err(|_| Error::content(path, "this is not a text file"))
 }

@@ -8,9 +8,9 @@ use std::path::Path;
 use csv::{ReaderBuilder, StringRecord, Trim};
 
 use super::{compote, read_bytes};
+use crate::detection::DetectedFeature;
 use crate::error::{Error, Result};
-use crate::features::DetectedFeature;
-use crate::observations::{BapFeature, MicroImageCenter, Observations};
+use crate::model::{BapFeature, MicroImageCenter, Observations};
 
 /// Reads micro-image centres from CSV.
 pub fn read_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {

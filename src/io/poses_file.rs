@@ -4,9 +4,9 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::calibration::FramePose;
 use crate::error::{Error, Result};
-use crate::evaluation::Uncertainty;
+use crate::model::FramePose;
+use crate::solver::Uncertainty;
 
 /// `format` of the file.
 pub const POSES_FORMAT: &str = "plenocal-poses";

@@ -5,9 +5,8 @@ use std::io::{self, Write};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
-use crate::camera::InternalParameters;
 use crate::error::{Error, Result};
-use crate::observations::MicroImageCenter;
+use crate::model::{InternalParameters, MicroImageCenter};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// `format` of the file.
@@ -40,10 +39,10 @@ fn fields_of_array(array: &ArrayMeasurement, types: &LensTypes) -> Map<String, V
         "format": PRECALIBRATION_FORMAT,
         "version": PRECALIBRATION_VERSION,
         "micro_image_array": {
-            "lattice": grid.lattice.kind,
+            "lattice": grid.lattice.kind(),
             "columns": grid.lattice.columns,
             "rows": grid.lattice.rows,
-            "shifted": grid.lattice.shifted,
+            "shifted": grid.lattice.packing.shifted(),
             "pitch_px": grid.pitch_px,
             "rotation_rad": grid.rotation_rad,
             "center_px": <[f64; 2]>::from(grid.center_px),

@@ -8,9 +8,9 @@ use serde::Serialize;
 
 use super::data_set_folder::name_of;
 use super::image_folder::{CommonFormat, NamedFNumber, SortedImages};
-use crate::camera::{Board, Datasheet};
 use crate::error::{Error, Result};
 use crate::image::Color;
+use crate::model::{Board, Datasheet};
 
 /// What a project file is drafted from. What is `None` is not known, and becomes a comment.
 #[derive(Debug, Clone, Copy)]

@@ -6,12 +6,13 @@ use serde::Deserialize;
 
 use super::project_draft::FILL_IN;
 use super::read_text;
-use crate::calibration::{CalibrationOptions, Loss, Mode};
-use crate::camera::{Board, Configuration, Datasheet, InternalParameters, Sensor};
+use crate::calibration::{CalibrationOptions, Mode};
 use crate::error::{Error, Result};
 use crate::image::Color;
-use crate::lattice::LatticeKind;
-use crate::optics;
+use crate::model::{
+    Board, Configuration, Datasheet, InternalParameters, LatticeKind, Sensor, optics,
+};
+use crate::solver::Loss;
 
 /// A project file. Every table may be left out where a command gets its content another way.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -264,9 +265,9 @@ impl CalibrationSection {
         };
         let mut options = CalibrationOptions { mode, ..CalibrationOptions::default() };
         if self.pitches == Some(Pitches::Two) {
-            options.cost.held.clear();
+            options.cost.fixed.clear();
         }
-        options.cost.held.extend(self.fix.iter().flatten().cloned());
+        options.cost.fixed.extend(self.fix.iter().flatten().cloned());
         let cost = &mut options.cost;
         for (value, target) in [
             (self.uv_std_dev_px, &mut cost.uv_std_dev_px),

@@ -9,10 +9,8 @@ use nalgebra::{Matrix2, Vector2};
 use roxmltree::{Document, Node};
 
 use super::read_text;
-use crate::camera::check_lens_types;
 use crate::error::{Error, Result};
-use crate::lattice::LatticeKind;
-use crate::observations::MicroImageCenter;
+use crate::model::{LatticeKind, MicroImageCenter, check_lens_types};
 use crate::precalibration::{lattice_centers, lattice_orientation};
 
 /// A micro-image array from a `RayCalibData` file.

@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use crate::evaluation::Reprojection;
+use crate::model::Reprojection;
 
 /// Writes `kind,frame,cluster,k,l,lens_type,u,v,rho,du,dv,drho`: what was observed and observed
 /// minus projected, px. `kind` is `feature` or `center`; lens types count from 1; what does not

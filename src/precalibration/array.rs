@@ -7,12 +7,11 @@ use super::centers::{Blob, is_cut, measure, middle_light, nodes_in};
 use super::grid::{MicroImageArray, fit_grid, fit_regular_grid};
 use super::nodes::ByNode;
 use super::pattern::{Pattern, find_pattern, of_steps};
-use super::statistics::median;
 use super::types::{LensTypes, judge_single};
 use crate::error::{Error, Result};
 use crate::image::{Grey, RawImage};
-use crate::lattice::{Lattice, LatticeKind, Parity};
-use crate::observations::MicroImageCenter;
+use crate::model::{Lattice, LatticeKind, MicroImageCenter, Packing, Parity};
+use crate::numerics::median;
 
 /// The micro-images of a white image.
 #[derive(Debug, Clone, PartialEq)]
@@ -178,7 +177,7 @@ impl Labels {
         // Of the pattern's own rows the odd ones are further, or with `later` the even ones.
         let odd = row.rem_euclid(2) == i32::from(self.later);
         let shifted = if odd { Parity::Odd } else { Parity::Even };
-        Lattice { kind, columns: self.size.0, rows: self.size.1, shifted }
+        Lattice { packing: Packing::new(kind, shifted), columns: self.size.0, rows: self.size.1 }
     }
 
     /// Every way to count some nodes, those that show, that suits the stated size, with it; else the
@@ -292,7 +291,7 @@ pub(super) fn fit_found(
     centers: &[MicroImageCenter],
     lattice: &Lattice,
 ) -> Result<MicroImageArray> {
-    fit_grid(centers, lattice.kind, lattice.columns, lattice.rows).map_err(|_| no_grid(centers))
+    fit_grid(centers, lattice.kind(), lattice.columns, lattice.rows).map_err(|_| no_grid(centers))
 }
 
 /// The same without perspective, which moves the middle: for comparing images of one camera.
@@ -300,7 +299,7 @@ pub(super) fn fit_found_regular(
     centers: &[MicroImageCenter],
     lattice: &Lattice,
 ) -> Result<MicroImageArray> {
-    fit_regular_grid(centers, lattice.kind, lattice.columns, lattice.rows)
+    fit_regular_grid(centers, lattice.kind(), lattice.columns, lattice.rows)
         .map_err(|_| no_grid(centers))
 }
 

@@ -8,8 +8,8 @@ use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 use super::pattern::Pattern;
-use super::statistics::median;
 use crate::image::{Grey, Image, bounds};
+use crate::numerics::median;
 
 /// What was measured of one micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -294,7 +294,7 @@ pub(super) fn darkest_neighbourhood(
     at: &Vector2<f64>,
 ) -> Option<f64> {
     let (a, b) = (pattern.along, pattern.across);
-    let gaps: Vec<Vector2<f64>> = if pattern.kind == crate::lattice::LatticeKind::Orthogonal {
+    let gaps: Vec<Vector2<f64>> = if pattern.kind == crate::model::LatticeKind::Orthogonal {
         vec![(a + b) / 2.0, (a - b) / 2.0]
     } else {
         vec![(a + b) / 3.0, (b * 2.0 - a) / 3.0, (b - a * 2.0) / 3.0]

@@ -9,10 +9,9 @@
 use nalgebra::{Matrix2, Matrix6, Rotation2, Vector2, Vector6};
 use rayon::prelude::*;
 
-use super::statistics::median;
 use crate::error::{Error, Result};
-use crate::lattice::{Lattice, LatticeKind, Parity};
-use crate::observations::MicroImageCenter;
+use crate::model::{Lattice, LatticeKind, MicroImageCenter, Packing};
+use crate::numerics::median;
 
 /// A grid of micro-image centres: c(k, l) = center + p (1 + t · p) with p = pitch · R(rotation) ·
 /// node(k, l) and the perspective t.
@@ -92,13 +91,9 @@ pub(super) fn fit_regular_grid(
         )));
     }
     let all_fits = |kind: LatticeKind| -> Vec<Fit> {
-        let parities: &[Parity] = match kind {
-            LatticeKind::Orthogonal => &[Parity::Even],
-            _ => &[Parity::Even, Parity::Odd],
-        };
-        parities
+        Packing::of_kind(kind)
             .par_iter()
-            .filter_map(|&shifted| fit(centers, Lattice { kind, columns, rows, shifted }, false))
+            .filter_map(|&packing| fit(centers, Lattice { packing, columns, rows }, false))
             .collect()
     };
     let best_of =
@@ -257,7 +252,7 @@ fn solve(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::noise::{Noise, NoiseSource};
+    use crate::model::{Noise, NoiseSource, Parity};
     use proptest::prelude::*;
 
     /// Linear least squares on perfect data: rounding only.
@@ -281,7 +276,7 @@ mod tests {
         rotation_rad: f64,
     ) -> MicroImageArray {
         MicroImageArray {
-            lattice: Lattice { kind, columns: 13, rows: 11, shifted },
+            lattice: Lattice { packing: Packing::new(kind, shifted), columns: 13, rows: 11 },
             pitch_px,
             rotation_rad,
             center_px: Vector2::new(160.25, 140.5),
@@ -303,8 +298,7 @@ mod tests {
             pitch in 7.0..60.0,
             rotation in -3.0..3.0,
         ) {
-            let shifted =
-                if odd && kind != LatticeKind::Orthogonal { Parity::Odd } else { Parity::Even };
+            let shifted = if odd { Parity::Odd } else { Parity::Even };
             let truth = grid(kind, shifted, pitch, rotation);
             let mut centers = centers_of(&truth);
             // One in ten is somewhere else altogether.

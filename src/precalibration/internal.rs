@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::camera::{Configuration, InternalParameters};
+use crate::model::{Configuration, InternalParameters};
 
 /// The radius of the micro-images of one lens type at one f-number.
 #[derive(Debug, Clone, PartialEq)]

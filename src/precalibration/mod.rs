@@ -11,7 +11,6 @@ mod profile;
 mod radii;
 mod shading;
 mod stage;
-mod statistics;
 mod types;
 
 pub use array::{

@@ -8,7 +8,7 @@ use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 
 use crate::image::Grey;
-use crate::lattice::LatticeKind;
+use crate::model::LatticeKind;
 
 /// A lattice of micro-images in an image: `origin + i · along + j · across` for whole i and j.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use crate::discs::{CommonPart, Obliquity, common_part, overlap};
+use crate::vignetting::{CommonPart, Obliquity, common_part, overlap};
 
 /// Mean light at distances from the middle of micro-images of one type.
 #[derive(Debug, Clone, PartialEq)]

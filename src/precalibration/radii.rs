@@ -7,9 +7,9 @@ use super::array::FoundArray;
 use super::centers::{Blob, darkest_neighbourhood, measure_blob, pixels_about};
 use super::pattern::Pattern;
 use super::profile::{Discs, Profile, Stack, seen};
-use super::statistics::median;
-use crate::discs::Obliquity;
 use crate::image::Image;
+use crate::numerics::median;
+use crate::vignetting::Obliquity;
 
 /// How the radius of a micro-image is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

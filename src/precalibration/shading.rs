@@ -16,7 +16,7 @@
 
 use nalgebra::Vector2;
 
-use crate::discs::Obliquity;
+use crate::vignetting::Obliquity;
 
 /// What is known of a white image: X (px²), and pitch and centre of the grid fitted to it.
 #[derive(Debug, Clone, Copy)]

@@ -13,14 +13,12 @@ use super::profile::Profile;
 use super::radii::{REACH, RadiusEstimator, TypeRadius, middle_nodes, profile_at, radius_at};
 use super::shading::{Shaded, fit_shading, shading_moment};
 use super::types::{LensTypes, judge_types};
-use crate::camera::{Configuration, Datasheet, InternalParameters, positive};
-use crate::discs::Obliquity;
 use crate::error::{Error, Result};
 use crate::image::{Grey, Image, RawImage};
-use crate::lattice::LatticeKind;
-use crate::observations::MicroImageCenter;
-use crate::optics;
-use crate::records::Stage;
+use crate::model::{
+    Configuration, Datasheet, InternalParameters, LatticeKind, MicroImageCenter, optics, positive,
+};
+use crate::vignetting::Obliquity;
 
 /// A white image.
 #[derive(Debug, Clone, PartialEq)]
@@ -122,7 +120,7 @@ pub fn precalibrate(
     options: &PrecalibrationOptions,
     progress: &(dyn Fn() + Sync),
 ) -> Result<Precalibration> {
-    let _stage = Stage::begin("pre-calibration");
+    let _span = tracing::info_span!("pre-calibration").entered();
     positive(options.pixel_size_mm, "the pixel size (mm)")?;
     check_f_numbers(whites)?;
     let widest = whites.iter().min_by(|a, b| a.f_number.total_cmp(&b.f_number));
@@ -240,11 +238,11 @@ impl Precalibration {
     /// An error naming both values where the images contradict what is stated of the camera.
     pub fn check_stated(&self, sheet: &Datasheet) -> Result<()> {
         let grid = &self.array.grid;
-        if grid.lattice.kind != sheet.lattice_kind {
+        if grid.lattice.kind() != sheet.lattice_kind {
             return Err(Error::invalid(format!(
                 "the micro-images lie on a '{}' lattice, but the camera is said to have a '{}' one: \
                  correct the one, or give the images of that camera",
-                grid.lattice.kind.name(),
+                grid.lattice.kind().name(),
                 sheet.lattice_kind.name()
             )));
         }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::array::FoundArray;
 use super::nodes::ByNode;
 use super::radii::TypeRadius;
-use crate::lattice::LatticeKind;
+use crate::model::LatticeKind;
 
 /// Lens types as the micro-images show them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,7 +41,7 @@ const NEAR: i32 = 3;
 /// Judges the sizes of the three colours in one white image, from their second moments.
 pub(super) fn judge_single(found: &FoundArray) -> LensTypes {
     let lattice = &found.array.grid.lattice;
-    if lattice.kind == LatticeKind::Orthogonal {
+    if lattice.kind() == LatticeKind::Orthogonal {
         return LensTypes::ONE;
     }
     let mut sums = [[0.0_f64; 3]; 3];

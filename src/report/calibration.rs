@@ -5,10 +5,10 @@ use std::fmt::Write as _;
 use serde_json::{Value, json};
 
 use super::table::{Table, table};
-use crate::calibration::{Calibration, Loss, Termination};
-use crate::camera::intrinsic_parameters;
-use crate::evaluation::{Rmse, WeakDirection};
+use crate::calibration::Calibration;
 use crate::io::{camera_document, poses_document};
+use crate::model::{Rmse, intrinsic_parameters};
+use crate::solver::{Loss, Termination, WeakDirection};
 
 /// The distance of the boards is named when a direction explains this share of its variance.
 const BOARDS_NAMED_SHARE: f64 = 0.5;
@@ -79,15 +79,15 @@ pub(super) fn parameters_table(calibration: &Calibration) -> Table {
     for ((parameter, (initial, optimised)), std_dev) in
         intrinsic_parameters(lens_types).iter().zip(values).zip(std_devs)
     {
-        let (unit, factor) = display_unit(&parameter.name, parameter.unit);
+        let (unit, factor) = display_unit(parameter.name, parameter.unit);
         let (value, deviation) = with_std_dev(optimised * factor, std_dev.map(|s| s * factor));
         let deviation = match std_dev {
-            None => "held".to_owned(),
+            None => "fixed".to_owned(),
             Some(s) if s.is_infinite() => "undetermined".to_owned(),
             Some(_) => deviation,
         };
         table.add_row([
-            parameter.name.clone(),
+            parameter.name.to_owned(),
             unit.to_owned(),
             with_std_dev(initial * factor, None).0,
             value,

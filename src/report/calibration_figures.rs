@@ -11,8 +11,8 @@ pub use vectors::array_residuals_figure;
 
 use super::html::Figure;
 use crate::calibration::Calibration;
-use crate::camera::Board;
 use crate::error::Result;
+use crate::model::Board;
 
 /// All pictures that a calibration gives; those that it has nothing to show for are left out: without
 /// centres their residuals, with the camera held its correlations, and so on.

@@ -8,10 +8,10 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{GrayImage, Luma};
 
 use super::table::{Table, table};
-use crate::camera::Board;
+use crate::detection::{Detection, FrameCounts};
 use crate::error::{Error, Result};
-use crate::features::{Detection, FrameCounts};
 use crate::image::RawImage;
+use crate::model::Board;
 
 /// A frame in the table.
 #[derive(Debug, Clone)]

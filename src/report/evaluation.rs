@@ -5,11 +5,11 @@ use serde_json::{Value, json};
 use super::calibration::{display_unit, rmse_json, signed, with_std_dev};
 use super::html::HtmlTable;
 use super::table::table;
-use crate::camera::{PlenopticCamera, intrinsic_parameters};
 use crate::evaluation::{
     Candidate, CrossValidation, Displacement, Displacements, Evaluation, ParameterError,
-    PoseErrors, Rmse, Spread,
+    PoseErrors, Spread,
 };
+use crate::model::{PlenopticCamera, Rmse, intrinsic_parameters};
 
 /// Name of other software's point clouds in tables.
 const CLOUDS: &str = "point clouds";
@@ -174,9 +174,9 @@ pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> Htm
     let mut table = table(&header, &[0, 1]);
     let parameters = intrinsic_parameters(initial.lens_types());
     for (i, (parameter, value)) in parameters.iter().zip(initial.intrinsics()).enumerate() {
-        let (unit, factor) = display_unit(&parameter.name, parameter.unit);
+        let (unit, factor) = display_unit(parameter.name, parameter.unit);
         let mut row =
-            vec![parameter.name.clone(), unit.to_owned(), with_std_dev(value * factor, None).0];
+            vec![parameter.name.to_owned(), unit.to_owned(), with_std_dev(value * factor, None).0];
         for candidate in candidates {
             let std_dev = candidate.std_devs.get(i).copied().flatten().map(|s| s * factor);
             match candidate.camera.intrinsics().get(i) {
@@ -229,10 +229,10 @@ pub fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<HtmlT
         parameters.iter().zip(&candidate.std_devs).zip(folds.jackknife_std_devs())
     {
         let Some(std_dev) = std_dev.filter(|s| s.is_finite() && *s > 0.0) else { continue };
-        let (unit, factor) = display_unit(&parameter.name, parameter.unit);
+        let (unit, factor) = display_unit(parameter.name, parameter.unit);
         let two_digits = |s: f64| with_std_dev(0.0, Some(s * factor)).1;
         spread.add_row([
-            parameter.name.clone(),
+            parameter.name.to_owned(),
             unit.to_owned(),
             two_digits(std_dev),
             two_digits(jackknife),

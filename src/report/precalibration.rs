@@ -55,7 +55,7 @@ pub fn array_text(array: &ArrayMeasurement) -> String {
     format!(
         "Lattice {}, {} x {}, pitch {:.5} px, rotation {:+.4} mrad, middle at ({:.2}, {:.2}) px.\n{} \
          centres, {:.3} px RMS from a regular grid{left_out}.",
-        grid.lattice.kind.name(),
+        grid.lattice.kind().name(),
         grid.lattice.columns,
         grid.lattice.rows,
         grid.pitch_px,

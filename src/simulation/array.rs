@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector2, Vector3};
 
-use crate::camera::PlenopticCamera;
+use crate::model::PlenopticCamera;
 
 /// One micro-lens.
 #[derive(Debug, Clone)]

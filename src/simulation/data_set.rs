@@ -13,9 +13,9 @@ use super::imaging::Imaging;
 use super::sampling::hash;
 use super::scene::Scene;
 use super::settings::Settings;
-use crate::calibration::FramePose;
 use crate::error::{Error, Result};
 use crate::image::RawImage;
+use crate::model::FramePose;
 
 /// What a set of frames is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -5,8 +5,8 @@ use rand::{RngExt, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use super::array::MicroLens;
-use crate::camera::{PlenopticCamera, Sensor, positive};
 use crate::error::{Error, Result};
+use crate::model::{PlenopticCamera, Sensor, positive};
 
 /// Departures from the ideal model, none by default.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

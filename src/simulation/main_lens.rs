@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Point3, Vector2};
 
-use crate::camera::MainLens;
+use crate::model::MainLens;
 
 impl LocalDistortion {
     /// By how much the image point is moved.
@@ -60,7 +60,20 @@ impl ThinMainLens {
         }
         let magnification = -self.lens.focal_length_mm / (point.z - self.lens.focal_length_mm);
         let ideal = point.xy().coords * magnification;
-        Some(Point3::from((ideal + self.lens.distortion_mm(ideal)).push(point.z * magnification)))
+        Some(Point3::from((ideal + self.distortion_mm(ideal)).push(point.z * magnification)))
+    }
+
+    /// By how much distortion moves an ideal image point, both in mm of the camera frame
+    /// (Brown-Conrady; paper, section 2.1). The tracer's own, so that it can contradict the core's.
+    #[inline]
+    fn distortion_mm(&self, x: Vector2<f64>) -> Vector2<f64> {
+        let [q1, q2, q3] = self.lens.radial;
+        let [p1, p2] = self.lens.tangential;
+        let r2 = x.norm_squared();
+        let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
+        let across = p1 * x.x + p2 * x.y;
+        // P1 (r² + 2x²) + 2 P2 x y = P1 r² + 2x (P1 x + P2 y), and the same along y.
+        x * (radial + 2.0 * across) + Vector2::new(p1, p2) * r2
     }
 
     fn distortion_jacobian(&self, x: Vector2<f64>) -> Matrix2<f64> {
@@ -80,7 +93,7 @@ impl ThinMainLens {
         (1..=FOLD_STEPS).map(|step| f64::from(step) / f64::from(FOLD_STEPS)).find(|&part| {
             let local = self.about(distorted * part);
             let ideal = local.undistorted;
-            let miss = ideal + self.lens.distortion_mm(ideal) - local.distorted;
+            let miss = ideal + self.distortion_mm(ideal) - local.distorted;
             let jacobian = Matrix2::identity() + self.distortion_jacobian(ideal);
             // A fold turns one direction round; the negated test takes NaN for one too.
             !(miss.norm() < FOUND_MM && jacobian.determinant() > 0.0 && jacobian.trace() > 0.0)
@@ -93,7 +106,7 @@ impl ThinMainLens {
         let mut inverse = Matrix2::identity();
         if self.distorts {
             for _ in 0..NEWTON_STEPS {
-                let miss = undistorted + self.lens.distortion_mm(undistorted) - distorted;
+                let miss = undistorted + self.distortion_mm(undistorted) - distorted;
                 let jacobian = Matrix2::identity() + self.distortion_jacobian(undistorted);
                 inverse = jacobian.try_inverse().unwrap_or_else(Matrix2::identity);
                 undistorted -= inverse * miss;
@@ -113,7 +126,7 @@ impl ThinMainLens {
         if self.distorts {
             let target = ray.at(image_z);
             let near = local.undistorted + local.inverse * (target - local.distorted);
-            let ideal = near - local.inverse * (near + self.lens.distortion_mm(near) - target);
+            let ideal = near - local.inverse * (near + self.distortion_mm(near) - target);
             slope = (ideal - ray.at_lens) / image_z;
         }
         Ray { at_lens: ray.at_lens, slope: slope - ray.at_lens / self.lens.focal_length_mm }
@@ -158,7 +171,7 @@ mod tests {
             tangential: [1e-2, 1e-3],
             setting: None,
         });
-        let shift = lens.lens.distortion_mm(Vector2::new(1.0, 2.0));
+        let shift = lens.distortion_mm(Vector2::new(1.0, 2.0));
         let radial = 5e-3 + 25e-4 + 125e-5;
         let expected = Vector2::new(
             radial + 1e-2 * (5.0 + 2.0) + 2.0 * 1e-3 * 2.0,
@@ -174,7 +187,7 @@ mod tests {
             [Vector2::x(), Vector2::y()].into_iter().zip(lens.distortion_jacobian(x).column_iter())
         {
             let difference =
-                lens.lens.distortion_mm(x + axis * step) - lens.lens.distortion_mm(x - axis * step);
+                lens.distortion_mm(x + axis * step) - lens.distortion_mm(x - axis * step);
             assert!((difference / (2.0 * step) - column).norm() < 1e-9);
         }
     }

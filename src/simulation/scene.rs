@@ -4,8 +4,8 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::main_lens::Ray;
-use crate::camera::{Board, positive};
 use crate::error::{Error, Result};
+use crate::model::{Board, positive};
 
 /// A checkerboard as it is printed: squares around its inner corners, a border, and what is behind.
 /// The square before corner 0 is black. Radiances are relative to a white target.

@@ -8,9 +8,8 @@ use super::imaging::Imaging;
 use super::imperfections::Imperfections;
 use super::scene::Target;
 use super::tracer::{Tracer, check_rays};
-use crate::camera::{Configuration, Datasheet, PlenopticCamera, positive};
 use crate::error::{Error, Result};
-use crate::noise::Noise;
+use crate::model::{Configuration, Datasheet, Noise, PlenopticCamera, positive};
 
 /// A simulated data set: camera, target, and the images to take.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -197,7 +196,7 @@ impl Settings {
             focus_distance_mm: setting.map_or(f64::INFINITY, |s| s.focus_distance_mm),
             f_number: self.board_f_number(),
             configuration: camera.configuration().unwrap_or(Configuration::Unfocused),
-            lattice_kind: camera.lattice.kind,
+            lattice_kind: camera.lattice.kind(),
             columns: camera.lattice.columns,
             rows: camera.lattice.rows,
             lens_types: camera.lens_types(),

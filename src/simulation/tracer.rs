@@ -11,10 +11,9 @@ use super::imperfections::{Dust, Imperfections};
 use super::main_lens::{LocalDistortion, Ray, ThinMainLens};
 use super::sampling::{RayPoint, RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
-use crate::camera::{InternalParameters, PlenopticCamera, Sensor, positive};
 use crate::error::{Error, Result};
 use crate::image::Image;
-use crate::lattice::Lattice;
+use crate::model::{InternalParameters, Lattice, PlenopticCamera, Sensor, positive};
 
 /// A circular stop across the optical axis.
 #[derive(Debug, Clone, Copy)]

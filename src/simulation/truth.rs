@@ -6,8 +6,7 @@ use rayon::prelude::*;
 use super::array::MicroLens;
 use super::main_lens::Ray;
 use super::tracer::Tracer;
-use crate::camera::Board;
-use crate::observations::{BapFeature, MicroImageCenter};
+use crate::model::{BapFeature, Board, MicroImageCenter};
 
 /// The light of one point of space on the sensor behind one micro-lens.
 #[derive(Debug, Clone, Copy, PartialEq)]

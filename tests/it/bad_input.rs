@@ -4,9 +4,9 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use plenocal::calibration::{CalibrationOptions, FramePose};
-use plenocal::noise::Noise;
-use plenocal::synthetic::synthesize;
+use plenocal::calibration::CalibrationOptions;
+use plenocal::model::{FramePose, Noise};
+use plenocal::solver::synthesize;
 use predicates::prelude::*;
 use tempfile::TempDir;
 

@@ -2,15 +2,14 @@
 
 use nalgebra::Vector2;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
-use plenocal::calibration::{FramePose, Mode, Start};
-use plenocal::camera::PlenopticCamera;
+use plenocal::calibration::{Mode, Start};
 use plenocal::io::{
     CameraSource, OutputFolder, camera_document, compote, read_camera, read_camera_source,
     read_poses,
 };
-use plenocal::lattice::{Lattice, LatticeKind, Parity};
+use plenocal::model::{FramePose, Lattice, Packing, Parity, PlenopticCamera};
 use plenocal::precalibration::MicroImageArray;
-use plenocal::synthetic::synthesize;
+use plenocal::solver::synthesize;
 use proptest::prelude::*;
 
 use crate::support::{
@@ -70,18 +69,18 @@ fn largest_difference(
 fn written_cameras_and_poses_project_alike_when_read_back() {
     let mut camera = true_camera();
     camera.mla.pitch_ratio = 1.003;
-    for (kind, shifted, columns, rows) in [
-        (LatticeKind::HexagonalRows, Parity::Even, 43, 36),
-        (LatticeKind::HexagonalColumns, Parity::Even, 42, 37),
-        (LatticeKind::Orthogonal, Parity::Even, 43, 37),
+    for (packing, columns, rows) in [
+        (Packing::HexagonalRows(Parity::Even), 43, 36),
+        (Packing::HexagonalColumns(Parity::Even), 42, 37),
+        (Packing::Orthogonal, 43, 37),
     ] {
-        camera.lattice = Lattice { kind, columns, rows, shifted };
-        if kind == LatticeKind::Orthogonal {
+        camera.lattice = Lattice { packing, columns, rows };
+        if packing == Packing::Orthogonal {
             camera.mla.focal_lengths_mm.truncate(1);
         }
         let (back, poses) = round_trip(&camera, &true_poses());
         let difference = largest_difference((&camera, &true_poses()), (&back, &poses));
-        assert!(difference < SAME_PIXEL, "{kind:?}: {difference}");
+        assert!(difference < SAME_PIXEL, "{packing:?}: {difference}");
     }
 }
 

@@ -75,7 +75,7 @@ fn assert_same(calibration: &Calibration, plain: &Value) {
 
 fn two_pitches() -> CalibrationOptions {
     let mut options = options();
-    options.cost.held.clear();
+    options.cost.fixed.clear();
     options
 }
 

@@ -7,8 +7,9 @@
 mod bad_input;
 mod command_line;
 mod compote;
-mod features;
+mod detection;
 mod independent;
+mod floors;
 mod init;
 #[cfg(unix)]
 mod interrupt;

@@ -1,6 +1,7 @@
 //! The ways of calibrating other than the paper's own.
 
-use plenocal::calibration::{Iteration, Mode, Start, Termination, calibrate};
+use plenocal::calibration::{Mode, Start, calibrate};
+use plenocal::solver::{Iteration, Termination};
 
 use crate::support::{
     NO_NOISE, board, datasheet_start, drawn, options, pairs, run, shipped_observations,
@@ -62,14 +63,14 @@ fn a_single_lens_type_is_calibrated_too() {
 #[test]
 fn held_parameters_keep_their_value() {
     let mut options = options();
-    options.cost.held.extend(["F", "Q3", "f_2"].map(str::to_owned));
+    options.cost.fixed.extend(["F", "Q3", "f_2"].map(str::to_owned));
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
     assert!(calibration.converged);
     let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
     for ((name, value, start), std_dev) in
         pairs(&calibration.camera, &calibration.initial).iter().zip(std_devs)
     {
-        let held = ["F", "Q3", "f_2", "dC_ratio"].contains(&name.as_str());
+        let held = ["F", "Q3", "f_2", "dC_ratio"].contains(&name);
         assert_eq!(value.to_bits() == start.to_bits(), held, "{name}");
         assert_eq!(std_dev.is_none(), held, "{name}");
     }

@@ -3,12 +3,9 @@
 use std::collections::HashMap;
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use plenocal::calibration::FramePose;
-use plenocal::camera::{Board, PlenopticCamera};
-use plenocal::observations::BapFeature;
-use plenocal::optics;
+use plenocal::model::{BapFeature, Board, FramePose, PlenopticCamera, optics};
 use plenocal::simulation::{Imperfections, Scene, Settings, Target, Tracer};
-use plenocal::synthetic::synthesize;
+use plenocal::solver::synthesize;
 
 use crate::support::{NO_NOISE, preset};
 

@@ -5,12 +5,11 @@ use std::fs;
 use std::path::Path;
 
 use nalgebra::Vector2;
-use plenocal::camera::Configuration;
 use plenocal::image::{Color, RawImage, Samples};
 use plenocal::io::{read_image, read_raytrix};
-use plenocal::lattice::{Lattice, LatticeKind, Parity};
-use plenocal::observations::MicroImageCenter;
-use plenocal::optics;
+use plenocal::model::{
+    Configuration, Lattice, LatticeKind, MicroImageCenter, Packing, Parity, optics,
+};
 use plenocal::precalibration::{
     ArrayMeasurement, MicroImageArray, Precalibration, PrecalibrationOptions, RadiusEstimator,
     White, fit_grid, measure_array, precalibrate,
@@ -61,7 +60,7 @@ fn compare(settings: &Settings, array: &ArrayMeasurement) -> (f64, f64, f64) {
     };
     let rms = (array.centers.iter().map(square).sum::<f64>() / array.centers.len() as f64).sqrt();
     let lattice = &array.grid.lattice;
-    let grid = fit_grid(&truth, lattice.kind, lattice.columns, lattice.rows).unwrap();
+    let grid = fit_grid(&truth, lattice.kind(), lattice.columns, lattice.rows).unwrap();
     let pitch = array.grid.pitch_px / grid.pitch_px - 1.0;
     (rms, pitch, array.grid.rotation_rad - grid.rotation_rad)
 }
@@ -165,7 +164,7 @@ fn any_lattice_pitch_and_rotation_is_found_unaided() {
         let (settings, image) = small_white(&replaced);
         let array = measure_array(&image, None).unwrap();
         let grid = &array.grid;
-        assert_eq!(grid.lattice.kind.name(), lattice);
+        assert_eq!(grid.lattice.kind().name(), lattice);
         assert!((grid.pitch_px / settings.camera.micro_image_pitch_px() - 1.0).abs() < 1e-3);
         assert!((grid.pitch_px - pitch).abs() < 0.1, "{}", grid.pitch_px);
         assert!((grid.rotation_rad - rotation).abs() < 1e-4, "{}", grid.rotation_rad);
@@ -254,9 +253,8 @@ fn an_array_smaller_than_the_sensor_is_counted_by_what_shows() {
         // Beyond the right border.
         (Orthogonal, 25, 20, (730.0, 400.0), 0.0),
     ] {
-        let shifted = if kind == Orthogonal { Parity::Even } else { Parity::Odd };
         let truth = MicroImageArray {
-            lattice: Lattice { kind, columns, rows, shifted },
+            lattice: Lattice { packing: Packing::new(kind, Parity::Odd), columns, rows },
             pitch_px: 23.3,
             rotation_rad,
             center_px: Vector2::new(center.0, center.1),
@@ -270,7 +268,7 @@ fn an_array_smaller_than_the_sensor_is_counted_by_what_shows() {
         println!("{kind:?}: {:?}, {out:?}", grid.lattice);
         let shown = (0..columns).filter(|&k| truth.center_of(k, 0).x < 999.0).count();
         assert_eq!(usize::try_from(grid.lattice.columns).unwrap(), shown);
-        assert_eq!((grid.lattice.kind, grid.lattice.rows), (kind, rows));
+        assert_eq!((grid.lattice.kind(), grid.lattice.rows), (kind, rows));
         assert!((grid.pitch_px - 23.3).abs() < 1e-3 && grid.rms_px < 0.1, "{grid:?}");
         assert_eq!((out.dark, out.saturated, out.misplaced), (0, 0, 0));
         for c in &array.centers {
@@ -366,10 +364,10 @@ fn white_images_that_do_not_belong_together_are_refused_in_words() {
     sheet.lattice_kind = LatticeKind::Orthogonal;
     assert!(result.check_stated(&sheet).unwrap_err().to_string().contains("'orthogonal'"));
     let sheet =
-        plenocal::camera::Datasheet { micro_image_pitch_px: Some(23.5), ..settings.datasheet() };
+        plenocal::model::Datasheet { micro_image_pitch_px: Some(23.5), ..settings.datasheet() };
     assert!(result.check_stated(&sheet).unwrap_err().to_string().contains("23.5 px"));
     for (types, fits) in [(0, true), (1, false), (3, true)] {
-        let sheet = plenocal::camera::Datasheet { lens_types: types, ..settings.datasheet() };
+        let sheet = plenocal::model::Datasheet { lens_types: types, ..settings.datasheet() };
         assert_eq!(result.check_stated(&sheet).is_ok(), fits, "{types} lens types stated");
     }
 }
@@ -554,11 +552,11 @@ fn measured(name: &str) -> ArrayMeasurement {
 #[cfg_attr(not(plenocal_whites), ignore = "set PLENOCAL_WHITES to the folder of real white images")]
 fn square_arrays_are_found() {
     let array = measured("thorlabs-square-white.png");
-    assert_eq!(array.grid.lattice.kind, LatticeKind::Orthogonal);
+    assert_eq!(array.grid.lattice.kind(), LatticeKind::Orthogonal);
     assert!((array.grid.pitch_px - 48.0).abs() < 0.5, "{}", array.grid.pitch_px);
     assert!(array.grid.rms_px < 0.2 && array.centers.len() > 400);
     let array = measured("square-white2500.bmp");
-    assert_eq!(array.grid.lattice.kind, LatticeKind::Orthogonal);
+    assert_eq!(array.grid.lattice.kind(), LatticeKind::Orthogonal);
     assert!(array.grid.rms_px < 0.5 && array.centers.len() > 1400);
 }
 
@@ -569,7 +567,7 @@ fn origami_agrees_with_its_maker() {
     let folder = std::env::var_os("PLENOCAL_WHITES").expect("PLENOCAL_WHITES is set");
     let maker = read_raytrix(&Path::new(&folder).join("origami.calib.xml")).unwrap();
     let array = measured("origami-pseudo-white.png");
-    assert_eq!(array.grid.lattice.kind, LatticeKind::HexagonalColumns);
+    assert_eq!(array.grid.lattice.kind(), LatticeKind::HexagonalColumns);
     assert_eq!(maker.kind, LatticeKind::HexagonalColumns);
     assert_eq!(maker.lens_types, 3);
     let off = array.grid.pitch_px - maker.pitch_px;

@@ -3,12 +3,11 @@
 use std::path::Path;
 
 use plenocal::calibration::{Calibration, CalibrationOptions, Mode, Start, calibrate};
-use plenocal::camera::Board;
 use plenocal::io::{
     CameraSource, read_board, read_camera_source, read_centers, read_features,
     read_internal_parameters,
 };
-use plenocal::observations::Observations;
+use plenocal::model::{Board, Observations};
 
 use crate::support::{options, pairs, r12a_folder};
 
@@ -58,7 +57,7 @@ pub fn run(data: &Data, options: &CalibrationOptions) -> Calibration {
 
 fn two_pitches() -> CalibrationOptions {
     let mut options = options();
-    options.cost.held.clear();
+    options.cost.fixed.clear();
     options
 }
 

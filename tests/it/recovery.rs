@@ -1,10 +1,9 @@
 //! Known truth comes back.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
-use plenocal::calibration::{CalibrationOptions, FramePose, Loss, Mode, Start, initial_poses};
-use plenocal::camera::intrinsic_parameters;
-use plenocal::noise::Noise;
-use plenocal::synthetic::synthesize;
+use plenocal::calibration::{CalibrationOptions, Mode, Start, initial_poses};
+use plenocal::model::{FramePose, Noise, intrinsic_parameters};
+use plenocal::solver::{Loss, synthesize};
 
 use crate::support::{
     NO_NOISE, board, datasheet_start, drawn, options, pairs, run, shipped_observations,
@@ -58,7 +57,7 @@ fn with_noise_the_truth_lies_within_the_predicted_uncertainty() {
                     "{name}: {value} ± {s} for {truth}"
                 );
             }
-            None => assert_eq!(name, "dC_ratio"),
+            None => assert_eq!(*name, "dC_ratio"),
         }
     }
     for (i, (pose, truth)) in calibration.poses.iter().zip(true_poses()).enumerate() {
@@ -82,7 +81,7 @@ fn two_pitches_are_told_apart() {
     let mut truth = true_camera();
     truth.mla.pitch_ratio = 1.0004;
     let mut options = options();
-    options.cost.held.clear();
+    options.cost.fixed.clear();
     let calibration = run(&datasheet_start(), &drawn(&truth, &NO_NOISE, 0), &options);
     for (name, value, truth) in pairs(&calibration.camera, &truth) {
         assert!((value - truth).abs() <= NOISE_FREE * truth.abs(), "{name}: {value} for {truth}");

@@ -4,8 +4,7 @@ use std::collections::HashSet;
 use std::process::Command;
 
 use plenocal::calibration::{Calibration, Mode, Start};
-use plenocal::camera::Board;
-use plenocal::evaluation::Reprojection;
+use plenocal::model::{Board, Reprojection};
 use plenocal::precalibration::ArrayMeasurement;
 use plenocal::report::{
     Figure, HtmlReport, HtmlTable, Part, Section, array_residuals_figure, calibration_figures,

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use plenocal::camera::PlenopticCamera;
 use plenocal::io::read_camera;
+use plenocal::model::PlenopticCamera;
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use serde_json::Value;

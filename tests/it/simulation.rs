@@ -3,12 +3,10 @@
 use std::fs;
 use std::path::Path;
 
-use plenocal::calibration::{Calibration, FramePose, Start, calibrate};
-use plenocal::io::{PRESETS, Project, preset_settings, read_camera, read_centers, read_features};
-use plenocal::noise::NoiseSource;
-use plenocal::observations::{BapFeature, Observations};
-use plenocal::optics;
-use plenocal::simulation::{DataSet, Imperfections, Settings};
+use plenocal::calibration::{Calibration, Start, calibrate};
+use plenocal::io::{Project, read_camera, read_centers, read_features};
+use plenocal::model::{BapFeature, FramePose, NoiseSource, Observations, optics};
+use plenocal::simulation::{DataSet, Imperfections, PRESETS, Settings};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use tempfile::TempDir;
@@ -232,7 +230,7 @@ fn images_come_in_colours_and_depths() {
 #[test]
 fn presets_are_what_they_say() {
     for preset in PRESETS {
-        let settings = preset_settings(&preset, &[]).unwrap();
+        let settings = Settings::preset(preset.name, &[]).unwrap();
         DataSet::plan(&settings, None).unwrap();
         assert_eq!(settings.imperfections, Imperfections::default(), "{}", preset.name);
     }

@@ -3,17 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use assert_cmd::Command;
-use plenocal::calibration::{
-    Calibration, CalibrationOptions, FramePose, SolverOptions, Start, calibrate,
+use plenocal::calibration::{Calibration, CalibrationOptions, Start, calibrate};
+use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
+use plenocal::model::{
+    Board, FramePose, Noise, Observations, PlenopticCamera, intrinsic_parameters,
 };
-use plenocal::camera::{Board, PlenopticCamera, intrinsic_parameters};
-use plenocal::io::{
-    PRESETS, Project, preset_settings, read_camera, read_centers, read_features, read_poses,
-};
-use plenocal::noise::Noise;
-use plenocal::observations::Observations;
 use plenocal::simulation::Settings;
-use plenocal::synthetic::synthesize;
+use plenocal::solver::{SolverOptions, synthesize};
 
 pub const NO_NOISE: Noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };
 
@@ -65,9 +61,8 @@ pub fn shipped_observations() -> Observations {
 
 /// The settings of a preset, with some of them replaced.
 pub fn preset(name: &str, replaced: &[&str]) -> Settings {
-    let preset = PRESETS.iter().find(|preset| preset.name == name).expect("a preset");
     let replaced: Vec<String> = replaced.iter().map(ToString::to_string).collect();
-    preset_settings(preset, &replaced).expect("presets are valid")
+    Settings::preset(name, &replaced).expect("presets are valid")
 }
 
 /// Observations of the shipped camera and poses with other noise.
@@ -90,8 +85,8 @@ pub fn run(
 }
 
 /// Every intrinsic parameter by name, with two values.
-pub fn pairs(a: &PlenopticCamera, b: &PlenopticCamera) -> Vec<(String, f64, f64)> {
-    let names = intrinsic_parameters(a.lens_types()).into_iter().map(|p| p.name);
+pub fn pairs(a: &PlenopticCamera, b: &PlenopticCamera) -> Vec<(&'static str, f64, f64)> {
+    let names = intrinsic_parameters(a.lens_types()).iter().map(|p| p.name);
     let values = a.intrinsics().into_iter().zip(b.intrinsics());
     names.zip(values).map(|(name, (a, b))| (name, a, b)).collect()
 }

@@ -4,9 +4,8 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use serde::Deserialize;
 
 use super::json::{Integer, Number, Vector};
-use crate::camera::Sensor;
 use crate::error::{Error, Result};
-use crate::lattice::LatticeKind;
+use crate::model::{LatticeKind, Sensor};
 
 #[derive(Deserialize)]
 pub(super) struct MeshFile {

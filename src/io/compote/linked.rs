@@ -6,7 +6,7 @@ use std::io::Read;
 use flate2::read::MultiGzDecoder;
 
 use crate::error::{Error, Result};
-use crate::observations::{BapFeature, MicroImageCenter, Observations};
+use crate::model::{BapFeature, MicroImageCenter, Observations};
 
 /// Bytes of a centre (k, l: i32; u, v: f64).
 const CENTER_BYTES: usize = 24;

@@ -6,7 +6,7 @@ use plotters::prelude::*;
 use super::figure;
 use crate::calibration::Calibration;
 use crate::error::Result;
-use crate::evaluation::Rmse;
+use crate::model::Rmse;
 use crate::report::drawing::{
     Anchor, Area, BLUE, INK, ORANGE, Overlay, Plane, axis_number, drawing, font, picture,
 };

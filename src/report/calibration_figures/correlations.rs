@@ -4,8 +4,8 @@ use nalgebra::Vector2;
 
 use super::figure;
 use crate::calibration::Calibration;
-use crate::camera::intrinsic_parameters;
 use crate::error::Result;
+use crate::model::intrinsic_parameters;
 use crate::report::drawing::{Anchor, BLUE, INK, ON_COLOR, ORANGE, Overlay, picture};
 use crate::report::html::Figure;
 
@@ -19,7 +19,7 @@ pub(super) fn correlations(calibration: &Calibration) -> Result<Option<Figure>> 
     let uncertainty = &calibration.uncertainty;
     let parameters = intrinsic_parameters(calibration.camera.lens_types());
     let names: Vec<&str> =
-        uncertainty.free_intrinsics.iter().map(|&i| parameters[i].name.as_str()).collect();
+        uncertainty.free_intrinsics.iter().map(|&i| parameters[i].name).collect();
     if names.len() < 2 {
         return Ok(None);
     }

@@ -4,8 +4,8 @@ use nalgebra::Vector2;
 
 use super::figure;
 use super::vectors::{Arrow, draw_arrows, enlarged, enlargement, key, sensor_picture};
-use crate::camera::PlenopticCamera;
 use crate::error::Result;
+use crate::model::PlenopticCamera;
 use crate::report::drawing::{Anchor, BLUE, INK, Overlay, Plane, axis_number, round_below};
 use crate::report::html::Figure;
 

@@ -4,12 +4,13 @@ use nalgebra::Vector2;
 use plotters::prelude::*;
 
 use super::figure;
-use crate::calibration::{Calibration, Loss};
+use crate::calibration::Calibration;
 use crate::error::Result;
 use crate::report::drawing::{
     Anchor, Area, BLUE, FITTED, INK, Overlay, Plane, axis_number, drawing, font, picture, quantile,
 };
 use crate::report::html::Figure;
+use crate::solver::Loss;
 
 const BINS: usize = 40;
 /// Residuals beyond so many standard deviations are counted, not drawn.

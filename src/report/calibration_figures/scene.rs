@@ -5,8 +5,8 @@ use plotters::style::RGBColor;
 
 use super::figure;
 use crate::calibration::Calibration;
-use crate::camera::{Board, PlenopticCamera};
 use crate::error::Result;
+use crate::model::{Board, PlenopticCamera};
 use crate::report::drawing::{
     Anchor, BLUE, FITTED, INK, ORANGE, Overlay, TYPE_COLORS, axis_number, picture, round_below,
 };

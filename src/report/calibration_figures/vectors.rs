@@ -7,8 +7,8 @@ use plotters::prelude::*;
 
 use super::figure;
 use crate::calibration::Calibration;
-use crate::camera::Sensor;
 use crate::error::Result;
+use crate::model::Sensor;
 use crate::precalibration::ArrayMeasurement;
 use crate::report::drawing::{
     Anchor, BLUE, INK, Overlay, Plane, TYPE_COLORS, axis_number, drawing, font, picture, quantile,

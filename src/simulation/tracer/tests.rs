@@ -3,13 +3,11 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 
 use super::*;
-use crate::io::{PRESETS, preset_settings};
-use crate::optics;
+use crate::model::optics;
 use crate::simulation::{Settings, Target};
 
 fn settings(name: &str) -> Settings {
-    let preset = PRESETS.iter().find(|preset| preset.name == name).unwrap();
-    preset_settings(preset, &[]).unwrap()
+    Settings::preset(name, &[]).unwrap()
 }
 
 fn ideal(camera: &PlenopticCamera, f_number: f64) -> Tracer {

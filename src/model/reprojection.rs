@@ -1,6 +1,6 @@
 //! Reprojection errors: observed minus projected, and their root mean squares (Table 4).
 
-use crate::observations::{BapFeature, MicroImageCenter};
+use crate::model::{BapFeature, MicroImageCenter};
 
 /// A feature and its error.
 #[derive(Debug, Clone, Copy, PartialEq)]

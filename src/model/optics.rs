@@ -1,6 +1,6 @@
 //! Scalar relations of thin lenses, each with its equation of the paper.
 
-use crate::camera::{Configuration, InternalParameters, PlenopticCamera};
+use crate::model::{Configuration, InternalParameters, PlenopticCamera};
 
 /// H: image distance of a thin lens of focal length F whose object and image are h apart (paper,
 /// section 5.1): H = |h/2 (1 − √(1 − 4F/h))|; F for h = ∞. All in mm.

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
-use crate::camera::{Board, Sensor};
 use crate::error::{Error, Result};
+use crate::model::{Board, Sensor};
 
 /// Centre of micro-image (k, l) in a white image.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,7 +6,7 @@ use rand_distr::{Distribution, Normal};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
-use crate::observations::{BapFeature, MicroImageCenter};
+use crate::model::{BapFeature, MicroImageCenter};
 
 /// Standard deviations of the noise per coordinate, px; 0 for none.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

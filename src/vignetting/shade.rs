@@ -10,11 +10,11 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use crate::discs::{CommonPart, common_part};
+use crate::vignetting::{CommonPart, common_part};
 
 /// The visible part of the micro-lenses of one type, by distance from the centre of the micro-image.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Shade {
+pub(crate) struct Shade {
     moments: Vec<Moments>,
     sign: f64,
 }
@@ -84,7 +84,7 @@ impl Shade {
 
 /// What a pixel sees through.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Part {
+pub(crate) struct Part {
     /// Middle of the pixel's light from the centre of the micro-image, px. Light falls towards the
     /// edge, and a pixel has a variance of a twelfth along each axis.
     pub seen_at: Vector2<f64>,

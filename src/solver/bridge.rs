@@ -4,13 +4,14 @@
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-use nalgebra::{DMatrix, Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{DMatrix, Isometry3, Translation3, UnitQuaternion, Vector3};
 
-use crate::calibration::{CostOptions, Iteration, Loss, Refinement, SolverOptions, Termination};
-use crate::camera::{ARRAY_PARAMETERS, MAIN_LENS_PARAMETERS, PlenopticCamera};
+use super::options::{CostOptions, Loss, SolverOptions};
+use super::problem::{Problem, SolverFeature};
+use super::refinement::{Iteration, Refinement, Termination};
+use super::uncertainty::Uncertainty;
 use crate::error::{Error, Result};
-use crate::evaluation::Uncertainty;
-use crate::lattice::{LatticeKind, Parity};
+use crate::model::{LatticeKind, MicroImageCenter, Parity, PlenopticCamera};
 
 // cxx asks for the lifetimes to be spelt out.
 #[allow(unsafe_code, clippy::elidable_lifetime_names)]
@@ -142,30 +143,6 @@ mod ffi {
             cost: &CostParts,
         ) -> Result<UncertaintyParts>;
     }
-}
-
-/// A feature as the solver takes it: the frame is an index into the poses.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct SolverFeature {
-    pub pose: usize,
-    pub board_point_mm: Point3<f64>,
-    pub k: i32,
-    pub l: i32,
-    pub u_px: f64,
-    pub v_px: f64,
-    pub rho_px: f64,
-}
-
-/// A centre as the solver takes it.
-pub(crate) type SolverCenter = crate::observations::MicroImageCenter;
-
-/// A problem for the solver.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Problem<'a> {
-    pub camera: &'a PlenopticCamera,
-    pub poses: &'a [Isometry3<f64>],
-    pub features: &'a [SolverFeature],
-    pub centers: &'a [SolverCenter],
 }
 
 /// Carries the caller's progress function across, and a panic of it back.
@@ -313,7 +290,8 @@ impl Problem<'_> {
     }
 
     fn center_rows(&self) -> Vec<ffi::CenterRow> {
-        let row = |c: &SolverCenter| ffi::CenterRow { k: c.k, l: c.l, u_px: c.u_px, v_px: c.v_px };
+        let row =
+            |c: &MicroImageCenter| ffi::CenterRow { k: c.k, l: c.l, u_px: c.u_px, v_px: c.v_px };
         self.centers.iter().map(row).collect()
     }
 }
@@ -321,19 +299,19 @@ impl Problem<'_> {
 impl From<&PlenopticCamera> for ffi::CameraParts {
     fn from(camera: &PlenopticCamera) -> Self {
         let values = camera.intrinsics();
-        let (main_lens, rest) = values.split_at(MAIN_LENS_PARAMETERS);
-        let (array, focal_lengths) = rest.split_at(ARRAY_PARAMETERS);
+        let (main_lens, rest) = values.split_at(6);
+        let (array, focal_lengths) = rest.split_at(11);
         Self {
-            lattice_kind: match camera.lattice.kind {
+            lattice_kind: match camera.lattice.kind() {
                 LatticeKind::Orthogonal => 0,
                 LatticeKind::HexagonalRows => 1,
                 LatticeKind::HexagonalColumns => 2,
             },
             columns: camera.lattice.columns,
             rows: camera.lattice.rows,
-            shifted_parity: match camera.lattice.shifted {
-                Parity::Even => 0,
-                Parity::Odd => 1,
+            shifted_parity: match camera.lattice.packing.shifted() {
+                None | Some(Parity::Even) => 0,
+                Some(Parity::Odd) => 1,
             },
             pixel_size_mm: camera.sensor.pixel_size_mm,
             main_lens: main_lens.try_into().expect("the block has this size"),
@@ -390,7 +368,7 @@ impl From<&CostOptions> for ffi::CostParts {
             centers_std_dev_px: cost.centers_std_dev_px,
             loss_kind,
             loss_scale,
-            held: cost.held.clone(),
+            held: cost.fixed.clone(),
         }
     }
 }
@@ -408,17 +386,16 @@ impl From<&SolverOptions> for ffi::SolverParts {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Vector2, Vector3};
+    use nalgebra::{Point3, Vector2, Vector3};
 
     use super::*;
-    use crate::camera::{MainLens, MicroLensArray, Sensor, intrinsic_parameters};
-    use crate::lattice::Lattice;
+    use crate::model::{Lattice, MainLens, MicroLensArray, Packing, Sensor, intrinsic_parameters};
 
-    fn camera(kind: LatticeKind, shifted: Parity, columns: i32, rows: i32) -> PlenopticCamera {
-        let types = if kind == LatticeKind::Orthogonal { 1 } else { 3 };
+    fn camera(packing: Packing, columns: i32, rows: i32) -> PlenopticCamera {
+        let types = if packing == Packing::Orthogonal { 1 } else { 3 };
         PlenopticCamera {
             sensor: Sensor { width_px: 100, height_px: 80, pixel_size_mm: 0.0055 },
-            lattice: Lattice { kind, columns, rows, shifted },
+            lattice: Lattice { packing, columns, rows },
             main_lens: MainLens {
                 focal_length_mm: 50.0,
                 radial: [1.0, 2.0, 3.0],
@@ -441,8 +418,7 @@ mod tests {
     #[test]
     fn both_sides_name_the_parameters_alike() {
         for types in [0, 1, 3] {
-            let ours: Vec<String> =
-                intrinsic_parameters(types).into_iter().map(|parameter| parameter.name).collect();
+            let ours: Vec<&str> = intrinsic_parameters(types).iter().map(|p| p.name).collect();
             assert_eq!(ours, intrinsic_names(types));
         }
     }
@@ -452,9 +428,9 @@ mod tests {
         for kind in
             [LatticeKind::Orthogonal, LatticeKind::HexagonalRows, LatticeKind::HexagonalColumns]
         {
-            for shifted in [Parity::Even, Parity::Odd] {
+            for &packing in Packing::of_kind(kind) {
                 for (columns, rows) in [(5, 4), (4, 5), (1, 3), (3, 1)] {
-                    let camera = camera(kind, shifted, columns, rows);
+                    let camera = camera(packing, columns, rows);
                     let mut theirs = lattice(&camera).into_iter();
                     for l in 0..rows {
                         for k in 0..columns {
@@ -471,7 +447,7 @@ mod tests {
 
     #[test]
     fn a_panic_in_the_progress_function_comes_back_as_a_panic() {
-        let camera = camera(LatticeKind::HexagonalRows, Parity::Even, 8, 8);
+        let camera = camera(Packing::HexagonalRows(Parity::Even), 8, 8);
         let pose = Isometry3::translation(0.0, 0.0, 300.0);
         let feature = |k, l, u_px| SolverFeature {
             pose: 0,
@@ -496,7 +472,7 @@ mod tests {
 
     #[test]
     fn what_the_core_rejects_arrives_as_an_error() {
-        let mut camera = camera(LatticeKind::HexagonalRows, Parity::Even, 8, 8);
+        let mut camera = camera(Packing::HexagonalRows(Parity::Even), 8, 8);
         camera.mla.mla_to_sensor_mm = f64::NAN;
         let problem = Problem { camera: &camera, poses: &[], features: &[], centers: &[] };
         let error = project_centers(&problem).unwrap_err().to_string();

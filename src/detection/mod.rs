@@ -8,7 +8,6 @@ mod frame;
 mod line;
 mod micro_images;
 mod patch;
-mod shade;
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};

@@ -5,12 +5,12 @@
 
 use nalgebra::{Isometry3, Vector2};
 
-use crate::bridge::{self, Problem, SolverFeature};
-use crate::calibration::FramePose;
-use crate::camera::{Board, PlenopticCamera};
 use crate::error::Result;
-use crate::noise::{Noise, NoiseSource};
-use crate::observations::{BapFeature, MicroImageCenter, Observations};
+use crate::model::{
+    BapFeature, Board, FramePose, MicroImageCenter, Noise, NoiseSource, Observations,
+    PlenopticCamera,
+};
+use crate::solver::{Problem, SolverFeature};
 
 /// A corner counts as seen when it lies at least this far inside its micro-image, px: nearer to the
 /// edge a detector has no two sides of it to look at.
@@ -61,7 +61,7 @@ fn whole_micro_images(camera: &PlenopticCamera) -> Result<Vec<MicroImageCenter>>
         .map(|(k, l)| MicroImageCenter { k, l, u_px: 0.0, v_px: 0.0 })
         .collect();
     let projected =
-        bridge::project_centers(&Problem { camera, poses: &[], features: &[], centers: &centers })?;
+        super::project_centers(&Problem { camera, poses: &[], features: &[], centers: &centers })?;
     let radius = camera.micro_image_pitch_px() / 2.0;
     let whole = |c: &MicroImageCenter| {
         let inside = |x: f64, size: u32| x >= radius && x <= f64::from(size) - 1.0 - radius;
@@ -94,5 +94,5 @@ fn project_corner(
         })
         .collect();
     let poses: [Isometry3<f64>; 1] = [pose.camera_from_board];
-    bridge::project(&Problem { camera, poses: &poses, features: &features, centers: &[] })
+    super::project(&Problem { camera, poses: &poses, features: &features, centers: &[] })
 }

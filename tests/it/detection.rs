@@ -5,15 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use nalgebra::{Matrix2, Vector2};
-use plenocal::camera::{Board, Configuration, Sensor};
-use plenocal::evaluation::DetectionScore;
-use plenocal::features::{
+use plenocal::detection::{
     DepthEstimator, LatticePoint, LineSearch, Sight, TiedBoard, dbscan, groups_on_lines,
     median_inverse_virtual_depth,
 };
+use plenocal::evaluation::DetectionScore;
 use plenocal::io::{read_centers, read_features, read_internal_parameters};
-use plenocal::lattice::LatticeKind;
-use plenocal::observations::BapFeature;
+use plenocal::model::{BapFeature, Board, Configuration, LatticeKind, Sensor};
 use plenocal::precalibration::{MicroImageArray, fit_grid};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;

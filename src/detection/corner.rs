@@ -13,8 +13,7 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix4, Matrix6, Vector2, Vector4, Ve
 use pulp::{Arch, NullaryFnOnce};
 
 use super::patch::Patch;
-use super::shade::Shade;
-use crate::discs::Obliquity;
+use crate::vignetting::{Obliquity, Shade};
 
 /// Two edges that cross: light m + h at directions between n₁ and n₂, m − h beside.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -14,11 +14,10 @@ use super::line::{
 };
 use super::micro_images::{MicroImages, MicroOptics};
 use super::patch::{Pair, Patch, Unusable};
-use super::shade::Shade;
 use super::{DepthEstimator, Detection, Sight};
-use crate::camera::{Board, Configuration, Sensor};
 use crate::image::Grey;
-use crate::observations::{BapFeature, MIN_CORNERS};
+use crate::model::{BapFeature, Board, Configuration, MIN_CORNERS, Sensor};
+use crate::vignetting::Shade;
 
 /// What is looked for, and with what.
 #[derive(Debug, Clone, Copy)]

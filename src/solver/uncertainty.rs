@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::camera::{Parameter, intrinsic_parameters};
+use crate::model::{Parameter, intrinsic_parameters};
 
 /// Number of parameters of a pose.
 const POSE_PARAMETERS: usize = 6;
@@ -160,7 +160,7 @@ impl Uncertainty {
             .iter()
             .enumerate()
             .map(|(row, &index)| Component {
-                name: parameters[index].name.clone(),
+                name: parameters[index].name.to_owned(),
                 change: direction[row],
                 unit: parameters[index].unit,
                 share: share(row),

@@ -4,13 +4,12 @@ use std::collections::HashMap;
 
 use nalgebra::Vector2;
 
-use super::shade::Shade;
-use crate::camera::{Configuration, Datasheet, InternalParameters, Sensor};
-use crate::discs::Obliquity;
 use crate::error::{Error, Result};
-use crate::observations::MicroImageCenter;
-use crate::optics;
+use crate::model::{
+    Configuration, Datasheet, InternalParameters, MicroImageCenter, Sensor, optics,
+};
 use crate::precalibration::{MicroImageArray, Precalibration};
+use crate::vignetting::{Obliquity, Shade};
 
 /// Micro-images: where they are, and how points are blurred in them.
 #[derive(Debug, Clone, PartialEq)]
@@ -265,10 +264,10 @@ impl MicroImages {
             let index = (at - first) / spacing;
             ((index - wide).floor() as i32).max(0)..=((index + wide).ceil() as i32).min(count - 1)
         };
-        let (along_u, along_v) = match lattice.kind {
-            crate::lattice::LatticeKind::Orthogonal => (1.0, 1.0),
-            crate::lattice::LatticeKind::HexagonalRows => (1.0, 0.75_f64.sqrt()),
-            crate::lattice::LatticeKind::HexagonalColumns => (0.75_f64.sqrt(), 1.0),
+        let (along_u, along_v) = match lattice.kind() {
+            crate::model::LatticeKind::Orthogonal => (1.0, 1.0),
+            crate::model::LatticeKind::HexagonalRows => (1.0, 0.75_f64.sqrt()),
+            crate::model::LatticeKind::HexagonalColumns => (0.75_f64.sqrt(), 1.0),
         };
         let columns = range(at.x, middle.x, along_u, lattice.columns);
         let rows = range(at.y, middle.y, along_v, lattice.rows);

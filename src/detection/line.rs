@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
 
 use super::Sight;
-use crate::camera::Configuration;
+use crate::model::Configuration;
 
 /// i = β + γ c.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,7 +1,7 @@
 //! Boards in perspective: turned, symmetric, incomplete, of another size.
 
 use super::*;
-use crate::camera::Sensor;
+use crate::model::Sensor;
 
 const BOARD: Board = Board { columns: 8, rows: 5, square_mm: 3.0 };
 const SENSOR: Sensor = Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 };

@@ -18,6 +18,62 @@ pub enum LatticeKind {
     HexagonalColumns,
 }
 
+/// How the micro-lenses are packed, and which rows (columns) of a hexagonal lattice are moved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Packing {
+    /// See [`LatticeKind::Orthogonal`].
+    Orthogonal,
+    /// See [`LatticeKind::HexagonalRows`]; rows of this parity are moved by +½ pitch.
+    HexagonalRows(Parity),
+    /// See [`LatticeKind::HexagonalColumns`]; columns of this parity are moved by +½ pitch.
+    HexagonalColumns(Parity),
+}
+
+impl Packing {
+    /// A packing of this kind; the parity is that of a hexagonal one.
+    #[must_use]
+    pub fn new(kind: LatticeKind, shifted: Parity) -> Self {
+        match kind {
+            LatticeKind::Orthogonal => Self::Orthogonal,
+            LatticeKind::HexagonalRows => Self::HexagonalRows(shifted),
+            LatticeKind::HexagonalColumns => Self::HexagonalColumns(shifted),
+        }
+    }
+
+    /// All packings of a kind.
+    #[must_use]
+    pub fn of_kind(kind: LatticeKind) -> &'static [Self] {
+        match kind {
+            LatticeKind::Orthogonal => &[Self::Orthogonal],
+            LatticeKind::HexagonalRows => {
+                &[Self::HexagonalRows(Parity::Even), Self::HexagonalRows(Parity::Odd)]
+            }
+            LatticeKind::HexagonalColumns => {
+                &[Self::HexagonalColumns(Parity::Even), Self::HexagonalColumns(Parity::Odd)]
+            }
+        }
+    }
+
+    /// Orthogonal or hexagonal, by rows or by columns.
+    #[must_use]
+    pub fn kind(self) -> LatticeKind {
+        match self {
+            Self::Orthogonal => LatticeKind::Orthogonal,
+            Self::HexagonalRows(_) => LatticeKind::HexagonalRows,
+            Self::HexagonalColumns(_) => LatticeKind::HexagonalColumns,
+        }
+    }
+
+    /// The rows (columns) that are moved; `None` for an orthogonal lattice.
+    #[must_use]
+    pub fn shifted(self) -> Option<Parity> {
+        match self {
+            Self::Orthogonal => None,
+            Self::HexagonalRows(parity) | Self::HexagonalColumns(parity) => Some(parity),
+        }
+    }
+}
+
 impl LatticeKind {
     /// The name used in files.
     #[must_use]
@@ -40,23 +96,38 @@ pub enum Parity {
     Odd,
 }
 
-/// Distance of the straight rows of a hexagonal lattice, in pitches.
-const ROW_DISTANCE: f64 = 0.866_025_403_784_438_6;
+impl Parity {
+    /// Whether an index is of this parity.
+    #[must_use]
+    pub fn holds(self, index: i32) -> bool {
+        match self {
+            Self::Even => index % 2 == 0,
+            Self::Odd => index % 2 != 0,
+        }
+    }
+}
+
+/// Distance of the straight rows of a hexagonal lattice, in pitches: √3/2.
+pub const ROW_DISTANCE: f64 = 0.866_025_403_784_438_6;
 
 /// A lattice of `columns` × `rows` nodes (k, l); k grows along u and l along v.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Lattice {
     /// How it is packed.
-    pub kind: LatticeKind,
+    pub packing: Packing,
     /// Number of nodes along k.
     pub columns: i32,
     /// Number of nodes along l.
     pub rows: i32,
-    /// Which rows (columns) are moved; without meaning for an orthogonal lattice.
-    pub shifted: Parity,
 }
 
 impl Lattice {
+    /// Orthogonal or hexagonal, by rows or by columns.
+    #[must_use]
+    pub fn kind(&self) -> LatticeKind {
+        self.packing.kind()
+    }
+
     /// Number of nodes.
     #[must_use]
     pub fn nodes(&self) -> usize {
@@ -70,36 +141,27 @@ impl Lattice {
         (0..self.columns).contains(&k) && (0..self.rows).contains(&l)
     }
 
-    fn shift(&self, index: i32) -> f64 {
-        let shifted = match self.shifted {
-            Parity::Even => index % 2 == 0,
-            Parity::Odd => index % 2 != 0,
-        };
-        if shifted { 0.5 } else { 0.0 }
-    }
-
     /// Position of node (k, l) in pitches along u and v, about the midpoint of the bounding box of
     /// all nodes.
     #[must_use]
     pub fn node(&self, k: i32, l: i32) -> Vector2<f64> {
         let centred = |index: i32, count: i32| f64::from(index) - f64::from(count - 1) / 2.0;
+        let shift = |row: i32, shifted: Parity| if shifted.holds(row) { 0.5 } else { 0.0 };
         // Along the straight rows, of which there are `across`: shifted and unshifted ones together
         // reach half a pitch further.
-        let staggered = |index: i32, count: i32, row: i32, across: i32| {
-            let mean_shift = if across > 1 { 0.25 } else { self.shift(0) };
-            centred(index, count) + self.shift(row) - mean_shift
+        let staggered = |index: i32, count: i32, row: i32, across: i32, shifted: Parity| {
+            let mean_shift = if across > 1 { 0.25 } else { shift(0, shifted) };
+            centred(index, count) + shift(row, shifted) - mean_shift
         };
-        match self.kind {
-            LatticeKind::Orthogonal => {
-                Vector2::new(centred(k, self.columns), centred(l, self.rows))
-            }
-            LatticeKind::HexagonalRows => Vector2::new(
-                staggered(k, self.columns, l, self.rows),
+        match self.packing {
+            Packing::Orthogonal => Vector2::new(centred(k, self.columns), centred(l, self.rows)),
+            Packing::HexagonalRows(shifted) => Vector2::new(
+                staggered(k, self.columns, l, self.rows, shifted),
                 ROW_DISTANCE * centred(l, self.rows),
             ),
-            LatticeKind::HexagonalColumns => Vector2::new(
+            Packing::HexagonalColumns(shifted) => Vector2::new(
                 ROW_DISTANCE * centred(k, self.columns),
-                staggered(l, self.rows, k, self.columns),
+                staggered(l, self.rows, k, self.columns, shifted),
             ),
         }
     }
@@ -114,11 +176,13 @@ impl Lattice {
         if types < 3 {
             return 0;
         }
-        let (along, across) = match self.kind {
-            LatticeKind::HexagonalColumns => (l, k),
-            LatticeKind::HexagonalRows | LatticeKind::Orthogonal => (k, l),
+        let (along, across, shifted) = match self.packing {
+            // Validated cameras have one type here.
+            Packing::Orthogonal => return 0,
+            Packing::HexagonalRows(shifted) => (k, l, shifted),
+            Packing::HexagonalColumns(shifted) => (l, k, shifted),
         };
-        let step = match self.shifted {
+        let step = match shifted {
             Parity::Even => 1,
             Parity::Odd => 2,
         };
@@ -132,13 +196,15 @@ mod tests {
 
     fn lattices() -> Vec<Lattice> {
         let mut lattices = Vec::new();
-        for kind in
-            [LatticeKind::Orthogonal, LatticeKind::HexagonalRows, LatticeKind::HexagonalColumns]
-        {
-            for shifted in [Parity::Even, Parity::Odd] {
-                for (columns, rows) in [(7, 6), (6, 7), (1, 5), (5, 1)] {
-                    lattices.push(Lattice { kind, columns, rows, shifted });
-                }
+        for packing in [
+            Packing::Orthogonal,
+            Packing::HexagonalRows(Parity::Even),
+            Packing::HexagonalRows(Parity::Odd),
+            Packing::HexagonalColumns(Parity::Even),
+            Packing::HexagonalColumns(Parity::Odd),
+        ] {
+            for (columns, rows) in [(7, 6), (6, 7), (1, 5), (5, 1)] {
+                lattices.push(Lattice { packing, columns, rows });
             }
         }
         lattices
@@ -172,7 +238,7 @@ mod tests {
     #[test]
     fn neighbours_on_a_hexagonal_lattice_have_three_different_types() {
         for lattice in lattices() {
-            if lattice.kind == LatticeKind::Orthogonal {
+            if lattice.packing == Packing::Orthogonal {
                 continue;
             }
             assert_eq!(lattice.lens_type(0, 0, 3), 0);
@@ -190,12 +256,8 @@ mod tests {
 
     #[test]
     fn types_of_the_r12_follow_the_published_rule() {
-        let lattice = Lattice {
-            kind: LatticeKind::HexagonalRows,
-            columns: 176,
-            rows: 152,
-            shifted: Parity::Even,
-        };
+        let lattice =
+            Lattice { packing: Packing::HexagonalRows(Parity::Even), columns: 176, rows: 152 };
         for (k, l) in nodes(&lattice) {
             assert_eq!(lattice.lens_type(k, l, 3), usize::try_from((l % 2 + k) % 3).unwrap());
         }

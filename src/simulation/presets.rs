@@ -1,12 +1,9 @@
-//! Simulation files: the settings of a simulated data set in TOML, and the presets.
-
-use std::path::Path;
+//! The settings of a simulated data set as text (TOML), and the presets.
 
 use toml::{Table, Value};
 
-use super::read_text;
+use super::settings::Settings;
 use crate::error::{Error, Result};
-use crate::simulation::Settings;
 
 /// A simulation file that comes with plenocal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,23 +27,29 @@ macro_rules! presets {
 pub const PRESETS: [Preset; 6] =
     presets!["mini", "r12-a", "r12-b", "r12-c", "lytro-like", "keplerian"];
 
-/// The settings of a preset with some values replaced, see [`read_settings`].
-pub fn preset_settings(preset: &Preset, replaced: &[String]) -> Result<Settings> {
-    settings_from(preset.text, replaced)
-        .map_err(|e| Error::invalid(format!("preset {}: {e}", preset.name)))
-}
+impl Settings {
+    /// The settings of a preset with some values replaced, see [`Settings::from_toml`].
+    pub fn preset(name: &str, replaced: &[String]) -> Result<Self> {
+        let Some(preset) = PRESETS.iter().find(|preset| preset.name == name) else {
+            let names = PRESETS.map(|preset| preset.name).join(", ");
+            return Err(Error::invalid(format!("there is no preset '{name}'; there are {names}")));
+        };
+        Self::from_toml(preset.text, replaced)
+            .map_err(|e| Error::invalid(format!("preset {name}: {e}")))
+    }
 
-/// Reads a simulation file. `replaced` holds `key=value` pairs that go before the file: keys with
-/// dots for tables, values in TOML (or plain words).
-pub fn read_settings(path: &Path, replaced: &[String]) -> Result<Settings> {
-    settings_from(&read_text(path)?, replaced).map_err(|e| e.in_file(path))
-}
+    /// Settings from the text of a simulation file. `replaced` holds `key=value` pairs that take
+    /// precedence over the file: keys with dots for tables, values in TOML (or plain words).
+    pub fn from_toml(text: &str, replaced: &[String]) -> Result<Self> {
+        settings_from(text, replaced)
+    }
 
-/// The settings as a simulation file.
-pub fn settings_text(settings: &Settings) -> Result<String> {
-    toml::to_string(settings)
-        .map(|text| format!("{text}{LEFT_OUT}"))
-        .map_err(|e| Error::invalid(format!("the settings cannot be written: {e}")))
+    /// The settings as the text of a simulation file.
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string(self)
+            .map(|text| format!("{text}{LEFT_OUT}"))
+            .map_err(|e| Error::invalid(format!("the settings cannot be written: {e}")))
+    }
 }
 
 /// What a simulation file need not have.

@@ -162,8 +162,9 @@ impl Pair {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::{Configuration, Datasheet, InternalParameters, Sensor};
-    use crate::lattice::{Lattice, LatticeKind, Parity};
+    use crate::model::{
+        Configuration, Datasheet, InternalParameters, Lattice, LatticeKind, Packing, Sensor,
+    };
     use crate::precalibration::MicroImageArray;
 
     /// Three by three micro-images about the middle of an image of 61 x 61 px.
@@ -186,12 +187,7 @@ mod tests {
             micro_image_pitch_mm: None,
         };
         let grid = MicroImageArray {
-            lattice: Lattice {
-                kind: LatticeKind::Orthogonal,
-                columns: 3,
-                rows: 3,
-                shifted: Parity::Even,
-            },
+            lattice: Lattice { packing: Packing::Orthogonal, columns: 3, rows: 3 },
             pitch_px,
             rotation_rad: 0.0,
             center_px: Vector2::new(30.0, 30.0),

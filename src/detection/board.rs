@@ -6,8 +6,8 @@ use nalgebra::{DMatrix, Matrix2, Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::cells::Cells;
-use crate::camera::Board;
 use crate::error::Error;
+use crate::model::Board;
 
 /// The pinhole image of a corner, and how the squares about it lie.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,0 +1,236 @@
+//! The camera model's parameters as plain values.
+
+use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::camera_fields::CameraFields;
+use super::checks::positive;
+use super::datasheet::Configuration;
+use super::lattice::{Lattice, LatticeKind};
+use super::parameters::intrinsic_parameters;
+use crate::error::{Error, Result};
+
+/// The image sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sensor {
+    /// Width, px.
+    pub width_px: u32,
+    /// Height, px.
+    pub height_px: u32,
+    /// Edge of a pixel s, mm.
+    pub pixel_size_mm: f64,
+}
+
+impl Sensor {
+    /// Middle of the image, px; pixel (0, 0) is the centre of the top-left pixel.
+    #[must_use]
+    pub fn center_px(&self) -> Vector2<f64> {
+        Vector2::new(f64::from(self.width_px) - 1.0, f64::from(self.height_px) - 1.0) / 2.0
+    }
+
+    /// Whether a position lies between the centres of the outermost pixels.
+    #[must_use]
+    pub fn contains(&self, u_px: f64, v_px: f64) -> bool {
+        (0.0..=f64::from(self.width_px) - 1.0).contains(&u_px)
+            && (0.0..=f64::from(self.height_px) - 1.0).contains(&v_px)
+    }
+
+    /// An error unless the sensor has pixels.
+    pub(crate) fn validate(&self) -> Result<()> {
+        if self.width_px == 0 || self.height_px == 0 {
+            return Err(Error::invalid(format!(
+                "a sensor of {} x {} pixels has no area",
+                self.width_px, self.height_px
+            )));
+        }
+        positive(self.pixel_size_mm, "the pixel size (mm)")
+    }
+}
+
+/// The main lens: thin, with Brown-Conrady distortion of the image point, in mm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MainLens {
+    /// F, mm.
+    pub focal_length_mm: f64,
+    /// Q₁, Q₂, Q₃ in mm⁻², mm⁻⁴, mm⁻⁶.
+    pub radial: [f64; 3],
+    /// P₁, P₂ in mm⁻¹.
+    pub tangential: [f64; 2],
+    /// What the lens was set to; for the record, the model does not use it.
+    pub setting: Option<LensSetting>,
+}
+
+/// Setting of the main lens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensSetting {
+    /// F-number N.
+    pub f_number: f64,
+    /// Distance h between the sensor and the plane in focus, mm; may be infinite.
+    pub focus_distance_mm: f64,
+}
+
+/// The micro-lens array and the sensor behind it. Distances run along the optical axis and hold at
+/// the centre of the array.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MicroLensArray {
+    /// (u₀, v₀), px: where the optical axis meets the sensor.
+    pub principal_point_px: Vector2<f64>,
+    /// d: array to sensor, mm.
+    pub mla_to_sensor_mm: f64,
+    /// θx, θy, θz, rad: the array is turned by Rz·Ry·Rx.
+    pub rotation_rad: Vector3<f64>,
+    /// t_x, t_y, mm: centre of the array in the camera frame.
+    pub offset_mm: Vector2<f64>,
+    /// D: main lens to array, mm.
+    pub lens_to_mla_mm: f64,
+    /// ΔC: distance of neighbouring micro-lenses along x, mm.
+    pub pitch_mm: f64,
+    /// Pitch along y over pitch along x; 1 for a regular lattice.
+    pub pitch_ratio: f64,
+    /// f₁ … f_I, mm; empty for an array of pinholes.
+    pub focal_lengths_mm: Vec<f64>,
+}
+
+/// A calibrated (or to be refined) camera: the 16 + I parameters of the paper and the ratio of the
+/// two pitches.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "CameraFields", into = "CameraFields")]
+pub struct PlenopticCamera {
+    /// The image sensor.
+    pub sensor: Sensor,
+    /// Indices and packing of the micro-lenses.
+    pub lattice: Lattice,
+    /// The main lens.
+    pub main_lens: MainLens,
+    /// The micro-lens array.
+    pub mla: MicroLensArray,
+}
+
+impl MainLens {
+    /// By how much distortion moves an ideal image point, both in mm of the camera frame
+    /// (Brown-Conrady; paper, section 2.1).
+    #[inline]
+    #[must_use]
+    pub fn distortion_mm(&self, x: Vector2<f64>) -> Vector2<f64> {
+        let [q1, q2, q3] = self.radial;
+        let [p1, p2] = self.tangential;
+        let r2 = x.norm_squared();
+        let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
+        let across = p1 * x.x + p2 * x.y;
+        // P1 (r² + 2x²) + 2 P2 x y = P1 r² + 2x (P1 x + P2 y), and the same along y.
+        x * (radial + 2.0 * across) + Vector2::new(p1, p2) * r2
+    }
+}
+
+impl PlenopticCamera {
+    /// Number I of lens types.
+    #[must_use]
+    pub fn lens_types(&self) -> usize {
+        self.mla.focal_lengths_mm.len()
+    }
+
+    /// Index of the lens type of micro-lens (k, l), from 0.
+    #[must_use]
+    pub fn lens_type(&self, k: i32, l: i32) -> usize {
+        self.lattice.lens_type(k, l, self.lens_types())
+    }
+
+    /// Galilean or Keplerian, by comparing the micro-lenses' focal lengths with d; `None` for a
+    /// pinhole array.
+    #[must_use]
+    pub fn configuration(&self) -> Option<Configuration> {
+        let f = self.mla.focal_lengths_mm.iter().copied().reduce(f64::max)?;
+        Some(if f > self.mla.mla_to_sensor_mm {
+            Configuration::Galilean
+        } else if f < self.mla.mla_to_sensor_mm {
+            Configuration::Keplerian
+        } else {
+            Configuration::Unfocused
+        })
+    }
+
+    /// δc: distance of neighbouring micro-image centres, px, Eq. (mlinterdist).
+    #[must_use]
+    pub fn micro_image_pitch_px(&self) -> f64 {
+        let mla = &self.mla;
+        mla.pitch_mm * (mla.lens_to_mla_mm + mla.mla_to_sensor_mm)
+            / (mla.lens_to_mla_mm * self.sensor.pixel_size_mm)
+    }
+
+    /// An error naming the value that cannot be.
+    pub fn validate(&self) -> Result<()> {
+        self.sensor.validate()?;
+        check_array_size(self.lattice.columns, self.lattice.rows)?;
+        check_lens_types(self.lens_types(), self.lattice.kind())?;
+        if let Some(setting) = self.main_lens.setting {
+            positive(setting.f_number, "the f-number of the main lens")?;
+        }
+        let mla = &self.mla;
+        positive(self.main_lens.focal_length_mm, "the camera's F (mm)")?;
+        positive(mla.lens_to_mla_mm, "the camera's D (mm)")?;
+        positive(mla.mla_to_sensor_mm, "the camera's d (mm)")?;
+        positive(mla.pitch_mm, "the camera's dC (mm)")?;
+        positive(mla.pitch_ratio, "the camera's dC_ratio")?;
+        for (i, &f) in mla.focal_lengths_mm.iter().enumerate() {
+            positive(f, &format!("the camera's f_{} (mm)", i + 1))?;
+        }
+        for (parameter, value) in
+            intrinsic_parameters(self.lens_types()).iter().zip(self.intrinsics())
+        {
+            // Far beyond this squares overflow.
+            if !value.is_finite() || value.abs() > 1e100 {
+                return Err(Error::invalid(format!("the camera's {} is {value}", parameter.name)));
+            }
+        }
+        Ok(())
+    }
+
+    /// Values of all intrinsic parameters in the order and units of [`intrinsic_parameters`].
+    #[must_use]
+    pub fn intrinsics(&self) -> Vec<f64> {
+        intrinsic_parameters(self.lens_types()).iter().map(|p| p.value(self)).collect()
+    }
+
+    /// This camera with other values of its intrinsic parameters.
+    ///
+    /// # Panics
+    /// If the number of values is not that of [`PlenopticCamera::intrinsics`].
+    #[must_use]
+    pub fn with_intrinsics(&self, values: &[f64]) -> Self {
+        let parameters = intrinsic_parameters(self.lens_types());
+        assert_eq!(values.len(), parameters.len());
+        let mut camera = self.clone();
+        for (parameter, &value) in parameters.iter().zip(values) {
+            parameter.set(&mut camera, value);
+        }
+        camera
+    }
+}
+
+/// The largest number of micro-lenses along a side; beyond what any sensor has pixels for.
+pub const MAX_MICRO_LENSES: i32 = 1 << 16;
+
+/// An error unless an array can have these numbers of micro-lenses.
+pub(crate) fn check_array_size(columns: i32, rows: i32) -> Result<()> {
+    let possible = 1..=MAX_MICRO_LENSES;
+    if possible.contains(&columns) && possible.contains(&rows) {
+        return Ok(());
+    }
+    Err(Error::invalid(format!(
+        "a micro-lens array of {columns} x {rows} is not possible: each side takes 1 to \
+         {MAX_MICRO_LENSES}"
+    )))
+}
+
+/// An error unless the number of lens types is one the lattice can carry.
+pub(crate) fn check_lens_types(types: usize, kind: LatticeKind) -> Result<()> {
+    match (types, kind) {
+        (0 | 1, _) | (3, LatticeKind::HexagonalRows | LatticeKind::HexagonalColumns) => Ok(()),
+        _ => Err(Error::invalid(format!(
+            "{types} lens types on the lattice '{}' are not known: give 0 (pinholes) or 1, or 3 on a \
+             hexagonal lattice",
+            kind.name()
+        ))),
+    }
+}

@@ -1,0 +1,121 @@
+//! A camera as it stands in files: `camera.json` and simulation files.
+
+use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera, Sensor};
+use super::lattice::{Lattice, LatticeKind, Packing, Parity};
+
+/// A camera as it stands in files.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct CameraFields {
+    sensor: Sensor,
+    main_lens: MainLensFile,
+    principal_point_px: [f64; 2],
+    micro_lens_array: ArrayFile,
+}
+
+#[derive(Serialize, Deserialize)]
+struct MainLensFile {
+    focal_length_mm: f64,
+    q1_per_mm2: f64,
+    q2_per_mm4: f64,
+    q3_per_mm6: f64,
+    p1_per_mm: f64,
+    p2_per_mm: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    f_number: Option<f64>,
+    /// Left out when the lens was focused at infinity or the setting is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    focus_distance_mm: Option<f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct ArrayFile {
+    lattice: LatticeKind,
+    columns: i32,
+    rows: i32,
+    /// Of a hexagonal lattice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    shifted: Option<Parity>,
+    lens_to_mla_mm: f64,
+    mla_to_sensor_mm: f64,
+    rotation_rad: [f64; 3],
+    offset_mm: [f64; 2],
+    pitch_mm: f64,
+    pitch_ratio: f64,
+    focal_lengths_mm: Vec<f64>,
+}
+
+impl From<PlenopticCamera> for CameraFields {
+    fn from(camera: PlenopticCamera) -> Self {
+        let (lens, mla) = (&camera.main_lens, &camera.mla);
+        let [q1_per_mm2, q2_per_mm4, q3_per_mm6] = lens.radial;
+        let [p1_per_mm, p2_per_mm] = lens.tangential;
+        let focus = lens.setting.map(|s| s.focus_distance_mm);
+        Self {
+            sensor: camera.sensor,
+            main_lens: MainLensFile {
+                focal_length_mm: lens.focal_length_mm,
+                q1_per_mm2,
+                q2_per_mm4,
+                q3_per_mm6,
+                p1_per_mm,
+                p2_per_mm,
+                f_number: lens.setting.map(|s| s.f_number),
+                // JSON has no infinity.
+                focus_distance_mm: focus.filter(|h| h.is_finite()),
+            },
+            principal_point_px: mla.principal_point_px.into(),
+            micro_lens_array: ArrayFile {
+                lattice: camera.lattice.kind(),
+                columns: camera.lattice.columns,
+                rows: camera.lattice.rows,
+                shifted: camera.lattice.packing.shifted(),
+                lens_to_mla_mm: mla.lens_to_mla_mm,
+                mla_to_sensor_mm: mla.mla_to_sensor_mm,
+                rotation_rad: mla.rotation_rad.into(),
+                offset_mm: mla.offset_mm.into(),
+                pitch_mm: mla.pitch_mm,
+                pitch_ratio: mla.pitch_ratio,
+                focal_lengths_mm: camera.mla.focal_lengths_mm,
+            },
+        }
+    }
+}
+
+impl TryFrom<CameraFields> for PlenopticCamera {
+    type Error = &'static str;
+
+    fn try_from(fields: CameraFields) -> Result<Self, Self::Error> {
+        let (lens, array) = (fields.main_lens, fields.micro_lens_array);
+        let packing = match (array.lattice, array.shifted) {
+            (LatticeKind::Orthogonal, _) => Packing::Orthogonal,
+            (kind, Some(shifted)) => Packing::new(kind, shifted),
+            (_, None) => return Err("a hexagonal lattice takes shifted = \"even\" or \"odd\""),
+        };
+        Ok(Self {
+            sensor: fields.sensor,
+            lattice: Lattice { packing, columns: array.columns, rows: array.rows },
+            main_lens: MainLens {
+                focal_length_mm: lens.focal_length_mm,
+                radial: [lens.q1_per_mm2, lens.q2_per_mm4, lens.q3_per_mm6],
+                tangential: [lens.p1_per_mm, lens.p2_per_mm],
+                setting: lens.f_number.map(|f_number| LensSetting {
+                    f_number,
+                    focus_distance_mm: lens.focus_distance_mm.unwrap_or(f64::INFINITY),
+                }),
+            },
+            mla: MicroLensArray {
+                principal_point_px: Vector2::from(fields.principal_point_px),
+                mla_to_sensor_mm: array.mla_to_sensor_mm,
+                rotation_rad: Vector3::from(array.rotation_rad),
+                offset_mm: Vector2::from(array.offset_mm),
+                lens_to_mla_mm: array.lens_to_mla_mm,
+                pitch_mm: array.pitch_mm,
+                pitch_ratio: array.pitch_ratio,
+                focal_lengths_mm: array.focal_lengths_mm,
+            },
+        })
+    }
+}

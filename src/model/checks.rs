@@ -1,0 +1,12 @@
+//! Checks that several values share.
+
+use crate::error::{Error, Result};
+
+/// An error naming the value unless it is positive and finite.
+pub(crate) fn positive(value: f64, name: &str) -> Result<()> {
+    if value.is_finite() && value > 0.0 {
+        Ok(())
+    } else {
+        Err(Error::invalid(format!("{name} is {value}; it has to be positive and finite")))
+    }
+}

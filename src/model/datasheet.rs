@@ -1,0 +1,100 @@
+//! What is known of a camera before it is calibrated: its datasheet, and what white images tell.
+
+use serde::{Deserialize, Serialize};
+
+use super::camera::{Sensor, check_array_size, check_lens_types};
+use super::checks::positive;
+use super::lattice::LatticeKind;
+use crate::error::{Error, Result};
+
+/// Where the main lens focuses with respect to the micro-lens array.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Configuration {
+    /// Behind the array (and the sensor): f > d.
+    Galilean,
+    /// In front of the array: f < d.
+    Keplerian,
+    /// On the array: f = d.
+    Unfocused,
+}
+
+/// What the datasheet says of a camera: the start of a calibration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Datasheet {
+    /// The image sensor.
+    pub sensor: Sensor,
+    /// Focal length F of the main lens, mm.
+    pub focal_length_mm: f64,
+    /// Distance h between the sensor and the plane in focus, mm; infinite is allowed.
+    pub focus_distance_mm: f64,
+    /// F-number N that the main lens was set to.
+    pub f_number: f64,
+    /// Galilean, Keplerian or unfocused.
+    pub configuration: Configuration,
+    /// Packing of the micro-lenses.
+    pub lattice_kind: LatticeKind,
+    /// Number of micro-lenses along a row.
+    pub columns: i32,
+    /// Number of micro-lenses along a column.
+    pub rows: i32,
+    /// Number I of lens types; 0 for an array of pinholes.
+    pub lens_types: usize,
+    /// Distance of neighbouring micro-image centres, px, where it is stated.
+    pub micro_image_pitch_px: Option<f64>,
+}
+
+/// Internal parameters Ω = {m, q'₁ … q'_I} (paper, section 3.2), measured on white images.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InternalParameters {
+    /// |m|, mm: growth of the micro-image radius with 1/N.
+    pub m_mm: f64,
+    /// q'ᵢ, mm, by lens type.
+    pub q_prime_mm: Vec<f64>,
+    /// Distance Δc of neighbouring micro-image centres, mm, where it was measured along.
+    pub micro_image_pitch_mm: Option<f64>,
+}
+
+impl Datasheet {
+    /// An error naming the value that cannot be.
+    pub fn validate(&self) -> Result<()> {
+        self.sensor.validate()?;
+        check_array_size(self.columns, self.rows)?;
+        if let Some(pitch) = self.micro_image_pitch_px {
+            positive(pitch, "the micro-image pitch (px)")?;
+        }
+        positive(self.focal_length_mm, "the focal length of the main lens (mm)")?;
+        positive(self.f_number, "the f-number of the main lens")?;
+        check_lens_types(self.lens_types, self.lattice_kind)?;
+        // The sum of object and image distance of a thin lens is at least 4F.
+        if self.focus_distance_mm.is_nan() || self.focus_distance_mm < 4.0 * self.focal_length_mm {
+            return Err(Error::invalid(format!(
+                "a focus distance of {} mm is not possible with F = {} mm: it is measured from the \
+                 sensor and is at least 4 F",
+                self.focus_distance_mm, self.focal_length_mm
+            )));
+        }
+        Ok(())
+    }
+}
+
+impl InternalParameters {
+    /// An error naming the value that cannot be, or the number of q' that does not match.
+    pub fn validate(&self, lens_types: usize) -> Result<()> {
+        positive(self.m_mm, "the internal parameter |m| (mm)")?;
+        for (i, &q) in self.q_prime_mm.iter().enumerate() {
+            positive(q, &format!("the internal parameter q'_{} (mm)", i + 1))?;
+        }
+        if let Some(pitch) = self.micro_image_pitch_mm {
+            positive(pitch, "the micro-image pitch (mm)")?;
+        }
+        if lens_types != 0 && self.q_prime_mm.len() != lens_types {
+            return Err(Error::invalid(format!(
+                "the camera has I = {lens_types} lens types, but the internal parameters hold {} \
+                 values of q'; both have to be of the same camera",
+                self.q_prime_mm.len()
+            )));
+        }
+        Ok(())
+    }
+}

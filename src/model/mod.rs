@@ -1,0 +1,27 @@
+//! The values that everything else is about: the camera, the board and its poses, what is seen in
+//! images, and the scalar relations between them. Nothing here reads, solves or prints.
+
+mod board;
+mod camera;
+mod camera_fields;
+mod checks;
+mod datasheet;
+mod lattice;
+mod noise;
+mod observations;
+pub mod optics;
+mod parameters;
+mod reprojection;
+
+pub use board::{Board, FramePose};
+pub(crate) use camera::check_lens_types;
+pub use camera::{
+    LensSetting, MAX_MICRO_LENSES, MainLens, MicroLensArray, PlenopticCamera, Sensor,
+};
+pub(crate) use checks::positive;
+pub use datasheet::{Configuration, Datasheet, InternalParameters};
+pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};
+pub use noise::{Noise, NoiseSource};
+pub use observations::{BapFeature, MIN_CORNERS, MicroImageCenter, Observations};
+pub use parameters::{MAX_LENS_TYPES, Parameter, intrinsic_parameters};
+pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};

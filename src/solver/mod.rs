@@ -1,0 +1,15 @@
+//! The C++ core and the problems it is given: projection, refinement, uncertainty.
+
+mod bridge;
+mod options;
+mod problem;
+mod refinement;
+mod synthetic;
+mod uncertainty;
+
+pub(crate) use bridge::{project, project_centers, refine, uncertainty};
+pub use options::{CostOptions, Loss, SolverOptions};
+pub(crate) use problem::{Problem, SolverFeature};
+pub use refinement::{Iteration, Refinement, Termination};
+pub use synthetic::synthesize;
+pub use uncertainty::{Component, Uncertainty, WeakDirection};

@@ -1,0 +1,66 @@
+//! The cost function and how to minimise it.
+
+/// Robust loss on the norm of an observation's standardised residual.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Loss {
+    /// Least squares, the paper.
+    None,
+    /// Linear beyond `scale` standard deviations.
+    Huber {
+        /// In standard deviations.
+        scale: f64,
+    },
+    /// Logarithmic beyond `scale` standard deviations.
+    Cauchy {
+        /// In standard deviations.
+        scale: f64,
+    },
+}
+
+/// The cost: ½ Σ loss(|r/σ|²).
+#[derive(Debug, Clone, PartialEq)]
+pub struct CostOptions {
+    /// σ of u and v of a feature, px.
+    pub uv_std_dev_px: f64,
+    /// σ of ρ, px.
+    pub rho_std_dev_px: f64,
+    /// σ of u and v of a micro-image centre, px.
+    pub centers_std_dev_px: f64,
+    /// Loss on features and on centres.
+    pub loss: Loss,
+    /// Names of the intrinsic parameters that keep their value.
+    pub fixed: Vec<String>,
+}
+
+impl Default for CostOptions {
+    /// The paper's cost: 1 px each, no loss, one pitch.
+    fn default() -> Self {
+        Self {
+            uv_std_dev_px: 1.0,
+            rho_std_dev_px: 1.0,
+            centers_std_dev_px: 1.0,
+            loss: Loss::None,
+            fixed: vec!["dC_ratio".to_owned()],
+        }
+    }
+}
+
+/// How to minimise the cost.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SolverOptions {
+    /// Limit of Levenberg-Marquardt iterations.
+    pub max_iterations: usize,
+    /// Threads of the solver.
+    pub threads: usize,
+    /// Go to the extrapolated limit of the steps where they become slow; false leaves all to Ceres.
+    pub extrapolate: bool,
+    /// Initial trust-region radius; large, since the first steps are nearly Gauss-Newton's.
+    pub initial_trust_region_radius: f64,
+}
+
+impl Default for SolverOptions {
+    fn default() -> Self {
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        Self { max_iterations: 200, threads, initial_trust_region_radius: 1e10, extrapolate: true }
+    }
+}
