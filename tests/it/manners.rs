@@ -29,7 +29,7 @@ fn records_go_to_stderr_and_json_stays_pure() {
     };
     assert!(lines(&[]).is_empty());
     let (few, more) = (lines(&["-v"]), lines(&["-vv"]));
-    for word in ["features.csv", "calibration: begun", "calibration: ended", "cost", "written"] {
+    for word in ["features.csv", "calibration: new", "calibration: close", "cost", "written"] {
         assert!(few.contains(word), "{word}: {few}");
     }
     assert!(!few.contains("iteration 1:") && more.contains("iteration 1:"), "{more}");
