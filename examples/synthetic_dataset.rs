@@ -115,7 +115,7 @@ fn rounded(observations: Observations) -> Observations {
             .map(|f| BapFeature {
                 u_px: round(f.u_px),
                 v_px: round(f.v_px),
-                rho_px: round(f.rho_px),
+                rho_px: f.rho_px.map(round),
                 ..f
             })
             .collect(),

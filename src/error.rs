@@ -2,7 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-/// What went wrong, in words that name the file or value and the remedy.
+/// What went wrong, in words that name the file or value.
+///
+/// The variants with values of their own are those whose remedy depends on how the library is
+/// called: the command line adds which option helps.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A file could not be opened or read.
@@ -21,17 +24,71 @@ pub enum Error {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// A file's content is not what it should be.
-    #[error("{}: {message}", path.display())]
-    Content {
+    /// The content of a file is wrong.
+    #[error("{}: {error}", path.display())]
+    InFile {
         /// The file.
         path: PathBuf,
-        /// What is wrong, where, and what to do.
-        message: String,
+        /// What is wrong in it.
+        error: Box<Error>,
     },
-    /// Values that do not fit together or that the model is not defined for.
+    /// Values that contradict each other, or for which the model is not defined; with the remedy.
     #[error("{0}")]
     Invalid(String),
+    /// A feature without a blur radius, where the cost needs one.
+    #[error("{feature} has no blur radius")]
+    NoBlurRadius {
+        /// The feature, in words.
+        feature: String,
+    },
+    /// A frame with too few board corners for a pose.
+    #[error("frame {frame} shows {corners} board corner(s), but a pose needs at least {needed}")]
+    TooFewCorners {
+        /// Label of the frame.
+        frame: u32,
+        /// Its board corners.
+        corners: usize,
+        /// Fewest that give a pose.
+        needed: usize,
+    },
+    /// A calibration without micro-image centres.
+    #[error(
+        "there are no micro-image centres: without them the position of the array is not determined"
+    )]
+    NoCenters,
+    /// A part of the input that was not given.
+    #[error("{} missing", missing.phrase())]
+    Missing {
+        /// Which part.
+        missing: Input,
+    },
+    /// Poses alone were asked for, but only the datasheet of a camera is there.
+    #[error("poses alone need a calibrated camera, but this is a datasheet")]
+    NotCalibrated,
+}
+
+/// A part of the input of a calibration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Input {
+    /// The camera: a datasheet, or one calibrated before.
+    Camera,
+    /// Internal parameters from white images.
+    InternalParameters,
+    /// The board.
+    Board,
+    /// BAP features.
+    Features,
+}
+
+impl Input {
+    fn phrase(self) -> &'static str {
+        match self {
+            Self::Camera => "a camera is",
+            Self::InternalParameters => "the internal parameters (m and q') are",
+            Self::Board => "a board is",
+            Self::Features => "features are",
+        }
+    }
 }
 
 /// Result of every fallible function of the crate.
@@ -39,19 +96,20 @@ pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
     pub(crate) fn content(path: &Path, message: impl Into<String>) -> Self {
-        Self::Content { path: path.to_owned(), message: message.into() }
+        Self::Invalid(message.into()).in_file(path)
     }
 
-    pub(crate) fn invalid(message: impl Into<String>) -> Self {
+    /// Values that contradict each other, or for which something is not defined.
+    pub fn invalid(message: impl Into<String>) -> Self {
         Self::Invalid(message.into())
     }
 
-    /// Ties an error about values to the file they came from.
+    /// Adds the file whose content is wrong; errors that name a file already stay as they are.
     #[must_use]
     pub fn in_file(self, path: &Path) -> Self {
         match self {
-            Self::Invalid(message) => Self::content(path, message),
-            other => other,
+            Self::Read { .. } | Self::Write { .. } | Self::InFile { .. } => self,
+            other => Self::InFile { path: path.to_owned(), error: Box::new(other) },
         }
     }
 }

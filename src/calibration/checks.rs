@@ -1,7 +1,7 @@
 //! What a calibration looks at before and after the refinement: whether camera and observations
 //! belong together, and what the user should know of the result.
 
-use crate::calibration::{LeftOut, Mode, Start};
+use crate::calibration::{LeftOut, Mode, NoPose, Start, Warning};
 use crate::error::{Error, Result};
 use crate::model::{
     BapFeature, Board, Datasheet, FramePose, InternalParameters, MicroImageCenter, Observations,
@@ -39,12 +39,12 @@ pub(super) fn without_frames(
     let excluded = known.into_iter().filter(|frame| frames.contains(frame)).map(|frame| LeftOut {
         frame,
         features: out.iter().filter(|f| f.frame == frame).count(),
-        reason: "excluded on request".to_owned(),
+        reason: NoPose::Excluded,
     });
     Ok((Observations { centers: observations.centers.clone(), features: kept }, excluded.collect()))
 }
 
-/// An error unless there is enough to calibrate from, and every observation can be.
+/// An error unless there is enough to calibrate from, and every observation is possible.
 pub(super) fn check_observations(
     start: &Start,
     board: &Board,
@@ -58,10 +58,7 @@ pub(super) fn check_observations(
         return Err(Error::invalid("there are no features"));
     }
     if observations.centers.is_empty() && mode != Mode::PosesOnly {
-        return Err(Error::invalid(
-            "there are no micro-image centres: without them the array's place is not determined; \
-             give them (--centers)",
-        ));
+        return Err(Error::NoCenters);
     }
     Ok(())
 }
@@ -103,7 +100,13 @@ pub(super) fn check_indices(
     } else {
         let named: Vec<MicroImageCenter> = features
             .iter()
-            .map(|f| MicroImageCenter { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px })
+            .map(|f| MicroImageCenter {
+                k: f.k,
+                l: f.l,
+                u_px: f.u_px,
+                v_px: f.v_px,
+                std_dev_px: None,
+            })
             .collect();
         let problem = Problem { camera, poses: &[], features: &[], centers: &named };
         (solver::project_centers(&problem)?, camera.micro_image_pitch_px())
@@ -142,87 +145,59 @@ pub(super) fn check_refined(refinement: &Refinement) -> Result<()> {
 }
 
 /// A warning of centres far from the grid.
-pub(super) fn outlying_centers(grid: &MicroImageArray, centers: usize) -> Option<String> {
-    (grid.outliers > 0).then(|| {
-        format!(
-            "{} of {centers} micro-image centres lie far from the grid (its RMS is {:.3} px); they \
-             are kept, a robust loss (--loss) lessens their weight",
-            grid.outliers, grid.rms_px
-        )
-    })
+pub(super) fn outlying_centers(grid: &MicroImageArray, centers: usize) -> Option<Warning> {
+    let (outliers, grid_rms_px) = (grid.outliers, grid.rms_px);
+    (outliers > 0).then_some(Warning::OutlyingCenters { outliers, centers, grid_rms_px })
 }
 
 /// A warning of an array that reaches far out of the image.
-pub(super) fn array_beyond_image(camera: &PlenopticCamera) -> Option<String> {
-    let lattice = &camera.lattice;
+pub(super) fn array_beyond_image(camera: &PlenopticCamera) -> Option<Warning> {
+    let (lattice, sensor) = (&camera.lattice, &camera.sensor);
     let extent = camera.micro_image_pitch_px()
         * (lattice.node(lattice.columns - 1, lattice.rows - 1) - lattice.node(0, 0));
     let beyond = |extent: f64, image: u32| extent > ARRAY_OVER_IMAGE * f64::from(image);
-    let sensor = &camera.sensor;
-    (beyond(extent.x, sensor.width_px) || beyond(extent.y, sensor.height_px)).then(|| {
-        format!(
-            "{} x {} micro-lenses cover {:.0} x {:.0} px, but the image has {} x {}: is the size of \
-             the array right? D, d, t_x and t_y hold at its middle",
-            lattice.columns, lattice.rows, extent.x, extent.y, sensor.width_px, sensor.height_px
-        )
-    })
+    (beyond(extent.x, sensor.width_px) || beyond(extent.y, sensor.height_px)).then_some(
+        Warning::ArrayBeyondImage {
+            array: (lattice.columns, lattice.rows),
+            extent_px: (extent.x, extent.y),
+            image_px: (sensor.width_px, sensor.height_px),
+        },
+    )
 }
 
-/// A warning of parameters that the observations say nothing of.
-pub(super) fn undetermined(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> Option<String> {
-    if uncertainty.rank == uncertainty.size() {
+/// A warning of parameters that the observations say nothing about.
+pub(super) fn undetermined(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> Option<Warning> {
+    let (rank, parameters) = (uncertainty.rank, uncertainty.size());
+    if rank == parameters {
         return None;
     }
-    let parameters = intrinsic_parameters(camera.lens_types());
-    let names: Vec<&str> = uncertainty
-        .undetermined_intrinsics()
-        .into_iter()
-        .map(|index| parameters[index].name)
-        .collect();
-    let which = if names.is_empty() { "some poses".to_owned() } else { names.join(", ") };
-    Some(format!(
-        "the observations determine {} of {} parameters; not determined: {which}. Hold parameters \
-         (--fix), or add what would determine them: frames at other distances and tilts, every lens \
-         type",
-        uncertainty.rank,
-        uncertainty.size()
-    ))
+    let all = intrinsic_parameters(camera.lens_types());
+    let names = uncertainty.undetermined_intrinsics().into_iter().map(|i| all[i].name).collect();
+    Some(Warning::Undetermined { rank, parameters, names })
 }
 
 /// A warning of residuals that no noise explains.
-pub(super) fn bad_fit(camera: &PlenopticCamera, reprojection: &Reprojection) -> Option<String> {
-    let (rmse, pitch) = (reprojection.rmse(), camera.micro_image_pitch_px());
-    if rmse.all_px > BAD_FIT * pitch {
-        return Some(format!(
-            "the features are missed by {:.2} px RMS, a good part of a micro-image ({pitch:.1} px): \
-             this is no noise; check the board, the sign of rho and the frames of large error",
-            rmse.all_px
-        ));
+pub(super) fn bad_fit(camera: &PlenopticCamera, reprojection: &Reprojection) -> Option<Warning> {
+    let (rmse, micro_image_pitch_px) = (reprojection.rmse(), camera.micro_image_pitch_px());
+    if rmse.all_px > BAD_FIT * micro_image_pitch_px {
+        return Some(Warning::BadFit { rms_px: rmse.all_px, micro_image_pitch_px });
     }
     let count = rmse.count as f64;
-    let radii = || reprojection.features.iter().map(|r| r.feature.rho_px);
+    let radii = || reprojection.features.iter().filter_map(|r| r.feature.rho_px);
     let mean = radii().sum::<f64>() / count;
-    let spread = (radii().map(|rho| (rho - mean).powi(2)).sum::<f64>() / count).sqrt();
-    let rho_px = rmse.rho_px.filter(|rho_px| *rho_px > UNEXPLAINED_RHO * spread)?;
-    Some(format!(
-        "the blur radii are missed by {rho_px:.3} px RMS, though they spread by {spread:.3} px only: \
-         the camera does not explain them; check the sign of rho and the order of q'"
-    ))
+    let spread_px = (radii().map(|rho| (rho - mean).powi(2)).sum::<f64>() / count).sqrt();
+    let rms_px = rmse.rho_px.filter(|rms_px| *rms_px > UNEXPLAINED_RHO * spread_px)?;
+    Some(Warning::UnexplainedBlur { rms_px, spread_px })
 }
 
-/// A warning of boards that leave F and distance open.
-pub(super) fn fronto_parallel(poses: &[FramePose], mode: Mode) -> Option<String> {
+/// A warning of boards from which F and distance can hardly be told apart.
+pub(super) fn fronto_parallel(poses: &[FramePose], mode: Mode) -> Option<Warning> {
     let tilt = |p: &FramePose| {
         let normal = p.camera_from_board.rotation * nalgebra::Vector3::z();
         normal.z.abs().min(1.0).acos()
     };
     let largest = poses.iter().map(tilt).fold(0.0, f64::max);
-    (mode != Mode::PosesOnly && largest < FRONTO_PARALLEL_RAD).then(|| {
-        format!(
-            "all boards are fronto-parallel (tilted by at most {:.1} degrees): the focal length F \
-             and the distance of the boards can hardly be separated; add tilted boards (20 to 40 \
-             degrees)",
-            largest.to_degrees()
-        )
-    })
+    let largest_tilt_deg = largest.to_degrees();
+    (mode != Mode::PosesOnly && largest < FRONTO_PARALLEL_RAD)
+        .then_some(Warning::FrontoParallel { largest_tilt_deg })
 }

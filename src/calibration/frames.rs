@@ -161,7 +161,10 @@ fn frame_costs(
     let mut costs = BTreeMap::new();
     for (f, projected) in features.iter().zip(solver::project(problem)?) {
         let squared = projected.map_or(f64::INFINITY, |[u, v, rho]| {
-            let rho_px = if problem.camera.lens_types() > 0 { f.rho_px - rho } else { 0.0 };
+            let rho_px = f
+                .rho_px
+                .filter(|_| problem.camera.lens_types() > 0)
+                .map_or(0.0, |measured| measured - rho);
             ((f.u_px - u) / cost.uv_std_dev_px).powi(2)
                 + ((f.v_px - v) / cost.uv_std_dev_px).powi(2)
                 + (rho_px / cost.rho_std_dev_px).powi(2)
@@ -185,7 +188,7 @@ pub(super) fn solver_features(
         l: f.l,
         u_px: f.u_px,
         v_px: f.v_px,
-        rho_px: f.rho_px,
+        rho_px: f.rho_px.unwrap_or(f64::NAN),
     };
     features.iter().map(to_solver).collect()
 }
@@ -207,7 +210,7 @@ pub(super) fn feature_residuals(
             lens_type: problem.camera.lens_type(feature.k, feature.l),
             du_px: feature.u_px - u,
             dv_px: feature.v_px - v,
-            drho_px: (problem.camera.lens_types() > 0).then_some(feature.rho_px - rho),
+            drho_px: feature.rho_px.filter(|_| problem.camera.lens_types() > 0).map(|m| m - rho),
         })
     };
     features.iter().zip(solver::project(problem)?).map(residual).collect()

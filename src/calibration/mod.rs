@@ -7,6 +7,8 @@ mod options;
 mod poses;
 mod refine;
 mod result;
+mod warning;
+mod words;
 
 pub use checks::check_stated_pitch;
 pub use initial::initial_camera;
@@ -14,3 +16,5 @@ pub use options::{CalibrationOptions, Mode, Start};
 pub use poses::initial_poses;
 pub use refine::{calibrate, initial_from};
 pub use result::{Calibration, LeftOut};
+pub use warning::{NoPose, Warning};
+pub use words::{termination_text, weakest_directions_text};

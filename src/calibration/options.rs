@@ -5,10 +5,12 @@ use crate::model::{
     Datasheet, InternalParameters, LatticeKind, PlenopticCamera, Sensor, intrinsic_parameters,
     positive,
 };
-use crate::solver::{CostOptions, Loss, SolverOptions};
+use crate::solver::{CostOptions, SolverOptions};
+use serde::{Deserialize, Serialize};
 
 /// What is estimated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Mode {
     /// Camera and poses from (u, v, ρ) and the centres: the paper.
     #[default]
@@ -16,7 +18,7 @@ pub enum Mode {
     /// Camera (an array of pinholes, I = 0) and poses from (u, v) and the centres: Noury et al.
     /// 2017.
     CornersOnly,
-    /// The poses, with the camera held.
+    /// The poses, with the camera fixed.
     PosesOnly,
 }
 
@@ -30,7 +32,7 @@ pub enum Start {
 }
 
 /// All options of a calibration.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct CalibrationOptions {
     /// What is estimated.
     pub mode: Mode,
@@ -70,7 +72,7 @@ impl Start {
         }
     }
 
-    /// The same start without lens types where the mode does not want them.
+    /// This start without lens types where the mode has none.
     pub(super) fn for_mode(&self, mode: Mode) -> Self {
         let mut start = self.clone();
         if mode == Mode::CornersOnly {
@@ -82,7 +84,7 @@ impl Start {
         start
     }
 
-    /// An error naming the value that cannot be.
+    /// An error naming the value that is impossible.
     pub(super) fn validate(&self) -> Result<()> {
         match self {
             Self::Datasheet(sheet, internal) => {
@@ -95,20 +97,15 @@ impl Start {
 }
 
 impl CalibrationOptions {
-    /// An error naming the option that cannot be with this start.
+    /// An error naming the option that does not go with this start.
     pub(super) fn validate(&self, start: &Start) -> Result<()> {
         if self.mode == Mode::PosesOnly && matches!(start, Start::Datasheet(..)) {
-            return Err(Error::invalid(
-                "poses alone need a calibrated camera: give its camera.json or intrinsics.js \
-                 (--camera) instead of a datasheet",
-            ));
+            return Err(Error::NotCalibrated);
         }
         positive(self.cost.uv_std_dev_px, "the standard deviation of (u, v) (px)")?;
         positive(self.cost.rho_std_dev_px, "the standard deviation of rho (px)")?;
         positive(self.cost.centers_std_dev_px, "the standard deviation of the centres (px)")?;
-        if let Loss::Huber { scale } | Loss::Cauchy { scale } = self.cost.loss {
-            positive(scale, "the scale of the loss")?;
-        }
+        positive(self.cost.loss.scale, "the scale of the loss")?;
         if self.solver.max_iterations == 0 || self.solver.threads == 0 {
             return Err(Error::invalid("iterations and threads have to be at least 1"));
         }

@@ -9,6 +9,7 @@ use opencv::calib3d;
 use opencv::core::{Mat, Point2d, Point3d, Vector, no_array};
 use opencv::prelude::*;
 
+use crate::calibration::NoPose;
 use crate::model::{BapFeature, Board, MIN_CORNERS, PlenopticCamera};
 
 /// Corners are taken for collinear when their spread across the best line is below this part of the
@@ -20,12 +21,12 @@ const COLLINEAR: f64 = 1e-3;
 /// The mean of all observations of a corner is nearly its projection by a pinhole camera of focal
 /// length (D + d)/s about (u₀, v₀). A planar target seen so allows two poses, mirrored in tilt, and
 /// in a narrow field of view both fit nearly as well; those in front of the camera are given. The
-/// error is the reason why there is none, in words.
+/// error is the reason why there is none.
 pub fn initial_poses(
     camera: &PlenopticCamera,
     board: &Board,
     features: &[BapFeature],
-) -> Result<Vec<Isometry3<f64>>, String> {
+) -> Result<Vec<Isometry3<f64>>, NoPose> {
     let mut sums: BTreeMap<i32, (Point2<f64>, f64)> = BTreeMap::new();
     for f in features {
         let (sum, count) = sums.entry(f.corner).or_insert((Point2::origin(), 0.0));
@@ -36,22 +37,18 @@ pub fn initial_poses(
     let points: Vec<Point3<f64>> = sums.keys().map(|&corner| board.point_mm(corner)).collect();
     let pixels: Vec<Point2<f64>> = sums.values().map(|(sum, count)| sum / *count).collect();
     if points.len() < MIN_CORNERS {
-        return Err(format!("{} corners are too few", points.len()));
+        return Err(NoPose::TooFewCorners(points.len()));
     }
     if collinear(&points) {
-        return Err("its corners lie on one line".to_owned());
+        return Err(NoPose::Collinear);
     }
-    let mut candidates = solve_pnp(camera, &points, &pixels)
-        .map_err(|error| format!("solvePnP failed: {}", error.message))?;
+    let mut candidates =
+        solve_pnp(camera, &points, &pixels).map_err(|error| NoPose::PnpFailed(error.message))?;
     candidates
         .retain(|(pose, _)| points.iter().all(|p| (pose * p).z > camera.main_lens.focal_length_mm));
     candidates.sort_by(|a, b| a.1.total_cmp(&b.1));
     if candidates.is_empty() {
-        return Err(
-            "solvePnP found no pose with the whole board in front of the main lens's focal \
-                    plane"
-                .to_owned(),
-        );
+        return Err(NoPose::BehindFocalPlane);
     }
     Ok(candidates.into_iter().map(|(pose, _)| pose).collect())
 }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::calibration::CalibrationOptions;
+use crate::calibration::{CalibrationOptions, NoPose, Warning};
 use crate::model::{FramePose, PlenopticCamera, Reprojection, optics};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{Refinement, Uncertainty};
@@ -15,7 +15,7 @@ pub struct LeftOut {
     /// Number of its features.
     pub features: usize,
     /// Why.
-    pub reason: String,
+    pub reason: NoPose,
 }
 
 /// A calibration: the camera and everything one wants to know about how it came about.
@@ -43,10 +43,10 @@ pub struct Calibration {
     pub uncertainty: Uncertainty,
     /// At a minimum: by the solver's tolerances, and by what a further step would gain.
     pub converged: bool,
-    /// What it was told.
+    /// Its options.
     pub options: CalibrationOptions,
-    /// What the user should know, in words.
-    pub warnings: Vec<String>,
+    /// What the user should know.
+    pub warnings: Vec<Warning>,
 }
 
 impl Calibration {

@@ -1,24 +1,24 @@
 //! `plenocal calibrate`: from observations to a camera.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use plenocal::calibration::{Calibration, calibrate};
-use plenocal::io::{self, CalibrationSection, LossName, ModeName, OutputFolder, Pitches, compote};
-use plenocal::solver::Iteration;
+use plenocal::calibration::{Calibration, Mode, calibrate, termination_text};
+use plenocal::io::{self, CalibrationSection, OutputFolder, Pitches, compote};
+use plenocal::solver::{LossKind, Termination};
 use plenocal::{Error, Result, report};
 
+use super::choices::{LOSSES, MODES, PITCHES, choice};
 use super::input::{Files, Input};
-use super::{progress, tell, warn};
+use super::progress;
+use super::talk::{print_result, say, warn, warn_of_calibration};
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///
-/// Give a project file, or the single files, or both: what is given singly goes before the project.
-/// Files are told apart by what is in them, so plenocal's own and COMPOTE's can be mixed.
+/// Give a project file, or the single files, or both: single files take precedence over the project.
+/// Files are recognised by their content, so plenocal's own and COMPOTE's can be mixed.
 // Parameter names in the help are no code.
 #[allow(clippy::doc_markdown)]
 #[derive(Args)]
@@ -53,13 +53,13 @@ pub struct Arguments {
     exclude_frames: Option<Vec<u32>>,
 
     /// What to estimate [default: full].
-    #[arg(long, value_enum, help_heading = "Estimation")]
-    mode: Option<ModeName>,
+    #[arg(long, value_parser = choice(MODES), help_heading = "Estimation")]
+    mode: Option<Mode>,
     /// One micro-lens pitch, or one along x and one along y [default: one].
-    #[arg(long, value_enum, help_heading = "Estimation")]
+    #[arg(long, value_parser = choice(PITCHES), help_heading = "Estimation")]
     pitches: Option<Pitches>,
     /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, u0, v0, d,
-    /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3. (dC_ratio is held unless --pitches two.)
+    /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3. (dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Estimation")]
     fix: Option<Vec<String>>,
     /// Standard deviation of u and v of a feature, px [default: 1].
@@ -72,8 +72,8 @@ pub struct Arguments {
     #[arg(long, value_name = "PX", help_heading = "Estimation")]
     centers_std_dev: Option<f64>,
     /// Robust loss on the norm of every observation's residual [default: none].
-    #[arg(long, value_enum, help_heading = "Estimation")]
-    loss: Option<LossName>,
+    #[arg(long, value_parser = choice(LOSSES), help_heading = "Estimation")]
+    loss: Option<LossKind>,
     /// Where the loss sets in, standard deviations [default: 1].
     #[arg(long, value_name = "N", help_heading = "Estimation")]
     loss_scale: Option<f64>,
@@ -102,9 +102,6 @@ Examples:
   plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
 
-/// How often the progress line moves.
-const TICK: Duration = Duration::from_millis(100);
-
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let begun = Instant::now();
@@ -112,14 +109,17 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let (json, with_compote) = (arguments.json, arguments.compote);
     let input = Input::read(&arguments.files(), arguments.options())?;
 
-    let bar = progress_bar(json);
+    let bar = progress::spinner(json, "refining");
     let calibration = calibrate(
         &input.start,
         &input.board,
         &input.observations,
         &input.options,
-        &mut |iteration: &Iteration| {
-            bar.set_message(format!("iteration {}, cost {:.6}", iteration.number, iteration.cost));
+        &mut |iteration| {
+            bar.set_message(format!(
+                "refining: iteration {}, cost {:.6}",
+                iteration.number, iteration.cost
+            ));
             true
         },
     );
@@ -129,33 +129,23 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     stage_results(&mut output, &calibration, with_compote)?;
     let paths = output.commit()?;
     warn(&calibration.left_out);
-    warn(&calibration.warnings);
-    let text = if json {
-        format!("{}\n", report::calibration_json(&calibration, begun.elapsed().as_secs_f64()))
-    } else {
-        let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();
-        format!("{}\nWritten:\n{}", report::calibration_text(&calibration), files.concat())
-    };
-    // A reader that has gone away (a closed pipe) is no failure of the calibration.
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    warn_of_calibration(&calibration.warnings);
+    let document = io::calibration_document(&calibration, begun.elapsed().as_secs_f64());
+    print_result(json, &document, &report::calibration_text(&calibration), &paths);
     if calibration.converged {
         return Ok(ExitCode::SUCCESS);
     }
-    tell(&format!("error: not converged: {}", report::termination_text(&calibration)));
-    Ok(ExitCode::from(3))
+    Ok(not_converged(&calibration))
 }
 
-fn progress_bar(json: bool) -> ProgressBar {
-    if json || !progress::is_shown() {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::new_spinner().with_style(
-        ProgressStyle::with_template("{spinner} refining: {msg} ({elapsed})")
-            .unwrap_or_else(|_| ProgressStyle::default_spinner()),
-    );
-    bar.set_draw_target(ProgressDrawTarget::stderr());
-    bar.enable_steady_tick(TICK);
-    bar
+/// Says so and gives the exit status.
+pub(super) fn not_converged(calibration: &Calibration) -> ExitCode {
+    let remedy = match calibration.refinement.termination {
+        Termination::IterationLimit => " Raise --max-iterations.",
+        _ => "",
+    };
+    say(&format!("error: not converged: {}{remedy}", termination_text(calibration)));
+    ExitCode::from(3)
 }
 
 /// Writes the results of a calibration.
@@ -168,16 +158,16 @@ pub(super) fn stage_results(
     let poses = io::poses_document(&calibration.poses, uncertainty);
     if with_compote {
         let grid = calibration.grid.as_ref().ok_or_else(|| {
-            Error::Invalid("COMPOTE's intrinsics.js needs the micro-image centres".to_owned())
+            Error::invalid("COMPOTE's intrinsics.js needs the micro-image centres")
         })?;
         let folder = Path::new("compote");
         let intrinsics = compote::intrinsics_document(&calibration.camera, grid)?;
         output.stage_json(folder.join("intrinsics.js"), &intrinsics)?;
         output.stage_json(folder.join("poses.js"), &compote::poses_document(&calibration.poses))?;
     }
-    // With the camera held there is no new one.
+    // Poses alone leave the camera as it is.
     if !calibration.uncertainty.free_intrinsics.is_empty() {
-        output.stage_json("camera.json", &report::calibrated_camera(calibration))?;
+        output.stage_json("camera.json", &io::calibrated_camera_document(calibration))?;
     }
     output.stage_json("poses.json", &poses)?;
     output.stage("residuals.csv", |out| io::write_residuals(out, &calibration.reprojection))?;

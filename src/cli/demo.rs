@@ -5,12 +5,12 @@ use std::process::ExitCode;
 
 use clap::Args;
 use plenocal::Result;
+use plenocal::detection::DepthEstimator;
 
-use super::boards::Estimator;
 use super::run::{self as whole, Arguments as RunArguments};
 use super::simulate;
 
-/// Simulate a small camera, calibrate it from its images, and set the result beside the truth.
+/// Simulate a small camera, calibrate it from its images, and compare the result with the truth.
 ///
 /// The images are those of `plenocal simulate --preset mini`; the rest is `plenocal run`.
 #[derive(Args)]
@@ -33,7 +33,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         project: arguments.out.join("project.toml"),
         out: arguments.out.join("results"),
         force: true,
-        estimator: Estimator::Line,
+        estimator: DepthEstimator::default(),
         folds: 5,
         no_pictures: false,
         json: false,

@@ -1,23 +1,24 @@
 //! `plenocal detect`: from images of a board to BAP features.
 
-use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
-use plenocal::detection::MicroImages;
+use plenocal::detection::{DepthEstimator, MicroImages};
 use plenocal::io::{self, OutputFolder, Project};
+use plenocal::model::Subset;
 use plenocal::precalibration::PrecalibrationOptions;
 use plenocal::{Result, report};
 
-use super::boards::{self, Estimator, Look, Shoot, Subset};
+use super::boards::{self, Options, Shoot};
+use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::precalibrate::{measure, stage_centers};
-use super::warn;
+use super::talk::{print_result, warn};
 
 /// Detect the corners of a checkerboard in raw images, without a click.
 ///
-/// Every micro-image is looked at; what was found, and what was dropped and why, is told frame by
-/// frame. A frame that cannot be tied to the board is left out, and the others go on.
+/// Every micro-image is searched; what was found, and what was dropped and why, is listed frame by
+/// frame. A frame in which the board is not recognised is left out, and the others go on.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
@@ -31,13 +32,12 @@ pub struct Arguments {
     /// measured first.
     #[arg(long, value_name = "DIR")]
     precalibration: Option<PathBuf>,
-    /// Images of the project to look at.
-    #[arg(long, value_enum, default_value = "calibration")]
+    /// Which images of the project to search.
+    #[arg(long, value_parser = choice(SUBSETS), default_value = "calibration")]
     subset: Subset,
-    /// How the virtual depth of a corner is taken from the micro-images that show it: by a line through
-    /// all of them, or by the paper's median over pairs.
-    #[arg(long, value_enum, default_value = "line")]
-    estimator: Estimator,
+    /// How the virtual depth of a corner is estimated from the micro-images that show it.
+    #[arg(long, value_parser = choice(DEPTH_ESTIMATORS), default_value = "line")]
+    estimator: DepthEstimator,
     /// Write no pictures.
     #[arg(long)]
     no_pictures: bool,
@@ -67,21 +67,16 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         output.stage_json("precalibration.json", &io::precalibration_document(&measured))?;
         MicroImages::of_precalibration(&measured, &shoot.sheet)?
     };
-    let look = Look {
+    let options = Options {
         subset: arguments.subset,
         estimator: arguments.estimator,
         pictures: !arguments.no_pictures,
         quiet: arguments.json,
     };
-    let found = boards::detect(path, &shoot, &micro_images, look, &mut output)?;
+    let found = boards::detect_subset(path, &shoot, &micro_images, options, &mut output)?;
     warn(&found.warnings);
     let paths = output.commit()?;
-    let text = if arguments.json {
-        format!("{}\n", found.document)
-    } else {
-        let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();
-        format!("{}\n\nWritten:\n{}", report::detection_text(&found.rows()), files.concat())
-    };
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    let document = io::detection_document(&found.frames, &shoot.board);
+    print_result(arguments.json, &document, &report::detection_text(&found.frames), &paths);
     Ok(ExitCode::SUCCESS)
 }

@@ -1,19 +1,20 @@
 //! `plenocal extrinsics`: poses of boards with a calibrated camera.
 
-use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
 use plenocal::calibration::{CalibrationOptions, Mode, Start, calibrate};
-use plenocal::io::{OutputFolder, Project};
-use plenocal::model::Observations;
+use plenocal::detection::DepthEstimator;
+use plenocal::io::{self, OutputFolder, Project};
+use plenocal::model::{Observations, Subset};
 use plenocal::{Result, report};
 
-use super::boards::{self, Estimator, Look, Shoot, Subset};
-use super::calibrate::stage_results;
+use super::boards::{self, Options, Shoot};
+use super::calibrate::{not_converged, stage_results};
+use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::evaluate::calibrated;
-use super::warn;
+use super::talk::{print_result, warn, warn_of_calibration};
 
 /// Find the poses of boards in raw images with a calibrated camera.
 ///
@@ -34,12 +35,12 @@ pub struct Arguments {
     /// Folder that `plenocal precalibrate` has written.
     #[arg(long, value_name = "DIR")]
     precalibration: PathBuf,
-    /// Images of the project to look at.
-    #[arg(long, value_enum, default_value = "evaluation")]
+    /// Which images of the project to search.
+    #[arg(long, value_parser = choice(SUBSETS), default_value = "evaluation")]
     subset: Subset,
-    /// How the virtual depth of a corner is taken.
-    #[arg(long, value_enum, default_value = "line")]
-    estimator: Estimator,
+    /// How the virtual depth of a corner is estimated.
+    #[arg(long, value_parser = choice(DEPTH_ESTIMATORS), default_value = "line")]
+    estimator: DepthEstimator,
     /// Print the result as one JSON object instead of tables.
     #[arg(long)]
     json: bool,
@@ -52,7 +53,7 @@ Examples:
   plenocal extrinsics project.toml --subset translation --camera camera.json \\
       --precalibration white --out poses
 
-Of features that are found already: plenocal calibrate --mode poses-only";
+For features that are already detected: plenocal calibrate --mode poses-only";
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
@@ -62,14 +63,14 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let shoot = Shoot::of(path, &Project::read(path)?)?;
     let camera = calibrated(&arguments.camera)?;
     let micro_images = shoot.read_precalibration(&arguments.precalibration)?;
-    let look = Look {
+    let search = Options {
         subset: arguments.subset,
         estimator: arguments.estimator,
         pictures: false,
         quiet: arguments.json,
     };
-    let found = boards::detect(path, &shoot, &micro_images, look, &mut output)?;
-    let observations = Observations { centers: Vec::new(), features: found.bap_features() };
+    let found = boards::detect_subset(path, &shoot, &micro_images, search, &mut output)?;
+    let observations = Observations { centers: Vec::new(), features: found.features() };
     let options = CalibrationOptions { mode: Mode::PosesOnly, ..CalibrationOptions::default() };
     let result =
         calibrate(&Start::Camera(camera), &shoot.board, &observations, &options, &mut |_| true)?;
@@ -77,13 +78,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let paths = output.commit()?;
     warn(&found.warnings);
     warn(&result.left_out);
-    warn(&result.warnings);
-    let text = if arguments.json {
-        format!("{}\n", report::calibration_json(&result, begun.elapsed().as_secs_f64()))
-    } else {
-        let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();
-        format!("{}\nWritten:\n{}", report::calibration_text(&result), files.concat())
-    };
-    let _ = std::io::stdout().write_all(text.as_bytes());
-    Ok(if result.converged { ExitCode::SUCCESS } else { ExitCode::from(3) })
+    warn_of_calibration(&result.warnings);
+    let document = io::calibration_document(&result, begun.elapsed().as_secs_f64());
+    print_result(arguments.json, &document, &report::calibration_text(&result), &paths);
+    Ok(if result.converged { ExitCode::SUCCESS } else { not_converged(&result) })
 }

@@ -13,7 +13,7 @@ use plenocal::model::{Board, Datasheet};
 use plenocal::simulation::Settings;
 use plenocal::{Error, Result};
 
-use super::precalibrate::color;
+use super::choices::{COLORS, choice};
 use super::simulate::preset_names;
 
 /// Write a project file for a folder of images.
@@ -44,9 +44,8 @@ pub struct Arguments {
     /// Focus distance from the sensor; inf for infinity.
     #[arg(long, value_name = "MM", value_parser = distance, help_heading = "Camera")]
     focus_distance: Option<f64>,
-    /// What the samples of the images stand for: grey, rgb, bayer-rggb, bayer-grbg, bayer-gbrg or
-    /// bayer-bggr [default: found where images show it].
-    #[arg(long, value_parser = color, help_heading = "Camera")]
+    /// What the samples of the images stand for [default: found where images show it].
+    #[arg(long, value_parser = choice(COLORS), help_heading = "Camera")]
     color: Option<Color>,
 
     /// The checkerboard: inner corners along a row and along a column, and edge of a square in mm.
@@ -64,7 +63,7 @@ Names of files and folders:
   calibration    calib*, board*, check*, chess*
   evaluation     eval*
   translation    translation*, step*
-  The name of a file goes before those of its folders. An f-number follows an f or n that stands
+  The name of a file takes precedence over those of its folders. An f-number follows an f or n that stands
   alone: f4, f_5.6, n-11.31. Engraved stops are taken as such (5.6 for 5.657).
 
 Examples:
@@ -109,15 +108,15 @@ fn board(text: &str) -> std::result::Result<Board, String> {
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let out = &arguments.out;
     if !arguments.force && out.exists() {
-        return Err(Error::Invalid(
-            "this file is there already: give another name, or --force to replace it".to_owned(),
+        return Err(Error::invalid(
+            "this file already exists: give another name, or --force to replace it",
         )
         .in_file(out));
     }
     let name = out
         .file_name()
         .filter(|_| !out.is_dir())
-        .ok_or_else(|| Error::Invalid("this is no file: name one".to_owned()).in_file(out))?;
+        .ok_or_else(|| Error::invalid("this is a folder: give the name of a file").in_file(out))?;
     let folder = out.parent().filter(|folder| *folder != OsStr::new("")).unwrap_or(Path::new("."));
     let mut output = OutputFolder::new(folder)?;
 

@@ -3,8 +3,10 @@
 use std::path::Path;
 
 use plenocal::calibration::{CalibrationOptions, Mode, Start};
-use plenocal::io::{self, CalibrationSection, CameraSource, LossName, Project};
+use plenocal::error::Input as Part;
+use plenocal::io::{self, CalibrationSection, CameraSource, Project};
 use plenocal::model::{Board, Datasheet, Observations};
+use plenocal::solver::LossKind;
 use plenocal::{Error, Result};
 
 /// The files named on the command line.
@@ -26,14 +28,14 @@ pub struct Input {
 }
 
 impl Input {
-    /// Reads everything; `options` go before those of the project.
+    /// Reads everything; `options` take precedence over those of the project.
     pub fn read(files: &Files, options: CalibrationSection) -> Result<Self> {
         let project = files.project.map(Project::read).transpose()?;
         let section = match &project {
             Some(project) => options.or(project.calibration.clone()),
             None => options,
         };
-        if section.loss_scale.is_some() && matches!(section.loss, None | Some(LossName::None)) {
+        if section.loss_scale.is_some() && matches!(section.loss, None | Some(LossKind::None)) {
             return Err(Error::Invalid(
                 "a scale of the loss is given, but no loss: choose one with --loss".to_owned(),
             ));
@@ -43,7 +45,7 @@ impl Input {
         let board = match (files.scene, project.as_ref().and_then(|p| p.board)) {
             (Some(path), _) => io::read_board(path)?,
             (None, Some(board)) => board,
-            (None, None) => return Err(missing("a board", "--scene")),
+            (None, None) => return Err(missing(Part::Board)),
         };
         let rho = options.mode != Mode::CornersOnly && start.lens_types() > 0;
         let observations = observations(files, project.as_ref(), rho)?;
@@ -51,22 +53,20 @@ impl Input {
     }
 }
 
-fn missing(what: &str, option: &str) -> Error {
-    Error::Invalid(format!("{what} is missing: give {option}, or a project file that has it"))
+fn missing(missing: Part) -> Error {
+    Error::Missing { missing }
 }
 
 fn start(files: &Files, project: Option<&Project>, mode: Mode) -> Result<Start> {
-    let path = files.camera.or(files.project).ok_or_else(|| missing("a camera", "--camera"))?;
+    let path = files.camera.or(files.project).ok_or_else(|| missing(Part::Camera))?;
     match io::read_camera_source(path)? {
         CameraSource::Camera(_) if files.params.is_some() => Err(Error::Invalid(
             "--params is for a camera that is not calibrated yet; leave it out".to_owned(),
         )),
         CameraSource::Camera(camera) => Ok(Start::Camera(*camera)),
-        CameraSource::Datasheet(_) if mode == Mode::PosesOnly => Err(Error::Invalid(
-            "poses alone need a calibrated camera: give its camera.json or intrinsics.js with \
-             --camera"
-                .to_owned(),
-        )),
+        CameraSource::Datasheet(_) if mode == Mode::PosesOnly => {
+            Err(Error::NotCalibrated.in_file(path))
+        }
         CameraSource::Datasheet(sheet) => from_datasheet(sheet, files, project),
     }
 }
@@ -75,7 +75,7 @@ fn from_datasheet(sheet: Datasheet, files: &Files, project: Option<&Project>) ->
     let internal = match (files.params, project.and_then(Project::internal)) {
         (Some(path), _) => io::read_internal_parameters(path, Some(sheet.sensor.pixel_size_mm))?,
         (None, Some(internal)) => internal,
-        (None, None) => return Err(missing("a table of internal parameters", "--params")),
+        (None, None) => return Err(missing(Part::InternalParameters)),
     };
     Ok(Start::Datasheet(sheet, internal))
 }
@@ -85,9 +85,10 @@ fn observations(files: &Files, project: Option<&Project>, rho: bool) -> Result<O
     let features = files
         .features
         .or(section.map(|s| s.features.as_path()))
-        .ok_or_else(|| missing("a file of features", "--features"))?;
+        .ok_or_else(|| missing(Part::Features))?;
     let mut observations = io::read_features(features, rho)?;
-    // A file of features named singly may hold centres; then the project's are not of them.
+    // A features file given on the command line may hold centres; the project's are of other
+    // features then.
     let of_project = || section.and_then(|s| s.centers.as_deref());
     let separate = match files.centers {
         None if files.features.is_none() || observations.centers.is_empty() => of_project(),
@@ -95,13 +96,11 @@ fn observations(files: &Files, project: Option<&Project>, rho: bool) -> Result<O
     };
     if let Some(path) = separate {
         if !observations.centers.is_empty() {
-            return Err(Error::Content {
-                path: features.to_owned(),
-                message: format!(
-                    "this file holds the centres too, and {} gives them again; leave one out",
-                    path.display()
-                ),
-            });
+            return Err(Error::invalid(format!(
+                "this file holds the centres too, and {} gives them again; leave one out",
+                path.display()
+            ))
+            .in_file(features));
         }
         observations.centers = io::read_centers(path)?;
     }

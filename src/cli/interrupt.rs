@@ -8,6 +8,7 @@ use std::time::Duration;
 use plenocal::io;
 
 use super::progress;
+use super::talk::say;
 
 /// As shells have it: 128 and the number of SIGINT.
 const INTERRUPTED: i32 = 130;
@@ -20,21 +21,19 @@ pub fn handle() {
     let handler = || {
         if AGAIN.swap(true, Ordering::SeqCst) {
             thread::sleep(GRACE);
-            eprintln!("interrupted again: temporary files (.tmp…) may be left");
+            say("interrupted again: temporary files (.tmp…) may be left");
             exit(INTERRUPTED);
         }
         // A thread of its own, so that a file system that hangs does not keep off a second interrupt.
         thread::spawn(|| {
             let committed = io::abandon_output();
             progress::clear();
-            eprintln!(
-                "interrupted: {}",
-                if committed {
-                    "what was written before is whole, and nothing else was written"
-                } else {
-                    "nothing was written"
-                }
-            );
+            // Not eprintln!: it panics when nobody reads stderr, and the process would never end.
+            say(if committed {
+                "interrupted: what was written before is complete, and nothing else was written"
+            } else {
+                "interrupted: nothing was written"
+            });
             exit(INTERRUPTED);
         });
     };

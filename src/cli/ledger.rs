@@ -1,20 +1,30 @@
 //! Which stages of a run are done, and whether they have to be done again.
 
 use std::collections::{BTreeMap, HashMap};
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use std::{env, fs};
 
 use plenocal::io::{self, Manifest, OutputFolder, StageRecord};
 use plenocal::report::Section;
 use plenocal::{Error, Result};
 use rayon::prelude::*;
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::json;
 
-use super::tell;
+use super::talk::say;
 
-/// What a stage has for the report.
+/// The part of a stage in the report.
 pub const SECTION: &str = "section.json";
+
+/// A file that a stage reads. What it was made from is its content; where it lies does not matter.
+#[derive(Debug, Clone, Serialize)]
+pub struct InputFile {
+    #[serde(skip)]
+    pub path: PathBuf,
+    name: String,
+    sha256: String,
+}
 
 /// Keeps account of the stages.
 pub struct Ledger {
@@ -30,48 +40,65 @@ pub struct Ledger {
 }
 
 impl Ledger {
-    /// Of a run into a folder, in which an earlier one may have done stages.
-    pub fn open(out: &Path, project: &Path, force: bool, quiet: bool) -> Self {
-        let mut manifest = Manifest::new(project);
+    /// For a run into a folder, where an earlier one may have done stages.
+    pub fn open(out: &Path, project: &Path, force: bool, quiet: bool) -> Result<Self> {
+        // Another program may compute other results from the same input. Its version alone does not
+        // tell: it may have been built from changed sources.
+        let program = env::current_exe()
+            .map_err(|source| Error::Read { path: "the running program".into(), source })?;
+        let mut manifest = Manifest::new(project, io::hash_file(&program)?);
         manifest.stages = Manifest::read(out).map(|m| m.stages).unwrap_or_default();
         let (hashes, stages, missing) = (HashMap::new(), Vec::new(), Vec::new());
-        Self { out: out.to_owned(), manifest, force, quiet, hashes, stages, missing }
+        Ok(Self { out: out.to_owned(), manifest, force, quiet, hashes, stages, missing })
     }
 
-    fn hashes(&mut self, inputs: &[PathBuf]) -> Vec<String> {
+    /// Files as the input of a stage.
+    pub fn files<P: AsRef<Path>>(&mut self, paths: impl IntoIterator<Item = P>) -> Vec<InputFile> {
+        let paths: Vec<PathBuf> = paths.into_iter().map(|p| p.as_ref().to_owned()).collect();
         let unknown: Vec<&PathBuf> =
-            inputs.iter().filter(|path| !self.hashes.contains_key(*path)).collect();
-        // An image that cannot be read is told when its turn comes.
+            paths.iter().filter(|path| !self.hashes.contains_key(*path)).collect();
+        // An image that cannot be read is reported when its turn comes.
         let known: Vec<(PathBuf, String)> = unknown
             .par_iter()
             .map(|path| ((*path).clone(), io::hash_file(path).unwrap_or_default()))
             .collect();
         self.hashes.extend(known);
-        inputs.iter().map(|path| self.hashes[path].clone()).collect()
+        paths.into_iter().map(|path| self.known(path)).collect()
     }
 
-    /// Does a stage unless it is done: `work` stages files and gives what the report shows.
-    pub fn stage(
+    /// A file as the input of a stage.
+    pub fn file(&mut self, path: impl AsRef<Path>) -> InputFile {
+        self.files([path.as_ref()]).remove(0)
+    }
+
+    fn known(&mut self, path: PathBuf) -> InputFile {
+        let sha256 = self.hashes[&path].clone();
+        // Files that other stages have written are recorded with them.
+        if !path.starts_with(&self.out) {
+            self.manifest.inputs.insert(path.display().to_string(), sha256.clone());
+        }
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        InputFile { path, name, sha256 }
+    }
+
+    /// Does a stage unless it is done: `work` stages files and gives the part of the report.
+    ///
+    /// The stage depends on its input alone: what it computes with, and what tells whether it has
+    /// to be done again, are the same value.
+    pub fn stage<I: Serialize>(
         &mut self,
         name: &str,
-        inputs: &[PathBuf],
-        options: Value,
-        work: impl FnOnce(&mut OutputFolder) -> Result<Section>,
+        input: &I,
+        work: impl FnOnce(&I, &mut OutputFolder) -> Result<Section>,
     ) -> Result<()> {
         let begun = Instant::now();
-        let hashes = self.hashes(inputs);
-        let names: Vec<_> = inputs.iter().map(|path| path.file_name()).collect();
-        let names: Vec<String> =
-            names.iter().map(|n| n.unwrap_or_default().to_string_lossy().into_owned()).collect();
-        let key = json!([name, env!("CARGO_PKG_VERSION"), names, hashes, options]).to_string();
-        let key = io::hash_text(&key);
+        let json = |value: serde_json::Result<serde_json::Value>| {
+            value.map_err(|e| Error::invalid(format!("stage {name} cannot be recorded: {e}")))
+        };
+        let input_json = json(serde_json::to_value(input))?;
+        let key =
+            io::hash_text(&json!([name, self.manifest.program_sha256, input_json]).to_string());
         let folder = self.out.join(name);
-        for (path, hash) in inputs.iter().zip(&hashes) {
-            // What other stages have written is noted with them.
-            if !path.starts_with(&self.out) {
-                self.manifest.inputs.insert(path.display().to_string(), hash.clone());
-            }
-        }
         let before = self.manifest.stage(name).cloned();
         if let Some(record) = &before
             && !self.force
@@ -83,22 +110,21 @@ impl Ledger {
             return Ok(());
         }
         let mut output = OutputFolder::new(&folder)?;
-        let section = work(&mut output)?;
-        let section = serde_json::to_value(&section)
-            .map_err(|e| Error::Invalid(format!("the section of {name} cannot be written: {e}")))?;
-        output.stage_json(SECTION, &section)?;
+        let section = work(input, &mut output)?;
+        output.stage_json(SECTION, &json(serde_json::to_value(&section))?)?;
         let mut files = BTreeMap::new();
         for path in output.commit()? {
             let file = path.strip_prefix(&folder).unwrap_or(&path).display().to_string();
             files.insert(file, io::hash_file(&path)?);
         }
-        // Of an earlier run, such as pictures of frames that are no more.
+        // From an earlier run, such as pictures of frames that are no longer there.
         let stale = before.iter().flat_map(|record| record.files.keys());
         for file in stale.filter(|file| !files.contains_key(*file)) {
             let _ = fs::remove_file(folder.join(file));
         }
         let time_s = begun.elapsed().as_secs_f64();
-        self.manifest.note(StageRecord { name: name.to_owned(), key, options, time_s, files });
+        let record = StageRecord { name: name.to_owned(), key, input: input_json, time_s, files };
+        self.manifest.note(record);
         self.manifest.write(&self.out)?;
         self.say(&format!("{name}: {time_s:.1} s"));
         self.stages.push((name.to_owned(), true));
@@ -109,7 +135,7 @@ impl Ledger {
     pub fn tolerate(&mut self, what: &str, result: Result<()>) {
         if let Err(error) = result {
             let text = format!("{what}: {error}");
-            tell(&format!("warning: {text}"));
+            say(&format!("warning: {text}"));
             self.missing.push(text);
         }
     }
@@ -120,7 +146,7 @@ impl Ledger {
 
     fn say(&self, line: &str) {
         if !self.quiet {
-            tell(line);
+            say(line);
         }
     }
 }

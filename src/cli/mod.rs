@@ -2,6 +2,7 @@
 
 mod boards;
 mod calibrate;
+mod choices;
 mod completions;
 mod demo;
 mod detect;
@@ -17,12 +18,12 @@ mod precalibrate;
 mod progress;
 mod run;
 mod simulate;
+mod stages;
+mod talk;
 
-use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use plenocal::{Error, Result};
 
 /// Calibrates multi-focus plenoptic (light-field) cameras.
 ///
@@ -34,8 +35,8 @@ struct Cli {
     #[command(subcommand)]
     command: Command,
 
-    /// Tell on stderr what is done: -v files, stages and their results, -vv also every frame and
-    /// iteration, -vvv also every white image. Progress lines are left out then.
+    /// Log to stderr what is done: -v files, stages and their results, -vv also every frame and
+    /// iteration, -vvv also every white image. Progress lines are not shown then.
     #[arg(short, long, global = true, action = clap::ArgAction::Count, display_order = 999)]
     verbose: u8,
 }
@@ -69,21 +70,10 @@ The same step by step:
 
 Exit status:
   0    done, and the result is converged and finite
-  1    bad input or a failure: nothing was written; of run, stages that were done are kept
+  1    bad input or a failure: nothing was written; stages that a run had finished are kept
   2    the command line was not understood
   3    not converged: results were written, marked as such
   130  interrupted (Ctrl-C, SIGTERM, SIGHUP): nothing half-written is left";
-
-/// Prints what a command is asked for. A reader that has gone away (a closed pipe) is no failure.
-fn print(text: &[u8]) -> Result<()> {
-    let mut stdout = std::io::stdout();
-    match stdout.write_all(text).and_then(|()| stdout.flush()) {
-        Err(source) if source.kind() != ErrorKind::BrokenPipe => {
-            Err(Error::Write { path: "standard output".into(), source })
-        }
-        _ => Ok(()),
-    }
-}
 
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
@@ -104,19 +94,7 @@ pub fn run() -> ExitCode {
         Command::Man(arguments) => man::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {
-        tell(&format!("error: {error}"));
+        talk::say_error(&error);
         ExitCode::FAILURE
     })
-}
-
-/// Tells what the user should know.
-fn warn(warnings: &[impl std::fmt::Display]) {
-    for warning in warnings {
-        tell(&format!("warning: {warning}"));
-    }
-}
-
-/// Writes a line on stderr; that nobody reads there is no failure.
-fn tell(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
 }

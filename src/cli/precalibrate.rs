@@ -1,12 +1,9 @@
 //! `plenocal precalibrate`: from white images to the micro-image array and internal parameters.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Duration;
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use nalgebra::Vector2;
 use plenocal::image::{Color, alternate};
 use plenocal::io::{self, ImagesSection, OutputFolder, Project, compote};
@@ -19,7 +16,10 @@ use plenocal::report::{self, Figure};
 use plenocal::{Error, Result};
 use rayon::prelude::*;
 
-use super::{progress, tell, warn};
+use super::boards::camera_and_images;
+use super::choices::{COLORS, RADIUS_ESTIMATORS, choice};
+use super::progress;
+use super::talk::{print_result, say, warn};
 
 /// Measure the micro-image array and the internal parameters on white images.
 ///
@@ -40,30 +40,14 @@ pub struct Arguments {
     out: PathBuf,
     /// How radii are measured: the edge of a fitted profile, or the paper's second moments, which are
     /// right for some over-exposures only; for a project [default: profile].
-    #[arg(long, value_enum)]
-    estimator: Option<Estimator>,
-    /// What the samples of a single image stand for: grey, rgb, bayer-rggb, bayer-grbg, bayer-gbrg
-    /// or bayer-bggr [default: grey or RGB, as the file has it].
-    #[arg(long, value_parser = color)]
+    #[arg(long, value_parser = choice(RADIUS_ESTIMATORS))]
+    estimator: Option<RadiusEstimator>,
+    /// What the samples of a single image stand for [default: grey or RGB, as the file has it].
+    #[arg(long, value_parser = choice(COLORS))]
     color: Option<Color>,
     /// Print the result as one JSON object instead of tables.
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Estimator {
-    Profile,
-    Moments,
-}
-
-impl From<Estimator> for RadiusEstimator {
-    fn from(estimator: Estimator) -> Self {
-        match estimator {
-            Estimator::Profile => Self::Profile,
-            Estimator::Moments => Self::Moments,
-        }
-    }
 }
 
 fn size(text: &str) -> std::result::Result<(u16, u16), String> {
@@ -73,20 +57,12 @@ fn size(text: &str) -> std::result::Result<(u16, u16), String> {
     })
 }
 
-pub(super) fn color(name: &str) -> std::result::Result<Color, String> {
-    serde_json::from_value(serde_json::Value::String(name.to_owned()))
-        .map_err(|_| format!("'{name}' is not known"))
-}
-
 const EXAMPLES: &str = "\
 Examples:
   plenocal precalibrate project.toml --out results
   plenocal precalibrate white.png --color bayer-rggb --out results
   plenocal calibrate project.toml --params results/precalibration.json \\
       --centers results/centers.csv --features features.csv --out results";
-
-/// How often the progress line moves.
-const TICK: Duration = Duration::from_millis(100);
 
 /// What the input is, by the ending of its name.
 #[derive(Clone, Copy, PartialEq)]
@@ -122,7 +98,7 @@ fn check_options(arguments: &Arguments, kind: Kind) -> Result<()> {
     ];
     match options.iter().find(|&&(given, of, _)| given && of != kind) {
         Some((.., what)) => {
-            let error = Error::Invalid(format!("{what}: leave it out here"));
+            let error = Error::invalid(format!("{what}: leave it out here"));
             Err(error.in_file(&arguments.input))
         }
         None => Ok(()),
@@ -141,13 +117,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     }?;
     output.stage_json("precalibration.json", &document)?;
     let paths = output.commit()?;
-    let text = if arguments.json {
-        format!("{document}\n")
-    } else {
-        let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();
-        format!("{text}\n\nWritten:\n{}", files.concat())
-    };
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    print_result(arguments.json, &document, &text, &paths);
     Ok(ExitCode::SUCCESS)
 }
 
@@ -177,13 +147,11 @@ fn of_raytrix(
     let path = &arguments.input;
     let maker = io::read_raytrix(path)?;
     let (width, height) = arguments.size.ok_or_else(|| {
-        Error::Invalid(
-            "Raytrix' calibration does not say how large the images are: give --size".to_owned(),
-        )
-        .in_file(path)
+        Error::invalid("Raytrix' calibration does not say how large the images are: give --size")
+            .in_file(path)
     })?;
     let of_this_size = |e: Error| {
-        Error::Invalid(format!("in an image of {width} x {height} px: {e}; check --size"))
+        Error::invalid(format!("in an image of {width} x {height} px: {e}; check --size"))
             .in_file(path)
     };
     let centers = maker.centers(width, height).map_err(of_this_size)?;
@@ -210,20 +178,12 @@ fn of_project(
 ) -> Result<(String, serde_json::Value)> {
     let path = &arguments.input;
     let project = Project::read(path)?;
-    let missing = |what: &str| Error::Invalid(what.to_owned()).in_file(path);
-    let sheet = project.datasheet()?.ok_or_else(|| {
-        missing("there is no camera in it: add [sensor], [main_lens] and [micro_lens_array]")
-    })?;
-    let images = project
-        .images
-        .as_ref()
-        .ok_or_else(|| missing("it lists no images: add [images] with [[images.whites]]"))?;
-    sheet.validate().map_err(|e| e.in_file(path))?;
+    let (sheet, images) = camera_and_images(path, &project, "[[images.whites]]")?;
     let options = PrecalibrationOptions {
-        estimator: arguments.estimator.map_or_else(RadiusEstimator::default, Into::into),
+        estimator: arguments.estimator.unwrap_or_default(),
         ..PrecalibrationOptions::of_datasheet(&sheet)
     };
-    let (result, whites) = measure(path, images, &sheet, &options, arguments.json)?;
+    let (result, whites) = measure(path, &images, &sheet, &options, arguments.json)?;
     warn(&result.warnings);
     stage(output, &result, &sheet, &whites)?;
     Ok((report::precalibration_text(&result), io::precalibration_document(&result)))
@@ -238,7 +198,7 @@ pub(super) fn measure(
     quiet: bool,
 ) -> Result<(Precalibration, Vec<White>)> {
     let (whites, reference) = read_whites(images, sheet).map_err(|e| e.in_file(path))?;
-    let bar = progress_bar(quiet, whites.len(), "measuring white images");
+    let bar = progress::steps(quiet, whites.len(), "measuring white images");
     let result = precalibrate(&whites, reference.as_ref(), options, &|| bar.inc(1));
     bar.finish_and_clear();
     let result = result.map_err(|e| e.in_file(path))?;
@@ -304,7 +264,7 @@ fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>,
             let raw = read_white(path, Some(images.color))?;
             let (width, height) = (sheet.sensor.width_px as usize, sheet.sensor.height_px as usize);
             if (raw.width, raw.height) != (width, height) {
-                let error = Error::Invalid(format!(
+                let error = Error::invalid(format!(
                     "this image has {} x {} px, but the sensor {width} x {height}: correct [sensor], \
                      or give the image whole as the camera delivered it",
                     raw.width, raw.height
@@ -334,23 +294,8 @@ fn read_white(path: &Path, color: Option<Color>) -> Result<plenocal::image::RawI
                 .then_some("the pixels that should both be green differ: another mosaic is in it"),
         };
         if let Some(wrong) = wrong {
-            tell(&format!("warning: {}: {wrong}", path.display()));
+            say(&format!("warning: {}: {wrong}", path.display()));
         }
     }
     Ok(raw)
-}
-
-/// A progress line on a terminal.
-pub(super) fn progress_bar(json: bool, images: usize, doing: &str) -> ProgressBar {
-    if json || !progress::is_shown() {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::new(images as u64).with_style(
-        ProgressStyle::with_template("{spinner} {msg}: {pos} of {len}")
-            .unwrap_or_else(|_| ProgressStyle::default_bar()),
-    );
-    bar.set_draw_target(ProgressDrawTarget::stderr());
-    bar.set_message(doing.to_owned());
-    bar.enable_steady_tick(TICK);
-    bar
 }

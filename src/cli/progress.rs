@@ -1,23 +1,62 @@
-//! Whether and where progress is shown.
+//! Whether progress is shown, and how.
 
 use std::io::{IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 static HIDDEN: AtomicBool = AtomicBool::new(false);
 
-/// Progress is not shown from here on: log lines would run into it.
+/// How often a progress line moves.
+const TICK: Duration = Duration::from_millis(100);
+
+/// Finished of all, for work whose steps take long.
+const STEPS: &str = "{spinner} {msg}: {pos} of {len}";
+/// A bar with the time that is left, for work of many small steps.
+const SHARE: &str = "{spinner} {wide_bar} {percent} %, {eta} left: {msg}";
+/// For work of unknown length.
+const SPINNER: &str = "{spinner} {msg} ({elapsed})";
+
+/// From here on no progress is shown: log lines would run into it.
 pub fn hide() {
     HIDDEN.store(true, Ordering::Relaxed);
 }
 
-/// Whether anybody is there to see it.
-pub fn is_shown() -> bool {
+fn is_shown() -> bool {
     !HIDDEN.load(Ordering::Relaxed) && std::io::stderr().is_terminal()
 }
 
-/// Takes the progress line away, for a last word before the end of the process.
+/// Clears the progress line, for a last message before the end of the process.
 pub fn clear() {
     if is_shown() {
         let _ = std::io::stderr().write_all(b"\r\x1b[K");
     }
+}
+
+/// Counts steps.
+pub fn steps(quiet: bool, count: usize, doing: &str) -> ProgressBar {
+    shown(quiet, ProgressBar::new(count as u64), STEPS, doing)
+}
+
+/// Shows the share of many small steps that is done.
+pub fn share(count: u64) -> ProgressBar {
+    shown(false, ProgressBar::new(count), SHARE, "")
+}
+
+/// Shows that something goes on.
+pub fn spinner(quiet: bool, doing: &str) -> ProgressBar {
+    shown(quiet, ProgressBar::new_spinner(), SPINNER, doing)
+}
+
+fn shown(quiet: bool, bar: ProgressBar, template: &str, doing: &str) -> ProgressBar {
+    if quiet || !is_shown() {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template(template);
+    let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    bar.set_draw_target(ProgressDrawTarget::stderr());
+    bar.set_message(doing.to_owned());
+    bar.enable_steady_tick(TICK);
+    bar
 }

@@ -7,9 +7,10 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use clap::builder::PossibleValuesParser;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use plenocal::io::{self, DataSetProgress, OutputFolder};
-use plenocal::simulation::{DataSet, PRESETS, Settings, Subset};
+use indicatif::ProgressBar;
+use plenocal::io::{self, OutputFolder};
+use plenocal::model::Subset;
+use plenocal::simulation::{Content, DataSet, PRESETS, Progress, Settings};
 use plenocal::{Error, Result};
 
 use super::progress;
@@ -72,14 +73,11 @@ Examples:
   plenocal simulate my-camera.toml --out data
   plenocal calibrate data/observed/project.toml --out results";
 
-/// How often the progress line moves.
-const TICK: Duration = Duration::from_millis(100);
-
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let text = simulate(arguments)?;
-    let printed = super::print(text.as_bytes());
-    // Of a data set that is written it is no failure that nobody reads of it.
+    let printed = super::talk::print(text.as_bytes());
+    // Once the data set is written, a closed stdout is not an error.
     if arguments.print {
         printed?;
     }
@@ -94,7 +92,7 @@ pub fn simulate(arguments: &Arguments) -> Result<String> {
         return settings.to_toml();
     }
     let Some(out) = &arguments.out else {
-        return Err(Error::Invalid("--out is missing".to_owned()));
+        return Err(Error::invalid("--out is missing"));
     };
     if let Some(threads) = arguments.threads {
         rayon::ThreadPoolBuilder::new()
@@ -104,12 +102,11 @@ pub fn simulate(arguments: &Arguments) -> Result<String> {
     }
     let mut output = OutputFolder::new(out)?;
     let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
-    let data_set = DataSet::plan(&settings, poses)?;
-    let progress = Progress::new(&settings, &data_set);
-    io::stage_data_set(&mut output, &settings, &data_set, &progress)?;
-    progress.bar.finish_and_clear();
+    let progress = Bar::new(&settings, &DataSet::plan(&settings, poses.clone())?);
+    let simulated = io::stage_data_set(&mut output, &settings, poses, &progress)?;
+    progress.0.finish_and_clear();
     output.commit()?;
-    Ok(summary(&data_set, &out.display().to_string(), begun.elapsed()))
+    Ok(summary(&simulated.data_set, &out.display().to_string(), begun.elapsed()))
 }
 
 fn settings(arguments: &Arguments) -> Result<Settings> {
@@ -146,32 +143,25 @@ fn summary(data_set: &DataSet, folder: &str, time: Duration) -> String {
     text
 }
 
-struct Progress {
-    bar: ProgressBar,
-}
+struct Bar(ProgressBar);
 
-impl Progress {
+impl Bar {
     fn new(settings: &Settings, data_set: &DataSet) -> Self {
-        if !progress::is_shown() {
-            return Self { bar: ProgressBar::hidden() };
-        }
         let rows = data_set.shots().count() as u64 * u64::from(settings.camera.sensor.height_px);
-        let bar = ProgressBar::new(rows).with_style(
-            ProgressStyle::with_template("{spinner} {wide_bar} {percent} %, {eta} left: {msg}")
-                .unwrap_or_else(|_| ProgressStyle::default_bar()),
-        );
-        bar.set_draw_target(ProgressDrawTarget::stderr());
-        bar.enable_steady_tick(TICK);
-        Self { bar }
+        Self(progress::share(rows))
     }
 }
 
-impl DataSetProgress for Progress {
-    fn image(&self, name: &str) {
-        self.bar.set_message(name.to_owned());
+impl Progress for Bar {
+    fn image(&self, content: Content) {
+        self.0.set_message(match content {
+            Content::White(i) => format!("white image {}", i + 1),
+            Content::Devignetting => "devignetting image".to_owned(),
+            Content::Board(subset, frame) => format!("{}, frame {frame}", subset.name()),
+        });
     }
 
     fn row(&self) {
-        self.bar.inc(1);
+        self.0.inc(1);
     }
 }

@@ -32,19 +32,6 @@ pub struct Search<'a> {
     pub estimator: DepthEstimator,
 }
 
-/// A BAP feature with its uncertainty.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DetectedFeature {
-    /// The feature.
-    pub feature: BapFeature,
-    /// Covariance of the position, px².
-    pub covariance: Matrix2<f64>,
-    /// Standard deviation of ρ by that of the slope of the corner's line, px: the uncertainty of q'ᵢ,
-    /// which all features of a lens type share, is not in it. The median over pairs tells none, and has
-    /// the line's.
-    pub rho_std_dev_px: f64,
-}
-
 /// A corner of the board as a whole.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectedCorner {
@@ -619,18 +606,18 @@ impl Frame<'_> {
                     DepthEstimator::Median => optics.blur_radius_of_depth_px(median),
                     DepthEstimator::Line => optics.blur_radius_px(target.line.slope),
                 };
-                features.push(DetectedFeature {
-                    feature: BapFeature {
-                        frame: self.frame,
-                        corner: target.corner,
-                        k: sight.k,
-                        l: sight.l,
-                        u_px: sight.position.x,
-                        v_px: sight.position.y,
-                        rho_px,
-                    },
-                    covariance: corner.covariance,
-                    rho_std_dev_px: half_pitch * target.line.slope_std_dev,
+                features.push(BapFeature {
+                    frame: self.frame,
+                    corner: target.corner,
+                    k: sight.k,
+                    l: sight.l,
+                    u_px: sight.position.x,
+                    v_px: sight.position.y,
+                    rho_px: Some(rho_px),
+                    std_dev_px: Some([0, 1].map(|i| corner.covariance[(i, i)].sqrt())),
+                    // By the slope of the corner's line; the uncertainty of q'ᵢ, which all features
+                    // of a lens type share, is not in it. The median over pairs has none of its own.
+                    rho_std_dev_px: Some(half_pitch * target.line.slope_std_dev),
                 });
             }
         }

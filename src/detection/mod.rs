@@ -8,17 +8,23 @@ mod frame;
 mod line;
 mod micro_images;
 mod patch;
+mod stage;
 
+use crate::model::BapFeature;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use board::{LatticePoint, TiedBoard};
 pub use dbscan::dbscan;
-pub use frame::{DetectedCorner, DetectedFeature, FrameCounts, Search, detect_frame};
+pub use frame::{DetectedCorner, FrameCounts, Search, detect_frame};
 pub use line::{
     Group, LineSearch, SightLine, groups_on_lines, median_inverse_virtual_depth, possible_slope,
 };
 pub use micro_images::{MicroImages, MicroOptics};
+pub use stage::{BoardImage, DetectedBoards, DetectedFrame, NoFeatures, detect};
+
+/// PLACEHOLDER until typed.
+pub type Rejection = String;
 
 /// A corner of the board seen in a micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,7 +68,7 @@ impl Detection {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Detection {
     /// Features, corner by corner.
-    pub features: Vec<DetectedFeature>,
+    pub features: Vec<BapFeature>,
     /// The corners of the board.
     pub corners: Vec<DetectedCorner>,
     /// From (column, row, 1) of a corner to its pinhole image, px.

@@ -49,9 +49,9 @@ impl CrossValidation {
     }
 }
 
-/// Calibrates as often as there are folds, each time without every so-manieth frame, and reprojects these.
+/// Calibrates once for every fold, without the frames of that fold, and reprojects these.
 ///
-/// `progress` is told of every finished fold. An error if there are fewer frames than folds, fewer than
+/// Fold i of n holds frames i, i + n, i + 2n and so on. `progress` is called after every fold. An error if there are fewer frames than folds, fewer than
 /// two folds, or if a calibration fails.
 pub fn cross_validate(
     start: &Start,

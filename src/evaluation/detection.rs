@@ -113,14 +113,13 @@ impl DetectionScore {
         let turned = |corner: i32| truth.board.corners() - 1 - corner;
         let matches = |of: &dyn Fn(i32) -> i32| {
             let there = |f: &&BapFeature| by_place.contains_key(&(of(f.corner), f.k, f.l));
-            detection.features.iter().map(|d| &d.feature).filter(there).count()
+            detection.features.iter().filter(there).count()
         };
         let is_turned = matches(&turned) > matches(&|corner| corner);
         let own = |corner: i32| if is_turned { turned(corner) } else { corner };
 
         let mut found: HashMap<(i32, i32, i32), f64> = HashMap::new();
-        for detected in &detection.features {
-            let f = &detected.feature;
+        for f in &detection.features {
             self.reported += 1;
             let place = (own(f.corner), f.k, f.l);
             let Some(t) = by_place.get(&place) else { continue };
@@ -131,8 +130,9 @@ impl DetectionScore {
             found.insert(place, error.norm());
             self.right += 1;
             self.square += error.norm_squared() / 2.0;
-            self.rho_square += (f.rho_px - t.rho_px).powi(2);
-            if t.rho_px.abs() <= SMALL_RHO_PX {
+            let (found, truth) = (f.rho_px.unwrap_or(f64::NAN), t.rho_px.unwrap_or(f64::NAN));
+            self.rho_square += (found - truth).powi(2);
+            if truth.abs() <= SMALL_RHO_PX {
                 self.small += 1;
                 self.small_square += error.norm_squared() / 2.0;
             }

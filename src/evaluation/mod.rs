@@ -3,14 +3,15 @@
 
 mod cross_validation;
 mod detection;
-mod evaluate;
+mod stage;
 mod translation;
 mod truth;
 
 pub use cross_validation::{CrossValidation, Fold, cross_validate, foldable_frames};
 pub use detection::{DetectionScore, INSIDE_PX, SMALL_RHO_PX, TRUE_PX};
-pub use evaluate::{
-    Candidate, CandidateResult, Evaluation, EvaluationInput, Posed, evaluate, pose_boards,
+pub use stage::{
+    Candidate, CandidateResult, Evaluation, EvaluationInput, Folds, PosePairs, Posed, evaluate,
+    pose_boards,
 };
 pub use translation::{Displacement, Displacements, Spread};
 pub use truth::{ParameterError, PoseErrors, parameter_errors, pose_errors};

@@ -9,47 +9,47 @@ use super::{
     OutputFolder, camera_document, poses_document, write_centers, write_features, write_png,
 };
 use crate::error::Result;
-use crate::model::{BapFeature, InternalParameters, MicroImageCenter, NoiseSource};
-use crate::simulation::{DataSet, Settings, Shot, Subset, Tracer, TrueCenter, TrueFeature};
+use crate::model::{FramePose, InternalParameters, Subset};
+use crate::simulation::{
+    Content, DataSet, Progress, Settings, Shot, Simulated, TrueCenter, TrueFeature, simulate,
+};
 
-/// How far the writing of a data set has come.
-pub trait DataSetProgress: Sync {
-    /// The next image, by its file.
-    fn image(&self, name: &str);
-    /// A finished row of it.
-    fn row(&self);
-}
-
-/// Takes all images of a data set and stages them with the project file, the settings and the
-/// truth:
+/// Simulates a data set and stages it:
 ///
 /// - `whites/`, `devignetting.png`, `calibration/`, `evaluation/`, `translation/`: the images;
-/// - `project.toml`: what a user would tell of them; `simulation.toml`: the settings;
+/// - `project.toml`: what a user would write about them; `simulation.toml`: the settings;
 /// - `truth/`: camera, internal parameters, centres with lens types, and for every subset poses and
 ///   features with the part of their light that is `visible`;
-/// - `observed/`, if there are calibration boards: their features of which at least half the light is
-///   visible, and the centres, both with noise; a project file of its own for `calibrate`.
-///
-/// Internal parameters and radii are those that the images show, imperfections included: with a fill
-/// factor below 1 micro-images and blur are smaller than the model says.
+/// - `observed/`, if there are calibration boards: the observations with noise, and a project file
+///   of its own for `calibrate`.
 pub fn stage_data_set(
     output: &mut OutputFolder,
     settings: &Settings,
-    data_set: &DataSet,
-    progress: &dyn DataSetProgress,
-) -> Result<()> {
-    let _span = tracing::info_span!("simulation").entered();
-    let project = project_text(settings, data_set);
-    output.stage("project.toml", |out| out.write_all(project.as_bytes()))?;
+    poses: Option<Vec<FramePose>>,
+    progress: &dyn Progress,
+) -> Result<Simulated> {
     let text = settings.to_toml()?;
     output.stage("simulation.toml", |out| out.write_all(text.as_bytes()))?;
-    stage_truth(output, settings, data_set)?;
-    for (name, shot) in named_shots(data_set) {
-        progress.image(&name);
-        let image = shot.take(settings, &|| progress.row())?;
-        output.stage(name, |out| write_png(out, &image))?;
+    let simulated = simulate(settings, poses, progress, &mut |content, shot, image| {
+        output.stage(image_name(content, shot), |out| write_png(out, &image))
+    })?;
+    let project = project_text(settings, &simulated.data_set);
+    output.stage("project.toml", |out| out.write_all(project.as_bytes()))?;
+    stage_truth(output, &simulated)?;
+    if !simulated.observed.features.is_empty() {
+        stage_observed(output, settings, &simulated)?;
     }
-    Ok(())
+    Ok(simulated)
+}
+
+/// The file of an image in the folder of its data set.
+#[must_use]
+pub fn image_name(content: Content, shot: &Shot) -> String {
+    match content {
+        Content::White(_) => white_name(shot),
+        Content::Devignetting => DEVIGNETTING.to_owned(),
+        Content::Board(subset, frame) => frame_name(subset, frame),
+    }
 }
 
 fn white_name(shot: &Shot) -> String {
@@ -62,70 +62,35 @@ fn frame_name(subset: Subset, frame: u32) -> String {
     format!("{0}/{0}-{frame:02}.png", subset.name())
 }
 
-fn named_shots(data_set: &DataSet) -> Vec<(String, &Shot)> {
-    let whites = data_set.whites.iter().map(|shot| (white_name(shot), shot));
-    let devignetting = (DEVIGNETTING.to_owned(), &data_set.devignetting);
-    let boards = Subset::ALL.into_iter().zip(&data_set.subsets).flat_map(|(subset, boards)| {
-        boards.iter().map(move |(pose, shot)| (frame_name(subset, pose.frame), shot))
-    });
-    whites.chain([devignetting]).chain(boards).collect()
-}
-
-/// Less light than this leaves no corner to be found.
-const OBSERVABLE: f64 = 0.5;
-
-fn stage_truth(output: &mut OutputFolder, settings: &Settings, data_set: &DataSet) -> Result<()> {
-    let camera = &settings.camera;
-    let tracer = settings.tracer(settings.board_f_number())?;
-    let centers = tracer.centers();
-    output.stage_json("truth/camera.json", &camera_document(camera, None))?;
-    output.stage("truth/centers.csv", |out| write_true_centers(out, &centers))?;
-    let internal = internal_text(&tracer.internal_parameters());
+fn stage_truth(output: &mut OutputFolder, simulated: &Simulated) -> Result<()> {
+    let Simulated { data_set, truth, .. } = simulated;
+    output.stage_json("truth/camera.json", &camera_document(&truth.camera, None))?;
+    output.stage("truth/centers.csv", |out| write_true_centers(out, &truth.centers))?;
+    let internal = internal_text(&truth.internal);
     output.stage("truth/internal_parameters.toml", |out| out.write_all(internal.as_bytes()))?;
-
-    let mut observed = Vec::new();
-    for (subset, boards) in Subset::ALL.into_iter().zip(&data_set.subsets) {
-        if boards.is_empty() {
-            continue;
-        }
+    let boards = Subset::ALL.into_iter().zip(&data_set.subsets).zip(&truth.features);
+    for ((subset, boards), features) in boards.filter(|((_, boards), _)| !boards.is_empty()) {
         let folder = PathBuf::from("truth").join(subset.name());
         let poses: Vec<_> = boards.iter().map(|&(pose, _)| pose).collect();
         output.stage_json(folder.join("poses.json"), &poses_document(&poses, None))?;
-        let features = poses.iter().flat_map(|pose| {
-            tracer.features(pose.frame, &settings.target.board(), &pose.camera_from_board)
-        });
-        let features: Vec<TrueFeature> = features.collect();
-        output.stage(folder.join("features.csv"), |out| write_true_features(out, &features))?;
-        if subset == Subset::Calibration {
-            observed = features;
-        }
+        output.stage(folder.join("features.csv"), |out| write_true_features(out, features))?;
     }
-    if observed.is_empty() {
-        return Ok(());
-    }
-    stage_observed(output, settings, &tracer, &observed)
+    Ok(())
 }
 
 fn stage_observed(
     output: &mut OutputFolder,
     settings: &Settings,
-    tracer: &Tracer,
-    features: &[TrueFeature],
+    simulated: &Simulated,
 ) -> Result<()> {
-    let mut source = NoiseSource::new(&settings.observation_noise, settings.seed)?;
-    let seen = features.iter().filter(|f| f.visible >= OBSERVABLE);
-    let features: Vec<BapFeature> = seen.map(|f| source.feature(&f.feature)).collect();
-    let centers = tracer.centers().into_iter().filter(|c| c.alive);
-    let centers = centers.map(|c| source.center(&c.center));
-    let in_image = |c: &MicroImageCenter| settings.camera.sensor.contains(c.u_px, c.v_px);
-    let centers: Vec<MicroImageCenter> = centers.filter(in_image).collect();
-    output.stage("observed/centers.csv", |out| write_centers(out, &centers))?;
-    output.stage("observed/features.csv", |out| write_features(out, &features))?;
+    let Simulated { observed, truth, .. } = simulated;
+    output.stage("observed/centers.csv", |out| write_centers(out, &observed.centers))?;
+    output.stage("observed/features.csv", |out| write_features(out, &observed.features))?;
     let project = format!(
         "# plenocal project: observations drawn from the truth of a simulation, with noise.\n\n\
          {}\n{}\n[observations]\ncenters = \"centers.csv\"\nfeatures = \"features.csv\"\n",
         camera_text(settings),
-        internal_text(&tracer.internal_parameters()),
+        internal_text(&truth.internal),
     );
     output.stage("observed/project.toml", |out| out.write_all(project.as_bytes()))
 }
@@ -147,7 +112,8 @@ fn write_true_features(out: &mut dyn Write, features: &[TrueFeature]) -> io::Res
     writeln!(out, "k,l,u,v,rho,cluster,frame,visible")?;
     features.iter().try_for_each(|TrueFeature { feature: f, visible }| {
         let (k, l, u, v) = (f.k, f.l, f.u_px, f.v_px);
-        writeln!(out, "{k},{l},{u},{v},{},{},{},{visible}", f.rho_px, f.corner, f.frame)
+        let rho = f.rho_px.map(|rho| rho.to_string()).unwrap_or_default();
+        writeln!(out, "{k},{l},{u},{v},{rho},{},{},{visible}", f.corner, f.frame)
     })
 }
 
@@ -195,7 +161,7 @@ fn project_text(settings: &Settings, data_set: &DataSet) -> String {
          [images]\ncolor = \"{color}\"\ndevignetting = \"{DEVIGNETTING}\"\n",
         camera_text(settings)
     );
-    let list = |subset: Subset, boards: &[(crate::model::FramePose, Shot)]| {
+    let list = |subset: Subset, boards: &[(FramePose, Shot)]| {
         let names = boards.iter().map(|(p, _)| format!("  \"{}\",\n", frame_name(subset, p.frame)));
         format!("[\n{}]", names.collect::<String>())
     };

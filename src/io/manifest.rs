@@ -1,4 +1,4 @@
-//! `manifest.json`: what a run was made of, so that it can be told, checked and resumed.
+//! `manifest.json`: what a run was made from, so that it can be traced, checked and resumed.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -15,15 +15,17 @@ use crate::error::{Error, Result};
 /// Name of the file in the folder of a run.
 pub const MANIFEST: &str = "manifest.json";
 const FORMAT: &str = "plenocal-run";
-const VERSION: u64 = 1;
+const VERSION: u64 = 2;
 
-/// What a run was made of.
+/// What a run was made from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     format: String,
     version: u64,
     /// Version of plenocal.
     pub plenocal: String,
+    /// SHA-256 of the program.
+    pub program_sha256: String,
     /// The project file.
     pub project: PathBuf,
     /// SHA-256 of every file that was read, by its path.
@@ -37,10 +39,11 @@ pub struct Manifest {
 pub struct StageRecord {
     /// Its name, and that of its folder.
     pub name: String,
-    /// SHA-256 of its inputs and options: with the same it need not be done again.
+    /// SHA-256 of its input and of the program: as long as it is the same, the stage need not be
+    /// repeated.
     pub key: String,
-    /// What it was told.
-    pub options: serde_json::Value,
+    /// What it was made from: values, and files by name and SHA-256.
+    pub input: serde_json::Value,
     /// Wall time, s.
     pub time_s: f64,
     /// SHA-256 of what it wrote, by name.
@@ -83,21 +86,22 @@ fn hexadecimal(bytes: &[u8]) -> String {
 }
 
 impl Manifest {
-    /// Of a run in which nothing is done yet.
+    /// For a run in which nothing is done yet, by a program with this SHA-256.
     #[must_use]
-    pub fn new(project: &Path) -> Self {
+    pub fn new(project: &Path, program_sha256: String) -> Self {
         Self {
             format: FORMAT.to_owned(),
             version: VERSION,
             plenocal: env!("CARGO_PKG_VERSION").to_owned(),
+            program_sha256,
             project: project.to_owned(),
             inputs: BTreeMap::new(),
             stages: Vec::new(),
         }
     }
 
-    /// Reads the manifest of a folder; `None` if there is none, or one that this version does not know:
-    /// then nothing in the folder is relied on.
+    /// Reads the manifest of a folder; `None` if there is none, or one of another version: then nothing
+    /// in the folder is relied on.
     #[must_use]
     pub fn read(folder: &Path) -> Option<Self> {
         let text = read_text(&folder.join(MANIFEST)).ok()?;
@@ -152,12 +156,12 @@ mod tests {
         let record = StageRecord {
             name: "s".to_owned(),
             key: String::new(),
-            options: serde_json::Value::Null,
+            input: serde_json::Value::Null,
             time_s: 0.0,
             files: BTreeMap::from([("abc".to_owned(), known.to_owned())]),
         };
         assert!(record.is_intact(folder.path()));
-        let mut manifest = Manifest::new(Path::new("project.toml"));
+        let mut manifest = Manifest::new(Path::new("project.toml"), String::new());
         manifest.note(record.clone());
         manifest.write(folder.path()).unwrap();
         assert_eq!(Manifest::read(folder.path()).unwrap(), manifest);

@@ -1,8 +1,11 @@
 //! Files: plenocal's own and COMPOTE's, read by what is in them and written all or none.
 
+mod calibration_file;
 mod camera_file;
 pub mod compote;
 mod data_set_folder;
+mod detection_file;
+mod evaluation_file;
 mod image_file;
 mod image_folder;
 mod input;
@@ -21,17 +24,18 @@ use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
+pub use calibration_file::{calibrated_camera_document, calibration_document};
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera, read_std_devs};
-pub use data_set_folder::{DataSetProgress, stage_data_set};
+pub use data_set_folder::{image_name, stage_data_set};
+pub use detection_file::detection_document;
+pub use evaluation_file::evaluation_document;
 pub use image_file::{read_image, write_png};
 pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
 };
 pub use manifest::{MANIFEST, Manifest, StageRecord, hash_file, hash_text};
-pub use observations_file::{
-    read_centers, read_features, write_centers, write_detected_features, write_features,
-};
+pub use observations_file::{read_centers, read_features, write_centers, write_features};
 pub use output::{OutputFolder, abandon_output};
 pub use point_cloud::read_point_cloud_distance;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
@@ -41,8 +45,8 @@ pub use precalibration_file::{
 };
 pub use project_draft::{DraftText, ProjectDraft};
 pub use project_file::{
-    CalibrationSection, ImagesSection, LossName, ModeName, Pitches, Project, TranslationImages,
-    TruthSection, WhiteImage,
+    CalibrationSection, ImagesSection, Pitches, Project, TranslationImages, TruthSection,
+    WhiteImage,
 };
 pub use raytrix::{RaytrixCalibration, read_raytrix};
 pub use residuals_file::write_residuals;

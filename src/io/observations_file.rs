@@ -1,6 +1,7 @@
 //! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP
-//! features, u, v and ρ in px; the same columns as COMPOTE's. Columns are found by their names in
-//! the first line; others are passed over. Gzip-compressed files are COMPOTE's binary form.
+//! features, u, v and ρ in px; the same columns as COMPOTE's. Standard deviations, px, may follow:
+//! `std_dev` of centres, `std_u`, `std_v` and `std_rho` of features. Columns are found by their names
+//! in the first line; others are ignored. Gzip-compressed files are COMPOTE's binary form.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -8,7 +9,6 @@ use std::path::Path;
 use csv::{ReaderBuilder, StringRecord, Trim};
 
 use super::{compote, read_bytes};
-use crate::detection::DetectedFeature;
 use crate::error::{Error, Result};
 use crate::model::{BapFeature, MicroImageCenter, Observations};
 
@@ -18,12 +18,13 @@ pub fn read_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
     if compote::is_linked_observations(&bytes) {
         return Ok(compote::linked_observations(&bytes).map_err(|e| e.in_file(path))?.centers);
     }
-    rows(path, &bytes, ["k", "l", "u", "v"], |row| {
+    rows(path, &bytes, &["k", "l", "u", "v"], &["std_dev"], |row| {
         Ok(MicroImageCenter {
-            k: row.integer(0)?,
-            l: row.integer(1)?,
-            u_px: row.number(2)?,
-            v_px: row.number(3)?,
+            k: row.integer("k")?,
+            l: row.integer("l")?,
+            u_px: row.number("u")?,
+            v_px: row.number("v")?,
+            std_dev_px: row.std_dev("std_dev")?,
         })
     })
 }
@@ -36,117 +37,144 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
     if compote::is_linked_observations(&bytes) {
         return compote::linked_observations(&bytes).map_err(|e| e.in_file(path));
     }
-    let feature = |row: &Row| {
+    let mut required = vec!["k", "l", "u", "v", "cluster", "frame"];
+    required.extend(rho.then_some("rho"));
+    let features = rows(path, &bytes, &required, &["std_u", "std_v", "std_rho"], |row| {
         Ok(BapFeature {
-            k: row.integer(0)?,
-            l: row.integer(1)?,
-            u_px: row.number(2)?,
-            v_px: row.number(3)?,
-            corner: row.integer(4)?,
-            frame: row.integer(5)?,
-            rho_px: f64::NAN,
+            k: row.integer("k")?,
+            l: row.integer("l")?,
+            u_px: row.number("u")?,
+            v_px: row.number("v")?,
+            corner: row.integer("cluster")?,
+            frame: row.integer("frame")?,
+            rho_px: if rho { row.measured("rho")? } else { None },
+            std_dev_px: match (row.std_dev("std_u")?, row.std_dev("std_v")?) {
+                (Some(u), Some(v)) => Some([u, v]),
+                (None, None) => None,
+                _ => return Err(row.error("std_u and std_v go together, but one is missing")),
+            },
+            rho_std_dev_px: row.std_dev("std_rho")?,
         })
-    };
-    let features = if rho {
-        rows(path, &bytes, ["k", "l", "u", "v", "cluster", "frame", "rho"], |row| {
-            Ok(BapFeature { rho_px: row.number(6)?, ..feature(row)? })
-        })?
-    } else {
-        rows(path, &bytes, ["k", "l", "u", "v", "cluster", "frame"], feature)?
-    };
+    })?;
     Ok(Observations { centers: Vec::new(), features })
 }
 
-/// Writes micro-image centres as CSV.
+/// Writes micro-image centres as CSV, with their standard deviations if they have any.
 pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::Result<()> {
-    writeln!(out, "k,l,u,v")?;
-    centers.iter().try_for_each(|c| writeln!(out, "{},{},{},{}", c.k, c.l, c.u_px, c.v_px))
+    let measured = centers.iter().any(|c| c.std_dev_px.is_some());
+    writeln!(out, "k,l,u,v{}", if measured { ",std_dev" } else { "" })?;
+    centers.iter().try_for_each(|c| {
+        write!(out, "{},{},{},{}", c.k, c.l, c.u_px, c.v_px)?;
+        if measured { writeln!(out, ",{}", std_dev_text(c.std_dev_px)) } else { writeln!(out) }
+    })
 }
 
-/// Writes BAP features as CSV.
+/// Writes BAP features as CSV, with their standard deviations if they have any.
 pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Result<()> {
-    writeln!(out, "k,l,u,v,rho,cluster,frame")?;
+    let measured = |f: &BapFeature| f.std_dev_px.is_some() || f.rho_std_dev_px.is_some();
+    let measured = features.iter().any(measured);
+    let std_devs = if measured { ",std_u,std_v,std_rho" } else { "" };
+    writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}")?;
     features.iter().try_for_each(|f| {
-        writeln!(out, "{},{},{},{},{},{},{}", f.k, f.l, f.u_px, f.v_px, f.rho_px, f.corner, f.frame)
+        let rho = f.rho_px.map(|rho| rho.to_string()).unwrap_or_default();
+        write!(out, "{},{},{},{},{rho},{},{}", f.k, f.l, f.u_px, f.v_px, f.corner, f.frame)?;
+        if measured {
+            let [u, v] = [0, 1].map(|i| std_dev_text(f.std_dev_px.map(|std_devs| std_devs[i])));
+            write!(out, ",{u},{v},{}", std_dev_text(f.rho_std_dev_px))?;
+        }
+        writeln!(out)
     })
 }
 
-/// Writes detected features as CSV: the columns of BAP features, and the standard deviations of u, v
-/// and ρ, px.
-pub fn write_detected_features(
-    out: &mut dyn Write,
-    features: &[DetectedFeature],
-) -> io::Result<()> {
-    writeln!(out, "k,l,u,v,rho,cluster,frame,std_u,std_v,std_rho")?;
-    features.iter().try_for_each(|detected| {
-        let f = &detected.feature;
-        let std_dev = |i: usize| detected.covariance[(i, i)].sqrt();
-        write!(
-            out,
-            "{},{},{},{},{},{},{},",
-            f.k, f.l, f.u_px, f.v_px, f.rho_px, f.corner, f.frame
-        )?;
-        writeln!(out, "{:.4},{:.4},{:.4}", std_dev(0), std_dev(1), detected.rho_std_dev_px)
-    })
+/// A standard deviation with four significant digits, so that none becomes 0.
+pub(super) fn std_dev_text(std_dev: Option<f64>) -> String {
+    std_dev
+        .map(|s| if s < 1e-3 { format!("{s:.3e}") } else { format!("{s:.6}") })
+        .unwrap_or_default()
 }
 
 struct Row<'a> {
     path: &'a Path,
     line: u64,
     record: &'a StringRecord,
-    names: &'a [&'static str],
-    places: &'a [usize],
+    /// Columns by name.
+    columns: &'a [(&'static str, usize)],
 }
 
 impl Row<'_> {
-    fn field<T: std::str::FromStr>(&self, column: usize, what: &str) -> Result<T> {
-        let text = &self.record[self.places[column]];
-        text.parse().map_err(|_| {
-            Error::content(
-                self.path,
-                format!("line {}: {} is '{text}', not {what}", self.line, self.names[column]),
-            )
-        })
+    fn error(&self, message: &str) -> Error {
+        Error::content(self.path, format!("line {}: {message}", self.line))
     }
 
-    fn integer<T: std::str::FromStr>(&self, column: usize) -> Result<T> {
-        self.field(column, "a whole number in range")
+    /// What stands in a column; `None` if there is no such column, or nothing in it.
+    fn text(&self, name: &str) -> Option<&str> {
+        let (_, column) = self.columns.iter().find(|(column, _)| *column == name)?;
+        self.record.get(*column).filter(|text| !text.is_empty())
     }
 
-    fn number(&self, column: usize) -> Result<f64> {
-        let value: f64 = self.field(column, "a number")?;
+    fn field<T: std::str::FromStr>(&self, name: &str, what: &str) -> Result<T> {
+        let text = self.text(name).unwrap_or_default();
+        text.parse().map_err(|_| self.error(&format!("{name} is '{text}', not {what}")))
+    }
+
+    fn integer<T: std::str::FromStr>(&self, name: &str) -> Result<T> {
+        self.field(name, "a whole number in range")
+    }
+
+    fn number(&self, name: &str) -> Result<f64> {
+        let value: f64 = self.field(name, "a number")?;
         if value.is_finite() {
             return Ok(value);
         }
-        Err(Error::content(
-            self.path,
-            format!("line {}: {} is {value}, not a finite number", self.line, self.names[column]),
-        ))
+        Err(self.error(&format!("{name} is {value}, not a finite number")))
+    }
+
+    /// A number, or `None` where nothing was measured.
+    fn measured(&self, name: &str) -> Result<Option<f64>> {
+        self.text(name).map(|_| self.number(name)).transpose()
+    }
+
+    fn std_dev(&self, name: &str) -> Result<Option<f64>> {
+        match self.measured(name)? {
+            Some(value) if value <= 0.0 => Err(self.error(&format!(
+                "{name} is {value}, but a standard deviation is positive; leave it empty where it was \
+                 not measured"
+            ))),
+            value => Ok(value),
+        }
     }
 }
 
-fn rows<T, const N: usize>(
+fn rows<T>(
     path: &Path,
     bytes: &[u8],
-    names: [&'static str; N],
+    required: &[&'static str],
+    optional: &[&'static str],
     parse: impl Fn(&Row) -> Result<T>,
 ) -> Result<Vec<T>> {
     let mut reader = ReaderBuilder::new().trim(Trim::All).from_reader(bytes);
     let broken = |error: csv::Error| Error::content(path, error.to_string());
     let header = reader.headers().map_err(broken)?.clone();
-    let place = |name: &&'static str| header.iter().position(|field| field == *name);
-    if let Some(name) = names.iter().find(|name| header.iter().filter(|f| f == *name).count() > 1) {
-        return Err(Error::content(path, format!("the first line names the column {name} twice")));
+    let mut columns = Vec::new();
+    for &name in required.iter().chain(optional) {
+        let mut places = (0..header.len()).filter(|&i| &header[i] == name);
+        columns.extend(places.next().map(|place| (name, place)));
+        if places.next().is_some() {
+            return Err(Error::content(
+                path,
+                format!("the first line names the column {name} twice"),
+            ));
+        }
     }
-    let places: Vec<usize> = names.iter().filter_map(place).collect();
-    if places.len() < N {
-        let missing: Vec<&str> = names.into_iter().filter(|n| place(n).is_none()).collect();
+    let is_missing = |name: &&&str| columns.iter().all(|(column, _)| column != *name);
+    let missing: Vec<&str> = required.iter().filter(is_missing).copied().collect();
+    if !missing.is_empty() {
         return Err(Error::content(
             path,
             format!(
                 "the first line has no column '{}'; it has to name the columns {}, and reads '{}'",
                 missing.join("', '"),
-                names.join(","),
+                required.join(","),
                 header.iter().collect::<Vec<_>>().join(",").chars().take(80).collect::<String>()
             ),
         ));
@@ -155,7 +183,7 @@ fn rows<T, const N: usize>(
     let mut record = StringRecord::new();
     while reader.read_record(&mut record).map_err(broken)? {
         let line = record.position().map_or(0, csv::Position::line);
-        values.push(parse(&Row { path, line, record: &record, names: &names, places: &places })?);
+        values.push(parse(&Row { path, line, record: &record, columns: &columns })?);
     }
     if values.is_empty() {
         return Err(Error::content(path, "there are no observations in it"));

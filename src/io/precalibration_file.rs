@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
+use super::observations_file::std_dev_text;
 use crate::error::{Error, Result};
 use crate::model::{InternalParameters, MicroImageCenter};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
@@ -137,8 +138,8 @@ pub fn write_measured_centers(
     lens_type: impl Fn(&MicroImageCenter) -> usize,
 ) -> io::Result<()> {
     writeln!(out, "k,l,u,v,std_dev,type")?;
-    array.centers.iter().enumerate().try_for_each(|(i, c)| {
-        let std_dev = array.std_devs_px.get(i).map(|s| format!("{s:.4}")).unwrap_or_default();
+    array.centers.iter().try_for_each(|c| {
+        let std_dev = std_dev_text(c.std_dev_px);
         writeln!(out, "{},{},{},{},{std_dev},{}", c.k, c.l, c.u_px, c.v_px, lens_type(c) + 1)
     })
 }

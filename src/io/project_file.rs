@@ -12,7 +12,7 @@ use crate::image::Color;
 use crate::model::{
     Board, Configuration, Datasheet, InternalParameters, LatticeKind, Sensor, optics,
 };
-use crate::solver::Loss;
+use crate::solver::{Loss, LossKind};
 
 /// A project file. Every table may be left out where a command gets its content another way.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -175,7 +175,7 @@ pub struct ObservationsSection {
 }
 
 /// One micro-lens pitch or one for each axis.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pitches {
     /// The same along x and y (the paper).
@@ -184,36 +184,12 @@ pub enum Pitches {
     Two,
 }
 
-/// Names of the losses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum LossName {
-    /// Least squares (the paper).
-    None,
-    /// Huber: linear beyond the scale.
-    Huber,
-    /// Cauchy: logarithmic beyond the scale.
-    Cauchy,
-}
-
-/// Names of the modes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum ModeName {
-    /// Camera and poses from (u, v, rho) and the centres.
-    Full,
-    /// Camera of pinholes and poses from (u, v) and the centres.
-    CornersOnly,
-    /// Poses, the camera held.
-    PosesOnly,
-}
-
-/// `[calibration]`: everything is optional; the command line goes before.
+/// `[calibration]`: everything is optional; the command line takes precedence.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CalibrationSection {
     /// What is estimated.
-    pub mode: Option<ModeName>,
+    pub mode: Option<Mode>,
     /// One pitch or two.
     pub pitches: Option<Pitches>,
     /// Parameters that keep their value.
@@ -227,7 +203,7 @@ pub struct CalibrationSection {
     /// σ of the centres, px.
     pub centers_std_dev_px: Option<f64>,
     /// Robust loss.
-    pub loss: Option<LossName>,
+    pub loss: Option<LossKind>,
     /// Its scale, standard deviations.
     pub loss_scale: Option<f64>,
     /// Limit of iterations.
@@ -258,11 +234,7 @@ impl CalibrationSection {
     /// The options of the calibration, defaults filled in.
     #[must_use]
     pub fn options(&self) -> CalibrationOptions {
-        let mode = match self.mode {
-            None | Some(ModeName::Full) => Mode::Full,
-            Some(ModeName::CornersOnly) => Mode::CornersOnly,
-            Some(ModeName::PosesOnly) => Mode::PosesOnly,
-        };
+        let mode = self.mode.unwrap_or_default();
         let mut options = CalibrationOptions { mode, ..CalibrationOptions::default() };
         if self.pitches == Some(Pitches::Two) {
             options.cost.fixed.clear();
@@ -276,11 +248,9 @@ impl CalibrationSection {
         ] {
             *target = value.unwrap_or(*target);
         }
-        let scale = self.loss_scale.unwrap_or(1.0);
-        cost.loss = match self.loss {
-            None | Some(LossName::None) => Loss::None,
-            Some(LossName::Huber) => Loss::Huber { scale },
-            Some(LossName::Cauchy) => Loss::Cauchy { scale },
+        cost.loss = Loss {
+            kind: self.loss.unwrap_or(LossKind::None),
+            scale: self.loss_scale.unwrap_or(1.0),
         };
         options.exclude_frames = self.exclude_frames.clone().unwrap_or_default();
         let solver = &mut options.solver;

@@ -11,10 +11,9 @@ pub fn write_residuals(out: &mut dyn Write, reprojection: &Reprojection) -> io::
     writeln!(out, "kind,frame,cluster,k,l,lens_type,u,v,rho,du,dv,drho")?;
     for r in &reprojection.features {
         let f = &r.feature;
-        let (rho, drho) = match r.drho_px {
-            Some(drho) => (f.rho_px.to_string(), drho.to_string()),
-            None => (String::new(), String::new()),
-        };
+        // ρ that was not used is left out.
+        let rho = text(f.rho_px.filter(|_| r.drho_px.is_some()));
+        let drho = text(r.drho_px);
         writeln!(
             out,
             "feature,{},{},{},{},{},{},{},{rho},{},{},{drho}",
@@ -44,4 +43,8 @@ pub fn write_residuals(out: &mut dyn Write, reprojection: &Reprojection) -> io::
         )?;
     }
     Ok(())
+}
+
+fn text(value: Option<f64>) -> String {
+    value.map(|value| value.to_string()).unwrap_or_default()
 }

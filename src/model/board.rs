@@ -58,3 +58,30 @@ pub struct FramePose {
     /// Takes points of the board frame into the camera frame, mm.
     pub camera_from_board: Isometry3<f64>,
 }
+
+/// What a set of frames is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Subset {
+    /// Boards to calibrate with.
+    Calibration,
+    /// Boards to evaluate with.
+    Evaluation,
+    /// A board moved along the optical axis.
+    Translation,
+}
+
+impl Subset {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Calibration, Self::Evaluation, Self::Translation];
+
+    /// The name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Calibration => "calibration",
+            Self::Evaluation => "evaluation",
+            Self::Translation => "translation",
+        }
+    }
+}

@@ -20,7 +20,7 @@ pub enum Configuration {
 }
 
 /// What the datasheet says of a camera: the start of a calibration.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Datasheet {
     /// The image sensor.
     pub sensor: Sensor,

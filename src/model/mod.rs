@@ -6,6 +6,7 @@ mod camera;
 mod camera_fields;
 mod checks;
 mod datasheet;
+mod display;
 mod lattice;
 mod noise;
 mod observations;
@@ -13,13 +14,14 @@ pub mod optics;
 mod parameters;
 mod reprojection;
 
-pub use board::{Board, FramePose};
+pub use board::{Board, FramePose, Subset};
 pub(crate) use camera::check_lens_types;
 pub use camera::{
     LensSetting, MAX_MICRO_LENSES, MainLens, MicroLensArray, PlenopticCamera, Sensor,
 };
 pub(crate) use checks::positive;
 pub use datasheet::{Configuration, Datasheet, InternalParameters};
+pub(crate) use display::{display_unit, signed, with_std_dev};
 pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};
 pub use noise::{Noise, NoiseSource};
 pub use observations::{BapFeature, MIN_CORNERS, MicroImageCenter, Observations};

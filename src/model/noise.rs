@@ -57,7 +57,7 @@ impl NoiseSource {
         BapFeature {
             u_px: feature.u_px + self.uv.sample(random),
             v_px: feature.v_px + self.uv.sample(random),
-            rho_px: feature.rho_px + self.rho.sample(random),
+            rho_px: feature.rho_px.map(|rho_px| rho_px + self.rho.sample(random)),
             ..*feature
         }
     }

@@ -16,6 +16,8 @@ pub struct MicroImageCenter {
     pub u_px: f64,
     /// Position, px.
     pub v_px: f64,
+    /// Standard deviation of u and of v, px, where it was measured.
+    pub std_dev_px: Option<f64>,
 }
 
 /// Blur aware plenoptic feature: a board corner in micro-image (k, l) of a frame.
@@ -33,8 +35,12 @@ pub struct BapFeature {
     pub u_px: f64,
     /// Position, px.
     pub v_px: f64,
-    /// Signed blur radius ρ, px; not a number where it was not measured.
-    pub rho_px: f64,
+    /// Signed blur radius ρ, px, where it was measured.
+    pub rho_px: Option<f64>,
+    /// Standard deviations of u and v, px, where they were measured.
+    pub std_dev_px: Option<[f64; 2]>,
+    /// Standard deviation of ρ, px, where it was measured.
+    pub rho_std_dev_px: Option<f64>,
 }
 
 /// The observations of a calibration.
@@ -56,8 +62,8 @@ impl Observations {
         self.features.iter().map(|f| f.frame).collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// An error naming the first observation that cannot be: not finite, outside the array, the
-    /// board or the image, given twice, or a frame with too few corners.
+    /// An error naming the first observation that is impossible: not finite, outside the array, the
+    /// board or the image, or given twice; or a frame with too few corners.
     pub fn validate(
         &self,
         sensor: &Sensor,
@@ -94,6 +100,7 @@ impl Observations {
         for c in &self.centers {
             let what = format!("the centre of micro-image ({}, {})", c.k, c.l);
             check(&what, c.k, c.l, c.u_px, c.v_px)?;
+            check_std_devs(&c.std_dev_px, &what)?;
             if !seen.insert((c.k, c.l)) {
                 return Err(Error::invalid(format!("{what} is given twice")));
             }
@@ -107,20 +114,11 @@ impl Observations {
                 f.corner, f.k, f.l, f.frame
             );
             check(&what, f.k, f.l, f.u_px, f.v_px)?;
-            if needs_rho && !f.rho_px.is_finite() {
-                return Err(Error::invalid(format!(
-                    "{what} has the blur radius {}: not a finite number; give it, or calibrate \
-                     from corners only (--mode corners-only)",
-                    f.rho_px
-                )));
+            if needs_rho {
+                check_rho(f.rho_px, &what, sensor)?;
             }
-            // No blur circle is wider than the image; what is was not measured.
-            if needs_rho && f.rho_px.abs() > f64::from(sensor.width_px) {
-                return Err(Error::invalid(format!(
-                    "{what} has the blur radius {} px, wider than the image",
-                    f.rho_px
-                )));
-            }
+            let std_devs = f.std_dev_px.iter().flatten().chain(&f.rho_std_dev_px);
+            check_std_devs(std_devs, &what)?;
             if !(0..board.corners()).contains(&f.corner) {
                 return Err(Error::invalid(format!(
                     "{what} is not on the board of {} x {} inner corners",
@@ -134,13 +132,33 @@ impl Observations {
         }
         for (frame, corners) in corners {
             if corners.len() < MIN_CORNERS {
-                return Err(Error::invalid(format!(
-                    "frame {frame} shows {} board corner(s), but a pose needs at least \
-                     {MIN_CORNERS}: leave the frame out (--exclude-frames {frame})",
-                    corners.len()
-                )));
+                let (corners, needed) = (corners.len(), MIN_CORNERS);
+                return Err(Error::TooFewCorners { frame, corners, needed });
             }
         }
         Ok(())
+    }
+}
+
+/// An error unless a blur radius was measured and is possible.
+fn check_rho(rho_px: Option<f64>, what: &str, sensor: &Sensor) -> Result<()> {
+    let Some(rho_px) = rho_px.filter(|rho| rho.is_finite()) else {
+        return Err(Error::NoBlurRadius { feature: what.to_owned() });
+    };
+    if rho_px.abs() > f64::from(sensor.width_px) {
+        return Err(Error::invalid(format!(
+            "{what} has the blur radius {rho_px} px, wider than the image"
+        )));
+    }
+    Ok(())
+}
+
+/// An error unless standard deviations can divide residuals.
+fn check_std_devs<'a>(values: impl IntoIterator<Item = &'a f64>, what: &str) -> Result<()> {
+    match values.into_iter().find(|value| !(value.is_finite() && **value > 0.0)) {
+        Some(value) => Err(Error::invalid(format!(
+            "{what} has the standard deviation {value} px; it has to be positive and finite"
+        ))),
+        None => Ok(()),
     }
 }

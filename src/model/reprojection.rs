@@ -107,8 +107,17 @@ mod tests {
     use super::*;
 
     fn residual(frame: u32, du_px: f64, dv_px: f64, drho_px: Option<f64>) -> FeatureResidual {
-        let feature =
-            BapFeature { frame, corner: 0, k: 0, l: 0, u_px: 0.0, v_px: 0.0, rho_px: 0.0 };
+        let feature = BapFeature {
+            frame,
+            corner: 0,
+            k: 0,
+            l: 0,
+            u_px: 0.0,
+            v_px: 0.0,
+            rho_px: None,
+            std_dev_px: None,
+            rho_std_dev_px: None,
+        };
         FeatureResidual { feature, lens_type: 0, du_px, dv_px, drho_px }
     }
 

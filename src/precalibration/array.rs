@@ -22,8 +22,6 @@ pub struct ArrayMeasurement {
     pub lens_types: LensTypes,
     /// The centres that agree with it.
     pub centers: Vec<MicroImageCenter>,
-    /// Standard deviation of each centre per axis, px; empty where they were not measured.
-    pub std_devs_px: Vec<f64>,
     /// How many micro-images gave no centre, by reason.
     pub left_out: LeftOutCenters,
 }
@@ -39,7 +37,6 @@ impl ArrayMeasurement {
         Self {
             grid,
             lens_types: LensTypes::stated(lens_types.max(1)),
-            std_devs_px: Vec::new(),
             centers,
             left_out: LeftOutCenters::default(),
         }
@@ -102,7 +99,8 @@ pub fn lattice_centers(
     let labels = labels
         .first()
         .ok_or_else(|| Error::invalid("no centre lies in it: give a larger image"))?;
-    let center = |&node: &(i32, i32)| labels.center(&pattern, node, &pattern.place(node.0, node.1));
+    let center =
+        |&node: &(i32, i32)| labels.center(&pattern, node, &pattern.place(node.0, node.1), None);
     Ok(nodes.iter().map(center).collect())
 }
 
@@ -140,7 +138,7 @@ impl FoundArray {
 
     /// The centre that a micro-image has in one of the white images.
     pub fn center(&self, blob: &Blob) -> MicroImageCenter {
-        self.labels.center(&self.pattern, blob.node, &blob.center)
+        self.labels.center(&self.pattern, blob.node, &blob.center, Some(blob.std_dev))
     }
 }
 
@@ -163,9 +161,10 @@ impl Labels {
         pattern: &Pattern,
         node: (i32, i32),
         place: &Vector2<f64>,
+        std_dev_px: Option<f64>,
     ) -> MicroImageCenter {
         let (k, l) = self.index(pattern, node);
-        MicroImageCenter { k, l, u_px: place.x, v_px: place.y }
+        MicroImageCenter { k, l, u_px: place.x, v_px: place.y, std_dev_px }
     }
 
     /// The lattice so counted.
@@ -257,7 +256,7 @@ pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<Fo
         .filter(|(blob, verdict)| verdict.left_out.is_none() && of_array(blob.node))
         .map(|(blob, _)| blob)
         .collect();
-    let center = |blob: &Blob| labels.center(&pattern, blob.node, &blob.center);
+    let center = |blob: &Blob| labels.center(&pattern, blob.node, &blob.center, Some(blob.std_dev));
     let all: Vec<MicroImageCenter> = blobs.iter().map(center).collect();
     let grid = fit_found(&all, &lattice)?;
     let limit = MISPLACED * grid.rms_px + MISPLACED_PX;
@@ -273,7 +272,6 @@ pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<Fo
         grid,
         lens_types: LensTypes::ONE,
         centers: blobs.iter().map(center).collect(),
-        std_devs_px: blobs.iter().map(|blob| blob.std_dev).collect(),
         left_out: LeftOutCenters {
             cut: count(LeftOut::Cut),
             dark: count(LeftOut::Dark),

@@ -264,7 +264,7 @@ mod tests {
         indices
             .map(|(k, l)| {
                 let c = grid.center_of(k, l);
-                MicroImageCenter { k, l, u_px: c.x, v_px: c.y }
+                MicroImageCenter { k, l, u_px: c.x, v_px: c.y, std_dev_px: None }
             })
             .collect()
     }
@@ -356,7 +356,7 @@ mod tests {
 
     #[test]
     fn a_single_place_one_row_or_too_few_centres_are_errors() {
-        let one = MicroImageCenter { k: 3, l: 4, u_px: 10.0, v_px: 20.0 };
+        let one = MicroImageCenter { k: 3, l: 4, u_px: 10.0, v_px: 20.0, std_dev_px: None };
         assert!(fit_grid(&[one; 20], LatticeKind::HexagonalRows, 13, 11).is_err());
         assert!(fit_grid(&[one; 3], LatticeKind::HexagonalRows, 13, 11).is_err());
         let truth = grid(LatticeKind::HexagonalRows, Parity::Odd, 23.2, 0.01);

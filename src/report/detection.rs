@@ -8,31 +8,18 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{GrayImage, Luma};
 
 use super::table::{Table, table};
-use crate::detection::{Detection, FrameCounts};
+use crate::detection::{DetectedFrame, Detection};
 use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::model::Board;
 
-/// A frame in the table.
-#[derive(Debug, Clone)]
-pub struct FrameRow {
-    /// Its number.
-    pub frame: u32,
-    /// Name of the image.
-    pub image: String,
-    /// What was done.
-    pub counts: FrameCounts,
-    /// Features; 0 where the frame was left out.
-    pub features: usize,
-}
-
 /// Frame by frame what was found and what was dropped.
 #[must_use]
-pub fn detection_text(rows: &[FrameRow]) -> String {
-    format!("{}\n\n{}", detection_table(rows), dropped_text(rows))
+pub fn detection_text(frames: &[DetectedFrame]) -> String {
+    format!("{}\n\n{}", detection_table(frames), dropped_text(frames))
 }
 
-pub(super) fn detection_table(rows: &[FrameRow]) -> Table {
+pub(super) fn detection_table(frames: &[DetectedFrame]) -> Table {
     let header = [
         "Frame",
         "Image",
@@ -51,14 +38,14 @@ pub(super) fn detection_table(rows: &[FrameRow]) -> Table {
         "Given up",
     ];
     let mut text = table(&header, &[1]);
-    for row in rows {
-        let c = &row.counts;
+    for frame in frames {
+        let c = &frame.counts;
         let numbers = [
             c.looked_at - c.unusable,
             c.corners,
             c.clusters,
             c.board_corners,
-            row.features,
+            frame.features(),
             c.alone,
             c.off_line,
             c.texture,
@@ -68,7 +55,7 @@ pub(super) fn detection_table(rows: &[FrameRow]) -> Table {
             c.misplaced,
             c.given_up,
         ];
-        let mut cells = vec![row.frame.to_string(), row.image.clone()];
+        let mut cells = vec![frame.frame.to_string(), frame.name.clone()];
         cells.extend(numbers.iter().map(ToString::to_string));
         text.add_row(cells);
     }
@@ -76,16 +63,16 @@ pub(super) fn detection_table(rows: &[FrameRow]) -> Table {
 }
 
 /// What the columns mean.
-pub(super) fn dropped_text(rows: &[FrameRow]) -> String {
-    let features: usize = rows.iter().map(|row| row.features).sum();
-    let frames = rows.iter().filter(|row| row.features > 0).count();
+pub(super) fn dropped_text(frames: &[DetectedFrame]) -> String {
+    let features: usize = frames.iter().map(DetectedFrame::features).sum();
+    let with_features = frames.iter().filter(|frame| frame.features() > 0).count();
     format!(
-        "{features} features in {frames} of {} frames. Corners: found in a micro-image by \
+        "{features} features in {with_features} of {} frames. Corners: found in a micro-image by \
          itself. Board: corners tied to it.\nDropped: alone (in no cluster), off the line of their \
          cluster, texture (a large cluster with hardly a line), off the board.\nLooked for again where \
          they are expected: board corners lost; micro-images unclear, with the corner misplaced, or of \
          a corner given up.",
-        rows.len()
+        frames.len()
     )
 }
 
@@ -154,8 +141,7 @@ pub fn features_figure(image: &RawImage, detection: &Detection, board: &Board) -
         first.y,
         4 * reduced
     );
-    for detected in &detection.features {
-        let f = &detected.feature;
+    for f in &detection.features {
         // Neighbours on the board differ in hue.
         let hue = f.corner * 137 % 360;
         let _ = writeln!(
@@ -163,7 +149,7 @@ pub fn features_figure(image: &RawImage, detection: &Detection, board: &Board) -
             "<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{:.2}\" stroke=\"hsl({hue},90%,60%)\"/>",
             f.u_px,
             f.v_px,
-            f.rho_px.abs().max(0.3)
+            f.rho_px.map_or(0.0, f64::abs).max(0.3)
         );
     }
     svg.push_str("</g>\n</svg>\n");

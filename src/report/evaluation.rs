@@ -1,22 +1,21 @@
-//! An evaluation as tables and as JSON.
+//! An evaluation as tables.
 
-use serde_json::{Value, json};
-
-use super::calibration::{display_unit, rmse_json, signed, with_std_dev};
 use super::html::HtmlTable;
 use super::table::table;
 use crate::evaluation::{
-    Candidate, CrossValidation, Displacement, Displacements, Evaluation, ParameterError,
-    PoseErrors, Spread,
+    Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors,
 };
-use crate::model::{PlenopticCamera, Rmse, intrinsic_parameters};
+use crate::model::{
+    PlenopticCamera, Rmse, display_unit, intrinsic_parameters, signed, with_std_dev,
+};
 
 /// Name of other software's point clouds in tables.
 const CLOUDS: &str = "point clouds";
 
-/// The tables of an evaluation: reprojection (Table 4), known motions (Table 3), and the true camera.
+/// The tables of an evaluation: reprojection (Table 4), known motions (Table 3), the true camera and
+/// poses, and the cross-validation of the first candidate.
 #[must_use]
-pub fn evaluation_tables(evaluation: &Evaluation) -> Vec<HtmlTable> {
+pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> Vec<HtmlTable> {
     let mut tables = Vec::new();
     let mut reprojection = table(
         &["Camera", "Frames", "Features", "Σ all², px²", "RMSE all, px", "(u, v)", "ρ"],
@@ -47,7 +46,7 @@ pub fn evaluation_tables(evaluation: &Evaluation) -> Vec<HtmlTable> {
     }
     if posed {
         tables.push(reprojection.captioned(
-            "Boards that were not calibrated with, poses refined with the camera held (paper, Table 4)",
+            "Boards that were not calibrated with, poses refined with the camera fixed (paper, Table 4)",
         ));
     }
     if moved {
@@ -62,6 +61,12 @@ pub fn evaluation_tables(evaluation: &Evaluation) -> Vec<HtmlTable> {
             let caption = format!("Against the true camera: {}", candidate.name);
             tables.push(truth_table(errors, &caption));
         }
+    }
+    if !evaluation.poses.is_empty() {
+        tables.push(pose_errors_table(&evaluation.poses));
+    }
+    if let (Some(folds), Some(candidate)) = (&evaluation.folds, candidates.first()) {
+        tables.extend(folds_tables(folds, candidate));
     }
     tables
 }
@@ -149,8 +154,7 @@ pub fn truth_table(errors: &[ParameterError], caption: &str) -> HtmlTable {
 }
 
 /// Errors of poses by subset of the boards.
-#[must_use]
-pub fn pose_errors_table(subsets: &[(String, PoseErrors)]) -> HtmlTable {
+fn pose_errors_table(subsets: &[(String, PoseErrors)]) -> HtmlTable {
     let mut table =
         table(&["Boards", "Frames", "Across, mm", "Along the axis, mm", "Rotation, mrad"], &[0]);
     for (name, errors) in subsets {
@@ -192,8 +196,7 @@ pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> Htm
 }
 
 /// Frames held out, and what the jackknife says of the parameters beside the covariance.
-#[must_use]
-pub fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<HtmlTable> {
+fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<HtmlTable> {
     let mut of_folds = table(
         &[
             "Held out",
@@ -250,91 +253,4 @@ pub fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<HtmlT
     // Cameras of other programs come without standard deviations.
     tables.extend((!spread.rows.is_empty()).then_some(spread));
     tables
-}
-
-/// The same for machines: values in px, mm, rad; relative errors as parts.
-#[must_use]
-pub fn evaluation_json(
-    evaluation: &Evaluation,
-    poses: &[(String, PoseErrors)],
-    folds: Option<&CrossValidation>,
-) -> Value {
-    let candidates: Vec<Value> = evaluation
-        .candidates
-        .iter()
-        .map(|candidate| {
-            json!({
-                "name": candidate.name,
-                "evaluation": candidate.evaluation.as_ref().map(|found| {
-                    let mut value = rmse_json(&found.reprojection.rmse());
-                    value["frames"] = json!(found.poses.len());
-                    value["frames_left_out"] = json!(found.left_out.len());
-                    value
-                }),
-                "translation": candidate.translation.as_ref().map(displacements_json),
-                "truth": candidate.truth.as_ref().map(|errors| {
-                    errors.iter().map(parameter_json).collect::<Vec<_>>()
-                }),
-            })
-        })
-        .collect();
-    let poses: Vec<Value> = poses
-        .iter()
-        .map(|(name, e)| {
-            json!({
-                "boards": name,
-                "frames": e.frames,
-                "across_mm": e.across_mm,
-                "along_mm": e.along_mm,
-                "rotation_rad": e.rotation_rad,
-            })
-        })
-        .collect();
-    json!({
-        "format": "plenocal-evaluation",
-        "version": 1,
-        "cameras": candidates,
-        "point_clouds": evaluation.clouds.as_ref().map(displacements_json),
-        "poses_against_truth": poses,
-        "problems": evaluation.problems,
-        "cross_validation": folds.map(|folds| json!({
-            "rmse": rmse_json(&folds.rmse),
-            "jackknife_standard_deviations": folds.jackknife_std_devs(),
-            "folds": folds.folds.iter().map(|fold| json!({
-                "frames": fold.frames,
-                "without_pose": fold.left_out,
-                "converged": fold.converged,
-                "rmse": rmse_json(&fold.rmse),
-            })).collect::<Vec<_>>(),
-        })),
-    })
-}
-
-fn parameter_json(e: &ParameterError) -> Value {
-    json!({
-        "parameter": e.name,
-        "unit": e.unit,
-        "truth": e.truth,
-        "estimate": e.estimate,
-        "standard_deviation": e.std_dev,
-    })
-}
-
-fn displacements_json(displacements: &Displacements) -> Value {
-    let spread = |s: Spread| json!({ "mean": s.mean, "standard_deviation": s.std_dev });
-    json!({
-        "whole_way": step_json(&displacements.whole),
-        "relative_error": spread(displacements.relative()),
-        "absolute_error_mm": spread(displacements.absolute_mm()),
-        "steps": displacements.steps.iter().map(step_json).collect::<Vec<_>>(),
-    })
-}
-
-fn step_json(s: &Displacement) -> Value {
-    json!({
-        "from": s.from,
-        "to": s.to,
-        "true_mm": s.true_mm,
-        "measured_mm": s.measured_mm,
-    })
 }

@@ -1,4 +1,4 @@
-//! Results for people (tables, words, pictures) and for machines (JSON).
+//! Results for people: tables, text, pictures, and the report of a run.
 
 mod calibration;
 mod calibration_figures;
@@ -11,15 +11,10 @@ mod precalibration;
 mod sections;
 mod table;
 
-pub use calibration::{
-    calibrated_camera, calibration_json, calibration_text, termination_text,
-    weakest_directions_text,
-};
+pub use calibration::calibration_text;
 pub use calibration_figures::{array_residuals_figure, calibration_figures};
-pub use detection::{FrameRow, detection_text, features_figure};
-pub use evaluation::{
-    cameras_table, evaluation_json, evaluation_tables, folds_tables, pose_errors_table, truth_table,
-};
+pub use detection::{detection_text, features_figure};
+pub use evaluation::{cameras_table, evaluation_tables, truth_table};
 pub use figures::{micro_images_figure, radii_figure};
 pub use html::{Figure, HtmlReport, HtmlTable, Part, Section};
 pub use precalibration::{array_text, precalibration_text, types_text};

@@ -1,10 +1,11 @@
 //! The sections of a run's report: what each stage has to show.
 
 use super::calibration::{errors_table, parameters_table, summary};
-use super::detection::{FrameRow, detection_table, dropped_text};
+use super::detection::{detection_table, dropped_text};
 use super::html::{Figure, HtmlTable, Part, Section};
 use super::precalibration::{array_text, internal_table, radii_table, types_text};
 use crate::calibration::Calibration;
+use crate::detection::DetectedBoards;
 use crate::precalibration::Precalibration;
 
 /// Pictures of frames that are shown at once; the others on demand.
@@ -39,16 +40,11 @@ pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> 
 
 /// The boards of a subset, frame by frame.
 #[must_use]
-pub fn detection_section(
-    subset: &str,
-    rows: &[FrameRow],
-    warnings: &[String],
-    figures: Vec<Figure>,
-) -> Section {
+pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Figure>) -> Section {
     let mut parts = Vec::new();
-    parts.extend(warnings_part(warnings));
-    parts.push(Part::Table(detection_table(rows).captioned("Frame by frame")));
-    parts.extend(paragraphs(&dropped_text(rows)));
+    parts.extend(warnings_part(&boards.warnings));
+    parts.push(Part::Table(detection_table(&boards.frames).captioned("Frame by frame")));
+    parts.extend(paragraphs(&dropped_text(&boards.frames)));
     let mut figures = figures.into_iter().map(Part::Figure);
     parts.extend(figures.by_ref().take(FRAMES_SHOWN));
     let others: Vec<Part> = figures.collect();
@@ -67,7 +63,8 @@ pub fn calibration_section(
 ) -> Section {
     let mut parts = Vec::new();
     let left_out = calibration.left_out.iter().map(ToString::to_string);
-    let warnings: Vec<String> = left_out.chain(calibration.warnings.iter().cloned()).collect();
+    let warnings: Vec<String> =
+        left_out.chain(calibration.warnings.iter().map(ToString::to_string)).collect();
     parts.extend(warnings_part(&warnings));
     parts.push(Part::Table(parameters_table(calibration).captioned("Parameters")));
     parts.extend(paragraphs(&summary(calibration)));

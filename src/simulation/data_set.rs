@@ -13,35 +13,10 @@ use super::imaging::Imaging;
 use super::sampling::hash;
 use super::scene::Scene;
 use super::settings::Settings;
+use super::stage::Content;
 use crate::error::{Error, Result};
 use crate::image::RawImage;
-use crate::model::FramePose;
-
-/// What a set of frames is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Subset {
-    /// Boards to calibrate with.
-    Calibration,
-    /// Boards to evaluate with.
-    Evaluation,
-    /// A board moved along the optical axis.
-    Translation,
-}
-
-impl Subset {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Calibration, Self::Evaluation, Self::Translation];
-
-    /// The name in files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Calibration => "calibration",
-            Self::Evaluation => "evaluation",
-            Self::Translation => "translation",
-        }
-    }
-}
+use crate::model::{FramePose, Subset};
 
 /// One image to take.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -120,6 +95,15 @@ impl DataSet {
     pub fn shots(&self) -> impl Iterator<Item = &Shot> {
         let boards = self.subsets.iter().flatten().map(|(_, shot)| shot);
         self.whites.iter().chain([&self.devignetting]).chain(boards)
+    }
+
+    /// All shots with what they show, in order.
+    pub fn contents(&self) -> impl Iterator<Item = (Content, &Shot)> {
+        let whites = self.whites.iter().enumerate().map(|(i, shot)| (Content::White(i), shot));
+        let boards = Subset::ALL.into_iter().zip(&self.subsets).flat_map(|(subset, boards)| {
+            boards.iter().map(move |(pose, shot)| (Content::Board(subset, pose.frame), shot))
+        });
+        whites.chain([(Content::Devignetting, &self.devignetting)]).chain(boards)
     }
 
     /// Everything that would fail later, before the first image is taken.

@@ -5,7 +5,7 @@
 //! distortion, the array has all six degrees of freedom; see [`Tracer`]. Nothing here calls the
 //! projection model of the C++ core, so that each can be tested by the other.
 //!
-//! A data set is described by [`Settings`], planned by [`DataSet::plan`] and taken shot by shot.
+//! [`simulate`] makes a whole data set from [`Settings`].
 
 mod array;
 mod data_set;
@@ -16,14 +16,16 @@ mod presets;
 mod sampling;
 mod scene;
 mod settings;
+mod stage;
 mod tracer;
 mod truth;
 
-pub use data_set::{DataSet, Shot, Subset};
+pub use data_set::{DataSet, Shot};
 pub use imaging::Imaging;
 pub use imperfections::{Imperfections, SecondStop};
 pub use presets::{PRESETS, Preset};
 pub use scene::{Scene, Target};
 pub use settings::{Boards, Settings, TranslationStage, WhiteImages};
+pub use stage::{Content, Progress, Simulated, Truth, simulate};
 pub use tracer::Tracer;
 pub use truth::{Spot, TrueCenter, TrueFeature};

@@ -105,7 +105,13 @@ impl Tracer {
             .map(|lens| (lens, self.micro_image_center(lens)))
             .filter(|&(_, p)| self.sensor().contains(p.x, p.y))
             .map(|(lens, p)| TrueCenter {
-                center: MicroImageCenter { k: lens.k, l: lens.l, u_px: p.x, v_px: p.y },
+                center: MicroImageCenter {
+                    k: lens.k,
+                    l: lens.l,
+                    u_px: p.x,
+                    v_px: p.y,
+                    std_dev_px: None,
+                },
                 lens_type: lens.lens_type,
                 alive: lens.alive,
             })
@@ -146,7 +152,9 @@ impl Tracer {
                         l: lens.l,
                         u_px: spot.center_px.x,
                         v_px: spot.center_px.y,
-                        rho_px: spot.radius_px,
+                        rho_px: Some(spot.radius_px),
+                        std_dev_px: None,
+                        rho_std_dev_px: None,
                     };
                     Some(TrueFeature { feature, visible: spot.visible })
                 };

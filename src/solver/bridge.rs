@@ -6,7 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
 use nalgebra::{DMatrix, Isometry3, Translation3, UnitQuaternion, Vector3};
 
-use super::options::{CostOptions, Loss, SolverOptions};
+use super::options::{CostOptions, LossKind, SolverOptions};
 use super::problem::{Problem, SolverFeature};
 use super::refinement::{Iteration, Refinement, Termination};
 use super::uncertainty::Uncertainty;
@@ -357,17 +357,17 @@ impl From<&ffi::IterationRow> for Iteration {
 
 impl From<&CostOptions> for ffi::CostParts {
     fn from(cost: &CostOptions) -> Self {
-        let (loss_kind, loss_scale) = match cost.loss {
-            Loss::None => (0, 1.0),
-            Loss::Huber { scale } => (1, scale),
-            Loss::Cauchy { scale } => (2, scale),
+        let loss_kind = match cost.loss.kind {
+            LossKind::None => 0,
+            LossKind::Huber => 1,
+            LossKind::Cauchy => 2,
         };
         Self {
             uv_std_dev_px: cost.uv_std_dev_px,
             rho_std_dev_px: cost.rho_std_dev_px,
             centers_std_dev_px: cost.centers_std_dev_px,
             loss_kind,
-            loss_scale,
+            loss_scale: cost.loss.scale,
             held: cost.fixed.clone(),
         }
     }

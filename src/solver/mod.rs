@@ -8,7 +8,7 @@ mod synthetic;
 mod uncertainty;
 
 pub(crate) use bridge::{project, project_centers, refine, uncertainty};
-pub use options::{CostOptions, Loss, SolverOptions};
+pub use options::{CostOptions, Loss, LossKind, SolverOptions};
 pub(crate) use problem::{Problem, SolverFeature};
 pub use refinement::{Iteration, Refinement, Termination};
 pub use synthetic::synthesize;

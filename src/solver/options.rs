@@ -1,24 +1,35 @@
 //! The cost function and how to minimise it.
 
-/// Robust loss on the norm of an observation's standardised residual.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Loss {
-    /// Least squares, the paper.
+use serde::{Deserialize, Serialize};
+
+/// Kind of a robust loss.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LossKind {
+    /// Least squares (the paper).
     None,
-    /// Linear beyond `scale` standard deviations.
-    Huber {
-        /// In standard deviations.
-        scale: f64,
-    },
-    /// Logarithmic beyond `scale` standard deviations.
-    Cauchy {
-        /// In standard deviations.
-        scale: f64,
-    },
+    /// Linear beyond the scale.
+    Huber,
+    /// Logarithmic beyond the scale.
+    Cauchy,
+}
+
+/// Robust loss on the norm of an observation's standardised residual.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Loss {
+    /// Its kind.
+    pub kind: LossKind,
+    /// Where it sets in, standard deviations.
+    pub scale: f64,
+}
+
+impl Loss {
+    /// Least squares.
+    pub const NONE: Self = Self { kind: LossKind::None, scale: 1.0 };
 }
 
 /// The cost: ½ Σ loss(|r/σ|²).
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CostOptions {
     /// σ of u and v of a feature, px.
     pub uv_std_dev_px: f64,
@@ -39,14 +50,14 @@ impl Default for CostOptions {
             uv_std_dev_px: 1.0,
             rho_std_dev_px: 1.0,
             centers_std_dev_px: 1.0,
-            loss: Loss::None,
+            loss: Loss::NONE,
             fixed: vec!["dC_ratio".to_owned()],
         }
     }
 }
 
 /// How to minimise the cost.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SolverOptions {
     /// Limit of Levenberg-Marquardt iterations.
     pub max_iterations: usize,

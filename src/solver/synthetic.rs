@@ -45,7 +45,9 @@ pub fn synthesize(
                         l: center.l,
                         u_px: u,
                         v_px: v,
-                        rho_px: if camera.lens_types() > 0 { rho } else { f64::NAN },
+                        rho_px: (camera.lens_types() > 0).then_some(rho),
+                        std_dev_px: None,
+                        rho_std_dev_px: None,
                     }));
                 }
             }
@@ -58,7 +60,7 @@ pub fn synthesize(
 fn whole_micro_images(camera: &PlenopticCamera) -> Result<Vec<MicroImageCenter>> {
     let mut centers: Vec<MicroImageCenter> = (0..camera.lattice.rows)
         .flat_map(|l| (0..camera.lattice.columns).map(move |k| (k, l)))
-        .map(|(k, l)| MicroImageCenter { k, l, u_px: 0.0, v_px: 0.0 })
+        .map(|(k, l)| MicroImageCenter { k, l, u_px: 0.0, v_px: 0.0, std_dev_px: None })
         .collect();
     let projected =
         super::project_centers(&Problem { camera, poses: &[], features: &[], centers: &centers })?;

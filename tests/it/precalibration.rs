@@ -71,8 +71,8 @@ fn assert_right(name: &str, settings: &Settings, result: &Precalibration) {
     assert!(rms < CENTERS_PX, "{name}: {rms} px");
     // What is not symmetric about a centre tells how far off it may be; grids of pixels and what is
     // left of shading add to it.
-    let std_devs = &result.array.std_devs_px;
-    let square = std_devs.iter().map(|s| s * s).sum::<f64>() / std_devs.len() as f64;
+    let std_devs = || result.array.centers.iter().filter_map(|c| c.std_dev_px);
+    let square = std_devs().map(|s| s * s).sum::<f64>() / std_devs().count() as f64;
     let ratio = rms / (2.0 * square).sqrt();
     println!("{name}: error over standard deviation {ratio:.2}");
     assert!((0.5..2.0).contains(&ratio), "{name}: {ratio}");

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use plenocal::calibration::{CalibrationOptions, Mode, Start, initial_poses};
 use plenocal::model::{FramePose, Noise, intrinsic_parameters};
-use plenocal::solver::{Loss, synthesize};
+use plenocal::solver::{Loss, LossKind, synthesize};
 
 use crate::support::{
     NO_NOISE, board, datasheet_start, drawn, options, pairs, run, shipped_observations,
@@ -107,7 +107,7 @@ fn a_robust_loss_withstands_gross_errors() {
         options
     };
     // Distance from the truth in units of what the clean data allow.
-    let clean = run(&datasheet_start(), &drawn(&truth, &NOISE, 7), &weighted(Loss::None));
+    let clean = run(&datasheet_start(), &drawn(&truth, &NOISE, 7), &weighted(Loss::NONE));
     let std_devs = clean.uncertainty.intrinsic_std_devs(3);
     let distance = |options: &CalibrationOptions| {
         let calibration = run(&datasheet_start(), &observations, options);
@@ -118,8 +118,8 @@ fn a_robust_loss_withstands_gross_errors() {
             .filter_map(|((_, a, b), s)| Some(((a - b) / (*s)?).abs()))
             .fold(0.0, f64::max)
     };
-    let plain = distance(&weighted(Loss::None));
-    for loss in [Loss::Huber { scale: 2.0 }, Loss::Cauchy { scale: 2.0 }] {
+    let plain = distance(&weighted(Loss::NONE));
+    for loss in [LossKind::Huber, LossKind::Cauchy].map(|kind| Loss { kind, scale: 2.0 }) {
         let robust = distance(&weighted(loss));
         assert!(robust < 1.0 && robust < plain / 4.0, "{loss:?}: {robust} against {plain}");
     }

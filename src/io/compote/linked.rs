@@ -39,6 +39,7 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
             l: i32_at(r, 4),
             u_px: f64_at(r, 8),
             v_px: f64_at(r, 16),
+            std_dev_px: None,
         })
     })?;
     let feature = |r: &[u8]| {
@@ -48,7 +49,9 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
             l: i32_at(r, 4),
             u_px: f64_at(r, 8),
             v_px: f64_at(r, 16),
-            rho_px: f64_at(r, 24),
+            rho_px: Some(f64_at(r, 24)),
+            std_dev_px: None,
+            rho_std_dev_px: None,
             corner: i32_at(r, 32),
             frame: u32::try_from(frame)
                 .map_err(|_| Error::invalid(format!("a feature has the frame {frame}")))?,
@@ -57,7 +60,7 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
     let corners = section(&mut rest, "corners", FEATURE_BYTES, feature)?;
     if !corners.is_empty() {
         return Err(Error::invalid(format!(
-            "there are {} corners that are not tied to the board; only linked features can be used",
+            "there are {} corners that are not labelled with their board corner; only linked features can be used",
             corners.len()
         )));
     }

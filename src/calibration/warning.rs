@@ -1,0 +1,134 @@
+//! What the user of a calibration should know: warnings, and why frames were left out.
+
+use std::fmt;
+
+use crate::model::MIN_CORNERS;
+
+/// What may be wrong with a calibration that went through.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Warning {
+    /// Micro-image centres far from the grid; they are kept.
+    OutlyingCenters {
+        /// How many.
+        outliers: usize,
+        /// Of how many.
+        centers: usize,
+        /// Root mean square distance from the grid, px.
+        grid_rms_px: f64,
+    },
+    /// The array reaches far beyond the image.
+    ArrayBeyondImage {
+        /// Micro-lenses along u and v.
+        array: (i32, i32),
+        /// What they cover, px.
+        extent_px: (f64, f64),
+        /// Size of the image, px.
+        image_px: (u32, u32),
+    },
+    /// The observations do not determine all parameters.
+    Undetermined {
+        /// Directions of parameter space that they determine.
+        rank: usize,
+        /// Number of parameters.
+        parameters: usize,
+        /// The intrinsic parameters that are not determined; none if it is poses alone.
+        names: Vec<&'static str>,
+    },
+    /// Residuals far larger than noise.
+    BadFit {
+        /// Root mean square residual of (u, v, ρ), px.
+        rms_px: f64,
+        /// Distance of neighbouring micro-image centres, px.
+        micro_image_pitch_px: f64,
+    },
+    /// The camera does not explain the blur radii.
+    UnexplainedBlur {
+        /// Root mean square residual of ρ, px.
+        rms_px: f64,
+        /// Standard deviation of ρ itself, px.
+        spread_px: f64,
+    },
+    /// All boards are nearly parallel to the image plane.
+    FrontoParallel {
+        /// The largest tilt, degrees.
+        largest_tilt_deg: f64,
+    },
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::OutlyingCenters { outliers, centers, grid_rms_px } => write!(
+                f,
+                "{outliers} of {centers} micro-image centres lie far from the grid (its RMS is \
+                 {grid_rms_px:.3} px); they are kept, and a robust loss lessens their weight"
+            ),
+            Self::ArrayBeyondImage { array, extent_px, image_px } => write!(
+                f,
+                "{} x {} micro-lenses cover {:.0} x {:.0} px, but the image has {} x {}: is the size \
+                 of the array right? D, d, t_x and t_y are those at its middle",
+                array.0, array.1, extent_px.0, extent_px.1, image_px.0, image_px.1
+            ),
+            Self::Undetermined { rank, parameters, names } => {
+                let which =
+                    if names.is_empty() { "some poses".to_owned() } else { names.join(", ") };
+                write!(
+                    f,
+                    "the observations determine {rank} of {parameters} parameters; not determined: \
+                     {which}. Fix parameters, or add what would determine them: frames at other \
+                     distances and tilts, every lens type"
+                )
+            }
+            Self::BadFit { rms_px, micro_image_pitch_px } => write!(
+                f,
+                "the residuals of the features are {rms_px:.2} px RMS, a good part of a micro-image \
+                 ({micro_image_pitch_px:.1} px): noise alone is far smaller; check the board, the \
+                 sign of rho and the frames with large residuals"
+            ),
+            Self::UnexplainedBlur { rms_px, spread_px } => write!(
+                f,
+                "the residuals of the blur radii are {rms_px:.3} px RMS, though the radii themselves \
+                 spread by only {spread_px:.3} px: the camera does not explain them; check the sign \
+                 of rho and the order of q'"
+            ),
+            Self::FrontoParallel { largest_tilt_deg } => write!(
+                f,
+                "all boards are fronto-parallel (tilted by at most {largest_tilt_deg:.1} degrees): \
+                 the focal length F and the distance of the boards can hardly be separated; add \
+                 boards tilted by 20 to 40 degrees"
+            ),
+        }
+    }
+}
+
+/// Why a frame has no pose.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum NoPose {
+    /// The caller left it out.
+    Excluded,
+    /// It shows too few corners.
+    TooFewCorners(usize),
+    /// Its corners lie on one line.
+    Collinear,
+    /// `solvePnP` failed, with OpenCV's reason.
+    PnpFailed(String),
+    /// No solution has the whole board beyond the focal plane of the main lens.
+    BehindFocalPlane,
+}
+
+impl fmt::Display for NoPose {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Excluded => f.write_str("excluded on request"),
+            Self::TooFewCorners(corners) => {
+                write!(f, "{corners} corner(s) are too few; a pose needs {MIN_CORNERS}")
+            }
+            Self::Collinear => f.write_str("its corners lie on one line"),
+            Self::PnpFailed(reason) => write!(f, "solvePnP failed: {reason}"),
+            Self::BehindFocalPlane => f.write_str(
+                "solvePnP found no pose with the whole board in front of the focal plane of the main \
+                 lens",
+            ),
+        }
+    }
+}

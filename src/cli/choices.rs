@@ -1,0 +1,95 @@
+//! Values that an option chooses from, with the words that the help has for them.
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use plenocal::calibration::Mode;
+use plenocal::detection::DepthEstimator;
+use plenocal::image::Color;
+use plenocal::io::Pitches;
+use plenocal::model::Subset;
+use plenocal::precalibration::RadiusEstimator;
+use plenocal::solver::LossKind;
+
+/// Name, words for the help, value.
+type Choice<T> = (&'static str, &'static str, T);
+
+pub const MODES: &[Choice<Mode>] = &[
+    ("full", "Camera and poses from (u, v, rho) and the centres", Mode::Full),
+    ("corners-only", "Camera of pinholes and poses from (u, v) and the centres", Mode::CornersOnly),
+    ("poses-only", "Poses, with the camera fixed", Mode::PosesOnly),
+];
+
+pub const PITCHES: &[Choice<Pitches>] = &[
+    ("one", "The same along x and y (the paper)", Pitches::One),
+    ("two", "One along x, one along y", Pitches::Two),
+];
+
+pub const LOSSES: &[Choice<LossKind>] = &[
+    ("none", "Least squares (the paper)", LossKind::None),
+    ("huber", "Linear beyond the scale", LossKind::Huber),
+    ("cauchy", "Logarithmic beyond the scale", LossKind::Cauchy),
+];
+
+pub const SUBSETS: &[Choice<Subset>] = &[
+    ("calibration", "Boards to calibrate with", Subset::Calibration),
+    ("evaluation", "Boards to evaluate with", Subset::Evaluation),
+    ("translation", "A board moved along the optical axis", Subset::Translation),
+];
+
+pub const DEPTH_ESTIMATORS: &[Choice<DepthEstimator>] = &[
+    ("line", "A line through all micro-images", DepthEstimator::Line),
+    ("median", "The paper's median over pairs of them", DepthEstimator::Median),
+];
+
+pub const RADIUS_ESTIMATORS: &[Choice<RadiusEstimator>] = &[
+    ("profile", "The edge of a fitted profile", RadiusEstimator::Profile),
+    ("moments", "The paper's second moments", RadiusEstimator::Moments),
+];
+
+pub const COLORS: &[Choice<Color>] = &[
+    ("grey", "One sample a pixel", Color::Grey),
+    ("rgb", "Red, green and blue of every pixel", Color::Rgb),
+    ("bayer-rggb", "A colour mosaic, by the first pixels of its first two rows", Color::BayerRggb),
+    ("bayer-grbg", "", Color::BayerGrbg),
+    ("bayer-gbrg", "", Color::BayerGbrg),
+    ("bayer-bggr", "", Color::BayerBggr),
+];
+
+/// Parses one of some choices.
+pub fn choice<T: Copy + Send + Sync + 'static>(
+    choices: &'static [Choice<T>],
+) -> impl TypedValueParser<Value = T> {
+    let possible = choices.iter().map(|&(name, help, _)| match help {
+        "" => PossibleValue::new(name),
+        help => PossibleValue::new(name).help(help),
+    });
+    PossibleValuesParser::new(possible).map(move |chosen| {
+        let (.., value) = choices
+            .iter()
+            .find(|(name, ..)| *name == chosen)
+            .expect("clap passes on only what is possible");
+        *value
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::Serialize;
+
+    use super::*;
+
+    fn are_named_as_in_files<T: Serialize>(choices: &[Choice<T>]) {
+        for (name, _, value) in choices {
+            assert_eq!(serde_json::to_value(value).unwrap(), *name);
+        }
+    }
+
+    #[test]
+    fn choices_have_the_names_of_files() {
+        are_named_as_in_files(MODES);
+        are_named_as_in_files(LOSSES);
+        are_named_as_in_files(SUBSETS);
+        are_named_as_in_files(DEPTH_ESTIMATORS);
+        are_named_as_in_files(RADIUS_ESTIMATORS);
+        are_named_as_in_files(COLORS);
+    }
+}

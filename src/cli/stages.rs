@@ -1,0 +1,339 @@
+//! The stages of a run: each reads what earlier ones have written, calls the library, and writes.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use plenocal::calibration::{CalibrationOptions, Mode, Start, calibrate, initial_from};
+use plenocal::detection::DepthEstimator;
+use plenocal::evaluation::{Candidate, EvaluationInput, Folds, PosePairs};
+use plenocal::image::Color;
+use plenocal::io::{self, OutputFolder, Project, TruthSection, WhiteImage};
+use plenocal::model::{BapFeature, Board, Datasheet, Observations, Subset};
+use plenocal::precalibration::PrecalibrationOptions;
+use plenocal::report::{Figure, Section};
+use plenocal::{Error, Result, report};
+use serde::Serialize;
+
+use super::boards::{self, Options, Shoot, images_of};
+use super::calibrate::stage_results;
+use super::evaluate::{calibrated, clouds, evaluated, read_candidate};
+use super::ledger::{InputFile, Ledger};
+use super::precalibrate;
+use super::talk::{warn, warn_of_calibration};
+
+/// Names of the stages, which are those of their folders.
+pub const PRECALIBRATION: &str = "precalibration";
+pub const CALIBRATION: &str = "calibration";
+pub const CORNERS_ONLY: &str = "corners-only";
+pub const EVALUATION: &str = "evaluation";
+/// Names of the two methods in tables.
+const BLUR_AWARE: &str = "blur aware";
+const CORNERS: &str = "corners only";
+
+fn boards_stage(subset: Subset) -> &'static str {
+    match subset {
+        Subset::Calibration => "boards-calibration",
+        Subset::Evaluation => "boards-evaluation",
+        Subset::Translation => "boards-translation",
+    }
+}
+
+/// A project, and what a run makes of it.
+pub struct Stages<'a> {
+    pub path: &'a Path,
+    pub project: &'a Project,
+    pub shoot: &'a Shoot,
+    pub out: &'a Path,
+    pub options: CalibrationOptions,
+    pub estimator: DepthEstimator,
+    pub folds: usize,
+    pub pictures: bool,
+    /// No progress bars.
+    pub quiet: bool,
+}
+
+/// What every stage depends on besides files.
+#[derive(Clone, Copy, Serialize)]
+struct CameraInput<'a> {
+    datasheet: &'a Datasheet,
+    board: &'a Board,
+    color: Color,
+}
+
+#[derive(Serialize)]
+struct PrecalibrationInput<'a> {
+    camera: CameraInput<'a>,
+    whites: Vec<InputFile>,
+    /// Their f-numbers as stated.
+    f_numbers: Vec<(Option<f64>, Option<f64>)>,
+    devignetting: Option<InputFile>,
+}
+
+#[derive(Serialize)]
+struct BoardsInput<'a> {
+    camera: CameraInput<'a>,
+    images: Vec<InputFile>,
+    white: InputFile,
+    precalibration: Vec<InputFile>,
+    estimator: DepthEstimator,
+    pictures: bool,
+}
+
+#[derive(Serialize)]
+struct CalibrationInput<'a> {
+    camera: CameraInput<'a>,
+    precalibration: Vec<InputFile>,
+    features: InputFile,
+    options: CalibrationOptions,
+}
+
+#[derive(Serialize)]
+struct EvaluationStageInput<'a> {
+    calibration: CalibrationInput<'a>,
+    cameras: Vec<InputFile>,
+    poses: InputFile,
+    evaluation: Option<InputFile>,
+    translation: Option<InputFile>,
+    clouds: Vec<InputFile>,
+    step_mm: Option<f64>,
+    truth: Option<TruthInput>,
+    folds: usize,
+}
+
+#[derive(Serialize)]
+struct TruthInput {
+    camera: InputFile,
+    calibration_poses: Option<InputFile>,
+    evaluation_poses: Option<InputFile>,
+}
+
+impl TruthInput {
+    fn of(truth: &TruthSection, ledger: &mut Ledger) -> Self {
+        Self {
+            camera: ledger.file(&truth.camera),
+            calibration_poses: truth.calibration_poses.as_ref().map(|path| ledger.file(path)),
+            evaluation_poses: truth.evaluation_poses.as_ref().map(|path| ledger.file(path)),
+        }
+    }
+}
+
+impl Stages<'_> {
+    fn folder(&self, stage: &str) -> PathBuf {
+        self.out.join(stage)
+    }
+
+    /// Corners alone are a comparison where there is blur to be aware of.
+    pub fn has_both(&self) -> bool {
+        self.options.mode == Mode::Full && self.shoot.sheet.lens_types > 0
+    }
+
+    fn camera(&self) -> CameraInput<'_> {
+        let Shoot { sheet, board, images } = self.shoot;
+        CameraInput { datasheet: sheet, board, color: images.color }
+    }
+
+    pub fn precalibration(&self, ledger: &mut Ledger) -> Result<()> {
+        let images = &self.shoot.images;
+        let input = PrecalibrationInput {
+            camera: self.camera(),
+            whites: ledger.files(images.whites.iter().map(|white| &white.image)),
+            f_numbers: images.whites.iter().map(|w: &WhiteImage| (w.f_number, w.stop)).collect(),
+            devignetting: images.devignetting.as_ref().map(|path| ledger.file(path)),
+        };
+        ledger.stage(PRECALIBRATION, &input, |input, output| {
+            let sheet = input.camera.datasheet;
+            let options = PrecalibrationOptions::of_datasheet(sheet);
+            let (result, whites) =
+                precalibrate::measure(self.path, images, sheet, &options, self.quiet)?;
+            warn(&result.warnings);
+            let document = io::precalibration_document(&result);
+            output.stage_json("precalibration.json", &document)?;
+            let figures = precalibrate::stage(output, &result, sheet, &whites)?;
+            Ok(report::precalibration_section(&result, figures))
+        })
+    }
+
+    /// What later stages take from the pre-calibration.
+    fn measured(&self, ledger: &mut Ledger) -> Vec<InputFile> {
+        let folder = self.folder(PRECALIBRATION);
+        ledger.files([folder.join("precalibration.json"), folder.join("centers.csv")])
+    }
+
+    pub fn boards(&self, ledger: &mut Ledger, subset: Subset) -> Result<()> {
+        let white = self.shoot.white_image().map_err(|e| e.in_file(self.path))?;
+        let input = BoardsInput {
+            camera: self.camera(),
+            images: ledger.files(images_of(subset, &self.shoot.images)),
+            white: ledger.file(white),
+            precalibration: self.measured(ledger),
+            estimator: self.estimator,
+            pictures: self.pictures,
+        };
+        ledger.stage(boards_stage(subset), &input, |input, output| {
+            let micro_images = self.shoot.read_precalibration(&self.folder(PRECALIBRATION))?;
+            let options = Options {
+                subset,
+                estimator: input.estimator,
+                pictures: input.pictures,
+                quiet: self.quiet,
+            };
+            let found =
+                boards::detect_subset(self.path, self.shoot, &micro_images, options, output)?;
+            warn(&found.warnings);
+            let figures = boards::figures(&found, options);
+            Ok(report::detection_section(subset.name(), &found, figures))
+        })
+    }
+
+    fn calibration_input(
+        &self,
+        ledger: &mut Ledger,
+        options: CalibrationOptions,
+    ) -> CalibrationInput<'_> {
+        let mut options = options;
+        // Results are the same to rounding with any number of threads.
+        options.solver.threads = CalibrationOptions::default().solver.threads;
+        CalibrationInput {
+            camera: self.camera(),
+            precalibration: self.measured(ledger),
+            features: ledger.file(self.features(Subset::Calibration)),
+            options,
+        }
+    }
+
+    fn features(&self, subset: Subset) -> PathBuf {
+        self.folder(boards_stage(subset)).join("features.csv")
+    }
+
+    fn start(&self) -> Result<Start> {
+        let sheet = &self.shoot.sheet;
+        let internal = io::read_internal_parameters(
+            &self.folder(PRECALIBRATION).join("precalibration.json"),
+            Some(sheet.sensor.pixel_size_mm),
+        )?;
+        Ok(Start::Datasheet(*sheet, internal))
+    }
+
+    fn observations(&self) -> Result<Observations> {
+        let mut observations = io::read_features(&self.features(Subset::Calibration), true)?;
+        observations.centers = io::read_centers(&self.folder(PRECALIBRATION).join("centers.csv"))?;
+        Ok(observations)
+    }
+
+    /// Calibrates in the mode of the project, or for comparison from corners alone.
+    pub fn calibration(&self, ledger: &mut Ledger, stage: &'static str) -> Result<()> {
+        let mut options = self.options.clone();
+        let title = if stage == CALIBRATION { "Calibration" } else { "From corners alone" };
+        if stage == CORNERS_ONLY {
+            options.mode = Mode::CornersOnly;
+            options.cost.fixed.retain(|name| !name.starts_with("f_"));
+        }
+        let input = self.calibration_input(ledger, options);
+        ledger.stage(stage, &input, |input, output| {
+            let begun = Instant::now();
+            let (start, observations) = (self.start()?, self.observations()?);
+            let mut options = input.options.clone();
+            options.solver.threads = self.options.solver.threads;
+            let board = input.camera.board;
+            let result = calibrate(&start, board, &observations, &options, &mut |_| true)?;
+            if stage == CALIBRATION {
+                warn(&result.left_out);
+                warn_of_calibration(&result.warnings);
+            } else if !result.converged {
+                warn(&["the calibration from corners alone is not converged"]);
+            }
+            stage_results(output, &result, false)?;
+            let document = io::calibration_document(&result, begun.elapsed().as_secs_f64());
+            output.stage_json("calibration.json", &document)?;
+            let figures = report::calibration_figures(&result, board)?;
+            stage_figures(output, &figures)?;
+            Ok(report::calibration_section(title, &result, figures))
+        })
+    }
+
+    /// Cameras of this run and their names.
+    fn candidates(&self, input: &EvaluationStageInput) -> Result<Vec<Candidate>> {
+        let own = if self.has_both() { BLUR_AWARE } else { CORNERS };
+        let named = |(name, file): (&str, &InputFile)| read_candidate(name, &file.path);
+        [own, CORNERS].into_iter().zip(&input.cameras).map(named).collect()
+    }
+
+    pub fn evaluation(&self, ledger: &mut Ledger) -> Result<()> {
+        let camera = |stage: &str| self.folder(stage).join("camera.json");
+        let has_corners = ledger.has(CORNERS_ONLY);
+        let cameras =
+            [CALIBRATION, CORNERS_ONLY].map(camera).into_iter().take(1 + usize::from(has_corners));
+        let features = [Subset::Evaluation, Subset::Translation]
+            .map(|subset| ledger.has(boards_stage(subset)).then(|| self.features(subset)));
+        let [evaluation, translation] = features.map(|path| path.map(|path| ledger.file(path)));
+        let stage = self.shoot.images.translation.as_ref();
+        let input = EvaluationStageInput {
+            calibration: self.calibration_input(ledger, self.options.clone()),
+            cameras: ledger.files(cameras),
+            poses: ledger.file(self.folder(CALIBRATION).join("poses.json")),
+            evaluation,
+            translation,
+            clouds: ledger.files(stage.iter().flat_map(|t| &t.clouds)),
+            step_mm: stage.map(|t| t.step_mm),
+            truth: self.project.truth.as_ref().map(|truth| TruthInput::of(truth, ledger)),
+            folds: self.folds,
+        };
+        ledger.stage(EVALUATION, &input, |input, output| self.evaluate(input, output))
+    }
+
+    fn evaluate(&self, input: &EvaluationStageInput, output: &mut OutputFolder) -> Result<Section> {
+        let features = |file: &Option<InputFile>| -> Result<Vec<BapFeature>> {
+            let read = |file: &InputFile| Ok(io::read_features(&file.path, true)?.features);
+            file.as_ref().map_or(Ok(Vec::new()), read)
+        };
+        let poses = |file: &Option<InputFile>| {
+            file.as_ref().map(|file| io::read_poses(&file.path)).transpose()
+        };
+        let candidates = self.candidates(input)?;
+        let (start, observations) = (self.start()?, self.observations()?);
+        let initial = initial_from(&start, &observations)?;
+        let translation = features(&input.translation)?;
+        let truth = input.truth.as_ref();
+        let mut subjects = EvaluationInput::new(self.shoot.board);
+        subjects.evaluation = features(&input.evaluation)?;
+        subjects.translation =
+            input.step_mm.filter(|_| !translation.is_empty()).map(|step_mm| (translation, step_mm));
+        subjects.clouds_mm = clouds(self.shoot)?;
+        if let Some(truth) = truth {
+            subjects.truth = Some(calibrated(&truth.camera.path)?);
+            subjects.evaluation_poses = poses(&truth.evaluation_poses)?;
+            if let Some(truth) = poses(&truth.calibration_poses)? {
+                let (name, found) = ("calibration".to_owned(), io::read_poses(&input.poses.path)?);
+                subjects.poses.push(PosePairs { name, truth, found });
+            }
+        }
+        let excluded = &self.options.exclude_frames;
+        let frames = observations.frames().iter().filter(|f| !excluded.contains(f)).count();
+        let (options, count) = (self.options.clone(), input.folds.min(frames));
+        subjects.folds = (count > 1).then_some(Folds { start, observations, options, count });
+        let found = evaluated(&candidates, &subjects, self.quiet);
+        warn(&found.problems);
+        output.stage_json("evaluation.json", &io::evaluation_document(&found))?;
+        let mut tables = vec![report::cameras_table(&initial, &candidates)];
+        tables.extend(report::evaluation_tables(&found, &candidates));
+        Ok(report::tables_section("Evaluation", tables, &found.problems))
+    }
+}
+
+fn stage_figures(output: &mut OutputFolder, figures: &[Figure]) -> Result<()> {
+    figures.iter().try_for_each(|figure| {
+        output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))
+    })
+}
+
+/// The options of a project's calibration; an error if it is not one.
+pub fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOptions> {
+    if project.calibration.mode == Some(Mode::PosesOnly) {
+        return Err(Error::invalid(
+            "[calibration] says mode = \"poses-only\", but a run calibrates: leave it out, or use \
+             `plenocal extrinsics`",
+        )
+        .in_file(path));
+    }
+    Ok(project.calibration.options())
+}

@@ -1,0 +1,92 @@
+//! What the program says: results on stdout, everything else on stderr.
+
+use std::fmt::Display;
+use std::io::{ErrorKind, Write};
+use std::path::PathBuf;
+
+use plenocal::calibration::Warning;
+use plenocal::error::Input;
+use plenocal::{Error, Result};
+use serde_json::Value;
+
+/// Writes a line to stderr. That nobody reads it there is not an error.
+pub fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Warns of each of these.
+pub fn warn(warnings: &[impl Display]) {
+    for warning in warnings {
+        say(&format!("warning: {warning}"));
+    }
+}
+
+/// Warns of a calibration, with the option that helps.
+pub fn warn_of_calibration(warnings: &[Warning]) {
+    for warning in warnings {
+        let option = match warning {
+            Warning::OutlyingCenters { .. } => " (--loss)",
+            Warning::Undetermined { .. } => " (--fix)",
+            _ => "",
+        };
+        say(&format!("warning: {warning}{option}"));
+    }
+}
+
+/// Says what went wrong, and what helps.
+pub fn say_error(error: &Error) {
+    match remedy(error) {
+        Some(remedy) => say(&format!("error: {error}: {remedy}")),
+        None => say(&format!("error: {error}")),
+    }
+}
+
+/// The option that helps, for errors that the library words without knowing of options.
+fn remedy(error: &Error) -> Option<String> {
+    let remedy = match error {
+        Error::InFile { error, .. } => return remedy(error),
+        Error::NoBlurRadius { .. } => {
+            "give it, or calibrate from corners only (--mode corners-only)".to_owned()
+        }
+        Error::TooFewCorners { frame, .. } => {
+            format!("leave the frame out (--exclude-frames {frame})")
+        }
+        Error::NoCenters => "give them (--centers)".to_owned(),
+        Error::Missing { missing } => {
+            let option = match missing {
+                Input::Camera => "--camera",
+                Input::InternalParameters => "--params",
+                Input::Board => "--scene",
+                Input::Features => "--features",
+            };
+            format!("give {option}, or a project file with it")
+        }
+        Error::NotCalibrated => "give a camera.json or an intrinsics.js (--camera)".to_owned(),
+        Error::Read { .. } | Error::Write { .. } | Error::Invalid(_) => return None,
+    };
+    Some(remedy)
+}
+
+/// Prints the result of a command: one JSON object, or text and the files that were written.
+///
+/// A reader that has gone away (a closed pipe) is not an error: the files are there.
+pub fn print_result(json: bool, document: &Value, text: &str, paths: &[PathBuf]) {
+    let text = if json {
+        format!("{document}\n")
+    } else {
+        let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();
+        format!("{}\n\nWritten:\n{}", text.trim_end(), files.concat())
+    };
+    let _ = print(text.as_bytes());
+}
+
+/// Prints what a command is for. A reader that has gone away is not an error.
+pub fn print(text: &[u8]) -> Result<()> {
+    let mut stdout = std::io::stdout();
+    match stdout.write_all(text).and_then(|()| stdout.flush()) {
+        Err(source) if source.kind() != ErrorKind::BrokenPipe => {
+            Err(Error::Write { path: "standard output".into(), source })
+        }
+        _ => Ok(()),
+    }
+}

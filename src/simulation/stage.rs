@@ -1,0 +1,117 @@
+//! The simulation as one stage: from settings to images, their truth, and observations drawn from it.
+
+use super::data_set::{DataSet, Shot};
+use super::settings::Settings;
+use super::tracer::Tracer;
+use super::truth::{TrueCenter, TrueFeature};
+use crate::error::Result;
+use crate::image::RawImage;
+use crate::model::{
+    FramePose, InternalParameters, MicroImageCenter, NoiseSource, Observations, PlenopticCamera,
+    Subset,
+};
+
+/// What an image of a data set shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Content {
+    /// A white image for the pre-calibration, by its index.
+    White(usize),
+    /// The white image in the light and at the f-number of the boards.
+    Devignetting,
+    /// The board of a frame.
+    Board(Subset, u32),
+}
+
+/// Progress of a simulation.
+pub trait Progress: Sync {
+    /// The next image is begun.
+    fn image(&self, content: Content);
+    /// A row of it is finished.
+    fn row(&self);
+}
+
+/// Progress that nobody follows.
+impl Progress for () {
+    fn image(&self, _: Content) {}
+    fn row(&self) {}
+}
+
+/// Everything that is known of a simulated data set.
+///
+/// Internal parameters and radii are those that the images show, imperfections included: with a fill
+/// factor below 1 micro-images and blur are smaller than the model says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Truth {
+    /// The camera.
+    pub camera: PlenopticCamera,
+    /// m and q'ᵢ.
+    pub internal: InternalParameters,
+    /// Centres of all micro-images, dead micro-lenses included.
+    pub centers: Vec<TrueCenter>,
+    /// Features by subset, in the order of [`Subset::ALL`].
+    pub features: [Vec<TrueFeature>; 3],
+}
+
+/// A simulated data set but for its images.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Simulated {
+    /// Which images it consists of, and where the boards are.
+    pub data_set: DataSet,
+    /// What is true of it.
+    pub truth: Truth,
+    /// Centres, and the features of the calibration boards of which at least half the light is visible, all
+    /// with noise. Without features if there are no calibration boards.
+    pub observed: Observations,
+}
+
+/// Features with less of their light than this are not observed.
+const OBSERVABLE: f64 = 0.5;
+
+/// Plans a data set, works out its truth, takes its images one by one, and hands each to `receive`,
+/// since all together may not fit into memory.
+///
+/// The calibration boards are at `poses` if these are given, else at random ones. The same settings
+/// give the same data set. An error if the settings are impossible, or from `receive`.
+pub fn simulate(
+    settings: &Settings,
+    poses: Option<Vec<FramePose>>,
+    progress: &dyn Progress,
+    receive: &mut dyn FnMut(Content, &Shot, RawImage) -> Result<()>,
+) -> Result<Simulated> {
+    let _span = tracing::info_span!("simulation").entered();
+    let data_set = DataSet::plan(settings, poses)?;
+    let tracer = settings.tracer(settings.board_f_number())?;
+    let truth = truth(settings, &data_set, &tracer);
+    let observed = observed(settings, &truth)?;
+    for (content, shot) in data_set.contents() {
+        progress.image(content);
+        receive(content, shot, shot.take(settings, &|| progress.row())?)?;
+    }
+    Ok(Simulated { data_set, truth, observed })
+}
+
+fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Truth {
+    let board = settings.target.board();
+    let features = data_set.subsets.each_ref().map(|boards| {
+        let of_board = |(pose, _): &(FramePose, Shot)| {
+            tracer.features(pose.frame, &board, &pose.camera_from_board)
+        };
+        boards.iter().flat_map(of_board).collect()
+    });
+    Truth {
+        camera: settings.camera.clone(),
+        internal: tracer.internal_parameters(),
+        centers: tracer.centers(),
+        features,
+    }
+}
+
+fn observed(settings: &Settings, truth: &Truth) -> Result<Observations> {
+    let mut source = NoiseSource::new(&settings.observation_noise, settings.seed)?;
+    let [calibration, ..] = &truth.features;
+    let visible = calibration.iter().filter(|f| f.visible >= OBSERVABLE);
+    let features = visible.map(|f| source.feature(&f.feature)).collect();
+    let alive = truth.centers.iter().filter(|c| c.alive).map(|c| source.center(&c.center));
+    let in_image = |c: &MicroImageCenter| settings.camera.sensor.contains(c.u_px, c.v_px);
+    Ok(Observations { centers: alive.filter(in_image).collect(), features })
+}
