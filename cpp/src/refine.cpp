@@ -43,14 +43,19 @@ class Watch : public ceres::IterationCallback {
       changes_.clear();
     }
     const bool accepted = s.iteration == 0 || s.step_is_successful;
+    double step_norm = 0.0;
     if (accepted) {
       states_.push_back(calibration_.state());
       cost_ = s.cost;
-      if (s.iteration > 0) changes_.push_back(s.cost_change);
+      if (s.iteration > 0) {
+        changes_.push_back(s.cost_change);
+        // Ceres 2.2 reports 0 up to and including the first accepted step of a solve.
+        step_norm = (states_.back() - states_[states_.size() - 2]).norm();
+      }
     }
     radius_ = s.trust_region_radius;
     if (s.iteration > 0 || iterations_->empty()) {
-      iterations_->push_back({first_.number + s.iteration, cost_, s.gradient_max_norm, s.step_norm,
+      iterations_->push_back({first_.number + s.iteration, cost_, s.gradient_max_norm, step_norm,
                               radius_, first_.time_s + s.cumulative_time_in_seconds});
       if (progress_ && !progress_(iterations_->back())) return ceres::SOLVER_ABORT;
     }

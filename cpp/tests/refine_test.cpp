@@ -234,8 +234,33 @@ TEST(Progress, SeesEveryIteration) {
   }
   EXPECT_EQ(seen.front().cost, result.initial_cost);
   EXPECT_GT(seen.front().gradient_max_norm, 0.0);
-  EXPECT_GT(seen[1].step_norm, 0.0);
   EXPECT_GE(result.time_s, seen.back().time_s);
+}
+
+TEST(Progress, StepNormIsTheDistanceMoved) {
+  const Scene start = disturbed(test::make_scene(1), kOnePitch);
+  const auto step_after = [&](double trust_region_radius) {
+    SolverOptions solver;
+    solver.max_iterations = 1;
+    solver.initial_trust_region_radius = trust_region_radius;
+    const Refinement end =
+        refine(start.camera, start.poses, start.observations, one_pitch(), solver);
+    EXPECT_EQ(end.iterations.size(), 2u);
+    EXPECT_EQ(end.iterations.front().step_norm, 0.0);
+    double moved = 0.0;
+    const auto add = [&moved](const auto& before, const auto& after) {
+      for (std::size_t i = 0; i < before.size(); ++i) moved += std::pow(after[i] - before[i], 2);
+    };
+    add(test::intrinsics(start.camera), test::intrinsics(end.camera));
+    for (std::size_t i = 0; i < start.poses.size(); ++i) {
+      add(pose_block(start.poses[i]), pose_block(end.poses[i]));
+    }
+    constexpr double kSummation = 1e-12;
+    expect_near_relative(end.iterations.back().step_norm, std::sqrt(moved), kSummation, "step");
+    return end.iterations.back().step_norm;
+  };
+  EXPECT_EQ(step_after(1e10), 0.0);  // raises the cost, so it is rejected
+  EXPECT_GT(step_after(10.0), 0.0);
 }
 
 TEST(Progress, StopsTheSolve) {

@@ -60,7 +60,7 @@ struct Iteration {
   int number;
   double cost;  ///< of the last accepted step
   double gradient_max_norm;
-  double step_norm;
+  double step_norm;  ///< 2-norm of the change of all parameters; 0 for a rejected step
   double trust_region_radius;
   double time_s;  ///< since the start of the solve
 };
