@@ -8,7 +8,6 @@ mod poses;
 mod refine;
 mod result;
 
-pub use checks::check_stated_pitch;
 pub use initial::initial_camera;
 pub use options::{CalibrationOptions, Mode, Start};
 pub use poses::initial_poses;

@@ -2,15 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use plenocal::calibration::check_stated_pitch;
 use plenocal::detection::{
-    DepthEstimator, DetectedFeature, Detection, FrameCounts, MicroImages, Search, TiedBoard,
+    DepthEstimator, DetectedFeature, Detection, FrameCounts, MicroImages, Search, check_board_size,
     detect_frame,
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
 use plenocal::model::{BapFeature, Board, Datasheet, Observations};
-use plenocal::precalibration::fit_grid;
+use plenocal::precalibration::{check_stated_pitch, fit_grid};
 use plenocal::report::{self, Figure};
 use plenocal::{Error, Result};
 use rayon::prelude::*;
@@ -82,7 +81,7 @@ impl Shoot {
         sheet
             .validate()
             .and_then(|()| board.validate())
-            .and_then(|()| TiedBoard::check_size(&board))
+            .and_then(|()| check_board_size(&board))
             .map_err(|e| e.in_file(path))?;
         Ok(Self { sheet, board, images })
     }
@@ -291,9 +290,9 @@ fn detect_all(
                 if let (Ok(detection), true) = (&found.0, look.pictures) {
                     drawn = Some(report::features_figure(&image, detection, search.board)?);
                 }
-                found
+                (found.0.map_err(|why| why.to_string()), found.1)
             }
-            // A damaged image among good ones is told as any frame that is left out.
+            // A damaged image among good ones is reported like any frame that is left out.
             Err(error) => (Err(error.to_string()), FrameCounts::default()),
         };
         bar.inc(1);

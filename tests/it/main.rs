@@ -8,8 +8,8 @@ mod bad_input;
 mod command_line;
 mod compote;
 mod detection;
-mod independent;
 mod floors;
+mod independent;
 mod init;
 #[cfg(unix)]
 mod interrupt;
