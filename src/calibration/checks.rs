@@ -4,17 +4,14 @@
 use crate::calibration::{LeftOut, Mode, NoPose, Start, Warning};
 use crate::error::{Error, Result};
 use crate::model::{
-    BapFeature, Board, Datasheet, FramePose, InternalParameters, MicroImageCenter, Observations,
-    PlenopticCamera, Reprojection, intrinsic_parameters,
+    BapFeature, Board, FramePose, MicroImageCenter, Observations, PlenopticCamera, Reprojection,
+    intrinsic_parameters,
 };
 use crate::precalibration::MicroImageArray;
 use crate::solver::{self, Problem, Refinement, Uncertainty};
 
 /// Boards tilted by less than this, rad (5°), look alike in a projection.
 const FRONTO_PARALLEL_RAD: f64 = 0.087;
-/// Stated and fitted pitch of the micro-images may differ by this part: both are known to a few
-/// parts in 10⁴, so beyond it they are of different cameras.
-const PITCH_AGREEMENT: f64 = 0.01;
 /// A reprojection error beyond this part of the micro-image pitch is no noise of a detector: on the
 /// R12 it is 2.3 px, real data have 0.9.
 const BAD_FIT: f64 = 0.1;
@@ -59,30 +56,6 @@ pub(super) fn check_observations(
     }
     if observations.centers.is_empty() && mode != Mode::PosesOnly {
         return Err(Error::NoCenters);
-    }
-    Ok(())
-}
-
-/// An error if the camera's file or the internal parameters state another pitch than the centres have.
-pub fn check_stated_pitch(
-    sheet: &Datasheet,
-    internal: &InternalParameters,
-    grid: &MicroImageArray,
-) -> Result<()> {
-    let measured = internal.micro_image_pitch_mm.map(|mm| mm / sheet.sensor.pixel_size_mm);
-    for (stated, whose) in [
-        (sheet.micro_image_pitch_px, "the camera states"),
-        (measured, "the internal parameters state"),
-    ] {
-        if let Some(stated) = stated
-            && (stated / grid.pitch_px - 1.0).abs() > PITCH_AGREEMENT
-        {
-            return Err(Error::invalid(format!(
-                "{whose} a micro-image pitch of {stated:.4} px, but the centres have one of {:.4} \
-                 px: they are of different cameras, or the pixel size is wrong",
-                grid.pitch_px
-            )));
-        }
     }
     Ok(())
 }

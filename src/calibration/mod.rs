@@ -10,7 +10,6 @@ mod result;
 mod warning;
 mod words;
 
-pub use checks::check_stated_pitch;
 pub use initial::initial_camera;
 pub use options::{CalibrationOptions, Mode, Start};
 pub use poses::initial_poses;

@@ -4,8 +4,8 @@ use nalgebra::Isometry3;
 use tracing::{debug, info};
 
 use crate::calibration::checks::{
-    array_beyond_image, bad_fit, check_indices, check_observations, check_refined,
-    check_stated_pitch, fronto_parallel, outlying_centers, undetermined, without_frames,
+    array_beyond_image, bad_fit, check_indices, check_observations, check_refined, fronto_parallel,
+    outlying_centers, undetermined, without_frames,
 };
 use crate::calibration::frames::{
     Frames, feature_residuals, initial_frames, reconsidered_poses, solver_features,
@@ -16,7 +16,7 @@ use crate::model::{
     Board, CenterResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
     Reprojection, intrinsic_parameters,
 };
-use crate::precalibration::{MicroImageArray, fit_grid};
+use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
 use crate::solver::{
     self, CostOptions, Iteration, Problem, Refinement, SolverOptions, Termination,
 };

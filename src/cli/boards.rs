@@ -3,15 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use plenocal::calibration::check_stated_pitch;
 use plenocal::detection::{
-    BoardImage, DepthEstimator, DetectedBoards, DetectedFrame, MicroImages, Search, TiedBoard,
-    detect,
+    BoardImage, DepthEstimator, DetectedBoards, DetectedFrame, MicroImages, Search,
+    check_board_size, detect,
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
 use plenocal::model::{Board, Datasheet, Observations, Subset};
-use plenocal::precalibration::fit_grid;
+use plenocal::precalibration::{check_stated_pitch, fit_grid};
 use plenocal::report::Figure;
 use plenocal::{Error, Result, report};
 
@@ -39,10 +38,7 @@ impl Shoot {
         let missing = |what: &str| Error::invalid(what).in_file(path);
         let (sheet, images) = camera_and_images(path, project, "calibration = [...]")?;
         let board = project.board.ok_or_else(|| missing("there is no board in it: add [board]"))?;
-        board
-            .validate()
-            .and_then(|()| TiedBoard::check_size(&board))
-            .map_err(|e| e.in_file(path))?;
+        board.validate().and_then(|()| check_board_size(&board)).map_err(|e| e.in_file(path))?;
         Ok(Self { sheet, board, images })
     }
 

@@ -1,4 +1,4 @@
-//! What the pre-calibration says of every micro-image.
+//! Every micro-image as the pre-calibration describes it.
 
 use std::collections::HashMap;
 
@@ -6,10 +6,11 @@ use nalgebra::Vector2;
 
 use crate::error::{Error, Result};
 use crate::model::{
-    Configuration, Datasheet, InternalParameters, MicroImageCenter, Sensor, optics,
+    Configuration, Datasheet, InternalParameters, LatticeKind, MicroImageCenter, ROW_DISTANCE,
+    Sensor, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration};
-use crate::vignetting::{Obliquity, Shade};
+use crate::vignetting::{Obliquity, Vignetting};
 
 /// Micro-images: where they are, and how points are blurred in them.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,8 +31,8 @@ pub struct MicroImages {
     mla_to_sensor_px: f64,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
-    /// What the pupil leaves of the micro-lenses, by type and by growth of d.
-    shades: Vec<Vec<Shade>>,
+    /// Vignetting by lens type and by growth of d.
+    vignetting: Vec<Vec<Vignetting>>,
     /// First step of that growth.
     first_step: i32,
 }
@@ -47,7 +48,7 @@ pub struct MicroOptics {
     pub q_prime_px: f64,
     /// Δc/2, px.
     pub half_pitch_px: f64,
-    /// At which angles light comes.
+    /// The angles at which light arrives.
     pub obliquity: Obliquity,
     /// d over that in the middle of the image, less 1.
     growth: f64,
@@ -87,7 +88,7 @@ impl MicroOptics {
 
 /// Discs of light and blur are smaller than this many pitches.
 const MOST_PITCHES: f64 = 10.0;
-/// Steps of the growth of d at which shades are kept; of a step the blur changes by 0.02 px.
+/// Step of the growth of d at which the vignetting is tabulated: the blur changes by 0.02 px.
 const GROWTH_STEP: f64 = 0.005;
 /// d changes less than this across an array that was meant to be parallel to the sensor.
 const MOST_GROWTH: f64 = 0.3;
@@ -147,10 +148,10 @@ impl MicroImages {
         #[allow(clippy::cast_possible_truncation)] // bounded above
         let last_step = (most / GROWTH_STEP).ceil() as i32;
         let q_prime_px: Vec<f64> = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect();
-        let shades = |q_prime: &f64| {
+        let vignetting = |q_prime: &f64| {
             let of_step = |step: i32| {
                 let scale = 1.0 + f64::from(step) * GROWTH_STEP;
-                Shade::new(pupil_px * scale, q_prime * scale - grid.pitch_px / 2.0)
+                Vignetting::new(pupil_px * scale, q_prime * scale - grid.pitch_px / 2.0)
             };
             (-last_step..=last_step).map(of_step).collect()
         };
@@ -159,7 +160,7 @@ impl MicroImages {
             configuration: sheet.configuration,
             centers: centers.iter().map(place).collect(),
             pupil_px,
-            shades: q_prime_px.iter().map(shades).collect(),
+            vignetting: q_prime_px.iter().map(vignetting).collect(),
             first_step: -last_step,
             q_prime_px,
             middle,
@@ -175,7 +176,7 @@ impl MicroImages {
         self.centers.get(&(k, l)).copied().unwrap_or_else(|| self.grid.center_of(k, l))
     }
 
-    /// As the white images of a camera have them.
+    /// The micro-images of a camera as its white images show them.
     pub fn of_precalibration(measured: &Precalibration, sheet: &Datasheet) -> Result<Self> {
         Self::new(
             &measured.array.grid,
@@ -215,21 +216,21 @@ impl MicroImages {
             obliquity: Obliquity {
                 chief: from_middle / self.lens_to_sensor_px,
                 inverse_distance: 1.0 / (self.mla_to_sensor_px * (1.0 + growth)),
-                lens_px: self.grid.pitch_px / 2.0,
+                half_pitch_px: self.grid.pitch_px / 2.0,
             },
             growth,
         }
     }
 
-    pub(super) fn shade(&self, optics: &MicroOptics) -> &Shade {
-        let shades = &self.shades[optics.lens_type];
+    pub(super) fn vignetting(&self, optics: &MicroOptics) -> &Vignetting {
+        let vignetting = &self.vignetting[optics.lens_type];
         #[allow(clippy::cast_possible_truncation)] // bounded by the constructor
         let step = (optics.growth / GROWTH_STEP).round() as i32 - self.first_step;
-        &shades[usize::try_from(step).unwrap_or(0).min(shades.len() - 1)]
+        &vignetting[usize::try_from(step).unwrap_or(0).min(vignetting.len() - 1)]
     }
 
-    /// Whether a place is in micro-images of the array on the sensor, and at least `margin_px` within the
-    /// border of both: the array may be smaller than the sensor.
+    /// Whether a place is in micro-images on the sensor, at least `margin_px` within the border of both: the
+    /// array may be smaller than the sensor.
     #[must_use]
     pub fn show(&self, place: &Vector2<f64>, sensor: &Sensor, margin_px: f64) -> bool {
         let grid = &self.grid;
@@ -258,16 +259,16 @@ impl MicroImages {
         let at = turn * from_middle;
         let middle = lattice.node(0, 0);
         // Rows of a hexagonal lattice are closer than a pitch, and shifted by up to half a one.
-        let wide = reach / self.grid.pitch_px / 0.86 + 1.5;
+        let wide = reach / self.grid.pitch_px / ROW_DISTANCE + 1.5;
         #[allow(clippy::cast_possible_truncation)] // indices of a lattice
         let range = |at: f64, first: f64, spacing: f64, count: i32| {
             let index = (at - first) / spacing;
             ((index - wide).floor() as i32).max(0)..=((index + wide).ceil() as i32).min(count - 1)
         };
         let (along_u, along_v) = match lattice.kind() {
-            crate::model::LatticeKind::Orthogonal => (1.0, 1.0),
-            crate::model::LatticeKind::HexagonalRows => (1.0, 0.75_f64.sqrt()),
-            crate::model::LatticeKind::HexagonalColumns => (0.75_f64.sqrt(), 1.0),
+            LatticeKind::Orthogonal => (1.0, 1.0),
+            LatticeKind::HexagonalRows => (1.0, ROW_DISTANCE),
+            LatticeKind::HexagonalColumns => (ROW_DISTANCE, 1.0),
         };
         let columns = range(at.x, middle.x, along_u, lattice.columns);
         let rows = range(at.y, middle.y, along_v, lattice.rows);

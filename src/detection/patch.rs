@@ -19,7 +19,7 @@ pub(super) struct Patch {
     pub saturated_white: f32,
 }
 
-/// Why nothing can be told of a micro-image.
+/// Why a micro-image shows nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Unusable {
     /// Cut by the border of the image.
@@ -51,16 +51,26 @@ impl Patch {
         let mean = first / sum;
         (f64::from(mean), f64::from((second / sum - mean * mean).max(0.0).sqrt()))
     }
+
+    /// Weighted sum of squares of the light less its mean.
+    pub fn sum_of_squares(&self) -> f64 {
+        let all = || {
+            let all = self.light.iter().zip(&self.weight);
+            all.map(|(&light, &weight)| (f64::from(light), f64::from(weight)))
+        };
+        let weights: f64 = all().map(|(_, weight)| weight).sum();
+        let mean = all().map(|(light, weight)| light * weight).sum::<f64>() / weights;
+        all().map(|(light, weight)| (light - mean).powi(2) * weight).sum()
+    }
 }
 
-/// Where the white image has less than this part of the micro-image's brightest light, nothing can be
-/// told.
+/// Pixels with less than this part of the micro-image's brightest light in the white image are not used.
 const USABLE: f32 = 0.06;
-/// Noise of the white image's brightest pixel beside that of photons: darker pixels have more of it
-/// relative to their light.
+/// Variance of the read noise over that of the photon noise in the white image's brightest pixel: relative
+/// to their light, darker pixels have more of it.
 const READ_NOISE: f32 = 0.25;
 
-/// Fewer pixels cannot hold a corner of seven parameters with some redundancy.
+/// Fewest pixels for a corner of seven parameters, with some redundancy.
 const FEWEST_PIXELS: usize = 40;
 
 /// Two images of the same place: a board and its white image.
@@ -199,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_micro_image_that_tells_nothing_says_why() {
+    fn an_unusable_micro_image_says_why() {
         let flat = |light: f32| Image { width: 61, height: 61, pixels: vec![light; 61 * 61] };
         let of = |board: f32, white: f32, pitch_px: f64, corner: Vector2<f64>| {
             let pair = Pair { board: flat(board), white: flat(white), corner };

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use nalgebra::{Matrix2, Vector2};
 
 use crate::detection::{
-    DepthEstimator, Detection, MicroImages, Search, Sight, SightLine, detect_frame,
+    CornerLine, CornerObservation, DepthEstimator, Detection, MicroImages, Search, detect_frame,
 };
 use crate::error::Result;
 use crate::model::{BapFeature, Board, MicroImageCenter};
@@ -146,13 +146,13 @@ impl DetectionScore {
             }
         }
         for corner in &detection.corners {
-            let sights: Vec<Sight> = truth
+            let observations: Vec<CornerObservation> = truth
                 .features
                 .iter()
                 .filter(|t| t.corner == own(corner.corner))
                 .filter_map(|t| {
                     let c = truth.centers.get(&(t.k, t.l))?;
-                    Some(Sight {
+                    Some(CornerObservation {
                         k: t.k,
                         l: t.l,
                         center: Vector2::new(c.u_px, c.v_px),
@@ -162,7 +162,7 @@ impl DetectionScore {
                     })
                 })
                 .collect();
-            if let Some(line) = SightLine::fit(sights.iter()) {
+            if let Some(line) = CornerLine::fit(observations.iter()) {
                 // Both with the true λ, so that they can be held against each other.
                 let of = |slope: f64| 1.0 - slope / truth.lambda;
                 let off = |slope: f64| (of(slope) / of(line.slope) - 1.0).powi(2);

@@ -28,7 +28,8 @@ use serde_json::{Value, json};
 use crate::error::{Error, Result};
 use crate::model::{
     Board, Configuration, Datasheet, FramePose, InternalParameters, Lattice, LatticeKind,
-    LensSetting, MainLens, MicroLensArray, Packing, Parity, PlenopticCamera, Sensor, optics,
+    LensSetting, MainLens, MicroLensArray, Packing, Parity, PlenopticCamera, ROW_DISTANCE, Sensor,
+    optics,
 };
 use crate::precalibration::MicroImageArray;
 use files::{CameraFile, IntrinsicsFile, ParametersFile, PosesFile, SceneFile};
@@ -128,12 +129,12 @@ fn shifted_parity(kind: LatticeKind, columns: i32, rows: i32) -> Parity {
 
 /// Position of COMPOTE's node (k', l') in its mesh, in pitches.
 fn mesh_node(kind: LatticeKind, k: i32, l: i32) -> Vector2<f64> {
-    let (k, l, row) = (f64::from(k), f64::from(l), 3.0_f64.sqrt() / 2.0);
+    let (k, l) = (f64::from(k), f64::from(l));
     let shift = |index: f64| if index % 2.0 == 0.0 { 0.5 } else { 0.0 };
     match kind {
         LatticeKind::Orthogonal => Vector2::new(k, l),
-        LatticeKind::HexagonalRows => Vector2::new(k + shift(l), row * l),
-        LatticeKind::HexagonalColumns => Vector2::new(row * k, l + shift(k)),
+        LatticeKind::HexagonalRows => Vector2::new(k + shift(l), ROW_DISTANCE * l),
+        LatticeKind::HexagonalColumns => Vector2::new(ROW_DISTANCE * k, l + shift(k)),
     }
 }
 

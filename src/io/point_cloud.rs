@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::read_text;
 use crate::error::{Error, Result};
+use crate::numerics::median;
 
 /// Columns of a line are separated by blanks, commas or semicolons; those after the third are colours.
 const SEPARATORS: [char; 3] = [' ', ',', ';'];
@@ -37,11 +38,7 @@ pub fn read_point_cloud_distance(path: &Path) -> Result<f64> {
             }
         }
     }
-    if depths.is_empty() {
-        return Err(Error::content(path, "there are no points in it"));
-    }
-    let middle = depths.len() / 2;
-    Ok(*depths.select_nth_unstable_by(middle, f64::total_cmp).1)
+    median(depths).ok_or_else(|| Error::content(path, "there are no points in it"))
 }
 
 #[cfg(test)]

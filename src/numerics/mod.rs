@@ -1,5 +1,11 @@
-//! Estimates that a few bad values do not spoil, and small least-squares problems.
+//! Estimates that outliers do not spoil, and small least-squares problems.
 
+mod levenberg_marquardt;
+mod linear;
+mod robust;
 mod statistics;
 
+pub(crate) use levenberg_marquardt::{Descent, LeastSquares};
+pub(crate) use linear::NormalEquations;
+pub(crate) use robust::{Outliers, Reweighted, Scale, Weight, fit};
 pub(crate) use statistics::median;

@@ -1,17 +1,17 @@
-//! The micro-image array of a white image as one step: from pixels to centres and grid.
+//! The micro-image array of a white image: from pixels to centres and grid.
 
 use nalgebra::{Matrix2, Vector2};
-use rayon::prelude::*;
 
-use super::centers::{Blob, is_cut, measure, middle_light, nodes_in};
+use super::centers::{measure, nodes_in};
+use super::centroid::Blob;
 use super::grid::{MicroImageArray, fit_grid, fit_regular_grid};
-use super::nodes::ByNode;
+use super::indexing::Indexing;
 use super::pattern::{Pattern, find_pattern, of_steps};
 use super::types::{LensTypes, judge_single};
+use super::verdicts::{LeftOut, judge, lit_nodes};
 use crate::error::{Error, Result};
 use crate::image::{Grey, RawImage};
-use crate::model::{Lattice, LatticeKind, MicroImageCenter, Packing, Parity};
-use crate::numerics::median;
+use crate::model::{Lattice, LatticeKind, MicroImageCenter};
 
 /// The micro-images of a white image.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +27,7 @@ pub struct ArrayMeasurement {
 }
 
 impl ArrayMeasurement {
-    /// An array that is known from elsewhere, without uncertainty.
+    /// An array that is known from elsewhere, with no uncertainty stated.
     #[must_use]
     pub fn of_grid(
         grid: MicroImageArray,
@@ -56,25 +56,13 @@ pub struct LeftOutCenters {
     pub misplaced: usize,
 }
 
-/// Less light than this part of the neighbours' is a fault, not a lens type.
-const DARK: f64 = 0.4;
-/// Less light than this part of the usual is none: vignetting leaves more at the rim of an image.
-const UNLIT: f64 = 0.1;
-/// Light with fewer lit neighbours than this is a reflection, not a part of the array.
-const FEWEST_NEIGHBOURS: usize = 2;
-/// With more than this part of its window saturated a micro-image shows no edge.
-const SATURATED: f64 = 0.97;
 /// Centres further from the grid than this many times the root mean square distance of those that
 /// agree with it do not belong to it.
 const MISPLACED: f64 = 6.0;
-/// On a nearly perfect grid a hundredth of a pixel is no fault, px.
+/// and this more, px: on a nearly perfect grid a hundredth of a pixel is no fault.
 const MISPLACED_PX: f64 = 0.05;
-/// What a repeated pattern of micro-images explains at least of an image.
+/// Least part of the variance of an image that a pattern of micro-images explains.
 const PATTERN: f64 = 0.1;
-
-/// Micro-images at the rim of an array may lie beyond the sensor, so that fewer show than there are:
-/// so many on both sides together.
-const BEYOND: i32 = 2;
 
 /// Finds and measures all micro-images of a white image, from the image alone.
 ///
@@ -86,8 +74,8 @@ pub fn measure_array(image: &RawImage, stated: Option<(i32, i32)>) -> Result<Arr
     found_array(&image.grey(), stated).map(|found| found.array)
 }
 
-/// All centres in an image of `size` (width, height), px, that a known lattice puts there: one of them
-/// at `origin`, the next at the two `steps` (columns, px). Indices count as in [`measure_array`].
+/// The centres that a known lattice has in an image of `size` (width, height), px: one of them at
+/// `origin`, the next ones two `steps` away (columns, px). Indices count as in [`measure_array`].
 pub fn lattice_centers(
     size: (u16, u16),
     origin: &Vector2<f64>,
@@ -95,12 +83,12 @@ pub fn lattice_centers(
 ) -> Result<Vec<MicroImageCenter>> {
     let pattern = Pattern { origin: *origin, ..known(steps)? };
     let nodes = nodes_in((size.0.into(), size.1.into()), &pattern);
-    let labels = Labels::possible(&pattern, &nodes, None)?;
-    let labels = labels
+    let indexing = Indexing::possible(&pattern, &nodes, None)?;
+    let indexing = indexing
         .first()
-        .ok_or_else(|| Error::invalid("no centre lies in it: give a larger image"))?;
+        .ok_or_else(|| Error::invalid("it holds no centre: give a larger image"))?;
     let center =
-        |&node: &(i32, i32)| labels.center(&pattern, node, &pattern.place(node.0, node.1), None);
+        |&node: &(i32, i32)| indexing.center(&pattern, node, &pattern.place(node.0, node.1), None);
     Ok(nodes.iter().map(center).collect())
 }
 
@@ -121,133 +109,50 @@ fn known(steps: &Matrix2<f64>) -> Result<Pattern> {
     })
 }
 
-/// The array with what the next steps need of how it was found.
+/// The array, and how it was found.
 pub(super) struct FoundArray {
     pub array: ArrayMeasurement,
     pub pattern: Pattern,
     /// The micro-images that have a centre in the array, in the same order.
     pub blobs: Vec<Blob>,
-    labels: Labels,
+    indexing: Indexing,
 }
 
 impl FoundArray {
     /// Index (k, l) of a node of the pattern.
     pub fn index(&self, node: (i32, i32)) -> (i32, i32) {
-        self.labels.index(&self.pattern, node)
+        self.indexing.index(&self.pattern, node)
     }
 
     /// The centre that a micro-image has in one of the white images.
     pub fn center(&self, blob: &Blob) -> MicroImageCenter {
-        self.labels.center(&self.pattern, blob.node, &blob.center, Some(blob.std_dev))
+        self.indexing.center(&self.pattern, blob.node, &blob.center, Some(blob.std_dev))
     }
 }
 
-/// How the nodes of a pattern are counted.
-#[derive(Debug, Clone, Copy)]
-struct Labels {
-    later: bool,
-    first: (i32, i32),
-    size: (i32, i32),
-}
-
-impl Labels {
-    fn index(&self, pattern: &Pattern, node: (i32, i32)) -> (i32, i32) {
-        let (k, l) = pattern.index(node, self.later);
-        (k - self.first.0, l - self.first.1)
-    }
-
-    fn center(
-        &self,
-        pattern: &Pattern,
-        node: (i32, i32),
-        place: &Vector2<f64>,
-        std_dev_px: Option<f64>,
-    ) -> MicroImageCenter {
-        let (k, l) = self.index(pattern, node);
-        MicroImageCenter { k, l, u_px: place.x, v_px: place.y, std_dev_px }
-    }
-
-    /// The lattice so counted.
-    fn lattice(&self, kind: LatticeKind) -> Lattice {
-        let row = match kind {
-            LatticeKind::HexagonalColumns => self.first.0,
-            _ => self.first.1,
-        };
-        // Of the pattern's own rows the odd ones are further, or with `later` the even ones.
-        let odd = row.rem_euclid(2) == i32::from(self.later);
-        let shifted = if odd { Parity::Odd } else { Parity::Even };
-        Lattice { packing: Packing::new(kind, shifted), columns: self.size.0, rows: self.size.1 }
-    }
-
-    /// Every way to count some nodes, those that show, that suits the stated size, with it; else the
-    /// ones with the fewest columns and rows.
-    fn possible(
-        pattern: &Pattern,
-        nodes: &[(i32, i32)],
-        stated: Option<(i32, i32)>,
-    ) -> Result<Vec<Self>> {
-        if nodes.is_empty() {
-            return Err(Error::invalid("no micro-image lies in the image: give a larger one"));
-        }
-        let both = [false, true].map(|later| {
-            let indices = || nodes.iter().map(|&node| pattern.index(node, later));
-            let low = indices().fold((i32::MAX, i32::MAX), |a, b| (a.0.min(b.0), a.1.min(b.1)));
-            let high = indices().fold((i32::MIN, i32::MIN), |a, b| (a.0.max(b.0), a.1.max(b.1)));
-            Self { later, first: low, size: (high.0 - low.0 + 1, high.1 - low.1 + 1) }
-        });
-        let Some((columns, rows)) = stated else {
-            let fewest = both.iter().map(|l| l.size).min().unwrap_or((0, 0));
-            return Ok(both.into_iter().filter(|l| l.size == fewest).collect());
-        };
-        let beyond = |l: &Self| (columns - l.size.0, rows - l.size.1);
-        let shifted = |l: Self| {
-            let (k, l_beyond) = beyond(&l);
-            let first = l.first;
-            (0..=k).flat_map(move |dk| {
-                (0..=l_beyond).map(move |dl| Self {
-                    first: (first.0 - dk, first.1 - dl),
-                    size: (columns, rows),
-                    ..l
-                })
-            })
-        };
-        let fits = |l: &Self| {
-            let (k, l) = beyond(l);
-            (0..=BEYOND).contains(&k) && (0..=BEYOND).contains(&l)
-        };
-        let possible: Vec<Self> = both.into_iter().filter(fits).flat_map(shifted).collect();
-        if possible.is_empty() {
-            let found = both.map(|l| format!("{} x {}", l.size.0, l.size.1));
-            let found = if found[0] == found[1] { found[0].clone() } else { found.join(" or ") };
-            return Err(Error::invalid(format!(
-                "the array is said to have {columns} x {rows} micro-lenses, but {found} \
-                 micro-images show in the image: correct the one, or give the image of that camera"
-            )));
-        }
-        Ok(possible)
-    }
-}
-
+/// Finds and measures all micro-images, as [`measure_array`] does.
 pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<FoundArray> {
     let (pattern, blobs) = find(image)?;
     let verdicts = judge(image, &pattern, &blobs);
     let (width, height) = image.size();
     let middle = Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
     // From the middle of the image to that of the array.
-    let off = |labels: &Labels| {
-        let (k, l) = labels.index(&pattern, (0, 0));
-        (pattern.origin - pattern.lattice_axes() * labels.lattice(pattern.kind).node(k, l) - middle)
+    let off = |indexing: &Indexing| {
+        let (k, l) = indexing.index(&pattern, (0, 0));
+        (pattern.origin
+            - pattern.lattice_axes() * indexing.lattice(pattern.kind).node(k, l)
+            - middle)
             .norm()
     };
-    let possible = Labels::possible(&pattern, &lit_nodes(&verdicts), stated)?;
-    let Some(labels) = possible.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
+    let possible = Indexing::possible(&pattern, &lit_nodes(&verdicts), stated)?;
+    let Some(indexing) = possible.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
         return Err(Error::invalid(
             "the micro-images cannot be counted: give a white image of the whole array",
         ));
     };
-    let lattice = labels.lattice(pattern.kind);
+    let lattice = indexing.lattice(pattern.kind);
     let of_array = |node: (i32, i32)| {
-        let (k, l) = labels.index(&pattern, node);
+        let (k, l) = indexing.index(&pattern, node);
         lattice.contains(k, l)
     };
     let blobs: Vec<Blob> = blobs
@@ -256,12 +161,13 @@ pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<Fo
         .filter(|(blob, verdict)| verdict.left_out.is_none() && of_array(blob.node))
         .map(|(blob, _)| blob)
         .collect();
-    let center = |blob: &Blob| labels.center(&pattern, blob.node, &blob.center, Some(blob.std_dev));
+    let center =
+        |blob: &Blob| indexing.center(&pattern, blob.node, &blob.center, Some(blob.std_dev));
     let all: Vec<MicroImageCenter> = blobs.iter().map(center).collect();
     let grid = fit_found(&all, &lattice)?;
     let limit = MISPLACED * grid.rms_px + MISPLACED_PX;
     let fits = |blob: &Blob| {
-        let (k, l) = labels.index(&pattern, blob.node);
+        let (k, l) = indexing.index(&pattern, blob.node);
         (grid.center_of(k, l) - blob.center).norm() <= limit
     };
     let (blobs, misplaced): (Vec<Blob>, Vec<Blob>) = blobs.into_iter().partition(fits);
@@ -279,7 +185,7 @@ pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<Fo
             misplaced: misplaced.len(),
         },
     };
-    let mut found = FoundArray { array, pattern, blobs, labels };
+    let mut found = FoundArray { array, pattern, blobs, indexing };
     found.array.lens_types = judge_single(&found);
     Ok(found)
 }
@@ -292,7 +198,7 @@ pub(super) fn fit_found(
     fit_grid(centers, lattice.kind(), lattice.columns, lattice.rows).map_err(|_| no_grid(centers))
 }
 
-/// The same without perspective, which moves the middle: for comparing images of one camera.
+/// The grid without perspective, which moves the middle: to compare images of one camera.
 pub(super) fn fit_found_regular(
     centers: &[MicroImageCenter],
     lattice: &Lattice,
@@ -309,7 +215,7 @@ fn no_grid(centers: &[MicroImageCenter]) -> Error {
     ))
 }
 
-/// The pattern, looked for in the middle and then, should that be damaged, in the quarters.
+/// The pattern, as it shows in the middle, or else, should that be damaged, in one of the quarters.
 fn find(image: &Grey) -> Result<(Pattern, Vec<Blob>)> {
     let (w, h) = image.size();
     let places = [
@@ -332,76 +238,4 @@ fn find(image: &Grey) -> Result<(Pattern, Vec<Blob>)> {
         "no array of micro-images shows in this image: nothing repeats on a hexagonal or square \
          lattice with a pitch from 5 to 90 px; give a white image, neither black nor saturated",
     ))
-}
-
-/// Why a micro-image gave no centre.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum LeftOut {
-    Cut,
-    Dark,
-    Saturated,
-}
-
-/// What an image shows of a node of its pattern.
-struct Verdict {
-    node: (i32, i32),
-    /// Why it has no centre, if it has none.
-    left_out: Option<LeftOut>,
-    /// Whether light shows, with a centre or without.
-    lit: bool,
-}
-
-/// Judges the micro-images that were measured, and then the other nodes in the image.
-fn judge(image: &Grey, pattern: &Pattern, blobs: &[Blob]) -> Vec<Verdict> {
-    let light: Vec<((i32, i32), f64)> = blobs.iter().map(|b| (b.node, b.light)).collect();
-    let light = ByNode::new(&light);
-    let unlit = UNLIT * usual_light(blobs);
-    let of_blob = |blob: &Blob| {
-        let typical = median(light.around(blob.node, 2)).unwrap_or_default();
-        let dark = blob.light < unlit.max(DARK * typical);
-        let left_out = if dark {
-            Some(LeftOut::Dark)
-        } else {
-            (blob.saturated > SATURATED).then_some(LeftOut::Saturated)
-        };
-        Verdict { node: blob.node, left_out, lit: !dark }
-    };
-    let of_other = |&node: &(i32, i32)| {
-        let (light, saturated) = middle_light(image, pattern, node).unwrap_or_default();
-        let full = saturated > SATURATED;
-        let left_out = if is_cut(image.size(), pattern, node) {
-            LeftOut::Cut
-        } else if full {
-            LeftOut::Saturated
-        } else {
-            LeftOut::Dark
-        };
-        Verdict { node, left_out: Some(left_out), lit: full || light > unlit }
-    };
-    let mut others = nodes_in(image.size(), pattern);
-    others.retain(|&node| light.at(node).is_none());
-    blobs.par_iter().map(of_blob).chain(others.par_iter().map(of_other)).collect()
-}
-
-/// The nodes of the array as far as it shows light.
-fn lit_nodes(verdicts: &[Verdict]) -> Vec<(i32, i32)> {
-    let lit: Vec<((i32, i32), ())> =
-        verdicts.iter().filter(|v| v.lit).map(|v| (v.node, ())).collect();
-    let by_node = ByNode::new(&lit);
-    let among_others = |node: &(i32, i32)| by_node.around(*node, 1).count() >= FEWEST_NEIGHBOURS;
-    lit.iter().map(|&(node, ())| node).filter(among_others).collect()
-}
-
-/// Half of all light is in micro-images at least as bright: so the many dark ones about a small array
-/// have no say.
-fn usual_light(blobs: &[Blob]) -> f64 {
-    let mut lights: Vec<f64> = blobs.iter().map(|blob| blob.light).collect();
-    lights.sort_unstable_by(|a, b| b.total_cmp(a));
-    let half = lights.iter().sum::<f64>() / 2.0;
-    let mut sum = 0.0;
-    let reaches_half = |light: &f64| {
-        sum += light;
-        sum >= half
-    };
-    lights.into_iter().find(reaches_half).unwrap_or_default()
 }

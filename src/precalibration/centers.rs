@@ -1,4 +1,4 @@
-//! Sub-pixel centres of micro-images.
+//! The centres of all micro-images of an image, and the pattern that fits them.
 
 // Only what is inlined into the dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
@@ -7,43 +7,20 @@ use nalgebra::{Matrix3x2, Vector2, Vector3};
 use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
+use super::centroid::{
+    Blob, SETTLED_PX, WINDOW, darkest_neighbourhood, measure_blob, pixels_about,
+};
 use super::pattern::Pattern;
 use crate::image::{Grey, Image, bounds};
-use crate::numerics::median;
+use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
 
-/// What was measured of one micro-image.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Blob {
-    /// Node of the pattern.
-    pub node: (i32, i32),
-    /// Intensity centroid, px.
-    pub center: Vector2<f64>,
-    /// Its standard deviation per axis, px, from what is not symmetric about it.
-    pub std_dev: f64,
-    /// Mean intensity above the background.
-    pub light: f64,
-    /// Mean square distance of the light from the centre, px².
-    pub spread: f64,
-    /// Part of the window that is saturated.
-    pub saturated: f64,
-}
-
-/// Window of the centroid: 1 up to the first radius, falling to 0 at the second, in pitches. The
-/// soft edge keeps pixels from jumping in and out; it reaches as far as neighbours may touch.
-const WINDOW: (f64, f64) = (0.40, 0.54);
-/// A window that is off by ε has its centroid off by up to a tenth of ε; a few rounds end that.
-const ROUNDS: usize = 4;
-/// Where a round moves a centre by less, px, the next would move it by a tenth of that.
-const SETTLED_PX: f64 = 0.03;
-/// The first round looks at one row in so many: it need only come near.
-const FIRST_ROWS: usize = 2;
-/// The pattern is followed outwards from where it was found, so many pitches at first, and each time
+/// The pattern is followed outwards from where it was found: so many pitches at first, then each time
 /// so many times further.
 const FIRST_REACH: f64 = 8.0;
 const REACH_FACTOR: f64 = 3.0;
-/// Micro-images that the pattern is fitted to on the way outwards.
+/// Number of micro-images that the pattern is fitted to on the way outwards.
 const SAMPLE: usize = 250;
-/// Micro-images that give the pitch to 2 · 10⁻⁶, with a scatter of 0.03 px over a hundred rows.
+/// So many micro-images give the pitch to 2 · 10⁻⁶, at a scatter of 0.03 px over a hundred rows.
 const LARGE_SAMPLE: usize = 800;
 /// A window may move by this part of a pitch as it follows the centroid.
 const FOLLOWED: f64 = 0.1;
@@ -51,7 +28,7 @@ const FOLLOWED: f64 = 0.1;
 const MIDDLE: f64 = 0.25;
 /// Micro-images along the edge of a tile: some 400 px, so that it stays in a core's cache.
 const TILE: i32 = 16;
-/// Enough micro-images for an affine fit that stands a few bad ones.
+/// Fewest micro-images for an affine fit that a few outliers do not spoil.
 const FEWEST: usize = 7;
 
 /// Measures every micro-image whose window lies in the image, and gives the pattern that fits them
@@ -97,8 +74,8 @@ pub(super) fn measure_sample(
     Some((refit(pattern, &blobs)?, blobs))
 }
 
-/// The part of an image that holds some places and what is `reach` about them, cut at the border of
-/// the image, and the place of its first pixel.
+/// The part of an image up to `reach` about some places, cut at the border of the image, and the place
+/// of its first pixel.
 pub(super) fn part_with(
     image: &Grey,
     places: impl Iterator<Item = Vector2<f64>>,
@@ -106,28 +83,6 @@ pub(super) fn part_with(
 ) -> (Image, Vector2<f64>) {
     let ((left, top, width, height), corner) = bounds(places, reach);
     (image.part(left, top, width, height), corner)
-}
-
-/// Calls with the offset and value of all pixels within a radius.
-pub(super) fn pixels_about(
-    image: &Image,
-    center: &Vector2<f64>,
-    radius: f64,
-    mut visit: impl FnMut(Vector2<f64>, f64),
-) {
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to the image
-    let range = |center: f64, length: usize| {
-        (center - radius).ceil().max(0.0) as usize
-            ..((center + radius).floor() + 1.0).max(0.0).min(length as f64) as usize
-    };
-    for v in range(center.y, image.height) {
-        for u in range(center.x, image.width) {
-            let offset = Vector2::new(u as f64, v as f64) - center;
-            if offset.norm_squared() <= radius * radius {
-                visit(offset, f64::from(image.at(u, v)));
-            }
-        }
-    }
 }
 
 /// Measures micro-images that are far from each other.
@@ -159,8 +114,7 @@ fn measure_near(image: &Grey, pattern: &Pattern, nodes: &[(i32, i32)]) -> Vec<Bl
     blobs
 }
 
-/// Work that is dispatched to code for the widest registers that the processor has; what it calls has
-/// to be inlined for that.
+/// Work for the widest registers that the processor has; what it calls has to be inlined for that.
 struct Near<'a> {
     part: &'a Image,
     pattern: &'a Pattern,
@@ -228,250 +182,48 @@ pub(super) fn middle_light(
     (count > 0.0).then(|| (light / count, saturated / count))
 }
 
-/// The affine map from nodes to centres, robustly: those far off lose their weight, and what is dark
-/// has little, as noise.
+/// Outliers of a pattern. It is fitted to windows that have settled to [`SETTLED_PX`] only.
+const OUTLIERS: Outliers = Outliers {
+    weight: Weight::Cut,
+    scale: Scale::Median,
+    scales: 3.0,
+    least: 0.0,
+    slack: SETTLED_PX,
+};
+/// Outliers of the pattern before are mostly those of the next; after three rounds they no longer change.
+const FITS: usize = 3;
+
+/// The affine map from nodes to centres, robustly: outliers have no weight, and dark micro-images have
+/// little, as their centres are noisy.
 fn refit(pattern: &Pattern, blobs: &[Blob]) -> Option<Pattern> {
     if blobs.len() < FEWEST {
         return None;
     }
-    let mut fitted = *pattern;
-    for _ in 0..3 {
-        let miss = |blob: &Blob| (blob.center - fitted.place(blob.node.0, blob.node.1)).norm();
-        let typical = median(blobs.iter().map(miss))?;
-        let mut normal = nalgebra::Matrix3::zeros();
-        let mut right = Matrix3x2::zeros();
-        for blob in blobs.iter().filter(|blob| miss(blob) <= 3.0 * typical + SETTLED_PX) {
+    numerics::fit(&Affine(blobs), Some(*pattern), FITS, &OUTLIERS).map(|fitted| fitted.model)
+}
+
+struct Affine<'a>(&'a [Blob]);
+
+impl Reweighted for Affine<'_> {
+    type Model = Pattern;
+
+    fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn solve(&self, weights: &[f64], last: Option<&Pattern>) -> Option<Pattern> {
+        let mut equations = NormalEquations::<f64, 3, 2>::new();
+        for (blob, weight) in self.0.iter().zip(weights) {
             let row = Vector3::new(1.0, f64::from(blob.node.0), f64::from(blob.node.1));
-            normal += row * row.transpose() * blob.light;
-            right += row * blob.center.transpose() * blob.light;
+            equations.add(&row, &blob.center.transpose(), blob.light * weight);
         }
-        let solution = normal.cholesky()?.solve(&right);
-        let column = |i: usize| Vector2::new(solution[(i, 0)], solution[(i, 1)]);
-        fitted = Pattern { origin: column(0), along: column(1), across: column(2), ..fitted };
-    }
-    Some(fitted)
-}
-
-/// Measures one micro-image from where the pattern expects it; `None` if its window leaves the
-/// image or holds no light.
-#[inline(always)]
-pub(super) fn measure_blob(image: &Image, pattern: &Pattern, node: (i32, i32)) -> Option<Blob> {
-    let pitch = pattern.pitch();
-    let expected = pattern.place(node.0, node.1);
-    let background = darkest_neighbourhood(image, pattern, &expected)?;
-    let window = Window { image, inner: WINDOW.0 * pitch, outer: WINDOW.1 * pitch, background };
-    let (mut center, _) = window.centroid(&expected, FIRST_ROWS)?;
-    let mut sums = Sums::default();
-    for _ in 0..ROUNDS {
-        let (next, there) = window.centroid(&center, 1)?;
-        sums = there;
-        let step = next - center;
-        // Light that leads out of the cell is not of this micro-image.
-        if (next - expected).norm() > 0.5 * pitch {
-            return None;
-        }
-        center = next;
-        if step.norm() < SETTLED_PX {
-            break;
-        }
-    }
-    let std_dev = window.std_dev(&center, sums.light)?;
-    std_dev.is_finite().then(|| Blob {
-        node,
-        center,
-        std_dev,
-        light: sums.light / sums.weights,
-        spread: sums.square / sums.light,
-        saturated: sums.saturated / sums.count,
-    })
-}
-
-/// Mean intensity at the places furthest from all micro-images about one, where the least light of
-/// any arrives.
-pub(super) fn darkest_neighbourhood(
-    image: &Image,
-    pattern: &Pattern,
-    at: &Vector2<f64>,
-) -> Option<f64> {
-    let (a, b) = (pattern.along, pattern.across);
-    let gaps: Vec<Vector2<f64>> = if pattern.kind == crate::model::LatticeKind::Orthogonal {
-        vec![(a + b) / 2.0, (a - b) / 2.0]
-    } else {
-        vec![(a + b) / 3.0, (b * 2.0 - a) / 3.0, (b - a * 2.0) / 3.0]
-    };
-    let around: Vec<f64> = gaps
-        .iter()
-        .flat_map(|gap| [at + gap, at - gap])
-        .filter_map(|p| bilinear(image, &p))
-        .collect();
-    (!around.is_empty()).then(|| around.iter().sum::<f64>() / around.len() as f64)
-}
-
-fn bilinear(image: &Image, p: &Vector2<f64>) -> Option<f64> {
-    let (u, v) = (p.x.floor(), p.y.floor());
-    let inside =
-        u >= 0.0 && v >= 0.0 && u + 1.0 < image.width as f64 && v + 1.0 < image.height as f64;
-    if !inside {
-        return None;
-    }
-    let (du, dv) = (p.x - u, p.y - v);
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image
-    let (u, v) = (u as usize, v as usize);
-    let at = |u: usize, v: usize| f64::from(image.at(u, v));
-    Some(
-        (at(u, v) * (1.0 - du) + at(u + 1, v) * du) * (1.0 - dv)
-            + (at(u, v + 1) * (1.0 - du) + at(u + 1, v + 1) * du) * dv,
-    )
-}
-
-/// A soft round window on an image.
-struct Window<'a> {
-    image: &'a Image,
-    inner: f64,
-    outer: f64,
-    background: f64,
-}
-
-/// Pixels that are added up side by side.
-const LANES: usize = 8;
-
-/// Sums over a window: light, light times offset, light times square offset, weights, pixels and
-/// saturated ones.
-#[derive(Debug, Clone, Copy, Default)]
-struct Sums {
-    light: f64,
-    x: f64,
-    y: f64,
-    square: f64,
-    weights: f64,
-    count: f64,
-    saturated: f64,
-}
-
-/// The pixels of the square about a window: the first one, how many columns and rows, and where the
-/// first is from the centre.
-struct Square {
-    left: usize,
-    top: usize,
-    columns: usize,
-    rows: usize,
-    dx: f32,
-    dy: f32,
-}
-
-#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
-impl Window<'_> {
-    /// The square about a centre; `None` if it comes within a pixel of the border of the image. What
-    /// of it is outside the window has no weight.
-    fn square(&self, center: &Vector2<f64>) -> Option<Square> {
-        let (first, last) = (center.map(|x| x - self.outer), center.map(|x| x + self.outer));
-        let fits = first.min() >= 1.0
-            && last.x <= self.image.width as f64 - 2.0
-            && last.y <= self.image.height as f64 - 2.0;
-        // Of what is not below 0 a cast takes the floor, and faster.
-        let ceil = |x: f64| x as usize + usize::from(x > x as usize as f64);
-        fits.then(|| {
-            let (left, top) = (ceil(first.x), ceil(first.y));
-            Square {
-                left,
-                top,
-                columns: last.x as usize + 1 - left,
-                rows: last.y as usize + 1 - top,
-                dx: (left as f64 - center.x) as f32,
-                dy: (top as f64 - center.y) as f32,
-            }
-        })
+        let solution: Matrix3x2<f64> = equations.solve()?;
+        let column = |i: usize| solution.row(i).transpose();
+        Some(Pattern { origin: column(0), along: column(1), across: column(2), ..*last? })
     }
 
-    /// Reciprocal of the range over which the weight falls, in r²: so it needs no root.
-    fn fall(&self) -> f32 {
-        (1.0 / (self.outer * self.outer - self.inner * self.inner)) as f32
-    }
-
-    #[inline(always)]
-    fn sums(&self, center: &Vector2<f64>, step: usize) -> Option<Sums> {
-        let (outer2, fall) = ((self.outer * self.outer) as f32, self.fall());
-        let background = self.background as f32;
-        let mut lanes = [[0.0_f32; LANES]; 7];
-        let Square { left, top, columns, rows, dx, dy } = self.square(center)?;
-        // Whole chunks; what they hold beyond the window has no weight.
-        let columns = columns.next_multiple_of(LANES);
-        let first = left.min(self.image.width.saturating_sub(columns));
-        let start = dx - (left - first) as f32;
-        for row in (0..rows).step_by(step) {
-            let pixels =
-                self.image.pixels[(top + row) * self.image.width + first..].get(..columns)?;
-            let dy = dy + row as f32;
-            let left = outer2 - dy * dy;
-            for (i, chunk) in pixels.as_chunks::<LANES>().0.iter().enumerate() {
-                let start = start + (i * LANES) as f32;
-                for lane in 0..LANES {
-                    let (dx, value) = (start + lane as f32, chunk[lane]);
-                    let weight = ((left - dx * dx) * fall).clamp(0.0, 1.0);
-                    let light = weight * (value - background);
-                    let inside = f32::from(u8::from(weight > 0.0));
-                    lanes[0][lane] += light;
-                    lanes[1][lane] += light * dx;
-                    lanes[2][lane] += light * dy;
-                    lanes[3][lane] += light * (dx * dx + dy * dy);
-                    lanes[4][lane] += weight;
-                    lanes[5][lane] += inside;
-                    lanes[6][lane] += if value >= 1.0 { inside } else { 0.0 };
-                }
-            }
-        }
-        let [light, x, y, square, weights, count, saturated] =
-            lanes.map(|lanes| lanes.iter().map(|&x| f64::from(x)).sum::<f64>());
-        Some(Sums { light, x, y, square, weights, count, saturated })
-    }
-
-    #[inline(always)]
-    fn centroid(&self, center: &Vector2<f64>, step: usize) -> Option<(Vector2<f64>, Sums)> {
-        let sums = self.sums(center, step)?;
-        let moved = Vector2::new(sums.x, sums.y) / sums.light;
-        (sums.light > 0.0).then_some((center + moved, sums))
-    }
-
-    /// Standard deviation of the centroid per axis, px, from what differs on both sides of it: noise,
-    /// or a fault of symmetry.
-    #[inline(always)]
-    fn std_dev(&self, center: &Vector2<f64>, light: f64) -> Option<f64> {
-        let (outer2, fall) = ((self.outer * self.outer) as f32, self.fall());
-        let width = self.image.width;
-        let Square { left, top, columns, rows, dx, dy } = self.square(center)?;
-        // A pixel mirrored in the centre lies between four pixels, in the same way for all.
-        let (twice_u, twice_v) = (2.0 * center.x, 2.0 * center.y);
-        let (whole_u, whole_v) = (twice_u as usize, twice_v as usize);
-        let (du, dv) = ((twice_u - whole_u as f64) as f32, (twice_v - whole_v as f64) as f32);
-        let first = whole_u + 1 - left - columns;
-        let mut lanes = [0.0_f32; LANES];
-        let mut odd = vec![0.0_f32; columns.next_multiple_of(LANES)];
-        // The other half of the rows is the mirror of this.
-        for row in (0..rows).take_while(|&row| dy + (row as f32) < 0.0) {
-            let (v, dy) = (top + row, dy + row as f32);
-            let pixels = &self.image.pixels[v * width + left..][..columns];
-            let opposite = (whole_v - v) * width + first;
-            let upper = &self.image.pixels[opposite..][..=columns];
-            let lower = &self.image.pixels[opposite + width..][..=columns];
-            let left = outer2 - dy * dy;
-            let mirrored = upper.windows(2).zip(lower.windows(2)).rev();
-            for ((odd, &value), (upper, lower)) in odd.iter_mut().zip(pixels).zip(mirrored) {
-                let above = upper[0] * (1.0 - du) + upper[1] * du;
-                let below = lower[0] * (1.0 - du) + lower[1] * du;
-                *odd = (value - above * (1.0 - dv) - below * dv) * 0.5;
-            }
-            // What the buffer holds beyond the row has no weight.
-            for (i, chunk) in odd.as_chunks::<LANES>().0.iter().enumerate() {
-                let start = dx + (i * LANES) as f32;
-                for lane in 0..LANES {
-                    let dx = start + lane as f32;
-                    let weight = ((left - dx * dx) * fall).clamp(0.0, 1.0);
-                    lanes[lane] += (weight * chunk[lane]).powi(2) * (dx * dx + dy * dy);
-                }
-            }
-        }
-        let variance = lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
-        // 2 Σ (w x e)² over all pixels along an axis, here the mean of both axes, from half of them.
-        Some((2.0 * variance).sqrt() / light)
+    fn length(&self, pattern: &Pattern, datum: usize) -> f64 {
+        let blob = &self.0[datum];
+        (blob.center - pattern.place(blob.node.0, blob.node.1)).norm()
     }
 }

@@ -1,17 +1,17 @@
 //! The micro-image array as a grid, fitted to observed centres (paper, "Features extraction": pitch
 //! δc, rotation ϑ_z and offset τ).
 //!
-//! The paper's grid is regular. Of an array that leans against the sensor the pitch grows where the
-//! micro-lenses are nearer to the main lens: its centres are a projection, c = p (1 + t · p) to first
-//! order, with t = θ/(D + d) for a lean of θ. On an R12 with 1 mrad that is 0.4 px at the border, and
-//! tells θ to a few per cent before any board is seen.
+//! The paper's grid is regular. Where an array is tilted against the sensor the pitch grows towards the
+//! side on which the micro-lenses are nearer to the main lens: the centres are a projection, to first
+//! order c = p (1 + t · p) with t = θ/(D + d) for a tilt of θ. On an R12 with 1 mrad that is 0.4 px at
+//! the border, and gives θ to a few per cent before any board is seen.
 
-use nalgebra::{Matrix2, Matrix6, Rotation2, Vector2, Vector6};
+use nalgebra::{Matrix2, Matrix6, Rotation2, Vector1, Vector2, Vector6};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::model::{Lattice, LatticeKind, MicroImageCenter, Packing};
-use crate::numerics::median;
+use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
 
 /// A grid of micro-image centres: c(k, l) = center + p (1 + t · p) with p = pitch · R(rotation) ·
 /// node(k, l) and the perspective t.
@@ -19,7 +19,7 @@ use crate::numerics::median;
 pub struct MicroImageArray {
     /// Indices, packing, and which rows are shifted.
     pub lattice: Lattice,
-    /// Distance δc of neighbouring centres, px.
+    /// Distance δc of neighbouring micro-image centres, px.
     pub pitch_px: f64,
     /// Rotation ϑ_z in the image, rad, from u towards v.
     pub rotation_rad: f64,
@@ -30,7 +30,7 @@ pub struct MicroImageArray {
     pub perspective_per_px: Vector2<f64>,
     /// Root mean square distance of the centres that agree with the grid, px.
     pub rms_px: f64,
-    /// Number of centres further than six robust standard deviations from the grid.
+    /// Number of outliers: centres further than six robust standard deviations from the grid.
     pub outliers: usize,
 }
 
@@ -46,20 +46,24 @@ impl MicroImageArray {
 
 /// Fewest centres for the four parameters of the grid with redundancy.
 const MIN_CENTERS: usize = 8;
-/// Centres beyond this many robust standard deviations count as outliers and lose their weight.
-const OUTLIER_SCALES: f64 = 6.0;
-/// The scale is not taken below this, px, so that perfect grids work.
-const MIN_SCALE_PX: f64 = 1e-9;
-/// Reweighted fits settle in a few rounds; this many is for stubborn data.
-const MAX_ROUNDS: usize = 50;
-/// A lattice whose typical distance to the centres is beyond this part of the pitch is not theirs:
-/// a wrong parity alone gives about half a pitch, the centroid noise of real cameras a hundredth.
+/// Outliers of a grid. Centres scatter by their noise and by the faults of single micro-lenses, so that
+/// the limit is wide. A perfect grid has no scatter but rounding, which is below the least, px.
+const OUTLIERS: Outliers = Outliers {
+    weight: Weight::Biweight,
+    scale: Scale::PerAxis,
+    scales: 6.0,
+    least: 1e-9,
+    slack: 0.0,
+};
+/// Reweighted fits settle in a few rounds, to this part; so many are for stubborn data.
+const ROUNDS: usize = 50;
+const SETTLED: f64 = 1e-13;
+/// Centres that are typically further than this part of the pitch from a lattice do not lie on it: a
+/// wrong parity alone gives about half a pitch, the centroid noise of real cameras a hundredth.
 const MAX_RELATIVE_SCALE: f64 = 0.15;
-/// A perspective that is fewer standard deviations from none is none: beyond the centres it would only
-/// carry their noise outwards.
+/// A perspective that is fewer standard deviations from none counts as none: it would only carry the
+/// noise of the centres outwards.
 const SIGNIFICANT: f64 = 5.0;
-/// Median of the length of a 2-D Gaussian vector over its per-axis standard deviation.
-const MEDIAN_LENGTH_2D: f64 = 1.177_410_022_515_474_7;
 
 /// Fits the grid robustly, perspective included; which rows (columns) are shifted is found by trying
 /// both.
@@ -77,7 +81,7 @@ pub fn fit_grid(
     Ok(bent.map_or(regular, |fit| fit.grid))
 }
 
-/// The same without perspective.
+/// Fits the grid without perspective, else like [`fit_grid`].
 pub(super) fn fit_regular_grid(
     centers: &[MicroImageCenter],
     kind: LatticeKind,
@@ -86,7 +90,7 @@ pub(super) fn fit_regular_grid(
 ) -> Result<MicroImageArray> {
     if centers.len() < MIN_CENTERS {
         return Err(Error::invalid(format!(
-            "{} micro-image centres are too few for a grid; it takes at least {MIN_CENTERS}",
+            "{} micro-image centres are too few for a grid, which takes at least {MIN_CENTERS}",
             centers.len()
         )));
     }
@@ -122,7 +126,7 @@ pub(super) fn fit_regular_grid(
             .map(LatticeKind::name)
             .collect();
     let remedy = if others.is_empty() {
-        "nor on any other lattice; check their indices".to_owned()
+        "and on no other lattice either; check their indices".to_owned()
     } else {
         format!("but on the lattice '{}'; set that in the camera's file", others.join("' and '"))
     };
@@ -164,37 +168,19 @@ impl Form {
     }
 }
 
-/// Iteratively reweighted least squares with Tukey's weight, with or without perspective. All is
-/// linear if s is multiplied by the A of the round before. `None` where it is not determined.
+/// Fits a grid, with or without perspective. `None` where it is not determined.
 fn fit(centers: &[MicroImageCenter], lattice: Lattice, perspective: bool) -> Option<Fit> {
-    let nodes: Vec<Vector2<f64>> = centers.iter().map(|c| lattice.node(c.k, c.l)).collect();
-    let observed: Vec<Vector2<f64>> =
-        centers.iter().map(|c| Vector2::new(c.u_px, c.v_px)).collect();
-    let mut weights = vec![1.0; centers.len()];
-    let mut form: Option<Form> = None;
-    let mut normal = Matrix6::zeros();
-    let mut scale_px = f64::INFINITY;
-    let mut lengths = Vec::new();
-    for _ in 0..MAX_ROUNDS {
-        let turn = form.filter(|_| perspective).map(|form| form.turn());
-        let next;
-        (next, normal) = solve(&nodes, &observed, &weights, turn)?;
-        lengths = nodes.iter().zip(&observed).map(|(g, c)| (c - next.place(g)).norm()).collect();
-        scale_px = (median(lengths.iter().copied())? / MEDIAN_LENGTH_2D).max(MIN_SCALE_PX);
-        for (weight, length) in weights.iter_mut().zip(&lengths) {
-            let x = length / (OUTLIER_SCALES * scale_px);
-            *weight = if x < 1.0 { (1.0 - x * x).powi(2) } else { 0.0 };
-        }
-        let settled = form.is_some_and(|last| (next.0 - last.0).norm() <= 1e-13 * next.0.norm());
-        form = Some(next);
-        if settled {
-            break;
-        }
-    }
-    let form = form?;
-    let squares: Vec<f64> = lengths
+    let centers = Centers {
+        nodes: centers.iter().map(|c| lattice.node(c.k, c.l)).collect(),
+        observed: centers.iter().map(|c| Vector2::new(c.u_px, c.v_px)).collect(),
+        perspective,
+    };
+    let fitted = numerics::fit(&centers, None, ROUNDS, &OUTLIERS)?;
+    let (form, normal) = fitted.model;
+    let squares: Vec<f64> = fitted
+        .lengths
         .iter()
-        .zip(&weights)
+        .zip(&fitted.weights)
         .filter(|&(_, &weight)| weight > 0.0)
         .map(|(length, _)| length * length)
         .collect();
@@ -209,44 +195,64 @@ fn fit(centers: &[MicroImageCenter], lattice: Lattice, perspective: bool) -> Opt
             center_px: form.0.xy(),
             perspective_per_px: turn * by_node / turn.determinant(),
             rms_px: (squares.iter().sum::<f64>() / squares.len() as f64).sqrt(),
-            outliers: centers.len() - squares.len(),
+            outliers: fitted.lengths.len() - squares.len(),
         },
-        scale_px,
-        deviations: by_node.dot(&(inverse * by_node)).sqrt() / scale_px,
+        scale_px: fitted.typical,
+        deviations: by_node.dot(&(inverse * by_node)).sqrt() / fitted.typical,
     })
 }
 
-/// The form that fits best, and its normal matrix; without the A that the perspective is multiplied by
-/// it is left at 0.
-fn solve(
-    nodes: &[Vector2<f64>],
-    observed: &[Vector2<f64>],
-    weights: &[f64],
-    turn: Option<Matrix2<f64>>,
-) -> Option<(Form, Matrix6<f64>)> {
-    let mut normal = Matrix6::zeros();
-    let mut right = Vector6::zeros();
-    for ((g, c), &w) in nodes.iter().zip(observed).zip(weights) {
-        let p = turn.map_or_else(Vector2::zeros, |turn| turn * g);
-        for (row, value) in [
-            (Vector6::new(1.0, 0.0, g.x, -g.y, g.x * p.x, g.y * p.x), c.x),
-            (Vector6::new(0.0, 1.0, g.y, g.x, g.x * p.y, g.y * p.y), c.y),
-        ] {
-            normal += w * row * row.transpose();
-            right += w * value * row;
+/// Observed centres by node.
+struct Centers {
+    nodes: Vec<Vector2<f64>>,
+    observed: Vec<Vector2<f64>>,
+    perspective: bool,
+}
+
+impl Reweighted for Centers {
+    /// With its normal matrix.
+    type Model = (Form, Matrix6<f64>);
+
+    fn count(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// All is linear if the perspective s is multiplied by the A of the round before; in the first
+    /// round, which has none, s is left at 0.
+    fn solve(&self, weights: &[f64], last: Option<&Self::Model>) -> Option<Self::Model> {
+        let turn = last.filter(|_| self.perspective).map(|(form, _)| form.turn());
+        let mut equations = NormalEquations::<f64, 6, 1>::new();
+        for ((g, c), &weight) in self.nodes.iter().zip(&self.observed).zip(weights) {
+            let p = turn.map_or_else(Vector2::zeros, |turn| turn * g);
+            let along_u = Vector6::new(1.0, 0.0, g.x, -g.y, g.x * p.x, g.y * p.x);
+            let along_v = Vector6::new(0.0, 1.0, g.y, g.x, g.x * p.y, g.y * p.y);
+            equations.add(&along_u, &Vector1::new(c.x), weight);
+            equations.add(&along_v, &Vector1::new(c.y), weight);
         }
+        if turn.is_none() {
+            for i in [4, 5] {
+                let only = Vector6::from_fn(|j, _| f64::from(u8::from(i == j)));
+                equations.add(&only, &Vector1::new(0.0), 1.0);
+            }
+        }
+        let normal = equations.normal();
+        // Nodes that are all in one place leave pitch and rotation undetermined.
+        let spread =
+            normal[(2, 2)] * normal[(0, 0)] - normal[(0, 2)].powi(2) - normal[(0, 3)].powi(2);
+        if spread <= 1e-9 * normal[(0, 0)].powi(2) {
+            return None;
+        }
+        let solution = equations.solve()?;
+        solution.iter().all(|v| v.is_finite()).then_some((Form(solution), normal))
     }
-    // Nodes all in one place leave pitch and rotation open.
-    let spread = normal[(2, 2)] * normal[(0, 0)] - normal[(0, 2)].powi(2) - normal[(0, 3)].powi(2);
-    if spread <= 1e-9 * normal[(0, 0)].powi(2) {
-        return None;
+
+    fn length(&self, (form, _): &Self::Model, datum: usize) -> f64 {
+        (self.observed[datum] - form.place(&self.nodes[datum])).norm()
     }
-    if turn.is_none() {
-        normal[(4, 4)] = 1.0;
-        normal[(5, 5)] = 1.0;
+
+    fn settled(&self, (last, _): &Self::Model, (next, _): &Self::Model) -> bool {
+        (next.0 - last.0).norm() <= SETTLED * next.0.norm()
     }
-    let solution = normal.cholesky()?.solve(&right);
-    solution.iter().all(|v| v.is_finite()).then_some((Form(solution), normal))
 }
 
 #[cfg(test)]

@@ -43,7 +43,7 @@ pub(super) fn fit_internal(
     measurements: &mut [RadiusMeasurement],
     types: usize,
     pixel_size_mm: f64,
-    pitch_px: f64,
+    micro_image_pitch_px: f64,
     configuration: Configuration,
 ) -> Option<InternalFit> {
     let rows = measurements.len();
@@ -56,7 +56,7 @@ pub(super) fn fit_internal(
     }
     let normal = design.tr_mul(&design);
     let inverse = normal.clone().cholesky()?.inverse();
-    // Two equal f-numbers leave slope and offsets open.
+    // Equal f-numbers leave slope and offsets undetermined.
     if inverse[(0, 0)].is_nan() || normal.determinant().abs() < 1e-12 {
         return None;
     }
@@ -67,12 +67,12 @@ pub(super) fn fit_internal(
     }
     let freedom = rows.saturating_sub(types + 1);
     let sum = residuals.norm_squared();
-    // Two f-numbers leave too little to judge the fit by; then the measurements' own uncertainty.
+    // Without redundancy the fit says nothing of its errors; then the measurements' own uncertainty does.
     let own: f64 =
         measurements.iter().map(|m| m.std_dev_px.powi(2)).sum::<f64>() / rows.max(1) as f64;
     let variance = if freedom > 0 { (sum / freedom as f64).max(own) } else { own };
     let std_dev = |i: usize| (variance * inverse[(i, i)]).sqrt() * pixel_size_mm;
-    let half_pitch = pitch_px * pixel_size_mm / 2.0;
+    let half_pitch = micro_image_pitch_px * pixel_size_mm / 2.0;
     let side = if configuration == Configuration::Keplerian { 1.0 } else { -1.0 };
     Some(InternalFit {
         parameters: InternalParameters {

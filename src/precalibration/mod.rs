@@ -3,19 +3,26 @@
 
 mod array;
 mod centers;
+mod centroid;
+mod centroid_shift;
+mod checks;
+mod correction;
 mod grid;
+mod indexing;
 mod internal;
 mod nodes;
 mod pattern;
 mod profile;
 mod radii;
-mod shading;
+mod samples;
 mod stage;
 mod types;
+mod verdicts;
 
 pub use array::{
     ArrayMeasurement, LeftOutCenters, lattice_centers, lattice_orientation, measure_array,
 };
+pub use checks::check_stated_pitch;
 pub use grid::{MicroImageArray, fit_grid};
 pub use internal::{InternalFit, RadiusMeasurement};
 pub use radii::RadiusEstimator;

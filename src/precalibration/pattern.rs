@@ -8,7 +8,7 @@ use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 
 use crate::image::Grey;
-use crate::model::LatticeKind;
+use crate::model::{LatticeKind, ROW_DISTANCE};
 
 /// A lattice of micro-images in an image: `origin + i · along + j · across` for whole i and j.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,7 +30,7 @@ impl Pattern {
         self.origin + self.along * f64::from(i) + self.across * f64::from(j)
     }
 
-    /// The same in a part of the image whose first pixel is at `corner`.
+    /// The pattern in a part of the image whose first pixel is at `corner`.
     pub fn seen_from(&self, corner: &Vector2<f64>) -> Self {
         Self { origin: self.origin - corner, ..*self }
     }
@@ -41,15 +41,12 @@ impl Pattern {
 
     /// From lattice positions in pitches to px.
     pub fn lattice_axes(&self) -> Matrix2<f64> {
-        let root = 3.0_f64.sqrt();
+        // A pitch long, at a right angle to the rows.
+        let across_rows = (self.across - self.along / 2.0) / ROW_DISTANCE;
         match self.kind {
             LatticeKind::Orthogonal => self.basis(),
-            LatticeKind::HexagonalRows => {
-                Matrix2::from_columns(&[self.along, (self.across * 2.0 - self.along) / root])
-            }
-            LatticeKind::HexagonalColumns => {
-                Matrix2::from_columns(&[(self.across * 2.0 - self.along) / root, self.along])
-            }
+            LatticeKind::HexagonalRows => Matrix2::from_columns(&[self.along, across_rows]),
+            LatticeKind::HexagonalColumns => Matrix2::from_columns(&[across_rows, self.along]),
         }
     }
 
@@ -73,7 +70,7 @@ impl Pattern {
 fn cell_area(kind: LatticeKind) -> f64 {
     match kind {
         LatticeKind::Orthogonal => 1.0,
-        _ => 3.0_f64.sqrt() / 2.0,
+        _ => ROW_DISTANCE,
     }
 }
 
@@ -328,10 +325,10 @@ fn hexagonal(a: Vector2<f64>, b: Vector2<f64>) -> Pattern {
     // Straight rows run along u if some step does so more than any runs along v.
     if right.normalize().x > down.normalize().y {
         // The next row, half a step to the right.
-        let across = nearest(&steps, &Vector2::new(0.5, 0.75_f64.sqrt()));
+        let across = nearest(&steps, &Vector2::new(0.5, ROW_DISTANCE));
         pattern(LatticeKind::HexagonalRows, right, across)
     } else {
-        let across = nearest(&steps, &Vector2::new(0.75_f64.sqrt(), 0.5));
+        let across = nearest(&steps, &Vector2::new(ROW_DISTANCE, 0.5));
         pattern(LatticeKind::HexagonalColumns, down, across)
     }
 }

@@ -1,13 +1,14 @@
 //! The light across a micro-image of a white target, and the outer radius from it.
 //!
 //! On the sensor the main lens's pupil, seen through the middle of a micro-lens, is a disc of radius
-//! a, and every point of it is spread by the micro-lens over a disc of radius b: the micro-image is
-//! the overlap of two discs, flat up to |a − b| and dark from a + b on. a = |m|/N and b = |qᵢ| of
+//! a, and the micro-lens blurs every point of it over a disc of radius b: the light of the micro-image
+//! is the overlap of these discs, flat up to |a − b| and dark from a + b on. a = |m|/N and b = |qᵢ| of
 //! Eq. (miradiusfnumber), so that the outer radius is the paper's radius of the micro-image.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Vector1, Vector2};
 
-use crate::vignetting::{CommonPart, Obliquity, common_part, overlap};
+use crate::numerics::{Descent, LeastSquares, NormalEquations};
+use crate::vignetting::{Obliquity, Overlap, overlap, overlap_area};
 
 /// Mean light at distances from the middle of micro-images of one type.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,13 +23,13 @@ pub(super) struct Bin {
     pub light: f64,
     /// Standard deviation of the mean.
     pub std_dev: f64,
-    /// Light over what it would be if it came straight.
+    /// Light over what it would be at normal incidence.
     pub fall_off: f64,
 }
 
-/// Two discs fitted to a profile.
+/// The overlap of pupil and blur fitted to a profile.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Discs {
+pub(super) struct Edge {
     /// a + b, px.
     pub outer: f64,
     /// |a − b|, px.
@@ -42,19 +43,25 @@ pub(super) struct Discs {
 
 /// Width of the bins, px.
 const BIN_PX: f64 = 0.125;
-/// Samples in a bin that give it a standard deviation worth having.
+/// Fewest samples in a bin for a standard deviation worth having.
 const FEWEST: f64 = 8.0;
-/// Above this part of full scale samples may be clipped; a bin that holds such is left out.
+/// Samples above this part of full scale may be clipped; a bin with such a sample is left out.
 const CLIPPED: f64 = 0.97;
-/// Only light up to this part of the brightest is fitted: the edge says where the outer radius is, and
-/// what oblique rays do to the light changes little across it.
+/// Only light up to this part of the brightest is fitted: the outer radius shows at the edge, across
+/// which the effect of oblique rays changes little.
 const OUTER_LIGHT: f64 = 0.5;
-/// What discs leave unexplained of the light in the middle: oblique rays, pixels, grids.
+/// Part of the light in the middle that the overlap of two discs does not explain: oblique rays, pixels,
+/// grids.
 const MODEL_ERROR: f64 = 2e-3;
-/// One bin in so many tells where a descent should start.
+/// One bin in so many shows where a descent should start.
 const COARSE: usize = 4;
-/// Gauss-Newton steps shrink fast: after one that is so short, px, nothing is left to gain.
-const SETTLED_PX: f64 = 1e-6;
+/// How radii are followed down. Gauss-Newton steps shrink fast: after one of a millionth of a pixel
+/// nothing is left to gain. Where much is clipped the valleys are long and bent, hence many small changes
+/// of the damping.
+const DESCENT: Descent = Descent { steps: 60, settled: 1e-6, factor: 5.0, damping: (1e-9, 1e6) };
+/// Step of the numerical derivatives, px: the light is smooth over a pixel, and rounding errors of its
+/// sums are 1e-12 of it.
+const STEP_PX: f64 = 1e-4;
 /// Starts that are followed down.
 const DESCENTS: usize = 2;
 /// Nodes and weights of Gauss' rule across a pixel.
@@ -110,37 +117,40 @@ impl Stack {
     }
 }
 
-/// Overlap of discs averaged over a pixel.
+/// Overlap of the discs, averaged over a pixel at distance r.
 pub(super) fn seen(r: f64, outer: f64, inner: f64) -> f64 {
     // Across the direction to the middle a pixel has a mean square of 1/12.
     PIXEL
         .iter()
-        .map(|&(x, weight)| weight * overlap(((r + x).powi(2) + 1.0 / 12.0).sqrt(), outer, inner))
+        .map(|&(x, weight)| {
+            weight * overlap_area(((r + x).powi(2) + 1.0 / 12.0).sqrt(), outer, inner)
+        })
         .sum()
 }
 
 impl Profile {
-    /// The same profile, knowing that light comes obliquely: through a micro-lens with the blur radius
-    /// `q_px` (with the sign that Eq. (radiusfinal) gives it) from a pupil of radius `pupil_px`.
+    /// This profile with the fall-off of oblique light: through a micro-lens with the blur radius `q_px`
+    /// (with the sign that Eq. (radiusfinal) gives it), from a pupil of radius `pupil_px`.
     ///
     /// Where f < d the far side of the micro-lens lights the edge of the micro-image, at a steep angle;
     /// where f > d the near side does.
     pub fn oblique(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity) -> Self {
         let q = q_px.abs().max(1e-6);
         let of_bin = |bin: &Bin| {
-            let part = common_part(bin.radius / q, pupil_px / q);
-            let part = part.unwrap_or(CommonPart { mean: 1.0, along: 0.0, across: 0.0, area: 0.0 });
-            let from_lens = bin.radius + part.mean * q_px.signum() * obliquity.lens_px;
+            let part = overlap(bin.radius / q, pupil_px / q);
+            let part = part.unwrap_or(Overlap { mean: 1.0, along: 0.0, across: 0.0, area: 0.0 });
+            let from_lens = bin.radius + part.mean * q_px.signum() * obliquity.half_pitch_px;
             let from_lens = Vector2::new(from_lens, 0.0);
             Bin { fall_off: obliquity.light(&from_lens, part.along, part.across), ..*bin }
         };
         Self { bins: self.bins.iter().map(of_bin).collect() }
     }
 
-    /// Fits two discs; `None` if the profile does not show an edge.
-    pub fn fit(&self, largest: f64) -> Option<Discs> {
-        // The sum of squares has several valleys where much is clipped: look all over first, at some
-        // of the bins.
+    /// Fits the radii of the discs, the outer one up to 1.4 times `largest`, px; `None` if the profile
+    /// does not show an edge.
+    pub fn fit(&self, largest: f64) -> Option<Edge> {
+        // Where much is clipped the sum of squares has several valleys: try starts all over first, on
+        // some of the bins.
         let coarse = Self { bins: self.bins.iter().step_by(COARSE).copied().collect() };
         let mut starts: Vec<(f64, f64, f64)> = (9..=22)
             .map(|i| f64::from(i) * 0.05 * largest)
@@ -157,7 +167,7 @@ impl Profile {
             .take(DESCENTS)
             .filter_map(|(_, outer, inner)| self.descend(outer, inner, largest))
             .min_by(|a, b| a.1.total_cmp(&b.1))
-            .map(|(discs, _)| discs)
+            .map(|(edge, _)| edge)
     }
 
     /// Amplitude and background that fit best, and the weighted residuals.
@@ -166,78 +176,100 @@ impl Profile {
         let weight = |bin: &Bin| 1.0 / bin.std_dev.hypot(MODEL_ERROR * brightest);
         let shape = |b: &Bin| seen(b.radius, outer, inner) * b.fall_off;
         let shape: Vec<f64> = self.bins.iter().map(shape).collect();
-        let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
+        let mut equations = NormalEquations::<f64, 2, 1>::new();
         for (bin, &shape) in self.bins.iter().zip(&shape) {
-            let w2 = weight(bin).powi(2);
-            let row = Vector2::new(shape, 1.0);
-            normal += row * row.transpose() * w2;
-            right += row * (bin.light * w2);
+            equations.add(&Vector2::new(shape, 1.0), &Vector1::new(bin.light), weight(bin).powi(2));
         }
-        let linear = normal.try_inverse()? * right;
+        let linear = equations.solve()?;
         let residual =
             |(bin, shape): (&Bin, &f64)| (bin.light - linear.x * shape - linear.y) * weight(bin);
         Some((linear, self.bins.iter().zip(&shape).map(residual).collect()))
     }
 
-    /// Light in the middle of discs of known size, above the background, over what clips it.
+    /// Light in the middle above the background, over what clips it, for discs of known size.
     pub fn peak(&self, outer: f64, inner: f64) -> Option<f64> {
         self.residuals(outer, inner).map(|(linear, _)| linear.x)
     }
 
-    /// Levenberg-Marquardt from one start: the discs and the sum of squares.
-    fn descend(&self, outer: f64, inner: f64, largest: f64) -> Option<(Discs, f64)> {
-        const STEP: f64 = 1e-4;
-        let sum = |residuals: &[f64]| residuals.iter().map(|r| r * r).sum::<f64>();
-        let inside = |p: Vector2<f64>| {
-            let outer = p.x.clamp(0.5, 1.4 * largest);
-            Vector2::new(outer, p.y.clamp(0.0, 0.98 * outer))
-        };
-        let mut place = inside(Vector2::new(outer, inner));
-        let (mut linear, mut residuals) = self.residuals(place.x, place.y)?;
-        let mut damping = 1e-3;
-        let mut normal = Matrix2::identity();
-        for _ in 0..60 {
-            let derivative = |step: Vector2<f64>| {
-                let (_, moved) = self.residuals(place.x + step.x, place.y + step.y)?;
-                let change = moved.iter().zip(&residuals).map(|(m, r)| (m - r) / STEP);
-                Some(change.collect::<Vec<f64>>())
-            };
-            let columns =
-                [derivative(Vector2::new(STEP, 0.0))?, derivative(Vector2::new(0.0, STEP))?];
-            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            normal = Matrix2::from_fn(|i, j| dot(&columns[i], &columns[j]));
-            let right = -Vector2::from_fn(|i, _| dot(&columns[i], &residuals));
-            let damped = normal + Matrix2::from_diagonal(&normal.diagonal()) * damping;
-            let step = damped.try_inverse().map_or_else(Vector2::zeros, |inverse| inverse * right);
-            let next = inside(place + step);
-            let (next_linear, next_residuals) = self.residuals(next.x, next.y)?;
-            if sum(&next_residuals) < sum(&residuals) {
-                let moved = (next - place).norm();
-                (place, linear, residuals) = (next, next_linear, next_residuals);
-                damping = (damping / 5.0).max(1e-9);
-                if moved < SETTLED_PX {
-                    break;
-                }
-            } else {
-                damping *= 5.0;
-                if damping > 1e6 {
-                    break;
-                }
-            }
-        }
-        let total = sum(&residuals);
+    /// The edge that a descent from one start ends at, and its sum of squares.
+    fn descend(&self, outer: f64, inner: f64, largest: f64) -> Option<(Edge, f64)> {
+        let mut squares =
+            Squares { profile: self, largest, trial: Radii::default(), taken: Radii::default() };
+        let start = squares.moved(&Vector2::new(outer, inner), &Vector2::zeros());
+        let (place, sum) = DESCENT.from(start, &mut squares)?;
+        let (normal, _) = squares.normal_equations()?;
         let freedom = (self.bins.len() as f64 - 4.0).max(1.0);
         let variance = normal.try_inverse().map_or(f64::INFINITY, |inverse| inverse[(0, 0)]);
+        let linear = squares.taken.linear;
         (linear.x > 0.0).then_some((
-            Discs {
+            Edge {
                 outer: place.x,
                 inner: place.y,
                 amplitude: linear.x,
                 background: linear.y,
-                std_dev: (variance * (total / freedom).max(1.0)).sqrt(),
+                std_dev: (variance * (sum / freedom).max(1.0)).sqrt(),
             },
-            total,
+            sum,
         ))
+    }
+}
+
+/// The sum of squares of a profile over outer and inner radius; amplitude and background are those that
+/// fit best.
+struct Squares<'a> {
+    profile: &'a Profile,
+    largest: f64,
+    trial: Radii,
+    taken: Radii,
+}
+
+/// What belongs to two radii.
+#[derive(Default)]
+struct Radii {
+    /// Outer and inner.
+    place: Vector2<f64>,
+    /// Amplitude and background.
+    linear: Vector2<f64>,
+    /// Weighted residuals.
+    residuals: Vec<f64>,
+}
+
+impl LeastSquares<2> for Squares<'_> {
+    type Point = Vector2<f64>;
+
+    fn evaluate(&mut self, at: &Self::Point) -> Option<f64> {
+        let (linear, residuals) = self.profile.residuals(at.x, at.y)?;
+        let sum = residuals.iter().map(|r| r * r).sum();
+        self.trial = Radii { place: *at, linear, residuals };
+        Some(sum)
+    }
+
+    fn accept(&mut self) {
+        std::mem::swap(&mut self.trial, &mut self.taken);
+    }
+
+    fn normal_equations(&mut self) -> Option<(Matrix2<f64>, Vector2<f64>)> {
+        let Radii { place, residuals, .. } = &self.taken;
+        let derivative = |step: Vector2<f64>| {
+            let (_, moved) = self.profile.residuals(place.x + step.x, place.y + step.y)?;
+            let change = moved.iter().zip(residuals).map(|(m, r)| (m - r) / STEP_PX);
+            Some(change.collect::<Vec<f64>>())
+        };
+        let columns =
+            [derivative(Vector2::new(STEP_PX, 0.0))?, derivative(Vector2::new(0.0, STEP_PX))?];
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let normal = Matrix2::from_fn(|i, j| dot(&columns[i], &columns[j]));
+        Some((normal, -Vector2::from_fn(|i, _| dot(&columns[i], residuals))))
+    }
+
+    fn moved(&self, from: &Self::Point, step: &Vector2<f64>) -> Self::Point {
+        let to = from + step;
+        let outer = to.x.clamp(0.5, 1.4 * self.largest);
+        Vector2::new(outer, to.y.clamp(0.0, 0.98 * outer))
+    }
+
+    fn distance(&self, from: &Self::Point, to: &Self::Point) -> f64 {
+        (to - from).norm()
     }
 }
 
@@ -261,8 +293,8 @@ mod tests {
     fn the_outer_radius_comes_back_at_any_exposure() {
         for amplitude in [0.3, 0.8, 1.5, 3.0, 6.0] {
             for (outer, inner) in [(11.66, 1.1), (8.4, 1.7), (6.8, 3.7), (10.0, 0.0)] {
-                let discs = drawn(outer, inner, amplitude).fit(12.0).unwrap();
-                let off = (discs.outer - outer).abs();
+                let edge = drawn(outer, inner, amplitude).fit(12.0).unwrap();
+                let off = (edge.outer - outer).abs();
                 assert!(off < 0.02, "{outer}, {inner} px at {amplitude}: off by {off} px");
             }
         }

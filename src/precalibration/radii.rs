@@ -1,14 +1,14 @@
 //! Radii of the micro-images in the middle of a white image.
 
-use nalgebra::{Matrix2, Matrix5, Vector2, Vector5};
+use nalgebra::{Matrix2, Vector1, Vector2, Vector5};
 use serde::{Deserialize, Serialize};
 
 use super::array::FoundArray;
-use super::centers::{Blob, darkest_neighbourhood, measure_blob, pixels_about};
+use super::centroid::{Blob, darkest_neighbourhood, measure_blob, pixels_about};
 use super::pattern::Pattern;
-use super::profile::{Discs, Profile, Stack, seen};
+use super::profile::{Edge, Profile, Stack, seen};
 use crate::image::Image;
-use crate::numerics::median;
+use crate::numerics::{NormalEquations, Outliers, Scale, Weight, median};
 use crate::vignetting::Obliquity;
 
 /// How the radius of a micro-image is measured.
@@ -34,12 +34,13 @@ pub(super) struct TypeRadius {
 }
 
 impl TypeRadius {
-    /// The radius where light comes obliquely, see [`Profile::oblique`]; as it was if that shows no edge.
-    pub fn seen_obliquely(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity) -> Self {
+    /// The radius with oblique light taken into account, see [`Profile::oblique`]; unchanged if that shows
+    /// no edge.
+    pub fn oblique(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity) -> Self {
         let mut again = self.clone();
-        let largest = REACH * 2.0 * obliquity.lens_px;
-        if let Some(discs) = self.profile.oblique(pupil_px, q_px, obliquity).fit(largest) {
-            let change = discs.outer - self.radius_px;
+        let largest = REACH * 2.0 * obliquity.half_pitch_px;
+        if let Some(edge) = self.profile.oblique(pupil_px, q_px, obliquity).fit(largest) {
+            let change = edge.outer - self.radius_px;
             again.radius_px += change;
             again.single_px.iter_mut().for_each(|radius| *radius += change);
         }
@@ -47,12 +48,12 @@ impl TypeRadius {
     }
 }
 
-/// Micro-images of each type that are looked at, those nearest the middle of the image: enough for a
-/// hundredth of a pixel, and not so far out that vignetting cuts them.
+/// Micro-images of each type that radii are measured on, those nearest to the middle of the image: enough
+/// for a hundredth of a pixel, and not so far out that the main lens vignettes them.
 const OF_EACH_TYPE: usize = 150;
-/// How far from the middle light is taken for a micro-image's own, in pitches.
+/// Light up to so far from the centre counts as the micro-image's own, in pitches.
 pub(super) const REACH: f64 = 0.52;
-/// α of the paper: 98 % of a normal distribution.
+/// α of the paper: 2.357 standard deviations hold 98 % of a normal distribution.
 const ALPHA: f64 = 2.357;
 
 /// Nodes in the middle of the image by colour, nearest first.
@@ -140,37 +141,38 @@ fn profile_radius(
     profile: Profile,
 ) -> Option<TypeRadius> {
     let reach = REACH * pattern.pitch();
-    let discs = profile.fit(reach)?;
-    let template = Template::new(&discs, reach);
+    let edge = profile.fit(reach)?;
+    let template = Template::new(&edge, reach);
     let single_px: Vec<f64> =
         blobs.iter().filter_map(|blob| template.single(image, blob)).collect();
     let (_, scatter) = mean_and_scatter(&single_px)?;
-    // What single micro-images differ by is more than what the stack tells of itself.
-    let std_dev_px = discs.std_dev.hypot(scatter / (single_px.len() as f64).sqrt());
-    Some(TypeRadius { radius_px: discs.outer, std_dev_px, single_px, profile })
+    // Micro-images differ by more than the noise of their sum.
+    let std_dev_px = edge.std_dev.hypot(scatter / (single_px.len() as f64).sqrt());
+    Some(TypeRadius { radius_px: edge.outer, std_dev_px, single_px, profile })
 }
 
-/// Values further from the median than this many times the median distance are not of the rest.
-const OUTLYING: f64 = 6.0;
+/// Outliers among the radii of single micro-images: dust, scratches, faulty micro-lenses.
+const OUTLIERS: Outliers =
+    Outliers { weight: Weight::Cut, scale: Scale::Median, scales: 6.0, least: 0.0, slack: 1e-9 };
 
-/// Mean and standard deviation, outlying values left out.
+/// Mean and standard deviation without the outliers; `None` of fewer than two values.
 fn mean_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
     if values.len() < 2 {
         return None;
     }
     let middle = median(values.iter().copied())?;
-    let usual = median(values.iter().map(|v| (v - middle).abs()))?;
-    let kept: Vec<f64> =
-        values.iter().copied().filter(|v| (v - middle).abs() <= OUTLYING * usual + 1e-9).collect();
+    let distances: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
+    let limit = OUTLIERS.limit(OUTLIERS.typical(&distances)?);
+    let kept: Vec<f64> = values.iter().copied().filter(|v| (v - middle).abs() <= limit).collect();
     let count = kept.len() as f64;
     let mean = kept.iter().sum::<f64>() / count;
     let variance = kept.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
     Some((mean, variance.sqrt()))
 }
 
-/// The fitted light and its derivatives by distance, for one linear step per micro-image.
+/// The fitted light and its derivatives by distance, for one linear step for each micro-image.
 struct Template {
-    discs: Discs,
+    edge: Edge,
     reach: f64,
     shape: Vec<f64>,
     by_outer: Vec<f64>,
@@ -180,28 +182,28 @@ struct Template {
 const TEMPLATE_PX: f64 = 0.05;
 
 impl Template {
-    fn new(discs: &Discs, reach: f64) -> Self {
+    fn new(edge: &Edge, reach: f64) -> Self {
         const STEP: f64 = 0.02;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
         let count = (reach / TEMPLATE_PX) as usize + 3;
         let place = |i: usize| i as f64 * TEMPLATE_PX;
-        let shape = |outer: f64, r: f64| seen(r, outer, discs.inner);
+        let shape = |outer: f64, r: f64| seen(r, outer, edge.inner);
         Self {
-            discs: *discs,
+            edge: *edge,
             reach,
-            shape: (0..count).map(|i| shape(discs.outer, place(i))).collect(),
+            shape: (0..count).map(|i| shape(edge.outer, place(i))).collect(),
             by_outer: (0..count)
                 .map(|i| {
-                    let (more, less) = (discs.outer + STEP, discs.outer - STEP);
+                    let (more, less) = (edge.outer + STEP, edge.outer - STEP);
                     (shape(more, place(i)) - shape(less, place(i))) / (2.0 * STEP)
                 })
                 .collect(),
         }
     }
 
-    /// Outer radius of one micro-image, from where light and place of all of them are near.
+    /// Outer radius of one micro-image, by one step from what fits all of them.
     fn single(&self, image: &Image, blob: &Blob) -> Option<f64> {
-        let (mut normal, mut right) = (Matrix5::zeros(), Vector5::zeros());
+        let mut equations = NormalEquations::<f64, 5, 1>::new();
         pixels_about(image, &blob.center, self.reach, |offset, value| {
             if value >= 1.0 {
                 return;
@@ -213,7 +215,7 @@ impl Template {
             let at = |table: &[f64]| table[i] * (1.0 - part) + table[i + 1] * part;
             let slope = (self.shape[i + 1] - self.shape[i]) / TEMPLATE_PX;
             let outwards = offset / r.max(1e-9);
-            let amplitude = self.discs.amplitude;
+            let amplitude = self.edge.amplitude;
             let row = Vector5::new(
                 at(&self.shape),
                 1.0,
@@ -221,16 +223,10 @@ impl Template {
                 -amplitude * slope * outwards.y,
                 amplitude * at(&self.by_outer),
             );
-            // The lower triangle is all that is read.
-            for i in 0..5 {
-                for j in 0..=i {
-                    normal[(i, j)] += row[i] * row[j];
-                }
-            }
-            right += row * value;
+            equations.add(&row, &Vector1::new(value), 1.0);
         });
-        let solution = normal.cholesky()?.solve(&right);
-        let radius = self.discs.outer + solution[4];
+        let solution = equations.solve()?;
+        let radius = self.edge.outer + solution[4];
         (radius.is_finite() && radius > 0.0).then_some(radius)
     }
 }

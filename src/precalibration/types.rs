@@ -15,8 +15,8 @@ pub struct LensTypes {
     /// Least difference of two types' radii in the white image that tells them apart best, in its
     /// standard deviations; none for one type, or where radii were not measured.
     pub separation: Option<f64>,
-    /// Part of all micro-images of the reference whose size is nearest to that of their own colour's
-    /// neighbours; none for one type, or where sizes were not measured.
+    /// Part of all micro-images of the reference whose size is nearest to that of neighbours of their own
+    /// lens type; none for one type, or where sizes were not measured.
     pub agreement: Option<f64>,
 }
 
@@ -24,18 +24,18 @@ impl LensTypes {
     /// One type.
     pub const ONE: Self = Self::stated(1);
 
-    /// So many types, known from elsewhere.
+    /// A number of types that is known from elsewhere.
     #[must_use]
     pub const fn stated(types: usize) -> Self {
         Self { types, separation: None, agreement: None }
     }
 }
 
-/// Types count as different if some two of their mean radii differ by this many standard deviations
-/// and by this part of the radius.
+/// Types count as different if two of their mean radii differ by this many standard deviations and by
+/// this part of the radius.
 const DIFFERENT: f64 = 8.0;
 const DIFFERENT_PART: f64 = 0.005;
-/// Neighbours up to so many nodes away tell what size a type has there.
+/// Neighbours up to so many nodes away show the local size of a type.
 const NEAR: i32 = 3;
 
 /// Judges the sizes of the three colours in one white image, from their second moments.

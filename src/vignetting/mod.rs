@@ -1,7 +1,10 @@
-//! Which part of the pupil a pixel sees, through which part of a micro-lens, and how obliquely.
+//! Vignetting: which part of the pupil a pixel sees, through which part of a micro-lens, and how
+//! obliquely.
 
-mod discs;
-mod shade;
+mod obliquity;
+mod overlap;
+mod visible_part;
 
-pub(crate) use discs::{CommonPart, Obliquity, common_part, overlap};
-pub(crate) use shade::Shade;
+pub(crate) use obliquity::Obliquity;
+pub(crate) use overlap::{Overlap, overlap, overlap_area};
+pub(crate) use visible_part::Vignetting;

@@ -365,7 +365,7 @@ fn white_images_that_do_not_belong_together_are_refused_in_words() {
     assert!(result.check_stated(&sheet).unwrap_err().to_string().contains("'orthogonal'"));
     let sheet =
         plenocal::model::Datasheet { micro_image_pitch_px: Some(23.5), ..settings.datasheet() };
-    assert!(result.check_stated(&sheet).unwrap_err().to_string().contains("23.5 px"));
+    assert!(result.check_stated(&sheet).unwrap_err().to_string().contains("23.5000 px"));
     for (types, fits) in [(0, true), (1, false), (3, true)] {
         let sheet = plenocal::model::Datasheet { lens_types: types, ..settings.datasheet() };
         assert_eq!(result.check_stated(&sheet).is_ok(), fits, "{types} lens types stated");

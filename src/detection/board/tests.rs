@@ -38,16 +38,16 @@ fn on_sensor(place: &Vector2<f64>) -> bool {
     SENSOR.contains(low.x, low.y) && SENSOR.contains(high.x, high.y)
 }
 
-fn tied(points: &[LatticePoint], board: &Board) -> Result<Vec<Option<i32>>, String> {
-    TiedBoard::tie(points, board, &on_sensor).map(|tied| tied.corners)
+fn labelled(points: &[LatticePoint], board: &Board) -> Result<Vec<Option<i32>>, Rejection> {
+    LabelledBoard::label(points, board, &on_sensor).map(|board| board.corners)
 }
 
 #[test]
-fn a_board_is_tied_at_any_turn_by_its_colours() {
+fn a_board_is_labelled_at_any_turn_by_its_colours() {
     for degrees in [0.0, 25.0, 90.0, 140.0, 180.0, 265.0] {
         let (points, corners) = in_view(seen(&BOARD, degrees, Vector2::zeros()));
         let expected: Vec<Option<i32>> = corners.into_iter().map(Some).collect();
-        assert_eq!(tied(&points, &BOARD).unwrap(), expected, "{degrees} degrees");
+        assert_eq!(labelled(&points, &BOARD).unwrap(), expected, "{degrees} degrees");
     }
 }
 
@@ -56,7 +56,7 @@ fn a_symmetric_board_runs_to_the_right() {
     let board = Board { columns: 9, rows: 5, square_mm: 3.0 };
     let points = seen(&board, 170.0, Vector2::zeros());
     let turned: Vec<Option<i32>> = (0..board.corners()).rev().map(Some).collect();
-    let corners = tied(&points, &board).unwrap();
+    let corners = labelled(&points, &board).unwrap();
     assert_eq!(corners, turned);
 }
 
@@ -70,9 +70,9 @@ fn what_is_out_of_view_does_not_count_as_missing() {
     let border = between(2).min(between(34));
     let in_view = |place: &Vector2<f64>| on_sensor(place) && place.x > border;
     let expected: Vec<Option<i32>> = corners.iter().copied().map(Some).collect();
-    assert_eq!(TiedBoard::tie(&points, &BOARD, &in_view).unwrap().corners, expected);
-    let why = tied(&points, &BOARD).unwrap_err();
-    assert!(why.contains("more than one part"), "{why}");
+    assert_eq!(LabelledBoard::label(&points, &BOARD, &in_view).unwrap().corners, expected);
+    let why = labelled(&points, &BOARD).unwrap_err();
+    assert!(matches!(why, Rejection::SeveralPlaces { .. }), "{why}");
 }
 
 /// Turned by about 90 degrees neither way runs to the right; the first corner is on top then.
@@ -91,7 +91,7 @@ fn a_symmetric_board_on_its_side_is_at_one_place() {
                 .into_iter()
                 .map(|p| LatticePoint { place: p.place * 0.7 + Vector2::new(150.0, 112.0), ..p })
                 .collect();
-            let corners = tied(&points, &board)
+            let corners = labelled(&points, &board)
                 .unwrap_or_else(|why| panic!("{columns} x {rows}, {degrees} degrees: {why}"));
             let place = |corner: i32| {
                 points[corners.iter().position(|c| *c == Some(corner)).unwrap()].place
@@ -116,8 +116,8 @@ fn a_symmetric_board_on_its_side_is_at_one_place() {
             ..p
         })
         .collect();
-    let why = tied(&points, &board).unwrap_err();
-    assert!(why.contains("more than one part"), "{why}");
+    let why = labelled(&points, &board).unwrap_err();
+    assert!(matches!(why, Rejection::SeveralPlaces { .. }), "{why}");
 }
 
 #[test]
@@ -133,21 +133,20 @@ fn missing_corners_and_clutter_do_not_matter() {
         points.push(LatticePoint { place, squares: Matrix2::zeros() });
         expected.push(None);
     }
-    assert_eq!(tied(&points, &BOARD).unwrap(), expected);
+    assert_eq!(labelled(&points, &BOARD).unwrap(), expected);
 }
 
 #[test]
-fn what_is_no_board_is_told() {
+fn what_is_no_board_is_rejected_with_the_reason() {
     let points = seen(&BOARD, 0.0, Vector2::zeros());
     let smaller = Board { columns: 7, rows: 4, square_mm: 3.0 };
-    for (points, board, words) in [
-        (&points[..3], BOARD, "too few for a board"),
-        (&points[..], smaller, "correct [board]"),
-        (&points[..], Board { columns: 90, rows: 90, square_mm: 1.0 }, "6 to 2500"),
-    ] {
-        let why = tied(points, &board).unwrap_err();
-        assert!(why.contains(words), "{why}");
-    }
+    let beyond =
+        |why: &Rejection| matches!(why, Rejection::BeyondBoard { columns: 7, rows: 4, .. });
+    assert!(labelled(&points, &smaller).is_err_and(|why| beyond(&why)));
+    let too_few = Rejection::TooFewCorners { corners: 3 };
+    assert_eq!(labelled(&points[..3], &BOARD), Err(too_few));
+    let large = labelled(&points, &Board { columns: 90, rows: 90, square_mm: 1.0 }).unwrap_err();
+    assert!(large.to_string().contains("6 to 2500"), "{large}");
     // On a circle lies no lattice.
     let circle: Vec<LatticePoint> = (0..20)
         .map(|i| {
@@ -156,10 +155,10 @@ fn what_is_no_board_is_told() {
             LatticePoint { place, squares: Matrix2::zeros() }
         })
         .collect();
-    assert!(tied(&circle, &BOARD).is_err());
+    assert!(labelled(&circle, &BOARD).is_err());
 }
 
-/// Skewed lattices hold as many of these points as the true one, in many ways; a quarter are missing.
+/// Skewed lattices have as many of these points as the true one, in many ways; a quarter are missing.
 #[test]
 fn the_true_lattice_is_among_those_tried() {
     let found = [
@@ -202,5 +201,5 @@ fn the_true_lattice_is_among_those_tried() {
     };
     let points: Vec<LatticePoint> = found.iter().map(point).collect();
     let expected: Vec<Option<i32>> = found.iter().map(|&(corner, _, _)| Some(corner)).collect();
-    assert_eq!(tied(&points, &BOARD).unwrap(), expected);
+    assert_eq!(labelled(&points, &BOARD).unwrap(), expected);
 }

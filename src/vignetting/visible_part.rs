@@ -1,20 +1,19 @@
-//! Which part of a micro-lens a pixel sees the main lens's pupil through.
+//! The part of a micro-lens through which a pixel sees the main lens's pupil: mechanical vignetting.
 //!
 //! In units of the micro-lens's radius the pupil is a disc of radius a/|qᵢ| about (p − c)/qᵢ: light
-//! reaches pixel p through what that disc and the micro-lens have in common. Its centroid and spread
+//! reaches pixel p through the part of the micro-lens that this disc overlaps. Its centroid and spread
 //! depend on the distance of p from the centre c only.
 //!
-//! Light falls off with the angle at which it meets the sensor, by cos⁴: the steeper side of the
-//! micro-lens counts for more, and the centroid moves there. Points of the micro-lens are counted as in
-//! p − ρ w, that is turned by half against where they are.
+//! Points of the micro-lens have the sign that they have in p − ρ w: they are half a turn away from
+//! where they lie.
 
 use nalgebra::{Matrix2, Vector2};
 
-use crate::vignetting::{CommonPart, common_part};
+use crate::vignetting::{Overlap, overlap};
 
-/// The visible part of the micro-lenses of one type, by distance from the centre of the micro-image.
+/// The vignetting of micro-lenses of one type, by distance from the centre of the micro-image.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Shade {
+pub(crate) struct Vignetting {
     moments: Vec<Moments>,
     sign: f64,
 }
@@ -22,30 +21,31 @@ pub(crate) struct Shade {
 /// What is seen at a distance from the centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Moments {
-    /// Of the micro-lens.
-    part: CommonPart,
-    /// How much nearer to the centre than its own middle that of a pixel's light is, px.
+    /// The visible part of the micro-lens.
+    part: Overlap,
+    /// How much nearer to the centre a pixel's light is than its middle, px.
     inwards: f64,
 }
 
 /// Resolution, px.
 const STEP_PX: f64 = 0.1;
 
-/// At the very edge light falls to nothing, and its logarithm without end.
+/// At the very edge the light falls to nothing and its logarithm has no bound: the shift is limited to
+/// this.
 const MOST_INWARDS_PX: f64 = 0.3;
 
-impl Shade {
+impl Vignetting {
     /// For a pupil of radius a and its blur radius qᵢ, px.
     pub fn new(pupil_px: f64, q_px: f64) -> Self {
         let q = q_px.abs().max(1e-6);
         let outer = pupil_px + q;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
         let count = (outer / STEP_PX).ceil() as usize + 2;
-        let mut part = CommonPart::WHOLE;
+        let mut part = Overlap::WHOLE;
         let mut moments: Vec<Moments> = (0..count)
             .map(|i| {
-                // Where next to nothing is left, what was last seen of it.
-                part = common_part(i as f64 * STEP_PX / q, pupil_px / q).unwrap_or(part);
+                // Where next to nothing is visible, the last part that was.
+                part = overlap(i as f64 * STEP_PX / q, pupil_px / q).unwrap_or(part);
                 Moments { part, inwards: 0.0 }
             })
             .collect();
@@ -56,24 +56,24 @@ impl Shade {
         Self { moments, sign: q_px.signum() }
     }
 
-    /// Nothing is cut.
+    /// None: the whole micro-lens is visible.
     pub fn none() -> Self {
-        Self { moments: vec![Moments { part: CommonPart::WHOLE, inwards: 0.0 }], sign: 1.0 }
+        Self { moments: vec![Moments { part: Overlap::WHOLE, inwards: 0.0 }], sign: 1.0 }
     }
 
-    /// What the pixel at an offset from the centre sees through.
-    pub fn part(&self, offset: &Vector2<f64>) -> Part {
+    /// What the pixel at an offset from the centre, px, sees through.
+    pub fn at(&self, offset: &Vector2<f64>) -> VisiblePart {
         let r = offset.norm();
         let outwards = if r > 1e-9 { offset / r } else { Vector2::x() };
-        let at = r / STEP_PX;
+        let steps = r / STEP_PX;
         let last = self.moments.len() - 1;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-        let i = (at as usize).min(last);
+        let i = (steps as usize).min(last);
         let (m, n) = (&self.moments[i], &self.moments[(i + 1).min(last)]);
-        let part = (at - i as f64).min(1.0);
+        let part = (steps - i as f64).min(1.0);
         let mix = |of: fn(&Moments) -> f64| of(m) * (1.0 - part) + of(n) * part;
         let radial = outwards * outwards.transpose();
-        Part {
+        VisiblePart {
             seen_at: offset - outwards * mix(|m| m.inwards),
             mean: outwards * (self.sign * mix(|m| m.part.mean)),
             squeeze: radial * mix(|m| m.part.along)
@@ -82,15 +82,15 @@ impl Shade {
     }
 }
 
-/// What a pixel sees through.
+/// The visible part of a micro-lens.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Part {
-    /// Middle of the pixel's light from the centre of the micro-image, px. Light falls towards the
+pub(crate) struct VisiblePart {
+    /// Centroid of the pixel's light from the centre of the micro-image, px. The light falls towards the
     /// edge, and a pixel has a variance of a twelfth along each axis.
     pub seen_at: Vector2<f64>,
-    /// Middle of the visible part of the micro-lens, in its radii.
+    /// Centroid of the visible part, in radii of the micro-lens.
     pub mean: Vector2<f64>,
-    /// Squeezes the disc of the micro-lens into the visible part.
+    /// Maps the disc of the micro-lens to one of the size of the visible part.
     pub squeeze: Matrix2<f64>,
 }
 
@@ -99,13 +99,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pixel_right_of_the_centre_sees_through_the_side_that_the_blur_says() {
+    fn a_pixel_right_of_the_centre_sees_through_the_side_that_the_blur_has() {
         for (q, side) in [(5.0, 1.0), (-5.0, -1.0)] {
-            let shade = Shade::new(6.0, q);
-            let part = shade.part(&Vector2::new(9.0, 0.0));
+            let vignetting = Vignetting::new(6.0, q);
+            let part = vignetting.at(&Vector2::new(9.0, 0.0));
             assert!(part.mean.x * side > 0.5 && part.mean.y.abs() < 1e-9);
             assert!(part.squeeze[(0, 0)] < part.squeeze[(1, 1)] && part.seen_at.x < 9.0);
-            let part = shade.part(&Vector2::new(0.5, 0.0));
+            let part = vignetting.at(&Vector2::new(0.5, 0.0));
             assert!(part.mean.norm() < 1e-9 && (part.squeeze[(0, 0)] - 1.0).abs() < 1e-3);
         }
     }

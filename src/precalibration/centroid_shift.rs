@@ -1,48 +1,50 @@
-//! What oblique light does to centroids, and its correction.
+//! How far oblique light shifts the centroids of micro-images.
 //!
-//! Light falls off with the angle at which it meets the sensor, by cos⁴ and by what the pixels add.
-//! Away from the optical axis a micro-image is therefore brighter on one side, and its centroid moves
-//! in proportion to its distance from the axis: all centres together seem to have another pitch. By
-//! how much depends on the micro-image. Light that comes through the point M of a micro-lens to the
-//! point y beside the micro-image's centre is steeper by (y − M)/d than the ray through the middle, and
-//! to first order the centroid moves in proportion to
+//! Light falls off with its angle of incidence, by cos⁴ and by what the pixels add. Away from the
+//! optical axis a micro-image is therefore brighter on one side, and its centroid is shifted in
+//! proportion to its distance from the axis: all centres together seem to have another pitch. How far
+//! depends on the micro-image. Light that comes through the point M of a micro-lens to the point y beside
+//! the micro-image's centre is steeper by (y − M)/d than the ray through the middle, and to first order
+//! the centroid is shifted in proportion to
 //!
 //! ```text
 //!     X = ⟨y · (y − M)⟩ / 2,
 //! ```
 //!
 //! the mean over the light that is not clipped. Pitch and centre measured at several f-numbers and
-//! extrapolated to X = 0 are free of it, whatever the law.
+//! extrapolated to X = 0 are free of it, whatever the law of the fall-off.
 
 use nalgebra::Vector2;
 
 use crate::vignetting::Obliquity;
 
-/// What is known of a white image: X (px²), and pitch and centre of the grid fitted to it.
+/// The grid of a white image as its centroids show it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Shaded {
+pub(super) struct ShiftedGrid {
+    /// X, the mean over its lens types, px².
     pub x: f64,
     pub pitch_px: f64,
     pub center_px: Vector2<f64>,
 }
 
-/// Shift of centroids with X.
+/// The shift of centroids by X.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Shading {
+pub(super) struct CentroidShift {
     /// Relative change of the pitch by X, 1/px².
-    pub pitch: f64,
+    pitch: f64,
     /// Change of the centre by X, 1/px.
-    pub center: Vector2<f64>,
+    center: Vector2<f64>,
 }
 
-/// Points of a disc that stand for it.
+/// Number of points that a disc is sampled at.
 const POINTS: u32 = 160;
-/// Rings that the micro-image is divided into.
+/// Number of rings that the micro-image is divided into.
 const RINGS: usize = 48;
 
-/// X (px²) of discs of radius a (pupil) and b (micro-lens), on the sensor in px, in the middle of the
-/// image; `inverted` for f < d. `peak` is the light in the middle over what clips it, above 1 if it does.
-pub(super) fn shading_moment(
+/// X (px²) of a micro-image in the middle of the image, the overlap of discs of radius a (pupil) and b
+/// (blur), px; `inverted` for f < d. `peak` is the light in its middle over full scale, above 1 where that
+/// clips it.
+pub(super) fn shift_moment(
     a: f64,
     b: f64,
     obliquity: &Obliquity,
@@ -50,8 +52,8 @@ pub(super) fn shading_moment(
     peak: f64,
 ) -> f64 {
     let (of_pupil, of_lens) = (disc(a), disc(b));
-    // A point of the micro-lens is seen turned around where the micro-lens inverts.
-    let magnified = obliquity.lens_px / b.max(1e-9) * if inverted { -1.0 } else { 1.0 };
+    // Where the micro-lens inverts, its points have the opposite sign.
+    let magnified = obliquity.half_pitch_px / b.max(1e-9) * if inverted { -1.0 } else { 1.0 };
     let mut rings = [(0.0, 0.0); RINGS];
     for pupil in &of_pupil {
         for spread in &of_lens {
@@ -65,7 +67,7 @@ pub(super) fn shading_moment(
             ring.1 += light * y.dot(&from_lens) / 2.0;
         }
     }
-    // All pairs over the area of the rings; full light is the smaller disc's share of all pairs.
+    // Pairs of points over the area of their ring; full light is the smaller disc's share of all pairs.
     let area = |i: usize| (2 * i + 1) as f64 / (RINGS * RINGS) as f64 * (a + b).powi(2);
     let full = f64::from(POINTS).powi(2) / a.max(b).powi(2);
     let (mut light, mut moment) = (0.0, 0.0);
@@ -93,25 +95,25 @@ fn disc(radius: f64) -> Vec<Vector2<f64>> {
         .collect()
 }
 
-/// Least range of X (px²) that says something of the slope.
+/// Smaller ranges of X (px²) determine no slope.
 const LEAST_RANGE: f64 = 0.5;
 
-/// Slopes of pitch and centre over X; none if there is too little to tell.
-pub(super) fn fit_shading(images: &[Shaded]) -> Shading {
+/// Slopes of pitch and centre over X; 0 if X varies too little to determine them.
+pub(super) fn fit_shift(images: &[ShiftedGrid]) -> CentroidShift {
     let count = images.len() as f64;
     let mean_x = images.iter().map(|s| s.x).sum::<f64>() / count;
     let spread = images.iter().map(|s| (s.x - mean_x).powi(2)).sum::<f64>();
     if images.len() < 2 || (spread / count).sqrt() < LEAST_RANGE {
-        return Shading::default();
+        return CentroidShift::default();
     }
     let mean_pitch = images.iter().map(|s| s.pitch_px).sum::<f64>() / count;
     let pitch = images.iter().map(|s| (s.x - mean_x) * s.pitch_px).sum::<f64>() / spread;
     let center = images.iter().map(|s| s.center_px * (s.x - mean_x)).sum::<Vector2<f64>>() / spread;
-    Shading { pitch: pitch / mean_pitch, center }
+    CentroidShift { pitch: pitch / mean_pitch, center }
 }
 
-impl Shading {
-    /// The centre free of shading, of a micro-image with moment x.
+impl CentroidShift {
+    /// The measured centre of a micro-image with moment X, less its shift.
     pub fn corrected(&self, measured: Vector2<f64>, middle: &Vector2<f64>, x: f64) -> Vector2<f64> {
         measured - (self.center + (measured - middle) * self.pitch) * x
     }
@@ -121,8 +123,8 @@ impl Shading {
 mod tests {
     use super::*;
 
-    fn lens_of(lens_px: f64) -> Obliquity {
-        Obliquity { lens_px, ..Obliquity::default() }
+    fn lens_of(half_pitch_px: f64) -> Obliquity {
+        Obliquity { half_pitch_px, ..Obliquity::default() }
     }
 
     /// Points of two discs are independent, so X = (a² + b² ∓ b r)/4 without clipping.
@@ -133,17 +135,17 @@ mod tests {
         {
             let side = if inverted { 1.0 } else { -1.0 };
             let expected = (a * a + b * b + side * b * lens) / 4.0;
-            let x = shading_moment(a, b, &lens_of(lens), inverted, 0.5);
+            let x = shift_moment(a, b, &lens_of(lens), inverted, 0.5);
             assert!((x - expected).abs() < 0.02 * (a * a + b * b), "{x} for {expected}");
         }
     }
 
     #[test]
-    fn what_is_clipped_moves_nothing() {
-        let x = |peak| shading_moment(6.5, 5.3, &lens_of(11.6), false, peak);
+    fn clipped_light_shifts_nothing() {
+        let x = |peak| shift_moment(6.5, 5.3, &lens_of(11.6), false, peak);
         // The smallest rings hold few pairs, so that some seem clipped early.
         assert!((x(0.3) - x(0.9)).abs() < 0.1);
-        // All but the outermost ring clipped: its share of the light is what is left.
+        // All but the outermost ring is clipped: only its share of the light is left.
         assert!(x(1e6).abs() < 0.2 * x(4.0).abs());
     }
 }

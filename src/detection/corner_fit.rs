@@ -1,0 +1,261 @@
+//! Corners fitted to the light of a micro-image.
+
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
+use nalgebra::{SMatrix, SVector, Vector2};
+use pulp::{Arch, NullaryFnOnce};
+
+use super::blur::Blur;
+use super::corner::Corner;
+use super::patch::Patch;
+use crate::numerics::{Descent, LeastSquares};
+
+/// What a fit is free to change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Free {
+    /// Place, levels, directions and width.
+    All,
+    /// Place and levels; the width is that of the blur.
+    Place,
+}
+
+/// Parameters of the model: place (u, v), level, contrast, both directions and width. Those that are free
+/// come first.
+const ALL: usize = 7;
+const PLACE: usize = 4;
+
+/// How corners are followed down: to a third of a hundredth of a pixel, far below their uncertainty. Starts
+/// are so near that few steps are needed; in single precision no finer damping makes a difference.
+const DESCENT: Descent = Descent { steps: 12, settled: 0.003, factor: 10.0, damping: (1e-6, 1e4) };
+/// Longest step of the place, px, of a direction, rad, and of the width, px: beyond, the linear model no
+/// longer describes the light.
+const LONGEST_STEP_PX: f64 = 2.0;
+const LONGEST_TURN_RAD: f64 = 0.3;
+const LONGEST_WIDENING_PX: f64 = 1.0;
+/// Half widths of steps: from that of a sharp step in pixels to that of the widest blur, px.
+const WIDTHS_PX: (f64, f64) = (0.6, 8.0);
+/// A corner further from the centre, px, is in no micro-image: the fit has led nowhere.
+const FURTHEST_PX: f64 = 30.0;
+
+impl Corner {
+    /// Fits the corner to the light; `None` if that leads nowhere.
+    pub fn fitted(&self, patch: &Patch, blur: &Blur, free: Free) -> Option<Self> {
+        match free {
+            Free::All => fit::<ALL>(*self, patch, blur),
+            Free::Place => fit::<PLACE>(Self { width: blur.width, ..*self }, patch, blur),
+        }
+    }
+}
+
+fn fit<const P: usize>(start: Corner, patch: &Patch, blur: &Blur) -> Option<Corner> {
+    let origins = blur.origins(patch);
+    let pixels = patch.x.len();
+    let mut squares = Squares::<P> {
+        patch,
+        origins: &origins,
+        trial: Model::new(pixels),
+        taken: Model::new(pixels),
+        weighted: vec![0.0; pixels],
+    };
+    let (mut corner, cost) = DESCENT.from(start, &mut squares)?;
+    let (normal, _) = squares.normal_equations()?;
+    let inverse = normal.cholesky()?.inverse();
+    let variance = cost / (pixels as f64 - P as f64).max(1.0);
+    corner.covariance = inverse.fixed_view::<2, 2>(0, 0).into_owned() * variance;
+    corner.explained = 1.0 - cost / patch.sum_of_squares();
+    let finite = corner.place.iter().all(|x| x.is_finite()) && corner.contrast.is_finite();
+    finite.then_some(corner)
+}
+
+/// The weighted sum of squares of the light less that of a corner, over the first P parameters.
+struct Squares<'a, const P: usize> {
+    patch: &'a Patch,
+    /// See [`Blur::origins`].
+    origins: &'a [[Vec<f32>; 2]],
+    trial: Model,
+    taken: Model,
+    weighted: Vec<f32>,
+}
+
+impl<const P: usize> LeastSquares<P> for Squares<'_, P> {
+    type Point = Corner;
+
+    fn evaluate(&mut self, at: &Corner) -> Option<f64> {
+        // The same operations in the widest registers that the processor has.
+        let Self { trial, patch, origins, .. } = self;
+        trial.place = at.place;
+        Some(Arch::new().dispatch(Evaluation { model: trial, corner: at, patch, origins }))
+    }
+
+    fn accept(&mut self) {
+        std::mem::swap(&mut self.trial, &mut self.taken);
+    }
+
+    fn normal_equations(&mut self) -> Option<(SMatrix<f64, P, P>, SVector<f64, P>)> {
+        if self.taken.place.norm() > FURTHEST_PX {
+            return None;
+        }
+        let Self { taken, weighted, patch, .. } = self;
+        let (products, right) =
+            Arch::new().dispatch(Products::<P> { model: taken, weight: &patch.weight, weighted });
+        let normal = SMatrix::from_fn(|a, b| f64::from(products[a.max(b)][a.min(b)]));
+        Some((normal, SVector::from_fn(|a, _| f64::from(right[a]))))
+    }
+
+    fn moved(&self, from: &Corner, step: &SVector<f64, P>) -> Corner {
+        let mut place = Vector2::new(step[0], step[1]);
+        if place.norm() > LONGEST_STEP_PX {
+            place *= LONGEST_STEP_PX / place.norm();
+        }
+        let mut next = *from;
+        next.place += place;
+        next.level += step[2];
+        next.contrast += step[3];
+        if P == ALL {
+            let turn = |step: f64| step.clamp(-LONGEST_TURN_RAD, LONGEST_TURN_RAD);
+            next.angles[0] += turn(step[4]);
+            next.angles[1] += turn(step[5]);
+            let wider = step[6].clamp(-LONGEST_WIDENING_PX, LONGEST_WIDENING_PX);
+            next.width = (next.width + wider).clamp(WIDTHS_PX.0, WIDTHS_PX.1);
+        }
+        next
+    }
+
+    fn distance(&self, from: &Corner, to: &Corner) -> f64 {
+        (to.place - from.place).norm()
+    }
+}
+
+/// The model of the light and its derivatives, pixel by pixel.
+struct Model {
+    /// Place of the corner, px.
+    place: Vector2<f64>,
+    residual: Vec<f32>,
+    /// Derivatives by the parameters.
+    rows: [Vec<f32>; ALL],
+}
+
+impl Model {
+    fn new(pixels: usize) -> Self {
+        Self {
+            place: Vector2::zeros(),
+            residual: vec![0.0; pixels],
+            rows: std::array::from_fn(|_| vec![0.0; pixels]),
+        }
+    }
+}
+
+/// Weighted products of the first P rows of a model with each other, in the lower triangle, and with the
+/// residuals.
+struct Products<'a, const P: usize> {
+    model: &'a Model,
+    weight: &'a [f32],
+    /// Room for a row times the weights.
+    weighted: &'a mut [f32],
+}
+
+/// Numbers that are added up side by side.
+const LANES: usize = 8;
+
+impl<const P: usize> NullaryFnOnce for Products<'_, P> {
+    type Output = ([[f32; P]; P], [f32; P]);
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let (mut products, mut right) = ([[0.0; P]; P], [0.0; P]);
+        for (a, products) in products.iter_mut().enumerate() {
+            for ((weighted, row), weight) in
+                self.weighted.iter_mut().zip(&self.model.rows[a]).zip(self.weight)
+            {
+                *weighted = row * weight;
+            }
+            for (product, row) in products.iter_mut().zip(&self.model.rows).take(a + 1) {
+                *product = dot(self.weighted, row);
+            }
+            right[a] = dot(self.weighted, &self.model.residual);
+        }
+        (products, right)
+    }
+}
+
+#[inline(always)]
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let mut lanes = [0.0_f32; LANES];
+    let (a, a_rest) = a.as_chunks::<LANES>();
+    let (b, b_rest) = b.as_chunks::<LANES>();
+    for (a, b) in a.iter().zip(b) {
+        for lane in 0..LANES {
+            lanes[lane] += a[lane] * b[lane];
+        }
+    }
+    let rest: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    lanes.iter().sum::<f32>() + rest
+}
+
+/// One evaluation of a model.
+struct Evaluation<'a> {
+    model: &'a mut Model,
+    corner: &'a Corner,
+    patch: &'a Patch,
+    origins: &'a [[Vec<f32>; 2]],
+}
+
+impl NullaryFnOnce for Evaluation<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn call(self) -> f64 {
+        let Self { model, corner, patch, origins } = self;
+        let n = patch.x.len();
+        for row in &mut model.rows {
+            row.fill(0.0);
+        }
+        let inverse = (1.0 / corner.width) as f32;
+        let place = corner.place.map(|x| x as f32);
+        let [(s1, c1), (s2, c2)] = corner.angles.map(|angle| {
+            let (s, c) = angle.sin_cos();
+            (s as f32, c as f32)
+        });
+        let share = 1.0 / origins.len() as f32;
+        let rows = model.rows.each_mut().map(|row| &mut row[..n]);
+        let [by_u, by_v, level, shape, by_1, by_2, by_width] = rows;
+        for [origin_x, origin_y] in origins {
+            let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
+            for i in 0..n {
+                let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
+                let (d1, d2) = (c1 * y - s1 * x, c2 * y - s2 * x);
+                let (a, b) = (d1.clamp(-1.0, 1.0), d2.clamp(-1.0, 1.0));
+                let (t1, t2) = (a * (1.5 - 0.5 * a * a), b * (1.5 - 0.5 * b * b));
+                let (e1, e2) = (1.5 - 1.5 * a * a, 1.5 - 1.5 * b * b);
+                let (g1, g2) = (e1 * t2, t1 * e2);
+                shape[i] += t1 * t2;
+                by_u[i] += g1 * s1 + g2 * s2;
+                by_v[i] -= g1 * c1 + g2 * c2;
+                by_1[i] -= g1 * (c1 * x + s1 * y);
+                by_2[i] -= g2 * (c2 * x + s2 * y);
+                by_width[i] -= g1 * d1 + g2 * d2;
+            }
+        }
+        let (m, h) = (corner.level as f32, corner.contrast as f32);
+        let (per_angle, per_px) = (h * share, h * share * inverse);
+        let (light, weight, residuals) =
+            (&patch.light[..n], &patch.weight[..n], &mut model.residual[..n]);
+        for i in 0..n {
+            shape[i] *= share;
+            residuals[i] = light[i] - m - h * shape[i];
+            level[i] = 1.0;
+            by_u[i] *= per_px;
+            by_v[i] *= per_px;
+            by_1[i] *= per_angle;
+            by_2[i] *= per_angle;
+            by_width[i] *= per_px;
+        }
+        let mut cost = 0.0_f32;
+        for i in 0..n {
+            cost += weight[i] * residuals[i] * residuals[i];
+        }
+        f64::from(cost)
+    }
+}

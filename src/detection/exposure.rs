@@ -1,0 +1,93 @@
+//! How bright the squares of the board are in a frame, and whether its exposure allows for detection.
+
+use rayon::prelude::*;
+
+use super::Rejection;
+use super::frame::Frame;
+use super::patch::{Pair, Unusable};
+
+/// One micro-image in so many shows how bright the frame is.
+const SAMPLED: usize = 5;
+/// Darkest and brightest part of the micro-images that are left out for the levels.
+const TAIL: f64 = 0.02;
+/// A frame whose light differs by less than this part shows nothing, nor one that differs by less than a
+/// tenth of it relative to the white image.
+const LEAST_DIFFERENCE: f64 = 0.04;
+const LEAST_LEVEL: f64 = 0.1;
+/// Micro-images count as saturated beyond this part of their pixels, in a board's image and in the white
+/// image, of which more is bright.
+const SATURATED: f32 = 0.2;
+const SATURATED_WHITE: f32 = 0.5;
+/// A frame is rejected if more than this part of the micro-images are unusable for the same reason.
+const TOO_MANY: f64 = 0.25;
+
+impl Frame<'_> {
+    /// Half the difference between the bright and the dark squares, relative to the white image.
+    pub(super) fn contrast(&self, nodes: &[(i32, i32)]) -> Result<f64, Rejection> {
+        let mut levels = self.levels(nodes.iter().step_by(SAMPLED));
+        // Those at the border say nothing of the light.
+        levels.retain(|level| *level != Err(Unusable::Cut));
+        self.check_exposure(&levels)?;
+        let mut means: Vec<f64> = levels.into_iter().flatten().collect();
+        if means.is_empty() {
+            return Err(Rejection::NothingUsable);
+        }
+        means.sort_by(f64::total_cmp);
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a part of the length
+        let at = |part: f64| means[(part * (means.len() - 1) as f64) as usize];
+        let contrast = (at(1.0 - TAIL) - at(TAIL)) / 2.0;
+        if contrast < LEAST_DIFFERENCE * at(1.0 - TAIL).max(LEAST_LEVEL) {
+            return Err(Rejection::Uniform);
+        }
+        Ok(contrast)
+    }
+
+    /// Number of micro-images that are unusable.
+    pub(super) fn count_unusable(&self, nodes: &[(i32, i32)]) -> usize {
+        self.levels(nodes.iter()).iter().filter(|level| level.is_err()).count()
+    }
+
+    /// Mean light of micro-images, relative to the white image, or why they are unusable.
+    fn levels<'n>(
+        &self,
+        nodes: impl Iterator<Item = &'n (i32, i32)>,
+    ) -> Vec<Result<f64, Unusable>> {
+        let micro_images = self.search.micro_images;
+        let of_node = |&(k, l): &(i32, i32)| {
+            let place = std::iter::once(micro_images.center(k, l));
+            let pair = Pair::about(self.image, self.white, place, micro_images.grid.pitch_px);
+            let patch = pair.patch(micro_images, (k, l))?;
+            if patch.saturated_white > SATURATED_WHITE {
+                return Err(Unusable::SaturatedWhite);
+            }
+            if patch.saturated > SATURATED {
+                return Err(Unusable::Saturated);
+            }
+            Ok(patch.mean())
+        };
+        nodes.collect::<Vec<_>>().into_par_iter().map(of_node).collect()
+    }
+
+    /// The reason if too many micro-images are unusable.
+    fn check_exposure(&self, levels: &[Result<f64, Unusable>]) -> Result<(), Rejection> {
+        if levels.is_empty() {
+            return Err(Rejection::NoWholeMicroImage);
+        }
+        let part = |why: Unusable| {
+            let count = levels.iter().filter(|level| **level == Err(why)).count();
+            count as f64 / levels.len() as f64
+        };
+        let micro_image_pitch_px = self.search.micro_images.grid.pitch_px;
+        let too_small = |part| Rejection::TooSmall { part, micro_image_pitch_px };
+        let reasons: [(Unusable, &dyn Fn(f64) -> Rejection); 4] = [
+            (Unusable::SaturatedWhite, &|part| Rejection::SaturatedWhite { part }),
+            (Unusable::Saturated, &|part| Rejection::Saturated { part }),
+            (Unusable::TooSmall, &too_small),
+            (Unusable::Dark, &|part| Rejection::Dark { part }),
+        ];
+        match reasons.iter().find(|(why, _)| part(*why) > TOO_MANY) {
+            Some((why, rejection)) => Err(rejection(part(*why))),
+            None => Ok(()),
+        }
+    }
+}

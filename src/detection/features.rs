@@ -1,0 +1,89 @@
+//! The features of a frame: what detection hands on.
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+use super::frame::Frame;
+use super::line::median_inverse_virtual_depth;
+use super::second_pass::BoardCorner;
+use super::{CornerLine, CornerObservation, DepthEstimator};
+use crate::model::BapFeature;
+
+/// A corner of the board as a whole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DetectedCorner {
+    /// Board corner, `row · columns + column`.
+    pub corner: i32,
+    /// The line of its observations.
+    pub line: CornerLine,
+    /// 1/ν as the paper has it, by the median over pairs with λ = 1.
+    pub median_inverse_virtual_depth: f64,
+    /// Number of its features.
+    pub features: usize,
+}
+
+/// The features of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Detection {
+    /// Features, corner by corner.
+    pub features: Vec<BapFeature>,
+    /// The corners of the board.
+    pub corners: Vec<DetectedCorner>,
+    /// From (column, row, 1) of a corner to its pinhole image, px.
+    pub homography: Matrix3<f64>,
+}
+
+impl Detection {
+    /// Pinhole image of a place on the board in columns and rows, px.
+    #[must_use]
+    pub fn pinhole(&self, column: f64, row: f64) -> Vector2<f64> {
+        let p = self.homography * Vector3::new(column, row, 1.0);
+        p.xy() / p.z
+    }
+}
+
+impl Frame<'_> {
+    /// The features of the corners that were found.
+    pub(super) fn detection(
+        &self,
+        board_corners: &[BoardCorner],
+        homography: Matrix3<f64>,
+    ) -> Detection {
+        let micro_images = self.search.micro_images;
+        let half_pitch = micro_images.grid.pitch_px / 2.0;
+        let (mut features, mut corners) = (Vec::new(), Vec::new());
+        for found in board_corners {
+            let observations: Vec<CornerObservation> =
+                found.observations.iter().map(|(observation, _)| *observation).collect();
+            // There are at least two.
+            let median = median_inverse_virtual_depth(&observations).unwrap_or(f64::NAN);
+            corners.push(DetectedCorner {
+                corner: found.corner,
+                line: found.line,
+                median_inverse_virtual_depth: median,
+                features: observations.len(),
+            });
+            for (observation, corner) in &found.observations {
+                let optics = micro_images.optics(observation.k, observation.l);
+                let rho_px = match self.search.estimator {
+                    DepthEstimator::Median => optics.blur_radius_of_depth_px(median),
+                    DepthEstimator::Line => optics.blur_radius_px(found.line.slope),
+                };
+                features.push(BapFeature {
+                    frame: self.frame,
+                    corner: found.corner,
+                    k: observation.k,
+                    l: observation.l,
+                    u_px: observation.position.x,
+                    v_px: observation.position.y,
+                    rho_px: Some(rho_px),
+                    std_dev_px: Some([0, 1].map(|i| corner.covariance[(i, i)].sqrt())),
+                    // By that of the slope of the corner's line, also where ρ is from the median
+                    // over pairs. The uncertainty of q'ᵢ, which all features of a lens type share,
+                    // is not in it.
+                    rho_std_dev_px: Some(half_pitch * found.line.slope_std_dev),
+                });
+            }
+        }
+        Detection { features, corners, homography }
+    }
+}

@@ -1,0 +1,153 @@
+//! The first pass: corners in every micro-image alone, and groups of those that lie on lines.
+
+use nalgebra::Vector2;
+use rayon::prelude::*;
+
+use super::blur::Blur;
+use super::corner::Corner;
+use super::corner_fit::Free;
+use super::dbscan::dbscan;
+use super::frame::{Frame, FrameCounts};
+use super::grouping::{Group, LineSearch, groups_on_lines, is_texture};
+use super::patch::{Pair, Patch};
+use super::saddle::saddles;
+use super::{CornerObservation, MicroOptics};
+use crate::model::Configuration;
+use crate::vignetting::Vignetting;
+
+/// Micro-images along the edge of a tile that is read at once.
+const TILE: i32 = 16;
+/// How far from the centre of a micro-image its pixels are read, in pitches.
+pub(super) const REACH: f64 = 0.6;
+/// Least and largest contrast of corners, in parts of the frame's: nothing is brighter or darker than its
+/// squares, but for noise.
+pub(super) const LEAST_CONTRAST: f64 = 0.35;
+const MOST_CONTRAST: f64 = 1.5;
+/// Least part of the light of its micro-image that a corner explains.
+const EXPLAINED: f64 = 0.8;
+/// Largest imbalance of a corner, see [`Corner::imbalance`].
+const IMBALANCE: f64 = 0.25;
+/// Saddles of a micro-image that are tried.
+const STARTS: usize = 2;
+/// Sine of the least angle between two edges.
+const OPENING: f64 = 0.4;
+/// Largest standard deviation of a corner, px.
+const UNCERTAIN_PX: f64 = 0.6;
+/// Corners are not searched for nearer to the edge of the micro-image, px: the blur is not known yet.
+const EDGE_PX: f64 = 1.5;
+/// Neighbours in a cluster are up to this many times as far from each other as they would be without
+/// a missing one.
+const GAP: f64 = 1.5;
+/// Before the array (Keplerian) neighbouring micro-images show a corner further apart than they are
+/// themselves: up to so many pitches.
+const FURTHEST_BEFORE: f64 = 1.5;
+/// Distance of observations from their line before vignetting is taken into account, in pitches.
+const ROUGH: f64 = 0.06;
+
+impl Frame<'_> {
+    /// Corners in all micro-images, each alone.
+    pub(super) fn first_pass(
+        &self,
+        mut nodes: Vec<(i32, i32)>,
+        contrast: f64,
+        counts: &mut FrameCounts,
+    ) -> Vec<CornerObservation> {
+        let micro_images = self.search.micro_images;
+        let tile = |(k, l): (i32, i32)| (l / TILE, k / TILE);
+        nodes.sort_by_key(|&node| tile(node));
+        let tiles: Vec<&[(i32, i32)]> = nodes.chunk_by(|&a, &b| tile(a) == tile(b)).collect();
+        let none = Vignetting::none();
+        let unknown = Blur::unknown(&none);
+        let of_tile = |nodes: &&[(i32, i32)]| {
+            let places = nodes.iter().map(|&(k, l)| micro_images.center(k, l));
+            let reach = REACH * micro_images.grid.pitch_px;
+            let pair = Pair::about(self.image, self.white, places, reach);
+            let mut unusable = 0;
+            let mut observations = Vec::new();
+            for &node in *nodes {
+                let Ok(patch) = pair.patch(micro_images, node) else {
+                    unusable += 1;
+                    continue;
+                };
+                let optics = micro_images.optics(node.0, node.1);
+                let corner = corner_alone(&patch, &unknown, &optics, contrast);
+                observations.extend(corner.map(|corner| self.observation(node, &corner)));
+            }
+            (observations, unusable)
+        };
+        let found: Vec<(Vec<CornerObservation>, usize)> = tiles.par_iter().map(of_tile).collect();
+        counts.unusable = found.iter().map(|(_, unusable)| unusable).sum();
+        let observations: Vec<CornerObservation> =
+            found.into_iter().flat_map(|(observations, _)| observations).collect();
+        counts.corners = observations.len();
+        observations
+    }
+
+    /// Clusters of observations, sorted into groups on lines.
+    pub(super) fn groups(
+        &self,
+        observations: &[CornerObservation],
+        counts: &mut FrameCounts,
+    ) -> Vec<Group> {
+        let micro_images = self.search.micro_images;
+        let pitch = micro_images.grid.pitch_px;
+        let furthest = match micro_images.configuration {
+            Configuration::Galilean => 1.0,
+            _ => FURTHEST_BEFORE,
+        };
+        let places: Vec<Vector2<f64>> = observations.iter().map(|o| o.position).collect();
+        let clusters = dbscan(&places, GAP * furthest * pitch, 2);
+        let count = clusters.iter().flatten().max().map_or(0, |last| last + 1);
+        let mut members = vec![Vec::new(); count];
+        for (i, cluster) in clusters.iter().enumerate() {
+            match cluster {
+                Some(cluster) => members[*cluster].push(i),
+                None => counts.alone += 1,
+            }
+        }
+        counts.clusters = count;
+        let line_search = LineSearch {
+            tolerance_px: ROUGH * pitch,
+            reach_px: micro_images.largest_outer_radius_px(),
+            micro_image_pitch_px: pitch,
+            configuration: micro_images.configuration,
+        };
+        let of_cluster =
+            |members: &Vec<usize>| groups_on_lines(observations, members, &line_search);
+        let groups: Vec<Vec<Group>> = members.par_iter().map(of_cluster).collect();
+        for (members, groups) in members.iter().zip(&groups) {
+            let on_line: usize = groups.iter().map(|g| g.members.len()).sum();
+            let off_line = members.len() - on_line;
+            if is_texture(off_line, on_line) {
+                counts.texture += off_line;
+            } else {
+                counts.off_line += off_line;
+            }
+        }
+        groups.into_iter().flatten().collect()
+    }
+}
+
+/// The corner of a micro-image, if it clearly shows one.
+fn corner_alone(
+    patch: &Patch,
+    unknown: &Blur,
+    optics: &MicroOptics,
+    contrast: f64,
+) -> Option<Corner> {
+    let reach = optics.outer_radius_px() - EDGE_PX;
+    let clear = |corner: &Corner| {
+        corner.place.norm() < reach
+            && corner.explained > EXPLAINED
+            && (LEAST_CONTRAST..MOST_CONTRAST).contains(&(corner.contrast.abs() / contrast))
+            && corner.opening() > OPENING
+            && corner.std_dev_px() < UNCERTAIN_PX
+            && corner.imbalance(patch, unknown).is_some_and(|part| part < IMBALANCE)
+    };
+    saddles(patch, LEAST_CONTRAST * contrast)
+        .iter()
+        .filter(|corner| corner.place.norm() < reach)
+        .take(STARTS)
+        .filter_map(|corner| corner.fitted(patch, unknown, Free::All))
+        .find(clear)
+}

@@ -1,0 +1,211 @@
+//! The second pass: every corner of the board where its line, or that of its neighbours, expects it.
+
+use nalgebra::{Matrix2, Vector2};
+use rayon::prelude::*;
+
+use super::blur::Blur;
+use super::board::LabelledBoard;
+use super::corner::Corner;
+use super::corner_fit::Free;
+use super::first_pass::{LEAST_CONTRAST, REACH};
+use super::frame::{Frame, FrameCounts, MARGIN};
+use super::grouping::Group;
+use super::line::possible_slope;
+use super::patch::{Pair, Patch};
+use super::slope_field::SlopeField;
+use super::{CornerLine, CornerObservation, MicroOptics};
+use crate::numerics::median;
+
+/// Rounds in which every corner is searched for; in the second one its line is that of the first.
+const ROUNDS: usize = 2;
+/// How far from where it is expected a corner is found, px.
+const EXPECTED_PX: f64 = 1.2;
+/// Least part of the light of its micro-image that a corner explains.
+const EXPLAINED: f64 = 0.4;
+/// Largest median imbalance of its observations, see [`Corner::imbalance`].
+const IMBALANCE: f64 = 0.5;
+/// Largest standard deviation of an observation, px.
+const UNCERTAIN_PX: f64 = 0.35;
+/// Corners are not searched for nearer than this, px, to where none of their light arrives.
+const EDGE_PX: f64 = 0.15;
+/// Half the width of steps before that of the blur is taken, px.
+const START_WIDTH_PX: f64 = 1.0;
+/// Observations further than this many root mean square distances from their line are misplaced; the
+/// distance is not taken below the second number, px.
+const OUTLIER: f64 = 4.0;
+const LEAST_RMS_PX: f64 = 0.08;
+
+/// A corner of the board with its line and, once it was searched for, its observations.
+#[derive(Clone)]
+pub(super) struct BoardCorner {
+    pub corner: i32,
+    pub line: CornerLine,
+    pub observations: Vec<(CornerObservation, Corner)>,
+}
+
+/// What came of the search for a board corner, in numbers of micro-images that should show it.
+struct Outcome {
+    found: Option<BoardCorner>,
+    unclear: usize,
+    misplaced: usize,
+    given_up: usize,
+}
+
+impl Frame<'_> {
+    /// The corners of the board with all their observations.
+    pub(super) fn second_pass(
+        &self,
+        groups: &[Group],
+        labelled: &LabelledBoard,
+        contrast: f64,
+        counts: &mut FrameCounts,
+    ) -> Vec<BoardCorner> {
+        let of_group = |(group, corner): (&Group, &Option<i32>)| {
+            Some(BoardCorner { corner: (*corner)?, line: group.line, observations: Vec::new() })
+        };
+        let mut corners: Vec<BoardCorner> =
+            groups.iter().zip(&labelled.corners).filter_map(of_group).collect();
+        let at_first: Vec<i32> = corners.iter().map(|c| c.corner).collect();
+        for _ in 0..ROUNDS {
+            let lines: Vec<CornerLine> = corners.iter().map(|c| c.line).collect();
+            let Some(field) = SlopeField::fit(&lines) else { break };
+            corners.extend(self.missing(&corners, labelled, &field));
+            let pass = SecondPass { frame: self, labelled, field: &field, contrast };
+            let outcomes: Vec<Outcome> = corners.par_iter().map(|c| pass.search(c)).collect();
+            // Those of the last round count.
+            counts.unclear = outcomes.iter().map(|o| o.unclear).sum();
+            counts.misplaced = outcomes.iter().map(|o| o.misplaced).sum();
+            counts.given_up = outcomes.iter().map(|o| o.given_up).sum();
+            corners = outcomes.into_iter().filter_map(|o| o.found).collect();
+            corners.sort_by_key(|c| c.corner);
+        }
+        // There are none if there was no round.
+        corners.retain(|c| !c.observations.is_empty());
+        let is_lost = |corner: &&i32| corners.iter().all(|c| c.corner != **corner);
+        counts.lost = at_first.iter().filter(is_lost).count();
+        counts.board_corners = corners.len();
+        corners
+    }
+
+    /// Corners in view that are not among some, on the lines that these lead to expect.
+    fn missing(
+        &self,
+        corners: &[BoardCorner],
+        labelled: &LabelledBoard,
+        field: &SlopeField,
+    ) -> Vec<BoardCorner> {
+        let board = self.search.board;
+        (0..board.corners())
+            .filter(|corner| corners.iter().all(|c| c.corner != *corner))
+            .map(|corner| (corner, labelled.pinhole(board, corner)))
+            .filter(|(_, p)| self.in_view(p, MARGIN))
+            .map(|(corner, p)| BoardCorner {
+                corner,
+                line: CornerLine::through(&p, field.at(&p)),
+                observations: Vec::new(),
+            })
+            .collect()
+    }
+}
+
+struct SecondPass<'a> {
+    frame: &'a Frame<'a>,
+    labelled: &'a LabelledBoard,
+    field: &'a SlopeField,
+    /// Of the frame.
+    contrast: f64,
+}
+
+impl SecondPass<'_> {
+    /// Searches for a corner in every micro-image that should show it.
+    fn search(&self, sought: &BoardCorner) -> Outcome {
+        let micro_images = self.frame.search.micro_images;
+        let (pinhole, slope) = (sought.line.pinhole(), sought.line.slope);
+        let lit = |optics: MicroOptics| optics.lit_px(optics.blur_radius_px(slope));
+        let largest = micro_images.all_optics_at(&pinhole).map(lit).fold(0.0, f64::max);
+        let nodes = micro_images.about(&pinhole, largest / (1.0 - slope).abs());
+        let places = nodes.iter().map(|&(k, l)| micro_images.center(k, l));
+        let reach = REACH * micro_images.grid.pitch_px;
+        let pair = Pair::about(self.frame.image, self.frame.white, places, reach);
+        let (mut observations, mut imbalances, mut unclear) = (Vec::new(), Vec::new(), 0);
+        for node in nodes {
+            let center = micro_images.center(node.0, node.1);
+            let optics = micro_images.optics(node.0, node.1);
+            let expected = sought.line.at(&center) - center;
+            let rho = optics.blur_radius_px(slope);
+            if expected.norm() > optics.lit_px(rho) - EDGE_PX {
+                continue;
+            }
+            let blur = Blur::new(rho, micro_images.vignetting(&optics), optics.obliquity);
+            let fitted = pair.patch(micro_images, node).ok().and_then(|patch| {
+                let start = self.expected_corner(sought, &center, patch.mean());
+                self.fitted(&start, &patch, &blur).map(|fitted| (fitted, patch))
+            });
+            let Some((corner, patch)) = fitted else {
+                unclear += 1;
+                continue;
+            };
+            imbalances.extend(corner.imbalance(&patch, &blur));
+            observations.push((self.frame.observation(node, &corner), corner));
+        }
+        // The outer corners of the board look like corners in some micro-images, but not in most.
+        let is_corner = median(imbalances).is_some_and(|median| median < IMBALANCE);
+        let all = observations.len();
+        let found = if is_corner { self.on_line(sought.corner, observations) } else { None };
+        let kept = found.as_ref().map_or(0, |found| found.observations.len());
+        let (misplaced, given_up) = if found.is_some() { (all - kept, 0) } else { (0, all) };
+        Outcome { found, unclear, misplaced, given_up }
+    }
+
+    /// A corner as it should show in the micro-image about `center`, whose mean light is `level`.
+    fn expected_corner(&self, sought: &BoardCorner, center: &Vector2<f64>, level: f64) -> Corner {
+        let (pinhole, nearness) = (sought.line.pinhole(), 1.0 - sought.line.slope);
+        // Towards the next corner the slope changes, and with it the magnification.
+        let seen = |step: &Vector2<f64>| {
+            step * nearness - (pinhole - center) * self.field.gradient().dot(step)
+        };
+        // Rows and columns of the board in the pinhole image.
+        let (right, down) = self.labelled.steps(self.frame.search.board, sought.corner);
+        let (right, down) = (seen(&right), seen(&down));
+        Corner {
+            place: sought.line.at(center) - center,
+            angles: [right.y.atan2(right.x), down.y.atan2(down.x)],
+            level,
+            contrast: if self.is_even(sought.corner) { self.contrast } else { -self.contrast },
+            width: START_WIDTH_PX,
+            covariance: Matrix2::zeros(),
+            explained: 0.0,
+        }
+    }
+
+    /// Squares alternate: those after an even corner are dark, see [`LabelledBoard::label`].
+    fn is_even(&self, corner: i32) -> bool {
+        let columns = self.frame.search.board.columns;
+        (corner / columns + corner % columns) % 2 == 0
+    }
+
+    /// The corner where it is expected; `None` if it does not clearly show there.
+    fn fitted(&self, expected: &Corner, patch: &Patch, blur: &Blur) -> Option<Corner> {
+        expected.fitted(patch, blur, Free::Place).filter(|corner| {
+            (corner.place - expected.place).norm() < EXPECTED_PX
+                && corner.explained > EXPLAINED
+                && (corner.contrast > 0.0) == (expected.contrast > 0.0)
+                && corner.contrast.abs() > LEAST_CONTRAST * self.contrast
+                && corner.std_dev_px() < UNCERTAIN_PX
+        })
+    }
+
+    /// A corner with those of its observations that are on one line.
+    fn on_line(
+        &self,
+        corner: i32,
+        mut observations: Vec<(CornerObservation, Corner)>,
+    ) -> Option<BoardCorner> {
+        let line = CornerLine::fit(observations.iter().map(|(o, _)| o))?;
+        let scale = line.rms_px.max(LEAST_RMS_PX);
+        observations.retain(|(o, _)| (o.position - line.at(&o.center)).norm() < OUTLIER * scale);
+        let line = CornerLine::fit(observations.iter().map(|(o, _)| o))?;
+        let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);
+        (possible && observations.len() > 1).then_some(BoardCorner { corner, line, observations })
+    }
+}

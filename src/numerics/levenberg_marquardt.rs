@@ -1,0 +1,135 @@
+//! Levenberg and Marquardt's method for small problems (Marquardt, J. SIAM 11, 1963): millions of them
+//! are solved for an image, so that nothing is allocated between steps.
+
+use nalgebra::{SMatrix, SVector};
+
+/// A sum of squares to make small, over P parameters.
+pub(crate) trait LeastSquares<const P: usize> {
+    /// The parameters.
+    type Point: Copy;
+
+    /// The weighted sum of squares at a point, which is on trial from then on; `None` if there is no
+    /// model there.
+    fn evaluate(&mut self, at: &Self::Point) -> Option<f64>;
+
+    /// Takes the point on trial.
+    fn accept(&mut self);
+
+    /// JᵀWJ and JᵀWr at the point taken last, r being what was measured less the model; `None` if the
+    /// descent has led nowhere.
+    fn normal_equations(&mut self) -> Option<(SMatrix<f64, P, P>, SVector<f64, P>)>;
+
+    /// The point a step away, kept within what makes sense.
+    fn moved(&self, from: &Self::Point, step: &SVector<f64, P>) -> Self::Point;
+
+    /// How far a point is from another, in the unit of [`Descent::settled`].
+    fn distance(&self, from: &Self::Point, to: &Self::Point) -> f64;
+}
+
+/// How a sum of squares is followed down.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Descent {
+    /// Most steps.
+    pub steps: usize,
+    /// A shorter step that was a gain is the last one.
+    pub settled: f64,
+    /// The damping is divided by this after a gain, and multiplied by it after a loss.
+    pub factor: f64,
+    /// Smallest damping; and largest: where that is a loss too nothing is left to gain.
+    pub damping: (f64, f64),
+}
+
+/// Damping of the first step, in parts of the diagonal: nearly a Gauss-Newton step, as starts are near.
+const FIRST_DAMPING: f64 = 1e-3;
+
+impl Descent {
+    /// The lowest point found from a start, and its sum of squares. `None` if there is no model at the
+    /// start, or if parameters are not determined on the way.
+    #[inline]
+    pub fn from<const P: usize, S: LeastSquares<P>>(
+        &self,
+        start: S::Point,
+        sum: &mut S,
+    ) -> Option<(S::Point, f64)> {
+        let (mut point, mut cost) = (start, sum.evaluate(&start)?);
+        sum.accept();
+        let (mut normal, mut right) = sum.normal_equations()?;
+        let mut damping = FIRST_DAMPING;
+        for _ in 0..self.steps {
+            let mut damped = normal;
+            for i in 0..P {
+                damped[(i, i)] *= 1.0 + damping;
+            }
+            let next = sum.moved(&point, &damped.cholesky()?.solve(&right));
+            let next_cost = sum.evaluate(&next)?;
+            if next_cost < cost {
+                let length = sum.distance(&point, &next);
+                (point, cost) = (next, next_cost);
+                sum.accept();
+                damping = (damping / self.factor).max(self.damping.0);
+                if length < self.settled {
+                    break;
+                }
+                (normal, right) = sum.normal_equations()?;
+            } else {
+                damping *= self.factor;
+                if damping > self.damping.1 {
+                    break;
+                }
+            }
+        }
+        Some((point, cost))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix2, Vector2};
+
+    use super::*;
+
+    /// Rosenbrock's valley, as a sum of two squares.
+    struct Valley {
+        trial: Vector2<f64>,
+        taken: Vector2<f64>,
+    }
+
+    fn residuals(at: &Vector2<f64>) -> Vector2<f64> {
+        Vector2::new(at.x - 1.0, 10.0 * (at.y - at.x * at.x))
+    }
+
+    impl LeastSquares<2> for Valley {
+        type Point = Vector2<f64>;
+
+        fn evaluate(&mut self, at: &Self::Point) -> Option<f64> {
+            self.trial = *at;
+            Some(residuals(at).norm_squared())
+        }
+
+        fn accept(&mut self) {
+            self.taken = self.trial;
+        }
+
+        fn normal_equations(&mut self) -> Option<(Matrix2<f64>, Vector2<f64>)> {
+            let jacobian = Matrix2::new(1.0, 0.0, -20.0 * self.taken.x, 10.0);
+            let right = -jacobian.transpose() * residuals(&self.taken);
+            Some((jacobian.transpose() * jacobian, right))
+        }
+
+        fn moved(&self, from: &Self::Point, step: &Vector2<f64>) -> Self::Point {
+            from + step
+        }
+
+        fn distance(&self, from: &Self::Point, to: &Self::Point) -> f64 {
+            (to - from).norm()
+        }
+    }
+
+    #[test]
+    fn the_end_of_a_curved_valley_is_reached() {
+        let mut valley = Valley { trial: Vector2::zeros(), taken: Vector2::zeros() };
+        let descent = Descent { steps: 100, settled: 1e-10, factor: 5.0, damping: (1e-9, 1e6) };
+        let (end, cost) = descent.from(Vector2::new(-1.2, 1.0), &mut valley).unwrap();
+        assert!((end - Vector2::new(1.0, 1.0)).norm() < 1e-9 && cost < 1e-18, "{end} {cost}");
+    }
+}

@@ -1,0 +1,200 @@
+//! Whether white images belong together and to the camera that is stated, and what the user should know.
+
+use super::correction::Moments;
+use super::grid::MicroImageArray;
+use super::internal::{RadiusMeasurement, fit_internal};
+use super::profile::Profile;
+use super::radii::REACH;
+use super::stage::{Precalibration, PrecalibrationOptions, White};
+use super::types::LensTypes;
+use crate::error::{Error, Result};
+use crate::model::{Configuration, Datasheet, InternalParameters, positive};
+
+/// A radius this part away from where the other f-numbers put it is the sign of a wrong f-number: half a
+/// stop at f/4 changes a radius by 10 %.
+const CONTRADICTION: f64 = 0.05;
+/// This part is enough where it is so many times the root mean square distance of the others from their
+/// lines: f/9 for f/8.
+const NOTICEABLE: f64 = 0.01;
+const OUT_OF_LINE: f64 = 8.0;
+/// With more white images than this the others show how straight their lines are.
+const FEWEST_TO_JUDGE: usize = 4;
+/// Stated and measured pitch of the micro-images agree within this part. Both are known to a few parts in
+/// 10⁴, or to 10⁻³ where centres are not corrected for oblique light; beyond that they are of different
+/// cameras.
+const SAME_PITCH: f64 = 2e-3;
+/// Part of the micro-images that agrees with its lens type where nothing is wrong.
+const AGREEMENT: f64 = 0.9;
+
+/// An error that names the image.
+pub(super) fn named(name: &str, error: &Error) -> Error {
+    Error::invalid(format!("{name}: {error}"))
+}
+
+/// The white image that the array is measured in; an error unless all of them belong together.
+pub(super) fn reference_of<'a>(
+    whites: &'a [White],
+    reference: Option<&'a White>,
+) -> Result<&'a White> {
+    check_f_numbers(whites)?;
+    let widest = whites.iter().min_by(|a, b| a.f_number.total_cmp(&b.f_number));
+    let Some(reference) = reference.or(widest) else {
+        return Err(Error::invalid("there are no white images"));
+    };
+    check_sizes(whites, reference)?;
+    Ok(reference)
+}
+
+fn check_f_numbers(whites: &[White]) -> Result<()> {
+    for white in whites {
+        positive(white.f_number, &format!("the f-number of {}", white.name))?;
+    }
+    let mut numbers: Vec<f64> = whites.iter().map(|white| white.f_number).collect();
+    numbers.sort_by(f64::total_cmp);
+    numbers.dedup();
+    if numbers.len() < 2 {
+        return Err(Error::invalid(format!(
+            "there are white images at {} f-number(s), but the internal parameters take at least \
+             two, better five: stop the main lens down between them",
+            numbers.len()
+        )));
+    }
+    Ok(())
+}
+
+fn check_sizes(whites: &[White], reference: &White) -> Result<()> {
+    let size = |white: &White| (white.image.width, white.image.height);
+    match whites.iter().find(|white| size(white) != size(reference)) {
+        Some(white) => Err(Error::invalid(format!(
+            "{} has {} x {} px, but {} has {} x {} px: all white images have to be of one camera",
+            white.name,
+            white.image.width,
+            white.image.height,
+            reference.name,
+            reference.image.width,
+            reference.image.height
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// An error if the camera's file or the internal parameters state another pitch Δc of the micro-images
+/// than their centres have.
+pub fn check_stated_pitch(
+    sheet: &Datasheet,
+    internal: &InternalParameters,
+    grid: &MicroImageArray,
+) -> Result<()> {
+    let of_internal = internal.micro_image_pitch_mm.map(|mm| mm / sheet.sensor.pixel_size_mm);
+    for (stated, whose) in [
+        (sheet.micro_image_pitch_px, "the camera is stated to have"),
+        (of_internal, "the internal parameters state"),
+    ] {
+        if let Some(stated) = stated
+            && (stated / grid.pitch_px - 1.0).abs() > SAME_PITCH
+        {
+            return Err(Error::invalid(format!(
+                "{whose} a micro-image pitch of {stated:.4} px, but the centres have one of {:.4} \
+                 px: they are of different cameras, or the pixel size is wrong",
+                grid.pitch_px
+            )));
+        }
+    }
+    Ok(())
+}
+
+impl Precalibration {
+    /// An error naming both values where the images contradict what is stated of the camera.
+    pub fn check_stated(&self, sheet: &Datasheet) -> Result<()> {
+        let grid = &self.array.grid;
+        if grid.lattice.kind() != sheet.lattice_kind {
+            return Err(Error::invalid(format!(
+                "the micro-images lie on a '{}' lattice, but the camera is stated to have a '{}' one: \
+                 correct that, or give the images of that camera",
+                grid.lattice.kind().name(),
+                sheet.lattice_kind.name()
+            )));
+        }
+        check_stated_pitch(sheet, &self.internal.parameters, grid)?;
+        let types = self.lens_types.types;
+        // Pinholes have no lens types that could show.
+        if sheet.lens_types > 0 && types != sheet.lens_types {
+            return Err(Error::invalid(format!(
+                "{types} lens type(s) show in the white images, but the camera is stated to have {}: \
+                 correct that, or take sharper white images",
+                sheet.lens_types
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// A warning if the micro-images of the reference do not have the size of its f-number.
+pub(super) fn different_aperture(
+    reference: &White,
+    moments: &Moments,
+    profiles: &[Profile],
+) -> Option<String> {
+    let (profile, q_prime) = (profiles.first()?, moments.internal.q_prime_mm.first()?);
+    let (a, b) = moments.disc_radii(reference.f_number, *q_prime);
+    let radius = profile.fit(REACH * moments.grid.pitch_px)?.outer;
+    ((radius / (a + b) - 1.0).abs() > CONTRADICTION).then(|| {
+        format!(
+            "{}: at f/{:.2} micro-images of type 1 should have a radius of {:.2} px, but have \
+             {radius:.2} px: it was taken with another aperture",
+            reference.name,
+            reference.f_number,
+            a + b
+        )
+    })
+}
+
+/// A warning of lens types that do not follow the lattice.
+pub(super) fn disagreeing_types(lens_types: &LensTypes) -> Option<String> {
+    let agreement = lens_types.agreement.filter(|agreement| *agreement < AGREEMENT)?;
+    Some(format!(
+        "only {:.0} % of the micro-images have the size of their lens type: the image is noisy, \
+         not white, or the types do not follow the lattice",
+        100.0 * agreement
+    ))
+}
+
+/// A warning of the white image whose radii are furthest from where the others put them.
+pub(super) fn contradictions(
+    whites: &[White],
+    radii: &[RadiusMeasurement],
+    types: usize,
+    options: &PrecalibrationOptions,
+) -> Option<String> {
+    if whites.len() < 3 {
+        return None;
+    }
+    let mut worst: Option<(f64, String)> = None;
+    for (i, white) in whites.iter().enumerate() {
+        // Rows are in the order of the images.
+        let own = &radii[i * types..(i + 1) * types];
+        let mut others = [&radii[..i * types], &radii[(i + 1) * types..]].concat();
+        let Some(fit) = fit_internal(&mut others, types, 1.0, 0.0, options.configuration) else {
+            continue;
+        };
+        let side = if options.configuration == Configuration::Keplerian { 1.0 } else { -1.0 };
+        let expected = |m: &RadiusMeasurement| {
+            fit.parameters.m_mm / m.f_number + side * fit.parameters.q_prime_mm[m.lens_type]
+        };
+        let off: f64 =
+            own.iter().map(|m| m.radius_px / expected(m) - 1.0).sum::<f64>() / own.len() as f64;
+        let usual = fit.rms_px / own[0].radius_px;
+        let noticed = off.abs() > CONTRADICTION
+            || whites.len() > FEWEST_TO_JUDGE && off.abs() > NOTICEABLE.max(OUT_OF_LINE * usual);
+        if noticed && worst.as_ref().is_none_or(|(w, _)| off.abs() > *w) {
+            let (measured, said) = (own[0].radius_px, expected(&own[0]));
+            let text = format!(
+                "{}: at f/{:.2} the radius of type 1 is {measured:.2} px, but the other images say \
+                 {said:.2} px: check its f-number",
+                white.name, white.f_number
+            );
+            worst = Some((off.abs(), text));
+        }
+    }
+    worst.map(|(_, text)| text)
+}

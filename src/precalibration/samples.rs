@@ -1,0 +1,194 @@
+//! What is measured in every white image: centres all over it, and radii in its middle.
+
+use rayon::prelude::*;
+use tracing::trace;
+
+use super::array::FoundArray;
+use super::centers::{measure_sample, part_with};
+use super::centroid::Blob;
+use super::internal::{InternalFit, RadiusMeasurement, fit_internal};
+use super::pattern::Pattern;
+use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
+use super::stage::{PrecalibrationOptions, White};
+use crate::error::{Error, Result};
+use crate::image::{Grey, Image};
+use crate::model::{InternalParameters, LatticeKind};
+
+/// Patterns of one camera at two f-numbers agree in pitch within this part, and in place within so
+/// many pitches: oblique light changes both by less.
+const SAME_PITCH: f64 = 1e-3;
+const SAME_PLACE: f64 = 0.25;
+
+/// White images with a sample of each.
+pub(super) struct Samples<'a> {
+    pub whites: &'a [White],
+    pub samples: Vec<Sample>,
+    /// Nodes in the middle of the images, by lens type, or by colour of the lattice while the types are
+    /// not known.
+    pub nodes: Vec<Vec<(i32, i32)>>,
+    options: &'a PrecalibrationOptions,
+}
+
+/// What is measured of one white image.
+pub(super) struct Sample {
+    /// Micro-images from all over it.
+    pub blobs: Vec<Blob>,
+    /// Its middle, where radii are measured, and the pattern there.
+    middle: Image,
+    pattern: Pattern,
+}
+
+impl<'a> Samples<'a> {
+    /// Measures every white image where the reference has micro-images; an error if one of them has
+    /// them elsewhere.
+    pub fn measure(
+        whites: &'a [White],
+        reference: &White,
+        found: &FoundArray,
+        options: &'a PrecalibrationOptions,
+        progress: &(dyn Fn() + Sync),
+    ) -> Result<Self> {
+        let colors = if found.pattern.kind == LatticeKind::Orthogonal { 1 } else { 3 };
+        let size = (reference.image.width, reference.image.height);
+        let nodes = middle_nodes(found, size, colors);
+        let of_white = |white| sample(white, reference, found, &nodes).inspect(|_| progress());
+        let samples = whites.par_iter().map(of_white).collect::<Result<Vec<Sample>>>()?;
+        Ok(Self { whites, samples, nodes, options })
+    }
+
+    /// The samples by lens type, and the radii of the profiles, which are measured again where the
+    /// colours are not the lens types.
+    pub fn by_lens_type(
+        mut self,
+        types: usize,
+        by_color: Vec<Vec<TypeRadius>>,
+    ) -> Result<(Self, Vec<Vec<TypeRadius>>)> {
+        if types == self.nodes.len() {
+            return Ok((self, by_color));
+        }
+        self.nodes = vec![self.nodes.concat()];
+        let radii = self.radii(RadiusEstimator::Profile)?;
+        Ok((self, radii))
+    }
+
+    /// Radii by white image and by group of nodes.
+    pub fn radii(&self, estimator: RadiusEstimator) -> Result<Vec<Vec<TypeRadius>>> {
+        let of_white = |(white, sample): (&White, &Sample)| {
+            let radius = |nodes: &Vec<(i32, i32)>| {
+                radius_at(&sample.middle, &sample.pattern, nodes, estimator).ok_or_else(|| {
+                    Error::invalid(format!(
+                        "{}: the micro-images in the middle show no edge: the image is too dark, or \
+                         saturated all over",
+                        white.name
+                    ))
+                })
+            };
+            self.nodes.iter().map(radius).collect()
+        };
+        self.whites.par_iter().zip(&self.samples).map(of_white).collect()
+    }
+
+    /// The radii once more, now that the angles are known at which the light of the profiles arrives.
+    pub fn oblique(
+        &self,
+        radii: &[Vec<TypeRadius>],
+        internal: &InternalParameters,
+        micro_image_pitch_px: f64,
+    ) -> Vec<Vec<TypeRadius>> {
+        let obliquity = self.options.obliquity(internal.m_mm, micro_image_pitch_px);
+        let pixel = self.options.pixel_size_mm;
+        let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
+            let pupil_px = internal.m_mm / white.f_number / pixel;
+            let again = |(radius, q_prime): (&TypeRadius, &f64)| {
+                radius.oblique(pupil_px, q_prime / pixel - micro_image_pitch_px / 2.0, &obliquity)
+            };
+            radii.iter().zip(&internal.q_prime_mm).map(again).collect()
+        };
+        self.whites.par_iter().zip(radii).map(of_white).collect()
+    }
+
+    /// The radii as a list, by white image and then by lens type.
+    pub fn measurements(&self, radii: &[Vec<TypeRadius>]) -> Vec<RadiusMeasurement> {
+        let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
+            let measurement = |(lens_type, r): (usize, &TypeRadius)| RadiusMeasurement {
+                f_number: white.f_number,
+                lens_type,
+                radius_px: r.radius_px,
+                std_dev_px: r.std_dev_px,
+                residual_px: 0.0,
+                single_px: r.single_px.clone(),
+            };
+            radii.iter().enumerate().map(measurement).collect::<Vec<_>>()
+        };
+        self.whites.iter().zip(radii).flat_map(of_white).collect()
+    }
+
+    /// The internal parameters from radii at several f-numbers; an error if those determine none.
+    pub fn fit_internal(
+        &self,
+        radii: &mut [RadiusMeasurement],
+        micro_image_pitch_px: f64,
+    ) -> Result<InternalFit> {
+        let PrecalibrationOptions { pixel_size_mm, configuration, .. } = *self.options;
+        let types = self.nodes.len();
+        let fitted = fit_internal(radii, types, pixel_size_mm, micro_image_pitch_px, configuration);
+        let fitted = fitted.ok_or_else(|| {
+            Error::invalid(
+                "the f-numbers of the white images are too close to each other for a straight line: \
+                 take them a stop or more apart",
+            )
+        })?;
+        if fitted.parameters.m_mm <= 0.0 {
+            return Err(Error::invalid(
+                "micro-images do not grow as the f-number falls: the f-numbers do not belong to \
+                 these images, or the lens was not set to them",
+            ));
+        }
+        Ok(fitted)
+    }
+
+    /// The middle of an image, where radii are measured, and the pattern there.
+    pub fn middle_of(&self, grey: &Grey, pattern: &Pattern) -> (Image, Pattern) {
+        middle_of(grey, pattern, &self.nodes)
+    }
+}
+
+/// Measures a sample of a white image where the reference has micro-images; an error if it has them
+/// elsewhere. `nodes` are those of the middle.
+fn sample(
+    white: &White,
+    reference: &White,
+    found: &FoundArray,
+    nodes: &[Vec<(i32, i32)>],
+) -> Result<Sample> {
+    let grey = white.image.grey();
+    let pattern = &found.pattern;
+    let of_array: Vec<(i32, i32)> = found.blobs.iter().map(|blob| blob.node).collect();
+    let (followed, blobs) = measure_sample(&grey, pattern, &of_array).ok_or_else(|| {
+        Error::invalid(format!(
+            "{}: no micro-images show where {} has them",
+            white.name, reference.name
+        ))
+    })?;
+    let pitch = pattern.pitch();
+    let moved = (followed.origin - pattern.origin).norm() / pitch;
+    if (followed.pitch() / pitch - 1.0).abs() > SAME_PITCH || moved > SAME_PLACE {
+        return Err(Error::invalid(format!(
+            "{} has micro-images with a pitch of {:.3} px, but {} has them with one of {pitch:.3} px, and \
+             {moved:.2} of it to the side: they are of different cameras, or one is no white image",
+            white.name,
+            followed.pitch(),
+            reference.name
+        )));
+    }
+    trace!("{}: pitch {:.5} px, {} micro-images", white.name, followed.pitch(), blobs.len());
+    let (middle, pattern) = middle_of(&grey, &followed, nodes);
+    Ok(Sample { blobs, middle, pattern })
+}
+
+/// The part of an image that shows some nodes, and the pattern there.
+fn middle_of(grey: &Grey, pattern: &Pattern, nodes: &[Vec<(i32, i32)>]) -> (Image, Pattern) {
+    let places = nodes.iter().flatten().map(|&(i, j)| pattern.place(i, j));
+    let (part, corner) = part_with(grey, places, 2.0 * pattern.pitch());
+    (part, pattern.seen_from(&corner))
+}
