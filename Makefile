@@ -1,7 +1,9 @@
 # plenocal: everything a newcomer needs. `make demo` and `make test` install what is missing.
 
 PACKAGES = g++ cmake make libceres-dev libeigen3-dev libopencv-dev libclang-dev clang \
-           clang-format libgtest-dev
+           clang-format libgtest-dev shellcheck
+# What only `make test-all` needs: a browser, shells, a formatter of manual pages.
+TOOLS = chromium zsh fish groff-base
 # Which command, whether root or not, may install packages.
 SUDO = $(if $(filter 0,$(shell id -u)),,sudo)
 BUILD = build/cpp
@@ -10,14 +12,14 @@ MAKEFLAGS += --no-print-directory
 # built anew between them.
 export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
 
-.PHONY: help deps demo cpp test test-slow test-report test-cpp test-rust lint bench doc data figures \
-        format clean
+.PHONY: help deps deps-all build demo cpp test test-all test-slow test-cpp test-rust lint bench doc \
+        data figures format clean
 
 help:
 	@echo "make demo       simulate a camera, calibrate it from its images, write a report"
-	@echo "make test       all tests but the slow ones; PLENOCAL_R12A=DIR and PLENOCAL_WHITES=DIR add real data"
+	@echo "make test       the tests; PLENOCAL_R12A=DIR and PLENOCAL_WHITES=DIR add real data"
+	@echo "make test-all   also reports in a browser, completions in shells, manual pages; installs Chromium"
 	@echo "make test-slow  the slow tests (Monte Carlo)"
-	@echo "make test-report  reports in a browser; installs Chromium"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program"
 	@echo "make doc        API documentation in target/doc"
@@ -31,21 +33,32 @@ deps:
 	  dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q 'ok installed' \
 	    || missing="$$missing $$p"; done; \
 	if [ -n "$$missing" ]; then \
-	  echo "Installing$$missing"; \
+	  echo "Installing$$missing (a minute or two)"; \
 	  $(SUDO) apt-get update -qq && \
 	  DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -qq -y --no-install-recommends $$missing \
 	    > /dev/null; \
 	fi
 
-demo: deps
+build: deps
+	@echo "Building plenocal (a few minutes the first time)"
+	cargo build --release
+
+demo: build
 	cargo run --release --quiet -- demo --out out/demo
 
 test: test-cpp test-rust
 
+deps-all test-all: PACKAGES += $(TOOLS)
+deps-all: deps
+test-all: export PLENOCAL_CHROMIUM = chromium
+test-all: export PLENOCAL_TOOLS = 1
+test-all: test
+
 $(BUILD)/CMakeCache.txt: cpp/CMakeLists.txt | deps
-	cmake -S cpp -B $(BUILD) -DCMAKE_BUILD_TYPE=Release > /dev/null
+	cmake -S cpp -B $(BUILD) -DCMAKE_BUILD_TYPE=Release --log-level=WARNING
 
 cpp: $(BUILD)/CMakeCache.txt
+	@echo "Building the C++ core and its tests (a minute or two the first time)"
 	cmake --build $(BUILD) --parallel
 
 test-cpp: cpp
@@ -57,31 +70,28 @@ test-rust: cpp
 test-slow: cpp
 	cargo test --release --test it -- --ignored --nocapture monte_carlo
 
-test-report: PACKAGES += chromium
-test-report: export PLENOCAL_CHROMIUM = chromium
-test-report: deps cpp
-	cargo test --release --test it report::
-
 # The cmake crate silences C++ warnings; the plain build shows them, as errors.
 lint: deps
+	shellcheck .ci/run
 	cargo fmt --check
 	git ls-files 'cpp/*.hpp' 'cpp/*.cpp' | xargs clang-format --dry-run --Werror
-	cmake -S cpp -B build/lint -DCMAKE_BUILD_TYPE=Release -DCMAKE_CXX_FLAGS=-Werror > /dev/null
+	cmake -S cpp -B build/lint -DCMAKE_BUILD_TYPE=Release -DCMAKE_CXX_FLAGS=-Werror \
+	  --log-level=WARNING
 	cmake --build build/lint --parallel
 	cargo clippy --release --all-targets -- -D warnings
-	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --document-private-items --quiet
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps --document-private-items
 
 bench: cpp
 	cargo bench
 
 doc: deps
-	cargo doc --no-deps --open
+	cargo doc --release --no-deps --open
 
 data: deps
-	cargo run --release --quiet --example synthetic_dataset -- data/synthetic
+	cargo run --release --example synthetic_dataset -- data/synthetic
 
 figures: deps
-	cargo run --release --quiet --example figures -- docs/figures
+	cargo run --release --example figures -- docs/figures
 
 format: deps
 	cargo fmt

@@ -30,6 +30,7 @@ fn main() {
         ("PLENOCAL_WHITES", "plenocal_whites"),
         ("PLENOCAL_PLAIN_CERES", "plenocal_plain_ceres"),
         ("PLENOCAL_CHROMIUM", "plenocal_chromium"),
+        ("PLENOCAL_TOOLS", "plenocal_tools"),
     ] {
         println!("cargo:rerun-if-env-changed={variable}");
         println!("cargo:rustc-check-cfg=cfg({cfg})");

@@ -8,9 +8,7 @@ use plenocal::Result;
 use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::io::{OutputFolder, Project, read_centers, read_features};
 use plenocal::precalibration::ArrayMeasurement;
-use plenocal::report::{
-    self, HtmlReport, Part, Section, array_residuals_figure, calibration_figures,
-};
+use plenocal::report::{HtmlReport, Part, Section, array_residuals_figure, calibration_figures};
 
 fn main() -> Result<()> {
     let folder = std::env::args().nth(1).expect("the folder to write to");
@@ -36,8 +34,10 @@ fn main() -> Result<()> {
     for figure in &figures {
         output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))?;
     }
-    let mut result = vec![Part::Text(report::termination_text(&calibration))];
-    result.extend(report::weakest_directions_text(&calibration).into_iter().map(Part::Text));
+    let mut result = vec![Part::Text(plenocal::calibration::termination_text(&calibration))];
+    result.extend(
+        plenocal::calibration::weakest_directions_text(&calibration).into_iter().map(Part::Text),
+    );
     let sections = vec![
         Section { title: "Result".into(), parts: result },
         Section { title: "Figures".into(), parts: figures.into_iter().map(Part::Figure).collect() },

@@ -50,7 +50,13 @@ fn rows<T: serde::de::DeserializeOwned>(name: &str) -> Vec<T> {
 }
 
 fn published() -> (MicroImageArray, Vec<Published>) {
-    let center = |(k, l, u_px, v_px): (i32, i32, f64, f64)| MicroImageCenter { k, l, u_px, v_px };
+    let center = |(k, l, u_px, v_px): (i32, i32, f64, f64)| MicroImageCenter {
+        k,
+        l,
+        u_px,
+        v_px,
+        std_dev_px: None,
+    };
     let centers: Vec<MicroImageCenter> = rows("center-R12-A.csv").into_iter().map(center).collect();
     let grid = fit_grid(&centers, LatticeKind::HexagonalRows, 176, 152).unwrap();
     (grid, rows("bap-R12-A.csv"))

@@ -73,12 +73,16 @@ impl Spoiled {
 }
 
 #[test]
-fn missing_and_unreadable_files() {
-    let spoiled = Spoiled::new();
-    fs::remove_file(spoiled.path("features.csv")).unwrap();
-    spoiled.is_rejected(&["features.csv", "cannot read"]);
+fn missing_files() {
     let spoiled = Spoiled::new();
     spoiled.is_rejected_with(&["--centers", "nowhere.csv"], &["nowhere.csv"]);
+    fs::remove_file(spoiled.path("features.csv")).unwrap();
+    spoiled.is_rejected(&["features.csv", "cannot read"]);
+}
+
+#[test]
+fn files_that_are_empty_or_no_text() {
+    let spoiled = Spoiled::new();
     fs::write(spoiled.path("features.csv"), [0xff, 0xfe, 0x00, 0x80]).unwrap();
     spoiled.is_rejected(&["features.csv"]);
     fs::write(spoiled.path("features.csv"), "").unwrap();
@@ -135,7 +139,7 @@ fn damaged_gzip() {
 }
 
 #[test]
-fn wrong_columns_and_numbers() {
+fn wrong_columns() {
     Spoiled::new().replace("features.csv", "rho", "radius").is_rejected(&[
         "features.csv",
         "'rho'",
@@ -147,6 +151,10 @@ fn wrong_columns_and_numbers() {
     Spoiled::new()
         .replace("centers.csv", "k,l,u,v", "u,k,l,u,v")
         .is_rejected(&["centers.csv", "u twice"]);
+}
+
+#[test]
+fn wrong_numbers() {
     for (value, word) in [("NaN", "not a finite"), ("inf", "not a finite"), ("x", "not a number")] {
         let line = format!("5,5,{value},100.0,0.1,3,0");
         Spoiled::new().append("features.csv", &line).is_rejected(&["features.csv", "line", word]);
@@ -185,9 +193,9 @@ fn duplicates() {
     Spoiled::new().edit("centers.csv", repeat_last).is_rejected(&["given twice", "centre"]);
 }
 
+/// The remedy that the message names works.
 #[test]
-fn too_little_to_calibrate_from() {
-    // A frame with three corners, and the remedy that the message names.
+fn a_frame_with_three_corners() {
     let mut lines = String::new();
     for (corner, l) in [(0, 10), (1, 11), (9, 12)] {
         let _ = writeln!(lines, "20,{l},480.0,{}.0,0.1,{corner},77", 20 * l);
@@ -201,14 +209,21 @@ fn too_little_to_calibrate_from() {
         .arg(spoiled.path("out"))
         .assert()
         .success();
+}
 
+#[test]
+fn no_centres() {
     let spoiled = Spoiled::new().replace("project.toml", "centers = \"centers.csv\"\n", "");
     spoiled.is_rejected(&["no micro-image centres", "--centers"]);
+}
+
+#[test]
+fn an_excluded_frame_that_does_not_exist() {
     Spoiled::new().is_rejected_with(&["--exclude-frames", "99"], &["frame 99"]);
 }
 
 #[test]
-fn a_camera_that_cannot_be() {
+fn a_project_of_no_possible_camera() {
     for (from, to, words) in [
         ("lens_types = 3", "lens_types = 1", &["I = 1", "q'"][..]),
         ("lens_types = 3", "lens_types = 2", &["2 lens types"]),
@@ -230,7 +245,7 @@ fn a_camera_that_cannot_be() {
 }
 
 #[test]
-fn a_camera_that_is_absurd() {
+fn a_project_of_an_absurd_camera() {
     for (from, to, words) in [
         ("lens_types = 3", "lens_types = 2000000000", &["2000000000 lens types"][..]),
         ("columns = 43", "columns = 2000000000", &["2000000000 x 37"]),
@@ -240,6 +255,10 @@ fn a_camera_that_is_absurd() {
     ] {
         Spoiled::new().replace("project.toml", from, to).is_rejected(words);
     }
+}
+
+#[test]
+fn a_damaged_camera_file() {
     let spoiled = Spoiled::new();
     let truth = fs::read_to_string(synthetic_folder().join("truth/camera.json")).unwrap();
     let camera = spoiled.path("camera.json");
@@ -248,7 +267,8 @@ fn a_camera_that_is_absurd() {
         ("\"pitch_mm\": 0.126", "\"pitch_mm\": 0.0", &["dC (mm)"]),
         ("\"version\": 1", "\"version\": 7", &["version 7"]),
         ("\"f_number\": 2.8", "\"f_number\": 0.0", &["f-number"]),
-        ("\"shifted\": \"even\"", "\"shifted\": \"odd\"", &["shifted"]),
+        ("\"shifted\": \"even\"", "\"shifted\": \"both\"", &["camera.json", "both"]),
+        ("\"shifted\": \"even\"", "\"shifted\": \"odd\"", &["different cameras"]),
         ("\"sensor\"", "\"censor\"", &["camera.json", "sensor"]),
     ] {
         assert!(truth.contains(from), "{from}");
@@ -258,11 +278,14 @@ fn a_camera_that_is_absurd() {
 }
 
 #[test]
-fn indices_and_positions_that_do_not_belong_together() {
+fn a_feature_outside_its_micro_image() {
     Spoiled::new()
         .append("features.csv", "5,5,900.0,700.0,0.1,3,0")
         .is_rejected(&["corner 3", "(5, 5)", "0 more"]);
-    // Rows counted from 1.
+}
+
+#[test]
+fn centres_with_rows_counted_from_another_one() {
     let shifted = |text: String| {
         let mut lines = text.lines();
         let mut edited = lines.next().unwrap().to_owned() + "\n";
@@ -276,6 +299,10 @@ fn indices_and_positions_that_do_not_belong_together() {
         edited
     };
     Spoiled::new().edit("centers.csv", shifted).is_rejected(&["indices and positions"]);
+}
+
+#[test]
+fn centres_of_a_single_row() {
     let one_row = |text: String| {
         let kept = |line: &&str| line.starts_with('k') || line.split(',').nth(1) == Some("5");
         text.lines().filter(kept).collect::<Vec<_>>().join("\n")
@@ -291,7 +318,7 @@ fn a_refinement_that_diverges_says_so() {
 }
 
 #[test]
-fn options_that_cannot_be() {
+fn impossible_options() {
     let spoiled = Spoiled::new();
     spoiled.is_rejected_with(&["--fix", "focal"], &["'focal'", "theta_x"]);
     spoiled.is_rejected_with(&["--uv-std-dev", "0"], &["(u, v)", "0"]);
@@ -300,6 +327,11 @@ fn options_that_cannot_be() {
     spoiled.is_rejected_with(&["--uv-std-dev", "-1"], &["(u, v)", "-1"]);
     spoiled.is_rejected_with(&["--mode", "poses-only"], &["--camera"]);
     spoiled.is_rejected_with(&["--threads", "0"], &["threads"]);
+}
+
+#[test]
+fn damaged_internal_parameters() {
+    let spoiled = Spoiled::new();
     let params = spoiled.path("params.js");
     fs::write(&params, r#"{"m": "-0.14", "q_prime": ["0.035", "0.040"], "I": "3"}"#).unwrap();
     spoiled.is_rejected_with(&["--params", params.to_str().unwrap()], &["params.js", "I is 3"]);
@@ -310,39 +342,35 @@ fn options_that_cannot_be() {
     spoiled.is_rejected_with(&["--params", params.to_str().unwrap()], &["params.js", "JSON"]);
 }
 
+/// Calibrates into a place that cannot be written.
+fn assert_cannot_write(spoiled: &Spoiled, out: &Path, words: &str) {
+    let mut command = plenocal();
+    command.arg("calibrate").arg(spoiled.path("project.toml")).arg("--out").arg(out);
+    command.assert().code(1).stderr(predicate::str::contains(words));
+}
+
 #[test]
-fn results_that_cannot_be_written() {
+fn results_in_the_place_of_a_file() {
     let spoiled = Spoiled::new();
     let out = spoiled.path("centers.csv");
-    plenocal()
-        .arg("calibrate")
-        .arg(spoiled.path("project.toml"))
-        .arg("--out")
-        .arg(&out)
-        .assert()
-        .code(1)
-        .stderr(predicate::str::contains("centers.csv"));
+    assert_cannot_write(&spoiled, &out, "centers.csv");
     assert!(out.is_file());
-    // A folder has the name of a result: the others do not appear either.
+}
+
+/// A folder has the name of a result: the others do not appear either.
+#[test]
+fn a_result_in_the_place_of_a_folder() {
+    let spoiled = Spoiled::new();
     let out = spoiled.path("results");
     fs::create_dir_all(out.join("solver.txt")).unwrap();
-    plenocal()
-        .arg("calibrate")
-        .arg(spoiled.path("project.toml"))
-        .arg("--out")
-        .arg(&out)
-        .assert()
-        .code(1)
-        .stderr(predicate::str::contains("solver.txt"));
+    assert_cannot_write(&spoiled, &out, "solver.txt");
     assert_eq!(fs::read_dir(&out).unwrap().count(), 1);
-    plenocal()
-        .arg("calibrate")
-        .arg(spoiled.path("project.toml"))
-        .arg("--out")
-        .arg(Path::new("/proc/none"))
-        .assert()
-        .code(1)
-        .stderr(predicate::str::contains("cannot write"));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn results_where_not_even_root_may_write() {
+    assert_cannot_write(&Spoiled::new(), Path::new("/proc/none"), "cannot write");
 }
 
 /// Fronto-parallel boards leave F and distance hard to separate: that is said, not hidden.
@@ -362,6 +390,7 @@ fn fronto_parallel_boards_bring_a_warning() {
     let observations = synthesize(&true_camera(), &board(), &poses, &noise, 3).unwrap();
     let options: CalibrationOptions = options();
     let calibration = run(&datasheet_start(), &observations, &options);
-    let warning = calibration.warnings.iter().find(|w| w.contains("fronto-parallel")).unwrap();
+    let mut warnings = calibration.warnings.iter().map(ToString::to_string);
+    let warning = warnings.find(|w| w.contains("fronto-parallel")).unwrap();
     assert!(warning.contains("F and the distance"), "{warning}");
 }

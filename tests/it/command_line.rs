@@ -77,7 +77,7 @@ fn single_files_and_a_project_give_the_same() {
 }
 
 #[test]
-fn options_of_the_command_line_go_before_the_project() {
+fn options_of_the_command_line_take_precedence_over_the_project() {
     let folder = TempDir::new().unwrap();
     let project = folder.path().join("project.toml");
     let mut text = fs::read_to_string(synthetic_folder().join("project.toml")).unwrap();
@@ -143,15 +143,29 @@ fn poses_only_goes_on_from_a_calibrated_camera() {
 }
 
 #[test]
-fn help_teaches() {
+fn the_help_of_a_command_has_examples_and_its_modes() {
     plenocal()
         .args(["calibrate", "--help"])
         .assert()
         .success()
         .stdout(predicate::str::contains("Examples:"))
         .stdout(predicate::str::contains("corners-only"));
-    plenocal().arg("--help").assert().success().stdout(predicate::str::contains("Exit status"));
+}
+
+#[test]
+fn an_unknown_option_exits_with_2() {
     plenocal().args(["calibrate", "--no-such-option"]).assert().code(2);
+}
+
+/// The shipped features without their blur radii.
+fn pinhole_features(file: &Path) {
+    let text = fs::read_to_string(synthetic_folder().join("features.csv")).unwrap();
+    let without_rho = |line: &str| {
+        let fields: Vec<&str> = line.split(',').collect();
+        [&fields[..4], &fields[5..]].concat().join(",")
+    };
+    let lines: Vec<String> = text.lines().map(without_rho).collect();
+    fs::write(file, lines.join("\n")).unwrap();
 }
 
 #[test]
@@ -159,13 +173,7 @@ fn a_camera_of_pinholes_needs_no_blur_radii() {
     let folder = TempDir::new().unwrap();
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
     let features = folder.path().join("features.csv");
-    let text = fs::read_to_string(synthetic_folder().join("features.csv")).unwrap();
-    let without_rho = |line: &str| {
-        let fields: Vec<&str> = line.split(',').collect();
-        [&fields[..4], &fields[5..]].concat().join(",")
-    };
-    let lines: Vec<String> = text.lines().map(without_rho).collect();
-    fs::write(&features, lines.join("\n")).unwrap();
+    pinhole_features(&features);
     calibrate(&first)
         .args(["--mode", "corners-only", "--features"])
         .arg(&features)
@@ -175,6 +183,6 @@ fn a_camera_of_pinholes_needs_no_blur_radii() {
     command.args(["--mode", "poses-only", "--camera"]).arg(first.join("camera.json"));
     command.arg("--features").arg(&features);
     command.assert().success().stdout(predicate::str::contains("Rotation vector"));
-    // The camera was held, so there is no new one.
+    // The camera is fixed, so there is no new one.
     assert!(second.join("poses.json").exists() && !second.join("camera.json").exists());
 }

@@ -56,7 +56,10 @@ fn largest_difference(
     assert!(a.features.len() > 1000 && a.centers.len() > 1000);
     let features = a.features.iter().zip(&b.features).map(|(a, b)| {
         assert_eq!((a.frame, a.corner, a.k, a.l), (b.frame, b.corner, b.k, b.l));
-        (a.u_px - b.u_px).abs().max((a.v_px - b.v_px).abs()).max((a.rho_px - b.rho_px).abs())
+        (a.u_px - b.u_px)
+            .abs()
+            .max((a.v_px - b.v_px).abs())
+            .max((a.rho_px.unwrap() - b.rho_px.unwrap()).abs())
     });
     let centers = a.centers.iter().zip(&b.centers).map(|(a, b)| {
         assert_eq!((a.k, a.l), (b.k, b.l));

@@ -2,12 +2,14 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 use plenocal::image::{Color, RawImage, Samples};
 use plenocal::io::{ImagesSection, Project, write_png};
 use predicates::prelude::*;
 use tempfile::TempDir;
 
+use crate::prepared::Files;
 use crate::support::plenocal;
 
 /// f-numbers in names have two digits.
@@ -49,25 +51,15 @@ fn lists(images: &ImagesSection, folder: &Path) -> Vec<Vec<PathBuf>> {
         .collect()
 }
 
-#[test]
-fn a_simulated_set_gives_its_project() {
+/// A small simulated set in `set`, and in `projects/made.toml` a project made from it.
+static SIMULATED: LazyLock<Files> = LazyLock::new(|| {
     let folder = TempDir::new().unwrap();
     let set = folder.path().join("set");
-    let settings = [
-        ("rays", "16"),
-        ("boards.calibration", "4"),
-        ("boards.evaluation", "1"),
-        ("translation.images", "2"),
-    ];
     let mut simulate = plenocal();
-    simulate.args(["simulate", "--out"]).arg(&set);
-    for (key, value) in settings {
-        simulate.arg("--set").arg(format!("{key}={value}"));
-    }
-    simulate.assert().success();
-
-    let out = folder.path().join("projects/mini.toml");
-    init(&set, &out)
+    simulate.args(["simulate", "--set", "rays=16", "--set", "boards.calibration=4"]);
+    simulate.args(["--set", "boards.evaluation=1", "--set", "translation.images=2", "--out"]);
+    simulate.arg(&set).assert().success();
+    init(&set, &folder.path().join("projects/made.toml"))
         .args(["--preset", "mini", "--board", "8x5x3", "--step", "5"])
         .assert()
         .success()
@@ -75,8 +67,15 @@ fn a_simulated_set_gives_its_project() {
         .stdout(predicate::str::contains("taken as grey"))
         .stdout(predicate::str::contains("fill in").not())
         .stderr(predicate::str::is_empty());
-    let (made, own) =
-        (Project::read(&out).unwrap(), Project::read(&set.join("project.toml")).unwrap());
+    Files::read(folder.path())
+});
+
+#[test]
+fn a_simulated_set_gives_its_project() {
+    let folder = SIMULATED.copy();
+    let set = folder.path().join("set");
+    let made = Project::read(&folder.path().join("projects/made.toml")).unwrap();
+    let own = Project::read(&set.join("project.toml")).unwrap();
     assert_eq!(made.datasheet().unwrap(), own.datasheet().unwrap());
     assert_eq!(made.board, own.board);
     let (a, b) = (made.images.unwrap(), own.images.unwrap());
@@ -87,18 +86,22 @@ fn a_simulated_set_gives_its_project() {
     for (a, b) in a.whites.iter().zip(&b.whites) {
         assert!((a.f_number().unwrap() / b.f_number().unwrap() - 1.0).abs() < ROUNDED);
     }
-
-    let white = folder.path().join("white");
-    let mut command = plenocal();
-    command.arg("precalibrate").arg(&out).arg("--out").arg(&white);
-    command.assert().success().stderr(predicate::str::is_empty());
-    let mut command = plenocal();
-    command.arg("detect").arg(&out).arg("--precalibration").arg(&white).arg("--no-pictures");
-    command.arg("--out").arg(folder.path().join("boards")).assert().success();
 }
 
 #[test]
-fn what_is_not_known_is_a_comment() {
+fn the_project_of_a_simulated_set_serves_precalibration_and_detection() {
+    let folder = SIMULATED.copy();
+    let (project, white) = (folder.path().join("projects/made.toml"), folder.path().join("white"));
+    let mut command = plenocal();
+    command.arg("precalibrate").arg(&project).arg("--out").arg(&white);
+    command.assert().success().stderr(predicate::str::is_empty());
+    let mut command = plenocal();
+    command.arg("detect").arg(&project).arg("--precalibration").arg(&white).arg("--no-pictures");
+    command.arg("--out").arg(folder.path().join("boards")).assert().success();
+}
+
+/// Images whose names tell all kinds of things, and one file that is none.
+fn named_images() -> TempDir {
     let folder = folder_of(&[
         "N8.png",
         "n_5.6.png",
@@ -113,6 +116,12 @@ fn what_is_not_known_is_a_comment() {
         "steps/10.png",
     ]);
     fs::write(folder.path().join("notes.txt"), "no image").unwrap();
+    folder
+}
+
+#[test]
+fn what_is_not_known_is_a_comment() {
+    let folder = named_images();
     let out = folder.path().join("project.toml");
     init(folder.path(), &out)
         .assert()
@@ -131,8 +140,14 @@ fn what_is_not_known_is_a_comment() {
         assert!(text.contains(&format!("\n#   \"{name}\",")), "{text}");
     }
     assert!(text.contains("#   \"steps/2.png\",\n#   \"steps/10.png\",\n"), "{text}");
-    // Filled in it is a project.
-    let mut filled = text;
+}
+
+#[test]
+fn the_comments_filled_in_make_a_project() {
+    let folder = named_images();
+    let out = folder.path().join("project.toml");
+    init(folder.path(), &out).assert().success();
+    let mut filled = fs::read_to_string(&out).unwrap();
     for (key, value) in [
         ("pixel_size_mm", "0.0055"),
         ("focal_length_mm", "50"),
@@ -175,27 +190,37 @@ fn a_preset_of_another_sensor_leaves_its_size_open() {
     }
 }
 
-#[test]
-fn folders_that_cannot_be_used() {
+/// No project is made of a folder, and the message has all of `words`.
+fn is_rejected(images: &Path, words: &[&str]) {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("out/project.toml");
-    let rejected = |images: &Path, words: &[&str]| {
-        let mut assert = init(images, &out).assert().code(1).stdout(predicate::str::is_empty());
-        for word in words {
-            assert = assert.stderr(predicate::str::contains(*word));
-        }
-        assert!(!out.parent().unwrap().exists());
-    };
-    fs::write(folder.path().join("a.txt"), "").unwrap();
-    rejected(folder.path(), &["no images"]);
-    rejected(&folder.path().join("nowhere"), &["nowhere", "cannot read"]);
+    let mut assert = init(images, &out).assert().code(1).stdout(predicate::str::is_empty());
+    for word in words {
+        assert = assert.stderr(predicate::str::contains(*word));
+    }
+    assert!(!out.parent().unwrap().exists());
+}
 
+#[test]
+fn folders_without_images_are_refused() {
+    let folder = TempDir::new().unwrap();
+    fs::write(folder.path().join("a.txt"), "").unwrap();
+    is_rejected(folder.path(), &["no images"]);
+    is_rejected(&folder.path().join("nowhere"), &["nowhere", "cannot read"]);
+}
+
+#[test]
+fn images_of_two_sizes_are_refused() {
     let two = folder_of(&["white_f4.png", "white_f8.png", "board_1.png"]);
     write_image(&two.path().join("board_2.png"), 6, 8);
-    rejected(two.path(), &["board_2.png: 6 x 8", "3 of 4", "8 x 6"]);
+    is_rejected(two.path(), &["board_2.png: 6 x 8", "3 of 4", "8 x 6"]);
+}
+
+#[test]
+fn an_image_that_cannot_be_read_is_refused() {
     let broken = folder_of(&["white_f4.png"]);
     fs::write(broken.path().join("white_f8.png"), "no image").unwrap();
-    rejected(broken.path(), &["white_f8.png"]);
+    is_rejected(broken.path(), &["white_f8.png"]);
 }
 
 #[test]

@@ -1,25 +1,32 @@
 //! Tests of whole stages and of the command line.
 //!
-//! Those on the real R12-A observations need `PLENOCAL_R12A`, the folder that holds them; those
-//! against the independent Ceres program need `PLENOCAL_PLAIN_CERES`, its executable; that of reports
-//! in a browser needs `PLENOCAL_CHROMIUM`, its name.
+//! Some need what is not always there, and are reported as ignored without it. Variables name it:
+//! `PLENOCAL_R12A` the folder of the real R12-A observations, `PLENOCAL_WHITES` that of real white
+//! images, `PLENOCAL_PLAIN_CERES` the independent Ceres program, `PLENOCAL_CHROMIUM` a browser;
+//! `PLENOCAL_TOOLS` says that bash, zsh, fish and groff are installed.
 
 mod bad_input;
 mod command_line;
 mod compote;
+mod detect;
 mod detection;
 mod floors;
+mod house;
 mod independent;
 mod init;
 #[cfg(unix)]
 mod interrupt;
 mod manners;
+mod micro_images;
 mod modes;
 mod oracle;
+mod precalibrate;
 mod precalibration;
+mod prepared;
 mod r12a;
 mod recovery;
 mod report;
 mod run;
+mod simulate;
 mod simulation;
 mod support;

@@ -1,7 +1,7 @@
 //! What surrounds the commands: records, completions, manual pages, places that cannot be written.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use predicates::prelude::*;
@@ -40,50 +40,69 @@ fn records_go_to_stderr_and_json_stays_pure() {
 }
 
 #[test]
-fn the_help_tells_the_order_of_things() {
+fn the_help_lists_commands_in_the_order_of_use() {
     let help = plenocal().arg("--help").output().unwrap();
     let help = String::from_utf8(help.stdout).unwrap();
     let at = |word: &str| help.find(&format!("\n  {word} ")).unwrap_or_else(|| panic!("{word}"));
     let order =
         ["init", "run", "precalibrate", "detect", "calibrate", "evaluate", "completions"].map(at);
     assert!(order.is_sorted(), "{help}");
-    for word in ["From images to a report", "130  interrupted", "--verbose"] {
+    for word in ["From images to a report", "Exit status", "130  interrupted", "--verbose"] {
         assert!(help.contains(word), "{word}");
     }
 }
 
-#[test]
-fn completions_of_every_shell() {
-    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
-        plenocal()
-            .args(["completions", shell])
-            .assert()
-            .success()
-            .stdout(predicate::str::contains("precalibrate"));
-    }
-    if let (true, Ok(full)) = (cfg!(target_os = "linux"), fs::File::create("/dev/full")) {
-        let mut command = Command::new(assert_cmd::cargo::cargo_bin("plenocal"));
-        let output = command.args(["completions", "bash"]).stdout(full).output().unwrap();
-        assert_eq!(output.status.code(), Some(1));
-        assert!(String::from_utf8_lossy(&output.stderr).contains("cannot write standard output"));
-    }
-    plenocal().args(["completions", "cmd"]).assert().code(2);
-    let folder = TempDir::new().unwrap();
-    let script = folder.path().join("plenocal.bash");
-    let output = plenocal().args(["completions", "bash"]).output().unwrap();
-    fs::write(&script, output.stdout).unwrap();
-    let Ok(checked) = Command::new("bash").arg("-n").arg(&script).output() else {
-        eprintln!("skipped: bash is not installed");
-        return;
-    };
-    assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stderr));
+fn completions(shell: &str) -> Vec<u8> {
+    let output = plenocal().args(["completions", shell]).output().unwrap();
+    assert!(output.status.success(), "{shell}");
+    output.stdout
 }
 
 #[test]
-fn a_manual_page_for_every_command() {
+fn completions_of_every_shell_name_the_commands() {
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let script = String::from_utf8(completions(shell)).unwrap();
+        assert!(script.contains("precalibrate"), "{shell}");
+    }
+    plenocal().args(["completions", "cmd"]).assert().code(2);
+}
+
+#[test]
+#[cfg_attr(not(plenocal_tools), ignore = "needs bash, zsh and fish; run by `make test-all`")]
+fn shells_read_their_completions() {
+    let folder = TempDir::new().unwrap();
+    for shell in ["bash", "zsh", "fish"] {
+        let script = folder.path().join(shell);
+        fs::write(&script, completions(shell)).unwrap();
+        let Output { status, stderr, .. } =
+            Command::new(shell).arg("-n").arg(&script).output().expect(shell);
+        assert!(status.success(), "{shell}: {}", String::from_utf8_lossy(&stderr));
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_is_an_error() {
+    let full = fs::File::create("/dev/full").unwrap();
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin("plenocal"));
+    let output = command.args(["completions", "bash"]).stdout(full).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("cannot write standard output"));
+}
+
+/// Writes the manual pages into a folder.
+fn manual_pages(out: &Path) -> Vec<PathBuf> {
+    plenocal().args(["man", "--out"]).arg(out).assert().success();
+    let mut pages: Vec<_> = fs::read_dir(out).unwrap().map(|entry| entry.unwrap().path()).collect();
+    pages.sort();
+    pages
+}
+
+#[test]
+fn every_command_has_a_manual_page() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("man1");
-    plenocal().args(["man", "--out"]).arg(&out).assert().success();
+    let written = manual_pages(&out);
     let help = plenocal().arg("--help").output().unwrap();
     let help = String::from_utf8(help.stdout).unwrap();
     let (_, commands) = help.split_once("Commands:\n").unwrap();
@@ -91,25 +110,31 @@ fn a_manual_page_for_every_command() {
     // Lines that are indented further go on with a description.
     let names = commands.lines().filter(|line| !line.starts_with("   "));
     let names = names.filter_map(|line| line.split_whitespace().next()).filter(|n| *n != "help");
-    let mut pages = vec!["plenocal.1".to_owned()];
-    pages.extend(names.map(|name| format!("plenocal-{name}.1")));
+    let mut pages = vec![out.join("plenocal.1")];
+    pages.extend(names.map(|name| out.join(format!("plenocal-{name}.1"))));
     assert!(pages.len() > 6, "{pages:?}");
-    assert_eq!(fs::read_dir(&out).unwrap().count(), pages.len());
+    pages.sort();
+    assert_eq!(written, pages);
     for page in pages {
-        let text = fs::read_to_string(out.join(&page)).unwrap();
-        assert!(text.contains(".SH SYNOPSIS"), "{page}");
+        let text = fs::read_to_string(&page).unwrap();
+        assert!(text.contains(".SH SYNOPSIS"), "{}", page.display());
+    }
+}
+
+#[test]
+#[cfg_attr(not(plenocal_tools), ignore = "needs groff; run by `make test-all`")]
+fn groff_formats_the_manual_pages_without_a_warning() {
+    let folder = TempDir::new().unwrap();
+    for page in manual_pages(folder.path()) {
         let mut groff = Command::new("groff");
-        groff.args(["-man", "-Tutf8", "-ww"]).arg(out.join(&page));
-        let Ok(Output { status, stderr, .. }) = groff.output() else {
-            eprintln!("skipped: groff is not installed");
-            continue;
-        };
+        groff.args(["-man", "-Tutf8", "-ww"]).arg(&page);
+        let Output { status, stderr, .. } = groff.output().expect("groff");
         assert!(status.success() && stderr.is_empty(), "{}", String::from_utf8_lossy(&stderr));
     }
 }
 
 #[test]
-fn places_that_cannot_be_written() {
+fn a_folder_below_a_file_is_an_error() {
     let folder = TempDir::new().unwrap();
     let file = folder.path().join("file");
     fs::write(&file, "").unwrap();
@@ -127,21 +152,41 @@ fn places_that_cannot_be_written() {
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
-/// Permissions are no obstacle to root.
-#[cfg(unix)]
+/// Permissions do not bind root, who therefore runs the program as the user `nobody`.
+#[cfg(target_os = "linux")]
 #[test]
-fn a_folder_without_permission() {
+fn a_folder_without_permission_is_an_error() {
     use std::os::unix::fs::PermissionsExt;
+    const NOBODY: &str = "65534";
     let folder = TempDir::new().unwrap();
-    fs::set_permissions(folder.path(), fs::Permissions::from_mode(0o500)).unwrap();
-    if fs::write(folder.path().join("try"), "").is_ok() {
-        eprintln!("skipped: this user may write everywhere");
-        return;
+    let mode =
+        |path: &Path, mode| fs::set_permissions(path, fs::Permissions::from_mode(mode)).unwrap();
+    // The other user may read neither the source tree nor a temporary folder as it is made.
+    mode(folder.path(), 0o755);
+    for file in ["project.toml", "centers.csv", "features.csv"] {
+        fs::copy(synthetic_folder().join(file), folder.path().join(file)).unwrap();
+        mode(&folder.path().join(file), 0o644);
     }
-    let out = folder.path().join("new");
-    calibrate(&out)
+    let program = folder.path().join("plenocal");
+    fs::copy(assert_cmd::cargo::cargo_bin("plenocal"), &program).unwrap();
+    mode(&program, 0o755);
+    let closed = folder.path().join("closed");
+    fs::create_dir(&closed).unwrap();
+    mode(&closed, 0o555);
+    let is_root = fs::write(closed.join("try"), "").is_ok();
+    let mut command = if is_root {
+        let mut command = Command::new("setpriv");
+        command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]).arg(program);
+        command
+    } else {
+        Command::new(program)
+    };
+    let out = closed.join("new");
+    command.arg("calibrate").arg(folder.path().join("project.toml")).arg("--out").arg(&out);
+    assert_cmd::Command::from_std(command)
         .assert()
         .code(1)
         .stderr(predicate::str::contains("cannot write"))
         .stderr(predicate::str::contains(out.to_str().unwrap()));
+    assert!(!out.exists());
 }

@@ -1,6 +1,6 @@
 //! The ways of calibrating other than the paper's own.
 
-use plenocal::calibration::{Mode, Start, calibrate};
+use plenocal::calibration::{Mode, NoPose, Start, calibrate};
 use plenocal::solver::{Iteration, Termination};
 
 use crate::support::{
@@ -61,7 +61,7 @@ fn a_single_lens_type_is_calibrated_too() {
 }
 
 #[test]
-fn held_parameters_keep_their_value() {
+fn fixed_parameters_keep_their_value() {
     let mut options = options();
     options.cost.fixed.extend(["F", "Q3", "f_2"].map(str::to_owned));
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
@@ -70,9 +70,9 @@ fn held_parameters_keep_their_value() {
     for ((name, value, start), std_dev) in
         pairs(&calibration.camera, &calibration.initial).iter().zip(std_devs)
     {
-        let held = ["F", "Q3", "f_2", "dC_ratio"].contains(&name);
-        assert_eq!(value.to_bits() == start.to_bits(), held, "{name}");
-        assert_eq!(std_dev.is_none(), held, "{name}");
+        let fixed = ["F", "Q3", "f_2", "dC_ratio"].contains(name);
+        assert_eq!(value.to_bits() == start.to_bits(), fixed, "{name}");
+        assert_eq!(std_dev.is_none(), fixed, "{name}");
     }
 }
 
@@ -125,7 +125,7 @@ fn a_frame_whose_corners_lie_on_a_line_is_left_out_by_name() {
     assert_eq!(calibration.poses.len(), true_poses().len() - 1);
     let [left_out] = calibration.left_out.as_slice() else { panic!("one frame is left out") };
     assert_eq!(left_out.frame, 4);
-    assert!(left_out.reason.contains("line"), "{left_out}");
+    assert!(left_out.reason == NoPose::Collinear, "{left_out}");
     let used = calibration.reprojection.features.len();
     assert_eq!(used + left_out.features, observations.features.len());
 }
@@ -152,7 +152,7 @@ fn what_is_not_observed_is_named() {
     let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
     assert!(std_devs[19].unwrap().is_infinite());
     assert!(std_devs[..19].iter().flatten().all(|s| s.is_finite()));
-    assert!(calibration.warnings.iter().any(|w| w.contains("not determined: f_3.")));
+    assert!(calibration.warnings.iter().any(|w| w.to_string().contains("not determined: f_3.")));
     let weakest = &calibration.uncertainty.weakest_directions(3)[0];
     assert!(!weakest.determined);
     assert_eq!(weakest.components[0].name, "f_3");
@@ -161,7 +161,7 @@ fn what_is_not_observed_is_named() {
 #[test]
 fn a_wrong_sign_of_rho_brings_a_warning() {
     let mut observations = shipped_observations();
-    observations.features.iter_mut().for_each(|f| f.rho_px = -f.rho_px);
+    observations.features.iter_mut().for_each(|f| f.rho_px = f.rho_px.map(|rho| -rho));
     let calibration = run(&datasheet_start(), &observations, &options());
-    assert!(calibration.warnings.iter().any(|w| w.contains("sign of rho")));
+    assert!(calibration.warnings.iter().any(|w| w.to_string().contains("sign of rho")));
 }

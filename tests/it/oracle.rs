@@ -3,11 +3,14 @@
 use std::collections::HashMap;
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use plenocal::image::Image;
 use plenocal::model::{BapFeature, Board, FramePose, PlenopticCamera, optics};
 use plenocal::simulation::{Imperfections, Scene, Settings, Target, Tracer};
 use plenocal::solver::synthesize;
 
 use crate::support::{NO_NOISE, preset};
+
+type Pose = Isometry3<f64>;
 
 /// Without tilt both are the same geometry: what is left is rounding, 1e-16 of 60 mm seen through
 /// pixels of 1.4 µm and a virtual depth up to 100.
@@ -52,7 +55,7 @@ fn differences(camera: &PlenopticCamera, board: &Board, poses: &[FramePose]) -> 
         let point = poses[f.frame as usize].camera_from_board * board.point_mm(f.corner);
         let spot = tracer.spot(&point, f.k, f.l).unwrap();
         center = center.max((spot.center_px.x - f.u_px).hypot(spot.center_px.y - f.v_px));
-        radius = radius.max((spot.radius_px - f.rho_px).abs());
+        radius = radius.max((spot.radius_px - f.rho_px.unwrap()).abs());
     }
     (center, radius, observations.features.len())
 }
@@ -83,17 +86,95 @@ fn traced_spots_lie_where_the_closed_form_projects_them() {
     }
 }
 
+/// Some thousand rays hit a tiny board through a micro-lens, spread over a disc of 2 to 5 px: the
+/// middle is known to 2 in √1000, and half the light that oblique rays lose tips the balance by a
+/// hundredth of the radius.
+const RENDERED_PX: f64 = 0.1;
+/// Averaged over the micro-images of all boards.
+const RENDERED_MEAN_PX: f64 = 0.03;
+
+/// The closed form of a tiny board in one micro-image.
+struct Spot {
+    lens: (i32, i32),
+    u_px: f64,
+    v_px: f64,
+    rho_px: f64,
+    /// Spread of the board's own pattern along one axis, px².
+    pattern_px2: f64,
+}
+
+/// The tiny board in the micro-images that all its light goes through.
+fn whole_spots(
+    camera: &PlenopticCamera,
+    tracer: &Tracer,
+    target: &Target,
+    pose: &Pose,
+) -> Vec<Spot> {
+    let frame = FramePose { frame: 0, camera_from_board: *pose };
+    let corners = synthesize(camera, &target.board(), &[frame], &NO_NOISE, 0).unwrap();
+    let mut by_micro_image: HashMap<(i32, i32), Vec<_>> = HashMap::new();
+    for f in &corners.features {
+        by_micro_image.entry((f.k, f.l)).or_default().push(f);
+    }
+    let half = target.square_mm / 2.0;
+    let is_whole =
+        |(k, l)| tracer.spot(&(pose * Point3::new(half, half, 0.0)), k, l).unwrap().visible > 0.999;
+    by_micro_image
+        .into_iter()
+        .filter(|(lens, corners)| corners.len() == 4 && is_whole(*lens))
+        .map(|(lens, corners)| {
+            let mean = |f: fn(&BapFeature) -> f64| corners.iter().map(|c| f(c)).sum::<f64>() / 4.0;
+            // Four white squares beside the middle one: ½ + 1/12 of a square's edge squared along
+            // each axis, here in the mean of both.
+            let edge = |a: usize, b: usize| {
+                (corners[a].u_px - corners[b].u_px).powi(2)
+                    + (corners[a].v_px - corners[b].v_px).powi(2)
+            };
+            let pattern_px2 = (0.5 + 1.0 / 12.0) * (edge(0, 1) + edge(0, 2)) / 2.0 / 2.0;
+            let (u_px, v_px) = (mean(|c| c.u_px), mean(|c| c.v_px));
+            Spot { lens, u_px, v_px, rho_px: mean(|c| c.rho_px.unwrap()), pattern_px2 }
+        })
+        .collect()
+}
+
+/// How far the middle of the light lies from the closed form, and the radius of the disc that it
+/// would be without pattern and pixels.
+fn rendered(image: &Image, spot: &Spot) -> ([f64; 2], f64) {
+    let reach = spot.rho_px.abs() + 2.0;
+    let (mut sum, mut moment, mut spread) = (0.0, [0.0; 2], 0.0);
+    for (y, x) in (0..image.height).flat_map(|y| (0..image.width).map(move |x| (y, x))) {
+        let (dx, dy) = (x as f64 - spot.u_px, y as f64 - spot.v_px);
+        if dx.hypot(dy) <= reach {
+            let light = f64::from(image.at(x, y));
+            sum += light;
+            moment = [moment[0] + light * dx, moment[1] + light * dy];
+            spread += light * (dx * dx + dy * dy);
+        }
+    }
+    let [du, dv] = moment.map(|m| m / sum);
+    let variance = (spread / sum - du * du - dv * dv) / 2.0;
+    ([du, dv], 2.0 * (variance - spot.pattern_px2 - 1.0 / 12.0).max(0.0).sqrt())
+}
+
+/// A board of one square, tilted, of the same size in the image at any distance.
+fn tiny_board(z: f64, (x, y): (f64, f64)) -> (Target, Pose) {
+    let target = Target {
+        columns: 2,
+        rows: 2,
+        square_mm: 0.05 * z / 70.0,
+        border_mm: 0.0,
+        white: 1.0,
+        black: 0.0,
+        background: 0.0,
+    };
+    let turn = UnitQuaternion::from_euler_angles(0.4, -0.3, 0.2);
+    (target, Isometry3::from_parts(Translation3::new(x * z, y * z, z), turn))
+}
+
 /// The light of a tiny board, rendered: its middle lies where the closed form projects it, and its
 /// spread is that of a disc of radius |ρ|, of the board's own pattern and of a pixel.
 #[test]
 fn rendered_spots_have_the_centre_and_radius_of_the_closed_form() {
-    /// Some thousand rays hit the board through a micro-lens, spread over a disc of 2 to 5 px: the
-    /// middle is known to 2 in √1000, and half the light that oblique rays lose tips the balance by
-    /// a hundredth of the radius.
-    const BOUND_PX: f64 = 0.1;
-    /// The same averaged over the micro-images of all boards.
-    const MEAN_BOUND_PX: f64 = 0.03;
-    const SQUARE_MM: f64 = 0.05;
     let mut compared = 0;
     for (name, depths) in [("mini", [68.0, 80.0]), ("keplerian", [190.0, 300.0])] {
         let mut camera = preset(name, &[]).camera;
@@ -101,81 +182,30 @@ fn rendered_spots_have_the_centre_and_radius_of_the_closed_form() {
         (camera.lattice.columns, camera.lattice.rows) = (7, 6);
         (camera.sensor.width_px, camera.sensor.height_px) = (120, 90);
         camera.mla.principal_point_px = camera.sensor.center_px().add_scalar(7.0);
+        let tracer = Tracer::new(&camera, 4.0, &Imperfections::default(), 0).unwrap();
         let mut errors = Vec::new();
         let places = [(0.01, -0.005), (-0.006, 0.004)];
-        for (z, (x, y)) in depths.into_iter().flat_map(|z| places.map(|place| (z, place))) {
-            let square_mm = SQUARE_MM * z / 70.0;
-            let target = Target {
-                columns: 2,
-                rows: 2,
-                square_mm,
-                border_mm: 0.0,
-                white: 1.0,
-                black: 0.0,
-                background: 0.0,
-            };
-            let turn = UnitQuaternion::from_euler_angles(0.4, -0.3, 0.2);
-            let place = Translation3::new(x * z, y * z, z);
-            let pose = Isometry3::from_parts(place, turn);
-            let frame = FramePose { frame: 0, camera_from_board: pose };
-            let corners = synthesize(&camera, &target.board(), &[frame], &NO_NOISE, 0).unwrap();
-            let tracer = Tracer::new(&camera, 4.0, &Imperfections::default(), 0).unwrap();
+        for (z, place) in depths.into_iter().flat_map(|z| places.map(|place| (z, place))) {
+            let (target, pose) = tiny_board(z, place);
             let image = tracer.render(&Scene::Board(target, pose), 8192, 1, &|| ()).unwrap();
-            let mut by_micro_image: HashMap<(i32, i32), Vec<_>> = HashMap::new();
-            for f in &corners.features {
-                by_micro_image.entry((f.k, f.l)).or_default().push(f);
-            }
-            let whole = |&(k, l): &(i32, i32)| {
-                let p = pose * Point3::new(square_mm / 2.0, square_mm / 2.0, 0.0);
-                tracer.spot(&p, k, l).unwrap().visible > 0.999
-            };
-            let middles: Vec<_> = by_micro_image
-                .into_iter()
-                .filter(|(lens, corners)| corners.len() == 4 && whole(lens))
-                .map(|(lens, corners)| {
-                    let mean =
-                        |f: fn(&BapFeature) -> f64| corners.iter().map(|c| f(c)).sum::<f64>() / 4.0;
-                    // Four white squares beside the middle one: ½ + 1/12 of a square's edge
-                    // squared along each axis, here in the mean of both.
-                    let edge = |a: usize, b: usize| {
-                        (corners[a].u_px - corners[b].u_px).powi(2)
-                            + (corners[a].v_px - corners[b].v_px).powi(2)
-                    };
-                    let pattern = (0.5 + 1.0 / 12.0) * (edge(0, 1) + edge(0, 2)) / 2.0 / 2.0;
-                    (lens, [mean(|c| c.u_px), mean(|c| c.v_px), mean(|c| c.rho_px)], pattern)
-                })
-                .collect();
-            for ((k, l), [u, v, rho], pattern) in middles {
-                let reach = rho.abs() + 2.0;
-                let (mut sum, mut moment, mut spread) = (0.0, [0.0; 2], 0.0);
-                for (y, x) in (0..image.height).flat_map(|y| (0..image.width).map(move |x| (y, x)))
-                {
-                    let (dx, dy) = (x as f64 - u, y as f64 - v);
-                    if dx.hypot(dy) <= reach {
-                        let light = f64::from(image.at(x, y));
-                        sum += light;
-                        moment = [moment[0] + light * dx, moment[1] + light * dy];
-                        spread += light * (dx * dx + dy * dy);
-                    }
-                }
-                let [du, dv] = moment.map(|m| m / sum);
-                let variance = (spread / sum - du * du - dv * dv) / 2.0;
-                let radius = 2.0 * (variance - pattern - 1.0 / 12.0).max(0.0).sqrt();
+            for spot in whole_spots(&camera, &tracer, &target, &pose) {
+                let ([du, dv], radius) = rendered(&image, &spot);
+                let (rho, (k, l)) = (spot.rho_px, spot.lens);
                 println!(
                     "{name}, {z} mm, ({k}, {l}): off by {du:+.3}, {dv:+.3} px; radius {radius:.3} \
                      px for {rho:+.3} px"
                 );
-                assert!(du.abs() < BOUND_PX && dv.abs() < BOUND_PX, "{name} ({k}, {l})");
+                assert!(du.abs() < RENDERED_PX && dv.abs() < RENDERED_PX, "{name} ({k}, {l})");
                 // A spot as small as the pattern has no radius to speak of.
                 if rho.abs() > 1.5 {
-                    assert!((radius - rho.abs()).abs() < BOUND_PX, "{name} ({k}, {l}): {radius}");
+                    let off = radius - rho.abs();
+                    assert!(off.abs() < RENDERED_PX, "{name} ({k}, {l}): {radius}");
                 }
-                errors.push((du, dv));
+                errors.push([du, dv]);
             }
         }
-        let mean =
-            |f: fn(&(f64, f64)) -> f64| errors.iter().map(f).sum::<f64>() / errors.len() as f64;
-        assert!(mean(|e| e.0).abs() < MEAN_BOUND_PX && mean(|e| e.1).abs() < MEAN_BOUND_PX);
+        let mean = |i: usize| errors.iter().map(|e| e[i]).sum::<f64>() / errors.len() as f64;
+        assert!(mean(0).abs() < RENDERED_MEAN_PX && mean(1).abs() < RENDERED_MEAN_PX);
         compared += errors.len();
     }
     assert!(compared >= 12, "only {compared} spots are whole");

@@ -1,25 +1,18 @@
-//! White images: from pixels to the array and the internal parameters, on simulated and on real ones.
+//! White images: from pixels to the internal parameters, on simulated ones.
 
 use std::collections::HashMap;
-use std::fs;
-use std::path::Path;
+use std::sync::LazyLock;
 
 use nalgebra::Vector2;
-use plenocal::image::{Color, RawImage, Samples};
-use plenocal::io::{read_image, read_raytrix};
-use plenocal::model::{
-    Configuration, Lattice, LatticeKind, MicroImageCenter, Packing, Parity, optics,
-};
+use plenocal::image::{RawImage, Samples};
+use plenocal::model::{Configuration, Datasheet, LatticeKind, MicroImageCenter, optics};
 use plenocal::precalibration::{
-    ArrayMeasurement, MicroImageArray, Precalibration, PrecalibrationOptions, RadiusEstimator,
-    White, fit_grid, measure_array, precalibrate,
+    ArrayMeasurement, Precalibration, PrecalibrationOptions, RadiusEstimator, White, fit_grid,
+    precalibrate,
 };
 use plenocal::simulation::{DataSet, Settings, Shot};
-use predicates::prelude::PredicateBooleanExt;
-use predicates::str::contains;
-use tempfile::TempDir;
 
-use crate::support::{plenocal, preset};
+use crate::support::preset;
 
 /// The limits that the pre-calibration is held to: centres, px RMS; pitch, relative; rotation, rad;
 /// m and q', relative.
@@ -50,7 +43,7 @@ fn taken(settings: &Settings) -> (Vec<White>, White) {
 }
 
 /// Distances of measured centres to the true ones, and the grid of the true ones.
-fn compare(settings: &Settings, array: &ArrayMeasurement) -> (f64, f64, f64) {
+pub fn compare(settings: &Settings, array: &ArrayMeasurement) -> (f64, f64, f64) {
     let truth = settings.tracer(settings.board_f_number()).unwrap().centers();
     let truth: Vec<MicroImageCenter> = truth.iter().map(|t| t.center).collect();
     let by_index: HashMap<_, _> =
@@ -105,276 +98,142 @@ fn an_r12_is_measured_from_its_white_images() {
     assert_right("r12-a", &settings, &result);
 }
 
-#[test]
-fn small_cameras_are_measured_in_every_colour_exposure_and_configuration() {
-    for (name, replaced) in [
-        ("mini", vec!["white_images.gain=4"]),
-        ("mini", vec!["imaging.color=bayer-gbrg", "imaging.bits=16"]),
-        ("mini", vec!["imaging.color=rgb", "white_images.exposure=0.4"]),
-        ("keplerian", vec![]),
-    ] {
-        let settings = preset(name, &replaced);
-        let (whites, reference) = taken(&settings);
-        let result = precalibrate(&whites, Some(&reference), &options(&settings), &|| ()).unwrap();
-        assert_right(&format!("{name} {replaced:?}"), &settings, &result);
-        // Without a reference the widest white image serves.
-        let result = precalibrate(&whites, None, &options(&settings), &|| ()).unwrap();
-        assert!(compare(&settings, &result.array).0 < CENTERS_PX);
-    }
-}
-
-/// A small camera's white image at f/8.
-fn small_white(replaced: &[&str]) -> (Settings, RawImage) {
-    let settings = preset("mini", replaced);
-    let shot = DataSet::plan(&settings, None).unwrap().devignetting;
-    let image = Shot { f_number: 8.0, ..shot }.take(&settings, &|| ()).unwrap();
-    (settings, image)
-}
-
-/// Centroids alone, without what other f-numbers tell of shading, which moves them by up to 0.1 px at
-/// the border of these images.
-const ALONE_PX: f64 = 0.12;
-
-#[test]
-fn any_lattice_pitch_and_rotation_is_found_unaided() {
-    for (lattice, pixel_size, rotation, pitch) in [
-        ("hexagonal-rows", 0.0183, 0.07, 7.0),
-        ("hexagonal-columns", 0.0107, -0.05, 12.0),
-        ("orthogonal", 0.0055, 0.1, 23.3),
-        ("hexagonal-columns", 0.0040, 0.09, 32.1),
-        ("hexagonal-rows", 0.0022, -0.08, 58.3),
-    ] {
-        let types = if lattice == "orthogonal" { "[0.55]" } else { "[0.578, 0.505, 0.552]" };
-        let replaced = [
-            "rays=16".to_owned(),
-            format!("camera.micro_lens_array.lattice={lattice}"),
-            format!("camera.micro_lens_array.rotation_rad=[0.0, 0.0, {rotation}]"),
-            format!("camera.micro_lens_array.focal_lengths_mm={types}"),
-            format!("camera.sensor.pixel_size_mm={pixel_size}"),
-            "camera.micro_lens_array.columns=180".to_owned(),
-            "camera.micro_lens_array.rows=180".to_owned(),
-            "camera.micro_lens_array.offset_mm=[0.0, 0.0]".to_owned(),
-            "camera.principal_point_px=[499.5, 374.5]".to_owned(),
-            "camera.main_lens.q1_per_mm2=0".to_owned(),
-            "camera.main_lens.q2_per_mm4=0".to_owned(),
-            "camera.main_lens.q3_per_mm6=0".to_owned(),
-            "boards.min_in_view=0".to_owned(),
-        ];
-        let replaced: Vec<&str> = replaced.iter().map(String::as_str).collect();
-        let (settings, image) = small_white(&replaced);
-        let array = measure_array(&image, None).unwrap();
-        let grid = &array.grid;
-        assert_eq!(grid.lattice.kind().name(), lattice);
-        assert!((grid.pitch_px / settings.camera.micro_image_pitch_px() - 1.0).abs() < 1e-3);
-        assert!((grid.pitch_px - pitch).abs() < 0.1, "{}", grid.pitch_px);
-        assert!((grid.rotation_rad - rotation).abs() < 1e-4, "{}", grid.rotation_rad);
-        // Each lies on a true one; indices count from another one.
-        let truth = settings.tracer(8.0).unwrap().centers();
-        let mut square = 0.0;
-        for c in array.centers.iter().step_by(7) {
-            let off = |t: &MicroImageCenter| (t.u_px - c.u_px).hypot(t.v_px - c.v_px);
-            square += truth.iter().map(|t| off(&t.center)).fold(f64::MAX, f64::min).powi(2);
-        }
-        let rms = (square / array.centers.len().div_ceil(7) as f64).sqrt();
-        println!("{lattice}, {pitch} px: {rms:.3} px RMS, {} centres", array.centers.len());
-        assert!(rms < ALONE_PX, "{lattice} at {pitch} px: {rms} px");
-        assert!(array.centers.len() * 10 > truth.len() * 7);
-    }
+/// With a reference and without, where the widest white image serves.
+fn assert_measured(name: &str, replaced: &[&str]) {
+    let settings = preset(name, replaced);
+    let (whites, reference) = taken(&settings);
+    let result = precalibrate(&whites, Some(&reference), &options(&settings), &|| ()).unwrap();
+    assert_right(&format!("{name} {replaced:?}"), &settings, &result);
+    let result = precalibrate(&whites, None, &options(&settings), &|| ()).unwrap();
+    assert!(compare(&settings, &result.array).0 < CENTERS_PX);
 }
 
 #[test]
-fn damage_is_left_out_by_reason_and_does_not_spoil_the_rest() {
-    let (settings, mut image) = small_white(&["imperfections.dead_micro_lenses=40"]);
-    // A black and a white patch, the black one where the pattern is looked for first.
-    let Samples::Bits8(samples) = &mut image.samples else { panic!("an image of 8 bits") };
-    for v in 250..500 {
-        samples[v * image.width..][350..650].fill(0);
-    }
-    for v in 20..150 {
-        samples[v * image.width..][20..150].fill(255);
-    }
-    let array = measure_array(&image, Some((43, 37))).unwrap();
-    let (rms, pitch, _) = compare(&settings, &array);
-    println!("{:?}, {rms:.3} px RMS, pitch {pitch:+.1e}", array.left_out);
-    assert!(rms < ALONE_PX, "{rms} px");
-    let all = settings.tracer(8.0).unwrap().centers();
-    let out = &array.left_out;
-    assert_eq!(array.centers.len() + out.cut + out.dark + out.saturated + out.misplaced, all.len());
-    // Three rows and columns of 23 px are within half a pitch of the border.
-    let at_border = |t: &plenocal::simulation::TrueCenter| {
-        let (u, v) = (t.center.u_px, t.center.v_px);
-        u.min(v).min(999.0 - u).min(749.0 - v) < 0.5 * array.grid.pitch_px
-    };
-    let at_border = all.iter().filter(|&t| at_border(t)).count();
-    println!("{at_border} at the border");
-    assert!((at_border..at_border + 40).contains(&out.cut), "{out:?}");
-    // 300 x 250 px hold 160 micro-images, and cut more at the edge; 40 are dead.
-    assert!((160..250).contains(&out.dark), "{out:?}");
-    // 130 x 130 px hold some 30, of which some at the edge still show one.
-    assert!((20..40).contains(&out.saturated), "{out:?}");
-}
-
-/// An image of 1000 x 750 px of discs at the centres of a grid, with a little noise.
-fn drawn(grid: &MicroImageArray, radius_px: f64) -> RawImage {
-    let (width, height) = (1000, 750);
-    let mut light = vec![0.0_f64; width * height];
-    let Lattice { columns, rows, .. } = grid.lattice;
-    for (k, l) in (0..rows).flat_map(|l| (0..columns).map(move |k| (k, l))) {
-        let center = grid.center_of(k, l);
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to the image
-        let range = |x: f64, length: usize| {
-            let end = (x + radius_px + 2.0).max(0.0) as usize;
-            (x - radius_px - 1.0).max(0.0) as usize..end.min(length)
-        };
-        for v in range(center.y, height) {
-            for u in range(center.x, width) {
-                let distance = (u as f64 - center.x).hypot(v as f64 - center.y);
-                light[v * width + u] += 150.0 * (radius_px + 0.5 - distance).clamp(0.0, 1.0);
-            }
-        }
-    }
-    // A hash for noise of up to 3 of 255.
-    let noise = |i: usize| (i.wrapping_mul(2_654_435_761) >> 7) % 1009 % 4;
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // from 0 to 255
-    let sample = |(i, &light): (usize, &f64)| (light + noise(i) as f64).clamp(0.0, 255.0) as u8;
-    let samples = Samples::Bits8(light.iter().enumerate().map(sample).collect());
-    RawImage { width, height, color: Color::Grey, samples }
+fn a_camera_is_measured_from_noisy_white_images() {
+    assert_measured("mini", &["white_images.gain=4"]);
 }
 
 #[test]
-fn an_array_smaller_than_the_sensor_is_counted_by_what_shows() {
-    use LatticeKind::{HexagonalColumns, HexagonalRows, Orthogonal};
-    for (kind, columns, rows, center, rotation_rad) in [
-        (HexagonalRows, 30, 22, (499.5, 374.5), 0.0),
-        (HexagonalRows, 29, 21, (470.0, 300.0), 0.02),
-        (HexagonalRows, 16, 12, (499.5, 374.5), 0.0),
-        (HexagonalColumns, 20, 24, (560.0, 374.5), -0.03),
-        (Orthogonal, 14, 12, (499.5, 374.5), 0.05),
-        // Beyond the right border.
-        (Orthogonal, 25, 20, (730.0, 400.0), 0.0),
-    ] {
-        let truth = MicroImageArray {
-            lattice: Lattice { packing: Packing::new(kind, Parity::Odd), columns, rows },
-            pitch_px: 23.3,
-            rotation_rad,
-            center_px: Vector2::new(center.0, center.1),
-            perspective_per_px: Vector2::zeros(),
-            rms_px: 0.0,
-            outliers: 0,
-        };
-        let image = drawn(&truth, 9.0);
-        let array = measure_array(&image, None).unwrap();
-        let (grid, out) = (&array.grid, &array.left_out);
-        println!("{kind:?}: {:?}, {out:?}", grid.lattice);
-        let shown = (0..columns).filter(|&k| truth.center_of(k, 0).x < 999.0).count();
-        assert_eq!(usize::try_from(grid.lattice.columns).unwrap(), shown);
-        assert_eq!((grid.lattice.kind(), grid.lattice.rows), (kind, rows));
-        assert!((grid.pitch_px - 23.3).abs() < 1e-3 && grid.rms_px < 0.1, "{grid:?}");
-        assert_eq!((out.dark, out.saturated, out.misplaced), (0, 0, 0));
-        for c in &array.centers {
-            let place = truth.center_of(c.k, c.l);
-            assert!((place - Vector2::new(c.u_px, c.v_px)).norm() < 0.2, "{c:?} at {place}");
-        }
-        // As it is, it may be stated; larger than it shows, not.
-        let stated = measure_array(&image, Some((columns, rows))).unwrap();
-        assert_eq!(stated.centers.len(), array.centers.len());
-        let error = measure_array(&image, Some((columns + 6, rows))).unwrap_err().to_string();
-        assert!(error.contains(&format!("{shown} x {rows}")), "{error}");
-    }
+fn a_camera_is_measured_from_a_colour_mosaic() {
+    assert_measured("mini", &["imaging.color=bayer-gbrg", "imaging.bits=16"]);
 }
 
 #[test]
-fn images_without_an_array_are_refused() {
-    let size = (600, 500);
-    let picture = |value: fn(usize, usize) -> usize| {
-        let sample = |i: usize| u16::try_from(value(i % size.0, i / size.0)).unwrap();
-        RawImage {
-            width: size.0,
-            height: size.1,
-            color: Color::Grey,
-            samples: Samples::Bits16((0..size.0 * size.1).map(sample).collect()),
-        }
-    };
-    // A hash for noise.
-    let noise = |u: usize, v: usize| (u * 7919 + v * 104_729) % 1009 * 60;
-    for image in [
-        picture(|_, _| 0),
-        picture(|_, _| 65_535),
-        picture(|_, _| 26_000),
-        picture(|u, v| (u + v) * 50),
-        picture(|u, _| if u / 20 % 2 == 0 { 0 } else { 65_535 }),
-        picture(noise),
-        RawImage { width: 3, height: 2, color: Color::Grey, samples: Samples::Bits8(vec![128; 6]) },
-    ] {
-        let error = measure_array(&image, None).unwrap_err().to_string();
-        assert!(error.contains("no array of micro-images shows"), "{error}");
-    }
+fn a_camera_is_measured_from_dark_colour_images() {
+    assert_measured("mini", &["imaging.color=rgb", "white_images.exposure=0.4"]);
 }
 
 #[test]
-fn white_images_that_do_not_belong_together_are_refused_in_words() {
+fn a_keplerian_camera_is_measured_from_its_white_images() {
+    assert_measured("keplerian", &[]);
+}
+
+/// A small camera and its white images at f/4, f/8 and f/16.
+struct Small {
+    settings: Settings,
+    whites: [White; 3],
+}
+
+static SMALL: LazyLock<Small> = LazyLock::new(|| {
     let settings = preset("mini", &["rays=8", "white_images.f_numbers=[4.0, 8.0, 16.0]"]);
-    let (whites, _) = taken(&settings);
-    let options = options(&settings);
-    let fails = |whites: &[White], options: &PrecalibrationOptions, words: &str| {
-        let error = precalibrate(whites, None, options, &|| ()).unwrap_err().to_string();
+    let whites = taken(&settings).0.try_into().expect("there are three");
+    Small { settings, whites }
+});
+
+impl Small {
+    /// The white images with other f-numbers.
+    fn at(&self, f_numbers: [f64; 3]) -> [White; 3] {
+        std::array::from_fn(|i| White { f_number: f_numbers[i], ..self.whites[i].clone() })
+    }
+
+    fn precalibrate(&self, whites: &[White]) -> plenocal::Result<Precalibration> {
+        precalibrate(whites, None, &options(&self.settings), &|| ())
+    }
+
+    fn is_refused(&self, whites: &[White], words: &str) {
+        let error = self.precalibrate(whites).unwrap_err().to_string();
         assert!(error.contains(words), "{error}");
-    };
-    fails(&[], &options, "0 f-number(s)");
-    fails(&whites[..1], &options, "1 f-number(s)");
-    let twice = [whites[0].clone(), White { f_number: 4.0, ..whites[1].clone() }];
-    fails(&twice, &options, "1 f-number(s)");
-    let nonsense = [whites[0].clone(), White { f_number: -8.0, ..whites[1].clone() }];
-    fails(&nonsense, &options, "the f-number of f/8.00 is -8");
-    let swapped = [
-        White { f_number: 16.0, ..whites[0].clone() },
-        White { f_number: 4.0, ..whites[2].clone() },
-    ];
-    fails(&swapped, &options, "micro-images do not grow as the f-number falls");
-    let small = RawImage {
+    }
+}
+
+#[test]
+fn fewer_than_two_f_numbers_are_refused() {
+    let small = &*SMALL;
+    small.is_refused(&[], "0 f-number(s)");
+    small.is_refused(&small.whites[..1], "1 f-number(s)");
+    small.is_refused(&small.at([4.0, 4.0, 16.0])[..2], "1 f-number(s)");
+}
+
+#[test]
+fn f_numbers_that_are_wrong_are_refused() {
+    let small = &*SMALL;
+    small.is_refused(&small.at([4.0, -8.0, 16.0])[..2], "the f-number of f/8.00 is -8");
+    let [first, _, last] = small.at([16.0, 8.0, 4.0]);
+    small.is_refused(&[first, last], "micro-images do not grow as the f-number falls");
+}
+
+#[test]
+fn white_images_of_another_camera_are_refused() {
+    let small = &*SMALL;
+    let [first, second, _] = small.whites.clone();
+    let image = RawImage {
         width: 10,
         height: 10,
         samples: Samples::Bits8(vec![0; 100]),
-        ..whites[1].image.clone()
+        ..second.image.clone()
     };
-    let other = [whites[0].clone(), White { image: small, ..whites[1].clone() }];
-    fails(&other, &options, "all white images have to be of one camera");
-    let pitch = preset("mini", &["rays=8", "camera.micro_lens_array.pitch_mm=0.12"]);
-    let shot = DataSet::plan(&pitch, None).unwrap().whites[2];
-    fails(&[whites[0].clone(), white(&pitch, &shot)], &options, "they are of different cameras");
-    let black = White {
-        image: RawImage { samples: Samples::Bits8(vec![0; 750_000]), ..whites[1].image.clone() },
-        ..whites[1].clone()
-    };
-    fails(&[whites[0].clone(), black], &options, "f/8.00: no micro-images show where f/4.00");
-    let stated = PrecalibrationOptions { array_size: Some((60, 37)), ..options };
-    fails(&whites, &stated, "said to have 60 x 37 micro-lenses");
+    let tiny = White { image, ..second };
+    small.is_refused(&[first.clone(), tiny], "all white images have to be of one camera");
+    let other = preset("mini", &["rays=8", "camera.micro_lens_array.pitch_mm=0.12"]);
+    let shot = DataSet::plan(&other, None).unwrap().whites[2];
+    small.is_refused(&[first, white(&other, &shot)], "they are of different cameras");
+}
 
-    // One wrong f-number among three is told.
-    let wrong =
-        [whites[0].clone(), White { f_number: 5.66, ..whites[1].clone() }, whites[2].clone()];
-    let result = precalibrate(&wrong, None, &options, &|| ()).unwrap();
+#[test]
+fn a_white_image_that_is_black_is_refused() {
+    let small = &*SMALL;
+    let [first, second, _] = small.whites.clone();
+    let samples = Samples::Bits8(vec![0; 750_000]);
+    let black = White { image: RawImage { samples, ..second.image.clone() }, ..second };
+    small.is_refused(&[first, black], "f/8.00: no micro-images show where f/4.00");
+}
+
+#[test]
+fn a_stated_size_that_does_not_show_is_refused() {
+    let Small { settings, whites } = &*SMALL;
+    let stated = PrecalibrationOptions { array_size: Some((60, 37)), ..options(settings) };
+    let error = precalibrate(whites, None, &stated, &|| ()).unwrap_err().to_string();
+    assert!(error.contains("said to have 60 x 37 micro-lenses"), "{error}");
+}
+
+#[test]
+fn one_wrong_f_number_among_three_is_a_warning() {
+    let small = &*SMALL;
+    let result = small.precalibrate(&small.at([4.0, 5.66, 16.0])).unwrap();
     assert_eq!(result.warnings.len(), 1, "{:?}", result.warnings);
     assert!(result.warnings[0].contains("check its f-number"), "{:?}", result.warnings);
+}
 
-    // What is stated of the camera is held against the images.
-    let result = precalibrate(&whites, None, &options, &|| ()).unwrap();
-    let mut sheet = settings.datasheet();
-    result.check_stated(&sheet).unwrap();
-    sheet.lattice_kind = LatticeKind::Orthogonal;
-    assert!(result.check_stated(&sheet).unwrap_err().to_string().contains("'orthogonal'"));
-    let sheet =
-        plenocal::model::Datasheet { micro_image_pitch_px: Some(23.5), ..settings.datasheet() };
-    assert!(result.check_stated(&sheet).unwrap_err().to_string().contains("23.5000 px"));
+#[test]
+fn a_datasheet_that_contradicts_the_images_is_refused() {
+    let small = &*SMALL;
+    let result = small.precalibrate(&small.whites).unwrap();
+    let sheet = || small.settings.datasheet();
+    result.check_stated(&sheet()).unwrap();
+    let refused = |sheet: &Datasheet| result.check_stated(sheet).unwrap_err().to_string();
+    let orthogonal = Datasheet { lattice_kind: LatticeKind::Orthogonal, ..sheet() };
+    assert!(refused(&orthogonal).contains("'orthogonal'"));
+    let pitch = Datasheet { micro_image_pitch_px: Some(23.5), ..sheet() };
+    assert!(refused(&pitch).contains("23.5000 px"));
     for (types, fits) in [(0, true), (1, false), (3, true)] {
-        let sheet = plenocal::model::Datasheet { lens_types: types, ..settings.datasheet() };
+        let sheet = Datasheet { lens_types: types, ..sheet() };
         assert_eq!(result.check_stated(&sheet).is_ok(), fits, "{types} lens types stated");
     }
 }
 
 /// The paper's estimator, as it is known to be: short on linear images.
 #[test]
-fn the_papers_estimator_is_there_by_name() {
+fn the_second_moments_of_the_paper_are_short_on_linear_images() {
     let settings = preset("mini", &["rays=16", "white_images.f_numbers=[4.0, 8.0, 16.0]"]);
     let (whites, _) = taken(&settings);
     let moments =
@@ -383,229 +242,4 @@ fn the_papers_estimator_is_there_by_name() {
     let truth = optics::internal_parameters(&settings.camera);
     let part = result.internal.parameters.m_mm / truth.m_mm;
     assert!((0.7..0.8).contains(&part), "second moments of linear images give {part} of m");
-}
-
-fn simulate(folder: &Path, more: &[&str]) {
-    let mut command = plenocal();
-    command.args(["simulate", "--set", "rays=8", "--set", "boards.calibration=0"]);
-    command.args(["--set", "boards.evaluation=0", "--set", "translation.images=0"]);
-    command.args(["--set", "white_images.f_numbers=[4.0, 8.0, 16.0]"]);
-    command.args(more).arg("--out").arg(folder).assert().success();
-}
-
-fn run(input: &Path, out: &Path) -> assert_cmd::assert::Assert {
-    plenocal().arg("precalibrate").arg(input).arg("--out").arg(out).assert()
-}
-
-#[test]
-fn a_project_is_precalibrated_and_its_files_serve_the_calibration() {
-    let folder = TempDir::new().unwrap();
-    let (set, out) = (folder.path().join("set"), folder.path().join("results"));
-    simulate(&set, &[]);
-    run(&set.join("project.toml"), &out)
-        .success()
-        .stdout(contains("Lattice hexagonal-rows, 43 x 37").and(contains("q'_3")))
-        .stderr("");
-    let truth = optics::internal_parameters(&preset("mini", &[]).camera);
-    for file in ["precalibration.json", "params.js"] {
-        let internal =
-            plenocal::io::read_internal_parameters(&out.join(file), Some(0.0055)).unwrap();
-        assert!((internal.m_mm / truth.m_mm - 1.0).abs() < INTERNAL, "{file}");
-    }
-    let plenocal::io::CameraSource::Datasheet(sheet) =
-        plenocal::io::read_camera_source(&out.join("camera.js")).unwrap()
-    else {
-        panic!("camera.js is a datasheet");
-    };
-    assert_eq!((sheet.columns, sheet.rows, sheet.lens_types), (43, 37, 3));
-    assert_eq!(sheet.configuration, Configuration::Galilean);
-    for figure in ["radii.svg", "micro-images.svg"] {
-        let text = fs::read_to_string(out.join(figure)).unwrap();
-        assert!(text.contains("</svg>") && text.contains("<circle"), "{figure}");
-    }
-    let centers = plenocal::io::read_centers(&out.join("centers.csv")).unwrap();
-    assert!(centers.len() > 1400);
-
-    // A single image gives its array alone.
-    run(&set.join("devignetting.png"), &folder.path().join("single"))
-        .success()
-        .stdout(contains("Lattice hexagonal-rows"));
-    let single = folder.path().join("single/precalibration.json");
-    let error = plenocal::io::read_internal_parameters(&single, None).unwrap_err().to_string();
-    assert!(error.contains("has no internal parameters"), "{error}");
-}
-
-#[test]
-fn bad_projects_and_images_are_refused_in_words() {
-    let folder = TempDir::new().unwrap();
-    let (set, out) = (folder.path().join("set"), folder.path().join("results"));
-    simulate(&set, &["--set", "imaging.color=bayer-rggb"]);
-    let project = set.join("project.toml");
-    let text = fs::read_to_string(&project).unwrap();
-    let with = |from: &str, to: &str| {
-        assert!(text.contains(from), "{from}");
-        let path = set.join("other.toml");
-        fs::write(&path, text.replace(from, to)).unwrap();
-        run(&path, &out)
-    };
-    with("bayer-rggb", "bayer-gbrg").stderr(contains("another mosaic is in it"));
-    with("\"bayer-rggb\"", "\"grey\"").stderr(contains("alternate in brightness"));
-    // A stop as it is engraved stands for its f-number.
-    with("f_number = 8\n", "stop = 8\n").success().stderr("");
-    with("f_number = 8\n", "stop = 5.6\n").success().stderr(contains("check its f-number"));
-    with("f_number = 8\n", "f_number = 9\n").success().stderr(contains("check its f-number"));
-    fs::remove_dir_all(&out).unwrap();
-    with("\"bayer-rggb\"", "\"rgb\"").code(1).stderr(contains("has 1 channel(s)"));
-    with("width_px = 1000", "width_px = 1001")
-        .code(1)
-        .stderr(contains("but the sensor 1001 x 750"));
-    with("columns = 43", "columns = 50").code(1).stderr(contains("50 x 37 micro-lenses"));
-    with("hexagonal-rows", "hexagonal-columns").code(1).stderr(contains("'hexagonal-columns'"));
-    with("f_number = 8\n", "f_number = 8\nstop = 8\n").code(1).stderr(contains("and not both"));
-    with("f_number = 8\n", "stop = -8\n").code(1).stderr(contains("a stop of -8"));
-    with("[images]", "[pictures]").code(1).stderr(contains("other.toml"));
-    with("devignetting.png", "gone.png").code(1).stderr(contains("gone.png"));
-    let bytes = fs::read(set.join("devignetting.png")).unwrap();
-    fs::write(set.join("devignetting.png"), &bytes[..bytes.len() / 2]).unwrap();
-    run(&project, &out).code(1).stderr(contains("devignetting.png: this image cannot be read"));
-    fs::write(set.join("devignetting.png"), "no image").unwrap();
-    run(&set.join("devignetting.png"), &out).code(1).stderr(contains("cannot be read"));
-    assert!(!out.exists());
-}
-
-#[test]
-fn images_that_are_empty_or_of_other_samples_are_refused_by_name() {
-    let folder = TempDir::new().unwrap();
-    let out = folder.path().join("results");
-    for (name, text) in [("w0.pgm", "P5\n0 5\n255\n"), ("h0.pgm", "P5\n5 0\n255\n")] {
-        fs::write(folder.path().join(name), text).unwrap();
-        run(&folder.path().join(name), &out).code(1).stderr(contains(name));
-    }
-    let float = folder.path().join("float.tif");
-    image::Rgb32FImage::new(8, 8).save(&float).unwrap();
-    run(&float, &out)
-        .code(1)
-        .stderr(contains("float.tif").and(contains("whole numbers of 8 or 16 bits")));
-    assert!(!out.exists());
-}
-
-#[test]
-fn a_makers_calibration_gives_the_same_columns_with_nothing_measured() {
-    let folder = TempDir::new().unwrap();
-    let (xml, out) = (folder.path().join("maker.xml"), folder.path().join("results"));
-    let types = ["0", "1", "-1"]
-        .map(|x| format!("<lens_type><offset><x>{x}</x><y>0</y></offset></lens_type>"))
-        .concat();
-    let text = format!(
-        "<RayCalibData><offset><x>0</x><y>0</y></offset><diameter>20</diameter>\
-         <lens_base_x><x>1</x><y>0</y></lens_base_x>\
-         <lens_base_y><x>-0.5</x><y>0.8660254</y></lens_base_y>{types}</RayCalibData>"
-    );
-    fs::write(&xml, text).unwrap();
-    let sized = |size: &str| {
-        let mut command = plenocal();
-        command.arg("precalibrate").arg(&xml).args(["--size", size]).arg("--out").arg(&out).assert()
-    };
-    for size in ["4000000000x4000000000", "65536x100", "0x100", "100"] {
-        sized(size).code(2).stderr(contains("each edge from 1 to 65535 px"));
-    }
-    sized("30x25").code(1).stderr(contains("maker.xml").and(contains("check --size")));
-    sized("1x1").code(1).stderr(contains("maker.xml"));
-    assert!(!out.exists());
-    sized("600x500").success().stdout(contains("3 lens type(s)"));
-    let centers = fs::read_to_string(out.join("centers.csv")).unwrap();
-    assert!(centers.starts_with("k,l,u,v,std_dev,type\n"));
-    assert!(centers.lines().skip(1).all(|line| line.contains(",,")), "{centers}");
-    assert!(plenocal::io::read_centers(&out.join("centers.csv")).unwrap().len() > 800);
-    let text = fs::read_to_string(out.join("precalibration.json")).unwrap();
-    let document: serde_json::Value = serde_json::from_str(&text).unwrap();
-    let types = serde_json::json!({ "count": 3, "separation": null, "agreement": null });
-    assert_eq!(document["lens_types"], types);
-}
-
-#[test]
-fn options_for_another_kind_of_input_are_refused() {
-    let folder = TempDir::new().unwrap();
-    let out = folder.path().join("results");
-    for (input, option, value) in [
-        ("project.toml", "--size", "100x100"),
-        ("white.png", "--size", "100x100"),
-        ("white.png", "--estimator", "moments"),
-        ("maker.xml", "--estimator", "profile"),
-        ("maker.xml", "--color", "grey"),
-        ("project.toml", "--color", "grey"),
-    ] {
-        let mut command = plenocal();
-        command.args(["precalibrate", input, option, value, "--out"]).arg(&out);
-        command.assert().code(1).stderr(contains(input).and(contains(option)));
-    }
-    assert!(!out.exists());
-}
-
-fn measured(name: &str) -> ArrayMeasurement {
-    let folder = std::env::var_os("PLENOCAL_WHITES").expect("PLENOCAL_WHITES is set");
-    let raw = read_image(&Path::new(&folder).join(name), None).unwrap();
-    measure_array(&raw, None).unwrap()
-}
-
-#[test]
-#[cfg_attr(not(plenocal_whites), ignore = "set PLENOCAL_WHITES to the folder of real white images")]
-fn square_arrays_are_found() {
-    let array = measured("thorlabs-square-white.png");
-    assert_eq!(array.grid.lattice.kind(), LatticeKind::Orthogonal);
-    assert!((array.grid.pitch_px - 48.0).abs() < 0.5, "{}", array.grid.pitch_px);
-    assert!(array.grid.rms_px < 0.2 && array.centers.len() > 400);
-    let array = measured("square-white2500.bmp");
-    assert_eq!(array.grid.lattice.kind(), LatticeKind::Orthogonal);
-    assert!(array.grid.rms_px < 0.5 && array.centers.len() > 1400);
-}
-
-/// The image has traces of the scene, which scatter single centres by a pixel.
-#[test]
-#[cfg_attr(not(plenocal_whites), ignore = "set PLENOCAL_WHITES to the folder of real white images")]
-fn origami_agrees_with_its_maker() {
-    let folder = std::env::var_os("PLENOCAL_WHITES").expect("PLENOCAL_WHITES is set");
-    let maker = read_raytrix(&Path::new(&folder).join("origami.calib.xml")).unwrap();
-    let array = measured("origami-pseudo-white.png");
-    assert_eq!(array.grid.lattice.kind(), LatticeKind::HexagonalColumns);
-    assert_eq!(maker.kind, LatticeKind::HexagonalColumns);
-    assert_eq!(maker.lens_types, 3);
-    let off = array.grid.pitch_px - maker.pitch_px;
-    assert!(off.abs() < 0.02, "the pitch differs by {off} px");
-    assert!((array.grid.rotation_rad - maker.rotation_rad).abs() < 5e-4);
-    // Every centre lies near one of the maker's.
-    let makers = maker.centers(2048, 2048).unwrap();
-    let mut square = 0.0;
-    for c in &array.centers {
-        let off = |m: &MicroImageCenter| (m.u_px - c.u_px).hypot(m.v_px - c.v_px);
-        square += makers.iter().map(off).fold(f64::MAX, f64::min).powi(2);
-    }
-    let rms = (square / array.centers.len() as f64).sqrt();
-    assert!(rms < 1.5, "{rms} px");
-
-    // The three types show in the sizes of the micro-images, and are the maker's.
-    println!("{:?}", array.lens_types);
-    assert_eq!(array.lens_types.types, 3);
-    let mut counts = [[0; 3]; 3];
-    for c in &array.centers {
-        let ours = array.grid.lattice.lens_type(c.k, c.l, 3);
-        let makers = maker.lens_type(2048, 2048, Vector2::new(c.u_px, c.v_px));
-        counts[ours][makers] += 1;
-    }
-    for row in counts {
-        let all: usize = row.iter().sum();
-        assert!(row.iter().any(|&n| n * 100 > all * 98), "{counts:?}");
-    }
-
-    let folder_out = TempDir::new().unwrap();
-    let xml = Path::new(&folder).join("origami.calib.xml");
-    run(&xml, folder_out.path()).code(1).stderr(contains("give --size"));
-    plenocal()
-        .arg("precalibrate")
-        .arg(&xml)
-        .args(["--size", "2048x2048", "--out"])
-        .arg(folder_out.path())
-        .assert()
-        .success()
-        .stdout(contains("hexagonal-columns").and(contains("pitch 23.202")));
 }

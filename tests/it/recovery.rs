@@ -190,7 +190,7 @@ fn the_covariance_agrees_with_monte_carlo() {
         assert!(
             calibration.converged,
             "seed {seed}: {}",
-            plenocal::report::termination_text(&calibration)
+            plenocal::calibration::termination_text(&calibration)
         );
         for (i, (_, value, truth)) in pairs(&calibration.camera, &truth).iter().enumerate() {
             sums[i].0 += value - truth;
@@ -216,7 +216,7 @@ fn the_covariance_agrees_with_monte_carlo() {
         let ratio = scatter / predicted;
         println!("{:10} {scatter:12.4e} {predicted:12.4e} {ratio:8.3} {bias:8.2}", parameter.name);
         if (ratio - 1.0).abs() > AGREEMENT {
-            failures.push(parameter.name.clone());
+            failures.push(parameter.name);
         }
     }
     assert!(failures.is_empty(), "{failures:?}");

@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 use std::process::Command;
+use std::sync::LazyLock;
 
 use plenocal::calibration::{Calibration, Mode, Start};
 use plenocal::model::{Board, Reprojection};
@@ -18,8 +19,11 @@ use crate::support::{
 /// A page with ten such pictures still opens at once, bytes.
 const LARGEST_SVG: usize = 300_000;
 
+/// That of the shipped feature set.
 fn shipped() -> Calibration {
-    run(&datasheet_start(), &shipped_observations(), &options())
+    static SHIPPED: LazyLock<Calibration> =
+        LazyLock::new(|| run(&datasheet_start(), &shipped_observations(), &options()));
+    SHIPPED.clone()
 }
 
 /// Those of the calibration, and of its array.
@@ -92,7 +96,7 @@ fn report(figures: Vec<Figure>) -> HtmlReport {
 }
 
 #[test]
-fn a_calibration_gives_all_pictures_and_a_page() {
+fn a_calibration_gives_all_pictures() {
     let figures = figures_of(&shipped(), &board());
     assert_eq!(
         names(&figures),
@@ -109,16 +113,21 @@ fn a_calibration_gives_all_pictures_and_a_page() {
         ]
     );
     figures.iter().for_each(check);
-    let html = report(figures.clone()).to_html();
+}
+
+#[test]
+fn the_page_holds_all_pictures_and_its_references_have_targets() {
+    let figures = figures_of(&shipped(), &board());
+    let count = figures.len();
+    let html = report(figures).to_html();
     assert!(!html.contains("http://") && !html.contains("https://") && !html.contains("<script"));
     let ids: Vec<&str> =
         html.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
     assert_eq!(ids.iter().collect::<HashSet<_>>().len(), ids.len());
-    // Every reference has its target.
     for target in html.split("href=\"#").skip(1).filter_map(|rest| rest.split('"').next()) {
         assert!(ids.contains(&target), "{target}");
     }
-    assert_eq!(html.matches("role=\"img\" aria-label=\"").count(), figures.len());
+    assert_eq!(html.matches("role=\"img\" aria-label=\"").count(), count);
 }
 
 #[test]
@@ -162,7 +171,7 @@ fn what_there_is_nothing_to_show_of_is_left_out() {
 }
 
 #[test]
-fn next_to_nothing_can_be_shown_too() {
+fn a_single_residual_of_any_size_can_be_shown() {
     let mut calibration = shipped();
     calibration.poses.truncate(1);
     calibration.refinement.iterations.truncate(1);
@@ -181,6 +190,11 @@ fn next_to_nothing_can_be_shown_too() {
         assert_eq!(figures.len(), 8, "{:?}", names(&figures));
         figures.iter().for_each(check);
     }
+}
+
+#[test]
+fn without_results_there_is_only_the_distortion_to_show() {
+    let mut calibration = shipped();
     calibration.reprojection = Reprojection::default();
     calibration.refinement.iterations.clear();
     calibration.uncertainty.free_intrinsics.clear();

@@ -1,0 +1,321 @@
+//! `plenocal detect`: from images to features, and what goes wrong on the way.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use assert_cmd::assert::Assert;
+use plenocal::io::{read_camera, read_features};
+use plenocal::model::BapFeature;
+use predicates::prelude::PredicateBooleanExt;
+use predicates::str::contains;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::prepared::Files;
+use crate::support::plenocal;
+
+/// A command on the project of a set, with its results in another folder.
+fn on_project(command: &str, set: &Path, out: &Path) -> Assert {
+    let mut program = plenocal();
+    program.arg(command).arg(set.join("project.toml")).arg("--out").arg(out).assert()
+}
+
+/// The default set in `set` without what serves the evaluation, and in `measured` what detection finds in it from its white images on.
+static WHOLE: LazyLock<Files> = LazyLock::new(|| {
+    let folder = TempDir::new().unwrap();
+    let (set, measured) = (folder.path().join("set"), folder.path().join("measured"));
+    plenocal()
+        .args(["simulate", "--set", "rays=32", "--set", "boards.evaluation=0"])
+        .args(["--set", "translation.images=0", "--out"])
+        .arg(&set)
+        .assert()
+        .success();
+    on_project("detect", &set, &measured)
+        .success()
+        .stdout(contains("10 of 10 frames").and(contains("frame-09.svg")));
+    Files::read(folder.path())
+});
+
+/// A small set in `set`, and its white images measured in `measured`.
+static SMALL: LazyLock<Files> = LazyLock::new(|| {
+    let folder = TempDir::new().unwrap();
+    let (set, measured) = (folder.path().join("set"), folder.path().join("measured"));
+    plenocal()
+        .args(["simulate", "--set", "rays=16", "--set", "boards.calibration=3"])
+        .args(["--set", "boards.evaluation=2", "--set", "translation.images=0", "--out"])
+        .arg(&set)
+        .assert()
+        .success();
+    on_project("precalibrate", &set, &measured).success();
+    Files::read(folder.path())
+});
+
+/// A copy of a set for one test.
+struct Set {
+    folder: TempDir,
+}
+
+impl Set {
+    fn whole() -> Self {
+        Self { folder: WHOLE.copy() }
+    }
+
+    fn small() -> Self {
+        Self { folder: SMALL.copy() }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Detects with the white images measured before, into a folder.
+    fn detect_into(&self, out: &str, options: &[&str]) -> Assert {
+        let mut program = plenocal();
+        program.arg("detect").arg(self.path("set/project.toml")).arg("--no-pictures");
+        program.arg("--precalibration").arg(self.path("measured"));
+        program.arg("--out").arg(self.path(out)).args(options).assert()
+    }
+
+    fn detect(&self, options: &[&str]) -> Assert {
+        self.detect_into("out", options)
+    }
+
+    fn features(&self, out: &str) -> Vec<BapFeature> {
+        read_features(&self.path(out).join("features.csv"), true).unwrap().features
+    }
+
+    /// Replaces a part of the project.
+    fn replace(&self, from: &str, to: &str) -> &Self {
+        let project = self.path("set/project.toml");
+        let text = fs::read_to_string(&project).unwrap();
+        assert!(text.contains(from), "{from}");
+        fs::write(project, text.replace(from, to)).unwrap();
+        self
+    }
+
+    /// Changes every pixel of an image, at u and v with its value, into another image.
+    fn repaint(&self, from: &str, to: &str, paint: impl Fn(u32, u32, u8) -> u8) -> &Self {
+        let mut picture = image::open(self.path("set").join(from)).unwrap().into_luma8();
+        for (u, v, pixel) in picture.enumerate_pixels_mut() {
+            pixel.0[0] = paint(u, v, pixel.0[0]);
+        }
+        picture.save(self.path("set").join(to)).unwrap();
+        self
+    }
+
+    /// Edits the internal parameters that were measured.
+    fn edit_internal(&self, edit: impl Fn(&mut Value)) {
+        let file = self.path("measured/precalibration.json");
+        let mut document: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+        edit(&mut document["internal_parameters"]);
+        fs::write(&file, document.to_string()).unwrap();
+    }
+}
+
+/// Images to camera: the simulated one within 0.2 % in F and D, 0.4 % in d and fᵢ.
+#[test]
+fn detected_features_calibrate_the_simulated_camera() {
+    let set = Set::whole();
+    let mut command = plenocal();
+    command.arg("calibrate").arg(set.path("set/project.toml")).arg("--out").arg(set.path("out"));
+    for (option, file) in [
+        ("--params", "precalibration.json"),
+        ("--centers", "centers.csv"),
+        ("--features", "features.csv"),
+    ] {
+        command.arg(option).arg(set.path("measured").join(file));
+    }
+    command.assert().success();
+    let camera = |path: &Path| read_camera(path).unwrap();
+    let truth = camera(&set.path("set/truth/camera.json"));
+    let found = camera(&set.path("out/camera.json"));
+    let off = |a: f64, b: f64| (a / b - 1.0).abs();
+    let (lens, mla) = (&found.main_lens, &found.mla);
+    assert!(off(lens.focal_length_mm, truth.main_lens.focal_length_mm) < 0.002);
+    assert!(off(mla.lens_to_mla_mm, truth.mla.lens_to_mla_mm) < 0.002);
+    assert!(off(mla.mla_to_sensor_mm, truth.mla.mla_to_sensor_mm) < 0.004);
+    for (a, b) in mla.focal_lengths_mm.iter().zip(&truth.mla.focal_lengths_mm) {
+        assert!(off(*a, *b) < 0.004, "{a} for {b}");
+    }
+}
+
+#[test]
+fn white_images_measured_before_give_the_same_features() {
+    let set = Set::whole();
+    set.detect(&[]).success();
+    assert_eq!(set.features("out").len(), set.features("measured").len());
+}
+
+/// A hand before the board.
+#[test]
+fn a_board_that_is_partly_hidden_gives_the_features_that_show() {
+    let set = Set::whole();
+    set.repaint("calibration/calibration-05.png", "hidden.png", |u, v, grey| {
+        if (400..600).contains(&u) && v > 300 { grey.min(20) } else { grey }
+    });
+    // The hidden board alone.
+    let project = fs::read_to_string(set.path("set/project.toml")).unwrap();
+    let list = &project[project.find("\ncalibration = [").unwrap()..];
+    let list = &list[..=list.find(']').unwrap()];
+    set.replace(list, "\ncalibration = [\"hidden.png\"]");
+    set.detect(&[]).success().stdout(contains("1 of 1 frames"));
+    let key = |f: &BapFeature| (f.corner, f.k, f.l);
+    let whole = set.features("measured");
+    let known: BTreeSet<_> = whole.iter().filter(|f| f.frame == 5).map(key).collect();
+    let kept: BTreeSet<_> = set.features("out").iter().map(key).collect();
+    let strange = kept.difference(&known).count();
+    println!("{} of {} features are left, {strange} new", kept.len(), known.len());
+    assert!(kept.len() * 2 > known.len() && kept.len() < known.len());
+    assert!(strange * 50 <= kept.len(), "{strange} features that the whole board has not");
+}
+
+#[test]
+fn json_lists_the_features_and_drops_of_every_frame() {
+    let set = Set::small();
+    let json = set.detect(&["--json", "--subset", "evaluation"]).success();
+    let printed: Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
+    assert_eq!(printed["format"], "plenocal-detection");
+    let frames = printed["frames"].as_array().unwrap();
+    assert_eq!(frames.len(), 2);
+    assert!(frames[0]["image"].as_str().unwrap().ends_with("evaluation-00.png"));
+    for field in ["alone", "off_line", "texture", "off_board", "unclear", "misplaced", "given_up"] {
+        assert!(frames[0]["dropped"][field].is_u64(), "{field}");
+    }
+    let count: u64 = frames.iter().map(|frame| frame["features"].as_u64().unwrap()).sum();
+    assert_eq!(count, set.features("out").len() as u64);
+}
+
+#[test]
+fn the_estimator_changes_the_blur_radii_alone() {
+    let set = Set::small();
+    let features = |estimator: &str| {
+        set.detect_into(estimator, &["--subset", "evaluation", "--estimator", estimator])
+            .success()
+            .stdout(contains("2 of 2 frames"));
+        set.features(estimator)
+    };
+    let (line, median) = (features("line"), features("median"));
+    assert_eq!(line.len(), median.len());
+    let pairs = || line.iter().zip(&median);
+    let rho = |f: &BapFeature| f.rho_px.unwrap();
+    assert!(pairs().all(|(a, b)| (a.u_px - b.u_px).abs() < 1e-9 && (rho(a) - rho(b)).abs() < 0.5));
+    assert!(pairs().any(|(a, b)| (rho(a) - rho(b)).abs() > 1e-6));
+}
+
+#[test]
+fn a_frame_without_a_board_is_left_out_by_name() {
+    Set::small()
+        .replace("calibration/calibration-01.png", "whites/white-0-n-4.00.png")
+        .detect(&[])
+        .success()
+        .stderr(contains("frame 1 (white-0-n-4.00.png) is left out: there is no board in it"))
+        .stdout(contains("2 of 3 frames"));
+}
+
+#[test]
+fn a_frame_that_cannot_be_read_is_left_out_by_name() {
+    Set::small()
+        .replace("calibration/calibration-01.png", "calibration/none.png")
+        .detect(&[])
+        .success()
+        .stderr(contains("frame 1 (none.png) is left out: cannot read"));
+}
+
+#[test]
+fn an_over_exposed_frame_is_left_out_by_name() {
+    Set::small()
+        .repaint("calibration/calibration-01.png", "bright.png", |_, _, grey| {
+            grey.saturating_mul(4)
+        })
+        .replace("calibration/calibration-01.png", "bright.png")
+        .detect(&[])
+        .success()
+        .stderr(contains("frame 1 (bright.png) is left out").and(contains("over-exposed")));
+}
+
+#[test]
+fn a_board_of_another_size_is_an_error_and_nothing_is_written() {
+    let set = Set::small();
+    set.replace("columns = 8\nrows = 5", "columns = 7\nrows = 4")
+        .detect(&[])
+        .code(1)
+        .stderr(contains("beyond the board of 7 x 4 inner corners"))
+        .stderr(contains("frame 2 (calibration-02.png) is left out"))
+        .stderr(contains("Micro-images").and(contains("0 features in 0 of 3 frames")));
+    assert!(!set.path("out").exists());
+}
+
+#[test]
+fn a_board_of_two_corners_a_side_is_refused() {
+    Set::small()
+        .replace("columns = 8\nrows = 5", "columns = 2\nrows = 2")
+        .detect(&[])
+        .code(1)
+        .stderr(contains("2 x 2 inner corners").and(contains("6 to 2500")));
+}
+
+#[test]
+fn a_white_image_at_another_f_number_is_refused() {
+    let set = Set::small();
+    set.replace("\"devignetting.png\"", "\"whites/white-4-n-16.00.png\"");
+    on_project("detect", &set.path("set"), &set.path("out"))
+        .code(1)
+        .stderr(contains("taken with another aperture").and(contains("no frame shows the board")));
+}
+
+/// It is not taken for frames that are over-exposed.
+#[test]
+fn a_white_image_that_is_saturated_is_refused() {
+    Set::small()
+        .repaint("devignetting.png", "clipped.png", |_, _, grey| grey.saturating_mul(8))
+        .replace("\"devignetting.png\"", "\"clipped.png\"")
+        .detect(&["--subset", "evaluation"])
+        .code(1)
+        .stderr(contains("saturated in the white image").and(contains("shorter exposure")));
+}
+
+/// Stops are engraved in round numbers.
+#[test]
+fn the_white_image_of_the_nearest_stop_serves_where_it_is_near() {
+    let no_reference = ("devignetting = \"devignetting.png\"\n", "");
+    let at = |f_number: &str| {
+        let set = Set::small();
+        set.replace(no_reference.0, no_reference.1);
+        set.replace("f_number = 4\nfocus", &format!("f_number = {f_number}\nfocus"));
+        set.detect(&["--subset", "evaluation"])
+    };
+    at("4.1").success();
+    at("5").code(1).stderr(
+        contains("at f/5.00").and(contains("the nearest is white-1-n-5.66.png, at f/5.66")),
+    );
+}
+
+#[test]
+fn a_key_that_does_not_exist_is_refused_by_name() {
+    Set::small().replace("[board]", "[bord]").detect(&[]).code(1).stderr(contains("bord"));
+}
+
+#[test]
+fn centres_of_a_larger_array_than_stated_are_refused() {
+    Set::small()
+        .replace("columns = 43\nrows = 37", "columns = 39\nrows = 33")
+        .detect(&[])
+        .code(1)
+        .stderr(contains("outside the array of 39 x 33"));
+}
+
+#[test]
+fn internal_parameters_of_another_camera_are_refused_by_folder() {
+    for (key, value, words) in [
+        ("q_prime_mm", json!([0.05]), "I = 3 lens types"),
+        ("m_mm", json!(-0.4), "|m|"),
+        ("micro_image_pitch_mm", json!(0.2), "different cameras"),
+    ] {
+        let set = Set::small();
+        set.edit_internal(|internal| internal[key] = value.clone());
+        let folder = set.path("measured").display().to_string();
+        set.detect(&[]).code(1).stderr(contains(words).and(contains(folder)));
+    }
+}

@@ -1,0 +1,283 @@
+//! `plenocal simulate`: data sets as files.
+
+use std::fs;
+use std::path::Path;
+use std::sync::LazyLock;
+
+use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
+use predicates::prelude::PredicateBooleanExt;
+use predicates::str::contains;
+use tempfile::TempDir;
+
+use crate::prepared::Files;
+use crate::support::{plenocal, preset};
+
+/// A small data set as the program writes it.
+fn simulate(out: &Path, more: &[&str]) -> assert_cmd::Command {
+    let mut command = plenocal();
+    command.args(["simulate", "--set", "rays=2", "--set", "boards.calibration=4"]);
+    command.args(["--set", "boards.evaluation=1", "--set", "translation.images=2"]);
+    command.args(["--set", "white_images.f_numbers=[4.0, 8.0]"]);
+    command.args(more).arg("--out").arg(out);
+    command
+}
+
+/// Such a data set.
+static SET: LazyLock<Files> = LazyLock::new(|| {
+    let folder = TempDir::new().unwrap();
+    simulate(folder.path(), &[]).assert().success().stdout(contains("10 images"));
+    Files::read(folder.path())
+});
+
+#[test]
+fn a_data_set_has_the_images_that_its_project_lists() {
+    let set = SET.copy();
+    let project = Project::read(&set.path().join("project.toml")).unwrap();
+    assert_eq!(project.datasheet().unwrap().unwrap(), preset("mini", &[]).datasheet());
+    let images = project.images.unwrap();
+    let translation = images.translation.unwrap();
+    assert!((translation.step_mm - 5.0).abs() < 1e-12);
+    let all: Vec<_> = images
+        .whites
+        .iter()
+        .map(|white| &white.image)
+        .chain(&images.devignetting)
+        .chain(&images.calibration)
+        .chain(&images.evaluation)
+        .chain(&translation.images)
+        .collect();
+    assert_eq!(all.len(), 10);
+    for path in all {
+        let image = image::open(path).unwrap();
+        assert_eq!((image.width(), image.height()), (1000, 750), "{}", path.display());
+        assert_eq!(image.color(), image::ColorType::L8);
+    }
+}
+
+#[test]
+fn a_data_set_has_its_truth() {
+    let set = SET.copy();
+    let truth = set.path().join("truth");
+    assert_eq!(read_camera(&truth.join("camera.json")).unwrap(), preset("mini", &[]).camera);
+    let centers = fs::read_to_string(truth.join("centers.csv")).unwrap();
+    assert!(centers.starts_with("k,l,u,v,type,alive\n0,0,"));
+    assert!(read_centers(&truth.join("centers.csv")).unwrap().len() > 1500);
+    for (subset, frames) in [("calibration", 4), ("evaluation", 1), ("translation", 2)] {
+        let folder = truth.join(subset);
+        let features = read_features(&folder.join("features.csv"), true).unwrap();
+        assert_eq!(features.frames().len(), frames, "{subset}");
+        let poses = read_poses(&folder.join("poses.json")).unwrap();
+        assert_eq!(poses.len(), frames, "{subset}");
+        if subset == "translation" {
+            let [first, second] = [0, 1].map(|i: usize| poses[i].camera_from_board.translation);
+            assert!((second.vector - first.vector - nalgebra::Vector3::z() * 5.0).norm() < 1e-9);
+        }
+    }
+}
+
+/// The truth as it is, through its own camera, leaves nothing but what tilt does to the blur.
+#[test]
+fn the_true_features_of_a_data_set_agree_with_its_true_camera() {
+    let set = SET.copy();
+    let truth = set.path().join("truth");
+    let mut command = plenocal();
+    command.args(["calibrate", "--mode", "poses-only", "--json", "--camera"]);
+    command.arg(truth.join("camera.json")).arg("--scene").arg(set.path().join("project.toml"));
+    command.arg("--features").arg(truth.join("calibration/features.csv"));
+    let output = command.arg("--out").arg(set.path().join("out")).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let result: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(result["rmse"]["all"].as_f64().unwrap() < 2e-3);
+}
+
+#[test]
+fn the_noisy_features_of_a_data_set_can_be_calibrated() {
+    let set = SET.copy();
+    let mut command = plenocal();
+    command.arg("calibrate").arg(set.path().join("observed/project.toml"));
+    command.arg("--out").arg(set.path().join("results")).assert().success();
+}
+
+fn simulated(more: &[&str]) -> Files {
+    let folder = TempDir::new().unwrap();
+    simulate(folder.path(), more).assert().success();
+    Files::read(folder.path())
+}
+
+#[test]
+fn the_number_of_threads_does_not_change_the_files() {
+    let one = simulated(&["--threads", "1"]);
+    assert!(one == simulated(&["--threads", "3"]));
+    assert!(one == *SET);
+}
+
+#[test]
+fn another_seed_changes_the_files() {
+    let differing = simulated(&["--set", "seed=2"]).differing(&SET).len();
+    assert!(differing > 10, "only {differing} files differ with another seed");
+}
+
+#[test]
+fn printed_settings_are_the_written_ones() {
+    let print = simulate(Path::new("unused"), &["--print"]).output().unwrap();
+    assert_eq!(SET.get("simulation.toml"), print.stdout);
+}
+
+#[test]
+fn written_settings_make_the_same_data_set_again() {
+    let set = SET.copy();
+    let again = TempDir::new().unwrap();
+    let mut command = plenocal();
+    command.arg("simulate").arg(set.path().join("simulation.toml"));
+    command.arg("--out").arg(again.path()).assert().success();
+    assert!(Files::read(again.path()) == *SET);
+}
+
+/// The first board of a data set with other imaging, and the project.
+fn assert_imaged(settings: [&str; 2], color: image::ColorType) {
+    let folder = TempDir::new().unwrap();
+    let few = ["boards.calibration=1", "boards.evaluation=0", "translation.images=0"];
+    let set: Vec<&str> = few.iter().chain(&settings).flat_map(|set| ["--set", set]).collect();
+    simulate(folder.path(), &set).assert().success();
+    let image = image::open(folder.path().join("calibration/calibration-00.png")).unwrap();
+    assert_eq!(image.color(), color);
+    // White reflects 0.9 and is exposed to 0.8; green counts most in luma and responds with 1,
+    // red and blue with 0.6 and 0.7. Rays and noise are few.
+    let brightest = image.to_luma32f().pixels().map(|p| p.0[0]).fold(0.0, f32::max);
+    assert!((0.9 * 0.72 * 0.6..1.1 * 0.72).contains(&brightest), "{color:?}: {brightest}");
+    let project = Project::read(&folder.path().join("project.toml")).unwrap();
+    let name = serde_json::to_value(project.images.unwrap().color).unwrap();
+    assert!(settings[1].ends_with(name.as_str().unwrap()));
+}
+
+#[test]
+fn images_have_a_colour_mosaic() {
+    assert_imaged(["imaging.bits=16", "imaging.color=bayer-grbg"], image::ColorType::L16);
+}
+
+#[test]
+fn images_have_colours_of_8_bits() {
+    assert_imaged(["imaging.bits=8", "imaging.color=rgb"], image::ColorType::Rgb8);
+}
+
+#[test]
+fn images_have_colours_of_16_bits() {
+    assert_imaged(["imaging.bits=16", "imaging.color=rgb"], image::ColorType::Rgb16);
+}
+
+#[test]
+fn settings_that_cannot_be_simulated_are_refused_in_words() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("set");
+    for (set, words) in [
+        ("rays=0", "0 rays per pixel cannot be traced"),
+        ("rays=100000", "100000 rays per pixel cannot be traced"),
+        ("camera.sensor.width_px=0", "has no area"),
+        ("camera.sensor.width_px=4000000000", "pixels are more than can be simulated"),
+        ("camera.micro_lens_array.columns=60000", "micro-lenses are more than can be simulated"),
+        ("boards.calibration=1000000000000", "images of a kind are more than can be simulated"),
+        ("camera.main_lens.q1_per_mm2=-0.1", "the distortion folds the image"),
+        ("camera.main_lens.p1_per_mm=1e10", "the distortion folds the image"),
+        ("camera.micro_lens_array.mla_to_sensor_mm=0", "the camera's d (mm) is 0"),
+        ("camera.micro_lens_array.mla_to_sensor_mm=-0.3", "the camera's d (mm) is -0.3"),
+        ("camera.micro_lens_array.rotation_rad=[0.5, 0.0, 0.0]", "behind the sensor"),
+        ("camera.micro_lens_array.focal_lengths_mm=[]", "needs the focal lengths"),
+        ("camera.main_lens.f_number=0.5", "at f/0.5 micro-images have a radius of"),
+        ("camera.main_lens.f_number=0", "the f-number"),
+        ("white_images.f_numbers=[4.0, -8.0]", "the f-number -8 of a white image"),
+        ("boards.depth_mm=[-90.0, -70.0]", "behind the camera"),
+        ("boards.depth_mm=[10.0, 60.0]", "within the focal length of 16.2 mm"),
+        ("boards.depth_mm=[20.0, 25.0]", "no pose between 20 and 25 mm was found"),
+        ("translation.start_mm=10", "translation frame 0: the board comes as near as"),
+        ("translation.step_mm=-50", "translation frame 2: the board reaches behind the camera"),
+        ("boards.max_tilt_deg=90", "a tilt of up to 90 degrees"),
+        ("target.square_mm=0", "squares (mm) is 0"),
+        ("target.black=2", "black (2) is not darker than its white"),
+        ("imaging.bits=12", "images of 12 bits cannot be written"),
+        ("imaging.exposure=nan", "the exposure is NaN"),
+        ("imaging.gain=1e18", "the gain is 1000000000000000000; it has to be above 0"),
+        ("imaging.full_well_electrons=1e20", "a full well of 100000000000000000000 electrons"),
+        ("imaging.full_well_electrons=0", "a full well of 0 electrons"),
+        ("imperfections.fill_factor=1.5", "a fill factor of 1.5"),
+        ("imperfections.exit_pupil_mm=-30", "an exit pupil at z = -30 mm is not possible"),
+        ("imperfections.exit_pupil_mm=1e300", "mm in front of the main lens"),
+        ("imperfections.second_stop={z_mm=-20, diameter_mm=3}", "a second stop at z = -20 mm"),
+        ("imperfections.dead_micro_lenses=2000", "more than the 1591 of the array"),
+        ("imperfections.dust_specks=1000000000", "specks of dust are too many"),
+        ("observation_noise.uv_px=-1", "a noise of -1 px"),
+        ("rayz=3", "unknown field `rayz`"),
+        (
+            "camera.main_lens.focal_lenth_mm=3",
+            "there is no setting 'camera.main_lens.focal_lenth_mm'",
+        ),
+        ("seed", "'seed' sets nothing; write KEY=VALUE"),
+        ("seed.x=3", "seed is no table"),
+        ("seed=many", "invalid type: string \"many\", expected u64"),
+        ("seed=1\nrays = 1", "the value of 'seed' has more than one line"),
+    ] {
+        plenocal()
+            .args(["simulate", "--set", set, "--out"])
+            .arg(&out)
+            .assert()
+            .code(1)
+            .stdout("")
+            .stderr(contains(words));
+        assert!(!out.exists(), "{set} left something behind");
+    }
+}
+
+fn refused(folder: &Path, arguments: &[&str]) -> assert_cmd::assert::Assert {
+    let mut command = plenocal();
+    command.arg("simulate").args(arguments).arg("--out").arg(folder.join("out"));
+    command.assert().code(1).stdout("")
+}
+
+#[test]
+fn bad_files_of_settings_are_refused_in_words() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("a.toml");
+    let run = || refused(folder.path(), &[file.to_str().unwrap()]);
+    run().stderr(contains("cannot read").and(contains("a.toml")));
+    fs::write(&file, "rays = 3\nseed = ").unwrap();
+    run().stderr(contains("a.toml: not a valid simulation file").and(contains("line 2")));
+    fs::write(&file, "rays = 3").unwrap();
+    run().stderr(contains("missing field `seed`"));
+}
+
+#[test]
+fn bad_files_of_poses_are_refused_in_words() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("poses.json");
+    let run = || refused(folder.path(), &["--poses", file.to_str().unwrap()]);
+    fs::write(&file, "").unwrap();
+    run().stderr(contains("poses.json: the file is empty"));
+    // A board turned round shows its back.
+    let pose = r#"{"frame": 3, "camera_from_board": {"rotation_vector_rad": [0, 3.14159, 0],
+        "translation_mm": [0, 0, 80]}}"#;
+    for (poses, words) in [
+        (pose.to_owned(), "calibration frame 3: the board shows its back"),
+        (format!("{pose}, {pose}"), "frame 3 has two poses"),
+        (String::new(), "there are no poses"),
+    ] {
+        let document = r#"{"format": "plenocal-poses", "version": 1, "poses": ["#;
+        fs::write(&file, format!("{document}{poses}]}}")).unwrap();
+        run().stderr(contains(words));
+    }
+}
+
+#[test]
+fn a_data_set_in_the_place_of_a_file_is_refused() {
+    let folder = TempDir::new().unwrap();
+    fs::write(folder.path().join("out"), "in the way").unwrap();
+    refused(folder.path(), &[]).stderr(contains("is a file, but results go into a folder"));
+}
+
+#[test]
+fn a_simulation_without_a_folder_or_of_no_preset_is_refused() {
+    plenocal().args(["simulate"]).assert().code(2).stderr(contains("--out <DIR>"));
+    plenocal()
+        .args(["simulate", "--preset", "r13", "--out", "x"])
+        .assert()
+        .code(2)
+        .stderr(contains("keplerian"));
+}
