@@ -1,5 +1,7 @@
 #include "bridge.hpp"
 
+#include <glog/logging.h>
+
 #include "plenocal/refine.hpp"
 #include "plenocal/src/solver/bridge.rs.h"
 
@@ -42,12 +44,16 @@ Observations to_core(rust::Slice<const FeatureRow> features, rust::Slice<const C
   Observations observations;
   observations.features.reserve(features.size());
   for (const FeatureRow& f : features) {
-    observations.features.push_back(
-        {f.frame, f.board_point_mm, f.k, f.l, {f.u_px, f.v_px, f.rho_px}});
+    observations.features.push_back({f.frame,
+                                     f.board_point_mm,
+                                     f.k,
+                                     f.l,
+                                     {f.u_px, f.v_px, f.rho_px},
+                                     {f.std_dev_px[0], f.std_dev_px[1], f.std_dev_px[2]}});
   }
   observations.centers.reserve(centers.size());
   for (const CenterRow& c : centers) {
-    observations.centers.push_back({c.k, c.l, {c.u_px, c.v_px}});
+    observations.centers.push_back({c.k, c.l, {c.u_px, c.v_px}, c.std_dev_px});
   }
   return observations;
 }
@@ -69,6 +75,8 @@ IterationRow from_core(const Iteration& i) {
 }
 
 }  // namespace
+
+void silence_log() { FLAGS_minloglevel = google::GLOG_ERROR; }
 
 rust::Vec<rust::String> intrinsic_names(int lens_types) {
   rust::Vec<rust::String> names;
@@ -106,12 +114,12 @@ rust::Vec<Projection> project(const CameraParts& parts, rust::Slice<const PoseBl
 }
 
 rust::Vec<Projection> project_centers(const CameraParts& parts,
-                                      rust::Slice<const CenterRow> centers) {
+                                      rust::Slice<const MicroLensIndex> micro_lenses) {
   const Camera camera = to_core(parts);
   validate(camera);
   rust::Vec<Projection> rows;
-  rows.reserve(centers.size());
-  for (const CenterRow& c : centers) {
+  rows.reserve(micro_lenses.size());
+  for (const MicroLensIndex& c : micro_lenses) {
     const Pixel<double> pixel = project_center(camera, c.k, c.l);
     rows.push_back(
         {camera.lattice.lens_type(c.k, c.l, camera.lens_types()), pixel.u, pixel.v, 0.0});
@@ -136,6 +144,7 @@ RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> p
   for (const Pose& pose : r.poses) parts.poses.push_back({pose_block(pose)});
   parts.initial_cost = r.initial_cost;
   parts.cost = r.cost;
+  for (double cost : r.frame_costs) parts.frame_costs.push_back(cost);
   parts.termination = static_cast<int>(r.termination);
   parts.message = r.message;
   parts.report = r.report;

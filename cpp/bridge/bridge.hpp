@@ -10,6 +10,7 @@ struct CameraParts;
 struct CostParts;
 struct FeatureRow;
 struct CenterRow;
+struct MicroLensIndex;
 struct PoseBlock;
 struct Projection;
 struct RefinementParts;
@@ -17,12 +18,13 @@ struct SolverParts;
 struct UncertaintyParts;
 struct ProgressSink;
 
+void silence_log();
 rust::Vec<rust::String> intrinsic_names(int lens_types);
 rust::Vec<Projection> lattice(const CameraParts& camera);
 rust::Vec<Projection> project(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
                               rust::Slice<const FeatureRow> features);
 rust::Vec<Projection> project_centers(const CameraParts& camera,
-                                      rust::Slice<const CenterRow> centers);
+                                      rust::Slice<const MicroLensIndex> micro_lenses);
 RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
                        rust::Slice<const FeatureRow> features, rust::Slice<const CenterRow> centers,
                        const CostParts& cost, const SolverParts& solver, ProgressSink& progress);

@@ -7,7 +7,6 @@
 #include <stdexcept>
 
 #include "problem.hpp"
-#include "quiet_log.hpp"
 
 // Levenberg-Marquardt by Ceres, with extrapolation.
 //
@@ -157,7 +156,6 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
   std::string error;
   if (!options.IsValid(&error)) throw std::invalid_argument(error);
 
-  const QuietLog quiet;
   ceres::Solver::Summary summary;
   bool go_on = true;
   while (go_on) {
@@ -191,6 +189,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
   result.initial_cost = result.iterations.front().cost;
   result.camera = calibration.camera();
   result.poses = calibration.poses();
+  result.frame_costs = calibration.frame_costs();
   result.termination = termination(summary.termination_type);
   result.message = summary.message;
   result.time_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();

@@ -96,25 +96,45 @@ INSTANTIATE_TEST_SUITE_P(
                 "no frames"},
         Spoiled{"FeatureU",
                 [](Scene* s, CostOptions*) {
-                  s->observations.features[0] = {1, {0, 0, 0}, 3, 4, {kNan, 2, 3}};
+                  s->observations.features[0] = {1, {0, 0, 0}, 3, 4, {kNan, 2, 3}, {1, 1, 1}};
                 },
                 "feature of micro-lens (3, 4) in frame 1"},
         Spoiled{"FeatureV",
                 [](Scene* s, CostOptions*) {
-                  s->observations.features[0] = {0, {0, 0, 0}, 5, 6, {1, kInfinity, 3}};
+                  s->observations.features[0] = {0, {0, 0, 0}, 5, 6, {1, kInfinity, 3}, {1, 1, 1}};
                 },
                 "feature of micro-lens (5, 6) in frame 0"},
         Spoiled{"FeatureRho",
                 [](Scene* s, CostOptions*) {
-                  s->observations.features[0] = {0, {0, 0, 0}, 7, 8, {1, 2, kNan}};
+                  s->observations.features[0] = {0, {0, 0, 0}, 7, 8, {1, 2, kNan}, {1, 1, 1}};
                 },
                 "feature of micro-lens (7, 8) in frame 0"},
+        Spoiled{"FeatureStdDevU",
+                [](Scene* s, CostOptions*) {
+                  s->observations.features[0] = {1, {0, 0, 0}, 3, 4, {1, 2, 3}, {0, 1, 1}};
+                },
+                "standard deviation of the feature of micro-lens (3, 4) in frame 1"},
+        Spoiled{"FeatureStdDevV",
+                [](Scene* s, CostOptions*) {
+                  s->observations.features[0] = {1, {0, 0, 0}, 5, 6, {1, 2, 3}, {1, -1, 1}};
+                },
+                "standard deviation of the feature of micro-lens (5, 6) in frame 1"},
+        Spoiled{"FeatureStdDevRho",
+                [](Scene* s, CostOptions*) {
+                  s->observations.features[0] = {0, {0, 0, 0}, 7, 8, {1, 2, 3}, {1, 1, kInfinity}};
+                },
+                "standard deviation of the feature of micro-lens (7, 8) in frame 0"},
+        Spoiled{"CenterStdDev",
+                [](Scene* s, CostOptions*) {
+                  s->observations.centers[0] = {9, 8, {1, 2}, kNan};
+                },
+                "standard deviation of the centre of micro-lens (9, 8)"},
         Spoiled{"BoardPoint",
                 [](Scene* s, CostOptions*) { s->observations.features[0].board_point[2] = kNan; },
                 "board point"},
         Spoiled{"Center",
                 [](Scene* s, CostOptions*) {
-                  s->observations.centers[0] = {9, 8, {1, kNan}};
+                  s->observations.centers[0] = {9, 8, {1, kNan}, 1.0};
                 },
                 "centre of micro-lens (9, 8)"},
         Spoiled{"FeatureColumnBeyond",
@@ -230,7 +250,10 @@ TEST(InvalidInput, HeldFocalLengthOfAPinholeArray) {
 
 TEST(InvalidInput, BlurOfAPinholeArrayMayBeAnything) {
   Scene scene = small_scene(0);
-  for (FeatureObservation& o : scene.observations.features) o.observed.rho = kNan;
+  for (FeatureObservation& o : scene.observations.features) {
+    o.observed.rho = kNan;
+    o.std_dev.rho = kNan;
+  }
   EXPECT_EQ("(accepted)",
             rejection([&] { refine(scene.camera, scene.poses, scene.observations, {}, {}); }));
 }

@@ -1,6 +1,7 @@
 // The solve on a synthetic scene of known truth.
 #include "plenocal/refine.hpp"
 
+#include <ceres/loss_function.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -91,6 +92,87 @@ TEST(Refine, CostIsHalfTheSumOfSquares) {
   const Scene end{result.camera, result.poses, start.observations};
   expect_near_relative(result.cost, 0.5 * residuals(end, options).squaredNorm(), kSummation, "end");
   EXPECT_LT(result.cost, result.initial_cost);
+}
+
+// 1/2 sum rho over the features of one frame, the loss by Ceres.
+double frame_cost(const Refinement& result, const Observations& observations, int frame,
+                  const ceres::LossFunction& loss) {
+  Scene scene{result.camera, result.poses, {}};
+  for (const FeatureObservation& o : observations.features) {
+    if (o.frame == frame) scene.observations.features.push_back(o);
+  }
+  const Eigen::VectorXd r = residuals(scene, one_pitch());
+  double cost = 0.0;
+  for (int i = 0; i < r.size(); i += 3) {
+    double rho[3];
+    loss.Evaluate(r.segment<3>(i).squaredNorm(), rho);
+    cost += 0.5 * rho[0];
+  }
+  return cost;
+}
+
+TEST(Refine, FrameCostsAreThoseOfTheFeaturesAfterTheLoss) {
+  constexpr double kSummation = 1e-9;
+  constexpr double kScale = 1.5;
+  Scene scene = test::make_scene(3);
+  test::add_noise(1.0, 0.5, 0.2, 13, &scene.observations);
+  const ceres::TrivialLoss none;
+  const ceres::CauchyLoss cauchy(kScale);
+  for (LossKind kind : {LossKind::kNone, LossKind::kCauchy}) {
+    CostOptions options = one_pitch();
+    options.features_loss = {kind, kScale};
+    SolverOptions solver;
+    solver.max_iterations = 3;
+    const Refinement result =
+        refine(scene.camera, scene.poses, scene.observations, options, solver);
+    ASSERT_EQ(result.frame_costs.size(), scene.poses.size());
+    double sum = 0.0;
+    for (int frame = 0; frame < static_cast<int>(scene.poses.size()); ++frame) {
+      const auto& loss =
+          kind == LossKind::kNone ? static_cast<const ceres::LossFunction&>(none) : cauchy;
+      expect_near_relative(result.frame_costs[frame],
+                           frame_cost(result, scene.observations, frame, loss), kSummation,
+                           "frame " + std::to_string(frame));
+      sum += result.frame_costs[frame];
+    }
+    // The centres, without a loss, have the rest.
+    const Scene centers{result.camera, result.poses, {{}, scene.observations.centers}};
+    expect_near_relative(sum + 0.5 * residuals(centers, options).squaredNorm(), result.cost,
+                         kSummation, "cost");
+  }
+}
+
+TEST(Refine, DoublingOwnStdDevsIsDoublingTheOption) {
+  Scene scene = test::make_scene(3);
+  test::add_noise(0.1, 0.05, 0.02, 19, &scene.observations);
+  CostOptions doubled = one_pitch();
+  doubled.uv_std_dev = doubled.rho_std_dev = doubled.centers_std_dev = 2.0;
+  doubled.features_loss = doubled.centers_loss = {LossKind::kHuber, 0.1};
+  CostOptions own = doubled;
+  own.uv_std_dev = own.rho_std_dev = own.centers_std_dev = 1.0;
+  SolverOptions solver;
+  solver.max_iterations = 3;
+  const Refinement expected =
+      refine(scene.camera, scene.poses, scene.observations, doubled, solver);
+  for (FeatureObservation& o : scene.observations.features) o.std_dev = {2.0, 2.0, 2.0};
+  for (CenterObservation& o : scene.observations.centers) o.std_dev = 2.0;
+  const Refinement actual = refine(scene.camera, scene.poses, scene.observations, own, solver);
+  // The same arithmetic throughout.
+  EXPECT_EQ(actual.cost, expected.cost);
+  EXPECT_EQ(test::intrinsics(actual.camera), test::intrinsics(expected.camera));
+}
+
+// Each of the three, and that of the centres, at its place.
+TEST(Refine, OwnStdDevsWeighTheirOwnResidual) {
+  constexpr double kSummation = 1e-9;
+  Scene scene = test::make_scene(3);
+  test::add_noise(0.1, 0.05, 0.02, 23, &scene.observations);
+  scene.observations.features[5].std_dev = {0.5, 3.0, 0.1};
+  scene.observations.features[6].std_dev = {2.0, 0.2, 7.0};
+  scene.observations.centers[7].std_dev = 0.05;
+  const Refinement result = refine(scene.camera, scene.poses, scene.observations, one_pitch(), {});
+  expect_near_relative(result.initial_cost, 0.5 * residuals(scene, one_pitch()).squaredNorm(),
+                       kSummation, "cost");
 }
 
 TEST(Refine, TwoPitchesAreRecovered) {

@@ -60,14 +60,15 @@ inline Observations observe(const Camera& camera, const std::vector<Pose>& poses
   for (int l = 0; l < camera.lattice.rows; ++l) {
     for (int k = 0; k < camera.lattice.columns; ++k) {
       const Pixel<double> center = project_center(camera, k, l);
-      observations.centers.push_back({k, l, center});
+      observations.centers.push_back({k, l, center, 1.0});
       for (std::size_t frame = 0; frame < poses.size(); ++frame) {
         for (int i = 0; i < kBoardColumns * kBoardRows; ++i) {
           const auto corner = board_corner(poses[frame], i % kBoardColumns, i / kBoardColumns);
           Feature<double> feature{};
           if (project(camera, poses[frame], corner, k, l, &feature) &&
               std::hypot(feature.u - center.u, feature.v - center.v) < micro_image_radius) {
-            observations.features.push_back({static_cast<int>(frame), corner, k, l, feature});
+            observations.features.push_back(
+                {static_cast<int>(frame), corner, k, l, feature, {1.0, 1.0, 1.0}});
           }
         }
       }
@@ -130,14 +131,16 @@ inline Eigen::VectorXd residuals(const Scene& scene, const CostOptions& options)
   for (const FeatureObservation& o : scene.observations.features) {
     Feature<double> f{};
     EXPECT_TRUE(project(scene.camera, scene.poses[o.frame], o.board_point, o.k, o.l, &f));
-    values.push_back((f.u - o.observed.u) / options.uv_std_dev);
-    values.push_back((f.v - o.observed.v) / options.uv_std_dev);
-    if (blur) values.push_back((f.rho - o.observed.rho) / options.rho_std_dev);
+    values.push_back((f.u - o.observed.u) / (o.std_dev.u * options.uv_std_dev));
+    values.push_back((f.v - o.observed.v) / (o.std_dev.v * options.uv_std_dev));
+    if (blur) {
+      values.push_back((f.rho - o.observed.rho) / (o.std_dev.rho * options.rho_std_dev));
+    }
   }
   for (const CenterObservation& o : scene.observations.centers) {
     const Pixel<double> p = project_center(scene.camera, o.k, o.l);
-    values.push_back((p.u - o.observed.u) / options.centers_std_dev);
-    values.push_back((p.v - o.observed.v) / options.centers_std_dev);
+    values.push_back((p.u - o.observed.u) / (o.std_dev * options.centers_std_dev));
+    values.push_back((p.v - o.observed.v) / (o.std_dev * options.centers_std_dev));
   }
   return Eigen::Map<Eigen::VectorXd>(values.data(), values.size());
 }

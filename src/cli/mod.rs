@@ -89,6 +89,7 @@ fn print(text: &[u8]) -> Result<()> {
 pub fn run() -> ExitCode {
     let arguments = Cli::parse();
     logging::begin(arguments.verbose);
+    plenocal::solver::silence_log();
     interrupt::handle();
     let outcome = match arguments.command {
         Command::Init(arguments) => init::run(&arguments),

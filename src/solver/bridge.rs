@@ -7,11 +7,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use nalgebra::{DMatrix, Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use super::options::{CostOptions, Loss, SolverOptions};
-use super::problem::{Problem, SolverFeature};
+use super::problem::{Problem, SolverCenter, SolverFeature};
 use super::refinement::{Iteration, Refinement, Termination};
 use super::uncertainty::Uncertainty;
 use crate::error::{Error, Result};
-use crate::model::{LatticeKind, MicroImageCenter, Parity, PlenopticCamera};
+use crate::model::{LatticeKind, Parity, PlenopticCamera};
 
 // cxx asks for the lifetimes to be spelt out.
 #[allow(unsafe_code, clippy::elidable_lifetime_names)]
@@ -42,6 +42,8 @@ mod ffi {
         u_px: f64,
         v_px: f64,
         rho_px: f64,
+        /// Of u, v and ρ.
+        std_dev_px: [f64; 3],
     }
 
     struct CenterRow {
@@ -49,6 +51,13 @@ mod ffi {
         l: i32,
         u_px: f64,
         v_px: f64,
+        std_dev_px: f64,
+    }
+
+    /// Micro-lens (k, l).
+    struct MicroLensIndex {
+        k: i32,
+        l: i32,
     }
 
     /// A projected feature or centre; `lens_type` is -1 where the model is not defined.
@@ -89,6 +98,7 @@ mod ffi {
         poses: Vec<PoseBlock>,
         initial_cost: f64,
         cost: f64,
+        frame_costs: Vec<f64>,
         termination: i32,
         message: String,
         report: String,
@@ -116,6 +126,7 @@ mod ffi {
     unsafe extern "C++" {
         include!("bridge.hpp");
 
+        fn silence_log();
         #[allow(dead_code)] // used by tests
         fn intrinsic_names(lens_types: i32) -> Vec<String>;
         #[allow(dead_code)] // used by tests
@@ -125,7 +136,10 @@ mod ffi {
             poses: &[PoseBlock],
             features: &[FeatureRow],
         ) -> Result<Vec<Projection>>;
-        fn project_centers(camera: &CameraParts, centers: &[CenterRow]) -> Result<Vec<Projection>>;
+        fn project_centers(
+            camera: &CameraParts,
+            micro_lenses: &[MicroLensIndex],
+        ) -> Result<Vec<Projection>>;
         unsafe fn refine<'a>(
             camera: &CameraParts,
             poses: &[PoseBlock],
@@ -164,6 +178,14 @@ impl ProgressSink<'_> {
     }
 }
 
+/// Keeps warnings of Ceres off stderr, for the whole process: those of steps that leave the domain
+/// of the model are no news.
+///
+/// For programs, once, before they start threads. A library leaves the log as it finds it.
+pub fn silence_log() {
+    ffi::silence_log();
+}
+
 /// Names of the intrinsic parameters as the core orders them.
 #[cfg(test)]
 pub(crate) fn intrinsic_names(lens_types: usize) -> Vec<String> {
@@ -187,10 +209,13 @@ pub(crate) fn project(problem: &Problem) -> Result<Vec<Option<[f64; 3]>>> {
     Ok(rows.iter().map(defined).collect())
 }
 
-/// Projects micro-lenses to their micro-image centres (u, v) in px.
-pub(crate) fn project_centers(problem: &Problem) -> Result<Vec<[f64; 2]>> {
-    let rows = ffi::project_centers(&problem.camera.into(), &problem.center_rows())
-        .map_err(solver_error)?;
+/// Projects micro-lenses (k, l) to their micro-image centres (u, v) in px.
+pub(crate) fn project_centers(
+    camera: &PlenopticCamera,
+    micro_lenses: impl Iterator<Item = (i32, i32)>,
+) -> Result<Vec<[f64; 2]>> {
+    let micro_lenses: Vec<_> = micro_lenses.map(|(k, l)| ffi::MicroLensIndex { k, l }).collect();
+    let rows = ffi::project_centers(&camera.into(), &micro_lenses).map_err(solver_error)?;
     Ok(rows.iter().map(|p| [p.u_px, p.v_px]).collect())
 }
 
@@ -224,6 +249,7 @@ pub(crate) fn refine(
         poses: parts.poses.iter().map(Isometry3::from).collect(),
         initial_cost: parts.initial_cost,
         cost: parts.cost,
+        frame_costs: parts.frame_costs,
         termination: match parts.termination {
             0 => Termination::Converged,
             1 => Termination::IterationLimit,
@@ -285,13 +311,19 @@ impl Problem<'_> {
             u_px: f.u_px,
             v_px: f.v_px,
             rho_px: f.rho_px,
+            std_dev_px: f.std_dev_px,
         };
         self.features.iter().map(row).collect()
     }
 
     fn center_rows(&self) -> Vec<ffi::CenterRow> {
-        let row =
-            |c: &MicroImageCenter| ffi::CenterRow { k: c.k, l: c.l, u_px: c.u_px, v_px: c.v_px };
+        let row = |c: &SolverCenter| ffi::CenterRow {
+            k: c.k,
+            l: c.l,
+            u_px: c.u_px,
+            v_px: c.v_px,
+            std_dev_px: c.std_dev_px,
+        };
         self.centers.iter().map(row).collect()
     }
 }
@@ -457,6 +489,7 @@ mod tests {
             u_px,
             v_px: 40.0,
             rho_px: 0.0,
+            std_dev_px: [1.0; 3],
         };
         let features: Vec<_> = (0..8).map(|i| feature(i, 7 - i, 10.0 * f64::from(i))).collect();
         let problem =
@@ -474,8 +507,7 @@ mod tests {
     fn what_the_core_rejects_arrives_as_an_error() {
         let mut camera = camera(Packing::HexagonalRows(Parity::Even), 8, 8);
         camera.mla.mla_to_sensor_mm = f64::NAN;
-        let problem = Problem { camera: &camera, poses: &[], features: &[], centers: &[] };
-        let error = project_centers(&problem).unwrap_err().to_string();
+        let error = project_centers(&camera, std::iter::empty()).unwrap_err().to_string();
         assert!(error.contains("d (mm)"), "{error}");
     }
 }

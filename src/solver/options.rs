@@ -17,14 +17,15 @@ pub enum Loss {
     },
 }
 
-/// The cost: ½ Σ loss(|r/σ|²).
+/// The cost: ½ Σ loss(|r/σ|²). The σ of a residual is the observation's own, 1 px unless given,
+/// times the factor of its kind given here.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CostOptions {
-    /// σ of u and v of a feature, px.
+    /// σ of u and v of a feature, px where it has none of its own.
     pub uv_std_dev_px: f64,
-    /// σ of ρ, px.
+    /// σ of ρ, likewise.
     pub rho_std_dev_px: f64,
-    /// σ of u and v of a micro-image centre, px.
+    /// σ of u and v of a micro-image centre, likewise.
     pub centers_std_dev_px: f64,
     /// Loss on features and on centres.
     pub loss: Loss,

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3};
 
-use crate::model::{MicroImageCenter, PlenopticCamera};
+use crate::model::PlenopticCamera;
 
 /// A feature as the solver takes it: the frame is an index into the poses.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,6 +14,19 @@ pub(crate) struct SolverFeature {
     pub u_px: f64,
     pub v_px: f64,
     pub rho_px: f64,
+    /// Of u, v and ρ; the standard deviations of `CostOptions` are factors on them.
+    pub std_dev_px: [f64; 3],
+}
+
+/// A micro-image centre as the solver takes it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct SolverCenter {
+    pub k: i32,
+    pub l: i32,
+    pub u_px: f64,
+    pub v_px: f64,
+    /// Of u and of v; that of `CostOptions` is a factor on it.
+    pub std_dev_px: f64,
 }
 
 /// A problem for the solver.
@@ -22,5 +35,5 @@ pub(crate) struct Problem<'a> {
     pub camera: &'a PlenopticCamera,
     pub poses: &'a [Isometry3<f64>],
     pub features: &'a [SolverFeature],
-    pub centers: &'a [MicroImageCenter],
+    pub centers: &'a [SolverCenter],
 }

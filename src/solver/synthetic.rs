@@ -60,8 +60,7 @@ fn whole_micro_images(camera: &PlenopticCamera) -> Result<Vec<MicroImageCenter>>
         .flat_map(|l| (0..camera.lattice.columns).map(move |k| (k, l)))
         .map(|(k, l)| MicroImageCenter { k, l, u_px: 0.0, v_px: 0.0 })
         .collect();
-    let projected =
-        super::project_centers(&Problem { camera, poses: &[], features: &[], centers: &centers })?;
+    let projected = super::project_centers(camera, centers.iter().map(|c| (c.k, c.l)))?;
     let radius = camera.micro_image_pitch_px() / 2.0;
     let whole = |c: &MicroImageCenter| {
         let inside = |x: f64, size: u32| x >= radius && x <= f64::from(size) - 1.0 - radius;
@@ -91,6 +90,7 @@ fn project_corner(
             u_px: 0.0,
             v_px: 0.0,
             rho_px: 0.0,
+            std_dev_px: [1.0; 3],
         })
         .collect();
     let poses: [Isometry3<f64>; 1] = [pose.camera_from_board];

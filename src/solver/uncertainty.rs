@@ -33,7 +33,8 @@ pub struct Uncertainty {
     /// Whether each parameter is determined at all; where not, its variance says nothing.
     pub determined: Vec<bool>,
     /// Measured standard deviation of a residual, px: u and v of features, ρ, u and v of centres;
-    /// not a number for a kind without observations. Under a robust loss that of the weighted
+    /// not a number for a kind without observations. Where observations have a σ of their own, at
+    /// the root mean square of these. Under a robust loss that of the weighted
     /// residuals, smaller than the noise.
     pub residual_std_dev_px: [f64; 3],
     /// What a Gauss-Newton step would still take off the cost; next to nothing at a true minimum.

@@ -10,18 +10,21 @@
 
 namespace plenocal {
 
-/// A BAP feature of a board point, observed in a frame through micro-lens (k, l).
+/// A BAP feature of a board point, observed in a frame through micro-lens (k, l). rho and its
+/// standard deviation are not used for a pinhole array.
 struct FeatureObservation {
   int frame;                          ///< index into the poses
   std::array<double, 3> board_point;  ///< mm, board frame
   int k, l;
-  Feature<double> observed;  ///< px; rho is not used for a pinhole array
+  Feature<double> observed;                ///< px
+  Feature<double> std_dev{1.0, 1.0, 1.0};  ///< px, times that of `CostOptions`
 };
 
 /// An observed micro-image centre.
 struct CenterObservation {
   int k, l;
   Pixel<double> observed;  ///< px
+  double std_dev = 1.0;    ///< px, of u and of v, times that of `CostOptions`
 };
 
 /// Everything observed.
@@ -30,11 +33,12 @@ struct Observations {
   std::vector<CenterObservation> centers;
 };
 
-/// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations.
+/// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations. The sigma of a residual is
+/// the observation's own, 1 px unless given, times the factor of its kind given here.
 struct CostOptions {
-  double uv_std_dev = 1.0;       ///< px, of a feature's u and v
-  double rho_std_dev = 1.0;      ///< px, of a feature's rho
-  double centers_std_dev = 1.0;  ///< px, of a centre's u and v
+  double uv_std_dev = 1.0;       ///< of a feature's u and v
+  double rho_std_dev = 1.0;      ///< of a feature's rho
+  double centers_std_dev = 1.0;  ///< of a centre's u and v
   Loss features_loss;            ///< on |(u, v, rho)| of a feature
   Loss centers_loss;             ///< on |(u, v)| of a centre
   /// Names of intrinsic parameters that keep their value, see `intrinsic_names`; by default the
@@ -77,6 +81,8 @@ struct Refinement {
   std::vector<Pose> poses;
   double initial_cost = 0.0;
   double cost = 0.0;
+  /// The part of `cost` that comes from the features of each frame; centres have the rest.
+  std::vector<double> frame_costs;
   Termination termination = Termination::kFailed;
   std::string message;  ///< Ceres' reason in words
   std::string report;   ///< Ceres' full report
@@ -114,8 +120,9 @@ struct Uncertainty {
   /// Whether a parameter is determined at all. Where it is not, its variance says nothing.
   std::vector<bool> determined;
   /// s_k times the sigma of the cost, px: features' u and v, rho, centres' u and v; not a number
-  /// for a kind without observations. Under a robust loss these are the residuals after weighting,
-  /// smaller than the noise.
+  /// for a kind without observations. Where observations have a sigma of their own, their root mean
+  /// square times the factor of the kind. Under a robust loss these are the residuals after
+  /// weighting, smaller than the noise.
   std::array<double, 3> residual_std_dev{};
   /// What a Gauss-Newton step would still take off the cost: 0 at a true minimum.
   double expected_decrease = 0.0;

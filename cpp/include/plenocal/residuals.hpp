@@ -51,12 +51,13 @@ void apply_loss(const Loss& loss, int n, T* r) {
   for (int i = 0; i < n; ++i) r[i] *= factor;
 }
 
-/// One observed feature of a board corner, ready for the functor.
-struct CornerSighting {
+/// An observed feature, ready for the functor.
+struct WeightedFeature {
   std::array<double, 3> board_point;  ///< mm
   Node node;
   int lens_type;
-  Feature<double> observed;
+  Feature<double> observed;  ///< px
+  Feature<double> weight;    ///< 1 / sigma of each, 1/px
 };
 
 /// Residuals (u, v, rho) / sigma of features of one frame: 3 each, or 2 for a pinhole array
@@ -66,13 +67,8 @@ class FeatureResiduals {
  public:
   static constexpr int kResiduals = I == 0 ? 2 : 3;
 
-  FeatureResiduals(std::vector<CornerSighting> sightings, double pixel_size, double uv_std_dev,
-                   double rho_std_dev, Loss loss)
-      : sightings_(std::move(sightings)),
-        pixel_size_(pixel_size),
-        uv_weight_(1.0 / uv_std_dev),
-        rho_weight_(1.0 / rho_std_dev),
-        loss_(loss) {}
+  FeatureResiduals(std::vector<WeightedFeature> features, double pixel_size, Loss loss)
+      : features_(std::move(features)), pixel_size_(pixel_size), loss_(loss) {}
 
   template <typename T>
   PLENOCAL_FLATTEN bool operator()(const T* lens, const T* array, const T* focal_lengths,
@@ -85,22 +81,22 @@ class FeatureResiduals {
 
     Point<T> image;
     const std::array<double, 3>* imaged = nullptr;
-    for (const CornerSighting& s : sightings_) {
-      // Sightings of a corner follow each other, so its image is worked out once.
-      if (imaged == nullptr || *imaged != s.board_point) {
-        if (!optics.main_lens_image(camera_from_board(s.board_point), &image)) return false;
-        imaged = &s.board_point;
+    for (const WeightedFeature& f : features_) {
+      // Features of a corner follow each other, so its image is worked out once.
+      if (imaged == nullptr || *imaged != f.board_point) {
+        if (!optics.main_lens_image(camera_from_board(f.board_point), &image)) return false;
+        imaged = &f.board_point;
       }
-      const Point<T> center = optics.micro_lens_center(s.node);
+      const Point<T> center = optics.micro_lens_center(f.node);
       Pixel<T> pixel;
       T scale;
       if (!optics.through_micro_lens(image, center, &pixel, &scale)) return false;
-      residuals[0] = (pixel.u - s.observed.u) * uv_weight_;
-      residuals[1] = (pixel.v - s.observed.v) * uv_weight_;
+      residuals[0] = (pixel.u - f.observed.u) * f.weight.u;
+      residuals[1] = (pixel.v - f.observed.v) * f.weight.v;
       if constexpr (I > 0) {
-        residuals[2] = (optics.blur_radius(center, scale, inverse_focal_lengths[s.lens_type]) -
-                        s.observed.rho) *
-                       rho_weight_;
+        residuals[2] = (optics.blur_radius(center, scale, inverse_focal_lengths[f.lens_type]) -
+                        f.observed.rho) *
+                       f.weight.rho;
       }
       apply_loss(loss_, kResiduals, residuals);
       residuals += kResiduals;
@@ -116,13 +112,11 @@ class FeatureResiduals {
     return (*this)(lens, array, static_cast<const T*>(nullptr), pose, residuals);
   }
 
-  /// A cost function over these sightings.
-  static std::unique_ptr<ceres::CostFunction> create(std::vector<CornerSighting> sightings,
-                                                     double pixel_size, double uv_std_dev,
-                                                     double rho_std_dev, Loss loss) {
-    const int n = kResiduals * static_cast<int>(sightings.size());
-    auto* functor =
-        new FeatureResiduals(std::move(sightings), pixel_size, uv_std_dev, rho_std_dev, loss);
+  /// A cost function over these features.
+  static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedFeature> features,
+                                                     double pixel_size, Loss loss) {
+    const int n = kResiduals * static_cast<int>(features.size());
+    auto* functor = new FeatureResiduals(std::move(features), pixel_size, loss);
     if constexpr (I == 0) {
       return std::make_unique<
           ceres::AutoDiffCostFunction<FeatureResiduals, ceres::DYNAMIC, MainLens<double>::kSize,
@@ -135,17 +129,16 @@ class FeatureResiduals {
   }
 
  private:
-  std::vector<CornerSighting> sightings_;
+  std::vector<WeightedFeature> features_;
   double pixel_size_;
-  double uv_weight_;
-  double rho_weight_;
   Loss loss_;
 };
 
-/// One observed micro-image centre, ready for the functor.
-struct CenterSighting {
+/// An observed micro-image centre, ready for the functor.
+struct WeightedCenter {
   Node node;
-  Pixel<double> observed;
+  Pixel<double> observed;  ///< px
+  double weight;           ///< 1 / sigma, 1/px
 };
 
 /// Residuals (u, v) / sigma of micro-image centres, 2 each. Parameter block: array.
@@ -153,39 +146,34 @@ class CenterResiduals {
  public:
   static constexpr int kResiduals = 2;
 
-  CenterResiduals(std::vector<CenterSighting> sightings, double pixel_size, double std_dev,
-                  Loss loss)
-      : sightings_(std::move(sightings)),
-        pixel_size_(pixel_size),
-        weight_(1.0 / std_dev),
-        loss_(loss) {}
+  CenterResiduals(std::vector<WeightedCenter> centers, double pixel_size, Loss loss)
+      : centers_(std::move(centers)), pixel_size_(pixel_size), loss_(loss) {}
 
   template <typename T>
   PLENOCAL_FLATTEN bool operator()(const T* array, T* residuals) const {
     const Optics<T> optics(MainLens<T>{}, MicroLensArray<T>::from_block(array), pixel_size_);
-    for (const CenterSighting& s : sightings_) {
-      const Pixel<T> pixel = optics.micro_image_center(optics.micro_lens_center(s.node));
-      residuals[0] = (pixel.u - s.observed.u) * weight_;
-      residuals[1] = (pixel.v - s.observed.v) * weight_;
+    for (const WeightedCenter& c : centers_) {
+      const Pixel<T> pixel = optics.micro_image_center(optics.micro_lens_center(c.node));
+      residuals[0] = (pixel.u - c.observed.u) * c.weight;
+      residuals[1] = (pixel.v - c.observed.v) * c.weight;
       apply_loss(loss_, kResiduals, residuals);
       residuals += kResiduals;
     }
     return true;
   }
 
-  /// A cost function over these sightings.
-  static std::unique_ptr<ceres::CostFunction> create(std::vector<CenterSighting> sightings,
-                                                     double pixel_size, double std_dev, Loss loss) {
-    const int n = kResiduals * static_cast<int>(sightings.size());
+  /// A cost function over these centres.
+  static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedCenter> centers,
+                                                     double pixel_size, Loss loss) {
+    const int n = kResiduals * static_cast<int>(centers.size());
     return std::make_unique<ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC,
                                                         MicroLensArray<double>::kSize>>(
-        new CenterResiduals(std::move(sightings), pixel_size, std_dev, loss), n);
+        new CenterResiduals(std::move(centers), pixel_size, loss), n);
   }
 
  private:
-  std::vector<CenterSighting> sightings_;
+  std::vector<WeightedCenter> centers_;
   double pixel_size_;
-  double weight_;
   Loss loss_;
 };
 
