@@ -5,6 +5,7 @@
 #include <numeric>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 
 namespace plenocal {
 namespace {
@@ -51,8 +52,9 @@ void require_feature(const FeatureObservation& o, const Lattice& lattice, bool h
   if (o.frame < 0 || o.frame >= static_cast<int>(poses)) {
     reject("a feature names frame " + std::to_string(o.frame) + ", which has no pose");
   }
-  for (double value : o.board_point) {
-    if (!std::isfinite(value)) reject("a board point is not finite");
+  const auto& [x, y, z] = o.board_point;
+  if (!std::isfinite(x) || !std::isfinite(y) || !std::isfinite(z)) {
+    reject("a board point is not finite");
   }
   const auto& [u, v, rho] = o.observed;
   if (!std::isfinite(u) || !std::isfinite(v) || (has_rho && !std::isfinite(rho))) {
@@ -105,8 +107,8 @@ void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
 CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<Pose>& poses,
                                        const Observations& observations, const CostOptions& options)
     : frame_(camera),
-      lens_(camera.main_lens.block()),
-      array_(camera.mla.block()),
+      lens_(to_block(camera.main_lens)),
+      array_(to_block(camera.mla)),
       focal_lengths_(camera.micro_lens_focal_lengths) {
   validate_problem(camera, poses, observations, options);
   for (const Pose& pose : poses) poses_.push_back(pose_block(pose));
@@ -125,13 +127,13 @@ CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<P
       add_features<3>(observations, options);
   }
   add_centers(observations, options);
-  hold(options);
+  fix(options);
   for (auto& pose : poses_) free_blocks_.push_back(pose.data());
 }
 
 std::vector<std::pair<double*, int>> CalibrationProblem::intrinsic_blocks() {
-  std::vector<std::pair<double*, int>> blocks = {{lens_.data(), MainLens<double>::kSize},
-                                                 {array_.data(), MicroLensArray<double>::kSize}};
+  std::vector<std::pair<double*, int>> blocks = {{lens_.data(), kMainLensParameters},
+                                                 {array_.data(), kArrayParameters}};
   if (!focal_lengths_.empty()) {
     blocks.emplace_back(focal_lengths_.data(), static_cast<int>(focal_lengths_.size()));
   }
@@ -143,11 +145,13 @@ void CalibrationProblem::add_features(const Observations& observations,
                                       const CostOptions& options) {
   // Sorted by frame, then corner; the order within a corner is kept.
   const auto& features = observations.features;
+  const auto by_frame_and_corner = [](const FeatureObservation& o) {
+    return std::tie(o.frame, o.board_point.x, o.board_point.y, o.board_point.z);
+  };
   std::vector<std::size_t> order(features.size());
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-    return std::tie(features[a].frame, features[a].board_point) <
-           std::tie(features[b].frame, features[b].board_point);
+    return by_frame_and_corner(features[a]) < by_frame_and_corner(features[b]);
   });
   for (std::size_t begin = 0; begin < order.size();) {
     const int frame = features[order[begin]].frame;
@@ -192,19 +196,19 @@ void CalibrationProblem::add_centers(const Observations& observations, const Cos
   }
 }
 
-void CalibrationProblem::hold(const CostOptions& options) {
+void CalibrationProblem::fix(const CostOptions& options) {
   const auto names = intrinsic_names(frame_.lens_types());
-  std::vector<char> held(names.size(), 0);
-  for (const std::string& name : options.held) {
+  std::vector<char> fixed(names.size(), 0);
+  for (const std::string& name : options.fixed) {
     const auto found = std::find(names.begin(), names.end(), name);
-    if (found == names.end()) reject("there is no parameter " + name + " to hold");
-    held[found - names.begin()] = 1;
+    if (found == names.end()) reject("there is no parameter " + name + " to fix");
+    fixed[found - names.begin()] = 1;
   }
   int first = 0;
   for (auto [block, size] : intrinsic_blocks()) {
     std::vector<int> constant;
     for (int i = 0; i < size; ++i) {
-      if (held[first + i]) {
+      if (fixed[first + i]) {
         constant.push_back(i);
       } else {
         free_intrinsics_.push_back(first + i);
@@ -268,8 +272,8 @@ void CalibrationProblem::set_state(const Eigen::VectorXd& state) {
 
 Camera CalibrationProblem::camera() const {
   Camera camera = frame_;
-  camera.main_lens = MainLens<double>::from_block(lens_.data());
-  camera.mla = MicroLensArray<double>::from_block(array_.data());
+  camera.main_lens = from_block<MainLens>(lens_.data());
+  camera.mla = from_block<MicroLensArray>(array_.data());
   camera.micro_lens_focal_lengths = focal_lengths_;
   return camera;
 }

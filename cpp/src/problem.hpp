@@ -52,12 +52,12 @@ class CalibrationProblem {
   template <int I>
   void add_features(const Observations& observations, const CostOptions& options);
   void add_centers(const Observations& observations, const CostOptions& options);
-  void hold(const CostOptions& options);
+  void fix(const CostOptions& options);
   std::vector<std::pair<double*, int>> intrinsic_blocks();
 
   Camera frame_;  // what is not a parameter: lattice, pixel size
-  std::array<double, MainLens<double>::kSize> lens_;
-  std::array<double, MicroLensArray<double>::kSize> array_;
+  std::array<double, kMainLensParameters> lens_;
+  std::array<double, kArrayParameters> array_;
   std::vector<double> focal_lengths_;
   std::vector<std::array<double, Pose::kSize>> poses_;
   std::vector<double*> free_blocks_;

@@ -92,7 +92,7 @@ Eigen::VectorXd limit(const std::vector<Eigen::VectorXd>& states) {
                                 .completeOrthogonalDecomposition()
                                 .solve(Eigen::VectorXd::Ones(count));
   weights /= weights.sum();
-  // Written by steps back from the last member, so that what is held does not move by rounding.
+  // Written by steps back from the last member, so that what is fixed does not move by rounding.
   Eigen::VectorXd result = states.back();
   double before = 0.0;
   for (std::size_t i = 0; i + 1 < count; ++i) {

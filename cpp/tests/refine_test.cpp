@@ -23,9 +23,9 @@ using test::Scene;
 // 1e3 after the conditioning of the scene is near 1e-11; anything beyond this did not converge.
 constexpr double kRecovery = 1e-8;
 
-// A start some per cent away from the truth, several px in the residuals; parameters in `held`
+// A start some per cent away from the truth, several px in the residuals; parameters in `fixed`
 // start at the truth.
-Scene disturbed(const Scene& truth, const std::vector<std::string>& held) {
+Scene disturbed(const Scene& truth, const std::vector<std::string>& fixed) {
   const std::vector<double> factors = {1.01,  0.9,    0.9,   0.9,  0.9,  0.9, 1.005,
                                        0.995, 1.03,   1.3,   0.7,  0.7,  1.5, 0.6,
                                        1.002, 1.0005, 0.999, 0.98, 1.02, 0.99};
@@ -33,14 +33,15 @@ Scene disturbed(const Scene& truth, const std::vector<std::string>& held) {
   auto values = test::intrinsics(truth.camera);
   const auto names = intrinsic_names(truth.camera.lens_types());
   for (std::size_t i = 0; i < values.size(); ++i) {
-    if (std::find(held.begin(), held.end(), names[i]) == held.end()) values[i] *= factors[i];
+    if (std::find(fixed.begin(), fixed.end(), names[i]) == fixed.end()) values[i] *= factors[i];
   }
   start.camera = test::with_intrinsics(truth.camera, values);
   for (std::size_t i = 0; i < start.poses.size(); ++i) {
-    start.poses[i].rotation[i % 3] += 0.02;
-    start.poses[i].translation[0] += 0.2;
-    start.poses[i].translation[1] -= 0.2;
-    start.poses[i].translation[2] += 3.0;
+    auto& [rotation, translation] = start.poses[i];
+    (i % 3 == 0 ? rotation.x : i % 3 == 1 ? rotation.y : rotation.z) += 0.02;
+    translation.x += 0.2;
+    translation.y -= 0.2;
+    translation.z += 3.0;
   }
   return start;
 }
@@ -181,40 +182,40 @@ TEST(Refine, TwoPitchesAreRecovered) {
   truth.observations = test::observe(truth.camera, truth.poses);
   const Scene start = disturbed(truth, {});
   CostOptions two_pitches;
-  two_pitches.held.clear();
+  two_pitches.fixed.clear();
   const Refinement free = refine(start.camera, start.poses, start.observations, two_pitches, {});
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
   expect_recovered(free, truth);
   // One pitch cannot explain it: the outer centres alone are off by 0.2 px.
   Scene one = start;
   one.camera.mla.pitch_ratio = 1.0;
-  const Refinement held = refine(one.camera, one.poses, one.observations, one_pitch(), {});
-  EXPECT_EQ(held.camera.mla.pitch_ratio, 1.0);
-  EXPECT_GT(held.cost, 1.0);
+  const Refinement fixed = refine(one.camera, one.poses, one.observations, one_pitch(), {});
+  EXPECT_EQ(fixed.camera.mla.pitch_ratio, 1.0);
+  EXPECT_GT(fixed.cost, 1.0);
 }
 
-TEST(Refine, HeldParametersKeepTheirValue) {
+TEST(Refine, FixedParametersKeepTheirValue) {
   CostOptions options;
-  options.held = {"F", "Q2", "P1", "v0", "theta_z", "dC", "dC_ratio", "f_2"};
+  options.fixed = {"F", "Q2", "P1", "v0", "theta_z", "dC", "dC_ratio", "f_2"};
   const Scene start = disturbed(test::make_scene(3), {});
   const Refinement result = refine(start.camera, start.poses, start.observations, options, {});
   const auto names = intrinsic_names(3);
   const auto before = test::intrinsics(start.camera), after = test::intrinsics(result.camera);
   for (std::size_t i = 0; i < names.size(); ++i) {
-    const bool held =
-        std::find(options.held.begin(), options.held.end(), names[i]) != options.held.end();
-    EXPECT_EQ(before[i] == after[i], held) << names[i];
+    const bool fixed =
+        std::find(options.fixed.begin(), options.fixed.end(), names[i]) != options.fixed.end();
+    EXPECT_EQ(before[i] == after[i], fixed) << names[i];
   }
   const Uncertainty u = uncertainty(start.camera, start.poses, start.observations, options);
   EXPECT_EQ(u.free_intrinsics, (std::vector<int>{1, 3, 5, 6, 8, 9, 10, 12, 13, 14, 17, 19}));
   EXPECT_EQ(u.size, 12 + 6 * 7);
 }
 
-TEST(Refine, EverythingHeldLeavesThePoses) {
+TEST(Refine, EverythingFixedLeavesThePoses) {
   const Scene truth = test::make_scene(3);
   CostOptions options;
-  options.held = intrinsic_names(3);
-  const Scene start = disturbed(truth, options.held);
+  options.fixed = intrinsic_names(3);
+  const Scene start = disturbed(truth, options.fixed);
   const Refinement result = refine(start.camera, start.poses, start.observations, options, {});
   EXPECT_EQ(result.termination, Termination::kConverged) << result.message;
   EXPECT_EQ(test::intrinsics(result.camera), test::intrinsics(truth.camera));

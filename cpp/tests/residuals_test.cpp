@@ -37,14 +37,14 @@ std::vector<double> evaluate(const ceres::CostFunction& cost,
 
 // Camera and pose as parameter blocks.
 struct Blocks {
-  std::array<double, 6> lens;
-  std::array<double, 11> array;
+  std::array<double, kMainLensParameters> lens;
+  std::array<double, kArrayParameters> array;
   std::vector<double> focal_lengths;
   std::array<double, 6> pose;
 
   Blocks(const Camera& camera, const Pose& camera_from_board)
-      : lens(camera.main_lens.block()),
-        array(camera.mla.block()),
+      : lens(to_block(camera.main_lens)),
+        array(to_block(camera.mla)),
         focal_lengths(camera.micro_lens_focal_lengths),
         pose(pose_block(camera_from_board)) {}
 
@@ -60,7 +60,7 @@ struct Blocks {
 // (1, 1) sit at x = +0.15 and -0.05 mm, (0, 0) and (1, 0) at +0.05 and -0.15 mm.
 Camera pencil_camera(int types) {
   Camera camera;
-  camera.lattice = {LatticeKind::kHexagonalRows, 2, 2, 0};
+  camera.lattice = {Packing::kHexagonalRowsEven, 2, 2};
   camera.pixel_size = 0.01;
   camera.main_lens.focal_length = 50.0;
   camera.mla = {{100.0, 80.0}, 0.5, {0.0, 0.0, 0.0}, {0.0, 0.0}, 59.0, 0.2, 1.0};
@@ -74,7 +74,7 @@ const Pose kPencilPose{{0.0, 0.0, 0.0}, {0.0, 0.0, 300.0}};
 // What the pencil camera sees of (3, 1.5, 0) through (1, 0), of type 1. p' = (-0.6, -0.3, -60),
 // C = (-0.15, +0.0866025403784, -59), half-way: (-0.375, -0.1066987298108), so u = 137.5 and
 // v = 90.66987298108; rho = 10 (0.5/f + 0.5 - 1): 0 for f = 1, 1.25 for f = 0.8.
-const std::array<double, 3> kPencilPoint = {3.0, 1.5, 0.0};
+const Vector3<double> kPencilPoint = {3.0, 1.5, 0.0};
 constexpr double kPencilU = 137.5;
 constexpr double kPencilV = 90.66987298108;
 constexpr double kPencilRho[] = {0.0, 0.0, 0.0, 1.25};  // by number of types
@@ -83,8 +83,7 @@ WeightedFeature pencil_feature(const Camera& camera, double du, double dv, doubl
                                const Feature<double>& weight = {1.0, 1.0, 1.0}) {
   const int types = camera.lens_types();
   return {kPencilPoint,
-          camera.lattice.node(1, 0),
-          camera.lattice.lens_type(1, 0, types),
+          micro_lens_of(camera, 1, 0),
           {kPencilU + du, kPencilV + dv, kPencilRho[types] + drho},
           weight};
 }
@@ -142,7 +141,7 @@ TEST(CenterResiduals, ByHand) {
                                              {node, {85.8728813559322, 88.2336460211998}, 4.0},
                                              {node, {85.8728813559322, 88.2336460211998}, 0.5}},
                                             0.01, {});
-  const auto array = camera.mla.block();
+  const auto array = to_block(camera.mla);
   const auto residuals = evaluate(*cost, {array.data()});
   const double expected[] = {0, 0, -4, 2, -0.5, 0.25};
   for (int i = 0; i < 6; ++i) EXPECT_NEAR(residuals[i], expected[i], kRounding) << i;
@@ -227,11 +226,7 @@ class RandomObservations {
       seen.u += offset(i);
       seen.v += offset(i);
       seen.rho += offset(i);
-      features.push_back({corner,
-                          camera.lattice.node(k, l),
-                          camera.lattice.lens_type(k, l, camera.lens_types()),
-                          seen,
-                          {1.0, 1.0, 1.1}});
+      features.push_back({corner, micro_lens_of(camera, k, l), seen, {1.0, 1.0, 1.1}});
     }
     return features;
   }
@@ -291,7 +286,7 @@ TEST(Gradients, Centers) {
     RandomObservations random(seed);
     const Camera camera = random.camera(3);
     const auto centers = random.centers(camera, 6);
-    const auto array = camera.mla.block();
+    const auto array = to_block(camera.mla);
     for (LossKind loss : kLosses) {
       SCOPED_TRACE(testing::Message() << "seed " << seed << " loss " << static_cast<int>(loss));
       const auto cost = CenterResiduals::create(centers, camera.pixel_size, {loss, 1.0});
@@ -328,7 +323,8 @@ TEST(Grouping, DoesNotChangeFeatures) {
   const Camera camera = random.camera(3);
   const Pose pose = random.pose();
   auto features = random.features(camera, pose, 8);
-  std::swap(features[1], features[6]);  // a corner's features need not follow each other
+  std::swap(features[1],
+            features[6]);  // a corner's features need not follow each other
   const Blocks blocks(camera, pose);
   for (LossKind kind : kLosses) {
     const Loss loss{kind, 1.0};
@@ -346,7 +342,7 @@ TEST(Grouping, DoesNotChangeCenters) {
   RandomObservations random(8);
   const Camera camera = random.camera(3);
   const auto centers = random.centers(camera, 8);
-  const auto array = camera.mla.block();
+  const auto array = to_block(camera.mla);
   for (LossKind kind : kLosses) {
     const Loss loss{kind, 1.0};
     const auto group =

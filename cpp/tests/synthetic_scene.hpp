@@ -27,7 +27,7 @@ struct Scene {
 /// distortion is exaggerated: the image is only 2.5 mm wide.
 inline Camera scene_camera(int types) {
   Camera camera;
-  camera.lattice = {LatticeKind::kHexagonalRows, 20, 18, 0};
+  camera.lattice = {Packing::kHexagonalRowsEven, 20, 18};
   camera.pixel_size = 0.0055;
   camera.main_lens = {50.0, {0.02, -0.005, 0.002}, {0.001, -0.002}};
   camera.mla = {{231.5, 182.25}, 0.3186, {0.004, -0.003, 0.002}, {0.011, -0.007}, 56.6576,
@@ -47,8 +47,8 @@ inline std::vector<Pose> scene_poses() {
 }
 
 /// Corner of a board centred on its pose, of squares that fill the image at the board's distance.
-inline std::array<double, 3> board_corner(const Pose& pose, int column, int row) {
-  const double square = 0.0065 * pose.translation[2];
+inline Vector3<double> board_corner(const Pose& pose, int column, int row) {
+  const double square = 0.0065 * pose.translation.z;
   return {square * (column - (kBoardColumns - 1) / 2.0), square * (row - (kBoardRows - 1) / 2.0),
           0.0};
 }
@@ -102,16 +102,12 @@ inline void add_noise(double uv, double rho, double centers, unsigned seed,
 /// Intrinsics in the order of `intrinsic_names`, and back.
 inline std::vector<double> intrinsics(const Camera& camera) {
   std::vector<double> values;
-  for (double value : camera.main_lens.block()) values.push_back(value);
-  for (double value : camera.mla.block()) values.push_back(value);
-  for (double value : camera.micro_lens_focal_lengths) values.push_back(value);
+  for_each_parameter(camera, [&](const std::string&, double value) { values.push_back(value); });
   return values;
 }
 inline Camera with_intrinsics(Camera camera, const std::vector<double>& values) {
-  camera.main_lens = MainLens<double>::from_block(values.data());
-  camera.mla = MicroLensArray<double>::from_block(values.data() + MainLens<double>::kSize);
-  camera.micro_lens_focal_lengths.assign(
-      values.begin() + MainLens<double>::kSize + MicroLensArray<double>::kSize, values.end());
+  const double* next = values.data();
+  for_each_parameter(camera, [&](const std::string&, double& value) { value = *next++; });
   return camera;
 }
 
@@ -120,7 +116,7 @@ inline const std::vector<std::string> kOnePitch = {"dC_ratio"};
 /// The paper's model: one pitch for both axes.
 inline CostOptions one_pitch() {
   CostOptions options;
-  options.held = kOnePitch;
+  options.fixed = kOnePitch;
   return options;
 }
 

@@ -83,8 +83,8 @@ class AtMinimum : public testing::Test {
 
 // Covariance of the same cost by Ceres, from a problem with one block per observation.
 Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options) {
-  auto lens = scene.camera.main_lens.block();
-  auto array = scene.camera.mla.block();
+  auto lens = to_block(scene.camera.main_lens);
+  auto array = to_block(scene.camera.mla);
   auto focal_lengths = scene.camera.micro_lens_focal_lengths;
   std::vector<std::array<double, 6>> poses;
   for (const Pose& pose : scene.poses) poses.push_back(pose_block(pose));
@@ -95,8 +95,7 @@ Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options)
   for (const FeatureObservation& o : scene.observations.features) {
     auto cost = FeatureResiduals<3>::create(
         {{o.board_point,
-          lattice.node(o.k, o.l),
-          lattice.lens_type(o.k, o.l, 3),
+          micro_lens_of(scene.camera, o.k, o.l),
           o.observed,
           {1.0 / options.uv_std_dev, 1.0 / options.uv_std_dev, 1.0 / options.rho_std_dev}}},
         s, {});
@@ -108,7 +107,7 @@ Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options)
         {{lattice.node(o.k, o.l), o.observed, 1.0 / options.centers_std_dev}}, s, {});
     problem.AddResidualBlock(cost.release(), nullptr, array.data());
   }
-  problem.SetManifold(array.data(), new ceres::SubsetManifold(11, {10}));  // dC_ratio held
+  problem.SetManifold(array.data(), new ceres::SubsetManifold(11, {10}));  // dC_ratio fixed
 
   std::vector<const double*> blocks = {lens.data(), array.data(), focal_lengths.data()};
   for (const auto& pose : poses) blocks.push_back(pose.data());
@@ -235,7 +234,7 @@ constexpr double kUnseen = 1e-5;
 // One board parallel to an untilted array: all its images lie in one plane.
 Scene fronto_parallel() {
   Scene scene{test::scene_camera(3), {{{0.0, 0.0, 0.0}, {0.1, -0.2, 300.0}}}, {}};
-  std::fill_n(scene.camera.mla.rotation, 3, 0.0);
+  scene.camera.mla.rotation = {0.0, 0.0, 0.0};
   scene.observations = test::observe(scene.camera, scene.poses);
   test::add_noise(0.1, 0.05, 0.02, 31, &scene.observations);
   return scene;
@@ -248,7 +247,7 @@ TEST(RankDeficiency, FrontoParallelBoardDoesNotTellFocalLengthFromDistance) {
   const Scene scene = fronto_parallel();
   CostOptions options;
   for (const std::string& name : intrinsic_names(3)) {
-    if (name != "F" && name != "D") options.held.push_back(name);
+    if (name != "F" && name != "D") options.fixed.push_back(name);
   }
   Observations features_only{scene.observations.features, {}};
   const Uncertainty u = uncertainty(scene.camera, scene.poses, features_only, options);

@@ -11,7 +11,9 @@ use crate::model::{
     BapFeature, Board, FeatureResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
     intrinsic_parameters,
 };
-use crate::solver::{self, CostOptions, Problem, SolverCenter, SolverFeature, SolverOptions};
+use crate::solver::{
+    self, CostOptions, Problem, Projected, SolverCenter, SolverFeature, SolverOptions,
+};
 
 /// A pose alone converges in a few steps; the choice between two needs no more.
 const CHOICE_ITERATIONS: usize = 5;
@@ -189,8 +191,8 @@ pub(super) fn feature_residuals(
     problem: &Problem,
     features: &[BapFeature],
 ) -> Result<Vec<FeatureResidual>> {
-    let residual = |(&feature, projected): (&BapFeature, Option<[f64; 3]>)| {
-        let [u, v, rho] = projected.ok_or_else(|| {
+    let residual = |(&feature, projected): (&BapFeature, Option<Projected>)| {
+        let Projected { u_px, v_px, rho_px } = projected.ok_or_else(|| {
             Error::invalid(format!(
                 "the refined camera does not image corner {} of frame {}",
                 feature.corner, feature.frame
@@ -199,9 +201,9 @@ pub(super) fn feature_residuals(
         Ok(FeatureResidual {
             feature,
             lens_type: problem.camera.lens_type(feature.k, feature.l),
-            du_px: feature.u_px - u,
-            dv_px: feature.v_px - v,
-            drho_px: (problem.camera.lens_types() > 0).then_some(feature.rho_px - rho),
+            du_px: feature.u_px - u_px,
+            dv_px: feature.v_px - v_px,
+            drho_px: rho_px.map(|rho_px| feature.rho_px - rho_px),
         })
     };
     features.iter().zip(solver::project(problem)?).map(residual).collect()
@@ -215,7 +217,7 @@ mod tests {
     use crate::model::{
         Lattice, MainLens, MicroLensArray, Noise, Packing, Parity, Sensor, intrinsic_parameters,
     };
-    use crate::solver::{Loss, synthesize};
+    use crate::solver::{Loss, LossKind, synthesize};
 
     const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
 
@@ -298,8 +300,11 @@ mod tests {
         }
         let fixed =
             intrinsic_parameters(3).iter().map(|parameter| parameter.name.to_owned()).collect();
-        let cost =
-            CostOptions { loss: Loss::Cauchy { scale: 0.1 }, fixed, ..CostOptions::default() };
+        let cost = CostOptions {
+            loss: Loss { kind: LossKind::Cauchy, scale: 0.1 },
+            fixed,
+            ..CostOptions::default()
+        };
         let squares =
             |pose| sum_of_squares(&projections(&refined(pose, &features, &cost), &features));
         assert!(

@@ -5,7 +5,7 @@ use crate::model::{
     Datasheet, InternalParameters, LatticeKind, PlenopticCamera, Sensor, intrinsic_parameters,
     positive,
 };
-use crate::solver::{CostOptions, Loss, SolverOptions};
+use crate::solver::{CostOptions, SolverOptions};
 
 /// What is estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -106,9 +106,7 @@ impl CalibrationOptions {
         positive(self.cost.uv_std_dev_px, "the standard deviation of (u, v) (px)")?;
         positive(self.cost.rho_std_dev_px, "the standard deviation of rho (px)")?;
         positive(self.cost.centers_std_dev_px, "the standard deviation of the centres (px)")?;
-        if let Loss::Huber { scale } | Loss::Cauchy { scale } = self.cost.loss {
-            positive(scale, "the scale of the loss")?;
-        }
+        positive(self.cost.loss.scale, "the scale of the loss")?;
         if self.solver.max_iterations == 0 || self.solver.threads == 0 {
             return Err(Error::invalid("iterations and threads have to be at least 1"));
         }

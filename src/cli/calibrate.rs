@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use plenocal::calibration::{Calibration, calibrate};
-use plenocal::io::{self, CalibrationSection, LossName, ModeName, OutputFolder, Pitches, compote};
-use plenocal::solver::Iteration;
+use plenocal::io::{self, CalibrationSection, ModeName, OutputFolder, Pitches, compote};
+use plenocal::solver::{Iteration, LossKind};
 use plenocal::{Error, Result, report};
 
 use super::input::{Files, Input};
@@ -73,7 +73,7 @@ pub struct Arguments {
     centers_std_dev: Option<f64>,
     /// Robust loss on the norm of every observation's residual [default: none].
     #[arg(long, value_enum, help_heading = "Estimation")]
-    loss: Option<LossName>,
+    loss: Option<LossKind>,
     /// Where the loss sets in, standard deviations [default: 1].
     #[arg(long, value_name = "N", help_heading = "Estimation")]
     loss_scale: Option<f64>,

@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use plenocal::calibration::{CalibrationOptions, Mode, Start};
-use plenocal::io::{self, CalibrationSection, CameraSource, LossName, Project};
+use plenocal::io::{self, CalibrationSection, CameraSource, Project};
 use plenocal::model::{Board, Datasheet, Observations};
+use plenocal::solver::LossKind;
 use plenocal::{Error, Result};
 
 /// The files named on the command line.
@@ -33,7 +34,7 @@ impl Input {
             Some(project) => options.or(project.calibration.clone()),
             None => options,
         };
-        if section.loss_scale.is_some() && matches!(section.loss, None | Some(LossName::None)) {
+        if section.loss_scale.is_some() && matches!(section.loss, None | Some(LossKind::None)) {
             return Err(Error::Invalid(
                 "a scale of the loss is given, but no loss: choose one with --loss".to_owned(),
             ));

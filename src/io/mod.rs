@@ -41,8 +41,8 @@ pub use precalibration_file::{
 };
 pub use project_draft::{DraftText, ProjectDraft};
 pub use project_file::{
-    CalibrationSection, ImagesSection, LossName, ModeName, Pitches, Project, TranslationImages,
-    TruthSection, WhiteImage,
+    CalibrationSection, ImagesSection, ModeName, Pitches, Project, TranslationImages, TruthSection,
+    WhiteImage,
 };
 pub use raytrix::{RaytrixCalibration, read_raytrix};
 pub use residuals_file::write_residuals;

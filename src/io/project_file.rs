@@ -12,7 +12,7 @@ use crate::image::Color;
 use crate::model::{
     Board, Configuration, Datasheet, InternalParameters, LatticeKind, Sensor, optics,
 };
-use crate::solver::Loss;
+use crate::solver::{Loss, LossKind};
 
 /// A project file. Every table may be left out where a command gets its content another way.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -184,18 +184,6 @@ pub enum Pitches {
     Two,
 }
 
-/// Names of the losses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum LossName {
-    /// Least squares (the paper).
-    None,
-    /// Huber: linear beyond the scale.
-    Huber,
-    /// Cauchy: logarithmic beyond the scale.
-    Cauchy,
-}
-
 /// Names of the modes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
@@ -227,7 +215,7 @@ pub struct CalibrationSection {
     /// σ of the centres, px.
     pub centers_std_dev_px: Option<f64>,
     /// Robust loss.
-    pub loss: Option<LossName>,
+    pub loss: Option<LossKind>,
     /// Its scale, standard deviations.
     pub loss_scale: Option<f64>,
     /// Limit of iterations.
@@ -276,11 +264,9 @@ impl CalibrationSection {
         ] {
             *target = value.unwrap_or(*target);
         }
-        let scale = self.loss_scale.unwrap_or(1.0);
-        cost.loss = match self.loss {
-            None | Some(LossName::None) => Loss::None,
-            Some(LossName::Huber) => Loss::Huber { scale },
-            Some(LossName::Cauchy) => Loss::Cauchy { scale },
+        cost.loss = Loss {
+            kind: self.loss.unwrap_or(LossKind::None),
+            scale: self.loss_scale.unwrap_or(1.0),
         };
         options.exclude_frames = self.exclude_frames.clone().unwrap_or_default();
         let solver = &mut options.solver;

@@ -8,7 +8,7 @@ use super::table::{Table, table};
 use crate::calibration::Calibration;
 use crate::io::{camera_document, poses_document};
 use crate::model::{Rmse, intrinsic_parameters};
-use crate::solver::{Loss, Termination, WeakDirection};
+use crate::solver::{LossKind, Termination, WeakDirection};
 
 /// The distance of the boards is named when a direction explains this share of its variance.
 const BOARDS_NAMED_SHARE: f64 = 0.5;
@@ -180,7 +180,7 @@ pub(super) fn summary(calibration: &Calibration) -> String {
         ),
     };
     let _ = writeln!(text, "{counts}");
-    let what = if calibration.options.cost.loss == Loss::None {
+    let what = if calibration.options.cost.loss.kind == LossKind::None {
         "Measured noise per coordinate"
     } else {
         "Spread per coordinate after weighting by the loss, on which σ rests (below the noise)"
@@ -324,7 +324,7 @@ pub fn calibration_json(calibration: &Calibration, time_s: f64) -> Value {
             "uv": uv,
             "rho": rho,
             "centers": centers,
-            "weighted_by_loss": calibration.options.cost.loss != Loss::None,
+            "weighted_by_loss": calibration.options.cost.loss.kind != LossKind::None,
         },
         "counts": {
             "features": reprojection.features.len(),

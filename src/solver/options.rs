@@ -1,20 +1,26 @@
 //! The cost function and how to minimise it.
 
-/// Robust loss on the norm of an observation's standardised residual.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Loss {
-    /// Least squares, the paper.
+use serde::{Deserialize, Serialize};
+
+/// Shape of the loss on the norm of an observation's standardised residual.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum LossKind {
+    /// Least squares (the paper).
     None,
-    /// Linear beyond `scale` standard deviations.
-    Huber {
-        /// In standard deviations.
-        scale: f64,
-    },
-    /// Logarithmic beyond `scale` standard deviations.
-    Cauchy {
-        /// In standard deviations.
-        scale: f64,
-    },
+    /// Huber: linear beyond the scale.
+    Huber,
+    /// Cauchy: logarithmic beyond the scale.
+    Cauchy,
+}
+
+/// Robust loss.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Loss {
+    /// Its shape.
+    pub kind: LossKind,
+    /// Where it sets in, in standard deviations; without effect on [`LossKind::None`].
+    pub scale: f64,
 }
 
 /// The cost: ½ Σ loss(|r/σ|²). The σ of a residual is the observation's own, 1 px unless given,
@@ -40,7 +46,7 @@ impl Default for CostOptions {
             uv_std_dev_px: 1.0,
             rho_std_dev_px: 1.0,
             centers_std_dev_px: 1.0,
-            loss: Loss::None,
+            loss: Loss { kind: LossKind::None, scale: 1.0 },
             fixed: vec!["dC_ratio".to_owned()],
         }
     }

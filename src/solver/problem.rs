@@ -29,6 +29,15 @@ pub(crate) struct SolverCenter {
     pub std_dev_px: f64,
 }
 
+/// A board point as the camera model images it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Projected {
+    pub u_px: f64,
+    pub v_px: f64,
+    /// `None` for an array of pinholes, which has no blur.
+    pub rho_px: Option<f64>,
+}
+
 /// A problem for the solver.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Problem<'a> {

@@ -49,7 +49,7 @@ pub struct Refinement {
     pub frame_costs: Vec<f64>,
     /// Why it stopped.
     pub termination: Termination,
-    /// The same in Ceres' words.
+    /// The reason in Ceres' words.
     pub message: String,
     /// Ceres' full report.
     pub report: String,

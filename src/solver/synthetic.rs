@@ -10,7 +10,7 @@ use crate::model::{
     BapFeature, Board, FramePose, MicroImageCenter, Noise, NoiseSource, Observations,
     PlenopticCamera,
 };
-use crate::solver::{Problem, SolverFeature};
+use crate::solver::{Problem, Projected, SolverFeature};
 
 /// A corner counts as seen when it lies at least this far inside its micro-image, px: nearer to the
 /// edge a detector has no two sides of it to look at.
@@ -35,17 +35,17 @@ pub fn synthesize(
             for (center, projected) in
                 centers.iter().zip(project_corner(camera, board, pose, corner, &centers)?)
             {
-                let Some([u, v, rho]) = projected else { continue };
-                let offset = Vector2::new(u - center.u_px, v - center.v_px);
+                let Some(Projected { u_px, v_px, rho_px }) = projected else { continue };
+                let offset = Vector2::new(u_px - center.u_px, v_px - center.v_px);
                 if offset.norm() <= radius {
                     features.push(source.feature(&BapFeature {
                         frame: pose.frame,
                         corner,
                         k: center.k,
                         l: center.l,
-                        u_px: u,
-                        v_px: v,
-                        rho_px: if camera.lens_types() > 0 { rho } else { f64::NAN },
+                        u_px,
+                        v_px,
+                        rho_px: rho_px.unwrap_or(f64::NAN),
                     }));
                 }
             }
@@ -79,7 +79,7 @@ fn project_corner(
     pose: &FramePose,
     corner: i32,
     centers: &[MicroImageCenter],
-) -> Result<Vec<Option<[f64; 3]>>> {
+) -> Result<Vec<Option<Projected>>> {
     let features: Vec<SolverFeature> = centers
         .iter()
         .map(|c| SolverFeature {

@@ -82,7 +82,7 @@ impl Uncertainty {
     }
 
     /// Standard deviation of each intrinsic parameter in the order of
-    /// `PlenopticCamera::intrinsics`; `None` for those held, infinite for those not determined.
+    /// `PlenopticCamera::intrinsics`; `None` for those fixed, infinite for those not determined.
     #[must_use]
     pub fn intrinsic_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
         let mut std_devs = vec![None; intrinsic_parameters(lens_types).len()];

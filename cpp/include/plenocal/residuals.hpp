@@ -1,6 +1,6 @@
 // Ceres auto-diff cost functors of the paper's cost function (section 5.3), many observations to a
-// residual block: the pose, the array's axes and the image of a board corner are then worked out
-// once, and GCC is made to inline the Jet arithmetic (`flatten`), which together cost a third of
+// residual block: the pose, the array's axes and the image of a board corner are then computed
+// once. With GCC made to inline the Jet arithmetic (`flatten`), this takes a third of the time of
 // one block per observation.
 #pragma once
 
@@ -53,9 +53,8 @@ void apply_loss(const Loss& loss, int n, T* r) {
 
 /// An observed feature, ready for the functor.
 struct WeightedFeature {
-  std::array<double, 3> board_point;  ///< mm
-  Node node;
-  int lens_type;
+  Vector3<double> board_point;  ///< mm
+  MicroLens micro_lens;
   Feature<double> observed;  ///< px
   Feature<double> weight;    ///< 1 / sigma of each, 1/px
 };
@@ -73,38 +72,31 @@ class FeatureResiduals {
   template <typename T>
   PLENOCAL_FLATTEN bool operator()(const T* lens, const T* array, const T* focal_lengths,
                                    const T* pose, T* residuals) const {
-    const Optics<T> optics(MainLens<T>::from_block(lens), MicroLensArray<T>::from_block(array),
-                           pixel_size_);
+    const Optics<T> optics(from_block<MainLens>(lens), from_block<MicroLensArray>(array),
+                           focal_lengths, I, pixel_size_);
     const Motion<T> camera_from_board(pose);
-    T inverse_focal_lengths[I == 0 ? 1 : I];
-    for (int i = 0; i < I; ++i) inverse_focal_lengths[i] = 1.0 / focal_lengths[i];
-
-    Point<T> image;
-    const std::array<double, 3>* imaged = nullptr;
+    Vector3<T> image;
+    const Vector3<double>* imaged = nullptr;
     for (const WeightedFeature& f : features_) {
-      // Features of a corner follow each other, so its image is worked out once.
-      if (imaged == nullptr || *imaged != f.board_point) {
-        if (!optics.main_lens_image(camera_from_board(f.board_point), &image)) return false;
+      // Features of a corner follow each other, so its image is computed once.
+      if (imaged == nullptr || !same(*imaged, f.board_point)) {
+        if (!main_lens_image(optics.main_lens, camera_from_board(f.board_point), &image)) {
+          return false;
+        }
         imaged = &f.board_point;
       }
-      const Point<T> center = optics.micro_lens_center(f.node);
-      Pixel<T> pixel;
-      T scale;
-      if (!optics.through_micro_lens(image, center, &pixel, &scale)) return false;
-      residuals[0] = (pixel.u - f.observed.u) * f.weight.u;
-      residuals[1] = (pixel.v - f.observed.v) * f.weight.v;
-      if constexpr (I > 0) {
-        residuals[2] = (optics.blur_radius(center, scale, inverse_focal_lengths[f.lens_type]) -
-                        f.observed.rho) *
-                       f.weight.rho;
-      }
+      Feature<T> projected;
+      if (!project_image(optics, image, f.micro_lens, &projected)) return false;
+      residuals[0] = (projected.u - f.observed.u) * f.weight.u;
+      residuals[1] = (projected.v - f.observed.v) * f.weight.v;
+      if constexpr (I > 0) residuals[2] = (projected.rho - f.observed.rho) * f.weight.rho;
       apply_loss(loss_, kResiduals, residuals);
       residuals += kResiduals;
     }
     return true;
   }
 
-  /// The same for a pinhole array, which has no focal lengths.
+  /// For a pinhole array, which has no focal lengths.
   template <typename T>
   PLENOCAL_FLATTEN bool operator()(const T* lens, const T* array, const T* pose,
                                    T* residuals) const {
@@ -118,17 +110,21 @@ class FeatureResiduals {
     const int n = kResiduals * static_cast<int>(features.size());
     auto* functor = new FeatureResiduals(std::move(features), pixel_size, loss);
     if constexpr (I == 0) {
-      return std::make_unique<
-          ceres::AutoDiffCostFunction<FeatureResiduals, ceres::DYNAMIC, MainLens<double>::kSize,
-                                      MicroLensArray<double>::kSize, Pose::kSize>>(functor, n);
+      return std::make_unique<ceres::AutoDiffCostFunction<
+          FeatureResiduals, ceres::DYNAMIC, kMainLensParameters, kArrayParameters, Pose::kSize>>(
+          functor, n);
     } else {
-      return std::make_unique<
-          ceres::AutoDiffCostFunction<FeatureResiduals, ceres::DYNAMIC, MainLens<double>::kSize,
-                                      MicroLensArray<double>::kSize, I, Pose::kSize>>(functor, n);
+      return std::make_unique<ceres::AutoDiffCostFunction<
+          FeatureResiduals, ceres::DYNAMIC, kMainLensParameters, kArrayParameters, I, Pose::kSize>>(
+          functor, n);
     }
   }
 
  private:
+  static bool same(const Vector3<double>& a, const Vector3<double>& b) {
+    return a.x == b.x && a.y == b.y && a.z == b.z;
+  }
+
   std::vector<WeightedFeature> features_;
   double pixel_size_;
   Loss loss_;
@@ -151,9 +147,9 @@ class CenterResiduals {
 
   template <typename T>
   PLENOCAL_FLATTEN bool operator()(const T* array, T* residuals) const {
-    const Optics<T> optics(MainLens<T>{}, MicroLensArray<T>::from_block(array), pixel_size_);
+    const ArrayOptics<T> optics(from_block<MicroLensArray>(array), pixel_size_);
     for (const WeightedCenter& c : centers_) {
-      const Pixel<T> pixel = optics.micro_image_center(optics.micro_lens_center(c.node));
+      const Pixel<T> pixel = optics.micro_image_center(c.node);
       residuals[0] = (pixel.u - c.observed.u) * c.weight;
       residuals[1] = (pixel.v - c.observed.v) * c.weight;
       apply_loss(loss_, kResiduals, residuals);
@@ -166,8 +162,8 @@ class CenterResiduals {
   static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedCenter> centers,
                                                      double pixel_size, Loss loss) {
     const int n = kResiduals * static_cast<int>(centers.size());
-    return std::make_unique<ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC,
-                                                        MicroLensArray<double>::kSize>>(
+    return std::make_unique<
+        ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC, kArrayParameters>>(
         new CenterResiduals(std::move(centers), pixel_size, loss), n);
   }
 

@@ -10,7 +10,7 @@ use crate::report::drawing::{
     Anchor, Area, BLUE, FITTED, INK, Overlay, Plane, axis_number, drawing, font, picture, quantile,
 };
 use crate::report::html::Figure;
-use crate::solver::Loss;
+use crate::solver::LossKind;
 
 const BINS: usize = 40;
 /// Residuals beyond so many standard deviations are counted, not drawn.
@@ -55,7 +55,7 @@ pub(super) fn residual_histograms(calibration: &Calibration) -> Result<Option<Fi
         let areas = root.split_evenly((rows, panels.len().min(2)));
         panels.iter().zip(&areas).try_for_each(|(panel, area)| histogram(area, panel, overlay))
     })?;
-    let spread = if calibration.options.cost.loss == Loss::None {
+    let spread = if calibration.options.cost.loss.kind == LossKind::None {
         "the measured standard deviation"
     } else {
         "the standard deviation after weighting by the loss"
