@@ -1,6 +1,7 @@
 #include "bridge.hpp"
 
-#include "plenocal/refine.hpp"
+#include <glog/logging.h>
+
 #include "plenocal/src/solver/bridge.rs.h"
 
 namespace plenocal::bridge {
@@ -8,28 +9,27 @@ namespace {
 
 Camera to_core(const CameraParts& parts) {
   Camera camera;
-  camera.lattice = {static_cast<LatticeKind>(parts.lattice_kind), parts.columns, parts.rows,
-                    parts.shifted_parity};
+  camera.lattice = {parts.packing, parts.columns, parts.rows};
   camera.pixel_size = parts.pixel_size_mm;
-  camera.main_lens = MainLens<double>::from_block(parts.main_lens.data());
-  camera.mla = MicroLensArray<double>::from_block(parts.array.data());
-  camera.micro_lens_focal_lengths.assign(parts.focal_lengths_mm.begin(),
-                                         parts.focal_lengths_mm.end());
+  camera.micro_lens_focal_lengths.resize(parts.lens_types);
+  auto next = parts.parameters.begin();
+  for_each_parameter(camera, [&next](const std::string&, double& value) { value = *next++; });
   return camera;
 }
 
 CameraParts from_core(const Camera& camera) {
   CameraParts parts{};
-  parts.lattice_kind = static_cast<int>(camera.lattice.kind);
+  parts.packing = camera.lattice.packing;
   parts.columns = camera.lattice.columns;
   parts.rows = camera.lattice.rows;
-  parts.shifted_parity = camera.lattice.shifted_parity;
   parts.pixel_size_mm = camera.pixel_size;
-  parts.main_lens = camera.main_lens.block();
-  parts.array = camera.mla.block();
-  for (double f : camera.micro_lens_focal_lengths) parts.focal_lengths_mm.push_back(f);
+  parts.lens_types = camera.lens_types();
+  for_each_parameter(
+      camera, [&parts](const std::string&, double value) { parts.parameters.push_back(value); });
   return parts;
 }
+
+Vector3<double> to_core(const std::array<double, 3>& v) { return {v[0], v[1], v[2]}; }
 
 std::vector<Pose> to_core(rust::Slice<const PoseBlock> blocks) {
   std::vector<Pose> poses;
@@ -42,12 +42,16 @@ Observations to_core(rust::Slice<const FeatureRow> features, rust::Slice<const C
   Observations observations;
   observations.features.reserve(features.size());
   for (const FeatureRow& f : features) {
-    observations.features.push_back(
-        {f.frame, f.board_point_mm, f.k, f.l, {f.u_px, f.v_px, f.rho_px}});
+    observations.features.push_back({f.frame,
+                                     to_core(f.board_point_mm),
+                                     f.k,
+                                     f.l,
+                                     {f.u_px, f.v_px, f.rho_px},
+                                     {f.std_dev_px[0], f.std_dev_px[1], f.std_dev_px[2]}});
   }
   observations.centers.reserve(centers.size());
   for (const CenterRow& c : centers) {
-    observations.centers.push_back({c.k, c.l, {c.u_px, c.v_px}});
+    observations.centers.push_back({c.k, c.l, {c.u_px, c.v_px}, c.std_dev_px});
   }
   return observations;
 }
@@ -57,10 +61,10 @@ CostOptions to_core(const CostParts& parts) {
   options.uv_std_dev = parts.uv_std_dev_px;
   options.rho_std_dev = parts.rho_std_dev_px;
   options.centers_std_dev = parts.centers_std_dev_px;
-  options.features_loss = {static_cast<LossKind>(parts.loss_kind), parts.loss_scale};
+  options.features_loss = {parts.loss_kind, parts.loss_scale};
   options.centers_loss = options.features_loss;
-  options.held.clear();
-  for (const rust::String& name : parts.held) options.held.push_back(std::string(name));
+  options.fixed.clear();
+  for (const rust::String& name : parts.fixed) options.fixed.push_back(std::string(name));
   return options;
 }
 
@@ -70,51 +74,66 @@ IterationRow from_core(const Iteration& i) {
 
 }  // namespace
 
-rust::Vec<rust::String> intrinsic_names(int lens_types) {
-  rust::Vec<rust::String> names;
-  for (const std::string& name : plenocal::intrinsic_names(lens_types)) names.push_back(name);
-  return names;
+void silence_log() { FLAGS_minloglevel = google::GLOG_ERROR; }
+
+rust::Vec<NamedParameter> parameters(const CameraParts& parts) {
+  const Camera camera = to_core(parts);
+  rust::Vec<NamedParameter> rows;
+  for_each_parameter(camera, [&rows](const std::string& name, double value) {
+    rows.push_back({name, value});
+  });
+  return rows;
 }
 
-rust::Vec<Projection> lattice(const CameraParts& parts) {
+rust::Vec<NodeRow> lattice(const CameraParts& parts) {
   const Camera camera = to_core(parts);
-  rust::Vec<Projection> nodes;
+  rust::Vec<NodeRow> rows;
   for (int l = 0; l < camera.lattice.rows; ++l) {
     for (int k = 0; k < camera.lattice.columns; ++k) {
-      const Node node = camera.lattice.node(k, l);
-      nodes.push_back({camera.lattice.lens_type(k, l, camera.lens_types()), node.x, node.y, 0.0});
+      const auto [node, lens_type] = micro_lens_of(camera, k, l);
+      rows.push_back({node.x, node.y, lens_type});
     }
-  }
-  return nodes;
-}
-
-rust::Vec<Projection> project(const CameraParts& parts, rust::Slice<const PoseBlock> pose_blocks,
-                              rust::Slice<const FeatureRow> features) {
-  const Camera camera = to_core(parts);
-  validate(camera);
-  const std::vector<Pose> poses = to_core(pose_blocks);
-  rust::Vec<Projection> rows;
-  rows.reserve(features.size());
-  for (const FeatureRow& f : features) {
-    Feature<double> feature{};
-    const bool defined =
-        plenocal::project(camera, poses.at(f.frame), f.board_point_mm, f.k, f.l, &feature);
-    const int type = defined ? camera.lattice.lens_type(f.k, f.l, camera.lens_types()) : -1;
-    rows.push_back({type, feature.u, feature.v, feature.rho});
   }
   return rows;
 }
 
-rust::Vec<Projection> project_centers(const CameraParts& parts,
-                                      rust::Slice<const CenterRow> centers) {
+rust::Vec<PairRow> distortion(const CameraParts& parts, rust::Slice<const PairRow> points_mm) {
   const Camera camera = to_core(parts);
   validate(camera);
-  rust::Vec<Projection> rows;
-  rows.reserve(centers.size());
-  for (const CenterRow& c : centers) {
-    const Pixel<double> pixel = project_center(camera, c.k, c.l);
-    rows.push_back(
-        {camera.lattice.lens_type(c.k, c.l, camera.lens_types()), pixel.u, pixel.v, 0.0});
+  rust::Vec<PairRow> rows;
+  rows.reserve(points_mm.size());
+  for (const auto& [x, y] : points_mm) {
+    const auto shift = plenocal::distortion(camera.main_lens, x, y);
+    rows.push_back({shift.x, shift.y});
+  }
+  return rows;
+}
+
+rust::Vec<ProjectionRow> project(const CameraParts& parts, rust::Slice<const PoseBlock> pose_blocks,
+                                 rust::Slice<const FeatureRow> features) {
+  const Camera camera = to_core(parts);
+  validate(camera);
+  const std::vector<Pose> poses = to_core(pose_blocks);
+  rust::Vec<ProjectionRow> rows;
+  rows.reserve(features.size());
+  for (const FeatureRow& f : features) {
+    Feature<double> feature{};
+    const bool defined =
+        plenocal::project(camera, poses.at(f.frame), to_core(f.board_point_mm), f.k, f.l, &feature);
+    rows.push_back({defined, feature.u, feature.v, feature.rho});
+  }
+  return rows;
+}
+
+rust::Vec<PairRow> project_centers(const CameraParts& parts,
+                                   rust::Slice<const MicroLensIndex> micro_lenses) {
+  const Camera camera = to_core(parts);
+  validate(camera);
+  rust::Vec<PairRow> rows;
+  rows.reserve(micro_lenses.size());
+  for (const auto& [k, l] : micro_lenses) {
+    const Pixel<double> pixel = project_center(camera, k, l);
+    rows.push_back({pixel.u, pixel.v});
   }
   return rows;
 }
@@ -136,7 +155,8 @@ RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> p
   for (const Pose& pose : r.poses) parts.poses.push_back({pose_block(pose)});
   parts.initial_cost = r.initial_cost;
   parts.cost = r.cost;
-  parts.termination = static_cast<int>(r.termination);
+  for (double cost : r.frame_costs) parts.frame_costs.push_back(cost);
+  parts.termination = r.termination;
   parts.message = r.message;
   parts.report = r.report;
   parts.time_s = r.time_s;

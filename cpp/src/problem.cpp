@@ -1,9 +1,11 @@
 #include "problem.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <numeric>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 
 namespace plenocal {
 namespace {
@@ -26,19 +28,54 @@ void require_inside(const Lattice& lattice, int k, int l) {
   }
 }
 
-void require_std_dev(double value, const char* name) {
-  if (!(std::isfinite(value) && value > 0.0)) {
-    reject(std::string("the standard deviation of ") + name + " has to be positive and finite");
+bool is_positive(double value) { return std::isfinite(value) && value > 0.0; }
+
+void require_std_dev(double value, const std::string& name) {
+  if (!is_positive(value)) {
+    reject("the standard deviation of " + name + " has to be positive and finite");
   }
 }
 
 void require_loss(const Loss& loss) {
-  if (!(std::isfinite(loss.scale) && loss.scale > 0.0)) {
+  if (!is_positive(loss.scale)) {
     reject("the scale of the robust loss has to be positive and finite");
   }
 }
 
-// Ceres checks its input with CHECK, which ends the process: everything is looked at before.
+std::string feature_text(const FeatureObservation& o) {
+  return "the feature of " + micro_lens_text(o.k, o.l) + " in frame " + std::to_string(o.frame);
+}
+
+void require_feature(const FeatureObservation& o, const Lattice& lattice, bool has_rho,
+                     std::size_t poses) {
+  require_inside(lattice, o.k, o.l);
+  if (o.frame < 0 || o.frame >= static_cast<int>(poses)) {
+    reject("a feature names frame " + std::to_string(o.frame) + ", which has no pose");
+  }
+  const auto& [x, y, z] = o.board_point;
+  if (!std::isfinite(x) || !std::isfinite(y) || !std::isfinite(z)) {
+    reject("a board point is not finite");
+  }
+  const auto& [u, v, rho] = o.observed;
+  if (!std::isfinite(u) || !std::isfinite(v) || (has_rho && !std::isfinite(rho))) {
+    reject(feature_text(o) + " is not finite");
+  }
+  if (!is_positive(o.std_dev.u) || !is_positive(o.std_dev.v) ||
+      (has_rho && !is_positive(o.std_dev.rho))) {
+    require_std_dev(0.0, feature_text(o));
+  }
+}
+
+void require_center(const CenterObservation& o, const Lattice& lattice) {
+  require_inside(lattice, o.k, o.l);
+  const std::string text = "the centre of " + micro_lens_text(o.k, o.l);
+  if (!std::isfinite(o.observed.u) || !std::isfinite(o.observed.v)) {
+    reject(text + " is not finite");
+  }
+  require_std_dev(o.std_dev, text);
+}
+
+// Ceres checks its input with CHECK, which ends the process: everything is checked before.
 void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
                       const Observations& observations, const CostOptions& options) {
   validate(camera);
@@ -55,30 +92,14 @@ void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
   }
   std::vector<char> seen(poses.size(), 0);
   for (const FeatureObservation& o : observations.features) {
-    require_inside(camera.lattice, o.k, o.l);
-    if (o.frame < 0 || o.frame >= static_cast<int>(poses.size())) {
-      reject("a feature names frame " + std::to_string(o.frame) + ", which has no pose");
-    }
+    require_feature(o, camera.lattice, camera.lens_types() > 0, poses.size());
     seen[o.frame] = 1;
-    for (double value : o.board_point) {
-      if (!std::isfinite(value)) reject("a board point is not finite");
-    }
-    if (!std::isfinite(o.observed.u) || !std::isfinite(o.observed.v) ||
-        (camera.lens_types() > 0 && !std::isfinite(o.observed.rho))) {
-      reject("the feature of " + micro_lens_text(o.k, o.l) + " in frame " +
-             std::to_string(o.frame) + " is not finite");
-    }
   }
   const auto unseen = std::find(seen.begin(), seen.end(), 0);
   if (unseen != seen.end()) {
     reject("pose " + std::to_string(unseen - seen.begin()) + " has no feature");
   }
-  for (const CenterObservation& o : observations.centers) {
-    require_inside(camera.lattice, o.k, o.l);
-    if (!std::isfinite(o.observed.u) || !std::isfinite(o.observed.v)) {
-      reject("the centre of " + micro_lens_text(o.k, o.l) + " is not finite");
-    }
-  }
+  for (const CenterObservation& o : observations.centers) require_center(o, camera.lattice);
 }
 
 }  // namespace
@@ -86,8 +107,8 @@ void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
 CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<Pose>& poses,
                                        const Observations& observations, const CostOptions& options)
     : frame_(camera),
-      lens_(camera.main_lens.block()),
-      array_(camera.mla.block()),
+      lens_(to_block(camera.main_lens)),
+      array_(to_block(camera.mla)),
       focal_lengths_(camera.micro_lens_focal_lengths) {
   validate_problem(camera, poses, observations, options);
   for (const Pose& pose : poses) poses_.push_back(pose_block(pose));
@@ -106,13 +127,13 @@ CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<P
       add_features<3>(observations, options);
   }
   add_centers(observations, options);
-  hold(options);
+  fix(options);
   for (auto& pose : poses_) free_blocks_.push_back(pose.data());
 }
 
 std::vector<std::pair<double*, int>> CalibrationProblem::intrinsic_blocks() {
-  std::vector<std::pair<double*, int>> blocks = {{lens_.data(), MainLens<double>::kSize},
-                                                 {array_.data(), MicroLensArray<double>::kSize}};
+  std::vector<std::pair<double*, int>> blocks = {{lens_.data(), kMainLensParameters},
+                                                 {array_.data(), kArrayParameters}};
   if (!focal_lengths_.empty()) {
     blocks.emplace_back(focal_lengths_.data(), static_cast<int>(focal_lengths_.size()));
   }
@@ -124,30 +145,37 @@ void CalibrationProblem::add_features(const Observations& observations,
                                       const CostOptions& options) {
   // Sorted by frame, then corner; the order within a corner is kept.
   const auto& features = observations.features;
+  const auto by_frame_and_corner = [](const FeatureObservation& o) {
+    return std::tie(o.frame, o.board_point.x, o.board_point.y, o.board_point.z);
+  };
   std::vector<std::size_t> order(features.size());
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-    return std::tie(features[a].frame, features[a].board_point) <
-           std::tie(features[b].frame, features[b].board_point);
+    return by_frame_and_corner(features[a]) < by_frame_and_corner(features[b]);
   });
   for (std::size_t begin = 0; begin < order.size();) {
     const int frame = features[order[begin]].frame;
-    std::vector<CornerSighting> sightings;
+    std::vector<WeightedFeature> weighted;
     while (begin < order.size() && features[order[begin]].frame == frame &&
-           sightings.size() < kFeaturesPerBlock) {
+           weighted.size() < kFeaturesPerBlock) {
       const FeatureObservation& o = features[order[begin++]];
-      sightings.push_back({o.board_point, frame_.lattice.node(o.k, o.l),
-                           frame_.lattice.lens_type(o.k, o.l, I), o.observed});
+      weighted.push_back(
+          {o.board_point,
+           frame_.lattice.node(o.k, o.l),
+           frame_.lattice.lens_type(o.k, o.l, I),
+           o.observed,
+           {1.0 / (o.std_dev.u * options.uv_std_dev), 1.0 / (o.std_dev.v * options.uv_std_dev),
+            1.0 / (o.std_dev.rho * options.rho_std_dev)}});
       row_kinds_.insert(row_kinds_.end(), {kUv, kUv});
       if (I > 0) row_kinds_.push_back(kRho);
     }
     auto cost =
-        FeatureResiduals<I>::create(std::move(sightings), frame_.pixel_size, options.uv_std_dev,
-                                    options.rho_std_dev, options.features_loss);
+        FeatureResiduals<I>::create(std::move(weighted), frame_.pixel_size, options.features_loss);
     std::vector<double*> blocks = {lens_.data(), array_.data()};
     if (I > 0) blocks.push_back(focal_lengths_.data());
     blocks.push_back(poses_[frame].data());
-    problem_->AddResidualBlock(cost.release(), nullptr, blocks);
+    feature_blocks_.emplace_back(frame,
+                                 problem_->AddResidualBlock(cost.release(), nullptr, blocks));
   }
 }
 
@@ -155,30 +183,32 @@ void CalibrationProblem::add_centers(const Observations& observations, const Cos
   const auto& centers = observations.centers;
   for (std::size_t begin = 0; begin < centers.size(); begin += kCentersPerBlock) {
     const std::size_t end = std::min(begin + kCentersPerBlock, centers.size());
-    std::vector<CenterSighting> sightings;
+    std::vector<WeightedCenter> weighted;
     for (std::size_t i = begin; i < end; ++i) {
-      sightings.push_back({frame_.lattice.node(centers[i].k, centers[i].l), centers[i].observed});
+      const CenterObservation& o = centers[i];
+      weighted.push_back(
+          {frame_.lattice.node(o.k, o.l), o.observed, 1.0 / (o.std_dev * options.centers_std_dev)});
       row_kinds_.insert(row_kinds_.end(), {kCenter, kCenter});
     }
-    auto cost = CenterResiduals::create(std::move(sightings), frame_.pixel_size,
-                                        options.centers_std_dev, options.centers_loss);
+    auto cost =
+        CenterResiduals::create(std::move(weighted), frame_.pixel_size, options.centers_loss);
     problem_->AddResidualBlock(cost.release(), nullptr, array_.data());
   }
 }
 
-void CalibrationProblem::hold(const CostOptions& options) {
+void CalibrationProblem::fix(const CostOptions& options) {
   const auto names = intrinsic_names(frame_.lens_types());
-  std::vector<char> held(names.size(), 0);
-  for (const std::string& name : options.held) {
+  std::vector<char> fixed(names.size(), 0);
+  for (const std::string& name : options.fixed) {
     const auto found = std::find(names.begin(), names.end(), name);
-    if (found == names.end()) reject("there is no parameter " + name + " to hold");
-    held[found - names.begin()] = 1;
+    if (found == names.end()) reject("there is no parameter " + name + " to fix");
+    fixed[found - names.begin()] = 1;
   }
   int first = 0;
   for (auto [block, size] : intrinsic_blocks()) {
     std::vector<int> constant;
     for (int i = 0; i < size; ++i) {
-      if (held[first + i]) {
+      if (fixed[first + i]) {
         constant.push_back(i);
       } else {
         free_intrinsics_.push_back(first + i);
@@ -194,6 +224,18 @@ void CalibrationProblem::hold(const CostOptions& options) {
     }
     first += size;
   }
+}
+
+std::vector<double> CalibrationProblem::frame_costs() const {
+  std::vector<double> costs(poses_.size(), 0.0);
+  for (const auto& [frame, block] : feature_blocks_) {
+    double cost = 0.0;
+    if (!problem_->EvaluateResidualBlock(block, true, &cost, nullptr, nullptr)) {
+      cost = std::numeric_limits<double>::infinity();
+    }
+    costs[frame] += cost;
+  }
+  return costs;
 }
 
 std::shared_ptr<ceres::ParameterBlockOrdering> CalibrationProblem::ordering() {
@@ -230,8 +272,8 @@ void CalibrationProblem::set_state(const Eigen::VectorXd& state) {
 
 Camera CalibrationProblem::camera() const {
   Camera camera = frame_;
-  camera.main_lens = MainLens<double>::from_block(lens_.data());
-  camera.mla = MicroLensArray<double>::from_block(array_.data());
+  camera.main_lens = from_block<MainLens>(lens_.data());
+  camera.mla = from_block<MicroLensArray>(array_.data());
   camera.micro_lens_focal_lengths = focal_lengths_;
   return camera;
 }

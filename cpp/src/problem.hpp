@@ -5,6 +5,7 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "plenocal/refine.hpp"
@@ -36,6 +37,10 @@ class CalibrationProblem {
   Eigen::VectorXd state() const;
   void set_state(const Eigen::VectorXd& state);
 
+  /// The cost of every frame's features at the present state; infinite where the model is not
+  /// defined.
+  std::vector<double> frame_costs() const;
+
   /// Blocks with a free parameter: intrinsics in their order, then the poses.
   const std::vector<double*>& free_blocks() const { return free_blocks_; }
   /// Indices of the intrinsics that are free.
@@ -47,17 +52,18 @@ class CalibrationProblem {
   template <int I>
   void add_features(const Observations& observations, const CostOptions& options);
   void add_centers(const Observations& observations, const CostOptions& options);
-  void hold(const CostOptions& options);
+  void fix(const CostOptions& options);
   std::vector<std::pair<double*, int>> intrinsic_blocks();
 
   Camera frame_;  // what is not a parameter: lattice, pixel size
-  std::array<double, MainLens<double>::kSize> lens_;
-  std::array<double, MicroLensArray<double>::kSize> array_;
+  std::array<double, kMainLensParameters> lens_;
+  std::array<double, kArrayParameters> array_;
   std::vector<double> focal_lengths_;
   std::vector<std::array<double, Pose::kSize>> poses_;
   std::vector<double*> free_blocks_;
   std::vector<int> free_intrinsics_;
   std::vector<ResidualKind> row_kinds_;
+  std::vector<std::pair<int, ceres::ResidualBlockId>> feature_blocks_;  // with their frames
   std::unique_ptr<ceres::Problem> problem_;
 };
 

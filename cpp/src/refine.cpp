@@ -7,7 +7,6 @@
 #include <stdexcept>
 
 #include "problem.hpp"
-#include "quiet_log.hpp"
 
 // Levenberg-Marquardt by Ceres, with extrapolation.
 //
@@ -98,7 +97,7 @@ Eigen::VectorXd limit(const std::vector<Eigen::VectorXd>& states) {
                                 .completeOrthogonalDecomposition()
                                 .solve(Eigen::VectorXd::Ones(count));
   weights /= weights.sum();
-  // Written by steps back from the last member, so that what is held does not move by rounding.
+  // Written by steps back from the last member, so that what is fixed does not move by rounding.
   Eigen::VectorXd result = states.back();
   double before = 0.0;
   for (std::size_t i = 0; i + 1 < count; ++i) {
@@ -162,7 +161,6 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
   std::string error;
   if (!options.IsValid(&error)) throw std::invalid_argument(error);
 
-  const QuietLog quiet;
   ceres::Solver::Summary summary;
   bool go_on = true;
   while (go_on) {
@@ -196,6 +194,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
   result.initial_cost = result.iterations.front().cost;
   result.camera = calibration.camera();
   result.poses = calibration.poses();
+  result.frame_costs = calibration.frame_costs();
   result.termination = termination(summary.termination_type);
   result.message = summary.message;
   result.time_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();

@@ -4,7 +4,6 @@
 
 #include "plenocal/refine.hpp"
 #include "problem.hpp"
-#include "quiet_log.hpp"
 
 namespace plenocal {
 namespace {
@@ -55,6 +54,23 @@ NormalEquations accumulate(const ceres::CRSMatrix& jacobian, const std::vector<d
   return equations;
 }
 
+// The standard deviation of each kind of residual as the cost has it: root mean square over the
+// observations; not a number where there are none.
+std::array<double, kResidualKinds> typical_std_devs(const Observations& observations,
+                                                    const CostOptions& options) {
+  std::array<double, kResidualKinds> squares{};
+  for (const FeatureObservation& o : observations.features) {
+    squares[kUv] += (o.std_dev.u * o.std_dev.u + o.std_dev.v * o.std_dev.v) / 2.0;
+    squares[kRho] += o.std_dev.rho * o.std_dev.rho;
+  }
+  for (const CenterObservation& o : observations.centers) squares[kCenter] += o.std_dev * o.std_dev;
+  const auto features = static_cast<double>(observations.features.size());
+  const auto centers = static_cast<double>(observations.centers.size());
+  return {options.uv_std_dev * std::sqrt(squares[kUv] / features),
+          options.rho_std_dev * std::sqrt(squares[kRho] / features),
+          options.centers_std_dev * std::sqrt(squares[kCenter] / centers)};
+}
+
 }  // namespace
 
 Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
@@ -64,7 +80,6 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   options.parameter_blocks = calibration.free_blocks();
   std::vector<double> residuals;
   ceres::CRSMatrix jacobian;
-  const QuietLog quiet;
   if (!calibration.problem().Evaluate(options, nullptr, &residuals, nullptr, &jacobian)) {
     throw std::invalid_argument(
         "the model is not defined at this camera and these poses: a board point lies within the "
@@ -97,8 +112,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   const Eigen::MatrixXd basis = scale.asDiagonal() * eigen.eigenvectors();
   const Eigen::MatrixXd inverse_information = basis * inverse.asDiagonal() * basis.transpose();
 
-  const std::array<double, kResidualKinds> std_devs = {
-      cost_options.uv_std_dev, cost_options.rho_std_dev, cost_options.centers_std_dev};
+  const std::array<double, kResidualKinds> std_devs = typical_std_devs(observations, cost_options);
   Eigen::MatrixXd spread = Eigen::MatrixXd::Zero(result.size, result.size);
   for (int kind = 0; kind < kResidualKinds; ++kind) {
     const double redundancy =

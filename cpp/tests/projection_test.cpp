@@ -4,11 +4,13 @@
 // The camera of most tests: F = 50 mm, MLA at D = 59 mm, sensor d = 0.5 mm behind it, s = 0.01 mm,
 // 5 x 5 micro-lenses of 0.2 mm on a square lattice, (u0, v0) = (100, 80). A plane at z = 300 mm is
 // imaged at z' = -50*300/250 = -60 mm, magnified by -1/5: 1 mm behind the MLA, so a = -1.
+#include <ceres/jet.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <tuple>
 
 #include "plenocal/projection.hpp"
 
@@ -21,7 +23,7 @@ constexpr double kRounding = 1e-9;
 
 Camera pencil_camera() {
   Camera camera;
-  camera.lattice = {LatticeKind::kOrthogonal, 5, 5, 0};
+  camera.lattice = {Packing::kOrthogonal, 5, 5};
   camera.pixel_size = 0.01;
   camera.main_lens.focal_length = 50.0;
   camera.mla.principal_point[0] = 100.0;
@@ -36,8 +38,8 @@ Camera pencil_camera() {
 
 Pose at_distance(double z) { return {{0.0, 0.0, 0.0}, {0.0, 0.0, z}}; }
 
-Feature<double> seen(const Camera& camera, const Pose& pose, const std::array<double, 3>& point,
-                     int k, int l) {
+Feature<double> seen(const Camera& camera, const Pose& pose, const Vector3<double>& point, int k,
+                     int l) {
   Feature<double> feature{NAN, NAN, NAN};
   EXPECT_TRUE(project(camera, pose, point, k, l, &feature));
   return feature;
@@ -101,7 +103,7 @@ TEST(Projection, KeplerianSideOfTheArray) {
 TEST(Projection, EachTypeHasItsFocalLength) {
   // Rows hexagonal 3 x 1: types 0, 1, 2 along the row, rho = 5 (1/f - 1) for each.
   Camera camera = pencil_camera();
-  camera.lattice = {LatticeKind::kHexagonalRows, 3, 1, 0};
+  camera.lattice = {Packing::kHexagonalRowsEven, 3, 1};
   camera.micro_lens_focal_lengths = {1.0, 0.5, 2.0};
   const double expected[] = {0.0, 5.0, -2.5};
   for (int k = 0; k < 3; ++k) {
@@ -112,7 +114,35 @@ TEST(Projection, EachTypeHasItsFocalLength) {
 TEST(Projection, PinholeArrayHasNoBlur) {
   Camera camera = pencil_camera();
   camera.micro_lens_focal_lengths.clear();
-  expect_feature(seen(camera, at_distance(275), {0, 0, 0}, 2, 2), 100, 80, 0);
+  const Feature<double> feature = seen(camera, at_distance(275), {0, 0, 0}, 2, 2);
+  expect_pixel({feature.u, feature.v}, 100, 80);
+  EXPECT_TRUE(std::isnan(feature.rho));
+}
+
+TEST(Projection, GivesDerivativesToItsUsers) {
+  // Through the middle of the array, off axis (see above): u = u0 + 30 px, which grow as the
+  // magnification by F/(z - F) = 1/5 does, du/dx = 0.2 * 0.5 / 0.01 = 10 px/mm; du/du0 = 1.
+  using Jet = ceres::Jet<double, 2>;
+  const Camera camera = pencil_camera();
+  const auto as_jets = [](auto block) {
+    std::array<Jet, std::tuple_size<decltype(block)>::value> jets;
+    for (std::size_t i = 0; i < block.size(); ++i) jets[i] = Jet(block[i]);
+    return jets;
+  };
+  const auto lens = as_jets(to_block(camera.main_lens));
+  auto array = as_jets(to_block(camera.mla));
+  array[0] = Jet(array[0].a, 0);
+  const Jet focal_length(1.0);
+  const Optics<Jet> optics(from_block<MainLens>(lens.data()),
+                           from_block<MicroLensArray>(array.data()), &focal_length, 1,
+                           camera.pixel_size);
+  const Vector3<Jet> point{Jet(3.0, 1), Jet(1.5), Jet(300.0)};
+  Feature<Jet> feature;
+  ASSERT_TRUE(project(optics, point, micro_lens_of(camera, 2, 2), &feature));
+  EXPECT_NEAR(feature.u.a, 130.0, kRounding);
+  EXPECT_NEAR(feature.u.v[0], 1.0, kRounding);
+  EXPECT_NEAR(feature.u.v[1], 10.0, kRounding);
+  EXPECT_NEAR(feature.v.v[1], 0.0, kRounding);
 }
 
 TEST(Projection, PoseTurnsThenMovesTheBoard) {
@@ -154,7 +184,7 @@ TEST(Projection, TiltChangesDepthOfEachMicroLens) {
   // x = -0.16 + 0.62/1.12 * (-0.6 + 0.16) = -0.403571428571, y = 0.62/1.12 * -0.3
   // = -0.166071428571; rho = 10 (0.62/1 + 0.62/1.12 - 1) = 1.735714285714.
   Camera camera = pencil_camera();
-  camera.mla.rotation[1] = std::asin(0.6);
+  camera.mla.rotation.y = std::asin(0.6);
   expect_feature(seen(camera, at_distance(300), {3, 1.5, 0}, 3, 2), 140.3571428571, 96.6071428571,
                  1.735714285714);
 }
@@ -167,18 +197,18 @@ TEST(Projection, ArrayTurnsByRzRyRx) {
   //   = (-191/1105, 180/221, 36/65).
   // Steps of -0.2 mm along the first and -0.2 * 1.5 mm along the second.
   Camera camera = pencil_camera();
-  camera.mla.rotation[0] = std::asin(3.0 / 5.0);
-  camera.mla.rotation[1] = std::asin(5.0 / 13.0);
-  camera.mla.rotation[2] = std::asin(8.0 / 17.0);
+  camera.mla.rotation.x = std::asin(3.0 / 5.0);
+  camera.mla.rotation.y = std::asin(5.0 / 13.0);
+  camera.mla.rotation.z = std::asin(8.0 / 17.0);
   camera.mla.pitch_ratio = 1.5;
   camera.mla.offset[0] = 0.3;
   camera.mla.offset[1] = -0.1;
-  const Optics<double> optics(camera.main_lens, camera.mla, camera.pixel_size);
-  const Point<double> along_x = optics.micro_lens_center({1, 0});
+  const ArrayOptics<double> optics(camera.mla, camera.pixel_size);
+  const Vector3<double> along_x = optics.micro_lens_center({1, 0});
   EXPECT_NEAR(along_x.x, 0.3 - 36.0 / 221.0, kRounding);
   EXPECT_NEAR(along_x.y, -0.1 - 19.2 / 221.0, kRounding);
   EXPECT_NEAR(along_x.z, -59.0 + 1.0 / 13.0, kRounding);
-  const Point<double> along_y = optics.micro_lens_center({0, 1});
+  const Vector3<double> along_y = optics.micro_lens_center({0, 1});
   EXPECT_NEAR(along_y.x, 0.3 + 57.3 / 1105.0, kRounding);
   EXPECT_NEAR(along_y.y, -0.1 - 54.0 / 221.0, kRounding);
   EXPECT_NEAR(along_y.z, -59.0 - 10.8 / 65.0, kRounding);
@@ -195,10 +225,11 @@ TEST(Projection, MicroImageCentreLiesOnTheRayFromTheMainLens) {
 }
 
 TEST(Projection, IndicesGrowWithThePixels) {
-  for (LatticeKind kind :
-       {LatticeKind::kOrthogonal, LatticeKind::kHexagonalRows, LatticeKind::kHexagonalColumns}) {
+  for (Packing packing :
+       {Packing::kOrthogonal, Packing::kHexagonalRowsEven, Packing::kHexagonalRowsOdd,
+        Packing::kHexagonalColumnsEven, Packing::kHexagonalColumnsOdd}) {
     Camera camera = pencil_camera();
-    camera.lattice.kind = kind;
+    camera.lattice.packing = packing;
     for (int i = 0; i + 1 < 5; ++i) {
       EXPECT_GT(project_center(camera, i + 1, 2).u, project_center(camera, i, 2).u);
       EXPECT_GT(project_center(camera, 2, i + 1).v, project_center(camera, 2, i).v);
@@ -225,32 +256,32 @@ TEST(Projection, UndefinedPointsAreRefusedAndLeaveTheResultAlone) {
 TEST(Lattice, NodesByHand) {
   const double height = 0.866025403784;  // sqrt(3)/2
   // 3 x 2, even rows moved: x in 0.5..2.5 and 0..2, so 1.25 is the middle; y in 0..0.866.
-  const Lattice rows{LatticeKind::kHexagonalRows, 3, 2, 0};
+  const Lattice rows{Packing::kHexagonalRowsEven, 3, 2};
   EXPECT_NEAR(rows.node(0, 0).x, -0.75, kRounding);
   EXPECT_NEAR(rows.node(0, 1).x, -1.25, kRounding);
   EXPECT_NEAR(rows.node(2, 1).x, 0.75, kRounding);
   EXPECT_NEAR(rows.node(2, 1).y, height / 2, kRounding);
-  const Lattice columns{LatticeKind::kHexagonalColumns, 2, 3, 1};
+  const Lattice columns{Packing::kHexagonalColumnsOdd, 2, 3};
   EXPECT_NEAR(columns.node(0, 0).y, -1.25, kRounding);
   EXPECT_NEAR(columns.node(1, 0).y, -0.75, kRounding);
   EXPECT_NEAR(columns.node(0, 2).x, -height / 2, kRounding);
-  const Lattice square{LatticeKind::kOrthogonal, 4, 3, 0};
+  const Lattice square{Packing::kOrthogonal, 4, 3};
   EXPECT_NEAR(square.node(3, 0).x, 1.5, kRounding);
   EXPECT_NEAR(square.node(3, 0).y, -1.0, kRounding);
 }
 
 // Without another row beside it, a row that is moved is centred like any other.
 TEST(Lattice, SingleMovedRowIsCentred) {
-  const Lattice row{LatticeKind::kHexagonalRows, 4, 1, 0};
+  const Lattice row{Packing::kHexagonalRowsEven, 4, 1};
   EXPECT_NEAR(row.node(0, 0).x, -1.5, kRounding);
   EXPECT_NEAR(row.node(3, 0).x, 1.5, kRounding);
-  const Lattice column{LatticeKind::kHexagonalColumns, 1, 4, 0};
+  const Lattice column{Packing::kHexagonalColumnsEven, 1, 4};
   EXPECT_NEAR(column.node(0, 0).y, -1.5, kRounding);
   EXPECT_NEAR(column.node(0, 3).y, 1.5, kRounding);
 }
 
 TEST(Lattice, ContainsItsIndicesOnly) {
-  const Lattice lattice{LatticeKind::kOrthogonal, 4, 3, 0};
+  const Lattice lattice{Packing::kOrthogonal, 4, 3};
   EXPECT_TRUE(lattice.contains(0, 0));
   EXPECT_TRUE(lattice.contains(3, 2));
   EXPECT_FALSE(lattice.contains(4, 2));
@@ -261,7 +292,7 @@ TEST(Lattice, ContainsItsIndicesOnly) {
 
 TEST(Lattice, TypesFollowTheR12Rule) {
   // (l mod 2 + k) mod 3 when the even rows are moved.
-  const Lattice lattice{LatticeKind::kHexagonalRows, 6, 4, 0};
+  const Lattice lattice{Packing::kHexagonalRowsEven, 6, 4};
   const int expected[4][6] = {
       {0, 1, 2, 0, 1, 2}, {1, 2, 0, 1, 2, 0}, {0, 1, 2, 0, 1, 2}, {1, 2, 0, 1, 2, 0}};
   for (int l = 0; l < 4; ++l) {
@@ -295,7 +326,7 @@ TEST_P(EveryLattice, IsCentred) {
 
 TEST_P(EveryLattice, NearestNeighboursAreAtDistanceOneAndOfOtherTypes) {
   const Lattice& lattice = GetParam();
-  const bool hexagonal = lattice.kind != LatticeKind::kOrthogonal;
+  const bool hexagonal = lattice.packing != Packing::kOrthogonal;
   for (int l = 0; l < lattice.rows; ++l) {
     for (int k = 0; k < lattice.columns; ++k) {
       int neighbours = 0;
@@ -320,13 +351,13 @@ TEST_P(EveryLattice, NearestNeighboursAreAtDistanceOneAndOfOtherTypes) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Lattices, EveryLattice,
-                         testing::Values(Lattice{LatticeKind::kOrthogonal, 5, 4, 0},
-                                         Lattice{LatticeKind::kHexagonalRows, 7, 6, 0},
-                                         Lattice{LatticeKind::kHexagonalRows, 6, 7, 1},
-                                         Lattice{LatticeKind::kHexagonalColumns, 7, 6, 0},
-                                         Lattice{LatticeKind::kHexagonalColumns, 6, 7, 1},
-                                         Lattice{LatticeKind::kHexagonalRows, 4, 1, 1},
-                                         Lattice{LatticeKind::kHexagonalColumns, 1, 4, 1}));
+                         testing::Values(Lattice{Packing::kOrthogonal, 5, 4},
+                                         Lattice{Packing::kHexagonalRowsEven, 7, 6},
+                                         Lattice{Packing::kHexagonalRowsOdd, 6, 7},
+                                         Lattice{Packing::kHexagonalColumnsEven, 7, 6},
+                                         Lattice{Packing::kHexagonalColumnsOdd, 6, 7},
+                                         Lattice{Packing::kHexagonalRowsOdd, 4, 1},
+                                         Lattice{Packing::kHexagonalColumnsOdd, 1, 4}));
 
 }  // namespace
 }  // namespace plenocal

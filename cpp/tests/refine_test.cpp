@@ -1,6 +1,7 @@
 // The solve on a synthetic scene of known truth.
 #include "plenocal/refine.hpp"
 
+#include <ceres/loss_function.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -22,9 +23,9 @@ using test::Scene;
 // 1e3 after the conditioning of the scene is near 1e-11; anything beyond this did not converge.
 constexpr double kRecovery = 1e-8;
 
-// A start some per cent away from the truth, several px in the residuals; parameters in `held`
+// A start some per cent away from the truth, several px in the residuals; parameters in `fixed`
 // start at the truth.
-Scene disturbed(const Scene& truth, const std::vector<std::string>& held) {
+Scene disturbed(const Scene& truth, const std::vector<std::string>& fixed) {
   const std::vector<double> factors = {1.01,  0.9,    0.9,   0.9,  0.9,  0.9, 1.005,
                                        0.995, 1.03,   1.3,   0.7,  0.7,  1.5, 0.6,
                                        1.002, 1.0005, 0.999, 0.98, 1.02, 0.99};
@@ -32,14 +33,15 @@ Scene disturbed(const Scene& truth, const std::vector<std::string>& held) {
   auto values = test::intrinsics(truth.camera);
   const auto names = intrinsic_names(truth.camera.lens_types());
   for (std::size_t i = 0; i < values.size(); ++i) {
-    if (std::find(held.begin(), held.end(), names[i]) == held.end()) values[i] *= factors[i];
+    if (std::find(fixed.begin(), fixed.end(), names[i]) == fixed.end()) values[i] *= factors[i];
   }
   start.camera = test::with_intrinsics(truth.camera, values);
   for (std::size_t i = 0; i < start.poses.size(); ++i) {
-    start.poses[i].rotation[i % 3] += 0.02;
-    start.poses[i].translation[0] += 0.2;
-    start.poses[i].translation[1] -= 0.2;
-    start.poses[i].translation[2] += 3.0;
+    auto& [rotation, translation] = start.poses[i];
+    (i % 3 == 0 ? rotation.x : i % 3 == 1 ? rotation.y : rotation.z) += 0.02;
+    translation.x += 0.2;
+    translation.y -= 0.2;
+    translation.z += 3.0;
   }
   return start;
 }
@@ -93,46 +95,127 @@ TEST(Refine, CostIsHalfTheSumOfSquares) {
   EXPECT_LT(result.cost, result.initial_cost);
 }
 
+// 1/2 sum rho over the features of one frame, the loss by Ceres.
+double frame_cost(const Refinement& result, const Observations& observations, int frame,
+                  const ceres::LossFunction& loss) {
+  Scene scene{result.camera, result.poses, {}};
+  for (const FeatureObservation& o : observations.features) {
+    if (o.frame == frame) scene.observations.features.push_back(o);
+  }
+  const Eigen::VectorXd r = residuals(scene, one_pitch());
+  double cost = 0.0;
+  for (int i = 0; i < r.size(); i += 3) {
+    double rho[3];
+    loss.Evaluate(r.segment<3>(i).squaredNorm(), rho);
+    cost += 0.5 * rho[0];
+  }
+  return cost;
+}
+
+TEST(Refine, FrameCostsAreThoseOfTheFeaturesAfterTheLoss) {
+  constexpr double kSummation = 1e-9;
+  constexpr double kScale = 1.5;
+  Scene scene = test::make_scene(3);
+  test::add_noise(1.0, 0.5, 0.2, 13, &scene.observations);
+  const ceres::TrivialLoss none;
+  const ceres::CauchyLoss cauchy(kScale);
+  for (LossKind kind : {LossKind::kNone, LossKind::kCauchy}) {
+    CostOptions options = one_pitch();
+    options.features_loss = {kind, kScale};
+    SolverOptions solver;
+    solver.max_iterations = 3;
+    const Refinement result =
+        refine(scene.camera, scene.poses, scene.observations, options, solver);
+    ASSERT_EQ(result.frame_costs.size(), scene.poses.size());
+    double sum = 0.0;
+    for (int frame = 0; frame < static_cast<int>(scene.poses.size()); ++frame) {
+      const auto& loss =
+          kind == LossKind::kNone ? static_cast<const ceres::LossFunction&>(none) : cauchy;
+      expect_near_relative(result.frame_costs[frame],
+                           frame_cost(result, scene.observations, frame, loss), kSummation,
+                           "frame " + std::to_string(frame));
+      sum += result.frame_costs[frame];
+    }
+    // The centres, without a loss, have the rest.
+    const Scene centers{result.camera, result.poses, {{}, scene.observations.centers}};
+    expect_near_relative(sum + 0.5 * residuals(centers, options).squaredNorm(), result.cost,
+                         kSummation, "cost");
+  }
+}
+
+TEST(Refine, DoublingOwnStdDevsIsDoublingTheOption) {
+  Scene scene = test::make_scene(3);
+  test::add_noise(0.1, 0.05, 0.02, 19, &scene.observations);
+  CostOptions doubled = one_pitch();
+  doubled.uv_std_dev = doubled.rho_std_dev = doubled.centers_std_dev = 2.0;
+  doubled.features_loss = doubled.centers_loss = {LossKind::kHuber, 0.1};
+  CostOptions own = doubled;
+  own.uv_std_dev = own.rho_std_dev = own.centers_std_dev = 1.0;
+  SolverOptions solver;
+  solver.max_iterations = 3;
+  const Refinement expected =
+      refine(scene.camera, scene.poses, scene.observations, doubled, solver);
+  for (FeatureObservation& o : scene.observations.features) o.std_dev = {2.0, 2.0, 2.0};
+  for (CenterObservation& o : scene.observations.centers) o.std_dev = 2.0;
+  const Refinement actual = refine(scene.camera, scene.poses, scene.observations, own, solver);
+  // The same arithmetic throughout.
+  EXPECT_EQ(actual.cost, expected.cost);
+  EXPECT_EQ(test::intrinsics(actual.camera), test::intrinsics(expected.camera));
+}
+
+// Each of the three, and that of the centres, at its place.
+TEST(Refine, OwnStdDevsWeighTheirOwnResidual) {
+  constexpr double kSummation = 1e-9;
+  Scene scene = test::make_scene(3);
+  test::add_noise(0.1, 0.05, 0.02, 23, &scene.observations);
+  scene.observations.features[5].std_dev = {0.5, 3.0, 0.1};
+  scene.observations.features[6].std_dev = {2.0, 0.2, 7.0};
+  scene.observations.centers[7].std_dev = 0.05;
+  const Refinement result = refine(scene.camera, scene.poses, scene.observations, one_pitch(), {});
+  expect_near_relative(result.initial_cost, 0.5 * residuals(scene, one_pitch()).squaredNorm(),
+                       kSummation, "cost");
+}
+
 TEST(Refine, TwoPitchesAreRecovered) {
   Scene truth = test::make_scene(3);
   truth.camera.mla.pitch_ratio = 1.002;
   truth.observations = test::observe(truth.camera, truth.poses);
   const Scene start = disturbed(truth, {});
   CostOptions two_pitches;
-  two_pitches.held.clear();
+  two_pitches.fixed.clear();
   const Refinement free = refine(start.camera, start.poses, start.observations, two_pitches, {});
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
   expect_recovered(free, truth);
   // One pitch cannot explain it: the outer centres alone are off by 0.2 px.
   Scene one = start;
   one.camera.mla.pitch_ratio = 1.0;
-  const Refinement held = refine(one.camera, one.poses, one.observations, one_pitch(), {});
-  EXPECT_EQ(held.camera.mla.pitch_ratio, 1.0);
-  EXPECT_GT(held.cost, 1.0);
+  const Refinement fixed = refine(one.camera, one.poses, one.observations, one_pitch(), {});
+  EXPECT_EQ(fixed.camera.mla.pitch_ratio, 1.0);
+  EXPECT_GT(fixed.cost, 1.0);
 }
 
-TEST(Refine, HeldParametersKeepTheirValue) {
+TEST(Refine, FixedParametersKeepTheirValue) {
   CostOptions options;
-  options.held = {"F", "Q2", "P1", "v0", "theta_z", "dC", "dC_ratio", "f_2"};
+  options.fixed = {"F", "Q2", "P1", "v0", "theta_z", "dC", "dC_ratio", "f_2"};
   const Scene start = disturbed(test::make_scene(3), {});
   const Refinement result = refine(start.camera, start.poses, start.observations, options, {});
   const auto names = intrinsic_names(3);
   const auto before = test::intrinsics(start.camera), after = test::intrinsics(result.camera);
   for (std::size_t i = 0; i < names.size(); ++i) {
-    const bool held =
-        std::find(options.held.begin(), options.held.end(), names[i]) != options.held.end();
-    EXPECT_EQ(before[i] == after[i], held) << names[i];
+    const bool fixed =
+        std::find(options.fixed.begin(), options.fixed.end(), names[i]) != options.fixed.end();
+    EXPECT_EQ(before[i] == after[i], fixed) << names[i];
   }
   const Uncertainty u = uncertainty(start.camera, start.poses, start.observations, options);
   EXPECT_EQ(u.free_intrinsics, (std::vector<int>{1, 3, 5, 6, 8, 9, 10, 12, 13, 14, 17, 19}));
   EXPECT_EQ(u.size, 12 + 6 * 7);
 }
 
-TEST(Refine, EverythingHeldLeavesThePoses) {
+TEST(Refine, EverythingFixedLeavesThePoses) {
   const Scene truth = test::make_scene(3);
   CostOptions options;
-  options.held = intrinsic_names(3);
-  const Scene start = disturbed(truth, options.held);
+  options.fixed = intrinsic_names(3);
+  const Scene start = disturbed(truth, options.fixed);
   const Refinement result = refine(start.camera, start.poses, start.observations, options, {});
   EXPECT_EQ(result.termination, Termination::kConverged) << result.message;
   EXPECT_EQ(test::intrinsics(result.camera), test::intrinsics(truth.camera));

@@ -37,14 +37,14 @@ std::vector<double> evaluate(const ceres::CostFunction& cost,
 
 // Camera and pose as parameter blocks.
 struct Blocks {
-  std::array<double, 6> lens;
-  std::array<double, 11> array;
+  std::array<double, kMainLensParameters> lens;
+  std::array<double, kArrayParameters> array;
   std::vector<double> focal_lengths;
   std::array<double, 6> pose;
 
   Blocks(const Camera& camera, const Pose& camera_from_board)
-      : lens(camera.main_lens.block()),
-        array(camera.mla.block()),
+      : lens(to_block(camera.main_lens)),
+        array(to_block(camera.mla)),
         focal_lengths(camera.micro_lens_focal_lengths),
         pose(pose_block(camera_from_board)) {}
 
@@ -60,7 +60,7 @@ struct Blocks {
 // (1, 1) sit at x = +0.15 and -0.05 mm, (0, 0) and (1, 0) at +0.05 and -0.15 mm.
 Camera pencil_camera(int types) {
   Camera camera;
-  camera.lattice = {LatticeKind::kHexagonalRows, 2, 2, 0};
+  camera.lattice = {Packing::kHexagonalRowsEven, 2, 2};
   camera.pixel_size = 0.01;
   camera.main_lens.focal_length = 50.0;
   camera.mla = {{100.0, 80.0}, 0.5, {0.0, 0.0, 0.0}, {0.0, 0.0}, 59.0, 0.2, 1.0};
@@ -74,30 +74,34 @@ const Pose kPencilPose{{0.0, 0.0, 0.0}, {0.0, 0.0, 300.0}};
 // What the pencil camera sees of (3, 1.5, 0) through (1, 0), of type 1. p' = (-0.6, -0.3, -60),
 // C = (-0.15, +0.0866025403784, -59), half-way: (-0.375, -0.1066987298108), so u = 137.5 and
 // v = 90.66987298108; rho = 10 (0.5/f + 0.5 - 1): 0 for f = 1, 1.25 for f = 0.8.
-const std::array<double, 3> kPencilPoint = {3.0, 1.5, 0.0};
+const Vector3<double> kPencilPoint = {3.0, 1.5, 0.0};
 constexpr double kPencilU = 137.5;
 constexpr double kPencilV = 90.66987298108;
 constexpr double kPencilRho[] = {0.0, 0.0, 0.0, 1.25};  // by number of types
 
-CornerSighting pencil_sighting(const Camera& camera, double du, double dv, double drho) {
+WeightedFeature pencil_feature(const Camera& camera, double du, double dv, double drho,
+                               const Feature<double>& weight = {1.0, 1.0, 1.0}) {
   const int types = camera.lens_types();
   return {kPencilPoint,
-          camera.lattice.node(1, 0),
-          camera.lattice.lens_type(1, 0, types),
-          {kPencilU + du, kPencilV + dv, kPencilRho[types] + drho}};
+          micro_lens_of(camera, 1, 0),
+          {kPencilU + du, kPencilV + dv, kPencilRho[types] + drho},
+          weight};
 }
 
 template <int I>
 void expect_features_by_hand() {
   const Camera camera = pencil_camera(I);
   const Blocks blocks(camera, kPencilPose);
-  // Residuals are projected minus observed, over sigma. No loss.
-  const auto cost = FeatureResiduals<I>::create(
-      {pencil_sighting(camera, 0, 0, 0), pencil_sighting(camera, 1.0, -3.0, 0.25)}, 0.01, 0.5,
-      0.125, {});
+  // Residuals are projected minus observed, times the weight of their own. No loss.
+  const auto cost =
+      FeatureResiduals<I>::create({pencil_feature(camera, 0, 0, 0, {2.0, 2.0, 8.0}),
+                                   pencil_feature(camera, 1.0, -3.0, 0.25, {2.0, 2.0, 8.0}),
+                                   pencil_feature(camera, 1.0, -3.0, 0.25, {4.0, 0.5, 2.0})},
+                                  0.01, {});
   const std::vector<double> residuals = evaluate(*cost, blocks.pointers());
-  const std::vector<double> expected =
-      I == 0 ? std::vector<double>{0, 0, -2, 6} : std::vector<double>{0, 0, 0, -2, 6, -2};
+  const std::vector<double> expected = I == 0
+                                           ? std::vector<double>{0, 0, -2, 6, -4, 1.5}
+                                           : std::vector<double>{0, 0, 0, -2, 6, -2, -4, 1.5, -0.5};
   ASSERT_EQ(residuals.size(), expected.size());
   for (std::size_t i = 0; i < expected.size(); ++i) {
     EXPECT_NEAR(residuals[i], expected[i], kRounding) << i;
@@ -111,8 +115,8 @@ TEST(FeatureResiduals, ThreeTypesByHand) { expect_features_by_hand<3>(); }
 TEST(FeatureResiduals, LossScalesTheWholeFeature) {
   // |(-2, 6, -3)| = 7, Huber at 1: the norm becomes sqrt(2*7 - 1), the direction stays.
   const Camera camera = pencil_camera(3);
-  const auto cost = FeatureResiduals<3>::create({pencil_sighting(camera, 1.0, -3.0, 0.375)}, 0.01,
-                                                0.5, 0.125, {LossKind::kHuber, 1.0});
+  const auto cost = FeatureResiduals<3>::create(
+      {pencil_feature(camera, 1.0, -3.0, 0.375, {2.0, 2.0, 8.0})}, 0.01, {LossKind::kHuber, 1.0});
   const auto residuals = evaluate(*cost, Blocks(camera, kPencilPose).pointers());
   const double factor = 0.515078753637713;  // sqrt(13)/7
   EXPECT_NEAR(residuals[0], -2 * factor, kRounding);
@@ -122,7 +126,7 @@ TEST(FeatureResiduals, LossScalesTheWholeFeature) {
 
 TEST(FeatureResiduals, UndefinedPointFailsTheBlock) {
   const Camera camera = pencil_camera(3);
-  const auto cost = FeatureResiduals<3>::create({pencil_sighting(camera, 0, 0, 0)}, 0.01, 1, 1, {});
+  const auto cost = FeatureResiduals<3>::create({pencil_feature(camera, 0, 0, 0)}, 0.01, {});
   double residuals[3];
   const Blocks blocks(camera, {{0.0, 0.0, 0.0}, {0.0, 0.0, 49.0}});
   EXPECT_FALSE(cost->Evaluate(blocks.pointers().data(), residuals, nullptr));
@@ -133,13 +137,14 @@ TEST(CenterResiduals, ByHand) {
   // u = 100 - 15.1271186441, v = 80 + 8.7336460212.
   const Camera camera = pencil_camera(0);
   const Node node = camera.lattice.node(0, 1);
-  const auto cost = CenterResiduals::create(
-      {{node, {84.8728813559322, 88.7336460211998}}, {node, {85.8728813559322, 88.2336460211998}}},
-      0.01, 0.25, {});
-  const auto array = camera.mla.block();
+  const auto cost = CenterResiduals::create({{node, {84.8728813559322, 88.7336460211998}, 4.0},
+                                             {node, {85.8728813559322, 88.2336460211998}, 4.0},
+                                             {node, {85.8728813559322, 88.2336460211998}, 0.5}},
+                                            0.01, {});
+  const auto array = to_block(camera.mla);
   const auto residuals = evaluate(*cost, {array.data()});
-  const double expected[] = {0, 0, -4, 2};
-  for (int i = 0; i < 4; ++i) EXPECT_NEAR(residuals[i], expected[i], kRounding) << i;
+  const double expected[] = {0, 0, -4, 2, -0.5, 0.25};
+  for (int i = 0; i < 6; ++i) EXPECT_NEAR(residuals[i], expected[i], kRounding) << i;
 }
 
 TEST(ApplyLoss, AgreesWithCeres) {
@@ -186,9 +191,9 @@ TEST(ApplyLoss, ZeroHasAFiniteDerivative) {
 }
 
 // Random cameras, poses and observations about the synthetic scene.
-class RandomSightings {
+class RandomObservations {
  public:
-  explicit RandomSightings(unsigned seed) : generator_(seed) {}
+  explicit RandomObservations(unsigned seed) : generator_(seed) {}
 
   double uniform(double low, double high) {
     return std::uniform_real_distribution<double>(low, high)(generator_);
@@ -209,35 +214,34 @@ class RandomSightings {
 
   // Residuals of 0.2 to 0.3 sigma, or, every other one, of 3 to 5: well on either side of the kink
   // of a Huber loss at 1, where finite differences would be wrong.
-  std::vector<CornerSighting> corners(const Camera& camera, const Pose& pose, int count) {
-    std::vector<CornerSighting> sightings;
+  std::vector<WeightedFeature> features(const Camera& camera, const Pose& pose, int count) {
+    std::vector<WeightedFeature> features;
     for (int i = 0; i < count; ++i) {
       const int k = static_cast<int>(uniform(0, camera.lattice.columns));
       const int l = static_cast<int>(uniform(0, camera.lattice.rows));
-      // Two sightings of a corner in turn, as in a sorted problem.
+      // Two features of a corner in turn, as in a sorted problem.
       const auto corner = test::board_corner(pose, i / 2 % 6, i / 2 % 5);
       Feature<double> seen{};
       EXPECT_TRUE(project(camera, pose, corner, k, l, &seen));
       seen.u += offset(i);
       seen.v += offset(i);
       seen.rho += offset(i);
-      sightings.push_back({corner, camera.lattice.node(k, l),
-                           camera.lattice.lens_type(k, l, camera.lens_types()), seen});
+      features.push_back({corner, micro_lens_of(camera, k, l), seen, {1.0, 1.0, 1.1}});
     }
-    return sightings;
+    return features;
   }
 
-  std::vector<CenterSighting> centers(const Camera& camera, int count) {
-    std::vector<CenterSighting> sightings;
+  std::vector<WeightedCenter> centers(const Camera& camera, int count) {
+    std::vector<WeightedCenter> centers;
     for (int i = 0; i < count; ++i) {
       const int k = static_cast<int>(uniform(0, camera.lattice.columns));
       const int l = static_cast<int>(uniform(0, camera.lattice.rows));
       Pixel<double> seen = project_center(camera, k, l);
       seen.u += offset(i);
       seen.v += offset(i);
-      sightings.push_back({camera.lattice.node(k, l), seen});
+      centers.push_back({camera.lattice.node(k, l), seen, 1.0});
     }
-    return sightings;
+    return centers;
   }
 
  private:
@@ -260,15 +264,14 @@ void expect_gradients(const ceres::CostFunction& cost, const std::vector<const d
 template <int I>
 void expect_feature_gradients() {
   for (unsigned seed = 1; seed <= 5; ++seed) {
-    RandomSightings random(seed);
+    RandomObservations random(seed);
     const Camera camera = random.camera(I);
     const Pose pose = random.pose();
-    const auto sightings = random.corners(camera, pose, 6);
+    const auto features = random.features(camera, pose, 6);
     const Blocks blocks(camera, pose);
     for (LossKind loss : kLosses) {
       SCOPED_TRACE(testing::Message() << "seed " << seed << " loss " << static_cast<int>(loss));
-      const auto cost =
-          FeatureResiduals<I>::create(sightings, camera.pixel_size, 1.0, 0.9, {loss, 1.0});
+      const auto cost = FeatureResiduals<I>::create(features, camera.pixel_size, {loss, 1.0});
       expect_gradients(*cost, blocks.pointers());
     }
   }
@@ -280,13 +283,13 @@ TEST(Gradients, ThreeTypes) { expect_feature_gradients<3>(); }
 
 TEST(Gradients, Centers) {
   for (unsigned seed = 1; seed <= 5; ++seed) {
-    RandomSightings random(seed);
+    RandomObservations random(seed);
     const Camera camera = random.camera(3);
-    const auto sightings = random.centers(camera, 6);
-    const auto array = camera.mla.block();
+    const auto centers = random.centers(camera, 6);
+    const auto array = to_block(camera.mla);
     for (LossKind loss : kLosses) {
       SCOPED_TRACE(testing::Message() << "seed " << seed << " loss " << static_cast<int>(loss));
-      const auto cost = CenterResiduals::create(sightings, camera.pixel_size, 1.0, {loss, 1.0});
+      const auto cost = CenterResiduals::create(centers, camera.pixel_size, {loss, 1.0});
       expect_gradients(*cost, {array.data()});
     }
   }
@@ -295,7 +298,7 @@ TEST(Gradients, Centers) {
 TEST(Gradients, AreFiniteWithoutRotationOrDistortion) {
   // Angle-axis and distortion at exactly 0, where a careless sqrt would give NaN.
   const Camera camera = pencil_camera(3);
-  const auto cost = FeatureResiduals<3>::create({pencil_sighting(camera, 0, 0, 0)}, 0.01, 1, 1,
+  const auto cost = FeatureResiduals<3>::create({pencil_feature(camera, 0, 0, 0)}, 0.01,
                                                 {LossKind::kCauchy, 1.0});
   const Blocks blocks(camera, kPencilPose);
   std::array<double, 3 * 6> lens, pose;
@@ -316,38 +319,37 @@ TEST(Gradients, AreFiniteWithoutRotationOrDistortion) {
 
 // Each observation weighs as much alone as in a group, whatever stands before it.
 TEST(Grouping, DoesNotChangeFeatures) {
-  RandomSightings random(7);
+  RandomObservations random(7);
   const Camera camera = random.camera(3);
   const Pose pose = random.pose();
-  auto sightings = random.corners(camera, pose, 8);
-  std::swap(sightings[1], sightings[6]);  // a corner's sightings need not follow each other
+  auto features = random.features(camera, pose, 8);
+  std::swap(features[1],
+            features[6]);  // a corner's features need not follow each other
   const Blocks blocks(camera, pose);
   for (LossKind kind : kLosses) {
     const Loss loss{kind, 1.0};
-    const auto group =
-        evaluate(*FeatureResiduals<3>::create(sightings, camera.pixel_size, 0.7, 0.9, loss),
-                 blocks.pointers());
-    for (std::size_t i = 0; i < sightings.size(); ++i) {
-      const auto alone =
-          evaluate(*FeatureResiduals<3>::create({sightings[i]}, camera.pixel_size, 0.7, 0.9, loss),
-                   blocks.pointers());
+    const auto group = evaluate(*FeatureResiduals<3>::create(features, camera.pixel_size, loss),
+                                blocks.pointers());
+    for (std::size_t i = 0; i < features.size(); ++i) {
+      const auto alone = evaluate(
+          *FeatureResiduals<3>::create({features[i]}, camera.pixel_size, loss), blocks.pointers());
       for (int j = 0; j < 3; ++j) EXPECT_DOUBLE_EQ(group[3 * i + j], alone[j]);
     }
   }
 }
 
 TEST(Grouping, DoesNotChangeCenters) {
-  RandomSightings random(8);
+  RandomObservations random(8);
   const Camera camera = random.camera(3);
-  const auto sightings = random.centers(camera, 8);
-  const auto array = camera.mla.block();
+  const auto centers = random.centers(camera, 8);
+  const auto array = to_block(camera.mla);
   for (LossKind kind : kLosses) {
     const Loss loss{kind, 1.0};
     const auto group =
-        evaluate(*CenterResiduals::create(sightings, camera.pixel_size, 0.7, loss), {array.data()});
-    for (std::size_t i = 0; i < sightings.size(); ++i) {
-      const auto alone = evaluate(
-          *CenterResiduals::create({sightings[i]}, camera.pixel_size, 0.7, loss), {array.data()});
+        evaluate(*CenterResiduals::create(centers, camera.pixel_size, loss), {array.data()});
+    for (std::size_t i = 0; i < centers.size(); ++i) {
+      const auto alone =
+          evaluate(*CenterResiduals::create({centers[i]}, camera.pixel_size, loss), {array.data()});
       for (int j = 0; j < 2; ++j) EXPECT_DOUBLE_EQ(group[2 * i + j], alone[j]);
     }
   }

@@ -27,7 +27,7 @@ struct Scene {
 /// distortion is exaggerated: the image is only 2.5 mm wide.
 inline Camera scene_camera(int types) {
   Camera camera;
-  camera.lattice = {LatticeKind::kHexagonalRows, 20, 18, 0};
+  camera.lattice = {Packing::kHexagonalRowsEven, 20, 18};
   camera.pixel_size = 0.0055;
   camera.main_lens = {50.0, {0.02, -0.005, 0.002}, {0.001, -0.002}};
   camera.mla = {{231.5, 182.25}, 0.3186, {0.004, -0.003, 0.002}, {0.011, -0.007}, 56.6576,
@@ -47,8 +47,8 @@ inline std::vector<Pose> scene_poses() {
 }
 
 /// Corner of a board centred on its pose, of squares that fill the image at the board's distance.
-inline std::array<double, 3> board_corner(const Pose& pose, int column, int row) {
-  const double square = 0.0065 * pose.translation[2];
+inline Vector3<double> board_corner(const Pose& pose, int column, int row) {
+  const double square = 0.0065 * pose.translation.z;
   return {square * (column - (kBoardColumns - 1) / 2.0), square * (row - (kBoardRows - 1) / 2.0),
           0.0};
 }
@@ -60,14 +60,15 @@ inline Observations observe(const Camera& camera, const std::vector<Pose>& poses
   for (int l = 0; l < camera.lattice.rows; ++l) {
     for (int k = 0; k < camera.lattice.columns; ++k) {
       const Pixel<double> center = project_center(camera, k, l);
-      observations.centers.push_back({k, l, center});
+      observations.centers.push_back({k, l, center, 1.0});
       for (std::size_t frame = 0; frame < poses.size(); ++frame) {
         for (int i = 0; i < kBoardColumns * kBoardRows; ++i) {
           const auto corner = board_corner(poses[frame], i % kBoardColumns, i / kBoardColumns);
           Feature<double> feature{};
           if (project(camera, poses[frame], corner, k, l, &feature) &&
               std::hypot(feature.u - center.u, feature.v - center.v) < micro_image_radius) {
-            observations.features.push_back({static_cast<int>(frame), corner, k, l, feature});
+            observations.features.push_back(
+                {static_cast<int>(frame), corner, k, l, feature, {1.0, 1.0, 1.0}});
           }
         }
       }
@@ -101,16 +102,12 @@ inline void add_noise(double uv, double rho, double centers, unsigned seed,
 /// Intrinsics in the order of `intrinsic_names`, and back.
 inline std::vector<double> intrinsics(const Camera& camera) {
   std::vector<double> values;
-  for (double value : camera.main_lens.block()) values.push_back(value);
-  for (double value : camera.mla.block()) values.push_back(value);
-  for (double value : camera.micro_lens_focal_lengths) values.push_back(value);
+  for_each_parameter(camera, [&](const std::string&, double value) { values.push_back(value); });
   return values;
 }
 inline Camera with_intrinsics(Camera camera, const std::vector<double>& values) {
-  camera.main_lens = MainLens<double>::from_block(values.data());
-  camera.mla = MicroLensArray<double>::from_block(values.data() + MainLens<double>::kSize);
-  camera.micro_lens_focal_lengths.assign(
-      values.begin() + MainLens<double>::kSize + MicroLensArray<double>::kSize, values.end());
+  const double* next = values.data();
+  for_each_parameter(camera, [&](const std::string&, double& value) { value = *next++; });
   return camera;
 }
 
@@ -119,7 +116,7 @@ inline const std::vector<std::string> kOnePitch = {"dC_ratio"};
 /// The paper's model: one pitch for both axes.
 inline CostOptions one_pitch() {
   CostOptions options;
-  options.held = kOnePitch;
+  options.fixed = kOnePitch;
   return options;
 }
 
@@ -130,14 +127,16 @@ inline Eigen::VectorXd residuals(const Scene& scene, const CostOptions& options)
   for (const FeatureObservation& o : scene.observations.features) {
     Feature<double> f{};
     EXPECT_TRUE(project(scene.camera, scene.poses[o.frame], o.board_point, o.k, o.l, &f));
-    values.push_back((f.u - o.observed.u) / options.uv_std_dev);
-    values.push_back((f.v - o.observed.v) / options.uv_std_dev);
-    if (blur) values.push_back((f.rho - o.observed.rho) / options.rho_std_dev);
+    values.push_back((f.u - o.observed.u) / (o.std_dev.u * options.uv_std_dev));
+    values.push_back((f.v - o.observed.v) / (o.std_dev.v * options.uv_std_dev));
+    if (blur) {
+      values.push_back((f.rho - o.observed.rho) / (o.std_dev.rho * options.rho_std_dev));
+    }
   }
   for (const CenterObservation& o : scene.observations.centers) {
     const Pixel<double> p = project_center(scene.camera, o.k, o.l);
-    values.push_back((p.u - o.observed.u) / options.centers_std_dev);
-    values.push_back((p.v - o.observed.v) / options.centers_std_dev);
+    values.push_back((p.u - o.observed.u) / (o.std_dev * options.centers_std_dev));
+    values.push_back((p.v - o.observed.v) / (o.std_dev * options.centers_std_dev));
   }
   return Eigen::Map<Eigen::VectorXd>(values.data(), values.size());
 }

@@ -83,8 +83,8 @@ class AtMinimum : public testing::Test {
 
 // Covariance of the same cost by Ceres, from a problem with one block per observation.
 Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options) {
-  auto lens = scene.camera.main_lens.block();
-  auto array = scene.camera.mla.block();
+  auto lens = to_block(scene.camera.main_lens);
+  auto array = to_block(scene.camera.mla);
   auto focal_lengths = scene.camera.micro_lens_focal_lengths;
   std::vector<std::array<double, 6>> poses;
   for (const Pose& pose : scene.poses) poses.push_back(pose_block(pose));
@@ -94,17 +94,20 @@ Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options)
   ceres::Problem problem;
   for (const FeatureObservation& o : scene.observations.features) {
     auto cost = FeatureResiduals<3>::create(
-        {{o.board_point, lattice.node(o.k, o.l), lattice.lens_type(o.k, o.l, 3), o.observed}}, s,
-        options.uv_std_dev, options.rho_std_dev, {});
+        {{o.board_point,
+          micro_lens_of(scene.camera, o.k, o.l),
+          o.observed,
+          {1.0 / options.uv_std_dev, 1.0 / options.uv_std_dev, 1.0 / options.rho_std_dev}}},
+        s, {});
     problem.AddResidualBlock(cost.release(), nullptr, lens.data(), array.data(),
                              focal_lengths.data(), poses[o.frame].data());
   }
   for (const CenterObservation& o : scene.observations.centers) {
-    auto cost = CenterResiduals::create({{lattice.node(o.k, o.l), o.observed}}, s,
-                                        options.centers_std_dev, {});
+    auto cost = CenterResiduals::create(
+        {{lattice.node(o.k, o.l), o.observed, 1.0 / options.centers_std_dev}}, s, {});
     problem.AddResidualBlock(cost.release(), nullptr, array.data());
   }
-  problem.SetManifold(array.data(), new ceres::SubsetManifold(11, {10}));  // dC_ratio held
+  problem.SetManifold(array.data(), new ceres::SubsetManifold(11, {10}));  // dC_ratio fixed
 
   std::vector<const double*> blocks = {lens.data(), array.data(), focal_lengths.data()};
   for (const auto& pose : poses) blocks.push_back(pose.data());
@@ -138,6 +141,29 @@ TEST_F(AtMinimum, ResidualStdDevIsTheInjectedNoise) {
     expect_near_relative(other.residual_std_dev[kind], kNoise[kind], kOfTheNoise,
                          std::to_string(kind));
   }
+}
+
+TEST_F(AtMinimum, OwnStdDevsOfAKindAreAFactorOfTheKind) {
+  // Powers of two: all of it is the same to the last bit.
+  const Uncertainty expected = at(weights({0.2, 0.2, 0.01}));
+  for (FeatureObservation& o : scene_.observations.features) o.std_dev = {2.0, 2.0, 4.0};
+  for (CenterObservation& o : scene_.observations.centers) o.std_dev = 0.5;
+  const Uncertainty u = at(weights({0.1, 0.05, 0.02}));
+  EXPECT_EQ(u.covariance, expected.covariance);
+  for (int kind = 0; kind < 3; ++kind) {
+    expect_near_relative(u.residual_std_dev[kind], expected.residual_std_dev[kind], 1e-12,
+                         std::to_string(kind));
+  }
+}
+
+TEST_F(AtMinimum, ResidualStdDevGoesByTheRootMeanSquareOfOwnOnes) {
+  // u and v have the same noise s, but v is said to be 7 times worse: the mean square of the
+  // standardised residuals is (1 + 1/49)/2 and that of the own deviations (1 + 49)/2, so
+  // s sqrt(25/49 * 25) = 25/7 s is what comes out.
+  constexpr double kOfTheNoise = 0.1;
+  for (FeatureObservation& o : scene_.observations.features) o.std_dev.v = 7.0;
+  expect_near_relative(at(options_).residual_std_dev[0], 25.0 / 7.0 * kNoise[0], kOfTheNoise,
+                       "u and v");
 }
 
 TEST_F(AtMinimum, CovarianceIsThatOfCeres) {
@@ -208,7 +234,7 @@ constexpr double kUnseen = 1e-5;
 // One board parallel to an untilted array: all its images lie in one plane.
 Scene fronto_parallel() {
   Scene scene{test::scene_camera(3), {{{0.0, 0.0, 0.0}, {0.1, -0.2, 300.0}}}, {}};
-  std::fill_n(scene.camera.mla.rotation, 3, 0.0);
+  scene.camera.mla.rotation = {0.0, 0.0, 0.0};
   scene.observations = test::observe(scene.camera, scene.poses);
   test::add_noise(0.1, 0.05, 0.02, 31, &scene.observations);
   return scene;
@@ -221,7 +247,7 @@ TEST(RankDeficiency, FrontoParallelBoardDoesNotTellFocalLengthFromDistance) {
   const Scene scene = fronto_parallel();
   CostOptions options;
   for (const std::string& name : intrinsic_names(3)) {
-    if (name != "F" && name != "D") options.held.push_back(name);
+    if (name != "F" && name != "D") options.fixed.push_back(name);
   }
   Observations features_only{scene.observations.features, {}};
   const Uncertainty u = uncertainty(scene.camera, scene.poses, features_only, options);

@@ -4,11 +4,10 @@
 use crate::calibration::{LeftOut, Mode, NoPose, Start, Warning};
 use crate::error::{Error, Result};
 use crate::model::{
-    BapFeature, Board, FramePose, MicroImageCenter, Observations, PlenopticCamera, Reprojection,
-    intrinsic_parameters,
+    BapFeature, Board, FramePose, Observations, PlenopticCamera, Reprojection, intrinsic_parameters,
 };
 use crate::precalibration::MicroImageArray;
-use crate::solver::{self, Problem, Refinement, Uncertainty};
+use crate::solver::{self, Refinement, Uncertainty};
 
 /// Boards tilted by less than this, rad (5°), look alike in a projection.
 const FRONTO_PARALLEL_RAD: f64 = 0.087;
@@ -71,18 +70,8 @@ pub(super) fn check_indices(
     let (centers, pitch) = if let Some(grid) = grid {
         (features.iter().map(|f| grid.center_of(f.k, f.l).into()).collect(), grid.pitch_px)
     } else {
-        let named: Vec<MicroImageCenter> = features
-            .iter()
-            .map(|f| MicroImageCenter {
-                k: f.k,
-                l: f.l,
-                u_px: f.u_px,
-                v_px: f.v_px,
-                std_dev_px: None,
-            })
-            .collect();
-        let problem = Problem { camera, poses: &[], features: &[], centers: &named };
-        (solver::project_centers(&problem)?, camera.micro_image_pitch_px())
+        let named = features.iter().map(|f| (f.k, f.l));
+        (solver::project_centers(camera, named)?, camera.micro_image_pitch_px())
     };
     let mut far = features
         .iter()

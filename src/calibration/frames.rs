@@ -8,10 +8,12 @@ use tracing::debug;
 use crate::calibration::{LeftOut, initial_poses};
 use crate::error::{Error, Result};
 use crate::model::{
-    BapFeature, Board, FeatureResidual, FramePose, Observations, PlenopticCamera,
+    BapFeature, Board, FeatureResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
     intrinsic_parameters,
 };
-use crate::solver::{self, CostOptions, Problem, SolverFeature, SolverOptions};
+use crate::solver::{
+    self, CostOptions, Problem, Projected, SolverCenter, SolverFeature, SolverOptions,
+};
 
 /// A pose alone converges in a few steps; the choice between two needs no more.
 const CHOICE_ITERATIONS: usize = 5;
@@ -20,6 +22,10 @@ const CHOICE_ITERATIONS: usize = 5;
 const ALIKE_RAD: f64 = 0.1;
 /// Two ways to the same pose end in costs that differ by less.
 const CLEARLY_LOWER: f64 = 1e-3;
+
+/// Where an observation has no standard deviation of its own, px: that of the cost's options, which
+/// multiplies it, stands alone.
+const NO_OWN_STD_DEV: f64 = 1.0;
 
 /// Frames with a pose, their features, and the frames left out.
 pub(super) struct Frames {
@@ -31,7 +37,7 @@ pub(super) struct Frames {
 /// Initial poses of all frames.
 ///
 /// PnP on the barycentres gives up to two poses mirrored in tilt. Parallax and blur tell which way
-/// a board leans: each candidate is refined with the camera held, and the one that leads to the
+/// a board leans: each candidate is refined with the camera fixed, and the one that leads to the
 /// lower cost is taken, as PnP gave it. (The refined one would fit the initial camera so well that
 /// the solver takes half as many steps more to leave it.)
 pub(super) fn initial_frames(
@@ -110,7 +116,7 @@ pub(super) fn reconsidered_poses(
     Ok(Some(candidates.iter().zip(chosen).map(pose).collect()))
 }
 
-/// For every frame the index of the candidate that leads to the lowest cost with the camera held;
+/// For every frame the index of the candidate that leads to the lowest cost with the camera fixed;
 /// an earlier one unless a later one is better by more than [`CLEARLY_LOWER`].
 fn choose(
     camera: &PlenopticCamera,
@@ -140,8 +146,8 @@ fn choose(
         let problem =
             Problem { camera, poses: &start_poses, features: &solver_features, centers: &[] };
         let refined = solver::refine(&problem, &cost, &solver, &mut |_| true)?;
-        let refined = Problem { poses: &refined.poses, ..problem };
-        let costs = frame_costs(&refined, &seen, &cost)?;
+        let costs: BTreeMap<u32, f64> =
+            start.iter().map(|pose| pose.frame).zip(refined.frame_costs).collect();
         for ((frame, poses), best) in candidates.iter().zip(&mut best) {
             let frame_cost = costs.get(frame).copied().unwrap_or(f64::INFINITY);
             if round < poses.len() && frame_cost < best.0 * (1.0 - CLEARLY_LOWER) {
@@ -150,28 +156,6 @@ fn choose(
         }
     }
     Ok(best.into_iter().map(|(_, round)| round).collect())
-}
-
-/// Squared residuals of every frame; infinite for one that the camera does not image.
-fn frame_costs(
-    problem: &Problem,
-    features: &[BapFeature],
-    cost: &CostOptions,
-) -> Result<BTreeMap<u32, f64>> {
-    let mut costs = BTreeMap::new();
-    for (f, projected) in features.iter().zip(solver::project(problem)?) {
-        let squared = projected.map_or(f64::INFINITY, |[u, v, rho]| {
-            let rho_px = f
-                .rho_px
-                .filter(|_| problem.camera.lens_types() > 0)
-                .map_or(0.0, |measured| measured - rho);
-            ((f.u_px - u) / cost.uv_std_dev_px).powi(2)
-                + ((f.v_px - v) / cost.uv_std_dev_px).powi(2)
-                + (rho_px / cost.rho_std_dev_px).powi(2)
-        });
-        *costs.entry(f.frame).or_insert(0.0) += squared;
-    }
-    Ok(costs)
 }
 
 /// Features as the solver takes them, every one of a frame that has a pose.
@@ -188,9 +172,25 @@ pub(super) fn solver_features(
         l: f.l,
         u_px: f.u_px,
         v_px: f.v_px,
-        rho_px: f.rho_px.unwrap_or(f64::NAN),
+        rho_px: f.rho_px,
+        std_dev_px: {
+            let [u, v] = f.std_dev_px.unwrap_or([NO_OWN_STD_DEV; 2]);
+            [u, v, f.rho_std_dev_px.unwrap_or(NO_OWN_STD_DEV)]
+        },
     };
     features.iter().map(to_solver).collect()
+}
+
+/// Centres as the solver takes them.
+pub(super) fn solver_centers(centers: &[MicroImageCenter]) -> Vec<SolverCenter> {
+    let to_solver = |c: &MicroImageCenter| SolverCenter {
+        k: c.k,
+        l: c.l,
+        u_px: c.u_px,
+        v_px: c.v_px,
+        std_dev_px: c.std_dev_px.unwrap_or(NO_OWN_STD_DEV),
+    };
+    centers.iter().map(to_solver).collect()
 }
 
 /// Observed minus projected for every feature of a problem.
@@ -198,8 +198,8 @@ pub(super) fn feature_residuals(
     problem: &Problem,
     features: &[BapFeature],
 ) -> Result<Vec<FeatureResidual>> {
-    let residual = |(&feature, projected): (&BapFeature, Option<[f64; 3]>)| {
-        let [u, v, rho] = projected.ok_or_else(|| {
+    let residual = |(&feature, projected): (&BapFeature, Option<Projected>)| {
+        let Projected { u_px, v_px, rho_px } = projected.ok_or_else(|| {
             Error::invalid(format!(
                 "the refined camera does not image corner {} of frame {}",
                 feature.corner, feature.frame
@@ -208,10 +208,123 @@ pub(super) fn feature_residuals(
         Ok(FeatureResidual {
             feature,
             lens_type: problem.camera.lens_type(feature.k, feature.l),
-            du_px: feature.u_px - u,
-            dv_px: feature.v_px - v,
-            drho_px: feature.rho_px.filter(|_| problem.camera.lens_types() > 0).map(|m| m - rho),
+            du_px: feature.u_px - u_px,
+            dv_px: feature.v_px - v_px,
+            drho_px: rho_px.zip(feature.rho_px).map(|(projected, measured)| measured - projected),
         })
     };
     features.iter().zip(solver::project(problem)?).map(residual).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+
+    use super::*;
+    use crate::model::{
+        Lattice, MainLens, MicroLensArray, Noise, Packing, Parity, Sensor, intrinsic_parameters,
+    };
+    use crate::solver::{Loss, LossKind, synthesize};
+
+    const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
+
+    fn camera() -> PlenopticCamera {
+        PlenopticCamera {
+            sensor: Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 },
+            lattice: Lattice {
+                packing: Packing::HexagonalRows(Parity::Even),
+                columns: 43,
+                rows: 37,
+            },
+            main_lens: MainLens {
+                focal_length_mm: 16.2,
+                radial: [0.0; 3],
+                tangential: [0.0; 2],
+                setting: None,
+            },
+            mla: MicroLensArray {
+                principal_point_px: Vector2::new(499.5, 374.5),
+                mla_to_sensor_mm: 0.33,
+                rotation_rad: Vector3::zeros(),
+                offset_mm: Vector2::zeros(),
+                lens_to_mla_mm: 18.5,
+                pitch_mm: 0.126,
+                pitch_ratio: 1.0,
+                focal_lengths_mm: vec![0.578, 0.505, 0.552],
+            },
+        }
+    }
+
+    /// The board about its middle, tilted about x, before the camera.
+    fn tilted(angle_rad: f64) -> Isometry3<f64> {
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), angle_rad);
+        let middle = Point3::new(12.0, 6.0, 0.0);
+        let place = Vector3::new(0.0, 0.0, 110.0) - (rotation * middle).coords;
+        Isometry3::from_parts(Translation3::from(place), rotation)
+    }
+
+    fn projections(pose: &Isometry3<f64>, features: &[BapFeature]) -> Vec<FeatureResidual> {
+        let camera = camera();
+        let start = [FramePose { frame: 0, camera_from_board: *pose }];
+        let rows = solver_features(features, &start, &BOARD);
+        let problem = Problem { camera: &camera, poses: &[*pose], features: &rows, centers: &[] };
+        feature_residuals(&problem, features).unwrap()
+    }
+
+    fn refined(
+        pose: &Isometry3<f64>,
+        features: &[BapFeature],
+        cost: &CostOptions,
+    ) -> Isometry3<f64> {
+        let camera = camera();
+        let start = [FramePose { frame: 0, camera_from_board: *pose }];
+        let rows = solver_features(features, &start, &BOARD);
+        let problem = Problem { camera: &camera, poses: &[*pose], features: &rows, centers: &[] };
+        let solver =
+            SolverOptions { max_iterations: CHOICE_ITERATIONS, ..SolverOptions::default() };
+        solver::refine(&problem, cost, &solver, &mut |_| true).unwrap().poses[0]
+    }
+
+    fn sum_of_squares(residuals: &[FeatureResidual]) -> f64 {
+        let square =
+            |r: &FeatureResidual| r.du_px.powi(2) + r.dv_px.powi(2) + r.drho_px.unwrap().powi(2);
+        residuals.iter().map(square).sum()
+    }
+
+    /// Gross outliers that lie towards the mirrored pose: by plain squares it fits better, by the
+    /// loss that the poses are refined with it does not.
+    #[test]
+    fn the_robust_cost_chooses_the_pose() {
+        let (right, mirrored) = (tilted(0.5), tilted(-0.5));
+        let poses = [FramePose { frame: 0, camera_from_board: right }];
+        let exact = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };
+        let mut features = synthesize(&camera(), &BOARD, &poses, &exact, 1).unwrap().features;
+        let towards_mirrored = projections(&mirrored, &features);
+        for (feature, r) in features.iter_mut().zip(&towards_mirrored).step_by(10) {
+            feature.u_px -= 100.0 * r.du_px;
+            feature.v_px -= 100.0 * r.dv_px;
+            feature.rho_px = feature.rho_px.map(|rho| rho - 100.0 * r.drho_px.unwrap());
+        }
+        let fixed =
+            intrinsic_parameters(3).iter().map(|parameter| parameter.name.to_owned()).collect();
+        let cost = CostOptions {
+            loss: Loss { kind: LossKind::Cauchy, scale: 0.1 },
+            fixed,
+            ..CostOptions::default()
+        };
+        let squares =
+            |pose| sum_of_squares(&projections(&refined(pose, &features, &cost), &features));
+        assert!(
+            squares(&mirrored) < 0.99 * squares(&right),
+            "{} {}",
+            squares(&mirrored),
+            squares(&right)
+        );
+
+        let solver = SolverOptions::default();
+        let chosen =
+            choose(&camera(), &BOARD, &[(0, vec![mirrored, right])], &features, &cost, &solver)
+                .unwrap();
+        assert_eq!(chosen, [1]);
+    }
 }

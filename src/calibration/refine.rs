@@ -8,7 +8,7 @@ use crate::calibration::checks::{
     outlying_centers, undetermined, without_frames,
 };
 use crate::calibration::frames::{
-    Frames, feature_residuals, initial_frames, reconsidered_poses, solver_features,
+    Frames, feature_residuals, initial_frames, reconsidered_poses, solver_centers, solver_features,
 };
 use crate::calibration::{Calibration, CalibrationOptions, Mode, Start, initial_camera};
 use crate::error::{Error, Result};
@@ -70,16 +70,15 @@ pub fn calibrate(
     frames.left_out.extend(excluded);
 
     let features = solver_features(&frames.features, &frames.poses, board);
+    let centers = solver_centers(&observations.centers);
     let start_poses: Vec<Isometry3<f64>> =
         frames.poses.iter().map(|p| p.camera_from_board).collect();
-    let problem = Problem {
-        camera: &initial,
-        poses: &start_poses,
-        features: &features,
-        centers: &observations.centers,
+    let problem =
+        Problem { camera: &initial, poses: &start_poses, features: &features, centers: &centers };
+    let initial_centers = Reprojection {
+        features: Vec::new(),
+        centers: center_residuals(&initial, &observations.centers)?,
     };
-    let initial_centers =
-        Reprojection { features: Vec::new(), centers: center_residuals(&problem)? };
     let mut cost = options.cost.clone();
     if options.mode == Mode::PosesOnly {
         let all = intrinsic_parameters(initial.lens_types());
@@ -95,7 +94,7 @@ pub fn calibrate(
     );
     let reprojection = Reprojection {
         features: feature_residuals(&refined, &frames.features)?,
-        centers: center_residuals(&refined)?,
+        centers: center_residuals(&refinement.camera, &observations.centers)?,
     };
     let residuals = 3 * features.len() + 2 * observations.centers.len();
     let negligible =
@@ -221,12 +220,16 @@ fn start_camera(start: &Start, grid: Option<&MicroImageArray>) -> Result<Plenopt
     }
 }
 
-fn center_residuals(problem: &Problem) -> Result<Vec<CenterResidual>> {
+fn center_residuals(
+    camera: &PlenopticCamera,
+    centers: &[MicroImageCenter],
+) -> Result<Vec<CenterResidual>> {
+    let projected = solver::project_centers(camera, centers.iter().map(|c| (c.k, c.l)))?;
     let residual = |(&center, [u, v]): (&MicroImageCenter, [f64; 2])| CenterResidual {
         center,
-        lens_type: problem.camera.lens_type(center.k, center.l),
+        lens_type: camera.lens_type(center.k, center.l),
         du_px: center.u_px - u,
         dv_px: center.v_px - v,
     };
-    Ok(problem.centers.iter().zip(solver::project_centers(problem)?).map(residual).collect())
+    Ok(centers.iter().zip(projected).map(residual).collect())
 }

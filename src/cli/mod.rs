@@ -79,6 +79,8 @@ Exit status:
 pub fn run() -> ExitCode {
     let arguments = Cli::parse();
     logging::begin(arguments.verbose);
+    // Ceres warns of trial steps that leave the domain of the model; the solver handles them.
+    plenocal::solver::silence_log();
     interrupt::handle();
     let outcome = match arguments.command {
         Command::Init(arguments) => init::run(&arguments),

@@ -107,22 +107,6 @@ pub struct PlenopticCamera {
     pub mla: MicroLensArray,
 }
 
-impl MainLens {
-    /// By how much distortion moves an ideal image point, both in mm of the camera frame
-    /// (Brown-Conrady; paper, section 2.1).
-    #[inline]
-    #[must_use]
-    pub fn distortion_mm(&self, x: Vector2<f64>) -> Vector2<f64> {
-        let [q1, q2, q3] = self.radial;
-        let [p1, p2] = self.tangential;
-        let r2 = x.norm_squared();
-        let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
-        let across = p1 * x.x + p2 * x.y;
-        // P1 (r² + 2x²) + 2 P2 x y = P1 r² + 2x (P1 x + P2 y), and the same along y.
-        x * (radial + 2.0 * across) + Vector2::new(p1, p2) * r2
-    }
-}
-
 impl PlenopticCamera {
     /// Number I of lens types.
     #[must_use]

@@ -7,9 +7,10 @@ mod refinement;
 mod synthetic;
 mod uncertainty;
 
+pub use bridge::{distortion_mm, silence_log};
 pub(crate) use bridge::{project, project_centers, refine, uncertainty};
 pub use options::{CostOptions, Loss, LossKind, SolverOptions};
-pub(crate) use problem::{Problem, SolverFeature};
+pub(crate) use problem::{Problem, Projected, SolverCenter, SolverFeature};
 pub use refinement::{Iteration, Refinement, Termination};
 pub use synthetic::synthesize;
 pub use uncertainty::{Component, Uncertainty, WeakDirection};

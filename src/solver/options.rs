@@ -2,40 +2,36 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Kind of a robust loss.
+/// Shape of the loss on the norm of an observation's standardised residual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LossKind {
     /// Least squares (the paper).
     None,
-    /// Linear beyond the scale.
+    /// Huber: linear beyond the scale.
     Huber,
-    /// Logarithmic beyond the scale.
+    /// Cauchy: logarithmic beyond the scale.
     Cauchy,
 }
 
-/// Robust loss on the norm of an observation's standardised residual.
+/// Robust loss.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Loss {
-    /// Its kind.
+    /// Its shape.
     pub kind: LossKind,
-    /// Where it sets in, standard deviations.
+    /// Where it sets in, in standard deviations; without effect on [`LossKind::None`].
     pub scale: f64,
 }
 
-impl Loss {
-    /// Least squares.
-    pub const NONE: Self = Self { kind: LossKind::None, scale: 1.0 };
-}
-
-/// The cost: ½ Σ loss(|r/σ|²).
+/// The cost: ½ Σ loss(|r/σ|²). The σ of a residual is the observation's own, 1 px unless given,
+/// times the factor of its kind given here.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CostOptions {
-    /// σ of u and v of a feature, px.
+    /// σ of u and v of a feature, px where it has none of its own.
     pub uv_std_dev_px: f64,
-    /// σ of ρ, px.
+    /// σ of ρ, likewise.
     pub rho_std_dev_px: f64,
-    /// σ of u and v of a micro-image centre, px.
+    /// σ of u and v of a micro-image centre, likewise.
     pub centers_std_dev_px: f64,
     /// Loss on features and on centres.
     pub loss: Loss,
@@ -50,7 +46,7 @@ impl Default for CostOptions {
             uv_std_dev_px: 1.0,
             rho_std_dev_px: 1.0,
             centers_std_dev_px: 1.0,
-            loss: Loss::NONE,
+            loss: Loss { kind: LossKind::None, scale: 1.0 },
             fixed: vec!["dC_ratio".to_owned()],
         }
     }

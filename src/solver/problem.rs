@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3};
 
-use crate::model::{MicroImageCenter, PlenopticCamera};
+use crate::model::PlenopticCamera;
 
 /// A feature as the solver takes it: the frame is an index into the poses.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -13,7 +13,30 @@ pub(crate) struct SolverFeature {
     pub l: i32,
     pub u_px: f64,
     pub v_px: f64,
-    pub rho_px: f64,
+    /// `None` where the camera is an array of pinholes.
+    pub rho_px: Option<f64>,
+    /// Of u, v and ρ; the standard deviations of `CostOptions` are factors on them.
+    pub std_dev_px: [f64; 3],
+}
+
+/// A micro-image centre as the solver takes it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct SolverCenter {
+    pub k: i32,
+    pub l: i32,
+    pub u_px: f64,
+    pub v_px: f64,
+    /// Of u and of v; that of `CostOptions` is a factor on it.
+    pub std_dev_px: f64,
+}
+
+/// A board point as the camera model images it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Projected {
+    pub u_px: f64,
+    pub v_px: f64,
+    /// `None` for an array of pinholes, which has no blur.
+    pub rho_px: Option<f64>,
 }
 
 /// A problem for the solver.
@@ -22,5 +45,5 @@ pub(crate) struct Problem<'a> {
     pub camera: &'a PlenopticCamera,
     pub poses: &'a [Isometry3<f64>],
     pub features: &'a [SolverFeature],
-    pub centers: &'a [MicroImageCenter],
+    pub centers: &'a [SolverCenter],
 }

@@ -45,9 +45,11 @@ pub struct Refinement {
     pub initial_cost: f64,
     /// Cost at the end.
     pub cost: f64,
+    /// The part of `cost` that comes from the features of each pose, in the order of `poses`.
+    pub frame_costs: Vec<f64>,
     /// Why it stopped.
     pub termination: Termination,
-    /// The same in Ceres' words.
+    /// The reason in Ceres' words.
     pub message: String,
     /// Ceres' full report.
     pub report: String,

@@ -10,7 +10,7 @@ use crate::model::{
     BapFeature, Board, FramePose, MicroImageCenter, Noise, NoiseSource, Observations,
     PlenopticCamera,
 };
-use crate::solver::{Problem, SolverFeature};
+use crate::solver::{Problem, Projected, SolverFeature};
 
 /// A corner counts as seen when it lies at least this far inside its micro-image, px: nearer to the
 /// edge a detector has no two sides of it to look at.
@@ -35,17 +35,17 @@ pub fn synthesize(
             for (center, projected) in
                 centers.iter().zip(project_corner(camera, board, pose, corner, &centers)?)
             {
-                let Some([u, v, rho]) = projected else { continue };
-                let offset = Vector2::new(u - center.u_px, v - center.v_px);
+                let Some(Projected { u_px, v_px, rho_px }) = projected else { continue };
+                let offset = Vector2::new(u_px - center.u_px, v_px - center.v_px);
                 if offset.norm() <= radius {
                     features.push(source.feature(&BapFeature {
                         frame: pose.frame,
                         corner,
                         k: center.k,
                         l: center.l,
-                        u_px: u,
-                        v_px: v,
-                        rho_px: (camera.lens_types() > 0).then_some(rho),
+                        u_px,
+                        v_px,
+                        rho_px,
                         std_dev_px: None,
                         rho_std_dev_px: None,
                     }));
@@ -62,8 +62,7 @@ fn whole_micro_images(camera: &PlenopticCamera) -> Result<Vec<MicroImageCenter>>
         .flat_map(|l| (0..camera.lattice.columns).map(move |k| (k, l)))
         .map(|(k, l)| MicroImageCenter { k, l, u_px: 0.0, v_px: 0.0, std_dev_px: None })
         .collect();
-    let projected =
-        super::project_centers(&Problem { camera, poses: &[], features: &[], centers: &centers })?;
+    let projected = super::project_centers(camera, centers.iter().map(|c| (c.k, c.l)))?;
     let radius = camera.micro_image_pitch_px() / 2.0;
     let whole = |c: &MicroImageCenter| {
         let inside = |x: f64, size: u32| x >= radius && x <= f64::from(size) - 1.0 - radius;
@@ -82,7 +81,7 @@ fn project_corner(
     pose: &FramePose,
     corner: i32,
     centers: &[MicroImageCenter],
-) -> Result<Vec<Option<[f64; 3]>>> {
+) -> Result<Vec<Option<Projected>>> {
     let features: Vec<SolverFeature> = centers
         .iter()
         .map(|c| SolverFeature {
@@ -92,7 +91,8 @@ fn project_corner(
             l: c.l,
             u_px: 0.0,
             v_px: 0.0,
-            rho_px: 0.0,
+            rho_px: None,
+            std_dev_px: [1.0; 3],
         })
         .collect();
     let poses: [Isometry3<f64>; 1] = [pose.camera_from_board];

@@ -33,7 +33,8 @@ pub struct Uncertainty {
     /// Whether each parameter is determined at all; where not, its variance says nothing.
     pub determined: Vec<bool>,
     /// Measured standard deviation of a residual, px: u and v of features, ρ, u and v of centres;
-    /// not a number for a kind without observations. Under a robust loss that of the weighted
+    /// not a number for a kind without observations. Where observations have a σ of their own, at
+    /// the root mean square of these. Under a robust loss that of the weighted
     /// residuals, smaller than the noise.
     pub residual_std_dev_px: [f64; 3],
     /// What a Gauss-Newton step would still take off the cost; next to nothing at a true minimum.
@@ -81,7 +82,7 @@ impl Uncertainty {
     }
 
     /// Standard deviation of each intrinsic parameter in the order of
-    /// `PlenopticCamera::intrinsics`; `None` for those held, infinite for those not determined.
+    /// `PlenopticCamera::intrinsics`; `None` for those fixed, infinite for those not determined.
     #[must_use]
     pub fn intrinsic_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
         let mut std_devs = vec![None; intrinsic_parameters(lens_types).len()];

@@ -98,16 +98,16 @@ fn a_robust_loss_withstands_gross_errors() {
         feature.v_px -= 6.0;
     }
     // Sharp weights, so that the scale of the loss means what it says.
-    let weighted = |loss: Loss| {
+    let weighted = |kind: LossKind| {
         let mut options = options();
         options.cost.uv_std_dev_px = NOISE.uv_px;
         options.cost.rho_std_dev_px = NOISE.rho_px;
         options.cost.centers_std_dev_px = NOISE.centers_px;
-        options.cost.loss = loss;
+        options.cost.loss = Loss { kind, scale: 2.0 };
         options
     };
     // Distance from the truth in units of what the clean data allow.
-    let clean = run(&datasheet_start(), &drawn(&truth, &NOISE, 7), &weighted(Loss::NONE));
+    let clean = run(&datasheet_start(), &drawn(&truth, &NOISE, 7), &weighted(LossKind::None));
     let std_devs = clean.uncertainty.intrinsic_std_devs(3);
     let distance = |options: &CalibrationOptions| {
         let calibration = run(&datasheet_start(), &observations, options);
@@ -118,10 +118,10 @@ fn a_robust_loss_withstands_gross_errors() {
             .filter_map(|((_, a, b), s)| Some(((a - b) / (*s)?).abs()))
             .fold(0.0, f64::max)
     };
-    let plain = distance(&weighted(Loss::NONE));
-    for loss in [LossKind::Huber, LossKind::Cauchy].map(|kind| Loss { kind, scale: 2.0 }) {
-        let robust = distance(&weighted(loss));
-        assert!(robust < 1.0 && robust < plain / 4.0, "{loss:?}: {robust} against {plain}");
+    let plain = distance(&weighted(LossKind::None));
+    for kind in [LossKind::Huber, LossKind::Cauchy] {
+        let robust = distance(&weighted(kind));
+        assert!(robust < 1.0 && robust < plain / 4.0, "{kind:?}: {robust} against {plain}");
     }
 }
 

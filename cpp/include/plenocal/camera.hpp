@@ -1,4 +1,4 @@
-// The multi-focus plenoptic camera as plain values: what it is made of and in which units.
+// The multi-focus plenoptic camera as plain values: its parts, their parameters and units.
 //
 // Conventions. Lengths in mm, angles in rad, image quantities in px; pixel (0, 0) is the centre of
 // the top-left pixel. The camera frame has its origin at the centre O of the main lens, z towards
@@ -10,15 +10,27 @@
 #include <cmath>
 #include <cstddef>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace plenocal {
 
-/// How the micro-lenses are packed.
-enum class LatticeKind {
-  kOrthogonal,        ///< a square lattice
-  kHexagonalRows,     ///< hexagonal, straight rows; every other row is moved by half a pitch
-  kHexagonalColumns,  ///< hexagonal, straight columns; every other column is moved by half a pitch
+/// A vector of space, or a point by its coordinates. T is double, or a ceres::Jet when derivatives
+/// are wanted; likewise below.
+template <typename T>
+struct Vector3 {
+  T x, y, z;
+};
+
+/// How the micro-lenses are packed: on a square lattice, or on a hexagonal one with straight rows
+/// or straight columns, where every other row (column) is shifted by +1/2 pitch. Even and odd name
+/// the indices of the shifted ones.
+enum class Packing {
+  kOrthogonal,            ///< square; nothing is shifted
+  kHexagonalRowsEven,     ///< rows 0, 2, 4 ... are shifted along u
+  kHexagonalRowsOdd,      ///< rows 1, 3, 5 ... are shifted along u
+  kHexagonalColumnsEven,  ///< columns 0, 2, 4 ... are shifted along v
+  kHexagonalColumnsOdd,   ///< columns 1, 3, 5 ... are shifted along v
 };
 
 /// Position of a micro-lens in the plane of the array, in pitches, about the centre of the array.
@@ -27,85 +39,138 @@ struct Node {
   double y;
 };
 
-/// The micro-lens array as a lattice of indices: micro-lens and micro-image (k, l) are the same
-/// one, k grows with u and l with v.
+/// The micro-lens array as a lattice of indices: micro-lens and micro-image (k, l) belong together,
+/// k grows with u and l with v.
 struct Lattice {
-  LatticeKind kind = LatticeKind::kOrthogonal;
-  int columns = 0;         ///< number of micro-lenses along k
-  int rows = 0;            ///< number of micro-lenses along l
-  int shifted_parity = 0;  ///< 0 or 1: the rows (columns) of this parity are moved by +1/2 pitch
+  Packing packing = Packing::kOrthogonal;
+  int columns = 0;  ///< number of micro-lenses along k
+  int rows = 0;     ///< number of micro-lenses along l
 
   bool contains(int k, int l) const { return k >= 0 && k < columns && l >= 0 && l < rows; }
 
+  bool has_straight_rows() const {
+    return packing == Packing::kHexagonalRowsEven || packing == Packing::kHexagonalRowsOdd;
+  }
+  bool has_straight_columns() const {
+    return packing == Packing::kHexagonalColumnsEven || packing == Packing::kHexagonalColumnsOdd;
+  }
+
   /// Position of (k, l) about the midpoint of the bounding box of all nodes, along u and v.
   Node node(int k, int l) const {
-    const double kRowHeight = std::sqrt(3.0) / 2.0;
+    const double kRowDistance = std::sqrt(3.0) / 2.0;
     const auto centred = [](int index, int count) { return index - (count - 1) / 2.0; };
-    const auto shift = [this](int row) { return (row & 1) == shifted_parity ? 0.5 : 0.0; };
+    const auto shift = [this](int row) { return (row & 1) == shifted_parity() ? 0.5 : 0.0; };
     // Along the straight rows, of which there are `across`: shifted and unshifted ones together
     // reach half a pitch further.
     const auto staggered = [&](int index, int count, int row, int across) {
       return centred(index, count) + shift(row) - (across > 1 ? 0.25 : shift(0));
     };
-    switch (kind) {
-      case LatticeKind::kHexagonalRows:
-        return {staggered(k, columns, l, rows), kRowHeight * centred(l, rows)};
-      case LatticeKind::kHexagonalColumns:
-        return {kRowHeight * centred(k, columns), staggered(l, rows, k, columns)};
-      case LatticeKind::kOrthogonal:
-        break;
+    if (has_straight_rows()) {
+      return {staggered(k, columns, l, rows), kRowDistance * centred(l, rows)};
+    }
+    if (has_straight_columns()) {
+      return {kRowDistance * centred(k, columns), staggered(l, rows, k, columns)};
     }
     return {centred(k, columns), centred(l, rows)};
   }
 
-  /// Index of the lens type of (k, l), from 0. One type anywhere; three types follow the unique
-  /// 3-colouring of the hexagonal lattice, named so that micro-lens (0, 0) is of type 0 and its
-  /// successor along the straight rows (columns) of type 1.
+  /// Index of the lens type of (k, l), from 0. With fewer than three types, or on a square lattice,
+  /// all are of type 0; three types follow the unique 3-colouring of the hexagonal lattice,
+  /// numbered so that micro-lens (0, 0) is of type 0 and its successor along the straight rows
+  /// (columns) of type 1.
   int lens_type(int k, int l, int types) const {
-    if (types < 3) return 0;
-    const bool by_rows = kind != LatticeKind::kHexagonalColumns;
-    const int along = by_rows ? k : l;
-    const int across = by_rows ? l : k;
-    return (along + (shifted_parity == 0 ? 1 : 2) * (across & 1)) % 3;
+    if (types < 3 || packing == Packing::kOrthogonal) return 0;
+    const int along = has_straight_rows() ? k : l;
+    const int across = has_straight_rows() ? l : k;
+    return (along + (shifted_parity() == 0 ? 1 : 2) * (across & 1)) % 3;
+  }
+
+ private:
+  // Of the shifted rows (columns).
+  int shifted_parity() const {
+    return packing == Packing::kHexagonalRowsEven || packing == Packing::kHexagonalColumnsEven ? 0
+                                                                                               : 1;
   }
 };
 
 /// The main lens: a thin lens with lateral Brown-Conrady distortion (paper, section 2.1).
-/// T is double, or a Jet when derivatives are wanted; likewise below.
 template <typename T>
 struct MainLens {
-  static constexpr int kSize = 6;
   T focal_length;   ///< F, mm
   T radial[3];      ///< Q1, Q2, Q3 in mm^-2, mm^-4, mm^-6
   T tangential[2];  ///< P1, P2 in mm^-1
 
-  static MainLens from_block(const T* b) { return {b[0], {b[1], b[2], b[3]}, {b[4], b[5]}}; }
-  std::array<T, kSize> block() const {
-    return {focal_length, radial[0], radial[1], radial[2], tangential[0], tangential[1]};
+  /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
+  template <typename Self, typename F>
+  static constexpr void visit(Self& self, F&& f) {
+    f("F", self.focal_length);
+    f("Q1", self.radial[0]);
+    f("Q2", self.radial[1]);
+    f("Q3", self.radial[2]);
+    f("P1", self.tangential[0]);
+    f("P2", self.tangential[1]);
   }
 };
 
 /// The micro-lens array and the sensor behind it.
 template <typename T>
 struct MicroLensArray {
-  static constexpr int kSize = 11;
   T principal_point[2];  ///< (u0, v0), px: where the optical axis meets the sensor
   T mla_to_sensor;       ///< d, mm, along the optical axis at the centre of the array
-  T rotation[3];         ///< theta_x, theta_y, theta_z, rad: R_MLA = Rz Ry Rx
+  Vector3<T> rotation;   ///< theta_x, theta_y, theta_z, rad: R_MLA = Rz Ry Rx
   T offset[2];           ///< t_x, t_y, mm: centre of the array in the camera frame
   T lens_to_mla;         ///< D, mm, along the optical axis at the centre of the array
-  T pitch;               ///< Delta C, mm: distance of neighbours, along x
+  T pitch;               ///< Delta C, mm: distance between neighbours, along x
   T pitch_ratio;         ///< pitch along y over pitch along x: 1 for a regular lattice
 
-  static MicroLensArray from_block(const T* b) {
-    return {{b[0], b[1]}, b[2], {b[3], b[4], b[5]}, {b[6], b[7]}, b[8], b[9], b[10]};
-  }
-  std::array<T, kSize> block() const {
-    return {principal_point[0], principal_point[1], mla_to_sensor, rotation[0], rotation[1],
-            rotation[2],        offset[0],          offset[1],     lens_to_mla, pitch,
-            pitch_ratio};
+  /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
+  template <typename Self, typename F>
+  static constexpr void visit(Self& self, F&& f) {
+    f("u0", self.principal_point[0]);
+    f("v0", self.principal_point[1]);
+    f("d", self.mla_to_sensor);
+    f("theta_x", self.rotation.x);
+    f("theta_y", self.rotation.y);
+    f("theta_z", self.rotation.z);
+    f("t_x", self.offset[0]);
+    f("t_y", self.offset[1]);
+    f("D", self.lens_to_mla);
+    f("dC", self.pitch);
+    f("dC_ratio", self.pitch_ratio);
   }
 };
+
+/// Number of parameters of `MainLens` or `MicroLensArray`.
+template <template <typename> class Part>
+constexpr int parameter_count() {
+  const Part<double> part{};
+  int count = 0;
+  Part<double>::visit(part, [&count](const char*, const double&) { ++count; });
+  return count;
+}
+constexpr int kMainLensParameters = parameter_count<MainLens>();
+constexpr int kArrayParameters = parameter_count<MicroLensArray>();
+static_assert(sizeof(MainLens<double>) == kMainLensParameters * sizeof(double),
+              "every member is a parameter");
+static_assert(sizeof(MicroLensArray<double>) == kArrayParameters * sizeof(double),
+              "every member is a parameter");
+
+/// A part's parameters as the solver's parameter block.
+template <template <typename> class Part, typename T>
+std::array<T, parameter_count<Part>()> to_block(const Part<T>& part) {
+  std::array<T, parameter_count<Part>()> block;
+  T* next = block.data();
+  Part<T>::visit(part, [&next](const char*, const T& parameter) { *next++ = parameter; });
+  return block;
+}
+
+/// The part of a parameter block: from_block<MainLens>(block).
+template <template <typename> class Part, typename T>
+Part<T> from_block(const T* block) {
+  Part<T> part;
+  Part<T>::visit(part, [&block](const char*, T& parameter) { parameter = *block++; });
+  return part;
+}
 
 /// A whole camera. I = `micro_lens_focal_lengths.size()` lens types: 0 (an array of pinholes), 1,
 /// or 3 on a hexagonal lattice.
@@ -125,13 +190,26 @@ constexpr int kMaxMicroLenses = 1 << 16;
 /// The largest number of lens types.
 constexpr int kMaxLensTypes = 3;
 
-/// Names of the intrinsic parameters in the order of the blocks main lens, array, focal lengths;
-/// wherever parameters are counted, this is the order.
+/// Calls f(name, parameter) for every intrinsic parameter of a `Camera` or `const Camera`: main
+/// lens, array, focal lengths. Wherever parameters are counted, this is the order. The name is a
+/// std::string or becomes one.
+template <typename AnyCamera, typename F>
+void for_each_parameter(AnyCamera& camera, F&& f) {
+  MainLens<double>::visit(camera.main_lens, f);
+  MicroLensArray<double>::visit(camera.mla, f);
+  int type = 0;
+  for (auto& focal_length : camera.micro_lens_focal_lengths) {
+    f("f_" + std::to_string(++type), focal_length);
+  }
+}
+
+/// Names of the intrinsic parameters in the order of `for_each_parameter`.
 inline std::vector<std::string> intrinsic_names(int lens_types) {
-  std::vector<std::string> names = {"F",   "Q1",  "Q2", "Q3",      "P1",      "P2",
-                                    "u0",  "v0",  "d",  "theta_x", "theta_y", "theta_z",
-                                    "t_x", "t_y", "D",  "dC",      "dC_ratio"};
-  for (int i = 1; i <= lens_types; ++i) names.push_back("f_" + std::to_string(i));
+  Camera camera;
+  camera.micro_lens_focal_lengths.resize(lens_types);
+  std::vector<std::string> names;
+  for_each_parameter(camera,
+                     [&names](std::string name, double) { names.push_back(std::move(name)); });
   return names;
 }
 

@@ -7,14 +7,16 @@
 
 #include <ceres/rotation.h>
 
+#include <limits>
+
 #include "plenocal/camera.hpp"
 
 namespace plenocal {
 
-/// A point of space, mm.
+/// A vector of the plane z = const of the camera frame, mm.
 template <typename T>
-struct Point {
-  T x, y, z;
+struct Vector2 {
+  T x, y;
 };
 
 /// A point of the raw image, px.
@@ -23,7 +25,8 @@ struct Pixel {
   T u, v;
 };
 
-/// A blur aware plenoptic feature: position and signed blur radius, px.
+/// A blur aware plenoptic feature: position and signed blur radius, px. rho is not a number where
+/// there is none, for an array of pinholes.
 template <typename T>
 struct Feature {
   T u, v, rho;
@@ -32,29 +35,30 @@ struct Feature {
 /// camera_from_board: angle-axis rotation (rad) followed by a translation (mm).
 struct Pose {
   static constexpr int kSize = 6;
-  std::array<double, 3> rotation{};
-  std::array<double, 3> translation{};
+  Vector3<double> rotation{};
+  Vector3<double> translation{};
 };
 
 /// A pose as the solver's parameter block, and back.
 inline std::array<double, Pose::kSize> pose_block(const Pose& pose) {
   const auto &r = pose.rotation, &t = pose.translation;
-  return {r[0], r[1], r[2], t[0], t[1], t[2]};
+  return {r.x, r.y, r.z, t.x, t.y, t.z};
 }
 inline Pose pose_from_block(const std::array<double, Pose::kSize>& b) {
   return {{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
 }
 
-/// The motion of a pose block, its rotation matrix worked out once for many points.
+/// The motion of a pose block, its rotation matrix computed once for many points.
 template <typename T>
 class Motion {
  public:
   explicit Motion(const T* block) : translation_{block[3], block[4], block[5]} {
     ceres::AngleAxisToRotationMatrix(block, ceres::RowMajorAdapter3x3(rotation_));
   }
-  Point<T> operator()(const std::array<double, 3>& p) const {
+  /// A point of the board in the camera frame, mm.
+  Vector3<T> operator()(const Vector3<double>& p) const {
     const auto row = [&](int i) {
-      return rotation_[3 * i] * p[0] + rotation_[3 * i + 1] * p[1] + rotation_[3 * i + 2] * p[2] +
+      return rotation_[3 * i] * p.x + rotation_[3 * i + 1] * p.y + rotation_[3 * i + 2] * p.z +
              translation_[i];
     };
     return {row(0), row(1), row(2)};
@@ -65,53 +69,60 @@ class Motion {
   T translation_[3];
 };
 
-/// The optics between object space and sensor, everything that does not depend on the observation
-/// worked out once.
+/// By how much distortion moves the ideal image point (x, y), all in mm of the camera frame (Brown-
+/// Conrady; paper, section 2.1).
 template <typename T>
-class Optics {
+Vector2<T> distortion(const MainLens<T>& lens, const T& x, const T& y) {
+  const T* q = lens.radial;
+  const T* t = lens.tangential;
+  const T r2 = x * x + y * y;
+  const T radial = r2 * (q[0] + r2 * (q[1] + r2 * q[2]));
+  const T xy = 2.0 * x * y;
+  return {x * radial + t[0] * (r2 + 2.0 * x * x) + t[1] * xy,
+          y * radial + t[1] * (r2 + 2.0 * y * y) + t[0] * xy};
+}
+
+/// p': image of a point of the camera frame through the main lens, K(F) and the distortion of
+/// Eq. (completemodel). False when the point is not beyond the focal plane.
+template <typename T>
+bool main_lens_image(const MainLens<T>& lens, const Vector3<T>& point, Vector3<T>* image) {
+  const T beyond_focus = point.z - lens.focal_length;
+  if (!(beyond_focus > 0.0)) return false;
+  const T magnification = -lens.focal_length / beyond_focus;
+  const T x = magnification * point.x;
+  const T y = magnification * point.y;
+  const Vector2<T> shift = distortion(lens, x, y);
+  *image = {x + shift.x, y + shift.y, magnification * point.z};
+  return true;
+}
+
+/// The geometry of micro-lenses and sensor, without the main lens; everything that does not depend
+/// on the observation is computed once.
+template <typename T>
+class ArrayOptics {
  public:
-  Optics(const MainLens<T>& lens, const MicroLensArray<T>& mla, double pixel_size)
-      : lens_(lens),
-        mla_(mla),
+  ArrayOptics(const MicroLensArray<T>& mla, double pixel_size)
+      : mla_(mla),
         pixels_per_mm_(1.0 / pixel_size),
         sensor_z_(-(mla.lens_to_mla + mla.mla_to_sensor)) {
-    // Half a micro-lens in pixels. The diameter of a micro-lens is taken to be the distance of
-    // its neighbours (paper, section 2.1); where the two pitches differ, their geometric mean.
+    // Half a micro-lens in pixels. The diameter of a micro-lens is taken to be the distance between
+    // neighbours (paper, section 2.1); where the two pitches differ, their geometric mean.
     using std::sqrt;
     half_diameter_px_ = mla.pitch * sqrt(mla.pitch_ratio) * (0.5 * pixels_per_mm_);
     set_array_axes();
   }
 
-  /// p': image of a point of the camera frame through the main lens, K(F) and the distortion of
-  /// Eq. (completemodel). False when the point is not beyond the focal plane.
-  bool main_lens_image(const Point<T>& p, Point<T>* image) const {
-    const T beyond_focus = p.z - lens_.focal_length;
-    if (!(beyond_focus > 0.0)) return false;
-    const T magnification = -lens_.focal_length / beyond_focus;
-    const T x = magnification * p.x;
-    const T y = magnification * p.y;
-    const T* q = lens_.radial;
-    const T* t = lens_.tangential;
-    const T r2 = x * x + y * y;
-    const T radial = r2 * (q[0] + r2 * (q[1] + r2 * q[2]));
-    const T xy = 2.0 * x * y;
-    image->x = x + x * radial + t[0] * (r2 + 2.0 * x * x) + t[1] * xy;
-    image->y = y + y * radial + t[1] * (r2 + 2.0 * y * y) + t[0] * xy;
-    image->z = magnification * p.z;
-    return true;
-  }
-
   /// C: centre of a micro-lens in the camera frame. The lattice runs against x and y because the
   /// indices grow with the pixels.
-  Point<T> micro_lens_center(const Node& node) const {
-    return {axis_x_[0] * node.x + axis_y_[0] * node.y + mla_.offset[0],
-            axis_x_[1] * node.x + axis_y_[1] * node.y + mla_.offset[1],
-            axis_x_[2] * node.x + axis_y_[2] * node.y - mla_.lens_to_mla};
+  Vector3<T> micro_lens_center(const Node& node) const {
+    return {axis_x_.x * node.x + axis_y_.x * node.y + mla_.offset[0],
+            axis_x_.y * node.x + axis_y_.y * node.y + mla_.offset[1],
+            axis_x_.z * node.x + axis_y_.z * node.y - mla_.lens_to_mla};
   }
 
-  /// (u, v) and `scale` = -delta/a: the straight ray from p' through C met with the sensor plane.
-  /// False when p' lies in the plane of the micro-lens.
-  bool through_micro_lens(const Point<T>& image, const Point<T>& center, Pixel<T>* pixel,
+  /// (u, v) and `scale` = -delta/a: where the straight ray from p' through C meets the sensor
+  /// plane. False when p' lies in the plane of the micro-lens.
+  bool through_micro_lens(const Vector3<T>& image, const Vector3<T>& center, Pixel<T>* pixel,
                           T* scale) const {
     const T a = image.z - center.z;
     if (a == 0.0) return false;
@@ -123,12 +134,13 @@ class Optics {
 
   /// rho: signed blur radius, Eq. (blurradius), with delta/a known from `through_micro_lens`:
   /// rho = dC/(2s) delta (1/f - 1/a - 1/delta) = dC/(2s) (delta/f - delta/a - 1).
-  T blur_radius(const Point<T>& center, const T& scale, const T& inverse_focal_length) const {
+  T blur_radius(const Vector3<T>& center, const T& scale, const T& inverse_focal_length) const {
     return half_diameter_px_ * ((center.z - sensor_z_) * inverse_focal_length + scale - 1.0);
   }
 
-  /// Centre of the micro-image of a micro-lens: the ray from O through C met with the sensor.
-  Pixel<T> micro_image_center(const Point<T>& center) const {
+  /// Centre of the micro-image of a micro-lens: where the ray from O through C meets the sensor.
+  Pixel<T> micro_image_center(const Node& node) const {
+    const Vector3<T> center = micro_lens_center(node);
     const T scale = sensor_z_ / center.z;
     return {to_u(scale * center.x), to_v(scale * center.y)};
   }
@@ -141,32 +153,88 @@ class Optics {
   void set_array_axes() {
     using std::cos;
     using std::sin;
-    const T* angle = mla_.rotation;
-    const T cx = cos(angle[0]), cy = cos(angle[1]), cz = cos(angle[2]);
-    const T sx = sin(angle[0]), sy = sin(angle[1]), sz = sin(angle[2]);
+    const Vector3<T>& angle = mla_.rotation;
+    const T cx = cos(angle.x), cy = cos(angle.y), cz = cos(angle.z);
+    const T sx = sin(angle.x), sy = sin(angle.y), sz = sin(angle.z);
     const T step_x = -mla_.pitch;
     const T step_y = -mla_.pitch * mla_.pitch_ratio;
-    axis_x_[0] = step_x * cz * cy;
-    axis_x_[1] = step_x * sz * cy;
-    axis_x_[2] = -step_x * sy;
-    axis_y_[0] = step_y * (cz * sy * sx - sz * cx);
-    axis_y_[1] = step_y * (sz * sy * sx + cz * cx);
-    axis_y_[2] = step_y * cy * sx;
+    axis_x_ = {step_x * cz * cy, step_x * sz * cy, -step_x * sy};
+    axis_y_ = {step_y * (cz * sy * sx - sz * cx), step_y * (sz * sy * sx + cz * cx),
+               step_y * cy * sx};
   }
 
-  MainLens<T> lens_;
   MicroLensArray<T> mla_;
   double pixels_per_mm_;
   T sensor_z_;
   T half_diameter_px_;
-  T axis_x_[3];
-  T axis_y_[3];
+  Vector3<T> axis_x_;
+  Vector3<T> axis_y_;
 };
 
-/// Feature of a board point seen through micro-lens (k, l). False where the model is not defined
-/// (point within the focal length, or imaged onto the micro-lens). rho is 0 for a pinhole array.
+/// All the optics between object space and sensor.
+template <typename T>
+struct Optics {
+  MainLens<T> main_lens;
+  ArrayOptics<T> array;
+  T inverse_focal_lengths[kMaxLensTypes]{};  ///< 1/f of every lens type, mm^-1
+  bool has_blur;                             ///< false for an array of pinholes
+
+  /// `focal_lengths` are those of `lens_types` types: 0 (then it may be null) to `kMaxLensTypes`.
+  Optics(const MainLens<T>& lens, const MicroLensArray<T>& mla, const T* focal_lengths,
+         int lens_types, double pixel_size)
+      : main_lens(lens), array(mla, pixel_size), has_blur(lens_types > 0) {
+    for (int i = 0; i < lens_types; ++i) inverse_focal_lengths[i] = 1.0 / focal_lengths[i];
+  }
+};
+
+/// The optics of a camera.
+inline Optics<double> optics_of(const Camera& camera) {
+  return {camera.main_lens, camera.mla, camera.micro_lens_focal_lengths.data(), camera.lens_types(),
+          camera.pixel_size};
+}
+
+/// What the projection needs to know of a micro-lens.
+struct MicroLens {
+  Node node;
+  int lens_type;
+};
+
+/// Micro-lens (k, l) of a camera.
+inline MicroLens micro_lens_of(const Camera& camera, int k, int l) {
+  return {camera.lattice.node(k, l), camera.lattice.lens_type(k, l, camera.lens_types())};
+}
+
+/// Feature of a point whose image p' through the main lens is known, see `main_lens_image`. False,
+/// with the feature unchanged, when it is imaged onto the micro-lens.
+template <typename T>
+bool project_image(const Optics<T>& optics, const Vector3<T>& image, const MicroLens& micro_lens,
+                   Feature<T>* feature) {
+  const Vector3<T> center = optics.array.micro_lens_center(micro_lens.node);
+  Pixel<T> pixel;
+  T scale;
+  if (!optics.array.through_micro_lens(image, center, &pixel, &scale)) return false;
+  feature->u = pixel.u;
+  feature->v = pixel.v;
+  feature->rho = optics.has_blur
+                     ? optics.array.blur_radius(center, scale,
+                                                optics.inverse_focal_lengths[micro_lens.lens_type])
+                     : T(std::numeric_limits<double>::quiet_NaN());
+  return true;
+}
+
+/// Feature of a point of the camera frame (mm). False, with the feature unchanged, where the model
+/// is not defined: for a point within the focal length, or imaged onto the micro-lens.
+template <typename T>
+bool project(const Optics<T>& optics, const Vector3<T>& point, const MicroLens& micro_lens,
+             Feature<T>* feature) {
+  Vector3<T> image;
+  return main_lens_image(optics.main_lens, point, &image) &&
+         project_image(optics, image, micro_lens, feature);
+}
+
+/// Feature of a board point (mm) seen through micro-lens (k, l), in one call. False as above.
 bool project(const Camera& camera, const Pose& camera_from_board,
-             const std::array<double, 3>& board_point, int k, int l, Feature<double>* feature);
+             const Vector3<double>& board_point, int k, int l, Feature<double>* feature);
 
 /// Micro-image centre of micro-lens (k, l).
 Pixel<double> project_center(const Camera& camera, int k, int l);

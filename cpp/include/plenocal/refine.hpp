@@ -10,18 +10,21 @@
 
 namespace plenocal {
 
-/// A BAP feature of a board point, observed in a frame through micro-lens (k, l).
+/// A BAP feature of a board point, observed in a frame through micro-lens (k, l). rho and its
+/// standard deviation are not used for a pinhole array.
 struct FeatureObservation {
-  int frame;                          ///< index into the poses
-  std::array<double, 3> board_point;  ///< mm, board frame
+  int frame;                    ///< index into the poses
+  Vector3<double> board_point;  ///< mm, board frame
   int k, l;
-  Feature<double> observed;  ///< px; rho is not used for a pinhole array
+  Feature<double> observed;                ///< px
+  Feature<double> std_dev{1.0, 1.0, 1.0};  ///< px, times that of `CostOptions`
 };
 
 /// An observed micro-image centre.
 struct CenterObservation {
   int k, l;
   Pixel<double> observed;  ///< px
+  double std_dev = 1.0;    ///< px, of u and of v, times that of `CostOptions`
 };
 
 /// Everything observed.
@@ -30,16 +33,17 @@ struct Observations {
   std::vector<CenterObservation> centers;
 };
 
-/// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations.
+/// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations. The sigma of a residual is
+/// the observation's own, 1 px unless given, times the factor of its kind given here.
 struct CostOptions {
-  double uv_std_dev = 1.0;       ///< px, of a feature's u and v
-  double rho_std_dev = 1.0;      ///< px, of a feature's rho
-  double centers_std_dev = 1.0;  ///< px, of a centre's u and v
+  double uv_std_dev = 1.0;       ///< of a feature's u and v
+  double rho_std_dev = 1.0;      ///< of a feature's rho
+  double centers_std_dev = 1.0;  ///< of a centre's u and v
   Loss features_loss;            ///< on |(u, v, rho)| of a feature
   Loss centers_loss;             ///< on |(u, v)| of a centre
   /// Names of intrinsic parameters that keep their value, see `intrinsic_names`; by default the
   /// array has one pitch, as in the paper.
-  std::vector<std::string> held = {"dC_ratio"};
+  std::vector<std::string> fixed = {"dC_ratio"};
 };
 
 /// How to minimise it. The tolerances are Ceres'; the defaults run to the floating-point floor
@@ -77,6 +81,8 @@ struct Refinement {
   std::vector<Pose> poses;
   double initial_cost = 0.0;
   double cost = 0.0;
+  /// The part of `cost` that comes from the features of each frame; centres have the rest.
+  std::vector<double> frame_costs;
   Termination termination = Termination::kFailed;
   std::string message;  ///< Ceres' reason in words
   std::string report;   ///< Ceres' full report
@@ -84,8 +90,8 @@ struct Refinement {
   std::vector<Iteration> iterations;
 };
 
-/// Minimises the cost over the camera's intrinsic parameters (those not held) and all poses, all in
-/// one problem. Throws std::invalid_argument on input the model is not defined for; every frame
+/// Minimises the cost over the camera's intrinsic parameters (those not fixed) and all poses, all
+/// in one problem. Throws std::invalid_argument on input the model is not defined for; every frame
 /// needs a feature, and every board point has to be beyond the focal length at the start.
 Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
                   const Observations& observations, const CostOptions& cost_options,
@@ -93,14 +99,14 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
 
 /// How well the observations determine the parameters, at a minimum of the cost.
 ///
-/// Parameters: the intrinsics not held, in the order of `intrinsic_names`, then 6 per pose.
+/// Parameters: the intrinsics not fixed, in the order of `for_each_parameter`, then 6 per pose.
 /// With H = J'J the information of the standardised residuals and H_k that of the residuals of
 /// kind k (features' u and v; features' rho; centres), the variance of a residual of kind k is
 /// measured as s_k^2 = |r_k|^2 / (n_k - tr(H_k H^+)), and
 /// covariance = H^+ (sum_k s_k^2 H_k) H^+,
 /// which holds whether or not the weights of the cost match the noise.
 struct Uncertainty {
-  static constexpr int kWeakest = 3;  ///< at most so many rows in `weakest`
+  static constexpr int kWeakest = 3;  ///< the largest number of rows in `weakest`
   std::vector<int> free_intrinsics;   ///< indices into `intrinsic_names`
   int size = 0;                       ///< number of parameters
   int rank = 0;                       ///< number of independent directions that are determined
@@ -111,11 +117,12 @@ struct Uncertainty {
   /// where a direction is not determined (the first size - rank of all), along the unit of the
   /// scaled space.
   std::vector<double> weakest;
-  /// Whether a parameter is determined at all. Where it is not, its variance says nothing.
+  /// Whether the observations determine a parameter at all; where not, its variance is meaningless.
   std::vector<bool> determined;
   /// s_k times the sigma of the cost, px: features' u and v, rho, centres' u and v; not a number
-  /// for a kind without observations. Under a robust loss these are the residuals after weighting,
-  /// smaller than the noise.
+  /// for a kind without observations. Where observations have a sigma of their own, their root mean
+  /// square times the factor of the kind. Under a robust loss these are the residuals after
+  /// weighting, smaller than the noise.
   std::array<double, 3> residual_std_dev{};
   /// What a Gauss-Newton step would still take off the cost: 0 at a true minimum.
   double expected_decrease = 0.0;

@@ -1,6 +1,6 @@
 // Ceres auto-diff cost functors of the paper's cost function (section 5.3), many observations to a
-// residual block: the pose, the array's axes and the image of a board corner are then worked out
-// once, and GCC is made to inline the Jet arithmetic (`flatten`), which together cost a third of
+// residual block: the pose, the array's axes and the image of a board corner are then computed
+// once. With GCC made to inline the Jet arithmetic (`flatten`), this takes a third of the time of
 // one block per observation.
 #pragma once
 
@@ -51,12 +51,12 @@ void apply_loss(const Loss& loss, int n, T* r) {
   for (int i = 0; i < n; ++i) r[i] *= factor;
 }
 
-/// One observed feature of a board corner, ready for the functor.
-struct CornerSighting {
-  std::array<double, 3> board_point;  ///< mm
-  Node node;
-  int lens_type;
-  Feature<double> observed;
+/// An observed feature, ready for the functor.
+struct WeightedFeature {
+  Vector3<double> board_point;  ///< mm
+  MicroLens micro_lens;
+  Feature<double> observed;  ///< px
+  Feature<double> weight;    ///< 1 / sigma of each, 1/px
 };
 
 /// Residuals (u, v, rho) / sigma of features of one frame: 3 each, or 2 for a pinhole array
@@ -66,49 +66,37 @@ class FeatureResiduals {
  public:
   static constexpr int kResiduals = I == 0 ? 2 : 3;
 
-  FeatureResiduals(std::vector<CornerSighting> sightings, double pixel_size, double uv_std_dev,
-                   double rho_std_dev, Loss loss)
-      : sightings_(std::move(sightings)),
-        pixel_size_(pixel_size),
-        uv_weight_(1.0 / uv_std_dev),
-        rho_weight_(1.0 / rho_std_dev),
-        loss_(loss) {}
+  FeatureResiduals(std::vector<WeightedFeature> features, double pixel_size, Loss loss)
+      : features_(std::move(features)), pixel_size_(pixel_size), loss_(loss) {}
 
   template <typename T>
   PLENOCAL_FLATTEN bool operator()(const T* lens, const T* array, const T* focal_lengths,
                                    const T* pose, T* residuals) const {
-    const Optics<T> optics(MainLens<T>::from_block(lens), MicroLensArray<T>::from_block(array),
-                           pixel_size_);
+    const Optics<T> optics(from_block<MainLens>(lens), from_block<MicroLensArray>(array),
+                           focal_lengths, I, pixel_size_);
     const Motion<T> camera_from_board(pose);
-    T inverse_focal_lengths[I == 0 ? 1 : I];
-    for (int i = 0; i < I; ++i) inverse_focal_lengths[i] = 1.0 / focal_lengths[i];
-
-    Point<T> image;
-    const std::array<double, 3>* imaged = nullptr;
-    for (const CornerSighting& s : sightings_) {
-      // Sightings of a corner follow each other, so its image is worked out once.
-      if (imaged == nullptr || *imaged != s.board_point) {
-        if (!optics.main_lens_image(camera_from_board(s.board_point), &image)) return false;
-        imaged = &s.board_point;
+    Vector3<T> image;
+    const Vector3<double>* imaged = nullptr;
+    for (const WeightedFeature& f : features_) {
+      // Features of a corner follow each other, so its image is computed once.
+      if (imaged == nullptr || !same(*imaged, f.board_point)) {
+        if (!main_lens_image(optics.main_lens, camera_from_board(f.board_point), &image)) {
+          return false;
+        }
+        imaged = &f.board_point;
       }
-      const Point<T> center = optics.micro_lens_center(s.node);
-      Pixel<T> pixel;
-      T scale;
-      if (!optics.through_micro_lens(image, center, &pixel, &scale)) return false;
-      residuals[0] = (pixel.u - s.observed.u) * uv_weight_;
-      residuals[1] = (pixel.v - s.observed.v) * uv_weight_;
-      if constexpr (I > 0) {
-        residuals[2] = (optics.blur_radius(center, scale, inverse_focal_lengths[s.lens_type]) -
-                        s.observed.rho) *
-                       rho_weight_;
-      }
+      Feature<T> projected;
+      if (!project_image(optics, image, f.micro_lens, &projected)) return false;
+      residuals[0] = (projected.u - f.observed.u) * f.weight.u;
+      residuals[1] = (projected.v - f.observed.v) * f.weight.v;
+      if constexpr (I > 0) residuals[2] = (projected.rho - f.observed.rho) * f.weight.rho;
       apply_loss(loss_, kResiduals, residuals);
       residuals += kResiduals;
     }
     return true;
   }
 
-  /// The same for a pinhole array, which has no focal lengths.
+  /// For a pinhole array, which has no focal lengths.
   template <typename T>
   PLENOCAL_FLATTEN bool operator()(const T* lens, const T* array, const T* pose,
                                    T* residuals) const {
@@ -116,36 +104,37 @@ class FeatureResiduals {
     return (*this)(lens, array, static_cast<const T*>(nullptr), pose, residuals);
   }
 
-  /// A cost function over these sightings.
-  static std::unique_ptr<ceres::CostFunction> create(std::vector<CornerSighting> sightings,
-                                                     double pixel_size, double uv_std_dev,
-                                                     double rho_std_dev, Loss loss) {
-    const int n = kResiduals * static_cast<int>(sightings.size());
-    auto* functor =
-        new FeatureResiduals(std::move(sightings), pixel_size, uv_std_dev, rho_std_dev, loss);
+  /// A cost function over these features.
+  static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedFeature> features,
+                                                     double pixel_size, Loss loss) {
+    const int n = kResiduals * static_cast<int>(features.size());
+    auto* functor = new FeatureResiduals(std::move(features), pixel_size, loss);
     if constexpr (I == 0) {
-      return std::make_unique<
-          ceres::AutoDiffCostFunction<FeatureResiduals, ceres::DYNAMIC, MainLens<double>::kSize,
-                                      MicroLensArray<double>::kSize, Pose::kSize>>(functor, n);
+      return std::make_unique<ceres::AutoDiffCostFunction<
+          FeatureResiduals, ceres::DYNAMIC, kMainLensParameters, kArrayParameters, Pose::kSize>>(
+          functor, n);
     } else {
-      return std::make_unique<
-          ceres::AutoDiffCostFunction<FeatureResiduals, ceres::DYNAMIC, MainLens<double>::kSize,
-                                      MicroLensArray<double>::kSize, I, Pose::kSize>>(functor, n);
+      return std::make_unique<ceres::AutoDiffCostFunction<
+          FeatureResiduals, ceres::DYNAMIC, kMainLensParameters, kArrayParameters, I, Pose::kSize>>(
+          functor, n);
     }
   }
 
  private:
-  std::vector<CornerSighting> sightings_;
+  static bool same(const Vector3<double>& a, const Vector3<double>& b) {
+    return a.x == b.x && a.y == b.y && a.z == b.z;
+  }
+
+  std::vector<WeightedFeature> features_;
   double pixel_size_;
-  double uv_weight_;
-  double rho_weight_;
   Loss loss_;
 };
 
-/// One observed micro-image centre, ready for the functor.
-struct CenterSighting {
+/// An observed micro-image centre, ready for the functor.
+struct WeightedCenter {
   Node node;
-  Pixel<double> observed;
+  Pixel<double> observed;  ///< px
+  double weight;           ///< 1 / sigma, 1/px
 };
 
 /// Residuals (u, v) / sigma of micro-image centres, 2 each. Parameter block: array.
@@ -153,39 +142,34 @@ class CenterResiduals {
  public:
   static constexpr int kResiduals = 2;
 
-  CenterResiduals(std::vector<CenterSighting> sightings, double pixel_size, double std_dev,
-                  Loss loss)
-      : sightings_(std::move(sightings)),
-        pixel_size_(pixel_size),
-        weight_(1.0 / std_dev),
-        loss_(loss) {}
+  CenterResiduals(std::vector<WeightedCenter> centers, double pixel_size, Loss loss)
+      : centers_(std::move(centers)), pixel_size_(pixel_size), loss_(loss) {}
 
   template <typename T>
   PLENOCAL_FLATTEN bool operator()(const T* array, T* residuals) const {
-    const Optics<T> optics(MainLens<T>{}, MicroLensArray<T>::from_block(array), pixel_size_);
-    for (const CenterSighting& s : sightings_) {
-      const Pixel<T> pixel = optics.micro_image_center(optics.micro_lens_center(s.node));
-      residuals[0] = (pixel.u - s.observed.u) * weight_;
-      residuals[1] = (pixel.v - s.observed.v) * weight_;
+    const ArrayOptics<T> optics(from_block<MicroLensArray>(array), pixel_size_);
+    for (const WeightedCenter& c : centers_) {
+      const Pixel<T> pixel = optics.micro_image_center(c.node);
+      residuals[0] = (pixel.u - c.observed.u) * c.weight;
+      residuals[1] = (pixel.v - c.observed.v) * c.weight;
       apply_loss(loss_, kResiduals, residuals);
       residuals += kResiduals;
     }
     return true;
   }
 
-  /// A cost function over these sightings.
-  static std::unique_ptr<ceres::CostFunction> create(std::vector<CenterSighting> sightings,
-                                                     double pixel_size, double std_dev, Loss loss) {
-    const int n = kResiduals * static_cast<int>(sightings.size());
-    return std::make_unique<ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC,
-                                                        MicroLensArray<double>::kSize>>(
-        new CenterResiduals(std::move(sightings), pixel_size, std_dev, loss), n);
+  /// A cost function over these centres.
+  static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedCenter> centers,
+                                                     double pixel_size, Loss loss) {
+    const int n = kResiduals * static_cast<int>(centers.size());
+    return std::make_unique<
+        ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC, kArrayParameters>>(
+        new CenterResiduals(std::move(centers), pixel_size, loss), n);
   }
 
  private:
-  std::vector<CenterSighting> sightings_;
+  std::vector<WeightedCenter> centers_;
   double pixel_size_;
-  double weight_;
   Loss loss_;
 };
 

@@ -1,11 +1,14 @@
-// The smallest program that uses the installed library: what one micro-lens sees of a point.
+// The smallest program that uses the installed library: what one micro-lens sees of a point, and
+// how that changes with the point.
+#include <ceres/jet.h>
+
 #include <cstdio>
 #include <plenocal/projection.hpp>
 #include <plenocal/refine.hpp>
 
 int main() {
   plenocal::Camera camera;
-  camera.lattice = {plenocal::LatticeKind::kOrthogonal, 5, 5, 0};
+  camera.lattice = {plenocal::Packing::kOrthogonal, 5, 5};
   camera.pixel_size = 0.01;
   camera.main_lens.focal_length = 50.0;
   camera.mla.principal_point[0] = 100.0;
@@ -27,6 +30,25 @@ int main() {
   plenocal::Feature<double> feature{};
   if (!plenocal::project(camera, camera_from_board, {3.0, 1.5, 0.0}, 2, 2, &feature)) return 1;
   std::printf("u %.3f v %.3f rho %.3f\n", feature.u, feature.v, feature.rho);
+
+  // The same with derivatives by the point, in the camera frame: the optics as Jets that are
+  // constant. u grows by 1/5/2/0.01 = 10 px for every mm along x.
+  using Jet = ceres::Jet<double, 3>;
+  const auto constant = [](auto block) {
+    std::array<Jet, std::tuple_size<decltype(block)>::value> jets;
+    for (std::size_t i = 0; i < block.size(); ++i) jets[i] = Jet(block[i]);
+    return jets;
+  };
+  const auto main_lens = constant(plenocal::to_block(camera.main_lens));
+  const auto array = constant(plenocal::to_block(camera.mla));
+  const Jet focal_length(camera.micro_lens_focal_lengths[0]);
+  const plenocal::Optics<Jet> optics(plenocal::from_block<plenocal::MainLens>(main_lens.data()),
+                                     plenocal::from_block<plenocal::MicroLensArray>(array.data()),
+                                     &focal_length, 1, camera.pixel_size);
+  const plenocal::Vector3<Jet> point{Jet(3.0, 0), Jet(1.5, 1), Jet(300.0, 2)};
+  plenocal::Feature<Jet> jets;
+  if (!plenocal::project(optics, point, plenocal::micro_lens_of(camera, 2, 2), &jets)) return 1;
+  std::printf("du/dx %.3f dv/dy %.3f\n", jets.u.v[0], jets.v.v[1]);
 
   // The solver has to link as well.
   try {

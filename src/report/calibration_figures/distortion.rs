@@ -8,6 +8,7 @@ use crate::error::Result;
 use crate::model::PlenopticCamera;
 use crate::report::drawing::{Anchor, BLUE, INK, Overlay, Plane, axis_number, round_below};
 use crate::report::html::Figure;
+use crate::solver::distortion_mm;
 
 /// Places along the longer side: those of the colour, and of the arrows.
 const CELLS: f64 = 120.0;
@@ -25,20 +26,14 @@ pub(super) fn distortion(camera: &PlenopticCamera) -> Result<Option<Figure>> {
     }
     let sensor = &camera.sensor;
     let image_px = Vector2::new(f64::from(sensor.width_px), f64::from(sensor.height_px));
-    // The image is stored upright: pixels run against the optical image.
-    let shift_px = |at: Vector2<f64>| {
-        let image_point = (camera.mla.principal_point_px - at) * sensor.pixel_size_mm;
-        -lens.distortion_mm(image_point) / sensor.pixel_size_mm
-    };
-    let arrows: Vec<Arrow> = places(image_px, ARROWS)
-        .into_iter()
-        .flatten()
-        .map(|at| Arrow { at, along: shift_px(at), lens_type: 0 })
+    let at_arrows = places(image_px, ARROWS).concat();
+    let arrows: Vec<Arrow> = shifts_px(camera, at_arrows)?
+        .map(|(at, along)| Arrow { at, along, lens_type: 0 })
         .collect();
     let sizes: Vec<Vec<(Vector2<f64>, f64)>> = places(image_px, CELLS)
         .into_iter()
-        .map(|row| row.into_iter().map(|at| (at, shift_px(at).norm())).collect())
-        .collect();
+        .map(|row| Ok(shifts_px(camera, row)?.map(|(at, shift)| (at, shift.norm())).collect()))
+        .collect::<Result<_>>()?;
     let largest = sizes.iter().flatten().map(|(_, size)| *size).fold(0.0, f64::max);
     if !(largest.is_finite() && largest > 0.0) {
         return Ok(None);
@@ -58,6 +53,19 @@ pub(super) fn distortion(camera: &PlenopticCamera) -> Result<Option<Figure>> {
         enlarged(factor)
     );
     Ok(Some(figure("distortion", caption, svg)))
+}
+
+/// Places of the image, and by how much distortion moves them, px.
+fn shifts_px(
+    camera: &PlenopticCamera,
+    places: Vec<Vector2<f64>>,
+) -> Result<impl Iterator<Item = (Vector2<f64>, Vector2<f64>)>> {
+    // The image is stored upright: pixels run against the optical image.
+    let pixel_size = camera.sensor.pixel_size_mm;
+    let image_points: Vec<Vector2<f64>> =
+        places.iter().map(|at| (camera.mla.principal_point_px - at) * pixel_size).collect();
+    let shifts = distortion_mm(camera, &image_points)?;
+    Ok(places.into_iter().zip(shifts).map(move |(at, shift)| (at, -shift / pixel_size)))
 }
 
 /// Middles of square cells, row by row, so many along the longer side.

@@ -1,0 +1,31 @@
+// What the library leaves to the program that uses it.
+#include <glog/logging.h>
+#include <gtest/gtest.h>
+
+#include <set>
+
+#include "synthetic_scene.hpp"
+
+namespace plenocal {
+namespace {
+
+// How much is logged is the program's choice, and a setting of the whole process.
+TEST(Logging, LevelStaysAsTheProgramSetIt) {
+  const test::Scene scene = test::make_scene(1);
+  for (int level : {google::GLOG_INFO, google::GLOG_FATAL}) {
+    FLAGS_minloglevel = level;
+    std::set<int> during;
+    refine(scene.camera, scene.poses, scene.observations, test::one_pitch(), {},
+           [&during](const Iteration&) {
+             during.insert(FLAGS_minloglevel);
+             return true;
+           });
+    EXPECT_EQ(during, std::set<int>{level});
+    EXPECT_EQ(FLAGS_minloglevel, level);
+    uncertainty(scene.camera, scene.poses, scene.observations, test::one_pitch());
+    EXPECT_EQ(FLAGS_minloglevel, level);
+  }
+}
+
+}  // namespace
+}  // namespace plenocal

@@ -1,0 +1,144 @@
+//! What goes over the bridge and comes back, to and from the types of the other modules.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+
+use super::ffi;
+use crate::model::{Packing, Parity, PlenopticCamera};
+use crate::solver::options::{CostOptions, LossKind, SolverOptions};
+use crate::solver::problem::{Problem, SolverCenter, SolverFeature};
+use crate::solver::refinement::{Iteration, Termination};
+
+fn count(n: usize) -> i32 {
+    i32::try_from(n).unwrap_or(i32::MAX)
+}
+
+impl Problem<'_> {
+    pub(super) fn pose_blocks(&self) -> Vec<ffi::PoseBlock> {
+        self.poses.iter().map(ffi::PoseBlock::from).collect()
+    }
+
+    pub(super) fn feature_rows(&self) -> Vec<ffi::FeatureRow> {
+        let row = |f: &SolverFeature| ffi::FeatureRow {
+            frame: count(f.pose),
+            board_point_mm: f.board_point_mm.coords.into(),
+            k: f.k,
+            l: f.l,
+            u_px: f.u_px,
+            v_px: f.v_px,
+            // The core's sign for none.
+            rho_px: f.rho_px.unwrap_or(f64::NAN),
+            std_dev_px: f.std_dev_px,
+        };
+        self.features.iter().map(row).collect()
+    }
+
+    pub(super) fn center_rows(&self) -> Vec<ffi::CenterRow> {
+        let row = |c: &SolverCenter| ffi::CenterRow {
+            k: c.k,
+            l: c.l,
+            u_px: c.u_px,
+            v_px: c.v_px,
+            std_dev_px: c.std_dev_px,
+        };
+        self.centers.iter().map(row).collect()
+    }
+}
+
+impl From<&PlenopticCamera> for ffi::CameraParts {
+    fn from(camera: &PlenopticCamera) -> Self {
+        Self {
+            packing: camera.lattice.packing.into(),
+            columns: camera.lattice.columns,
+            rows: camera.lattice.rows,
+            pixel_size_mm: camera.sensor.pixel_size_mm,
+            lens_types: count(camera.lens_types()),
+            parameters: camera.intrinsics(),
+        }
+    }
+}
+
+impl From<Packing> for ffi::Packing {
+    fn from(packing: Packing) -> Self {
+        match packing {
+            Packing::Orthogonal => Self::Orthogonal,
+            Packing::HexagonalRows(Parity::Even) => Self::HexagonalRowsEven,
+            Packing::HexagonalRows(Parity::Odd) => Self::HexagonalRowsOdd,
+            Packing::HexagonalColumns(Parity::Even) => Self::HexagonalColumnsEven,
+            Packing::HexagonalColumns(Parity::Odd) => Self::HexagonalColumnsOdd,
+        }
+    }
+}
+
+impl From<LossKind> for ffi::LossKind {
+    fn from(kind: LossKind) -> Self {
+        match kind {
+            LossKind::None => Self::None,
+            LossKind::Huber => Self::Huber,
+            LossKind::Cauchy => Self::Cauchy,
+        }
+    }
+}
+
+impl From<ffi::Termination> for Termination {
+    fn from(termination: ffi::Termination) -> Self {
+        match termination {
+            ffi::Termination::Converged => Self::Converged,
+            ffi::Termination::IterationLimit => Self::IterationLimit,
+            ffi::Termination::Stopped => Self::Stopped,
+            // Shared enumerations are open: there is no value but `Failed` left.
+            _ => Self::Failed,
+        }
+    }
+}
+
+impl From<&Isometry3<f64>> for ffi::PoseBlock {
+    fn from(pose: &Isometry3<f64>) -> Self {
+        let (r, t) = (pose.rotation.scaled_axis(), pose.translation.vector);
+        Self { block: [r.x, r.y, r.z, t.x, t.y, t.z] }
+    }
+}
+
+impl From<&ffi::PoseBlock> for Isometry3<f64> {
+    fn from(pose: &ffi::PoseBlock) -> Self {
+        let [rx, ry, rz, tx, ty, tz] = pose.block;
+        let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(rx, ry, rz));
+        Isometry3::from_parts(Translation3::new(tx, ty, tz), rotation)
+    }
+}
+
+impl From<&ffi::IterationRow> for Iteration {
+    fn from(row: &ffi::IterationRow) -> Self {
+        Self {
+            number: row.number,
+            cost: row.cost,
+            gradient_max_norm: row.gradient_max_norm,
+            step_norm: row.step_norm,
+            trust_region_radius: row.trust_region_radius,
+            time_s: row.time_s,
+        }
+    }
+}
+
+impl From<&CostOptions> for ffi::CostParts {
+    fn from(cost: &CostOptions) -> Self {
+        Self {
+            uv_std_dev_px: cost.uv_std_dev_px,
+            rho_std_dev_px: cost.rho_std_dev_px,
+            centers_std_dev_px: cost.centers_std_dev_px,
+            loss_kind: cost.loss.kind.into(),
+            loss_scale: cost.loss.scale,
+            fixed: cost.fixed.clone(),
+        }
+    }
+}
+
+impl From<&SolverOptions> for ffi::SolverParts {
+    fn from(solver: &SolverOptions) -> Self {
+        Self {
+            max_iterations: count(solver.max_iterations),
+            threads: count(solver.threads),
+            initial_trust_region_radius: solver.initial_trust_region_radius,
+            extrapolate: solver.extrapolate,
+        }
+    }
+}
