@@ -7,13 +7,14 @@ mod options;
 mod poses;
 mod refine;
 mod result;
+mod stage;
 mod warning;
 mod words;
 
 pub use initial::initial_camera;
 pub use options::{CalibrationOptions, Mode, Start};
 pub use poses::initial_poses;
-pub use refine::{calibrate, initial_from};
 pub use result::{Calibration, LeftOut};
+pub use stage::{calibrate, initial_from};
 pub use warning::{NoPose, Warning};
 pub use words::{termination_text, weakest_directions_text};

@@ -64,6 +64,14 @@ impl Start {
         }
     }
 
+    /// The internal parameters; `None` for a camera calibrated before.
+    pub(super) fn internal(&self) -> Option<&InternalParameters> {
+        match self {
+            Self::Datasheet(_, internal) => Some(internal),
+            Self::Camera(_) => None,
+        }
+    }
+
     /// The sensor.
     pub(super) fn sensor(&self) -> &Sensor {
         match self {

@@ -44,21 +44,15 @@ pub fn parameter_errors(
     let (of_truth, of_estimate) = (truth.lattice, estimate.lattice);
     if of_truth != of_estimate {
         return Err(Error::invalid(format!(
-            "the true camera has a lattice '{}' of {} x {} micro-lenses, the estimated one '{}' of {} x \
-             {} with other rows shifted or of another size: they are not the same camera",
-            of_truth.kind().name(),
-            of_truth.columns,
-            of_truth.rows,
-            of_estimate.kind().name(),
-            of_estimate.columns,
-            of_estimate.rows,
+            "the true camera has {of_truth}, the estimated one {of_estimate}: they are not the same \
+             camera"
         )));
     }
     let types = truth.lens_types().min(estimate.lens_types());
     let values = truth.intrinsics().into_iter().zip(estimate.intrinsics());
     let std_devs = std_devs.iter().copied().chain(std::iter::repeat(None));
     Ok(intrinsic_parameters(types)
-        .into_iter()
+        .iter()
         .zip(values)
         .zip(std_devs)
         .map(|((parameter, (truth, estimate)), std_dev)| ParameterError {

@@ -3,6 +3,8 @@
 //! The C++ core has the same few formulas in `plenocal/camera.hpp`, so that each side stands alone:
 //! the simulator must not lean on the core that it tests. A test holds the two together.
 
+use std::fmt;
+
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -97,6 +99,13 @@ pub enum Parity {
 }
 
 impl Parity {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Even => "even",
+            Self::Odd => "odd",
+        }
+    }
+
     /// Whether an index is of this parity.
     #[must_use]
     pub fn holds(self, index: i32) -> bool {
@@ -119,6 +128,19 @@ pub struct Lattice {
     pub columns: i32,
     /// Number of nodes along l.
     pub rows: i32,
+}
+
+impl fmt::Display for Lattice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "a lattice '{}' of {} x {}", self.kind().name(), self.columns, self.rows)?;
+        match self.packing {
+            Packing::Orthogonal => Ok(()),
+            Packing::HexagonalRows(parity) => write!(f, " with {} rows shifted", parity.name()),
+            Packing::HexagonalColumns(parity) => {
+                write!(f, " with {} columns shifted", parity.name())
+            }
+        }
+    }
 }
 
 impl Lattice {

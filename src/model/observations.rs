@@ -67,45 +67,19 @@ impl Observations {
     pub fn validate(
         &self,
         sensor: &Sensor,
-        (columns, rows): (i32, i32),
+        array: (i32, i32),
         board: &Board,
         needs_rho: bool,
     ) -> Result<()> {
-        let inside = |k: i32, l: i32| (0..columns).contains(&k) && (0..rows).contains(&l);
-        // Half a pixel beyond the centres of the outermost pixels, and one for interpolation.
-        let in_image = |u: f64, v: f64| {
-            (-1.5..=f64::from(sensor.width_px) + 0.5).contains(&u)
-                && (-1.5..=f64::from(sensor.height_px) + 0.5).contains(&v)
-        };
-        let check = |what: &str, k: i32, l: i32, u: f64, v: f64| {
-            if !(u.is_finite() && v.is_finite()) {
-                return Err(Error::invalid(format!("{what} is at ({u}, {v}): not finite numbers")));
-            }
-            if !inside(k, l) {
-                return Err(Error::invalid(format!(
-                    "{what} is outside the array of {columns} x {rows} micro-lenses: the camera's \
-                     array size and the observations do not belong together"
-                )));
-            }
-            if !in_image(u, v) {
-                return Err(Error::invalid(format!(
-                    "{what} is at ({u}, {v}), outside the image of {} x {} px",
-                    sensor.width_px, sensor.height_px
-                )));
-            }
-            Ok(())
-        };
-
         let mut seen = HashSet::new();
         for c in &self.centers {
             let what = format!("the centre of micro-image ({}, {})", c.k, c.l);
-            check(&what, c.k, c.l, c.u_px, c.v_px)?;
+            check_position(&what, (c.k, c.l), (c.u_px, c.v_px), array, sensor)?;
             check_std_devs(&c.std_dev_px, &what)?;
             if !seen.insert((c.k, c.l)) {
                 return Err(Error::invalid(format!("{what} is given twice")));
             }
         }
-
         let mut seen = HashSet::new();
         let mut corners: BTreeMap<u32, BTreeSet<i32>> = BTreeMap::new();
         for f in &self.features {
@@ -113,12 +87,11 @@ impl Observations {
                 "corner {} in micro-image ({}, {}) of frame {}",
                 f.corner, f.k, f.l, f.frame
             );
-            check(&what, f.k, f.l, f.u_px, f.v_px)?;
+            check_position(&what, (f.k, f.l), (f.u_px, f.v_px), array, sensor)?;
             if needs_rho {
                 check_rho(f.rho_px, &what, sensor)?;
             }
-            let std_devs = f.std_dev_px.iter().flatten().chain(&f.rho_std_dev_px);
-            check_std_devs(std_devs, &what)?;
+            check_std_devs(f.std_dev_px.iter().flatten().chain(&f.rho_std_dev_px), &what)?;
             if !(0..board.corners()).contains(&f.corner) {
                 return Err(Error::invalid(format!(
                     "{what} is not on the board of {} x {} inner corners",
@@ -130,14 +103,45 @@ impl Observations {
             }
             corners.entry(f.frame).or_default().insert(f.corner);
         }
-        for (frame, corners) in corners {
-            if corners.len() < MIN_CORNERS {
+        match corners.into_iter().find(|(_, corners)| corners.len() < MIN_CORNERS) {
+            Some((frame, corners)) => {
                 let (corners, needed) = (corners.len(), MIN_CORNERS);
-                return Err(Error::TooFewCorners { frame, corners, needed });
+                Err(Error::TooFewCorners { frame, corners, needed })
             }
+            None => Ok(()),
         }
-        Ok(())
     }
+}
+
+/// How far beyond the centres of the outermost pixels an observation may lie, px: half a pixel, and
+/// one for interpolation.
+const BEYOND_PX: f64 = 1.5;
+
+/// An error unless an observation lies in the array and in the image.
+fn check_position(
+    what: &str,
+    (k, l): (i32, i32),
+    (u, v): (f64, f64),
+    (columns, rows): (i32, i32),
+    sensor: &Sensor,
+) -> Result<()> {
+    if !(u.is_finite() && v.is_finite()) {
+        return Err(Error::invalid(format!("{what} is at ({u}, {v}): not finite numbers")));
+    }
+    if !(0..columns).contains(&k) || !(0..rows).contains(&l) {
+        return Err(Error::invalid(format!(
+            "{what} is outside the array of {columns} x {rows} micro-lenses: the camera's array \
+             size and the observations do not belong together"
+        )));
+    }
+    let inside = |x: f64, size: u32| (-BEYOND_PX..=f64::from(size) - 1.0 + BEYOND_PX).contains(&x);
+    if !inside(u, sensor.width_px) || !inside(v, sensor.height_px) {
+        return Err(Error::invalid(format!(
+            "{what} is at ({u}, {v}), outside the image of {} x {} px",
+            sensor.width_px, sensor.height_px
+        )));
+    }
+    Ok(())
 }
 
 /// An error unless a blur radius was measured and is possible.

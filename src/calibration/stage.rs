@@ -1,0 +1,209 @@
+//! The calibration as one stage: from observations to a refined camera.
+
+use nalgebra::Isometry3;
+use tracing::debug;
+
+use crate::calibration::checks::{
+    array_beyond_image, bad_fit, check_indices, check_observations, fronto_parallel,
+    outlying_centers, undetermined, without_frames,
+};
+use crate::calibration::frames::{
+    Frames, feature_residuals, initial_frames, solver_centers, solver_features,
+};
+use crate::calibration::refine::refine;
+use crate::calibration::{Calibration, CalibrationOptions, Mode, Start, Warning, initial_camera};
+use crate::error::{Error, Result};
+use crate::model::{
+    Board, CenterResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
+    Reprojection, intrinsic_parameters,
+};
+use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
+use crate::solver::{self, CostOptions, Iteration, Problem, Refinement, Termination, Uncertainty};
+
+/// The minimum counts as reached when one more Gauss-Newton step would gain less than this part of
+/// the cost. A parameter n standard deviations from its place adds n² s²/2 to the cost, s² being the
+/// variance of the residuals that determine it: with 10⁵ residuals of like variance n < 10⁻³.
+const MAX_EXPECTED_DECREASE: f64 = 1e-11;
+/// Below this for every (standardised) residual a cost is zero up to rounding: (10⁻⁶)²/2.
+const ZERO_COST_PER_RESIDUAL: f64 = 0.5e-12;
+
+/// Calibrates a camera, or with [`Mode::PosesOnly`] finds the poses of the boards.
+///
+/// `progress` is called after every iteration and stops the solve by returning false.
+///
+/// An error if the input is inconsistent or no frame can be used.
+pub fn calibrate(
+    start: &Start,
+    board: &Board,
+    observations: &Observations,
+    options: &CalibrationOptions,
+    progress: &mut dyn FnMut(&Iteration) -> bool,
+) -> Result<Calibration> {
+    let _span = tracing::info_span!("calibration").entered();
+    let start = start.for_mode(options.mode);
+    start.validate()?;
+    options.validate(&start)?;
+    let (observations, excluded) = without_frames(observations, &options.exclude_frames)?;
+    check_observations(&start, board, &observations, options.mode)?;
+    let (initial, grid) = initial_and_grid(&start, &observations)?;
+    let mut frames = frames_with_poses(&initial, board, &observations, options)?;
+    frames.left_out.extend(excluded);
+
+    let features = solver_features(&frames.features, &frames.poses, board);
+    let centers = solver_centers(&observations.centers);
+    let poses: Vec<Isometry3<f64>> = frames.poses.iter().map(|p| p.camera_from_board).collect();
+    let problem =
+        Problem { camera: &initial, poses: &poses, features: &features, centers: &centers };
+    let cost = cost_for(options, &initial);
+    let refinement = refine(&problem, board, &frames, &cost, options, progress)?;
+
+    let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
+    let uncertainty = solver::uncertainty(&refined, &cost)?;
+    let reprojection = Reprojection {
+        features: feature_residuals(&refined, &frames.features)?,
+        centers: center_residuals(&refinement.camera, &observations.centers)?,
+    };
+    let poses = refined_poses(&frames, &refinement);
+    let converged = is_converged(&refinement, &uncertainty, &reprojection);
+    let mut warnings = warnings_before(&initial, grid.as_ref(), &observations);
+    warnings.extend(undetermined(&refinement.camera, &uncertainty));
+    warnings.extend(bad_fit(&refinement.camera, &reprojection));
+    warnings.extend(fronto_parallel(&poses, options.mode));
+    Ok(Calibration {
+        camera: refinement.camera.clone(),
+        m_mm: start.internal().map(|internal| internal.m_mm),
+        poses,
+        left_out: frames.left_out,
+        grid,
+        initial_centers_rmse_px: initial_centers_rmse(&initial, &observations)?,
+        initial,
+        refinement,
+        reprojection,
+        uncertainty,
+        converged,
+        options: options.clone(),
+        warnings,
+    })
+}
+
+/// The camera that a calibration of these observations starts from.
+pub fn initial_from(start: &Start, observations: &Observations) -> Result<PlenopticCamera> {
+    start_camera(start, fitted_grid(start, observations)?.as_ref())
+}
+
+/// The camera to start from and the grid of the centres, if there are any; an error unless they
+/// and the observations are of one camera.
+fn initial_and_grid(
+    start: &Start,
+    observations: &Observations,
+) -> Result<(PlenopticCamera, Option<MicroImageArray>)> {
+    let grid = fitted_grid(start, observations)?;
+    if let (Some(grid), Start::Datasheet(sheet, internal)) = (&grid, start) {
+        check_stated_pitch(sheet, internal, grid)?;
+    }
+    let initial = start_camera(start, grid.as_ref())?;
+    check_indices(&initial, grid.as_ref(), observations)?;
+    Ok((initial, grid))
+}
+
+fn fitted_grid(start: &Start, observations: &Observations) -> Result<Option<MicroImageArray>> {
+    let (kind, columns, rows) = start.array();
+    let centers = &observations.centers;
+    (!centers.is_empty()).then(|| fit_grid(centers, kind, columns, rows)).transpose()
+}
+
+fn start_camera(start: &Start, grid: Option<&MicroImageArray>) -> Result<PlenopticCamera> {
+    match (start, grid) {
+        (Start::Datasheet(datasheet, internal), Some(grid)) => {
+            initial_camera(datasheet, internal, grid)
+        }
+        (Start::Datasheet(..), None) => Err(Error::NoCenters),
+        (Start::Camera(camera), Some(grid)) if camera.lattice != grid.lattice => {
+            Err(Error::invalid(format!(
+                "the camera has {}, but the centres lie on {}: they are of different cameras",
+                camera.lattice, grid.lattice
+            )))
+        }
+        (Start::Camera(camera), _) => Ok(camera.clone()),
+    }
+}
+
+fn center_residuals(
+    camera: &PlenopticCamera,
+    centers: &[MicroImageCenter],
+) -> Result<Vec<CenterResidual>> {
+    let projected = solver::project_centers(camera, centers.iter().map(|c| (c.k, c.l)))?;
+    let residual = |(&center, [u, v]): (&MicroImageCenter, [f64; 2])| CenterResidual {
+        center,
+        lens_type: camera.lens_type(center.k, center.l),
+        du_px: center.u_px - u,
+        dv_px: center.v_px - v,
+    };
+    Ok(centers.iter().zip(projected).map(residual).collect())
+}
+
+/// An error with the reasons if no frame has a pose.
+fn frames_with_poses(
+    initial: &PlenopticCamera,
+    board: &Board,
+    observations: &Observations,
+    options: &CalibrationOptions,
+) -> Result<Frames> {
+    let frames = initial_frames(initial, board, observations, &options.cost, &options.solver)?;
+    if frames.poses.is_empty() {
+        let reasons: Vec<String> =
+            frames.left_out.iter().map(|l| format!("frame {}: {}", l.frame, l.reason)).collect();
+        return Err(Error::invalid(format!("no frame could be used: {}", reasons.join("; "))));
+    }
+    Ok(frames)
+}
+
+fn cost_for(options: &CalibrationOptions, camera: &PlenopticCamera) -> CostOptions {
+    let mut cost = options.cost.clone();
+    if options.mode == Mode::PosesOnly {
+        let all = intrinsic_parameters(camera.lens_types());
+        cost.fixed = all.iter().map(|parameter| parameter.name.to_owned()).collect();
+    }
+    cost
+}
+
+fn initial_centers_rmse(
+    initial: &PlenopticCamera,
+    observations: &Observations,
+) -> Result<Option<f64>> {
+    let centers = center_residuals(initial, &observations.centers)?;
+    Ok(Reprojection { features: Vec::new(), centers }.centers_rmse_px())
+}
+
+fn refined_poses(frames: &Frames, refinement: &Refinement) -> Vec<FramePose> {
+    let pose = |(p, &camera_from_board): (&FramePose, &Isometry3<f64>)| FramePose {
+        frame: p.frame,
+        camera_from_board,
+    };
+    frames.poses.iter().zip(&refinement.poses).map(pose).collect()
+}
+
+/// By the solver's tolerances, and by what a further step would gain.
+fn is_converged(
+    refinement: &Refinement,
+    uncertainty: &Uncertainty,
+    reprojection: &Reprojection,
+) -> bool {
+    debug!(
+        "a further step would lower the cost by {:.3e}; rank {} of the information",
+        uncertainty.expected_decrease, uncertainty.rank
+    );
+    let residuals = 3 * reprojection.features.len() + 2 * reprojection.centers.len();
+    let negligible =
+        (MAX_EXPECTED_DECREASE * refinement.cost).max(ZERO_COST_PER_RESIDUAL * residuals as f64);
+    refinement.termination == Termination::Converged && uncertainty.expected_decrease <= negligible
+}
+
+fn warnings_before(
+    initial: &PlenopticCamera,
+    grid: Option<&MicroImageArray>,
+    observations: &Observations,
+) -> Vec<Warning> {
+    let of_grid = grid.and_then(|grid| outlying_centers(grid, observations.centers.len()));
+    of_grid.into_iter().chain(array_beyond_image(initial)).collect()
+}
