@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
-use plenocal::image::{Color, alternate};
+use plenocal::image::Color;
 use plenocal::io::{self, CommonFormat, DraftText, OutputFolder, ProjectDraft, SortedImages};
 use plenocal::model::{Board, Datasheet};
 use plenocal::simulation::Settings;
@@ -159,8 +159,7 @@ fn found_color(images: &SortedImages, format: Option<CommonFormat>) -> Result<Op
     }
     let whites = images.whites.iter().map(|(path, _)| path);
     for path in images.devignetting.iter().chain(whites) {
-        if let Some([a, b, c, d]) = io::read_image(path, Some(Color::Grey))?.parity_means() {
-            let mosaic = alternate(a, b) || alternate(a, c) || alternate(a, d);
+        if let Some(mosaic) = io::read_image(path, Some(Color::Grey))?.shows_mosaic() {
             return Ok((!mosaic).then_some(Color::Grey));
         }
     }

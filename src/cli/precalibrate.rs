@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use nalgebra::Vector2;
-use plenocal::image::{Color, alternate};
+use plenocal::image::Color;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project, compote};
 use plenocal::model::{Datasheet, MicroImageCenter};
 use plenocal::precalibration::{
@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use super::boards::camera_and_images;
 use super::choices::{COLORS, RADIUS_ESTIMATORS, choice};
 use super::progress;
-use super::talk::{print_result, say, warn};
+use super::talk::{print_result, warn};
 
 /// Measure the micro-image array and the internal parameters on white images.
 ///
@@ -126,7 +126,10 @@ fn of_image(
     output: &mut OutputFolder,
 ) -> Result<(String, serde_json::Value)> {
     let path = &arguments.input;
-    let image = read_white(path, arguments.color)?;
+    let image = io::read_image(path, arguments.color)?;
+    if let Some(doubt) = image.doubtful_color() {
+        warn(&[format!("{}: {doubt}", path.display())]);
+    }
     let array = measure_array(&image, None).map_err(|e| e.in_file(path))?;
     let half_pitch = array.grid.pitch_px / 2.0;
     let types = array.lens_types.types;
@@ -201,9 +204,7 @@ pub(super) fn measure(
     let bar = progress::steps(quiet, whites.len(), "measuring white images");
     let result = precalibrate(&whites, reference.as_ref(), options, &|| bar.inc(1));
     bar.finish_and_clear();
-    let result = result.map_err(|e| e.in_file(path))?;
-    result.check_stated(sheet).map_err(|e| e.in_file(path))?;
-    Ok((result, whites))
+    Ok((result.map_err(|e| e.in_file(path))?, whites))
 }
 
 /// Writes everything but precalibration.json.
@@ -261,41 +262,10 @@ fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>,
     let mut whites = all
         .par_iter()
         .map(|&(path, f_number)| {
-            let raw = read_white(path, Some(images.color))?;
-            let (width, height) = (sheet.sensor.width_px as usize, sheet.sensor.height_px as usize);
-            if (raw.width, raw.height) != (width, height) {
-                let error = Error::invalid(format!(
-                    "this image has {} x {} px, but the sensor {width} x {height}: correct [sensor], \
-                     or give the image whole as the camera delivered it",
-                    raw.width, raw.height
-                ));
-                return Err(error.in_file(path));
-            }
-            Ok(White { name: path.display().to_string(), f_number, image: raw })
+            let image = io::read_image(path, Some(images.color))?;
+            Ok(White { name: path.display().to_string(), f_number, image })
         })
         .collect::<Result<Vec<White>>>()?;
     let reference = images.devignetting.as_ref().and_then(|_| whites.pop());
     Ok((whites, reference))
-}
-
-/// Reads an image, and warns where its samples do not look like what they are said to be.
-fn read_white(path: &Path, color: Option<Color>) -> Result<plenocal::image::RawImage> {
-    let raw = io::read_image(path, color)?;
-    if let Some(means) = raw.parity_means() {
-        let [a, b, c, d] = means;
-        let wrong = match raw.color {
-            Color::Grey => (alternate(a, b) || alternate(a, c) || alternate(a, d)).then_some(
-                "its pixels alternate in brightness like those behind a colour mosaic: give the \
-                 mosaic's name as the colour of the images",
-            ),
-            Color::BayerRggb | Color::BayerBggr => alternate(b, c)
-                .then_some("the pixels that should both be green differ: another mosaic is in it"),
-            _ => alternate(a, d)
-                .then_some("the pixels that should both be green differ: another mosaic is in it"),
-        };
-        if let Some(wrong) = wrong {
-            say(&format!("warning: {}: {wrong}", path.display()));
-        }
-    }
-    Ok(raw)
 }

@@ -31,8 +31,7 @@ impl Image {
 const ALIKE: f64 = 0.05;
 
 /// Whether two of [`RawImage::parity_means`] differ as two colours of a mosaic do.
-#[must_use]
-pub fn alternate(a: f64, b: f64) -> bool {
+fn alternate(a: f64, b: f64) -> bool {
     (a / b - 1.0).abs() > ALIKE
 }
 
@@ -180,6 +179,33 @@ impl RawImage {
             }
         });
         (count > 0.0).then(|| sums.map(|sum| sum / count))
+    }
+
+    /// Whether a white image with one sample a pixel looks like one behind a colour mosaic; `None` where
+    /// it does not tell.
+    #[must_use]
+    pub fn shows_mosaic(&self) -> Option<bool> {
+        let [a, b, c, d] = self.parity_means()?;
+        Some(alternate(a, b) || alternate(a, c) || alternate(a, d))
+    }
+
+    /// What is wrong with the colour that a white image is stated to have, in words.
+    #[must_use]
+    pub fn doubtful_color(&self) -> Option<&'static str> {
+        let [a, b, c, d] = self.parity_means()?;
+        let greens_differ = match self.color {
+            Color::Grey => {
+                return self.shows_mosaic()?.then_some(
+                    "its pixels alternate in brightness like those behind a colour mosaic: give the \
+                     name of the mosaic as the colour of the images",
+                );
+            }
+            Color::BayerRggb | Color::BayerBggr => alternate(b, c),
+            _ => alternate(a, d),
+        };
+        greens_differ.then_some(
+            "the pixels that should both be green differ: the images have another mosaic",
+        )
     }
 
     /// Calls with the channels and samples, in parts of full scale, of many places all over the image

@@ -8,7 +8,7 @@ use super::radii::REACH;
 use super::stage::{Precalibration, PrecalibrationOptions, White};
 use super::types::LensTypes;
 use crate::error::{Error, Result};
-use crate::model::{Configuration, Datasheet, InternalParameters, positive};
+use crate::model::{Configuration, Datasheet, InternalParameters, Sensor, positive};
 
 /// A radius this part away from where the other f-numbers put it is the sign of a wrong f-number: half a
 /// stop at f/4 changes a radius by 10 %.
@@ -35,6 +35,7 @@ pub(super) fn named(name: &str, error: &Error) -> Error {
 pub(super) fn reference_of<'a>(
     whites: &'a [White],
     reference: Option<&'a White>,
+    stated: Option<&Datasheet>,
 ) -> Result<&'a White> {
     check_f_numbers(whites)?;
     let widest = whites.iter().min_by(|a, b| a.f_number.total_cmp(&b.f_number));
@@ -42,7 +43,23 @@ pub(super) fn reference_of<'a>(
         return Err(Error::invalid("there are no white images"));
     };
     check_sizes(whites, reference)?;
+    if let Some(Sensor { width_px, height_px, .. }) = stated.map(|sheet| sheet.sensor)
+        && (reference.image.width, reference.image.height)
+            != (width_px as usize, height_px as usize)
+    {
+        return Err(Error::invalid(format!(
+            "{} has {} x {} px, but the sensor {width_px} x {height_px}: correct [sensor], or give \
+             the image uncropped as the camera delivered it",
+            reference.name, reference.image.width, reference.image.height
+        )));
+    }
     Ok(reference)
+}
+
+/// White images whose colour is not what is stated.
+pub(super) fn doubtful_colors(whites: &[White]) -> Vec<String> {
+    let doubt = |white: &White| Some(format!("{}: {}", white.name, white.image.doubtful_color()?));
+    whites.iter().filter_map(doubt).collect()
 }
 
 fn check_f_numbers(whites: &[White]) -> Result<()> {

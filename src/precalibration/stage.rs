@@ -5,7 +5,9 @@ use rayon::prelude::*;
 use tracing::{debug, info};
 
 use super::array::{ArrayMeasurement, found_array};
-use super::checks::{contradictions, different_aperture, disagreeing_types, named, reference_of};
+use super::checks::{
+    contradictions, different_aperture, disagreeing_types, doubtful_colors, named, reference_of,
+};
 use super::correction::{Moments, corrected_array};
 use super::internal::{InternalFit, RadiusMeasurement};
 use super::radii::{RadiusEstimator, profile_at};
@@ -41,6 +43,8 @@ pub struct PrecalibrationOptions {
     /// Focal length F and focus distance h of the main lens as engraved, mm: they give its distance from
     /// the array, and so the angles of the light.
     pub lens_mm: (f64, f64),
+    /// The whole datasheet, where there is one: what the images contradict in it is an error.
+    pub stated: Option<Datasheet>,
 }
 
 impl PrecalibrationOptions {
@@ -53,6 +57,7 @@ impl PrecalibrationOptions {
             array_size: Some((sheet.columns, sheet.rows)),
             estimator: RadiusEstimator::default(),
             lens_mm: (sheet.focal_length_mm, sheet.focus_distance_mm),
+            stated: Some(*sheet),
         }
     }
 
@@ -91,7 +96,8 @@ pub struct Precalibration {
 ///
 /// The array is that of `reference`, the white image that belongs to the boards, or else of the
 /// white image with the smallest f-number. `progress` is called after every image. An error if images
-/// do not belong together, show no array, or do not span a range of f-numbers.
+/// do not belong together, show no array, do not span a range of f-numbers, or contradict what is
+/// stated of the camera.
 pub fn precalibrate(
     whites: &[White],
     reference: Option<&White>,
@@ -100,7 +106,7 @@ pub fn precalibrate(
 ) -> Result<Precalibration> {
     let _span = tracing::info_span!("pre-calibration").entered();
     positive(options.pixel_size_mm, "the pixel size (mm)")?;
-    let reference = reference_of(whites, reference)?;
+    let reference = reference_of(whites, reference, options.stated.as_ref())?;
     let grey = reference.image.grey();
     let found = found_array(&grey, options.array_size).map_err(|e| named(&reference.name, &e))?;
     debug!(
@@ -138,9 +144,13 @@ pub fn precalibrate(
         different_aperture(reference, &moments, &profiles),
         disagreeing_types(&lens_types),
     ];
-    let warnings = warnings.into_iter().flatten().collect();
+    let warnings =
+        doubtful_colors(whites).into_iter().chain(warnings.into_iter().flatten()).collect();
     let measured =
         Precalibration { array, lens_types, radii, internal, pitch_correction, warnings };
+    if let Some(sheet) = &options.stated {
+        measured.check_stated(sheet)?;
+    }
     measured.log();
     Ok(measured)
 }
