@@ -131,7 +131,7 @@ impl Uncertainty {
         let undetermined = self.size() - self.rank;
         let parameters = intrinsic_parameters(lens_types);
         let describe = |(i, direction): (usize, &Vec<f64>)| {
-            self.describe(direction, i >= undetermined, &parameters)
+            self.describe(direction, i >= undetermined, parameters)
         };
         let mut directions: Vec<WeakDirection> =
             self.weakest.iter().enumerate().map(describe).collect();
