@@ -36,7 +36,8 @@ pub(super) struct LabelledBoard {
 
 /// Fewest points that make a lattice, and its homography with some redundancy.
 const FEWEST: usize = 6;
-/// Largest board that is looked for, and how many times as many points may be clutter.
+/// Corners of the largest board that is searched for, and how many times as many points there may be with
+/// clutter.
 const MOST_CORNERS: usize = 2500;
 const MOST_CLUTTER: usize = 10;
 /// Placements whose scores differ by less than this part of the corners are equally good.
@@ -48,7 +49,7 @@ const SAME_DIRECTION: f64 = 0.3;
 /// Least part of the corners in view that are found.
 const FOUND: f64 = 0.5;
 
-/// An error unless boards of this size can be looked for.
+/// An error unless boards of this size can be found.
 pub fn check_board_size(board: &Board) -> Result<(), Error> {
     size_in_reach(board).map(|_| ()).map_err(|rejection| Error::invalid(rejection.to_string()))
 }
@@ -109,7 +110,7 @@ impl LabelledBoard {
     }
 }
 
-/// Number of corners of a board, if that is one that can be looked for.
+/// Number of corners of a board; the reason if boards of this size are not searched for.
 fn size_in_reach(board: &Board) -> Result<usize, Rejection> {
     let corners = usize::try_from(board.corners()).unwrap_or(usize::MAX);
     if (FEWEST..=MOST_CORNERS).contains(&corners) {

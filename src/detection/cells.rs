@@ -15,8 +15,8 @@ pub(super) struct Cells<'a> {
 }
 
 impl<'a> Cells<'a> {
-    /// Cells of a size: about the distance at which points are asked for. A size that is none (zero,
-    /// negative, infinite) is taken as 1.
+    /// Cells of a size: about the distance at which points are asked for. A size that is not positive and
+    /// finite is taken as 1.
     pub fn new(points: &'a [Vector2<f64>], size: f64) -> Self {
         let size = if size.is_finite() && size > 0.0 { size } else { 1.0 };
         let mut cells = Self { points, size, members: HashMap::new() };
@@ -27,7 +27,7 @@ impl<'a> Cells<'a> {
         cells
     }
 
-    #[allow(clippy::cast_possible_truncation)] // saturates: what is so far away shares a cell
+    #[allow(clippy::cast_possible_truncation)] // saturates: points so far away share a cell
     fn cell(&self, place: &Vector2<f64>) -> Cell {
         let cell = place / self.size;
         (cell.x.floor() as i64, cell.y.floor() as i64)
@@ -40,7 +40,7 @@ impl<'a> Cells<'a> {
         let (low, high) = (self.cell(&(place - corner)), self.cell(&(place + corner)));
         let count = |low: i64, high: i64| high.saturating_sub(low).saturating_add(1);
         let cells = count(low.0, high.0).saturating_mul(count(low.1, high.1));
-        // Where the reach covers more cells than there are, all points are looked at.
+        // Where the reach covers more cells than there are, all points are compared.
         if usize::try_from(cells).is_ok_and(|cells| cells <= self.members.len()) {
             (low.1..=high.1)
                 .flat_map(|y| (low.0..=high.0).map(move |x| (x, y)))

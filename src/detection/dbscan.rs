@@ -10,8 +10,7 @@ use super::cells::Cells;
 /// A point with at least `fewest` points (itself included) up to `reach` away is in the core of a
 /// cluster; clusters are what cores within reach connect, with the points within their reach. A reach
 /// of 0 connects points at the same place; points that are not finite are near none.
-#[must_use]
-pub fn dbscan(points: &[Vector2<f64>], reach: f64, fewest: usize) -> Vec<Option<usize>> {
+pub(super) fn dbscan(points: &[Vector2<f64>], reach: f64, fewest: usize) -> Vec<Option<usize>> {
     let cells = Cells::new(points, reach);
     let near = |i: usize| cells.near(&points[i], reach);
     let mut clusters = vec![None; points.len()];

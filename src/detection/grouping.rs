@@ -29,7 +29,7 @@ pub(super) struct LineSearch {
 /// Most pairs of observations that lines are tried through, of a whole cluster and of a part of one.
 const MOST_PAIRS: usize = 4000;
 const MOST_PAIRS_OF_PART: usize = 1000;
-/// Number of observations that a line is looked for among, those nearest to one of them: clusters of
+/// Number of observations that a line is sought among, those nearest to one of them: clusters of
 /// neighbouring corners merge where squares are as small as the spread of a corner, and have thousands.
 const AT_ONCE: usize = 500;
 /// If there is no line among those, so many of them are given up.

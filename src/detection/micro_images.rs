@@ -12,7 +12,7 @@ use crate::model::{
 use crate::precalibration::{MicroImageArray, Precalibration};
 use crate::vignetting::{Obliquity, Vignetting};
 
-/// Micro-images: where they are, and how points are blurred in them.
+/// Where micro-images are, and how points are blurred in them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MicroImages {
     /// The grid.
@@ -97,9 +97,9 @@ impl MicroImages {
     /// From a pre-calibration, at the f-number N of the boards. Micro-images without a measured centre
     /// are where the grid puts them.
     ///
-    /// Where the array leans against the sensor, d changes across it, and a and q'ᵢ in proportion: both
-    /// are d times an angle that the micro-lens keeps. The perspective of the grid, t = ∇d/(D + d), tells
-    /// by how much, with D and d as the refinement starts with them.
+    /// Where the array is tilted against the sensor, d changes across it, and a and q'ᵢ in proportion: both
+    /// are d times an angle that stays the same. How much follows from the perspective of the grid,
+    /// t = ∇d/(D + d), with D and d as the refinement starts with them.
     pub fn new(
         grid: &MicroImageArray,
         centers: &[MicroImageCenter],

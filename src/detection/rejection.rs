@@ -68,7 +68,7 @@ pub enum Rejection {
         /// Their number.
         corners: usize,
     },
-    /// Boards of this size are not looked for.
+    /// Boards of this size are not searched for.
     #[error(
         "a board of {columns} x {rows} inner corners cannot be found: it needs {fewest} to {most} of them"
     )]

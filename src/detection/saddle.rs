@@ -17,7 +17,7 @@ const LEAST_STD_DEV: f64 = 0.3;
 const CONTRAST: f64 = 1.3;
 /// Half the width of steps that a fit starts with, px.
 const START_WIDTH_PX: f64 = 3.0;
-/// Saddles are looked for in all of the micro-image, and in round windows of it, px.
+/// Saddles are searched for in all of the micro-image, and in round windows of it, px.
 const WINDOW_PX: f64 = 5.5;
 const WINDOWS_AT_PX: f64 = 4.5;
 

@@ -1,6 +1,6 @@
 //! Statistics that a few bad values do not spoil.
 
-/// The middle one of the values by size, of an even number the upper one; `None` of none.
+/// The middle one of the values by size, of an even number the upper of the two; `None` of no values.
 pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();
     let middle = values.len() / 2;

@@ -83,7 +83,7 @@ pub(super) fn shift_moment(
     moment / light
 }
 
-/// Points evenly over a disc (a sunflower).
+/// Points spread evenly over a disc, as in the head of a sunflower.
 fn disc(radius: f64) -> Vec<Vector2<f64>> {
     let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     (0..POINTS)

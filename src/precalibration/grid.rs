@@ -105,7 +105,7 @@ pub(super) fn fit_regular_grid(
     let fits = all_fits(kind);
     if fits.len() > 1 && fits.iter().all(Fit::fits) {
         return Err(Error::invalid(
-            "the micro-image centres lie in one row, or are so few that one cannot tell which rows \
+            "the micro-image centres lie in one row, or are too few to decide which rows \
              are shifted; give centres from all over the image",
         ));
     }

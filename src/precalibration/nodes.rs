@@ -1,4 +1,4 @@
-//! Values by node of a pattern, to look at neighbours.
+//! Values by node of a pattern, and those of neighbouring nodes.
 
 /// A value for some of the nodes (i, j) of a range.
 #[derive(Debug)]

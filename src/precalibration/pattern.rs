@@ -79,7 +79,7 @@ fn cell_area(kind: LatticeKind) -> f64 {
 const LARGEST_CROP: usize = 512;
 /// Rows that one thread transforms.
 const ROWS_AT_ONCE: usize = 32;
-/// Pitches that are looked for, px.
+/// Pitches that can be found, px.
 const PITCHES: std::ops::RangeInclusive<f64> = 5.0..=90.0;
 /// The strongest frequencies are those of the lattice, of its harmonics, and of the lens types.
 const PEAKS: usize = 16;
@@ -87,10 +87,10 @@ const PEAKS: usize = 16;
 const REGULAR: f64 = 0.06;
 /// Cells of a folded image along each step.
 const FOLD: usize = 12;
-/// One row in so many tells enough of a cell.
+/// One row in so many shows enough of a cell.
 const FOLDED_ROWS: usize = 5;
-/// Lens types repeat on a lattice of three times the area and explain more. The lattice itself
-/// explains at least this part of it.
+/// Lens types repeat on a lattice of three times the area, which explains more of the image. The lattice
+/// of all micro-images explains at least this part of that.
 const FUNDAMENTAL: f64 = 0.5;
 
 /// The pattern of the part of an image about `middle`; `None` where nothing repeats on a known

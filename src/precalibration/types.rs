@@ -1,4 +1,4 @@
-//! How many lens types there are, and whether they follow the lattice's colouring.
+//! How many lens types there are, and whether they follow the three-colouring of the lattice.
 
 use rayon::prelude::*;
 
@@ -92,7 +92,7 @@ pub(super) fn judge_types(images: &[Vec<TypeRadius>], found: &FoundArray) -> Len
     LensTypes { types: 3, separation: Some(best), agreement: Some(agreement) }
 }
 
-/// Part of the micro-images that look like their own colour.
+/// Part of the micro-images whose size is that of their own colour.
 fn agreement(found: &FoundArray) -> f64 {
     let lattice = &found.array.grid.lattice;
     let color = |node: (i32, i32)| {
