@@ -1,32 +1,80 @@
 //! Calibration of multi-focus plenoptic (light-field) cameras.
 //!
 //! plenocal implements *Blur Aware Calibration of Multi-Focus Plenoptic Camera* (Labussière,
-//! Teulière, Bernardin, Ait-Aider, CVPR 2020), "the paper" below. A calibration takes what was seen,
-//! micro-image centres and BAP features, and gives the camera, the poses of the boards, and how
-//! certain they are:
+//! Teulière, Bernardin, Ait-Aider, CVPR 2020), "the paper" below.
 //!
-//! ```no_run
-//! use std::path::Path;
+//! # Stages
+//!
+//! Every stage is a function from values to a value: [`simulation::simulate`],
+//! [`precalibration::precalibrate`], [`detection::detect`], [`calibration::calibrate`],
+//! [`evaluation::evaluate`]. What the user should know is part of the result; files are read and
+//! written by [`io`] alone. The whole pipeline in memory, on a simulated camera:
+//!
+//! ```
 //! use plenocal::calibration::{CalibrationOptions, Start, calibrate};
-//! use plenocal::io::{Project, read_centers, read_features};
+//! use plenocal::detection::{BoardImage, DepthEstimator, MicroImages, Search, detect};
+//! use plenocal::evaluation::{Candidate, EvaluationInput, evaluate};
+//! use plenocal::image::RawImage;
+//! use plenocal::model::{Observations, Subset};
+//! use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
+//! use plenocal::simulation::{Content, Settings, simulate};
 //!
 //! # fn main() -> plenocal::Result<()> {
-//! let project = Project::read(Path::new("data/synthetic/project.toml"))?;
-//! let start = Start::Datasheet(
-//!     project.datasheet()?.expect("a camera"),
-//!     project.internal().expect("internal parameters"),
-//! );
-//! let mut observations = read_features(Path::new("data/synthetic/features.csv"), true)?;
-//! observations.centers = read_centers(Path::new("data/synthetic/centers.csv"))?;
-//! let board = project.board.expect("a board");
+//! // Few rays and boards, to be quick.
+//! let few = ["rays=16", "boards.calibration=4", "boards.evaluation=2", "translation.images=0"];
+//! let settings = Settings::preset("mini", &few.map(str::to_owned))?;
+//! let (mut whites, mut boards, mut others) = (Vec::new(), Vec::new(), Vec::new());
+//! let simulated = simulate(&settings, None, &(), &mut |content, shot, image| {
+//!     let white = |image| White { name: format!("{content:?}"), f_number: shot.f_number, image };
+//!     match content {
+//!         Content::White(_) | Content::Devignetting => whites.push(white(image)),
+//!         Content::Board(Subset::Calibration, frame) => boards.push((frame, image)),
+//!         Content::Board(_, frame) => others.push((frame, image)),
+//!     }
+//!     Ok(())
+//! })?;
+//! let reference = whites.pop().expect("the devignetting image is the last white one");
+//!
+//! // What a user would state about this camera.
+//! let (sheet, board) = (settings.datasheet(), settings.target.board());
+//! let options = PrecalibrationOptions::of_datasheet(&sheet);
+//! let measured = precalibrate(&whites, Some(&reference), &options, &|| ())?;
+//!
+//! let micro_images = MicroImages::of_precalibration(&measured, &sheet)?;
+//! let (micro_images, sensor, estimator) = (&micro_images, &sheet.sensor, DepthEstimator::Line);
+//! let search = Search { micro_images, board: &board, sensor, estimator };
+//! let find = |images: &[(u32, RawImage)], subset| {
+//!     let images: Vec<BoardImage> = images
+//!         .iter()
+//!         .map(|(frame, image)| BoardImage::new(*frame, format!("frame {frame}"), image))
+//!         .collect();
+//!     detect(&images, &reference.image, &search, subset, &|_, _| Ok(()))
+//! };
+//! let found = find(&boards, Subset::Calibration)?;
+//!
+//! let start = Start::Datasheet(sheet, measured.internal.parameters.clone());
+//! let observations =
+//!     Observations { centers: measured.array.centers.clone(), features: found.features() };
 //! let options = CalibrationOptions::default();
 //! let calibration = calibrate(&start, &board, &observations, &options, &mut |_| true)?;
-//! println!("F = {} mm", calibration.camera.main_lens.focal_length_mm);
+//! assert!(calibration.converged);
+//!
+//! let candidate = Candidate {
+//!     name: "simulated".to_owned(),
+//!     std_devs: calibration.uncertainty.intrinsic_std_devs(calibration.camera.lens_types()),
+//!     camera: calibration.camera,
+//! };
+//! let mut input = EvaluationInput::new(board);
+//! input.evaluation = find(&others, Subset::Evaluation)?.features();
+//! input.truth = Some(simulated.truth.camera);
+//! let evaluation = evaluate(&[candidate], &input, &|| ());
+//! assert!(evaluation.problems.is_empty());
+//! let errors = evaluation.candidates[0].truth.as_ref().expect("the truth is known");
+//! println!("F is off by {:.3} mm", errors[0].error());
+//! # assert!((errors[0].error() / errors[0].truth).abs() < 0.02);
 //! # Ok(())
 //! # }
 //! ```
-//!
-//! [`simulation`] makes raw images of a known camera by ray tracing, with their truth.
 //!
 //! # Frames and units
 //!

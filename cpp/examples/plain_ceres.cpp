@@ -4,6 +4,8 @@
 // uses none of its headers. Equations are those of "Blur Aware Calibration of Multi-Focus Plenoptic
 // Camera" (CVPR 2020).
 //
+// Long because it stands alone: one file that anybody can compile and compare with.
+//
 // Lengths are in mm, angles in rad, image quantities in px; pixel (0, 0) is the centre of the
 // top-left pixel. Camera frame: origin O at the main-lens centre, z towards the scene, x right,
 // y down. The image is stored upright, so the pixel axes run against the camera axes:

@@ -165,6 +165,14 @@ pub(super) fn solver_features(
     board: &Board,
 ) -> Vec<SolverFeature> {
     let index: BTreeMap<u32, usize> = poses.iter().enumerate().map(|(i, p)| (p.frame, i)).collect();
+    let mut of_corner: BTreeMap<(u32, i32), f64> = BTreeMap::new();
+    for f in features {
+        *of_corner.entry((f.frame, f.corner)).or_default() += 1.0;
+    }
+    // ρ of a corner follows from its virtual depth, one measurement that all its features in a frame
+    // share. With √n times its σ the n of them weigh as much as that one.
+    let rho_std_dev =
+        |f: &BapFeature| f.rho_std_dev_px.map(|own| own * of_corner[&(f.frame, f.corner)].sqrt());
     let to_solver = |f: &BapFeature| SolverFeature {
         pose: index[&f.frame],
         board_point_mm: board.point_mm(f.corner),
@@ -175,7 +183,7 @@ pub(super) fn solver_features(
         rho_px: f.rho_px,
         std_dev_px: {
             let [u, v] = f.std_dev_px.unwrap_or([NO_OWN_STD_DEV; 2]);
-            [u, v, f.rho_std_dev_px.unwrap_or(NO_OWN_STD_DEV)]
+            [u, v, rho_std_dev(f).unwrap_or(NO_OWN_STD_DEV)]
         },
     };
     features.iter().map(to_solver).collect()

@@ -35,9 +35,11 @@ pub fn images_of(subset: Subset, images: &ImagesSection) -> &[PathBuf] {
 impl Shoot {
     /// An error naming the table that is missing or wrong.
     pub fn of(path: &Path, project: &Project) -> Result<Self> {
-        let missing = |what: &str| Error::invalid(what).in_file(path);
-        let (sheet, images) = camera_and_images(path, project, "calibration = [...]")?;
-        let board = project.board.ok_or_else(|| missing("there is no board in it: add [board]"))?;
+        let sheet = camera_of(path, project)?;
+        let board = project
+            .board
+            .ok_or_else(|| Error::invalid("there is no board in it: add [board]").in_file(path))?;
+        let images = listed_images(path, project, "calibration = [...]")?;
         board.validate().and_then(|()| check_board_size(&board)).map_err(|e| e.in_file(path))?;
         Ok(Self { sheet, board, images })
     }
@@ -91,25 +93,21 @@ impl Shoot {
     }
 }
 
-/// The camera and the list of images of a project; an error naming what is missing, where
-/// `wanted` is what the list should have.
-pub fn camera_and_images(
-    path: &Path,
-    project: &Project,
-    wanted: &str,
-) -> Result<(Datasheet, ImagesSection)> {
-    let missing = |what: String| Error::invalid(what).in_file(path);
+/// The camera of a project; an error naming what is missing or wrong.
+pub fn camera_of(path: &Path, project: &Project) -> Result<Datasheet> {
     let sheet = project.datasheet().map_err(|e| e.in_file(path))?.ok_or_else(|| {
-        missing(
-            "there is no camera in it: add [sensor], [main_lens] and [micro_lens_array]".to_owned(),
-        )
+        Error::invalid("there is no camera in it: add [sensor], [main_lens] and [micro_lens_array]")
+            .in_file(path)
     })?;
-    let images = project
-        .images
-        .clone()
-        .ok_or_else(|| missing(format!("it lists no images: add [images] with {wanted}")))?;
     sheet.validate().map_err(|e| e.in_file(path))?;
-    Ok((sheet, images))
+    Ok(sheet)
+}
+
+/// The images that a project lists; an error naming what to add if it lists none.
+pub fn listed_images(path: &Path, project: &Project, add: &str) -> Result<ImagesSection> {
+    project.images.clone().ok_or_else(|| {
+        Error::invalid(format!("it lists no images: add [images] with {add}")).in_file(path)
+    })
 }
 
 /// How boards are searched for.
@@ -155,7 +153,7 @@ pub fn detect_subset(
     let boards: Vec<BoardImage> = (0..)
         .zip(images)
         .map(|(frame, path)| {
-            BoardImage::new(frame, file_name(path), || {
+            BoardImage::read_by(frame, file_name(path), || {
                 io::read_image(path, Some(shoot.images.color))
             })
         })

@@ -16,7 +16,7 @@ use plenocal::report::{self, Figure};
 use plenocal::{Error, Result};
 use rayon::prelude::*;
 
-use super::boards::camera_and_images;
+use super::boards::{camera_of, listed_images};
 use super::choices::{COLORS, RADIUS_ESTIMATORS, choice};
 use super::progress;
 use super::talk::{print_result, warn};
@@ -181,7 +181,8 @@ fn of_project(
 ) -> Result<(String, serde_json::Value)> {
     let path = &arguments.input;
     let project = Project::read(path)?;
-    let (sheet, images) = camera_and_images(path, &project, "[[images.whites]]")?;
+    let sheet = camera_of(path, &project)?;
+    let images = listed_images(path, &project, "[[images.whites]]")?;
     let options = PrecalibrationOptions {
         estimator: arguments.estimator.unwrap_or_default(),
         ..PrecalibrationOptions::of_datasheet(&sheet)

@@ -1,5 +1,7 @@
 //! The detection as one stage: from images of boards to BAP features.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 use super::{Detection, FrameCounts, Rejection, Search, detect_frame};
@@ -7,23 +9,28 @@ use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::model::{BapFeature, Board, Sensor, Subset};
 
-/// An image of a board, which is read when its turn comes: a whole set need not fit into memory.
+/// An image of a board.
 pub struct BoardImage<'a> {
-    /// Label of the frame.
+    /// Number of the frame.
     pub frame: u32,
     /// What messages call the image.
     pub name: String,
-    read: Box<dyn Fn() -> Result<RawImage> + Sync + 'a>,
+    read: Box<dyn Fn() -> Result<Cow<'a, RawImage>> + Sync + 'a>,
 }
 
 impl<'a> BoardImage<'a> {
-    /// An image that `read` reads.
-    pub fn new(
+    /// An image in memory.
+    pub fn new(frame: u32, name: impl Into<String>, image: &'a RawImage) -> Self {
+        Self { frame, name: name.into(), read: Box::new(move || Ok(Cow::Borrowed(image))) }
+    }
+
+    /// An image that is read when its turn comes: a whole set need not fit into memory.
+    pub fn read_by(
         frame: u32,
         name: impl Into<String>,
         read: impl Fn() -> Result<RawImage> + Sync + 'a,
     ) -> Self {
-        Self { frame, name: name.into(), read: Box::new(read) }
+        Self { frame, name: name.into(), read: Box::new(move || read().map(Cow::Owned)) }
     }
 }
 
@@ -48,7 +55,7 @@ impl std::fmt::Display for NoFeatures {
 /// What was found in an image.
 #[derive(Debug)]
 pub struct DetectedFrame {
-    /// Label of the frame.
+    /// Number of the frame.
     pub frame: u32,
     /// What messages call the image.
     pub name: String,

@@ -53,7 +53,7 @@ pub fn read_camera_source(path: &Path) -> Result<CameraSource> {
             sheet.map(CameraSource::Datasheet).ok_or_else(|| {
                 Error::invalid(
                     "there is no camera in this project file: add [sensor], [main_lens] and \
-                 [micro_lens_array], or give --camera",
+                     [micro_lens_array]",
                 )
             })
         }),

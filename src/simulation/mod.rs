@@ -13,10 +13,13 @@ mod imaging;
 mod imperfections;
 mod main_lens;
 mod presets;
+mod rendering;
 mod sampling;
 mod scene;
 mod settings;
 mod stage;
+#[cfg(test)]
+mod tests;
 mod tracer;
 mod truth;
 

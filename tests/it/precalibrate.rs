@@ -103,7 +103,7 @@ fn a_single_image_gives_its_array_alone() {
 #[test]
 fn another_colour_pattern_than_stated_is_a_warning() {
     let set = Set::mosaic();
-    set.with("bayer-rggb", "bayer-gbrg").stderr(contains("another mosaic is in it"));
+    set.with("bayer-rggb", "bayer-gbrg").stderr(contains("the images have another mosaic"));
     set.with("\"bayer-rggb\"", "\"grey\"").stderr(contains("alternate in brightness"));
 }
 

@@ -1,10 +1,11 @@
 //! The tracer against the closed form and against by-hand cases.
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
-use super::*;
-use crate::model::optics;
-use crate::simulation::{Settings, Target};
+use super::sampling::RaySets;
+use super::scene::PlacedTarget;
+use super::{Imperfections, Scene, Settings, Target, Tracer};
+use crate::model::{PlenopticCamera, optics};
 
 fn settings(name: &str) -> Settings {
     Settings::preset(name, &[]).unwrap()
@@ -42,7 +43,7 @@ fn light_returns_along_the_rays() {
         let mut looked_at = 0;
         for (i, lens) in tracer.array.lenses.iter().enumerate().step_by(97) {
             let center = tracer.outline(lens).0;
-            if !tracer.sensor.contains(center.x, center.y) {
+            if !tracer.sensor().contains(center.x, center.y) {
                 continue;
             }
             let (u, v) = pixel_at(&center);

@@ -1,0 +1,218 @@
+//! Takes images: light of all rays from the pixels through the micro-lenses.
+
+use nalgebra::{Point3, Vector2, Vector3};
+use rayon::prelude::*;
+
+use super::array::MicroLens;
+use super::main_lens::{LocalDistortion, Ray};
+use super::sampling::{RayPoint, RaySets, hash};
+use super::scene::{PlacedTarget, Scene};
+use super::tracer::{Tracer, check_rays};
+use crate::error::Result;
+use crate::image::Image;
+
+/// Tilt changes the outline of a micro-image by less than this part; what is looked at in vain is
+/// cheap.
+const OUTLINE_MARGIN: f64 = 1.02;
+/// Half the diagonal of a pixel, px.
+const HALF_DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+/// What one micro-lens does for one pixel, in local coordinates.
+pub(super) struct Bundle {
+    /// Middle of the pixel, and the steps to its neighbours.
+    pub pixel: Vector3<f64>,
+    pub right: Vector3<f64>,
+    pub down: Vector3<f64>,
+    /// Rays are drawn on the stop of the micro-lens, or else on the pupil: on whichever is the
+    /// smaller one, seen in the plane of the micro-lens.
+    pub on_stop: bool,
+    /// Area that the rays are drawn from, in the plane of the micro-lens.
+    pub area: f64,
+    /// Of the main lens for this bundle, if it leads to the board.
+    pub local: Option<LocalDistortion>,
+}
+
+impl Tracer {
+    /// Takes an image: irradiance of every pixel relative to [`Tracer::reference_irradiance`], from
+    /// `rays` rays for every pixel through every micro-lens that reaches it. `progress` is told of
+    /// every finished row. The same seed gives the same image, whatever the number of threads.
+    pub fn render(
+        &self,
+        scene: &Scene,
+        rays: u32,
+        seed: u64,
+        progress: &(dyn Fn() + Sync),
+    ) -> Result<Image> {
+        check_rays(rays)?;
+        let board = self.place(scene)?;
+        let (width, height) = (self.sensor().width_px as usize, self.sensor().height_px as usize);
+        let by_row = self.micro_lenses_by_row();
+        let sets = RaySets::new(rays);
+        let scale = 1.0 / self.reference_irradiance();
+        let mut pixels = vec![0.0_f32; width * height];
+        pixels.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
+            let mut sums = vec![0.0; width];
+            for &i in &by_row[v] {
+                self.expose(i, v, board.as_ref(), &sets, seed, &mut sums);
+            }
+            for (pixel, sum) in row.iter_mut().zip(&sums) {
+                #[allow(clippy::cast_possible_truncation)] // seven digits are enough
+                let value = (sum * scale) as f32;
+                *pixel = value;
+            }
+            progress();
+        });
+        Ok(Image { width, height, pixels })
+    }
+
+    /// Centre and radius (px) of what a micro-lens can reach.
+    pub(super) fn outline(&self, lens: &MicroLens) -> (Vector2<f64>, f64) {
+        let pupil = Point3::new(0.0, 0.0, self.pupil.z);
+        let center = self.array.to_pixel(&lens.center, &(pupil - lens.center)).coords;
+        (center, self.micro_image_radius_px(lens) * OUTLINE_MARGIN + HALF_DIAGONAL)
+    }
+
+    /// For every row of the image the micro-lenses that reach it, in order.
+    fn micro_lenses_by_row(&self) -> Vec<Vec<usize>> {
+        let height = self.sensor().height_px as usize;
+        let mut rows = vec![Vec::new(); height];
+        for (i, lens) in self.array.lenses.iter().enumerate().filter(|(_, lens)| lens.alive) {
+            let (center, radius) = self.outline(lens);
+            for v in pixels_between(center.y - radius, center.y + radius, height) {
+                rows[v].push(i);
+            }
+        }
+        rows
+    }
+
+    /// Adds the light that comes through micro-lens `i` to the pixels of row `v`.
+    fn expose(
+        &self,
+        i: usize,
+        v: usize,
+        board: Option<&PlacedTarget>,
+        sets: &RaySets,
+        seed: u64,
+        sums: &mut [f64],
+    ) {
+        let lens = &self.array.lenses[i];
+        let (center, radius) = self.outline(lens);
+        let half = (radius * radius - (v as f64 - center.y).powi(2)).max(0.0).sqrt();
+        for u in pixels_between(center.x - half, center.x + half, sums.len()) {
+            let Some(bundle) = self.bundle(lens, u, v, board) else { continue };
+            let points = sets.set(hash([seed, i as u64, u as u64, v as u64]));
+            let light: f64 = if self.dust.touches(u, v) {
+                let clear = |p: &&RayPoint| !self.dust.covers(u, v, p.pixel);
+                points.iter().filter(clear).map(|p| self.light(lens, &bundle, p, board)).sum()
+            } else {
+                points.iter().map(|p| self.light(lens, &bundle, p, board)).sum()
+            };
+            sums[u] += light * bundle.area / points.len() as f64;
+        }
+    }
+
+    /// The rays between a pixel and the pupil through one micro-lens; `None` if there are none.
+    pub(super) fn bundle(
+        &self,
+        lens: &MicroLens,
+        u: usize,
+        v: usize,
+        board: Option<&PlacedTarget>,
+    ) -> Option<Bundle> {
+        let array = &self.array;
+        let pixel = array.local(lens, &array.on_sensor(u as f64, v as f64));
+        let pupil = array.local(lens, &Point3::new(0.0, 0.0, self.pupil.z));
+        let (to_sensor, to_pupil) = (-pixel.z, pupil.z);
+        let demagnification = lens.demagnification(to_sensor, to_pupil);
+        // Everything in the plane of the micro-lens, times the demagnification, which may be 0.
+        let place = pupil.xy() + pixel.xy() * (to_pupil / to_sensor);
+        let stop = array.stop_radius * demagnification.abs();
+        let pixel_reach = HALF_DIAGONAL * array.pixel_size * to_pupil / to_sensor;
+        if place.norm() > (stop + self.pupil.radius + pixel_reach) * OUTLINE_MARGIN {
+            return None;
+        }
+        let on_stop = stop <= self.pupil.radius;
+        let radius =
+            if on_stop { array.stop_radius } else { self.pupil.radius / demagnification.abs() };
+        let local = board.and_then(|board| {
+            // The ray through the middle of the pupil's picture, or its nearest point of the stop.
+            let middle = if stop > 0.0 { place / demagnification } else { place };
+            let within = (array.stop_radius / middle.norm()).min(1.0);
+            let (ray, _) = self.through(lens, middle * within, &pixel);
+            let about = |shift| Some(self.lens.about(ray.at(board.image_z(&ray, shift)?)));
+            about(&about(&Vector2::zeros())?.shift())
+        });
+        let step = array.pixel_size;
+        Some(Bundle {
+            pixel,
+            right: -array.axes.row(0).transpose() * step,
+            down: -array.axes.row(1).transpose() * step,
+            on_stop,
+            area: std::f64::consts::PI * radius * radius,
+            local,
+        })
+    }
+
+    /// The ray from a point of the sensor through `on_lens` (both local) to the main lens, and the
+    /// vector from sensor to micro-lens.
+    #[inline]
+    pub(super) fn through(
+        &self,
+        lens: &MicroLens,
+        on_lens: Vector2<f64>,
+        pixel: &Vector3<f64>,
+    ) -> (Ray, Vector3<f64>) {
+        let inner = Vector3::new(on_lens.x - pixel.x, on_lens.y - pixel.y, -pixel.z);
+        let outer = inner.xy() / inner.z - on_lens * lens.power;
+        let direction = self.array.axes * Vector3::new(outer.x, outer.y, 1.0);
+        let slope = direction.xy() / direction.z;
+        let start = self.array.of_lens(lens, on_lens);
+        (Ray { at_lens: start.xy().coords - slope * start.z, slope }, inner)
+    }
+
+    /// Light along one ray of a bundle, per area of the micro-lens.
+    #[inline]
+    fn light(
+        &self,
+        lens: &MicroLens,
+        bundle: &Bundle,
+        point: &RayPoint,
+        board: Option<&PlacedTarget>,
+    ) -> f64 {
+        let pixel = bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
+        let on_disc = Vector2::from(point.disc);
+        let on_lens = if bundle.on_stop {
+            on_disc * self.array.stop_radius
+        } else {
+            let aim = on_disc * self.pupil.radius;
+            let aim = self.array.local(lens, &Point3::new(aim.x, aim.y, self.pupil.z));
+            (aim.xy() - pixel.xy() * (aim.z / pixel.z)) / lens.demagnification(-pixel.z, aim.z)
+        };
+        let stop = self.array.stop_radius;
+        if !bundle.on_stop && on_lens.norm_squared() > stop * stop {
+            return 0.0;
+        }
+        let (ray, inner) = self.through(lens, on_lens, &pixel);
+        if !self.passes(&ray) {
+            return 0.0;
+        }
+        let radiance = board.map_or(1.0, |board| {
+            let radiance = |local: &LocalDistortion| {
+                let z = board.image_z(&ray, &local.shift())?;
+                Some(board.radiance(&self.lens.object_ray(&ray, z, local)))
+            };
+            bundle.local.as_ref().and_then(radiance).unwrap_or_else(|| board.background())
+        });
+        // Irradiance through a small area of a plane parallel to the sensor: L cos⁴/distance².
+        let z2 = inner.z * inner.z;
+        let cos2 = z2 / inner.norm_squared();
+        radiance * cos2 * cos2 / z2
+    }
+}
+
+/// Whole numbers between two positions, cut to those below `count`.
+fn pixels_between(low: f64, high: f64, count: usize) -> std::ops::Range<usize> {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // saturating, and cut below
+    let (low, high) = (low.ceil().max(0.0) as usize, (high.floor() + 1.0).max(0.0) as usize);
+    low..high.min(count).max(low)
+}
