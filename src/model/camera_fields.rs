@@ -119,3 +119,42 @@ impl TryFrom<CameraFields> for PlenopticCamera {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The shipped camera with another lattice.
+    fn camera(lattice: &str, shifted: Option<&str>) -> Result<PlenopticCamera, String> {
+        let text = include_str!("../../data/synthetic/truth/camera.json");
+        let mut value: serde_json::Value = serde_json::from_str(text).unwrap();
+        let array = &mut value["micro_lens_array"];
+        array["lattice"] = lattice.into();
+        array["focal_lengths_mm"] = serde_json::json!([0.5]);
+        match shifted {
+            Some(parity) => array["shifted"] = parity.into(),
+            None => {
+                array.as_object_mut().unwrap().remove("shifted");
+            }
+        }
+        serde_json::from_value(value).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn orthogonal_lattices_have_no_shifted_rows_to_differ_in() {
+        let camera = |shifted| camera("orthogonal", shifted).unwrap();
+        assert_eq!(camera(Some("even")), camera(Some("odd")));
+        assert_eq!(camera(Some("even")), camera(None));
+        let written = serde_json::to_value(camera(Some("odd"))).unwrap();
+        assert!(written["micro_lens_array"].get("shifted").is_none());
+    }
+
+    #[test]
+    fn hexagonal_lattices_state_which_rows_are_shifted() {
+        for lattice in ["hexagonal-rows", "hexagonal-columns"] {
+            let camera = |shifted| camera(lattice, shifted);
+            assert_ne!(camera(Some("even")).unwrap(), camera(Some("odd")).unwrap());
+            assert!(camera(None).unwrap_err().contains("shifted"));
+        }
+    }
+}

@@ -89,3 +89,25 @@ fn an_interrupt_keeps_older_files() {
     assert_eq!(fs::read_to_string(&project).unwrap(), "older");
     assert_eq!(files(folder.path()), 1);
 }
+
+/// Nobody reads stderr any more when the interrupt comes.
+#[test]
+fn an_interrupt_ends_a_program_whose_stderr_is_closed() {
+    let folder = TempDir::new().unwrap();
+    let mut child = simulation(&folder.path().join("set"));
+    drop(child.stderr.take());
+    send("-INT", &child);
+    let begun = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            break status;
+        }
+        if begun.elapsed() > PATIENCE {
+            child.kill().unwrap();
+            panic!("it does not end");
+        }
+        sleep(TICK);
+    };
+    assert_eq!(status.code(), Some(130));
+    assert!(!folder.path().join("set").exists());
+}

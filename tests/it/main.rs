@@ -30,3 +30,4 @@ mod run;
 mod simulate;
 mod simulation;
 mod support;
+mod weights;

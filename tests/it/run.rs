@@ -3,6 +3,8 @@
 //! The tests start from copies of one run: a small simulated set in `set`, its results in `results`.
 
 use std::fs;
+#[cfg(unix)]
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
@@ -173,6 +175,23 @@ fn an_unchanged_run_does_nothing_and_writes_only_the_report() {
         differing.iter().all(|name| *name == Path::new("results/report.html")),
         "{differing:?}"
     );
+}
+
+/// Built from other sources it may compute something else, though its version is the same.
+#[test]
+#[cfg(unix)]
+fn another_build_of_the_program_repeats_the_stages() {
+    let run = Run::copy();
+    run.again(&["--folds", "3"]).success().stderr(contains("calibration: unchanged"));
+    let other = run.path("plenocal");
+    let mut program = fs::read(assert_cmd::cargo::cargo_bin("plenocal")).unwrap();
+    // What follows an executable is not part of it.
+    program.extend(b"other");
+    fs::write(&other, program).unwrap();
+    fs::set_permissions(&other, fs::Permissions::from_mode(0o755)).unwrap();
+    let mut command = assert_cmd::Command::new(&other);
+    command.arg("run").arg(run.path("set/project.toml")).arg("--out").arg(run.path("results"));
+    command.args(["--folds", "3"]).assert().success().stderr(contains("unchanged").not());
 }
 
 #[test]
