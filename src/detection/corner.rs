@@ -56,7 +56,7 @@ impl Corner {
             equations.add(&row, &Vector1::new(patch.light[i]), patch.weight[i]);
         }
         let levels = equations.solve()?;
-        Some(levels[1].abs().max(levels[2].abs()) / levels[3].abs())
+        Some(f64::from(levels[1].abs().max(levels[2].abs()) / levels[3].abs()))
     }
 
     /// Standard deviation of the place per axis, px, the mean of both axes.

@@ -64,7 +64,7 @@ fn saddle(
         let row = Vector6::new(1.0, x, y, x * x, x * y, y * y);
         equations.add(&row, &Vector1::new(patch.light[i] - mean as f32), patch.weight[i]);
     }
-    let fit = equations.solve()?;
+    let fit = equations.in_double().solve()?;
     let scale = f64::from(SCALE);
     let hessian = Matrix2::new(2.0 * fit[3], fit[4], fit[4], 2.0 * fit[5]) / (scale * scale);
     let eigen = hessian.symmetric_eigen();

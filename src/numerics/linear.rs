@@ -5,14 +5,14 @@ use nalgebra::{RealField, SMatrix, SVector};
 /// The normal equations of P unknowns, each of Q columns wide, summed row by row: the design matrix
 /// itself is never stored, so that sums over millions of pixels take no memory.
 ///
-/// Sums are kept in the precision T of the data; they are solved in double precision.
+/// Sums are kept and solved in the precision T of the data, see [`Self::in_double`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NormalEquations<T, const P: usize, const Q: usize> {
     normal: SMatrix<T, P, P>,
     right: SMatrix<T, P, Q>,
 }
 
-impl<T: RealField + Copy + Into<f64>, const P: usize, const Q: usize> NormalEquations<T, P, Q> {
+impl<T: RealField + Copy, const P: usize, const Q: usize> NormalEquations<T, P, Q> {
     /// No rows yet.
     pub fn new() -> Self {
         Self { normal: SMatrix::zeros(), right: SMatrix::zeros() }
@@ -33,14 +33,21 @@ impl<T: RealField + Copy + Into<f64>, const P: usize, const Q: usize> NormalEqua
     }
 
     /// The whole normal matrix AᵀWA.
-    pub fn normal(&self) -> SMatrix<f64, P, P> {
-        SMatrix::from_fn(|i, j| self.normal[(i.max(j), i.min(j))].into())
+    pub fn normal(&self) -> SMatrix<T, P, P> {
+        SMatrix::from_fn(|i, j| self.normal[(i.max(j), i.min(j))])
     }
 
     /// The unknowns; `None` if the rows do not determine them.
-    pub fn solve(&self) -> Option<SMatrix<f64, P, Q>> {
-        let right = self.right.map(Into::into);
-        Some(self.normal().cholesky()?.solve(&right))
+    pub fn solve(&self) -> Option<SMatrix<T, P, Q>> {
+        Some(self.normal.cholesky()?.solve(&self.right))
+    }
+
+    /// The sums for a solution in double precision.
+    pub fn in_double(&self) -> NormalEquations<f64, P, Q>
+    where
+        T: Into<f64>,
+    {
+        NormalEquations { normal: self.normal.map(Into::into), right: self.right.map(Into::into) }
     }
 }
 
@@ -51,7 +58,7 @@ mod tests {
 
     #[test]
     fn a_straight_line_is_found() {
-        let mut equations = NormalEquations::new();
+        let mut equations = NormalEquations::<f64, 2, 1>::new();
         for (x, weight) in [(0.0, 1.0), (1.0, 0.25), (5.0, 2.0)] {
             equations.add(&Vector2::new(1.0, x), &Vector1::new(3.0 - 2.0 * x), weight);
         }
