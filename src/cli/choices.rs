@@ -14,8 +14,11 @@ type Choice<T> = (&'static str, &'static str, T);
 
 pub const MODES: &[Choice<Mode>] = &[
     ("full", "Camera and poses, from (u, v, rho) and the centres", Mode::Full),
-    ("corners-only", "Camera with pinholes, and poses, from (u, v) and the centres", \
-      Mode::CornersOnly),
+    (
+        "corners-only",
+        "Camera with pinholes, and poses, from (u, v) and the centres",
+        Mode::CornersOnly,
+    ),
     ("poses-only", "Poses, with the camera fixed", Mode::PosesOnly),
 ];
 
@@ -49,8 +52,11 @@ pub const RADIUS_ESTIMATORS: &[Choice<RadiusEstimator>] = &[
 pub const COLORS: &[Choice<Color>] = &[
     ("grey", "One sample per pixel", Color::Grey),
     ("rgb", "Red, green and blue of every pixel", Color::Rgb),
-    ("bayer-rggb", "A colour mosaic, named by the first two pixels of its first two rows", \
-      Color::BayerRggb),
+    (
+        "bayer-rggb",
+        "A colour mosaic, named by the first two pixels of its first two rows",
+        Color::BayerRggb,
+    ),
     ("bayer-grbg", "", Color::BayerGrbg),
     ("bayer-gbrg", "", Color::BayerGbrg),
     ("bayer-bggr", "", Color::BayerBggr),

@@ -98,8 +98,10 @@ fn board(text: &str) -> std::result::Result<Board, String> {
         _ => None,
     };
     let ((columns, rows), square_mm) = parsed.ok_or_else(|| {
-        format!("'{text}' is not a board; write 9x5x10 for 9 x 5 inner corners and squares of 10 \
-                 mm")
+        format!(
+            "'{text}' is not a board; write 9x5x10 for 9 x 5 inner corners and squares of 10 \
+                 mm"
+        )
     })?;
     let board = Board { columns, rows, square_mm };
     board.validate().map(|()| board).map_err(|e| e.to_string())

@@ -233,8 +233,9 @@ pub(super) fn stage(
         },
         Figure {
             name: "micro-images.svg".to_owned(),
-            caption: "The middle of a white image with the micro-images found, coloured by lens type."
-                .to_owned(),
+            caption:
+                "The middle of a white image with the micro-images found, coloured by lens type."
+                    .to_owned(),
             svg: report::micro_images_figure(
                 &whites[middle].image,
                 &result.array,
