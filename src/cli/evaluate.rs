@@ -44,7 +44,7 @@ pub struct Arguments {
     /// The true camera, instead of the one in [truth].
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
-    /// Number of folds: calibrate once for each fold without its frames, then reproject these.
+    /// Number of folds: for each, calibrate once without its frames and reproject these.
     #[arg(long, value_name = "K", requires = "features")]
     folds: Option<usize>,
     /// Features of the calibration boards, for --folds.

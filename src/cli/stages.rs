@@ -123,7 +123,7 @@ impl Stages<'_> {
         self.out.join(stage)
     }
 
-    /// Corners only is a comparison: it needs a calibration with blur to compare with.
+    /// Whether there is a calibration with blur, to which corners only can be compared.
     pub fn has_both(&self) -> bool {
         self.options.mode == Mode::Full && self.shoot.sheet.lens_types > 0
     }
@@ -224,7 +224,7 @@ impl Stages<'_> {
     /// Calibrates in the mode of the project, or for comparison with corners only.
     pub fn calibration(&self, ledger: &mut Ledger, stage: &'static str) -> Result<()> {
         let mut options = self.options.clone();
-        let title = if stage == CALIBRATION { "Calibration" } else { "From corners alone" };
+        let title = if stage == CALIBRATION { "Calibration" } else { "Corners only" };
         if stage == CORNERS_ONLY {
             options.mode = Mode::CornersOnly;
             options.cost.fixed.retain(|name| !name.starts_with("f_"));

@@ -1,7 +1,7 @@
 //! `camera.json`: a calibrated camera with the uncertainty of its parameters.
 //!
-//! The unit of every number is in its name; their meaning is documented at [`PlenopticCamera`]. A
-//! reader has to check `format` and `version` first.
+//! The unit of every number is in its name. The meaning of the numbers is documented at
+//! [`PlenopticCamera`]. A reader has to check `format` and `version` first.
 
 use std::path::Path;
 

@@ -2,9 +2,9 @@
 //!
 //! Where they differ from plenocal's:
 //! - JSON numbers are mostly written as strings, vectors as matrices of one row.
-//! - Micro-lenses (k', l') count along +x and +y of the camera, opposite to the micro-images: k' =
-//!   columns − 1 − k, l' = rows − 1 − l. So do the pixels of the sensor's frame: x = W − 1 − u, y =
-//!   H − 1 − v.
+//! - Micro-lenses (k', l') count along +x and +y of the camera, opposite to the micro-images:
+//!   k' = columns − 1 − k, l' = rows − 1 − l. So do the pixels of the sensor's frame:
+//!   x = W − 1 − u, y = H − 1 − v.
 //! - The frame of the array has its origin at lattice position (0, 0), not at the array's centre,
 //!   and the sensor's frame has its origin at its own pixel (0, 0); poses take array or sensor into
 //!   the camera.

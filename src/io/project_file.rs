@@ -144,7 +144,7 @@ impl WhiteImage {
             (None, Some(stop)) if stop > 0.0 => Ok(optics::f_number_of_stop(stop)),
             (None, Some(stop)) => Err(Error::invalid(format!("a stop of {stop} is not possible"))),
             _ => Err(Error::invalid(format!(
-                "the white image {} needs either f_number, or stop as engraved, not both",
+                "the white image {} needs either f_number or stop (as engraved), and not both",
                 self.image.display()
             ))),
         }
