@@ -85,7 +85,7 @@ impl Kind {
     }
 }
 
-/// An error names an option that is for another kind of input.
+/// Checks the options; an error names one that is for another kind of input.
 fn check_options(arguments: &Arguments, kind: Kind) -> Result<()> {
     let options = [
         (arguments.size.is_some(), Kind::Raytrix, "--size is for a Raytrix calibration (XML)"),

@@ -155,7 +155,7 @@ impl RaytrixCalibration {
         let from_first = p - Self::middle(width, height) - self.offset_px;
         let place = self.steps_px.try_inverse().unwrap_or_else(Matrix2::zeros) * from_first;
         // On a hexagonal lattice rounding does not always give the nearest node: its neighbours
-        // compete.
+        // are tried too.
         let rounded = place.map(f64::round);
         let around = (-1..=1).flat_map(|i| (-1..=1).map(move |j| (f64::from(i), f64::from(j))));
         around

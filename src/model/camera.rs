@@ -142,7 +142,7 @@ impl PlenopticCamera {
             / (mla.lens_to_mla_mm * self.sensor.pixel_size_mm)
     }
 
-    /// An error names the value that is not possible.
+    /// Checks all values; an error names the one that is not possible.
     pub fn validate(&self) -> Result<()> {
         self.sensor.validate()?;
         check_array_size(self.lattice.columns, self.lattice.rows)?;

@@ -57,7 +57,7 @@ pub struct InternalParameters {
 }
 
 impl Datasheet {
-    /// An error names the value that is not possible.
+    /// Checks all values; an error names the one that is not possible.
     pub fn validate(&self) -> Result<()> {
         self.sensor.validate()?;
         check_array_size(self.columns, self.rows)?;
@@ -80,7 +80,7 @@ impl Datasheet {
 }
 
 impl InternalParameters {
-    /// An error names the value that is not possible, or the number of q' that does not match.
+    /// Checks all values; an error names the one that is not possible, or a wrong number of q'.
     pub fn validate(&self, lens_types: usize) -> Result<()> {
         positive(self.m_mm, "the internal parameter |m| (mm)")?;
         for (i, &q) in self.q_prime_mm.iter().enumerate() {

@@ -62,8 +62,8 @@ impl Observations {
         self.features.iter().map(|f| f.frame).collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// An error names the first observation that is impossible: not finite, outside the array, the
-    /// board or the image, or given twice; or a frame with too few corners.
+    /// Checks all observations; an error names the first that is impossible: not finite, outside
+    /// the array, the board or the image, or given twice; or a frame with too few corners.
     pub fn validate(
         &self,
         sensor: &Sensor,

@@ -18,9 +18,9 @@ pub fn focus_image_distance(focal_length: f64, focus_distance: f64) -> f64 {
 
 /// Initial D and d (paper, section 5.1), mm.
 ///
-/// The main lens is focused at 2d behind the array (Galilean) or in front of it (Keplerian), D = H
-/// ∓ 2d, or on it (unfocused); the slope of the micro-image radii gives m = dF/2D, Eq.
-/// (miradiusfnumbermc). Together they give d = 2mH/(F ± 4m); the paper prints the Galilean case.
+/// The main lens is focused at 2d behind the array (Galilean) or in front of it (Keplerian),
+/// D = H ∓ 2d, or on it (unfocused); the slope of the micro-image radii gives m = dF/2D,
+/// Eq. (miradiusfnumbermc). Together they give d = 2mH/(F ± 4m); the paper prints the Galilean case.
 #[must_use]
 pub fn initial_distances(
     focal_length: f64,
