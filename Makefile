@@ -4,12 +4,12 @@ PACKAGES = g++ cmake make libceres-dev libeigen3-dev libopencv-dev libclang-dev 
            clang-format libgtest-dev shellcheck
 # What only `make test-all` needs: a browser, shells, a formatter of manual pages.
 TOOLS = chromium zsh fish groff-base
-# Which command, whether root or not, may install packages.
+# Packages are installed with sudo, except by root.
 SUDO = $(if $(filter 0,$(shell id -u)),,sudo)
 BUILD = build/cpp
 MAKEFLAGS += --no-print-directory
 # The independent program of the tests and benchmarks; set for every target, so that nothing is
-# built anew between them.
+# rebuilt between them.
 export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
 
 .PHONY: help deps deps-all build demo cpp test test-all test-slow test-cpp test-rust lint bench doc \
@@ -18,13 +18,13 @@ export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
 help:
 	@echo "make demo       simulate a camera, calibrate it from its images, write a report"
 	@echo "make test       the tests; PLENOCAL_R12A=DIR and PLENOCAL_WHITES=DIR add real data"
-	@echo "make test-all   also reports in a browser, completions in shells, manual pages; installs Chromium"
+	@echo "make test-all   also reports in a browser, shell completions, manual pages; installs Chromium"
 	@echo "make test-slow  the slow tests (Monte Carlo)"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program"
 	@echo "make doc        API documentation in target/doc"
-	@echo "make data       write data/synthetic anew"
-	@echo "make figures    write docs/figures anew"
+	@echo "make data       regenerate data/synthetic"
+	@echo "make figures    regenerate docs/figures"
 	@echo "make format     format all sources"
 	@echo "make deps       install the Debian packages that are missing"
 

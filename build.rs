@@ -1,7 +1,7 @@
 //! Builds the C++ core with `CMake`, then the bridge to it with `cxx-build`.
 
 fn main() {
-    // Always optimised: Ceres' Jets are some fifty times slower without inlining.
+    // Always optimised: Ceres' Jets are about fifty times slower without inlining.
     let core = cmake::Config::new("cpp")
         .profile("Release")
         .define("PLENOCAL_BUILD_TESTS", "OFF")
@@ -13,12 +13,13 @@ fn main() {
         .include("cpp/bridge")
         .include(core.join("include"))
         .include("/usr/include/eigen3")
-        // Ceres' headers include glog's, which from 0.7 on want this; CMake's targets set it.
+        // Ceres' headers include glog's, which need this since version 0.7; CMake's targets set it.
         .define("GLOG_USE_GLOG_EXPORT", None)
         .std("c++17")
         .compile("plenocal_bridge");
 
-    // The order matters to linkers that read once: bridge, core, what the core needs.
+    // The order matters to linkers that read each library once: bridge, core, then what the core
+    // needs.
     println!("cargo:rustc-link-search=native={}", core.join("lib").display());
     println!("cargo:rustc-link-lib=static=plenocal");
     println!("cargo:rustc-link-lib=dylib=ceres");

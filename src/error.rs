@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-/// What went wrong, in words that name the file or value.
+/// What went wrong, naming the file or value.
 ///
-/// The variants with values of their own are those whose remedy depends on how the library is
-/// called: the command line adds which option helps.
+/// Some remedies depend on how the library is called. Such errors have a variant of their own, to
+/// which the command line adds the option that helps.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A file could not be opened or read.
@@ -38,17 +38,17 @@ pub enum Error {
     /// A feature without a blur radius, where the cost needs one.
     #[error("{feature} has no blur radius")]
     NoBlurRadius {
-        /// The feature, in words.
+        /// Description of the feature.
         feature: String,
     },
     /// A frame with too few board corners for a pose.
     #[error("frame {frame} shows {corners} board corner(s), but a pose needs at least {needed}")]
     TooFewCorners {
-        /// Label of the frame.
+        /// Number of the frame.
         frame: u32,
-        /// Its board corners.
+        /// Number of its board corners.
         corners: usize,
-        /// Fewest that give a pose.
+        /// Smallest number that gives a pose.
         needed: usize,
     },
     /// A calibration without micro-image centres.
@@ -62,7 +62,7 @@ pub enum Error {
         /// Which part.
         missing: Input,
     },
-    /// Poses alone were asked for, but only the datasheet of a camera is there.
+    /// Only poses were requested, but the camera is given by its datasheet.
     #[error("poses alone need a calibrated camera, but this is a datasheet")]
     NotCalibrated,
 }
@@ -99,7 +99,7 @@ impl Error {
         Self::Invalid(message.into()).in_file(path)
     }
 
-    /// Values that contradict each other, or for which something is not defined.
+    /// An error about values that contradict each other, or for which something is not defined.
     pub fn invalid(message: impl Into<String>) -> Self {
         Self::Invalid(message.into())
     }

@@ -33,7 +33,7 @@ pub fn images_of(subset: Subset, images: &ImagesSection) -> &[PathBuf] {
 }
 
 impl Shoot {
-    /// An error naming the table that is missing or wrong.
+    /// Takes it from a project; an error names the table that is missing or wrong.
     pub fn of(path: &Path, project: &Project) -> Result<Self> {
         let sheet = camera_of(path, project)?;
         let board = project
@@ -44,7 +44,7 @@ impl Shoot {
         Ok(Self { sheet, board, images })
     }
 
-    /// The white image in the light of the boards, or the one at their f-number.
+    /// The devignetting image, or else the white image at the f-number of the boards.
     pub fn white_image(&self) -> Result<PathBuf> {
         // f/11 is engraved for f/11.31, f/22 for f/22.63.
         const SAME_STOP: f64 = 0.04;
@@ -73,7 +73,7 @@ impl Shoot {
         )))
     }
 
-    /// The micro-images by a folder that `precalibrate` has written; an error if it is of another
+    /// The micro-images from a folder written by `precalibrate`; an error if it belongs to another
     /// camera.
     pub fn read_precalibration(&self, folder: &Path) -> Result<MicroImages> {
         let (internal, centers) = (folder.join("precalibration.json"), folder.join("centers.csv"));
@@ -93,7 +93,7 @@ impl Shoot {
     }
 }
 
-/// The camera of a project; an error naming what is missing or wrong.
+/// The camera of a project; an error names what is missing or wrong.
 pub fn camera_of(path: &Path, project: &Project) -> Result<Datasheet> {
     let sheet = project.datasheet().map_err(|e| e.in_file(path))?.ok_or_else(|| {
         Error::invalid("there is no camera in it: add [sensor], [main_lens] and [micro_lens_array]")
@@ -103,7 +103,7 @@ pub fn camera_of(path: &Path, project: &Project) -> Result<Datasheet> {
     Ok(sheet)
 }
 
-/// The images that a project lists; an error naming what to add if it lists none.
+/// The images that a project lists; if it lists none, an error says what to add.
 pub fn listed_images(path: &Path, project: &Project, add: &str) -> Result<ImagesSection> {
     project.images.clone().ok_or_else(|| {
         Error::invalid(format!("it lists no images: add [images] with {add}")).in_file(path)
@@ -140,7 +140,7 @@ pub fn detect_subset(
     let images = images_of(options.subset, &shoot.images);
     if images.is_empty() {
         let subset = options.subset.name();
-        return Err(Error::invalid(format!("[images] lists no boards of {subset}")).in_file(path));
+        return Err(Error::invalid(format!("[images] lists no boards for {subset}")).in_file(path));
     }
     let white = shoot.white_image().map_err(|e| e.in_file(path))?;
     let white = io::read_image(&white, Some(shoot.images.color))?;
@@ -198,7 +198,7 @@ pub fn figures(found: &DetectedBoards, options: Options) -> Vec<Figure> {
     let figure = |frame: &DetectedFrame| Figure {
         name: picture(frame.frame),
         caption: format!(
-            "Frame {} ({}): features with their blur circles, coloured by corner, and the lattice of \
+            "Frame {} ({}): features with their blur circles, coloured by corner, and the grid of \
              the board.",
             frame.frame, frame.name
         ),

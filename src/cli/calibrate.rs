@@ -17,22 +17,22 @@ use super::talk::{print_result, say, warn, warn_of_calibration};
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///
-/// Give a project file, or the single files, or both: single files take precedence over the project.
-/// Files are recognised by their content, so plenocal's own and COMPOTE's can be mixed.
-// Parameter names in the help are no code.
+/// Give a project file, or individual files, or both: individual files take precedence over the
+/// project. Files are recognised by their content, so plenocal's own and COMPOTE's can be mixed.
+// Parameter names in the help are not code.
 #[allow(clippy::doc_markdown)]
 #[derive(Args)]
 #[command(after_help = EXAMPLES, allow_negative_numbers = true)]
 pub struct Arguments {
-    /// Project file (TOML) with the camera, the board, where the observations are, and options.
+    /// Project file (TOML) with the camera, the board, the paths of the observations, and options.
     project: Option<PathBuf>,
 
     /// Folder for the results: camera.json, poses.json, residuals.csv, solver.txt.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
-    /// Camera: its datasheet values (COMPOTE's camera.js, a project file), or to start from a
-    /// calibrated one (camera.json, COMPOTE's intrinsics.js).
+    /// Camera: datasheet values (COMPOTE's camera.js, a project file), or a calibrated camera to
+    /// start from (camera.json, COMPOTE's intrinsics.js).
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     camera: Option<PathBuf>,
     /// Internal parameters m and q' from white images (COMPOTE's params.js, a project file).
@@ -44,8 +44,8 @@ pub struct Arguments {
     /// Micro-image centres: CSV k,l,u,v.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     centers: Option<PathBuf>,
-    /// BAP features: CSV k,l,u,v,rho,cluster,frame, or COMPOTE's .bin.gz, which holds the centres
-    /// too.
+    /// BAP features: CSV k,l,u,v,rho,cluster,frame, or COMPOTE's .bin.gz, which contains the
+    /// centres too.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     features: Option<PathBuf>,
     /// Frames to leave out, e.g. 3,7.
@@ -74,14 +74,14 @@ pub struct Arguments {
     /// Robust loss on the norm of every observation's residual [default: none].
     #[arg(long, value_parser = choice(LOSSES), help_heading = "Estimation")]
     loss: Option<LossKind>,
-    /// Where the loss sets in, standard deviations [default: 1].
+    /// Residual beyond which the loss acts, in standard deviations [default: 1].
     #[arg(long, value_name = "N", help_heading = "Estimation")]
     loss_scale: Option<f64>,
-    /// Limit of iterations [default: 200].
+    /// Maximum number of iterations [default: 200].
     #[arg(long, value_name = "N", help_heading = "Estimation")]
     max_iterations: Option<usize>,
-    /// Threads of the solver; with 1 the results are the same to the last bit, with more they
-    /// differ by rounding [default: all cores].
+    /// Threads of the solver; with 1 results repeat to the last bit, with more they differ by
+    /// rounding [default: all cores].
     #[arg(long, value_name = "N", help_heading = "Estimation")]
     threads: Option<usize>,
 
@@ -138,7 +138,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     Ok(not_converged(&calibration))
 }
 
-/// Says so and gives the exit status.
+/// Reports that a calibration has not converged, and returns the exit status.
 pub(super) fn not_converged(calibration: &Calibration) -> ExitCode {
     let remedy = match calibration.refinement.termination {
         Termination::IterationLimit => " Raise --max-iterations.",
@@ -148,7 +148,7 @@ pub(super) fn not_converged(calibration: &Calibration) -> ExitCode {
     ExitCode::from(3)
 }
 
-/// Writes the results of a calibration.
+/// Stages the results of a calibration.
 pub(super) fn stage_results(
     output: &mut OutputFolder,
     calibration: &Calibration,
@@ -165,7 +165,7 @@ pub(super) fn stage_results(
         output.stage_json(folder.join("intrinsics.js"), &intrinsics)?;
         output.stage_json(folder.join("poses.js"), &compote::poses_document(&calibration.poses))?;
     }
-    // Poses alone leave the camera as it is.
+    // With poses only, the camera is unchanged.
     if !calibration.uncertainty.free_intrinsics.is_empty() {
         output.stage_json("camera.json", &io::calibrated_camera_document(calibration))?;
     }

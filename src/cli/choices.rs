@@ -1,4 +1,4 @@
-//! Values that an option chooses from, with the words that the help has for them.
+//! The values that an option can take, with their descriptions in the help.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use plenocal::calibration::Mode;
@@ -9,17 +9,21 @@ use plenocal::model::Subset;
 use plenocal::precalibration::RadiusEstimator;
 use plenocal::solver::LossKind;
 
-/// Name, words for the help, value.
+/// Name, description in the help, value.
 type Choice<T> = (&'static str, &'static str, T);
 
 pub const MODES: &[Choice<Mode>] = &[
-    ("full", "Camera and poses from (u, v, rho) and the centres", Mode::Full),
-    ("corners-only", "Camera of pinholes and poses from (u, v) and the centres", Mode::CornersOnly),
+    ("full", "Camera and poses, from (u, v, rho) and the centres", Mode::Full),
+    (
+        "corners-only",
+        "Camera with pinholes, and poses, from (u, v) and the centres",
+        Mode::CornersOnly,
+    ),
     ("poses-only", "Poses, with the camera fixed", Mode::PosesOnly),
 ];
 
 pub const PITCHES: &[Choice<Pitches>] = &[
-    ("one", "The same along x and y (the paper)", Pitches::One),
+    ("one", "One for both axes (the paper)", Pitches::One),
     ("two", "One along x, one along y", Pitches::Two),
 ];
 
@@ -37,7 +41,7 @@ pub const SUBSETS: &[Choice<Subset>] = &[
 
 pub const DEPTH_ESTIMATORS: &[Choice<DepthEstimator>] = &[
     ("line", "A line through all micro-images", DepthEstimator::Line),
-    ("median", "The paper's median over pairs of them", DepthEstimator::Median),
+    ("median", "The paper's median over pairs of micro-images", DepthEstimator::Median),
 ];
 
 pub const RADIUS_ESTIMATORS: &[Choice<RadiusEstimator>] = &[
@@ -46,15 +50,19 @@ pub const RADIUS_ESTIMATORS: &[Choice<RadiusEstimator>] = &[
 ];
 
 pub const COLORS: &[Choice<Color>] = &[
-    ("grey", "One sample a pixel", Color::Grey),
+    ("grey", "One sample per pixel", Color::Grey),
     ("rgb", "Red, green and blue of every pixel", Color::Rgb),
-    ("bayer-rggb", "A colour mosaic, by the first pixels of its first two rows", Color::BayerRggb),
+    (
+        "bayer-rggb",
+        "A colour mosaic, named by the first two pixels of its first two rows",
+        Color::BayerRggb,
+    ),
     ("bayer-grbg", "", Color::BayerGrbg),
     ("bayer-gbrg", "", Color::BayerGbrg),
     ("bayer-bggr", "", Color::BayerBggr),
 ];
 
-/// Parses one of some choices.
+/// Parses one of several choices.
 pub fn choice<T: Copy + Send + Sync + 'static>(
     choices: &'static [Choice<T>],
 ) -> impl TypedValueParser<Value = T> {
@@ -66,7 +74,7 @@ pub fn choice<T: Copy + Send + Sync + 'static>(
         let (.., value) = choices
             .iter()
             .find(|(name, ..)| *name == chosen)
-            .expect("clap passes on only what is possible");
+            .expect("clap accepts only possible values");
         *value
     })
 }

@@ -15,10 +15,10 @@ use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::precalibrate::{measure, stage_centers};
 use super::talk::{print_result, warn};
 
-/// Detect the corners of a checkerboard in raw images, without a click.
+/// Detect the corners of a checkerboard in raw images automatically.
 ///
-/// Every micro-image is searched; what was found, and what was dropped and why, is listed frame by
-/// frame. A frame in which the board is not recognised is left out, and the others go on.
+/// Every micro-image is searched. What was found, and what was dropped and why, is listed frame by
+/// frame. A frame in which the board is not recognised is left out; the others are still used.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
@@ -28,7 +28,7 @@ pub struct Arguments {
     /// --precalibration, centers.csv and precalibration.json.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Folder that `plenocal precalibrate` has written; without it the white images of the project are
+    /// Folder written by `plenocal precalibrate`; without it the white images of the project are
     /// measured first.
     #[arg(long, value_name = "DIR")]
     precalibration: Option<PathBuf>,

@@ -21,33 +21,33 @@ use super::talk::{print_result, warn};
 /// Evaluate a camera: on boards that it was not calibrated with, on known motions, against the truth, and
 /// by leaving frames out.
 ///
-/// From the project it takes the boards of `evaluation` and `translation` (with the steps, and point
-/// clouds of the same motion by other software), and the true camera of [truth]. What the project does
-/// not have is not evaluated.
+/// The project supplies the boards of `evaluation` and `translation` (with the steps, and point
+/// clouds of the same motion from other software), and the true camera of [truth]. What it does not
+/// list is not evaluated.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images].
     project: PathBuf,
-    /// Folder for the results: evaluation.json, and the features of the boards in folders of their own.
+    /// Folder for the results: evaluation.json, and the features of each subset in its own folder.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Calibrated camera (camera.json, COMPOTE's intrinsics.js); several are compared.
+    /// Calibrated camera (camera.json, COMPOTE's intrinsics.js); give several to compare them.
     #[arg(long, value_name = "FILE", required = true)]
     camera: Vec<PathBuf>,
-    /// Folder that `plenocal precalibrate` has written.
+    /// Folder written by `plenocal precalibrate`.
     #[arg(long, value_name = "DIR")]
     precalibration: PathBuf,
     /// How the virtual depth of a corner is estimated.
     #[arg(long, value_parser = choice(DEPTH_ESTIMATORS), default_value = "line")]
     estimator: DepthEstimator,
-    /// The true camera, instead of the one of [truth].
+    /// The true camera, instead of the one in [truth].
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
-    /// Number of folds: calibrate once for each, without its frames, and reproject them.
+    /// Number of folds: for each, calibrate once without its frames and reproject these.
     #[arg(long, value_name = "K", requires = "features")]
     folds: Option<usize>,
-    /// Features of the boards for the calibration, for --folds.
+    /// Features of the calibration boards, for --folds.
     #[arg(long, value_name = "FILE", requires = "folds")]
     features: Option<PathBuf>,
     /// Print the result as one JSON object instead of tables.
@@ -108,7 +108,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
             };
             let Input { start, observations, options, .. } =
                 Input::read(&files, io::CalibrationSection::default())?;
-            // Impossible folds are an error before the work rather than after it.
+            // Impossible folds are reported before the work, not after it.
             foldable_frames(&observations, &options, count)?;
             Some(Folds { start, observations, options, count })
         }
@@ -173,7 +173,7 @@ pub fn evaluated(candidates: &[Candidate], input: &EvaluationInput, quiet: bool)
     evaluation
 }
 
-/// Cameras by the names of their files, or where these are alike of their folders.
+/// Cameras, named after their files, or after their folders where the file names are the same.
 fn candidates(paths: &[PathBuf]) -> Result<Vec<Candidate>> {
     let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let alike = |path: &Path| paths.iter().filter(|other| stem(other) == stem(path)).count() > 1;

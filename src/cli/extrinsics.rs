@@ -19,7 +19,7 @@ use super::talk::{print_result, warn, warn_of_calibration};
 /// Find the poses of boards in raw images with a calibrated camera.
 ///
 /// Every frame that shows the board gives camera_from_board with its standard deviations.
-// Names in the help are no code.
+// Names in the help are not code.
 #[allow(clippy::doc_markdown)]
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
@@ -32,7 +32,7 @@ pub struct Arguments {
     /// Calibrated camera (camera.json, COMPOTE's intrinsics.js).
     #[arg(long, value_name = "FILE")]
     camera: PathBuf,
-    /// Folder that `plenocal precalibrate` has written.
+    /// Folder written by `plenocal precalibrate`.
     #[arg(long, value_name = "DIR")]
     precalibration: PathBuf,
     /// Which images of the project to search.

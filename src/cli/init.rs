@@ -18,33 +18,33 @@ use super::simulate::preset_names;
 
 /// Write a project file for a folder of images.
 ///
-/// Images are sorted by the names of folders and files. What is not known, from names, images,
-/// options or a preset, stands in the file as a comment that says what to fill in.
+/// Images are sorted by the names of folders and files. What the names, images, options and preset
+/// leave unknown becomes a comment in the file that says what to fill in.
 #[derive(Args)]
 #[command(after_help = HELP, allow_negative_numbers = true)]
 pub struct Arguments {
-    /// Folder with the images (PNG, TIFF, BMP, PGM, JPEG), looked through with all folders in it.
+    /// Folder with the images (PNG, TIFF, BMP, PGM, JPEG), searched with all its subfolders.
     images: PathBuf,
     /// The project file to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Replace the file if it is there.
+    /// Replace the file if it exists.
     #[arg(long)]
     force: bool,
 
-    /// A camera of this kind, for the values of its datasheet: pixel size, main lens, array.
+    /// Take the datasheet values (pixel size, main lens, array) from a camera of this kind.
     #[arg(long, value_name = "NAME", value_parser = preset_names(), help_heading = "Camera")]
     preset: Option<String>,
     /// Focal length as engraved on the main lens.
     #[arg(long, value_name = "MM", value_parser = length, help_heading = "Camera")]
     focal_length: Option<f64>,
-    /// F-number of the images of boards, as it is: 5.657 where 5.6 is engraved.
+    /// True f-number of the board images: 5.657 where 5.6 is engraved.
     #[arg(long, value_name = "N", value_parser = length, help_heading = "Camera")]
     f_number: Option<f64>,
     /// Focus distance from the sensor; inf for infinity.
     #[arg(long, value_name = "MM", value_parser = distance, help_heading = "Camera")]
     focus_distance: Option<f64>,
-    /// What the samples of the images stand for [default: found where images show it].
+    /// What the samples of the images stand for [default: found from the images where possible].
     #[arg(long, value_parser = choice(COLORS), help_heading = "Camera")]
     color: Option<Color>,
 
@@ -72,21 +72,21 @@ Examples:
   plenocal init images --preset r12-b --board 8x5x20 --step 10 --color bayer-rggb --out project.toml
   plenocal run project.toml --out results";
 
-fn positive(text: &str, allowed: fn(f64) -> bool, what: &str) -> std::result::Result<f64, String> {
+fn number(text: &str, allowed: fn(f64) -> bool, what: &str) -> std::result::Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|&number| allowed(number));
-    number.ok_or_else(|| format!("'{text}' is no {what}"))
+    number.ok_or_else(|| format!("'{text}' is not a {what}"))
 }
 
 fn length(text: &str) -> std::result::Result<f64, String> {
-    positive(text, |number| number > 0.0 && number.is_finite(), "number above 0")
+    number(text, |number| number > 0.0 && number.is_finite(), "number above 0")
 }
 
 fn distance(text: &str) -> std::result::Result<f64, String> {
-    positive(text, |number| number > 0.0, "distance; give mm, or inf")
+    number(text, |number| number > 0.0, "distance; give mm, or inf")
 }
 
 fn step(text: &str) -> std::result::Result<f64, String> {
-    positive(text, |number| number.is_finite() && number != 0.0, "motion; give mm")
+    number(text, |number| number.is_finite() && number != 0.0, "motion; give mm")
 }
 
 fn board(text: &str) -> std::result::Result<Board, String> {
@@ -98,7 +98,10 @@ fn board(text: &str) -> std::result::Result<Board, String> {
         _ => None,
     };
     let ((columns, rows), square_mm) = parsed.ok_or_else(|| {
-        format!("'{text}' is no board; write 9x5x10 for 9 x 5 inner corners and squares of 10 mm")
+        format!(
+            "'{text}' is not a board; write 9x5x10 for 9 x 5 inner corners and squares of 10 \
+                 mm"
+        )
     })?;
     let board = Board { columns, rows, square_mm };
     board.validate().map(|()| board).map_err(|e| e.to_string())
@@ -150,8 +153,8 @@ fn datasheet(name: &str) -> Result<Datasheet> {
     Ok(Settings::preset(name, &[])?.datasheet())
 }
 
-/// Three channels are RGB. A single one is grey where a white image shows no mosaic; which mosaic it
-/// is, no image of a white target tells for certain.
+/// Three channels are RGB. A single channel is grey where a white image shows no mosaic. Which
+/// mosaic it is cannot be found for certain from a white image.
 fn found_color(images: &SortedImages, format: Option<CommonFormat>) -> Result<Option<Color>> {
     match format.and_then(|format| format.channels) {
         Some(Color::Grey) => {}
@@ -175,7 +178,7 @@ fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out
         (images.calibration.len(), "board(s) to calibrate with"),
         (images.evaluation.len(), "board(s) to evaluate with"),
         (images.translation.len(), "image(s) of a translation"),
-        (images.unsorted.len(), "image(s) whose names do not tell what they show"),
+        (images.unsorted.len(), "image(s) whose names do not say what they show"),
     ] {
         if count > 0 {
             let _ = writeln!(text, "  {count:>4} {what}");
@@ -184,8 +187,9 @@ fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out
     if let Some((name, sheet)) = draft.preset {
         let _ = writeln!(
             text,
-            "\nWhat is marked (preset) in the file is taken from {name}: compare it with your camera,\n\
-             above all focal length, f-number and focus distance of the main lens."
+            "\nValues marked (preset) in the file are taken from {name}: compare them with your \
+             camera,\n\
+             above all the focal length, f-number and focus distance of the main lens."
         );
         let (width, height) = (sheet.sensor.width_px, sheet.sensor.height_px);
         if let Some(format) = draft.format
@@ -193,8 +197,8 @@ fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out
         {
             let _ = writeln!(
                 text,
-                "The images have {} x {} px, but the sensor of {name} {width} x {height}: size of \
-                 pixels and\narray are left open.",
+                "The images have {} x {} px, but the sensor of {name} has {width} x {height}: the \
+                 size of\npixels and array is left open.",
                 format.width_px, format.height_px
             );
         }
@@ -202,7 +206,7 @@ fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out
     if let (Some(color), false) = (draft.color, color_is_stated) {
         let _ = writeln!(
             text,
-            "\nThe images are taken as {}: {}.",
+            "\nThe images are taken to be {}: {}.",
             color.name(),
             match color {
                 Color::Grey => "one channel, and a white image shows no mosaic",

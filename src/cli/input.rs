@@ -1,4 +1,4 @@
-//! What a calibration reads: the files named singly, and the project for the rest.
+//! What a calibration reads: the files named individually, and the project for the rest.
 
 use std::path::Path;
 
@@ -37,7 +37,7 @@ impl Input {
         };
         if section.loss_scale.is_some() && matches!(section.loss, None | Some(LossKind::None)) {
             return Err(Error::Invalid(
-                "a scale of the loss is given, but no loss: choose one with --loss".to_owned(),
+                "a loss scale is given, but no loss: choose one with --loss".to_owned(),
             ));
         }
         let options = section.options();
@@ -87,8 +87,8 @@ fn observations(files: &Files, project: Option<&Project>, rho: bool) -> Result<O
         .or(section.map(|s| s.features.as_path()))
         .ok_or_else(|| missing(Part::Features))?;
     let mut observations = io::read_features(features, rho)?;
-    // A features file given on the command line may hold centres; the project's are of other
-    // features then.
+    // A features file given on the command line may contain centres; those of the project then
+    // belong to other features.
     let of_project = || section.and_then(|s| s.centers.as_deref());
     let separate = match files.centers {
         None if files.features.is_none() || observations.centers.is_empty() => of_project(),
@@ -97,7 +97,7 @@ fn observations(files: &Files, project: Option<&Project>, rho: bool) -> Result<O
     if let Some(path) = separate {
         if !observations.centers.is_empty() {
             return Err(Error::invalid(format!(
-                "this file holds the centres too, and {} gives them again; leave one out",
+                "this file contains the centres too, and {} gives them again; leave one out",
                 path.display()
             ))
             .in_file(features));

@@ -1,4 +1,4 @@
-//! Ctrl-C: what is not finished goes, and the user is told.
+//! Ctrl-C: removes unfinished output, and says so.
 
 use std::process::exit;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,12 +10,12 @@ use plenocal::io;
 use super::progress;
 use super::talk::say;
 
-/// As shells have it: 128 and the number of SIGINT.
+/// The convention of shells: 128 plus the number of SIGINT.
 const INTERRUPTED: i32 = 130;
-/// A second interrupt gives the first so long to remove files and to finish a commit.
+/// How long a second interrupt lets the first remove files or finish a commit.
 const GRACE: Duration = Duration::from_secs(2);
 
-/// From here on SIGINT, SIGTERM and SIGHUP leave no half-written files.
+/// From here on, SIGINT, SIGTERM and SIGHUP leave no half-written files.
 pub fn handle() {
     static AGAIN: AtomicBool = AtomicBool::new(false);
     let handler = || {
@@ -24,7 +24,7 @@ pub fn handle() {
             say("interrupted again: temporary files (.tmp…) may be left");
             exit(INTERRUPTED);
         }
-        // A thread of its own, so that a file system that hangs does not keep off a second interrupt.
+        // A thread of its own, so that a hanging file system does not block a second interrupt.
         thread::spawn(|| {
             let committed = io::abandon_output();
             progress::clear();
@@ -37,6 +37,6 @@ pub fn handle() {
             exit(INTERRUPTED);
         });
     };
-    // Where a signal is ignored, as under nohup, all stays as the user has it.
+    // Where a signal is ignored, as under nohup, it stays ignored.
     let _ = ctrlc::try_set_handler(handler);
 }

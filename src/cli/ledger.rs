@@ -14,10 +14,10 @@ use serde_json::json;
 
 use super::talk::say;
 
-/// The part of a stage in the report.
+/// The file with a stage's section of the report.
 pub const SECTION: &str = "section.json";
 
-/// A file that a stage reads. What it was made from is its content; where it lies does not matter.
+/// A file that a stage reads. Its content matters, its folder does not.
 #[derive(Debug, Clone, Serialize)]
 pub struct InputFile {
     #[serde(skip)]
@@ -26,7 +26,7 @@ pub struct InputFile {
     sha256: String,
 }
 
-/// Keeps account of the stages.
+/// Keeps track of the stages.
 pub struct Ledger {
     pub out: PathBuf,
     pub manifest: Manifest,
@@ -35,15 +35,15 @@ pub struct Ledger {
     hashes: HashMap<PathBuf, String>,
     /// Stages of this run, in order; whether they were done.
     pub stages: Vec<(String, bool)>,
-    /// What could not be done, in words.
+    /// What could not be done, and why.
     pub missing: Vec<String>,
 }
 
 impl Ledger {
-    /// For a run into a folder, where an earlier one may have done stages.
+    /// Starts a run into a folder, in which an earlier run may have done some stages.
     pub fn open(out: &Path, project: &Path, force: bool, quiet: bool) -> Result<Self> {
-        // Another program may compute other results from the same input. Its version alone does not
-        // tell: it may have been built from changed sources.
+        // A different program may compute different results from the same input. Its version alone
+        // does not identify it: it may have been built from changed sources.
         let program = env::current_exe()
             .map_err(|source| Error::Read { path: "the running program".into(), source })?;
         let mut manifest = Manifest::new(project, io::hash_file(&program)?);
@@ -81,10 +81,11 @@ impl Ledger {
         InputFile { path, name, sha256 }
     }
 
-    /// Does a stage unless it is done: `work` stages files and gives the part of the report.
+    /// Does a stage unless it is already done. `work` stages files and returns the section of the
+    /// report.
     ///
-    /// The stage depends on its input alone: what it computes with, and what tells whether it has
-    /// to be done again, are the same value.
+    /// The stage depends on its input alone: what it computes with, and what decides whether it is
+    /// repeated, are one value.
     pub fn stage<I: Serialize>(
         &mut self,
         name: &str,
@@ -117,7 +118,7 @@ impl Ledger {
             let file = path.strip_prefix(&folder).unwrap_or(&path).display().to_string();
             files.insert(file, io::hash_file(&path)?);
         }
-        // From an earlier run, such as pictures of frames that are no longer there.
+        // From an earlier run, such as pictures of frames that no longer exist.
         let stale = before.iter().flat_map(|record| record.files.keys());
         for file in stale.filter(|file| !files.contains_key(*file)) {
             let _ = fs::remove_file(folder.join(file));
@@ -131,7 +132,7 @@ impl Ledger {
         Ok(())
     }
 
-    /// Notes what is wrong with a part without which the rest is still of use.
+    /// Records the failure of a part that the rest can do without.
     pub fn tolerate(&mut self, what: &str, result: Result<()>) {
         if let Err(error) = result {
             let text = format!("{what}: {error}");

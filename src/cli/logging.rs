@@ -1,4 +1,4 @@
-//! What is told on stderr with -v.
+//! The log on stderr with -v.
 
 use std::io::IsTerminal;
 
@@ -8,7 +8,7 @@ use tracing_subscriber::fmt::time::uptime;
 
 use super::progress;
 
-/// Records of this level of detail, 0 for none, go to stderr from here on.
+/// From here on, logs to stderr at this level of detail; 0 for nothing.
 pub fn begin(verbosity: u8) {
     let level = match verbosity {
         0 => return,

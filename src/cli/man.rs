@@ -56,7 +56,8 @@ fn page(command: Command, out: &mut dyn Write) -> io::Result<()> {
     after_help.map_or(Ok(()), |text| sections(&text, out))
 }
 
-/// The words after the help, set line by line: each paragraph is a heading with what belongs to it.
+/// The text after the help, set line by line. Each paragraph is a section; its first line is the
+/// heading.
 fn sections(text: &str, out: &mut dyn Write) -> io::Result<()> {
     let mut roff = Roff::new();
     for paragraph in text.split("\n\n") {

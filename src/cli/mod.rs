@@ -35,8 +35,8 @@ struct Cli {
     #[command(subcommand)]
     command: Command,
 
-    /// Log to stderr what is done: -v files, stages and their results, -vv also every frame and
-    /// iteration, -vvv also every white image. Progress lines are not shown then.
+    /// Log to stderr: -v files, stages and their results, -vv also every frame and iteration, -vvv
+    /// also every white image. Progress lines are then hidden.
     #[arg(short, long, global = true, action = clap::ArgAction::Count, display_order = 999)]
     verbose: u8,
 }

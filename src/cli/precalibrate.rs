@@ -28,21 +28,21 @@ use super::talk::{print_result, warn};
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
-    /// Project file (TOML) with [images], one white image (PNG, TIFF, BMP, PGM, JPEG), or Raytrix'
-    /// calibration (XML), which gives the centres and lens types as their maker has them.
+    /// Project file (TOML) with [images], one white image (PNG, TIFF, BMP, PGM, JPEG), or a Raytrix
+    /// calibration (XML), which gives the centres and lens types as the maker measured them.
     input: PathBuf,
-    /// Size of the images that Raytrix' calibration is of, e.g. 2048x2048.
+    /// Size of the images that a Raytrix calibration belongs to, e.g. 2048x2048.
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(u16, u16)>,
-    /// Folder for the results: precalibration.json and centers.csv, of images also micro-images.svg,
-    /// of a project also radii.svg and COMPOTE's camera.js and params.js.
+    /// Folder for the results: precalibration.json and centers.csv; from images also
+    /// micro-images.svg; from a project also radii.svg and COMPOTE's camera.js and params.js.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// How radii are measured: the edge of a fitted profile, or the paper's second moments, which are
-    /// right for some over-exposures only; for a project [default: profile].
+    /// How radii are measured: the edge of a fitted profile, or the paper's second moments, which
+    /// are right only for some over-exposures; for a project [default: profile].
     #[arg(long, value_parser = choice(RADIUS_ESTIMATORS))]
     estimator: Option<RadiusEstimator>,
-    /// What the samples of a single image stand for [default: grey or RGB, as the file has it].
+    /// What the samples of a single image stand for [default: grey or RGB, as in the file].
     #[arg(long, value_parser = choice(COLORS))]
     color: Option<Color>,
     /// Print the result as one JSON object instead of tables.
@@ -53,7 +53,7 @@ pub struct Arguments {
 fn size(text: &str) -> std::result::Result<(u16, u16), String> {
     let parse = |number: &str| number.trim().parse::<u16>().ok().filter(|&n| n > 0);
     text.split_once('x').and_then(|(w, h)| Some((parse(w)?, parse(h)?))).ok_or_else(|| {
-        format!("'{text}' is no size; write it as 2048x2048, each edge from 1 to 65535 px")
+        format!("'{text}' is not a size; write it as 2048x2048, each edge from 1 to 65535 px")
     })
 }
 
@@ -64,7 +64,7 @@ Examples:
   plenocal calibrate project.toml --params results/precalibration.json \\
       --centers results/centers.csv --features features.csv --out results";
 
-/// What the input is, by the ending of its name.
+/// What the input is, by its file name extension.
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Project,
@@ -85,15 +85,15 @@ impl Kind {
     }
 }
 
-/// An error naming an option that is for another kind of input.
+/// Checks the options; an error names one that is for another kind of input.
 fn check_options(arguments: &Arguments, kind: Kind) -> Result<()> {
     let options = [
-        (arguments.size.is_some(), Kind::Raytrix, "--size is for Raytrix' calibration (XML)"),
+        (arguments.size.is_some(), Kind::Raytrix, "--size is for a Raytrix calibration (XML)"),
         (arguments.estimator.is_some(), Kind::Project, "--estimator is for a project (TOML)"),
         (
             arguments.color.is_some(),
             Kind::Image,
-            "--color is for a single image; a project has it in [images]",
+            "--color is for a single image; a project states it in [images]",
         ),
     ];
     match options.iter().find(|&&(given, of, _)| given && of != kind) {
@@ -150,7 +150,7 @@ fn of_raytrix(
     let path = &arguments.input;
     let maker = io::read_raytrix(path)?;
     let (width, height) = arguments.size.ok_or_else(|| {
-        Error::invalid("Raytrix' calibration does not say how large the images are: give --size")
+        Error::invalid("a Raytrix calibration does not state the size of the images: give --size")
             .in_file(path)
     })?;
     let of_this_size = |e: Error| {
@@ -193,7 +193,7 @@ fn of_project(
     Ok((report::precalibration_text(&result), io::precalibration_document(&result)))
 }
 
-/// Measures the white images of a project; those that were measured come with it.
+/// Measures the white images of a project, and returns these too.
 pub(super) fn measure(
     path: &Path,
     images: &ImagesSection,
@@ -208,7 +208,7 @@ pub(super) fn measure(
     Ok((result.map_err(|e| e.in_file(path))?, whites))
 }
 
-/// Writes everything but precalibration.json.
+/// Stages everything but precalibration.json.
 pub(super) fn stage(
     output: &mut OutputFolder,
     result: &Precalibration,
@@ -225,15 +225,17 @@ pub(super) fn stage(
     let figures = vec![
         Figure {
             name: "radii.svg".to_owned(),
-            caption: "Radii of the micro-images over 1/N, with the fitted lines and, below, how radii of \
-                      single micro-images scatter. Lines of all lens types have the same slope m."
+            caption: "Radii of the micro-images against 1/N with the fitted lines, and below the \
+                      scatter of the radii of single micro-images. The lines of all lens types \
+                      have the same slope m."
                 .to_owned(),
             svg: report::radii_figure(result)?,
         },
         Figure {
             name: "micro-images.svg".to_owned(),
-            caption: "The middle of a white image with the micro-images found, coloured by lens type."
-                .to_owned(),
+            caption:
+                "The middle of a white image with the micro-images found, coloured by lens type."
+                    .to_owned(),
             svg: report::micro_images_figure(
                 &whites[middle].image,
                 &result.array,
@@ -248,14 +250,14 @@ pub(super) fn stage(
     Ok(figures)
 }
 
-/// Writes centers.csv.
+/// Stages centers.csv.
 pub(super) fn stage_centers(output: &mut OutputFolder, result: &Precalibration) -> Result<()> {
     let types = result.lens_types.types;
     let lens_type = |c: &MicroImageCenter| result.array.grid.lattice.lens_type(c.k, c.l, types);
     output.stage("centers.csv", |out| io::write_measured_centers(out, &result.array, lens_type))
 }
 
-/// Reads the white images of a project, and the one that belongs to the boards.
+/// Reads the white images of a project, and its devignetting image.
 fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>, Option<White>)> {
     let named = images.whites.iter().map(|white| Ok((&white.image, white.f_number()?)));
     let reference = images.devignetting.iter().map(|path| Ok((path, sheet.f_number)));

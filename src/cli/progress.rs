@@ -8,17 +8,17 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 static HIDDEN: AtomicBool = AtomicBool::new(false);
 
-/// How often a progress line moves.
+/// How often a progress line is redrawn.
 const TICK: Duration = Duration::from_millis(100);
 
-/// Finished of all, for work whose steps take long.
+/// Number of finished steps, for work with long steps.
 const STEPS: &str = "{spinner} {msg}: {pos} of {len}";
-/// A bar with the time that is left, for work of many small steps.
+/// A bar with the remaining time, for work with many short steps.
 const SHARE: &str = "{spinner} {wide_bar} {percent} %, {eta} left: {msg}";
 /// For work of unknown length.
 const SPINNER: &str = "{spinner} {msg} ({elapsed})";
 
-/// From here on no progress is shown: log lines would run into it.
+/// From here on, no progress is shown: log lines would disturb it.
 pub fn hide() {
     HIDDEN.store(true, Ordering::Relaxed);
 }
@@ -39,12 +39,12 @@ pub fn steps(quiet: bool, count: usize, doing: &str) -> ProgressBar {
     shown(quiet, ProgressBar::new(count as u64), STEPS, doing)
 }
 
-/// Shows the share of many small steps that is done.
+/// Shows the fraction of many short steps that is done.
 pub fn share(count: u64) -> ProgressBar {
     shown(false, ProgressBar::new(count), SHARE, "")
 }
 
-/// Shows that something goes on.
+/// Shows that work is going on.
 pub fn spinner(quiet: bool, doing: &str) -> ProgressBar {
     shown(quiet, ProgressBar::new_spinner(), SPINNER, doing)
 }

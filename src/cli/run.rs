@@ -21,8 +21,8 @@ use super::talk::{print_result, say};
 
 /// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
 ///
-/// Everything goes into one folder, a folder for each stage. A stage whose input has not changed since
-/// the last run is not repeated.
+/// Everything goes into one folder, with a subfolder for each stage. A stage whose input has not
+/// changed since the last run is not repeated.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
@@ -65,10 +65,10 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let options = calibration_options(path, &project)?;
     if arguments.folds == 1 {
         return Err(Error::invalid(
-            "one fold leaves nothing to calibrate with: give --folds 0 for none, or 2 and more",
+            "one fold leaves nothing to calibrate with: give --folds 0 for none, or 2 or more",
         ));
     }
-    // A folder that cannot be written is an error before the work rather than after it.
+    // A folder that cannot be written is reported before the work, not after it.
     OutputFolder::new(&arguments.out)?;
     let mut ledger = Ledger::open(&arguments.out, path, arguments.force, arguments.json)?;
     let stages = Stages {
@@ -88,13 +88,13 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         // Without these there is still a calibration.
         if !images_of(subset, &shoot.images).is_empty() {
             let result = stages.boards(&mut ledger, subset);
-            ledger.tolerate(&format!("boards of {}", subset.name()), result);
+            ledger.tolerate(&format!("boards for {}", subset.name()), result);
         }
     }
     stages.calibration(&mut ledger, CALIBRATION)?;
     if stages.has_both() {
         let result = stages.calibration(&mut ledger, CORNERS_ONLY);
-        ledger.tolerate("corners alone", result);
+        ledger.tolerate("corners only", result);
     }
     let result = stages.evaluation(&mut ledger);
     ledger.tolerate("evaluation", result);
@@ -106,7 +106,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     if camera["converged"].as_bool().unwrap_or(false) {
         return Ok(ExitCode::SUCCESS);
     }
-    say(&format!("error: the calibration is not converged; see {}", report.display()));
+    say(&format!("error: the calibration has not converged; see {}", report.display()));
     Ok(ExitCode::from(3))
 }
 
@@ -136,12 +136,12 @@ fn read_json(path: &Path) -> Result<Value> {
     let text =
         fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
     serde_json::from_str(&text).map_err(|e| {
-        Error::invalid(format!("this is not valid JSON: {e}; do the run again with --force"))
+        Error::invalid(format!("this is not valid JSON: {e}; repeat the run with --force"))
             .in_file(path)
     })
 }
 
-/// The part of a stage in the report, figures included.
+/// A stage's section of the report, figures included.
 fn read_section(folder: &Path) -> Result<Section> {
     let path = folder.join(SECTION);
     let mut section: Section = serde_json::from_value(read_json(&path)?)
@@ -162,10 +162,10 @@ fn tables_of(section: &Section) -> Vec<HtmlTable> {
     section.parts.iter().filter_map(table).collect()
 }
 
-/// Writes report.html from what the stages have left.
+/// Writes report.html from what the stages have written.
 fn write_report(arguments: &Arguments, ledger: &Ledger, time_s: f64) -> Result<PathBuf> {
     let mut sections = vec![overview(&arguments.project, ledger, time_s)];
-    // First what people want to see, then where it came from.
+    // First the results, then what they came from.
     let is_result = |name: &str| [CALIBRATION, EVALUATION].contains(&name);
     let (results, rest): (Vec<_>, Vec<_>) =
         ledger.stages.iter().map(|(name, _)| name).partition(|name| is_result(name));

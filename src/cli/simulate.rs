@@ -1,4 +1,4 @@
-//! `plenocal simulate`: raw images of a simulated camera, with their truth.
+//! `plenocal simulate`: raw images of a simulated camera, with the truth.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -15,14 +15,14 @@ use plenocal::{Error, Result};
 
 use super::progress;
 
-/// Simulate a plenoptic camera: raw images by ray tracing, with their truth.
+/// Simulate a plenoptic camera: raw images by ray tracing, with the truth.
 ///
 /// Writes white images, boards to calibrate and to evaluate with, a board moved in known steps, a
 /// project file for them, and the truth: camera, poses, micro-image centres and BAP features.
 #[derive(Args)]
 #[command(after_help = EXAMPLES, allow_negative_numbers = true)]
 pub struct Arguments {
-    /// Simulation file (TOML); --print shows what can stand in it. Instead of --preset.
+    /// Simulation file (TOML), instead of --preset; --print shows what it can contain.
     #[arg(conflicts_with = "preset")]
     file: Option<PathBuf>,
     /// A camera that comes with plenocal [default: mini].
@@ -31,7 +31,7 @@ pub struct Arguments {
     /// Folder for the data set.
     #[arg(long, value_name = "DIR", required_unless_present = "print")]
     out: Option<PathBuf>,
-    /// Replace a setting, e.g. imaging.bits=16; may be given many times.
+    /// Replace a setting, e.g. imaging.bits=16; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
     /// Poses of the calibration boards (poses.json) instead of random ones.
@@ -46,7 +46,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// The first preset as it is.
+    /// The first preset, unchanged.
     pub fn preset(out: &Path) -> Self {
         Self {
             file: None,
@@ -84,7 +84,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the data set; what there is to print.
+/// Writes the data set, and returns the text to print.
 pub fn simulate(arguments: &Arguments) -> Result<String> {
     let begun = Instant::now();
     let settings = settings(arguments)?;
@@ -137,7 +137,7 @@ fn summary(data_set: &DataSet, folder: &str, time: Duration) -> String {
     }
     let _ = writeln!(
         text,
-        "Calibrate the observations drawn from the truth, with noise:\n  plenocal calibrate \
+        "Calibrate from observations drawn from the truth, with noise:\n  plenocal calibrate \
          {folder}/observed/project.toml --out {folder}/results"
     );
     text

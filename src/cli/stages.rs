@@ -1,4 +1,5 @@
-//! The stages of a run: each reads what earlier ones have written, calls the library, and writes.
+//! The stages of a run: each reads what earlier ones have written, calls the library, and writes
+//! its results.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -21,7 +22,7 @@ use super::ledger::{InputFile, Ledger};
 use super::precalibrate;
 use super::talk::{warn, warn_of_calibration};
 
-/// Names of the stages, which are those of their folders.
+/// Names of the stages and of their folders.
 pub const PRECALIBRATION: &str = "precalibration";
 pub const CALIBRATION: &str = "calibration";
 pub const CORNERS_ONLY: &str = "corners-only";
@@ -38,7 +39,7 @@ fn boards_stage(subset: Subset) -> &'static str {
     }
 }
 
-/// A project, and what a run makes of it.
+/// A project, and the options of its run.
 pub struct Stages<'a> {
     pub path: &'a Path,
     pub project: &'a Project,
@@ -122,7 +123,7 @@ impl Stages<'_> {
         self.out.join(stage)
     }
 
-    /// Corners alone are a comparison where there is blur to be aware of.
+    /// Whether there is a calibration with blur, to which corners only can be compared.
     pub fn has_both(&self) -> bool {
         self.options.mode == Mode::Full && self.shoot.sheet.lens_types > 0
     }
@@ -191,7 +192,7 @@ impl Stages<'_> {
         options: CalibrationOptions,
     ) -> CalibrationInput<'_> {
         let mut options = options;
-        // Results are the same to rounding with any number of threads.
+        // Results agree to rounding with any number of threads.
         options.solver.threads = CalibrationOptions::default().solver.threads;
         CalibrationInput {
             camera: self.camera(),
@@ -220,10 +221,10 @@ impl Stages<'_> {
         Ok(observations)
     }
 
-    /// Calibrates in the mode of the project, or for comparison from corners alone.
+    /// Calibrates in the mode of the project, or for comparison with corners only.
     pub fn calibration(&self, ledger: &mut Ledger, stage: &'static str) -> Result<()> {
         let mut options = self.options.clone();
-        let title = if stage == CALIBRATION { "Calibration" } else { "From corners alone" };
+        let title = if stage == CALIBRATION { "Calibration" } else { "Corners only" };
         if stage == CORNERS_ONLY {
             options.mode = Mode::CornersOnly;
             options.cost.fixed.retain(|name| !name.starts_with("f_"));
@@ -240,7 +241,7 @@ impl Stages<'_> {
                 warn(&result.left_out);
                 warn_of_calibration(&result.warnings);
             } else if !result.converged {
-                warn(&["the calibration from corners alone is not converged"]);
+                warn(&["the calibration with corners only has not converged"]);
             }
             stage_results(output, &result, false)?;
             let document = io::calibration_document(&result, begun.elapsed().as_secs_f64());
@@ -326,7 +327,7 @@ fn stage_figures(output: &mut OutputFolder, figures: &[Figure]) -> Result<()> {
     })
 }
 
-/// The options of a project's calibration; an error if it is not one.
+/// The calibration options of a project; an error if they ask for poses only.
 pub fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOptions> {
     if project.calibration.mode == Some(Mode::PosesOnly) {
         return Err(Error::invalid(

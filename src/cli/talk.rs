@@ -9,19 +9,19 @@ use plenocal::error::Input;
 use plenocal::{Error, Result};
 use serde_json::Value;
 
-/// Writes a line to stderr. That nobody reads it there is not an error.
+/// Writes a line to stderr. It is not an error if nobody reads it.
 pub fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// Warns of each of these.
+/// Prints warnings.
 pub fn warn(warnings: &[impl Display]) {
     for warning in warnings {
         say(&format!("warning: {warning}"));
     }
 }
 
-/// Warns of a calibration, with the option that helps.
+/// Prints the warnings of a calibration, each with the option that helps.
 pub fn warn_of_calibration(warnings: &[Warning]) {
     for warning in warnings {
         let option = match warning {
@@ -41,7 +41,7 @@ pub fn say_error(error: &Error) {
     }
 }
 
-/// The option that helps, for errors that the library words without knowing of options.
+/// The option that helps, for errors of the library, which does not know of options.
 fn remedy(error: &Error) -> Option<String> {
     let remedy = match error {
         Error::InFile { error, .. } => return remedy(error),
@@ -69,7 +69,7 @@ fn remedy(error: &Error) -> Option<String> {
 
 /// Prints the result of a command: one JSON object, or text and the files that were written.
 ///
-/// A reader that has gone away (a closed pipe) is not an error: the files are there.
+/// A reader that has gone away (a closed pipe) is not an error: the files are written.
 pub fn print_result(json: bool, document: &Value, text: &str, paths: &[PathBuf]) {
     let text = if json {
         format!("{document}\n")
@@ -80,7 +80,7 @@ pub fn print_result(json: bool, document: &Value, text: &str, paths: &[PathBuf])
     let _ = print(text.as_bytes());
 }
 
-/// Prints what a command is for. A reader that has gone away is not an error.
+/// Prints the output of a command. A reader that has gone away is not an error.
 pub fn print(text: &[u8]) -> Result<()> {
     let mut stdout = std::io::stdout();
     match stdout.write_all(text).and_then(|()| stdout.flush()) {

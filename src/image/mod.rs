@@ -27,10 +27,10 @@ impl Image {
     }
 }
 
-/// Means of a mosaic's greens, or of a grey image's parities, differ by less than this part.
+/// Means of a mosaic's greens, or of a grey image's parities, differ by less than this fraction.
 const ALIKE: f64 = 0.05;
 
-/// Whether two of [`RawImage::parity_means`] differ as two colours of a mosaic do.
+/// Whether two of [`RawImage::parity_means`] differ like two colours of a mosaic.
 fn alternate(a: f64, b: f64) -> bool {
     (a / b - 1.0).abs() > ALIKE
 }
@@ -39,18 +39,18 @@ fn alternate(a: f64, b: f64) -> bool {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Color {
-    /// One sample a pixel.
+    /// One sample per pixel.
     Grey,
     /// Red, green and blue of every pixel.
     Rgb,
-    /// One sample a pixel behind a colour mosaic; the name gives the first two pixels of the first
-    /// two rows.
+    /// One sample per pixel behind a colour mosaic; the name gives the first two pixels of the
+    /// first two rows.
     BayerRggb,
-    /// As before.
+    /// See [`Color::BayerRggb`].
     BayerGrbg,
-    /// As before.
+    /// See [`Color::BayerRggb`].
     BayerGbrg,
-    /// As before.
+    /// See [`Color::BayerRggb`].
     BayerBggr,
 }
 
@@ -110,11 +110,11 @@ pub struct RawImage {
     pub samples: Samples,
 }
 
-/// Samples from here on, in parts of full scale, are too near to it to tell colours by.
+/// Samples above this fraction of full scale are too close to saturation to compare colours by.
 const NEARLY_FULL: f64 = 0.95;
-/// Samples below this part of full scale are mostly noise.
+/// Samples below this fraction of full scale are mostly noise.
 const NEARLY_DARK: f64 = 0.02;
-/// Pairs of rows all over an image that tell how its channels compare.
+/// Number of pairs of rows, spread over an image, in which its channels are compared.
 const COMPARED: usize = 256;
 
 impl RawImage {
@@ -159,13 +159,14 @@ impl RawImage {
         }
         let means = sums.map(|(sum, count)| sum / count);
         let strongest = means.iter().copied().fold(f64::NAN, f64::max);
-        // Nothing to go by: an image all dark or full.
+        // An image that is all dark or saturated has nothing to compare.
         means.map(|mean| if mean > 0.0 { (strongest / mean) as f32 } else { 1.0 })
     }
 
-    /// Means of the samples at even and odd columns of even rows, then of odd rows, over places where
-    /// none is full or dark, in parts of full scale; `None` if there are no such places. They differ
-    /// behind a colour mosaic, but for its two green ones, and in a grey image they do not.
+    /// Means of the samples at even and odd columns of even rows, then of odd rows, over places
+    /// where none is saturated or dark, as fractions of full scale; `None` if there are no such
+    /// places. Behind a colour mosaic they differ, except for the two greens; in a grey image they
+    /// do not.
     #[must_use]
     pub fn parity_means(&self) -> Option<[f64; 4]> {
         if self.color == Color::Rgb {
@@ -181,15 +182,15 @@ impl RawImage {
         (count > 0.0).then(|| sums.map(|sum| sum / count))
     }
 
-    /// Whether a white image with one sample a pixel looks like one behind a colour mosaic; `None` where
-    /// it does not tell.
+    /// Whether a white image with one sample per pixel seems to be behind a colour mosaic; `None`
+    /// if it cannot be decided.
     #[must_use]
     pub fn shows_mosaic(&self) -> Option<bool> {
         let [a, b, c, d] = self.parity_means()?;
         Some(alternate(a, b) || alternate(a, c) || alternate(a, d))
     }
 
-    /// What is wrong with the colour that a white image is stated to have, in words.
+    /// Why the stated colour of a white image is doubtful; `None` if it is not.
     #[must_use]
     pub fn doubtful_color(&self) -> Option<&'static str> {
         let [a, b, c, d] = self.parity_means()?;
@@ -208,8 +209,9 @@ impl RawImage {
         )
     }
 
-    /// Calls with the channels and samples, in parts of full scale, of many places all over the image
-    /// where none is full or dark: pixels of an RGB image, squares of four pixels of any other.
+    /// Calls `visit` with the channels and samples, as fractions of full scale, of many places all
+    /// over the image where none is saturated or dark: pixels of an RGB image, squares of four
+    /// pixels of any other.
     fn compared(&self, visit: impl FnMut(&[(usize, f64)])) {
         match &self.samples {
             Samples::Bits8(samples) => self.compared_of(samples, visit),
@@ -256,11 +258,11 @@ impl RawImage {
     }
 }
 
-/// A raw image seen in grey, linear from 0 to 1, at full resolution.
+/// A raw image as grey values, linear from 0 to 1, at full resolution.
 ///
-/// Light is taken to be neutral: channels are amplified so that all respond as the strongest one
-/// does, by the sums over places where none is full. Then all are cut at 1, where the strongest one is
-/// full, so that a pixel of 1 is a saturated one, whatever its colour.
+/// The light is taken to be neutral: channels are amplified so that all respond like the strongest
+/// one, by their means over places where none is saturated. Then all are clipped at 1, where the
+/// strongest one saturates. So a pixel of 1 is saturated, whatever its colour.
 #[derive(Debug, Clone, Copy)]
 pub struct Grey<'a> {
     raw: &'a RawImage,
@@ -328,8 +330,8 @@ impl Grey<'_> {
     }
 }
 
-/// The rectangle (left, top, width, height) of pixels that holds some places and what is `reach` about
-/// them, not below 0, and the place of its first pixel.
+/// The rectangle (left, top, width, height) of pixels that contains some positions with a margin of
+/// `reach`, cut at 0, and the position of its first pixel.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
 pub(crate) fn bounds(
     places: impl Iterator<Item = Vector2<f64>>,
@@ -342,14 +344,14 @@ pub(crate) fn bounds(
     ((first.x as usize, first.y as usize, size.x as usize, size.y as usize), first)
 }
 
-/// Fewer rows are not worth a second thread.
+/// With fewer rows a second thread does not pay.
 const SIDE_BY_SIDE: usize = 128;
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A square of grey as a mosaic, with channels that respond 0.5, 1 and 0.25.
+    /// Grey levels behind a mosaic, with channels that respond with 0.5, 1 and 0.25.
     fn mosaic(color: Color, levels: &[f64]) -> RawImage {
         let width = 2 * levels.len();
         let response = [0.5, 1.0, 0.25];
@@ -365,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn every_mosaic_becomes_grey_and_is_cut_where_green_is_full() {
+    fn every_mosaic_becomes_grey_and_is_clipped_where_green_saturates() {
         for color in [Color::BayerRggb, Color::BayerGrbg, Color::BayerGbrg, Color::BayerBggr] {
             let grey = mosaic(color, &[0.3, 0.6, 0.9, 1.5]).to_grey();
             for v in 0..2 {

@@ -1,4 +1,4 @@
-//! `calibration.json`: a calibration with everything one wants to know about how it came about.
+//! `calibration.json`: a calibration with all details of how it was obtained.
 
 use serde_json::{Value, json};
 
@@ -7,7 +7,7 @@ use crate::calibration::{Calibration, termination_text, weakest_directions_text}
 use crate::model::Rmse;
 use crate::solver::LossKind;
 
-/// The content of `camera.json` for a calibration, `converged` among it.
+/// The content of `camera.json` for a calibration, `converged` included.
 #[must_use]
 pub fn calibrated_camera_document(calibration: &Calibration) -> Value {
     let mut camera = camera_document(&calibration.camera, Some(&calibration.uncertainty));

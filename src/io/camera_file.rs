@@ -1,7 +1,7 @@
 //! `camera.json`: a calibrated camera with the uncertainty of its parameters.
 //!
-//! The unit of every number is in its name; what the numbers mean is said in the crate's
-//! documentation of [`PlenopticCamera`]. A reader has to look at `format` and `version` first.
+//! The unit of every number is in its name. The meaning of the numbers is documented at
+//! [`PlenopticCamera`]. A reader has to check `format` and `version` first.
 
 use std::path::Path;
 
@@ -71,8 +71,8 @@ pub fn read_camera(path: &Path) -> Result<PlenopticCamera> {
 }
 
 /// Reads the standard deviations in a `camera.json`, in the order of
-/// [`PlenopticCamera::intrinsics`]; `None` for parameters that were held, not determined, or where the
-/// file has none.
+/// [`PlenopticCamera::intrinsics`]; `None` for parameters that were fixed or not determined, and
+/// where the file has none.
 pub fn read_std_devs(path: &Path, lens_types: usize) -> Result<Vec<Option<f64>>> {
     let value: Value = serde_json::from_str(&read_text(path)?)
         .map_err(|e| Error::content(path, format!("this is not valid JSON: {e}")))?;

@@ -1,14 +1,15 @@
-//! COMPOTE's files and conventions, both ways; nothing outside this module knows of them.
+//! Reads and writes COMPOTE's files. Nothing outside this module knows its conventions.
 //!
 //! Where they differ from plenocal's:
 //! - JSON numbers are mostly written as strings, vectors as matrices of one row.
-//! - Micro-lenses (k', l') count along +x and +y of the camera, against the micro-images:
+//! - Micro-lenses (k', l') count along +x and +y of the camera, opposite to the micro-images:
 //!   k' = columns − 1 − k, l' = rows − 1 − l. So do the pixels of the sensor's frame:
 //!   x = W − 1 − u, y = H − 1 − v.
-//! - The frame of the array sits at lattice position (0, 0), not at the array's centre, and the
-//!   sensor's at pixel (0, 0) of its own frame; poses take array or sensor into the camera.
-//! - On a hexagonal mesh it is the rows of even index that are shifted, of the array (l') and of
-//!   the micro-images (l) alike, so only arrays with an even number of rows can be written.
+//! - The frame of the array has its origin at lattice position (0, 0), not at the array's centre,
+//!   and the sensor's frame has its origin at its own pixel (0, 0); poses take array or sensor into
+//!   the camera.
+//! - On a hexagonal mesh the rows of even index are shifted, both of the array (l') and of the
+//!   micro-images (l), so only arrays with an even number of rows can be written.
 //! - A pose (R, t) has its origin at t in the parent's frame, and R takes the parent's axes into its
 //!   own: a point p of the parent is at R (p − t). The poses of frames are those of the camera in
 //!   the world, the board lying at z = 0. (Read the other way round, the published R12-A camera
@@ -16,7 +17,7 @@
 //!   are far from those that fit the features.)
 //! - The blur radius seems to be computed with the distance d at node (0, 0) for all micro-lenses:
 //!   with the published R12-A camera the residuals of ρ vanish there and grow linearly across the
-//!   tilted array, to 0.4 px at its centre. plenocal takes the distance of each micro-lens.
+//!   tilted array, to 0.4 px at its centre. plenocal uses the distance of each micro-lens.
 
 mod files;
 mod json;
@@ -99,7 +100,7 @@ pub(super) fn internal_parameters_from(
     })
 }
 
-/// The first board of a `scene.js`; an error if there are several.
+/// The board of a `scene.js`; an error unless there is exactly one.
 pub(super) fn board_from(value: Value) -> Result<Board> {
     let file: SceneFile = parse(value, "scene.js")?;
     let [board] = file.checkerboards.as_slice() else {
@@ -123,7 +124,7 @@ fn shifted_parity(kind: LatticeKind, columns: i32, rows: i32) -> Parity {
         LatticeKind::HexagonalColumns => columns,
         LatticeKind::Orthogonal => return Parity::Even,
     };
-    // A shift of even l' by +½ along +x is, against x, one of odd l' by +½ and a common −½.
+    // Seen along −x, a shift of even l' by +½ is a shift of odd l' by +½ and of all by −½.
     if across % 2 == 0 { Parity::Even } else { Parity::Odd }
 }
 
@@ -140,8 +141,8 @@ fn mesh_node(kind: LatticeKind, k: i32, l: i32) -> Vector2<f64> {
 
 /// From the origin of COMPOTE's mesh to the centre of plenocal's array, mm in the array's axes.
 fn mesh_to_center(lattice: &Lattice, pitch_mm: f64, ratio: f64) -> Vector3<f64> {
-    // Node (0, 0) of the mesh is the last of the lattice; positions in the two run against each
-    // other.
+    // Node (0, 0) of the mesh is the last of the lattice; positions in the two run in opposite
+    // directions.
     let center =
         mesh_node(lattice.kind(), 0, 0) + lattice.node(lattice.columns - 1, lattice.rows - 1);
     Vector3::new(center.x * pitch_mm, center.y * pitch_mm * ratio, 0.0)
@@ -172,7 +173,7 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     let camera_from_sensor = file.sensor.pose.parent_from_own()?;
     if camera_from_sensor.rotation.angle() > 1e-9 {
         return Err(Error::invalid(
-            "the sensor is turned against the main lens; the model has it parallel",
+            "the sensor is rotated relative to the main lens; in the model they are parallel",
         ));
     }
     let origin = camera_from_sensor.translation.vector;
@@ -219,14 +220,15 @@ pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
         .collect()
 }
 
-/// A pose from the rotation that takes own axes into the parent's, and the origin in the parent.
+/// A pose from the rotation that takes its own axes into the parent's, and its origin in the parent
+/// frame.
 fn pose<const N: usize>(parent_from_own: &SMatrix<f64, N, N>, origin: &[f64]) -> Value {
     json!({ "rotation": matrix(&parent_from_own.transpose()), "translation": vector(origin) })
 }
 
-/// The content of an `intrinsics.js`. `grid` are the micro-images it was calibrated from.
+/// The content of an `intrinsics.js`. `grid` is the micro-image array it was calibrated from.
 ///
-/// An error where COMPOTE's mesh cannot express the array, or the lens's setting is not known.
+/// An error if COMPOTE's mesh cannot represent the array, or the setting of the lens is not known.
 pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> Result<Value> {
     let (lens, mla, lattice) = (&camera.main_lens, &camera.mla, &camera.lattice);
     let (sensor, columns, rows) = (&camera.sensor, lattice.columns, lattice.rows);
@@ -234,8 +236,8 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
         shifted != Parity::Even || shifted_parity(lattice.kind(), columns, rows) != Parity::Even
     }) {
         return Err(Error::invalid(format!(
-            "COMPOTE cannot express this array of {columns} x {rows}: it takes an even number of rows \
-             (columns), of which the even ones are shifted"
+            "COMPOTE cannot represent this array of {columns} x {rows}: it needs an even number of \
+             rows (columns), with the even ones shifted"
         )));
     }
     let setting = lens.setting.ok_or_else(|| {
@@ -280,7 +282,7 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
     }))
 }
 
-/// The mode of a camera.
+/// COMPOTE's number for a configuration.
 fn mode(configuration: Configuration) -> &'static str {
     match configuration {
         Configuration::Unfocused => "0",
@@ -331,8 +333,8 @@ pub fn camera_document(sheet: &Datasheet, grid: &MicroImageArray, lens_types: us
     })
 }
 
-/// The content of a `params.js`. Radii and with them m and q are negative in Galilean configuration;
-/// λ = D/(D + d) is that of the initial camera.
+/// The content of a `params.js`. Radii and with them m and q are negative in the Galilean
+/// configuration; λ = D/(D + d) is that of the initial camera.
 #[must_use]
 pub fn parameters_document(internal: &InternalParameters, sheet: &Datasheet) -> Value {
     let pitch = internal.micro_image_pitch_mm.unwrap_or(0.0);

@@ -19,7 +19,7 @@ use crate::simulation::{
 /// - `whites/`, `devignetting.png`, `calibration/`, `evaluation/`, `translation/`: the images;
 /// - `project.toml`: what a user would write about them; `simulation.toml`: the settings;
 /// - `truth/`: camera, internal parameters, centres with lens types, and for every subset poses and
-///   features with the part of their light that is `visible`;
+///   features with the fraction of their light that is `visible`;
 /// - `observed/`, if there are calibration boards: the observations with noise, and a project file
 ///   of its own for `calibrate`.
 pub fn stage_data_set(
@@ -95,7 +95,7 @@ fn stage_observed(
     output.stage("observed/project.toml", |out| out.write_all(project.as_bytes()))
 }
 
-/// The name of a choice as it stands in files, quoted.
+/// The name of a choice as written in files, quoted.
 pub(super) fn name_of(choice: &impl Serialize) -> String {
     toml::Value::try_from(choice).map_or_else(|_| String::new(), |name| name.to_string())
 }

@@ -1,4 +1,4 @@
-//! `detection.json`: frame by frame what was found, and what was dropped and why.
+//! `detection.json`: what was found in each frame, and what was dropped and why.
 
 use serde_json::{Value, json};
 

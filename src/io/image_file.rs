@@ -12,10 +12,10 @@ use super::record_read;
 use crate::error::{Error, Result};
 use crate::image::{Color, RawImage, Samples};
 
-/// Reads a PNG, TIFF, BMP, PGM/PPM or JPEG file of 8 or 16 bits; transparency is passed over.
+/// Reads a PNG, TIFF, BMP, PGM/PPM or JPEG file of 8 or 16 bits; transparency is ignored.
 ///
-/// `color` says what the samples stand for; without it grey or RGB, as the file has them. A file of
-/// three channels cannot be a colour mosaic, and one of a single channel cannot be RGB.
+/// `color` says what the samples stand for; without it they are grey or RGB, as in the file. A file
+/// with three channels cannot be a colour mosaic, and one with a single channel cannot be RGB.
 pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
     let begun = Instant::now();
     let unreadable = |source| Error::Read { path: path.to_owned(), source };
@@ -30,7 +30,7 @@ pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
     if width == 0 || height == 0 {
         return Err(Error::content(
             path,
-            format!("this image of {width} x {height} px is empty: save it anew"),
+            format!("this image of {width} x {height} px is empty: save it again"),
         ));
     }
     let (stored, samples) = match decoded {
@@ -52,8 +52,8 @@ pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
             return Err(Error::content(
                 path,
                 format!(
-                    "samples of the kind {:?} are not read: save the image with whole numbers of 8 \
-                     or 16 bits, linear in light",
+                    "samples of the kind {:?} are not supported: save the image with whole numbers \
+                     of 8 or 16 bits, linear in light",
                     other.color()
                 ),
             ));
@@ -98,7 +98,7 @@ pub fn write_png(out: &mut dyn Write, raw: &RawImage) -> io::Result<()> {
     PngEncoder::new_with_quality(out, CompressionType::Fast, FilterType::Adaptive)
         .write_image(&bytes, size(raw.width)?, size(raw.height)?, color)
         .map_err(|error| match error {
-            // A full disk, in the system's own words.
+            // A full disk, for example: the system's own message says it best.
             ImageError::IoError(error) => error,
             other => io::Error::other(other),
         })

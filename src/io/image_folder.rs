@@ -1,4 +1,4 @@
-//! A folder of images, sorted by the names of its folders and files into what a project lists.
+//! A folder of images, sorted into the lists of a project by the names of its folders and files.
 
 use std::cmp::Ordering;
 use std::collections::HashSet;
@@ -12,12 +12,12 @@ use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::optics;
 
-/// An f-number as a file name has it.
+/// An f-number in a file name.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum NamedFNumber {
     /// One that is engraved on lenses, such as 5.6, which stands for 5.657.
     Stop(f64),
-    /// Any other: it is what it says.
+    /// Any other number, taken as written.
     FNumber(f64),
 }
 
@@ -26,14 +26,15 @@ impl NamedFNumber {
         if ENGRAVED.contains(&number) { Self::Stop(number) } else { Self::FNumber(number) }
     }
 
-    /// The number that the name has.
+    /// The number in the name.
     fn number(self) -> f64 {
         match self {
             Self::Stop(number) | Self::FNumber(number) => number,
         }
     }
 
-    /// Whether lenses have such a stop: what looks like an f-number may also count images.
+    /// Whether lenses have such a stop: a number that looks like an f-number may also be that of an
+    /// image.
     fn is_stop(self) -> bool {
         let number = self.number();
         ENGRAVED.contains(&number)
@@ -54,7 +55,7 @@ pub struct SortedImages {
     pub evaluation: Vec<PathBuf>,
     /// A board moved along the optical axis.
     pub translation: Vec<PathBuf>,
-    /// Images whose names do not tell what they show, or contradict themselves.
+    /// Images whose names do not say what they show, or contradict themselves.
     pub unsorted: Vec<PathBuf>,
 }
 
@@ -71,7 +72,7 @@ pub struct CommonFormat {
 }
 
 const ENDINGS: [&str; 9] = ["png", "tif", "tiff", "bmp", "pgm", "ppm", "pnm", "jpg", "jpeg"];
-/// Full stops and thirds of them, as they stand on lenses.
+/// Full stops and thirds of stops, as engraved on lenses.
 #[rustfmt::skip]
 const ENGRAVED: [f64; 35] = [
     0.95, 1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.2, 2.5, 2.8, 3.2, 3.5, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1,
@@ -79,9 +80,9 @@ const ENGRAVED: [f64; 35] = [
 ];
 /// Names round f-numbers to two digits.
 const ROUNDED: f64 = 2e-3;
-/// Beyond this no number is an f-number.
+/// No f-number is larger.
 const LARGEST: f64 = 128.0;
-/// So many files are named in a message.
+/// The largest number of files that a message names.
 const NAMED: usize = 8;
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -93,8 +94,8 @@ enum Kind {
     Translation,
 }
 
-/// Looks for PNG, TIFF, BMP, PGM/PPM and JPEG files in a folder and all folders in it, and sorts
-/// them by their names below it. Hidden files are passed over.
+/// Finds PNG, TIFF, BMP, PGM/PPM and JPEG files in a folder and its subfolders, and sorts them by
+/// their paths in the folder. Hidden files are skipped.
 ///
 /// An error if there are none.
 pub fn sort_images(folder: &Path) -> Result<SortedImages> {
@@ -114,7 +115,7 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
         let name = below(&path);
         let name = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem).to_lowercase();
         let f_number = named_f_number(&name);
-        // Without a word of what it is, an f-number tells a white image.
+        // If the name says nothing else, an f-number indicates a white image.
         let only_stop = || f_number.filter(|n| n.is_stop()).map(|_| Kind::White);
         match kind(&name) {
             Ok(found) => match found.or_else(only_stop) {
@@ -153,7 +154,7 @@ fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBu
     Ok(())
 }
 
-/// Runs of digits by their value, all else by its letters, capitals as small ones.
+/// Compares runs of digits by value, and all else by letters without regard to case.
 fn natural_order(a: &str, b: &str) -> Ordering {
     fn split(text: &str) -> (&str, &str) {
         let digits = text.starts_with(|c: char| c.is_ascii_digit());
@@ -180,8 +181,8 @@ fn natural_order(a: &str, b: &str) -> Ordering {
 
 struct Contradiction;
 
-/// What a name, in small letters, says of an image: its own words go before those of the folders,
-/// and clear words before the one that all boards have.
+/// What a lower-case name says about an image. Words of the file take precedence over words of its
+/// folders, and words for one subset over words for any board.
 fn kind(name: &str) -> std::result::Result<Option<Kind>, Contradiction> {
     let of_parts = |of_part: fn(&str) -> Option<Kind>| name.rsplit('/').filter_map(of_part);
     let clear: Vec<Kind> = of_parts(clear_kind).collect();
@@ -217,8 +218,8 @@ fn unclear_kind(part: &str) -> Option<Kind> {
     words(part).any(board).then_some(Kind::Calibration)
 }
 
-/// The f-number in a name, in small letters: of the file, or else of the innermost folder that has
-/// one. None if a name has two different ones.
+/// The f-number in a lower-case name: of the file, or else of the innermost folder that has one.
+/// `None` if a name has two different ones.
 fn named_f_number(name: &str) -> Option<NamedFNumber> {
     let numbers = name.rsplit('/').map(f_numbers).find(|numbers| !numbers.is_empty())?;
     let first = *numbers.first()?;
@@ -238,7 +239,7 @@ fn f_numbers(part: &str) -> Vec<f64> {
         let rest = rest.strip_prefix(['-', '_', '=', ' ']).unwrap_or(rest);
         let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
         let digits = rest[..end].trim_end_matches('.');
-        // 01 counts images.
+        // 01 is the number of an image.
         let counts = digits.len() > 1 && digits.starts_with('0') && !digits.starts_with("0.");
         let number = digits.parse::<f64>().ok().filter(|n| (0.5..=LARGEST).contains(n));
         if let (Some(number), false) = (number, counts) {
@@ -249,21 +250,21 @@ fn f_numbers(part: &str) -> Vec<f64> {
 }
 
 impl SortedImages {
-    /// All that are sorted.
+    /// All sorted images.
     pub fn sorted(&self) -> impl Iterator<Item = &Path> {
         let whites = self.whites.iter().map(|(path, _)| path);
         let boards = self.calibration.iter().chain(&self.evaluation).chain(&self.translation);
         whites.chain(&self.devignetting).chain(boards).map(PathBuf::as_path)
     }
 
-    /// Size and channels of the sorted images; `None` if there are none. An error naming those of
-    /// another size than most.
+    /// Size and channels of the sorted images; `None` if there are none. An error names those that
+    /// differ in size from most.
     pub fn common_format(&self) -> Result<Option<CommonFormat>> {
         let formats = self.sorted().map(|path| Ok((path, format_of(path)?)));
         let formats = formats.collect::<Result<Vec<(&Path, (u32, u32, Color))>>>()?;
         let size = |&(_, (width, height, _)): &(&Path, (u32, u32, Color))| (width, height);
         let alike = |this| formats.iter().filter(|format| size(format) == this).count();
-        // Of two that are equally frequent the first.
+        // Of two equally frequent sizes, the first.
         let Some((width_px, height_px)) =
             formats.iter().rev().map(size).max_by_key(|&this| alike(this))
         else {
@@ -276,8 +277,9 @@ impl SortedImages {
         if !other.is_empty() {
             let more = other.len().saturating_sub(NAMED);
             return Err(Error::invalid(format!(
-                "{} of {} images have {width_px} x {height_px} px, but these have not:\n{}{}\nGive \
-                 all images whole as the camera delivered them, or take these out of the folder",
+                "{} of {} images have {width_px} x {height_px} px, but these do not:\n{}{}\nGive \
+                 all images uncropped, as the camera delivered them, or take these out of the \
+                 folder",
                 formats.len() - other.len(),
                 formats.len(),
                 other[..other.len().min(NAMED)].join("\n"),

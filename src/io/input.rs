@@ -1,5 +1,5 @@
-//! Reads a camera, internal parameters, a board or poses from whichever kind of file holds them,
-//! told apart by content.
+//! Reads a camera, internal parameters, a board or poses from any kind of file that contains them.
+//! Kinds are recognised by content.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use super::{
 use crate::error::{Error, Result};
 use crate::model::{Board, Datasheet, FramePose, InternalParameters, PlenopticCamera};
 
-/// What a camera file holds.
+/// What a camera file contains.
 #[derive(Debug, Clone, PartialEq)]
 pub enum CameraSource {
     /// The datasheet values of a camera to be calibrated.
@@ -21,7 +21,7 @@ pub enum CameraSource {
     Camera(Box<PlenopticCamera>),
 }
 
-/// A document of one of the kinds of file.
+/// The parsed content of a file.
 enum Document {
     Project(Box<Project>),
     Json(Value),
@@ -68,8 +68,8 @@ pub fn read_camera_source(path: &Path) -> Result<CameraSource> {
     source.map_err(|e| e.in_file(path))
 }
 
-/// Reads internal parameters: `precalibration.json`, COMPOTE's `params.js` or a project file. The pixel size, mm, is
-/// checked against the one they were measured with where that is stated.
+/// Reads internal parameters: `precalibration.json`, COMPOTE's `params.js` or a project file. The
+/// pixel size, mm, is checked against the one they were measured with, where that is stated.
 pub fn read_internal_parameters(
     path: &Path,
     pixel_size_mm: Option<f64>,

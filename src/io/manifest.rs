@@ -37,9 +37,9 @@ pub struct Manifest {
 /// A stage that is done.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StageRecord {
-    /// Its name, and that of its folder.
+    /// Name of the stage and of its folder.
     pub name: String,
-    /// SHA-256 of its input and of the program: as long as it is the same, the stage need not be
+    /// SHA-256 of its input and of the program: while it is the same, the stage need not be
     /// repeated.
     pub key: String,
     /// What it was made from: values, and files by name and SHA-256.
@@ -50,7 +50,7 @@ pub struct StageRecord {
     pub files: BTreeMap<String, String>,
 }
 
-/// Bytes that are read at once.
+/// Bytes read at a time.
 const CHUNK: usize = 1 << 20;
 
 /// SHA-256 of a file, hexadecimal, as `sha256sum` prints it.
@@ -86,7 +86,7 @@ fn hexadecimal(bytes: &[u8]) -> String {
 }
 
 impl Manifest {
-    /// For a run in which nothing is done yet, by a program with this SHA-256.
+    /// The manifest of a run in which nothing is done yet, by a program with this SHA-256.
     #[must_use]
     pub fn new(project: &Path, program_sha256: String) -> Self {
         Self {
@@ -100,8 +100,8 @@ impl Manifest {
         }
     }
 
-    /// Reads the manifest of a folder; `None` if there is none, or one of another version: then nothing
-    /// in the folder is relied on.
+    /// Reads the manifest of a folder; `None` if there is none, or if it has another version: then
+    /// nothing in the folder is relied on.
     #[must_use]
     pub fn read(folder: &Path) -> Option<Self> {
         let text = read_text(&folder.join(MANIFEST)).ok()?;
@@ -115,7 +115,7 @@ impl Manifest {
         self.stages.iter().find(|stage| stage.name == name)
     }
 
-    /// Notes a stage as done, in place of an earlier record of it.
+    /// Records a stage as done, in place of an earlier record.
     pub fn note(&mut self, record: StageRecord) {
         self.stages.retain(|stage| stage.name != record.name);
         self.stages.push(record);
@@ -132,7 +132,7 @@ impl Manifest {
 }
 
 impl StageRecord {
-    /// Whether all that the stage wrote is still there as it was.
+    /// Whether everything the stage wrote is still there, unchanged.
     #[must_use]
     pub fn is_intact(&self, folder: &Path) -> bool {
         self.files

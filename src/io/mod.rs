@@ -1,4 +1,5 @@
-//! Files: plenocal's own and COMPOTE's, read by what is in them and written all or none.
+//! Files: plenocal's own and COMPOTE's. They are recognised by content, and written all together or not at
+//! all.
 
 mod calibration_file;
 mod camera_file;

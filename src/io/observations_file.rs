@@ -31,7 +31,7 @@ pub fn read_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
 
 /// Reads BAP features from CSV, or features and centres from COMPOTE's binary form.
 ///
-/// With `rho` false the column `rho` need not be there and is not read.
+/// With `rho` false the column `rho` may be missing and is not read.
 pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
     let bytes = read_bytes(path)?;
     if compote::is_linked_observations(&bytes) {
@@ -106,7 +106,7 @@ impl Row<'_> {
         Error::content(self.path, format!("line {}: {message}", self.line))
     }
 
-    /// What stands in a column; `None` if there is no such column, or nothing in it.
+    /// The text in a column; `None` if there is no such column, or it is empty.
     fn text(&self, name: &str) -> Option<&str> {
         let (_, column) = self.columns.iter().find(|(column, _)| *column == name)?;
         self.record.get(*column).filter(|text| !text.is_empty())

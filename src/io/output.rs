@@ -12,8 +12,8 @@ use tracing::{debug, info};
 
 use crate::error::{Error, Result};
 
-/// Collects files under temporary names in their folder; `commit` gives them their names. What is
-/// not committed leaves nothing behind, also after [`abandon_output`].
+/// Collects files under temporary names in their folder; `commit` gives them their final names.
+/// Without a commit nothing is left behind, not even after [`abandon_output`].
 #[derive(Debug)]
 pub struct OutputFolder {
     folder: PathBuf,
@@ -22,7 +22,7 @@ pub struct OutputFolder {
     created: Vec<PathBuf>,
 }
 
-/// What all output folders of the process have on disk without having committed it.
+/// What all output folders of the process have on disk but not committed.
 struct Registry {
     files: Vec<PathBuf>,
     folders: Vec<PathBuf>,
@@ -32,16 +32,16 @@ struct Registry {
 static REGISTRY: Mutex<Registry> =
     Mutex::new(Registry { files: Vec::new(), folders: Vec::new(), committed: false });
 
-/// Held wherever files or folders come, go or get their names.
+/// Locked wherever files or folders are created, removed or given their names.
 fn registry() -> MutexGuard<'static, Registry> {
     REGISTRY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes all that is staged and not committed, for a process that is about to end before its time.
-/// Returns whether something had been committed before.
+/// Removes everything that is staged but not committed, for a process that is about to end early.
+/// Returns whether anything was committed before.
 ///
-/// A commit that is under way is waited for. From then on whoever stages, commits or drops an
-/// [`OutputFolder`] waits for the end of the process, so that nothing appears after all.
+/// Waits for a commit in progress. From then on, any thread that stages, commits or drops an
+/// [`OutputFolder`] waits for the end of the process, so that nothing more is written.
 #[must_use]
 pub fn abandon_output() -> bool {
     let registry = registry();
@@ -54,7 +54,7 @@ pub fn abandon_output() -> bool {
     committed
 }
 
-/// Removes folders, the last first; one that is not empty stays.
+/// Removes folders, the last first; a folder that is not empty stays.
 fn remove_empty(folders: &[PathBuf]) {
     for folder in folders.iter().rev() {
         let _ = fs::remove_dir(folder);
@@ -62,8 +62,8 @@ fn remove_empty(folders: &[PathBuf]) {
 }
 
 impl OutputFolder {
-    /// An error if the path cannot become a folder, or nothing can be written there; nothing is
-    /// created yet.
+    /// Creates nothing yet; an error if the path cannot become a folder, or nothing can be written
+    /// there.
     pub fn new(folder: &Path) -> Result<Self> {
         if folder.exists() && !folder.is_dir() {
             return Err(Error::content(folder, "is a file, but results go into a folder"));
@@ -75,13 +75,13 @@ impl OutputFolder {
                 format!("cannot become a folder, because {} is a file", there.display()),
             ));
         }
-        // Found out now rather than after the work; the file has no name on most systems.
+        // Found now rather than after the work; the file has no name on most systems.
         tempfile::tempfile_in(there)
             .map_err(|e| Error::Write { path: folder.to_owned(), source: plain(e) })?;
         Ok(Self { folder: folder.to_owned(), staged: Vec::new(), created: Vec::new() })
     }
 
-    /// Writes a file of the folder by a function.
+    /// Stages a file of the folder, written by a function.
     pub fn stage(
         &mut self,
         name: impl AsRef<Path>,
@@ -105,7 +105,7 @@ impl OutputFolder {
         }
     }
 
-    /// A temporary file, its folder created if need be, both known to the registry.
+    /// A temporary file, its folder created if necessary, both entered in the registry.
     fn open(&mut self, folder: &Path) -> io::Result<NamedTempFile> {
         let mut registry = registry();
         let missing = folder.ancestors().take_while(|f| !f.as_os_str().is_empty() && !f.exists());
@@ -119,7 +119,7 @@ impl OutputFolder {
         Ok(file)
     }
 
-    /// Writes a JSON file, indented, with a final line break.
+    /// Stages a JSON file, indented, with a final line break.
     pub fn stage_json(&mut self, name: impl AsRef<Path>, value: &serde_json::Value) -> Result<()> {
         self.stage(name, |out| {
             serde_json::to_writer_pretty(&mut *out, value)?;
@@ -127,22 +127,22 @@ impl OutputFolder {
         })
     }
 
-    /// What another folder has staged is committed with this one.
+    /// Takes over what another folder has staged, to be committed with this one.
     pub fn take(&mut self, mut other: Self) {
         self.created.append(&mut other.created);
         self.staged.append(&mut other.staged);
     }
 
-    /// Gives all files their names, replacing older ones. Returns the paths.
+    /// Gives all files their final names, replacing older files. Returns the paths.
     pub fn commit(mut self) -> Result<Vec<PathBuf>> {
-        // What would keep one of them from its name is looked for before the first gets it.
+        // A name that is taken by a folder is found before the first file gets its name.
         if let Some((_, path)) = self.staged.iter().find(|(_, path)| path.is_dir()) {
             return Err(Error::content(path, "is a folder, but a result has this name"));
         }
         let begun = Instant::now();
         let mut paths = Vec::new();
         {
-            // No interrupt comes between the first and the last.
+            // No interrupt can come between the first and the last.
             let mut registry = registry();
             for (file, path) in mem::take(&mut self.staged) {
                 let staged = file.path().to_owned();
@@ -167,13 +167,13 @@ impl OutputFolder {
 }
 
 impl Drop for OutputFolder {
-    /// Folders in which nothing came to be go again.
+    /// Removes the created folders that are still empty.
     fn drop(&mut self) {
         let mut registry = registry();
         self.staged.clear();
         remove_empty(&self.created);
         registry.folders.retain(|folder| !self.created.contains(folder));
-        // Those of this folder are gone, or have their names.
+        // Those of this folder are removed, or have their final names.
         registry.files.retain(|file| file.exists());
     }
 }

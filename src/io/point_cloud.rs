@@ -12,7 +12,7 @@ const SEPARATORS: [char; 3] = [' ', ',', ';'];
 /// Reads the median z of a point cloud: lines of x, y, z, and whatever follows them; lines that begin
 /// with `#` or `//` are comments, and a first line of words is a header.
 ///
-/// An error naming the line that is none, or if there are no points.
+/// An error names a line that is not a point, or says that there are no points.
 pub fn read_point_cloud_distance(path: &Path) -> Result<f64> {
     let text = read_text(path)?;
     let mut depths = Vec::new();
@@ -33,7 +33,7 @@ pub fn read_point_cloud_distance(path: &Path) -> Result<f64> {
             None => {
                 return Err(Error::content(
                     path,
-                    format!("line {} is no point x y z: '{line}'", number + 1),
+                    format!("line {} is not a point x y z: '{line}'", number + 1),
                 ));
             }
         }

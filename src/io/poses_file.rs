@@ -32,7 +32,8 @@ struct TransformFile {
 }
 
 /// The content of `poses.json`: `camera_from_board` of every frame as rotation vector (axis times
-/// angle), the same as a matrix (row by row), translation, and if known their standard deviations.
+/// angle), the rotation also as a matrix (row by row), translation, and if known their standard
+/// deviations.
 #[must_use]
 pub fn poses_document(poses: &[FramePose], uncertainty: Option<&Uncertainty>) -> Value {
     let pose = |(i, p): (usize, &FramePose)| {

@@ -1,4 +1,5 @@
-//! `precalibration.json`: the micro-image array and the internal parameters; the centres beside it.
+//! `precalibration.json`: the micro-image array and the internal parameters; and centers.csv beside
+//! it.
 
 use std::io::{self, Write};
 
@@ -119,8 +120,8 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
     }
     let internal = file.internal_parameters.ok_or_else(|| {
         Error::invalid(
-            "this pre-calibration is of one image and has no internal parameters; they take white \
-             images at several f-numbers",
+            "this pre-calibration is from one image and has no internal parameters; these need \
+             white images at several f-numbers",
         )
     })?;
     Ok(InternalParameters {

@@ -1,4 +1,4 @@
-//! A first project file: what is known of a camera and its images, and comments for the rest.
+//! A first project file: what is known about a camera and its images, and comments for the rest.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{Board, Datasheet};
 
-/// What a project file is drafted from. What is `None` is not known, and becomes a comment.
+/// What a project file is drafted from. A `None` is not known, and becomes a comment.
 #[derive(Debug, Clone, Copy)]
 pub struct ProjectDraft<'a> {
     /// The images.
@@ -23,7 +23,7 @@ pub struct ProjectDraft<'a> {
     pub color: Option<Color>,
     /// Name and values of a camera of this kind.
     pub preset: Option<(&'a str, &'a Datasheet)>,
-    /// F as engraved, mm; goes before the preset, as the next two.
+    /// F as engraved, mm; takes precedence over the preset, as do the next two.
     pub focal_length_mm: Option<f64>,
     /// N of the boards' images.
     pub f_number: Option<f64>,
@@ -40,11 +40,11 @@ pub struct ProjectDraft<'a> {
 pub struct DraftText {
     /// Its text.
     pub text: String,
-    /// What has to be filled in, one item a line.
+    /// What has to be filled in, one item per line.
     pub missing: Vec<String>,
 }
 
-/// What stands where something is missing.
+/// Marks what is missing.
 pub(super) const FILL_IN: &str = "FILL IN";
 /// Column of the comments.
 const COMMENT: usize = 30;
@@ -88,14 +88,15 @@ impl DraftText {
 }
 
 impl ProjectDraft<'_> {
-    /// The text of a project file that is to stand in `folder`: paths are relative to it.
+    /// The text of a project file in `folder`: paths are relative to it.
     pub fn text(&self, folder: &Path) -> Result<DraftText> {
         let mut draft = DraftText::default();
         draft.line("# plenocal project: a camera, a board, and their images.");
         if let Some((name, _)) = self.preset {
             let _ = writeln!(
                 draft.text,
-                "# What is marked (preset) is taken from the preset {name}: compare it with your camera."
+                "# Values marked (preset) are taken from the preset {name}: compare them with your \
+                 camera."
             );
         }
         self.camera(&mut draft);
@@ -108,8 +109,8 @@ impl ProjectDraft<'_> {
         self.preset.map(|(_, sheet)| sheet)
     }
 
-    /// The preset, if its sensor has the size of the images: only then its pixels and its number of
-    /// micro-lenses can be those of the images.
+    /// The preset, if its sensor has the size of the images: only then can its pixel size and its
+    /// numbers of micro-lenses be those of the images.
     fn sheet_of_size(&self) -> Option<&Datasheet> {
         let size = self.format.map(|format| (format.width_px, format.height_px));
         self.sheet().filter(|s| size.is_none_or(|at| at == (s.sensor.width_px, s.sensor.height_px)))
@@ -125,9 +126,9 @@ impl ProjectDraft<'_> {
 
         draft.table("sensor", "");
         let width = known.map(|format| format.width_px.to_string());
-        draft.value("sensor", "width_px", width, "as the images have it");
+        draft.value("sensor", "width_px", width, "as in the images");
         let height = known.map(|format| format.height_px.to_string());
-        draft.value("sensor", "height_px", height, "as the images have it");
+        draft.value("sensor", "height_px", height, "as in the images");
         let what = of_preset(of_size.is_some(), "edge of a pixel");
         let pixel = of_size.map(|s| number(s.sensor.pixel_size_mm));
         draft.value("sensor", "pixel_size_mm", pixel, &what);
@@ -144,7 +145,7 @@ impl ProjectDraft<'_> {
                 "f_number",
                 self.f_number,
                 sheet.map(|s| s.f_number),
-                "of the boards' images, as it is: 5.657 where 5.6 is engraved",
+                "of the board images, the true one: 5.657 where 5.6 is engraved",
             ),
             (
                 "focus_distance_mm",
@@ -173,7 +174,7 @@ impl ProjectDraft<'_> {
         let rows = of_size.map(|s| s.rows.to_string());
         named("rows", "micro-images along a column, cut ones too", rows, draft);
         let types = sheet.map(|s| s.lens_types.to_string());
-        named("lens_types", "kinds of micro-lenses, 0 for pinholes", types, draft);
+        named("lens_types", "number of lens types, 0 for pinholes", types, draft);
     }
 
     fn board(&self, draft: &mut DraftText) {
@@ -224,10 +225,10 @@ impl ProjectDraft<'_> {
         let unsorted = names(&images.unsorted)?;
         if !unsorted.is_empty() {
             draft.line(&format!(
-                "# {FILL_IN}: the names of these do not tell what they show; move them to the lists."
+                "# {FILL_IN}: the names of these do not say what they show; move them to the lists."
             ));
             draft.missing.push(format!(
-                "[images]: where the {} images belong whose names do not tell what they show",
+                "[images]: move the {} images whose names do not say what they show to the lists",
                 unsorted.len()
             ));
         }
@@ -242,7 +243,7 @@ impl ProjectDraft<'_> {
                 Some(NamedFNumber::Stop(stop)) => draft.line(&format!("stop = {stop}")),
                 Some(NamedFNumber::FNumber(number)) => draft.line(&format!("f_number = {number}")),
                 None => {
-                    let what = "as engraved on the lens; or f_number, as it is";
+                    let what = "as engraved on the lens; or f_number, the true one";
                     draft.commented("# stop = ?", &format!("{FILL_IN}: {what}"));
                     draft.missing.push(format!("[[images.whites]] stop: of {image}, {what}"));
                 }
@@ -252,7 +253,7 @@ impl ProjectDraft<'_> {
         Ok(())
     }
 
-    /// Without its step a translation is of no use, and is a comment as a whole.
+    /// A translation without its step is of no use, so the whole table becomes a comment.
     fn translation(&self, draft: &mut DraftText, names: &[String]) {
         if names.is_empty() {
             return;
@@ -266,7 +267,8 @@ impl ProjectDraft<'_> {
         if self.step_mm.is_none() {
             let table = draft.text.split_off(begin);
             draft.line(&format!(
-                "\n# {FILL_IN} the step of this table, then take the # from the start of its lines."
+                "\n# {FILL_IN} the step of this table, then remove the # from the start of its \
+                 lines."
             ));
             for line in table.lines().filter(|line| !line.is_empty()) {
                 draft.line(&format!("# {}", line.strip_prefix("# ").unwrap_or(line)));
@@ -275,7 +277,7 @@ impl ProjectDraft<'_> {
     }
 }
 
-/// An absolute path without links. What does not exist yet has none.
+/// An absolute path without links. A part that does not exist yet has none.
 fn canonical(path: &Path) -> Result<PathBuf> {
     let unreadable = |source| Error::Read { path: path.to_owned(), source };
     let absolute = std::path::absolute(path).map_err(unreadable)?;
@@ -284,7 +286,7 @@ fn canonical(path: &Path) -> Result<PathBuf> {
     Ok(fs::canonicalize(there).map_err(unreadable)?.components().chain(rest.components()).collect())
 }
 
-/// A path as seen from a folder, both without links, quoted. The file's own name stays, also where it
+/// A path as seen from a folder, both without links, quoted. The file's own name stays, even if it
 /// is a link.
 fn relative(path: &Path, folder: &Path) -> Result<String> {
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
@@ -300,7 +302,7 @@ fn relative(path: &Path, folder: &Path) -> Result<String> {
     Ok(quoted(name))
 }
 
-/// A string of TOML on one line: JSON escapes the same characters in the same way.
+/// A string of TOML on one line: JSON escapes the same characters in the same way as TOML.
 fn quoted(text: &(impl Serialize + ?Sized)) -> String {
     serde_json::to_string(text).unwrap_or_default()
 }

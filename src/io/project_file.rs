@@ -1,4 +1,4 @@
-//! The project file: everything a calibration is told, in TOML.
+//! The project file: camera, board, images and options, in TOML.
 
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ pub struct Project {
     pub images: Option<ImagesSection>,
     /// Where the observations are, relative to the project file.
     pub observations: Option<ObservationsSection>,
-    /// What is known beforehand, relative to the project file; to compare with.
+    /// The truth, for comparison; paths are relative to the project file.
     pub truth: Option<TruthSection>,
     /// Options of the calibration.
     #[serde(default)]
@@ -77,7 +77,7 @@ pub struct ArraySection {
     pub rows: i32,
     /// I.
     pub lens_types: usize,
-    /// Distance of neighbouring micro-image centres, px; found if not stated.
+    /// Distance between neighbouring micro-image centres, px; found if not stated.
     pub micro_image_pitch_px: Option<f64>,
 }
 
@@ -130,9 +130,9 @@ impl ImagesSection {
 pub struct WhiteImage {
     /// The image.
     pub image: PathBuf,
-    /// The f-number it was taken at, as it is.
+    /// The true f-number it was taken at.
     pub f_number: Option<f64>,
-    /// Instead of it the stop as it is engraved: 5.6 stands for 5.657.
+    /// Instead of it, the stop as engraved: 5.6 stands for 5.657.
     pub stop: Option<f64>,
 }
 
@@ -144,7 +144,7 @@ impl WhiteImage {
             (None, Some(stop)) if stop > 0.0 => Ok(optics::f_number_of_stop(stop)),
             (None, Some(stop)) => Err(Error::invalid(format!("a stop of {stop} is not possible"))),
             _ => Err(Error::invalid(format!(
-                "the white image {} needs f_number, or stop as it is engraved, and not both",
+                "the white image {} needs either f_number or stop (as engraved), and not both",
                 self.image.display()
             ))),
         }
@@ -159,7 +159,7 @@ pub struct TranslationImages {
     pub step_mm: f64,
     /// The images, in order.
     pub images: Vec<PathBuf>,
-    /// Point clouds (`.xyz`) of the same frames by other software, to compare with.
+    /// Point clouds (`.xyz`) of the same frames from other software, for comparison.
     #[serde(default)]
     pub clouds: Vec<PathBuf>,
 }
@@ -168,7 +168,7 @@ pub struct TranslationImages {
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObservationsSection {
-    /// CSV of the centres; left out when the features' file holds them.
+    /// CSV of the centres; left out if the features file contains them.
     pub centers: Option<PathBuf>,
     /// CSV of the features, or COMPOTE's binary form.
     pub features: PathBuf,
@@ -178,7 +178,7 @@ pub struct ObservationsSection {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pitches {
-    /// The same along x and y (the paper).
+    /// One for both axes (the paper).
     One,
     /// One along x, one along y.
     Two,
@@ -206,14 +206,14 @@ pub struct CalibrationSection {
     pub loss: Option<LossKind>,
     /// Its scale, standard deviations.
     pub loss_scale: Option<f64>,
-    /// Limit of iterations.
+    /// Maximum number of iterations.
     pub max_iterations: Option<usize>,
     /// Threads.
     pub threads: Option<usize>,
 }
 
 impl CalibrationSection {
-    /// These options, and where they say nothing those of `other`.
+    /// These options; where they say nothing, those of `other`.
     #[must_use]
     pub fn or(self, other: Self) -> Self {
         Self {
@@ -307,7 +307,7 @@ impl Project {
                 micro_image_pitch_px: array.micro_image_pitch_px,
             })),
             _ => Err(Error::invalid(
-                "a camera takes all of the tables [sensor], [main_lens] and [micro_lens_array]",
+                "a camera needs all of the tables [sensor], [main_lens] and [micro_lens_array]",
             )),
         }
     }

@@ -1,7 +1,7 @@
-//! Raytrix' `RayCalibData` (XML): the micro-image array as its maker measured it.
+//! Raytrix' `RayCalibData` (XML): the micro-image array as the maker measured it.
 //!
-//! Positions count from the middle of the image, y upwards, in units of the pitch ("lens") but for
-//! the offset, which is in px.
+//! Positions are measured from the middle of the image, y upwards, in units of the pitch ("lens"),
+//! except for the offset, which is in px.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ use crate::precalibration::{lattice_centers, lattice_orientation};
 pub struct RaytrixCalibration {
     /// Packing.
     pub kind: LatticeKind,
-    /// Distance of neighbouring centres, px.
+    /// Distance between neighbouring centres, px.
     pub pitch_px: f64,
     /// Rotation of the lattice in the image, rad, from u towards v.
     pub rotation_rad: f64,
@@ -43,7 +43,7 @@ pub fn read_raytrix(path: &Path) -> Result<RaytrixCalibration> {
 fn calibration(root: Node) -> Result<RaytrixCalibration> {
     if !root.has_tag_name("RayCalibData") {
         return Err(Error::invalid(format!(
-            "this is not Raytrix' calibration: its root is <{}>, not <RayCalibData>",
+            "this is not a Raytrix calibration: its root is <{}>, not <RayCalibData>",
             root.tag_name().name()
         )));
     }
@@ -57,7 +57,7 @@ fn calibration(root: Node) -> Result<RaytrixCalibration> {
     let base = Matrix2::from_columns(&[x, y]);
     if !base.is_invertible() {
         return Err(Error::invalid(
-            "lens_base_x and lens_base_y point the same way, which makes no lattice",
+            "lens_base_x and lens_base_y point the same way and span no lattice",
         ));
     }
     let upwards = Matrix2::new(1.0, 0.0, 0.0, -1.0);
@@ -76,14 +76,14 @@ fn calibration(root: Node) -> Result<RaytrixCalibration> {
     })
 }
 
-/// The offset of a lens type is a whole number of steps within this part of one.
+/// The offset of a lens type is a whole number of steps to within this fraction of a step.
 const ON_NODE: f64 = 0.1;
 
 /// Colours of the lens types of a file if there are several, in its order.
 fn type_colors(root: Node, kind: LatticeKind, to_nodes: &Matrix2<f64>) -> Result<Vec<i32>> {
     let types: Vec<Node> = root.children().filter(|node| node.has_tag_name("lens_type")).collect();
     check_lens_types(types.len(), kind)
-        .map_err(|e| Error::invalid(format!("<lens_type> is there {} times: {e}", types.len())))?;
+        .map_err(|e| Error::invalid(format!("<lens_type> appears {} times: {e}", types.len())))?;
     if types.len() < 2 {
         return Ok(Vec::new());
     }
@@ -95,8 +95,8 @@ fn type_colors(root: Node, kind: LatticeKind, to_nodes: &Matrix2<f64>) -> Result
         let color = color(&node);
         if (steps - node).amax() > ON_NODE || colors.contains(&color) {
             return Err(Error::invalid(format!(
-                "the offset ({}, {}) of <lens_type> {} leads to no lens, or to one of a type before \
-                 it: correct the file, so that the types are those of three neighbours",
+                "the offset ({}, {}) of <lens_type> {} leads to no lens, or to one of an earlier \
+                 type: correct the file, so that the types are those of three neighbours",
                 offset.x,
                 offset.y,
                 i + 1
@@ -132,7 +132,7 @@ fn vector(node: Node) -> Result<Vector2<f64>> {
 }
 
 impl RaytrixCalibration {
-    /// All centres in an image of so many pixels.
+    /// All centres in an image of this size, px.
     pub fn centers(&self, width: u16, height: u16) -> Result<Vec<MicroImageCenter>> {
         let origin = Self::middle(width, height) + self.offset_px;
         lattice_centers((width, height), &origin, &self.steps_px)
@@ -142,8 +142,8 @@ impl RaytrixCalibration {
         Vector2::new(f64::from(width) - 1.0, f64::from(height) - 1.0) / 2.0
     }
 
-    /// Lens type, from 0 in the order of the file, of the centre nearest to a position in an image of
-    /// so many pixels.
+    /// Lens type, from 0 in the order of the file, of the centre nearest to a position in an image
+    /// of this size, px.
     #[must_use]
     pub fn lens_type(&self, width: u16, height: u16, p: Vector2<f64>) -> usize {
         let color = color(&self.nearest(width, height, p));
@@ -154,7 +154,8 @@ impl RaytrixCalibration {
     fn nearest(&self, width: u16, height: u16, p: Vector2<f64>) -> Vector2<f64> {
         let from_first = p - Self::middle(width, height) - self.offset_px;
         let place = self.steps_px.try_inverse().unwrap_or_else(Matrix2::zeros) * from_first;
-        // On a hexagonal lattice rounding is not always nearest; look around.
+        // On a hexagonal lattice rounding does not always give the nearest node: its neighbours
+        // are tried too.
         let rounded = place.map(f64::round);
         let around = (-1..=1).flat_map(|i| (-1..=1).map(move |j| (f64::from(i), f64::from(j))));
         around
@@ -172,8 +173,8 @@ mod tests {
     use super::*;
     use crate::precalibration::fit_grid;
 
-    /// A file of a lattice turned by so many degrees, seen with y upwards, with types at so many steps
-    /// along the first base.
+    /// A file of a lattice rotated by `turned` degrees, with y upwards, and with lens types at
+    /// these steps along the first base.
     fn file(turned: f64, between: f64, types: &[f64]) -> String {
         let step = |degrees: f64| {
             let (y, x) = degrees.to_radians().sin_cos();
@@ -199,7 +200,7 @@ mod tests {
     #[test]
     fn turned_lattices_are_read_in_either_packing() {
         use LatticeKind::{HexagonalColumns, HexagonalRows, Orthogonal};
-        // Turned with y upwards, the rotation left is one back with v downwards.
+        // A rotation with y upwards has the opposite sign with v downwards.
         for (turned, between, kind, rotation) in [
             (4.0, 60.0, HexagonalRows, -4.0),
             (-3.0, 60.0, HexagonalRows, 3.0),
@@ -242,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn without_types_or_with_one_there_is_one() {
+    fn without_types_or_with_one_there_is_one_type() {
         for types in [&[][..], &[1.0]] {
             let maker = read(&file(0.0, 60.0, types)).unwrap();
             assert_eq!(maker.lens_types, 1);
@@ -253,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn files_of_something_else_are_refused_in_words() {
+    fn other_files_are_refused_with_a_reason() {
         let three = [0.0, 1.0, 2.0];
         let good = file(0.0, 60.0, &three);
         for (text, words) in [
@@ -263,8 +264,8 @@ mod tests {
             (good.replace("<y>-2.25</y>", ""), "there is no <y> in it"),
             (file(0.0, 0.0, &three), "point the same way"),
             (file(0.0, 75.0, &three), "neither a hexagonal nor a square lattice"),
-            (file(0.0, 60.0, &[0.0, 1.0]), "<lens_type> is there 2 times"),
-            (file(0.0, 90.0, &three), "<lens_type> is there 3 times"),
+            (file(0.0, 60.0, &[0.0, 1.0]), "<lens_type> appears 2 times"),
+            (file(0.0, 90.0, &three), "<lens_type> appears 3 times"),
             (file(0.0, 60.0, &[0.0, 1.0, 4.0]), "<lens_type> 3 leads to no lens, or to one of a"),
             (file(0.0, 60.0, &[0.0, 0.5, 2.0]), "<lens_type> 2 leads to no lens"),
         ] {

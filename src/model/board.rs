@@ -53,7 +53,7 @@ impl Board {
 /// A frame and the pose of its board.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FramePose {
-    /// Label of the frame.
+    /// Number of the frame.
     pub frame: u32,
     /// Takes points of the board frame into the camera frame, mm.
     pub camera_from_board: Isometry3<f64>,

@@ -57,7 +57,7 @@ pub struct MainLens {
     pub radial: [f64; 3],
     /// P₁, P₂ in mm⁻¹.
     pub tangential: [f64; 2],
-    /// What the lens was set to; for the record, the model does not use it.
+    /// What the lens was set to; recorded only, the model does not use it.
     pub setting: Option<LensSetting>,
 }
 
@@ -70,7 +70,7 @@ pub struct LensSetting {
     pub focus_distance_mm: f64,
 }
 
-/// The micro-lens array and the sensor behind it. Distances run along the optical axis and hold at
+/// The micro-lens array and the sensor behind it. Distances are measured along the optical axis, at
 /// the centre of the array.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MicroLensArray {
@@ -78,13 +78,13 @@ pub struct MicroLensArray {
     pub principal_point_px: Vector2<f64>,
     /// d: array to sensor, mm.
     pub mla_to_sensor_mm: f64,
-    /// θx, θy, θz, rad: the array is turned by Rz·Ry·Rx.
+    /// θx, θy, θz, rad: the array is rotated by Rz·Ry·Rx.
     pub rotation_rad: Vector3<f64>,
     /// t_x, t_y, mm: centre of the array in the camera frame.
     pub offset_mm: Vector2<f64>,
     /// D: main lens to array, mm.
     pub lens_to_mla_mm: f64,
-    /// ΔC: distance of neighbouring micro-lenses along x, mm.
+    /// ΔC: distance between neighbouring micro-lenses along x, mm.
     pub pitch_mm: f64,
     /// Pitch along y over pitch along x; 1 for a regular lattice.
     pub pitch_ratio: f64,
@@ -92,7 +92,7 @@ pub struct MicroLensArray {
     pub focal_lengths_mm: Vec<f64>,
 }
 
-/// A calibrated (or to be refined) camera: the 16 + I parameters of the paper and the ratio of the
+/// A camera, calibrated or to be refined: the 16 + I parameters of the paper and the ratio of the
 /// two pitches.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "CameraFields", into = "CameraFields")]
@@ -134,7 +134,7 @@ impl PlenopticCamera {
         })
     }
 
-    /// δc: distance of neighbouring micro-image centres, px, Eq. (mlinterdist).
+    /// δc: distance between neighbouring micro-image centres, px, Eq. (mlinterdist).
     #[must_use]
     pub fn micro_image_pitch_px(&self) -> f64 {
         let mla = &self.mla;
@@ -142,7 +142,7 @@ impl PlenopticCamera {
             / (mla.lens_to_mla_mm * self.sensor.pixel_size_mm)
     }
 
-    /// An error naming the value that cannot be.
+    /// Checks all values; an error names the one that is not possible.
     pub fn validate(&self) -> Result<()> {
         self.sensor.validate()?;
         check_array_size(self.lattice.columns, self.lattice.rows)?;
@@ -162,7 +162,7 @@ impl PlenopticCamera {
         for (parameter, value) in
             intrinsic_parameters(self.lens_types()).iter().zip(self.intrinsics())
         {
-            // Far beyond this squares overflow.
+            // Squares of values far beyond this overflow.
             if !value.is_finite() || value.abs() > 1e100 {
                 return Err(Error::invalid(format!("the camera's {} is {value}", parameter.name)));
             }
@@ -207,7 +207,7 @@ pub(crate) fn check_array_size(columns: i32, rows: i32) -> Result<()> {
     )))
 }
 
-/// An error unless the number of lens types is one the lattice can carry.
+/// An error unless the number of lens types is one that the lattice can have.
 pub(crate) fn check_lens_types(types: usize, kind: LatticeKind) -> Result<()> {
     match (types, kind) {
         (0 | 1, _) | (3, LatticeKind::HexagonalRows | LatticeKind::HexagonalColumns) => Ok(()),

@@ -1,4 +1,4 @@
-//! A camera as it stands in files: `camera.json` and simulation files.
+//! A camera as stored in files: `camera.json` and simulation files.
 
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera, Sensor};
 use super::lattice::{Lattice, LatticeKind, Packing, Parity};
 
-/// A camera as it stands in files.
+/// A camera as stored in files.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct CameraFields {
     sensor: Sensor,
@@ -92,7 +92,7 @@ impl TryFrom<CameraFields> for PlenopticCamera {
         let packing = match (array.lattice, array.shifted) {
             (LatticeKind::Orthogonal, _) => Packing::Orthogonal,
             (kind, Some(shifted)) => Packing::new(kind, shifted),
-            (_, None) => return Err("a hexagonal lattice takes shifted = \"even\" or \"odd\""),
+            (_, None) => return Err("a hexagonal lattice needs shifted = \"even\" or \"odd\""),
         };
         Ok(Self {
             sensor: fields.sensor,
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn orthogonal_lattices_have_no_shifted_rows_to_differ_in() {
+    fn orthogonal_lattices_ignore_which_rows_are_shifted() {
         let camera = |shifted| camera("orthogonal", shifted).unwrap();
         assert_eq!(camera(Some("even")), camera(Some("odd")));
         assert_eq!(camera(Some("even")), camera(None));

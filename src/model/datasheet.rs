@@ -1,4 +1,5 @@
-//! What is known of a camera before it is calibrated: its datasheet, and what white images tell.
+//! What is known about a camera before it is calibrated: its datasheet, and its internal
+//! parameters.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +20,7 @@ pub enum Configuration {
     Unfocused,
 }
 
-/// What the datasheet says of a camera: the start of a calibration.
+/// What the datasheet says about a camera: the starting point of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Datasheet {
     /// The image sensor.
@@ -40,7 +41,7 @@ pub struct Datasheet {
     pub rows: i32,
     /// Number I of lens types; 0 for an array of pinholes.
     pub lens_types: usize,
-    /// Distance of neighbouring micro-image centres, px, where it is stated.
+    /// Distance between neighbouring micro-image centres, px, where it is stated.
     pub micro_image_pitch_px: Option<f64>,
 }
 
@@ -51,12 +52,12 @@ pub struct InternalParameters {
     pub m_mm: f64,
     /// q'ᵢ, mm, by lens type.
     pub q_prime_mm: Vec<f64>,
-    /// Distance Δc of neighbouring micro-image centres, mm, where it was measured along.
+    /// Distance Δc between neighbouring micro-image centres, mm, where it was measured.
     pub micro_image_pitch_mm: Option<f64>,
 }
 
 impl Datasheet {
-    /// An error naming the value that cannot be.
+    /// Checks all values; an error names the one that is not possible.
     pub fn validate(&self) -> Result<()> {
         self.sensor.validate()?;
         check_array_size(self.columns, self.rows)?;
@@ -79,7 +80,7 @@ impl Datasheet {
 }
 
 impl InternalParameters {
-    /// An error naming the value that cannot be, or the number of q' that does not match.
+    /// Checks all values; an error names the one that is not possible, or a wrong number of q'.
     pub fn validate(&self, lens_types: usize) -> Result<()> {
         positive(self.m_mm, "the internal parameter |m| (mm)")?;
         for (i, &q) in self.q_prime_mm.iter().enumerate() {
@@ -90,8 +91,8 @@ impl InternalParameters {
         }
         if lens_types != 0 && self.q_prime_mm.len() != lens_types {
             return Err(Error::invalid(format!(
-                "the camera has I = {lens_types} lens types, but the internal parameters hold {} \
-                 values of q'; both have to be of the same camera",
+                "the camera has I = {lens_types} lens types, but the internal parameters have {} \
+                 values of q'; both have to belong to the same camera",
                 self.q_prime_mm.len()
             )));
         }

@@ -1,6 +1,6 @@
-//! Numbers and units as people read them.
+//! Numbers and units as they are shown to people.
 
-/// Unit in which people read a parameter, and its factor.
+/// The unit in which a parameter is shown, and the factor to it.
 pub(crate) fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64) {
     match name {
         "d" | "dC" => ("µm", 1e3),

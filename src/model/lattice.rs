@@ -1,7 +1,7 @@
-//! Lattices of micro-lenses: where node (k, l) lies and which lens type it is.
+//! Lattices of micro-lenses: where node (k, l) lies and which lens type it has.
 //!
 //! The C++ core has the same few formulas in `plenocal/camera.hpp`, so that each side stands alone:
-//! the simulator must not lean on the core that it tests. A test holds the two together.
+//! the simulator must not depend on the core that it tests. A test compares the two.
 
 use std::fmt;
 
@@ -14,25 +14,25 @@ use serde::{Deserialize, Serialize};
 pub enum LatticeKind {
     /// A square lattice.
     Orthogonal,
-    /// Hexagonal with straight rows: every other row is moved by half a pitch along u.
+    /// Hexagonal with straight rows: every other row is shifted by half a pitch along u.
     HexagonalRows,
-    /// Hexagonal with straight columns: every other column is moved by half a pitch along v.
+    /// Hexagonal with straight columns: every other column is shifted by half a pitch along v.
     HexagonalColumns,
 }
 
-/// How the micro-lenses are packed, and which rows (columns) of a hexagonal lattice are moved.
+/// How the micro-lenses are packed, and which rows (columns) of a hexagonal lattice are shifted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Packing {
     /// See [`LatticeKind::Orthogonal`].
     Orthogonal,
-    /// See [`LatticeKind::HexagonalRows`]; rows of this parity are moved by +½ pitch.
+    /// See [`LatticeKind::HexagonalRows`]; rows of this parity are shifted by +½ pitch.
     HexagonalRows(Parity),
-    /// See [`LatticeKind::HexagonalColumns`]; columns of this parity are moved by +½ pitch.
+    /// See [`LatticeKind::HexagonalColumns`]; columns of this parity are shifted by +½ pitch.
     HexagonalColumns(Parity),
 }
 
 impl Packing {
-    /// A packing of this kind; the parity is that of a hexagonal one.
+    /// A packing of this kind; only a hexagonal one has a parity.
     #[must_use]
     pub fn new(kind: LatticeKind, shifted: Parity) -> Self {
         match kind {
@@ -66,7 +66,7 @@ impl Packing {
         }
     }
 
-    /// The rows (columns) that are moved; `None` for an orthogonal lattice.
+    /// The rows (columns) that are shifted; `None` for an orthogonal lattice.
     #[must_use]
     pub fn shifted(self) -> Option<Parity> {
         match self {
@@ -88,7 +88,7 @@ impl LatticeKind {
     }
 }
 
-/// Which rows (columns) of a hexagonal lattice are moved by +½ pitch.
+/// Which rows (columns) of a hexagonal lattice are shifted by +½ pitch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Parity {
@@ -116,7 +116,7 @@ impl Parity {
     }
 }
 
-/// Distance of the straight rows of a hexagonal lattice, in pitches: √3/2.
+/// Distance between the straight rows of a hexagonal lattice, in pitches: √3/2.
 pub const ROW_DISTANCE: f64 = 0.866_025_403_784_438_6;
 
 /// A lattice of `columns` × `rows` nodes (k, l); k grows along u and l along v.
@@ -163,14 +163,14 @@ impl Lattice {
         (0..self.columns).contains(&k) && (0..self.rows).contains(&l)
     }
 
-    /// Position of node (k, l) in pitches along u and v, about the midpoint of the bounding box of
+    /// Position of node (k, l) in pitches along u and v, from the midpoint of the bounding box of
     /// all nodes.
     #[must_use]
     pub fn node(&self, k: i32, l: i32) -> Vector2<f64> {
         let centred = |index: i32, count: i32| f64::from(index) - f64::from(count - 1) / 2.0;
         let shift = |row: i32, shifted: Parity| if shifted.holds(row) { 0.5 } else { 0.0 };
-        // Along the straight rows, of which there are `across`: shifted and unshifted ones together
-        // reach half a pitch further.
+        // Along the straight rows, of which there are `across`: shifted and unshifted rows together
+        // extend half a pitch further.
         let staggered = |index: i32, count: i32, row: i32, across: i32, shifted: Parity| {
             let mean_shift = if across > 1 { 0.25 } else { shift(0, shifted) };
             centred(index, count) + shift(row, shifted) - mean_shift
@@ -190,9 +190,9 @@ impl Lattice {
 
     /// Index of the lens type of node (k, l), from 0.
     ///
-    /// Three types follow the unique 3-colouring of the hexagonal lattice; they are named so that
-    /// (0, 0) is of type 0 and its successor along the straight rows (columns) of type 1. Fewer
-    /// than three types are all type 0.
+    /// Three types follow the unique 3-colouring of the hexagonal lattice; they are numbered so
+    /// that (0, 0) has type 0, and its successor along the straight rows (columns) type 1. With
+    /// fewer than three types, every node has type 0.
     #[must_use]
     pub fn lens_type(&self, k: i32, l: i32, types: usize) -> usize {
         if types < 3 {

@@ -1,5 +1,6 @@
-//! The values that everything else is about: the camera, the board and its poses, what is seen in
-//! images, and the scalar relations between them. Nothing here reads, solves or prints.
+//! The values that everything else works with: the camera, the board and its poses, the
+//! observations in images, and the scalar relations between them. Nothing here reads, solves or
+//! prints.
 
 mod board;
 mod camera;

@@ -27,7 +27,7 @@ impl Default for Noise {
     }
 }
 
-/// Adds noise, observation by observation; the same seed adds the same.
+/// Adds noise, observation by observation; the same seed gives the same noise.
 #[derive(Debug)]
 pub struct NoiseSource {
     generator: StdRng,

@@ -1,4 +1,4 @@
-//! What was seen in the images: micro-image centres and BAP features.
+//! What was observed in the images: micro-image centres and BAP features.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
@@ -23,7 +23,7 @@ pub struct MicroImageCenter {
 /// Blur aware plenoptic feature: a board corner in micro-image (k, l) of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BapFeature {
-    /// Label of the frame.
+    /// Number of the frame.
     pub frame: u32,
     /// Board corner, `row · columns + column` (COMPOTE's `cluster`).
     pub corner: i32,
@@ -52,18 +52,18 @@ pub struct Observations {
     pub features: Vec<BapFeature>,
 }
 
-/// Fewest board corners that give a pose.
+/// The smallest number of board corners that gives a pose.
 pub const MIN_CORNERS: usize = 4;
 
 impl Observations {
-    /// Labels of the frames, ascending.
+    /// Numbers of the frames, ascending.
     #[must_use]
     pub fn frames(&self) -> Vec<u32> {
         self.features.iter().map(|f| f.frame).collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// An error naming the first observation that is impossible: not finite, outside the array, the
-    /// board or the image, or given twice; or a frame with too few corners.
+    /// Checks all observations; an error names the first that is impossible: not finite, outside
+    /// the array, the board or the image, or given twice; or a frame with too few corners.
     pub fn validate(
         &self,
         sensor: &Sensor,

@@ -18,10 +18,9 @@ pub fn focus_image_distance(focal_length: f64, focus_distance: f64) -> f64 {
 
 /// Initial D and d (paper, section 5.1), mm.
 ///
-/// The main lens is focused two sensor distances beyond the array (Galilean) or before it
-/// (Keplerian), D = H ∓ 2d, or onto it (unfocused); the slope of the micro-image radii gives
-/// m = dF/2D, Eq. (miradiusfnumbermc). Together d = 2mH/(F ± 4m), of which the paper prints the
-/// Galilean case.
+/// The main lens is focused at 2d behind the array (Galilean) or in front of it (Keplerian),
+/// D = H ∓ 2d, or on it (unfocused); the slope of the micro-image radii gives m = dF/2D,
+/// Eq. (miradiusfnumbermc). Together they give d = 2mH/(F ± 4m); the paper prints the Galilean case.
 #[must_use]
 pub fn initial_distances(
     focal_length: f64,
@@ -50,7 +49,7 @@ pub fn micro_lens_focal_length(q_prime: f64, micro_lens_pitch: f64, mla_to_senso
     mla_to_sensor * micro_lens_pitch / (2.0 * q_prime)
 }
 
-/// The f-number of a stop as it is engraved (4, 5.6, 8, 11 …): N = √(2^AV) with the aperture value AV
+/// The f-number of a stop as engraved (4, 5.6, 8, 11 …): N = √(2^AV) with the aperture value AV
 /// rounded to thirds (paper, section 3.2).
 #[must_use]
 pub fn f_number_of_stop(stop: f64) -> f64 {
@@ -75,7 +74,7 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
 mod tests {
     use super::*;
 
-    /// Rounding of a few operations.
+    /// Rounding error of a few operations.
     const EXACT: f64 = 1e-12;
 
     #[test]

@@ -1,7 +1,7 @@
 //! The intrinsic parameters: one table with their names, units and places in a camera.
 //!
-//! The core has its own (`for_each_parameter` in `plenocal/camera.hpp`); a test sends values across
-//! and compares them name by name.
+//! The core has its own table (`for_each_parameter` in `plenocal/camera.hpp`); a test sends values
+//! across and compares them name by name.
 
 use super::camera::PlenopticCamera;
 
@@ -74,7 +74,7 @@ static PARAMETERS: [Parameter; WITHOUT_FOCAL_LENGTHS + MAX_LENS_TYPES] = paramet
     "f_3" ["mm"] mla.focal_lengths_mm[2];
 ];
 
-/// The intrinsic parameters of a camera with so many lens types, in the order of
+/// The intrinsic parameters of a camera with this many lens types, in the order of
 /// [`PlenopticCamera::intrinsics`].
 ///
 /// # Panics

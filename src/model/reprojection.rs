@@ -40,8 +40,7 @@ pub struct Reprojection {
 }
 
 /// Root mean square errors of features, as in the paper's Table 4:
-/// uv² = mean(du² + dv²), rho² = mean(dρ²), all² = uv² + rho². In px; not a number without
-/// observations.
+/// uv² = mean(du² + dv²), rho² = mean(dρ²), all² = uv² + rho². In px; NaN without observations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rmse {
     /// Number of features.

@@ -263,9 +263,9 @@ fn a_calibration_needs_no_board_of_the_evaluation() {
     run.spoil_evaluation();
     run.again(&["--folds", "0", "--json"])
         .success()
-        .stderr(contains("warning: boards of evaluation: no frame shows the board"))
+        .stderr(contains("warning: boards for evaluation: no frame shows the board"))
         .stdout(contains("\"evaluation\":null"));
-    assert!(run.report().contains("boards of evaluation: no frame shows the board"));
+    assert!(run.report().contains("boards for evaluation: no frame shows the board"));
 }
 
 #[test]

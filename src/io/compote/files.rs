@@ -153,14 +153,14 @@ impl SensorFile {
 }
 
 impl PoseFile {
-    /// Takes points of this frame into its parent's.
+    /// Takes points of this frame into the parent frame.
     pub(super) fn parent_from_own(&self) -> Result<Isometry3<f64>> {
         let rows = &self.rotation;
         if rows.len() != 3 || rows.iter().any(|row| row.len() != 3) {
             return Err(Error::invalid("a pose's rotation is not a 3 x 3 matrix"));
         }
         let matrix = Matrix3::from_fn(|i, j| rows[j][i].0);
-        // Written with some 16 digits; more than rounding is another matter.
+        // Written with about 16 digits; a larger error is not rounding.
         if (matrix * matrix.transpose() - Matrix3::identity()).norm() > 1e-6
             || matrix.determinant() < 0.0
         {

@@ -7,11 +7,11 @@ use serde_json::{Value, json};
 
 use crate::error::{Error, Result};
 
-/// A number, written as one or as a string.
+/// A number, written as a number or as a string.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Number(pub f64);
 
-/// A whole number, written as one or as a string.
+/// A whole number, written as a number or as a string.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Integer(pub i64);
 

@@ -12,10 +12,10 @@ use crate::model::{BapFeature, MicroImageCenter, Observations};
 const CENTER_BYTES: usize = 24;
 /// Bytes of a corner or feature (k, l: i32; u, v, rho: f64; cluster, frame: i32).
 const FEATURE_BYTES: usize = 40;
-/// More than this after decompression is no set of observations, but a damaged or hostile file.
+/// A file of more bytes after decompression is damaged or hostile, not a set of observations.
 const MAX_BYTES: u64 = 1 << 28;
 
-/// Whether the bytes begin as a gzip stream does.
+/// Whether the bytes begin like a gzip stream.
 pub(in crate::io) fn is_linked_observations(bytes: &[u8]) -> bool {
     bytes.starts_with(&[0x1f, 0x8b])
 }
@@ -24,11 +24,11 @@ pub(in crate::io) fn is_linked_observations(bytes: &[u8]) -> bool {
 pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
     let mut data = Vec::new();
     MultiGzDecoder::new(bytes).take(MAX_BYTES + 1).read_to_end(&mut data).map_err(|e| {
-        Error::invalid(format!("the gzip stream is damaged or cut short ({e}); copy it anew"))
+        Error::invalid(format!("the gzip stream is damaged or cut short ({e}); copy it again"))
     })?;
     if data.len() as u64 > MAX_BYTES {
         return Err(Error::invalid(format!(
-            "it unpacks to more than {} MB; no set of observations is so large",
+            "it unpacks to more than {} MB; no set of observations is that large",
             MAX_BYTES >> 20
         )));
     }
@@ -54,7 +54,7 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
             rho_std_dev_px: None,
             corner: i32_at(r, 32),
             frame: u32::try_from(frame)
-                .map_err(|_| Error::invalid(format!("a feature has the frame {frame}")))?,
+                .map_err(|_| Error::invalid(format!("a feature has the frame number {frame}")))?,
         })
     };
     let corners = section(&mut rest, "corners", FEATURE_BYTES, feature)?;
