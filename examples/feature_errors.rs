@@ -47,7 +47,7 @@ fn main() -> Result<()> {
         let score = DetectionScore::of_simulation(&settings, frames, DepthEstimator::Line)?;
         println!(
             "| {name} | {} of {} | {:.1} % | {:.2} % | {:.3} px | {:.3} px | {:.3} px | {:.2} % | {:.2} % |",
-            score.tied,
+            score.labelled,
             score.frames,
             100.0 * score.recall(),
             100.0 * score.precision(),

@@ -26,7 +26,7 @@ fn assert_found(name: &str, replaced: &[&str], (needed, frames): (usize, usize),
     println!(
         "{name} {replaced:?}: {} of {frames} frames, {:.1} % found, {:.2} % true, {:.3} px, {:.3} px, \
          rho {:.3} px, depth {:.2} %",
-        score.tied,
+        score.labelled,
         100.0 * score.recall(),
         100.0 * score.precision(),
         score.small_rms_px(),
@@ -34,7 +34,7 @@ fn assert_found(name: &str, replaced: &[&str], (needed, frames): (usize, usize),
         score.rho_rms_px(),
         100.0 * score.depth_rms()
     );
-    assert!(score.tied >= needed);
+    assert!(score.labelled >= needed);
     assert!(score.recall() > FOUND && score.precision() > TRUE);
     assert!(score.small_rms_px() < SMALL_BLUR_PX && score.rms_px() < ANY_BLUR_PX);
     assert!(score.rho_rms_px() < rho_px && score.depth_rms() < DEPTH);

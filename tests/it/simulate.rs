@@ -175,7 +175,7 @@ fn settings_that_cannot_be_simulated_are_refused_in_words() {
         ("camera.sensor.width_px=0", "has no area"),
         ("camera.sensor.width_px=4000000000", "pixels are more than can be simulated"),
         ("camera.micro_lens_array.columns=60000", "micro-lenses are more than can be simulated"),
-        ("boards.calibration=1000000000000", "images of a kind are more than can be simulated"),
+        ("boards.calibration=1000000000000", "images of one kind are more than can be simulated"),
         ("camera.main_lens.q1_per_mm2=-0.1", "the distortion folds the image"),
         ("camera.main_lens.p1_per_mm=1e10", "the distortion folds the image"),
         ("camera.micro_lens_array.mla_to_sensor_mm=0", "the camera's d (mm) is 0"),
@@ -211,7 +211,7 @@ fn settings_that_cannot_be_simulated_are_refused_in_words() {
             "there is no setting 'camera.main_lens.focal_lenth_mm'",
         ),
         ("seed", "'seed' sets nothing; write KEY=VALUE"),
-        ("seed.x=3", "seed is no table"),
+        ("seed.x=3", "seed is not a table"),
         ("seed=many", "invalid type: string \"many\", expected u64"),
         ("seed=1\nrays = 1", "the value of 'seed' has more than one line"),
     ] {
@@ -251,11 +251,11 @@ fn bad_files_of_poses_are_refused_in_words() {
     let run = || refused(folder.path(), &["--poses", file.to_str().unwrap()]);
     fs::write(&file, "").unwrap();
     run().stderr(contains("poses.json: the file is empty"));
-    // A board turned round shows its back.
+    // A board turned by 180 degrees shows its back.
     let pose = r#"{"frame": 3, "camera_from_board": {"rotation_vector_rad": [0, 3.14159, 0],
         "translation_mm": [0, 0, 80]}}"#;
     for (poses, words) in [
-        (pose.to_owned(), "calibration frame 3: the board shows its back"),
+        (pose.to_owned(), "calibration frame 3: the camera sees the back of the board"),
         (format!("{pose}, {pose}"), "frame 3 has two poses"),
         (String::new(), "there are no poses"),
     ] {

@@ -103,11 +103,12 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Result<Option<F
         numbers(&boards, &view, overlay);
         Ok(())
     })?;
-    let caption = "The camera and the boards as calibrated, in mm in the camera frame. Numbers are frames, \
+    let caption =
+        "The camera and the boards as calibrated, in mm in the camera frame. Numbers are frames, \
                    a dot marks a board's first corner, and dashed lines bound what the sensor sees \
                    through the middle of the main lens. Boards at many distances and tilts, all \
                    over the field of view, determine a camera well."
-        .to_owned();
+            .to_owned();
     Ok(Some(figure("scene", caption, svg)))
 }
 
