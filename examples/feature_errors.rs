@@ -33,7 +33,7 @@ const SETS: [(&str, &str, &[&str], usize); 11] = [
 
 fn main() -> Result<()> {
     println!(
-        "| boards | tied | found | true | position, blur up to 3 px | position, all | ρ | 1/ν, line | \
+        "| boards | labelled | found | true | position, blur up to 3 px | position, all | ρ | 1/ν, line | \
          1/ν, median |"
     );
     println!("|---|---|---|---|---|---|---|---|---|");

@@ -12,7 +12,7 @@ use crate::solver::{self, Refinement, Uncertainty};
 /// Boards tilted by less than this, rad (5°), can hardly be distinguished in a projection.
 const FRONTO_PARALLEL_RAD: f64 = 0.087;
 /// A reprojection error above this fraction of the micro-image pitch is not noise of a detector. On
-/// the R12 it is 2.3 px; real data have 0.9 px.
+/// the R12 the limit is 2.3 px; real data have 0.9 px.
 const BAD_FIT: f64 = 0.1;
 /// A model that explains the blur radii leaves residuals below this fraction of their spread.
 const UNEXPLAINED_RHO: f64 = 0.5;

@@ -25,7 +25,7 @@ pub(super) struct Bundle {
     pub down: Vector3<f64>,
     /// Whether rays are drawn on the opening of the micro-lens, or else on the pupil: on whichever is
     /// smaller, projected onto the plane of the micro-lens.
-    pub on_stop: bool,
+    pub on_opening: bool,
     /// Area from which the rays are drawn, in the plane of the micro-lens.
     pub area: f64,
     /// Distortion of the main lens for this bundle, if it leads to the board.
@@ -126,18 +126,18 @@ impl Tracer {
         let demagnification = lens.demagnification(to_sensor, to_pupil);
         // All in the plane of the micro-lens, times the demagnification, which may be 0.
         let place = pupil.xy() + pixel.xy() * (to_pupil / to_sensor);
-        let stop = array.stop_radius * demagnification.abs();
+        let stop = array.opening_radius * demagnification.abs();
         let pixel_reach = HALF_DIAGONAL * array.pixel_size * to_pupil / to_sensor;
         if place.norm() > (stop + self.pupil.radius + pixel_reach) * OUTLINE_MARGIN {
             return None;
         }
-        let on_stop = stop <= self.pupil.radius;
+        let on_opening = stop <= self.pupil.radius;
         let radius =
-            if on_stop { array.stop_radius } else { self.pupil.radius / demagnification.abs() };
+            if on_opening { array.opening_radius } else { self.pupil.radius / demagnification.abs() };
         let local = board.and_then(|board| {
             // The ray through the middle of the projected pupil, or the nearest point of the opening.
             let middle = if stop > 0.0 { place / demagnification } else { place };
-            let within = (array.stop_radius / middle.norm()).min(1.0);
+            let within = (array.opening_radius / middle.norm()).min(1.0);
             let (ray, _) = self.through(lens, middle * within, &pixel);
             let about = |shift| Some(self.lens.about(ray.at(board.image_z(&ray, shift)?)));
             about(&about(&Vector2::zeros())?.shift())
@@ -147,7 +147,7 @@ impl Tracer {
             pixel,
             right: -array.axes.row(0).transpose() * step,
             down: -array.axes.row(1).transpose() * step,
-            on_stop,
+            on_opening,
             area: std::f64::consts::PI * radius * radius,
             local,
         })
@@ -181,15 +181,15 @@ impl Tracer {
     ) -> f64 {
         let pixel = bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
         let on_disc = Vector2::from(point.disc);
-        let on_lens = if bundle.on_stop {
-            on_disc * self.array.stop_radius
+        let on_lens = if bundle.on_opening {
+            on_disc * self.array.opening_radius
         } else {
             let aim = on_disc * self.pupil.radius;
             let aim = self.array.local(lens, &Point3::new(aim.x, aim.y, self.pupil.z));
             (aim.xy() - pixel.xy() * (aim.z / pixel.z)) / lens.demagnification(-pixel.z, aim.z)
         };
-        let stop = self.array.stop_radius;
-        if !bundle.on_stop && on_lens.norm_squared() > stop * stop {
+        let stop = self.array.opening_radius;
+        if !bundle.on_opening && on_lens.norm_squared() > stop * stop {
             return 0.0;
         }
         let (ray, inner) = self.through(lens, on_lens, &pixel);

@@ -52,7 +52,7 @@ fn light_returns_along_the_rays() {
             for point in sets.set(i as u64) {
                 let pixel =
                     bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
-                let on_lens = Vector2::from(point.disc) * tracer.array.stop_radius;
+                let on_lens = Vector2::from(point.disc) * tracer.array.opening_radius;
                 let ray = tracer.through(lens, on_lens, &pixel).0;
                 if !tracer.passes(&ray) {
                     continue;
@@ -97,7 +97,7 @@ fn light_is_conserved_for_every_lens_type() {
             let image = tracer.render(&Scene::White, 1024, 0, &|| ()).unwrap();
             let sum: f64 = image.pixels.iter().map(|&p| f64::from(p)).sum();
             let flux = sum * tracer.reference_irradiance() * tracer.array.pixel_size.powi(2);
-            let (pupil, stop) = (tracer.pupil.radius, tracer.array.stop_radius);
+            let (pupil, stop) = (tracer.pupil.radius, tracer.array.opening_radius);
             let distance = camera.mla.lens_to_mla_mm;
             let all = (std::f64::consts::PI * pupil * stop / distance).powi(2);
             // The slopes at the sensor are those of pupil and micro-lens, of the mean squares

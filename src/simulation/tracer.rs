@@ -150,7 +150,7 @@ impl Tracer {
         let to_sensor = -self.lens_to_mla - self.array.sensor_z;
         let pitch = self.micro_image_pitch_mm();
         let q_prime = |lens: &MicroLens| {
-            let stop = lens.demagnification(to_sensor, to_pupil) * self.array.stop_radius;
+            let stop = lens.demagnification(to_sensor, to_pupil) * self.array.opening_radius;
             pitch / 2.0 - stop * to_sensor / to_pupil
         };
         InternalParameters {
@@ -182,7 +182,7 @@ impl Tracer {
     pub(super) fn micro_image_radius_px(&self, lens: &MicroLens) -> f64 {
         let to_sensor = lens.center.z - self.array.sensor_z;
         let to_pupil = self.pupil.z - lens.center.z;
-        let stop = lens.demagnification(to_sensor, to_pupil).abs() * self.array.stop_radius;
+        let stop = lens.demagnification(to_sensor, to_pupil).abs() * self.array.opening_radius;
         (stop + self.pupil.radius) * to_sensor / to_pupil / self.array.pixel_size
     }
 
@@ -194,7 +194,7 @@ impl Tracer {
             let to_sensor = lens.center.z - self.array.sensor_z;
             let to_pupil = self.pupil.z - lens.center.z;
             let demagnification = lens.demagnification(to_sensor, to_pupil).abs();
-            let radius = (self.pupil.radius / demagnification).min(self.array.stop_radius);
+            let radius = (self.pupil.radius / demagnification).min(self.array.opening_radius);
             std::f64::consts::PI * (radius / to_sensor).powi(2)
         };
         self.one_of_each_type().map(middle).fold(0.0, f64::max)

@@ -55,7 +55,7 @@ impl Tracer {
     fn spot_of_image(&self, image: &Point3<f64>, lens: &MicroLens) -> Spot {
         let rim = directions(RIM_RAYS);
         let hit = |direction: &Vector2<f64>| {
-            self.array.to_sensor(lens, direction * self.array.stop_radius, image)
+            self.array.to_sensor(lens, direction * self.array.opening_radius, image)
         };
         let hits: Vec<Point2<f64>> = rim.iter().map(hit).collect();
         let rays = f64::from(RIM_RAYS);
@@ -78,7 +78,7 @@ impl Tracer {
             directions(RIM_RAYS).into_iter().map(move |direction| direction * radius)
         };
         let passes = |on_lens: &Vector2<f64>| {
-            let start = self.array.of_lens(lens, on_lens * self.array.stop_radius);
+            let start = self.array.of_lens(lens, on_lens * self.array.opening_radius);
             let towards = image - start;
             let slope = towards.xy() / towards.z;
             self.passes(&Ray { at_lens: start.xy().coords - slope * start.z, slope })
