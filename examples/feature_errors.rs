@@ -1,4 +1,4 @@
-//! Writes a table of how good detected features are: simulated boards against their truth.
+//! Writes a table of the errors of detected features: simulated boards against their truth.
 //!
 //!     cargo run --release --example feature_errors [PART OF A NAME]
 
@@ -7,7 +7,7 @@ use plenocal::detection::DepthEstimator;
 use plenocal::evaluation::DetectionScore;
 use plenocal::simulation::Settings;
 
-/// Name, preset, what is replaced in it, and frames.
+/// Name, preset, replaced settings, and number of frames.
 const SETS: [(&str, &str, &[&str], usize); 11] = [
     ("mini", "mini", &[], 10),
     ("mini, 16 bit", "mini", &["imaging.bits=16"], 10),

@@ -79,7 +79,7 @@ constexpr double kSimpleU = 137.5;
 constexpr double kSimpleV = 90.66987298108;
 constexpr double kSimpleRho[] = {0.0, 0.0, 0.0, 1.25};  // by number of types
 
-WeightedFeature pencil_feature(const Camera& camera, double du, double dv, double drho,
+WeightedFeature simple_feature(const Camera& camera, double du, double dv, double drho,
                                const Feature<double>& weight = {1.0, 1.0, 1.0}) {
   const int types = camera.lens_types();
   return {kSimplePoint,
@@ -94,9 +94,9 @@ void expect_features_by_hand() {
   const Blocks blocks(camera, kSimplePose);
   // Residuals are projected minus observed, each times its own weight. No loss.
   const auto cost =
-      FeatureResiduals<I>::create({pencil_feature(camera, 0, 0, 0, {2.0, 2.0, 8.0}),
-                                   pencil_feature(camera, 1.0, -3.0, 0.25, {2.0, 2.0, 8.0}),
-                                   pencil_feature(camera, 1.0, -3.0, 0.25, {4.0, 0.5, 2.0})},
+      FeatureResiduals<I>::create({simple_feature(camera, 0, 0, 0, {2.0, 2.0, 8.0}),
+                                   simple_feature(camera, 1.0, -3.0, 0.25, {2.0, 2.0, 8.0}),
+                                   simple_feature(camera, 1.0, -3.0, 0.25, {4.0, 0.5, 2.0})},
                                   0.01, {});
   const std::vector<double> residuals = evaluate(*cost, blocks.pointers());
   const std::vector<double> expected = I == 0
@@ -116,7 +116,7 @@ TEST(FeatureResiduals, LossScalesTheWholeFeature) {
   // |(-2, 6, -3)| = 7, Huber at 1: the norm becomes sqrt(2*7 - 1), the direction stays.
   const Camera camera = simple_camera(3);
   const auto cost = FeatureResiduals<3>::create(
-      {pencil_feature(camera, 1.0, -3.0, 0.375, {2.0, 2.0, 8.0})}, 0.01, {LossKind::kHuber, 1.0});
+      {simple_feature(camera, 1.0, -3.0, 0.375, {2.0, 2.0, 8.0})}, 0.01, {LossKind::kHuber, 1.0});
   const auto residuals = evaluate(*cost, Blocks(camera, kSimplePose).pointers());
   const double factor = 0.515078753637713;  // sqrt(13)/7
   EXPECT_NEAR(residuals[0], -2 * factor, kRounding);
@@ -126,7 +126,7 @@ TEST(FeatureResiduals, LossScalesTheWholeFeature) {
 
 TEST(FeatureResiduals, UndefinedPointFailsTheBlock) {
   const Camera camera = simple_camera(3);
-  const auto cost = FeatureResiduals<3>::create({pencil_feature(camera, 0, 0, 0)}, 0.01, {});
+  const auto cost = FeatureResiduals<3>::create({simple_feature(camera, 0, 0, 0)}, 0.01, {});
   double residuals[3];
   const Blocks blocks(camera, {{0.0, 0.0, 0.0}, {0.0, 0.0, 49.0}});
   EXPECT_FALSE(cost->Evaluate(blocks.pointers().data(), residuals, nullptr));
@@ -298,7 +298,7 @@ TEST(Gradients, Centers) {
 TEST(Gradients, AreFiniteWithoutRotationOrDistortion) {
   // Angle-axis and distortion at exactly 0, where a careless sqrt would give NaN.
   const Camera camera = simple_camera(3);
-  const auto cost = FeatureResiduals<3>::create({pencil_feature(camera, 0, 0, 0)}, 0.01,
+  const auto cost = FeatureResiduals<3>::create({simple_feature(camera, 0, 0, 0)}, 0.01,
                                                 {LossKind::kCauchy, 1.0});
   const Blocks blocks(camera, kSimplePose);
   std::array<double, 3 * 6> lens, pose;

@@ -132,8 +132,11 @@ impl Tracer {
             return None;
         }
         let on_opening = stop <= self.pupil.radius;
-        let radius =
-            if on_opening { array.opening_radius } else { self.pupil.radius / demagnification.abs() };
+        let radius = if on_opening {
+            array.opening_radius
+        } else {
+            self.pupil.radius / demagnification.abs()
+        };
         let local = board.and_then(|board| {
             // The ray through the middle of the projected pupil, or the nearest point of the opening.
             let middle = if stop > 0.0 { place / demagnification } else { place };
