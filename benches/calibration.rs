@@ -2,8 +2,8 @@
 //!
 //! Uses the R12-A observations in the folder `PLENOCAL_R12A`, or else the shipped feature set, and
 //! the program `PLENOCAL_PLAIN_CERES` (`cpp/examples/plain_ceres`) as the baseline: one residual
-//! block per observation, Ceres' defaults otherwise, the same tolerance. Both run in turns, so that
-//! a slower moment of the machine meets both; medians are given, and their ratio is what counts.
+//! block per observation, the same tolerance, otherwise Ceres' defaults. The programs alternate, so
+//! that a slow moment of the machine affects both. Medians are printed; their ratio is what counts.
 
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ use plenocal::precalibration::fit_grid;
 use plenocal::solver::SolverOptions;
 use serde_json::Value;
 
-/// Enough for a median; a run of the baseline takes seconds.
+/// Number of runs: enough for a median; a run of the baseline takes seconds.
 const RUNS: usize = 7;
 
 struct Data {
@@ -144,10 +144,12 @@ fn compare(program: &Path, data: &Data, observations: &Observations, threads: us
         end.0, end.1
     );
     println!(
-        "  the same, not extrapolated {:7.3} s  {ceres_iterations:3} iterations",
+        "  without extrapolation      {:7.3} s  {ceres_iterations:3} iterations",
         median(ceres)
     );
-    println!("  plenocal, whole stage      {whole:7.3} s  (grid, start, refinement, uncertainty)");
+    println!(
+        "  plenocal, whole stage      {whole:7.3} s  (grid, initial values, refinement, uncertainty)"
+    );
     println!("  ratio of the refinements   {:7.3}", solve / plain);
     println!("  ratio of the whole stage   {:7.3}", whole / plain);
 }

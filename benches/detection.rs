@@ -1,4 +1,4 @@
-//! Speed of detection on a frame of an R12, after decoding.
+//! Speed of detection in a frame of an R12, after decoding.
 
 use std::hint::black_box;
 use std::time::Instant;

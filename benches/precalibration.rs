@@ -1,4 +1,4 @@
-//! Speed of the pre-calibration of an R12's white images, beside the time that decoding them takes.
+//! Speed of the pre-calibration of an R12's white images, compared with the time to decode them.
 
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
@@ -66,7 +66,7 @@ fn main() -> plenocal::Result<()> {
     println!("  decoding alone                 {decoding:7.3} s");
     println!("  centres and grid of one image  {array:7.3} s");
     println!(
-        "  the whole step with decoding   {whole:7.3} s, {:.2} times decoding",
+        "  the whole stage and decoding   {whole:7.3} s, {:.2} times decoding",
         whole / decoding
     );
     std::fs::remove_dir_all(&folder).expect("the folder can be removed");

@@ -12,7 +12,7 @@ fn seconds(settings: &Settings, shot: &Shot, threads: usize, runs: usize) -> f64
     let mut times: Vec<f64> = (0..runs)
         .map(|_| {
             let start = Instant::now();
-            pool.install(|| shot.take(settings, &|| ())).expect("presets can be taken");
+            pool.install(|| shot.take(settings, &|| ())).expect("images of presets can be taken");
             start.elapsed().as_secs_f64()
         })
         .collect();

@@ -1,4 +1,4 @@
-//! Writes a table of how good detected features are: simulated boards against their truth.
+//! Writes a table of the errors of detected features: simulated boards against their truth.
 //!
 //!     cargo run --release --example feature_errors [PART OF A NAME]
 
@@ -7,7 +7,7 @@ use plenocal::detection::DepthEstimator;
 use plenocal::evaluation::DetectionScore;
 use plenocal::simulation::Settings;
 
-/// Name, preset, what is replaced in it, and frames.
+/// Name, preset, replaced settings, and number of frames.
 const SETS: [(&str, &str, &[&str], usize); 11] = [
     ("mini", "mini", &[], 10),
     ("mini, 16 bit", "mini", &["imaging.bits=16"], 10),
@@ -33,7 +33,7 @@ const SETS: [(&str, &str, &[&str], usize); 11] = [
 
 fn main() -> Result<()> {
     println!(
-        "| boards | tied | found | true | position, blur up to 3 px | position, all | ρ | 1/ν, line | \
+        "| boards | labelled | found | true | position, blur up to 3 px | position, all | ρ | 1/ν, line | \
          1/ν, median |"
     );
     println!("|---|---|---|---|---|---|---|---|---|");
@@ -47,7 +47,7 @@ fn main() -> Result<()> {
         let score = DetectionScore::of_simulation(&settings, frames, DepthEstimator::Line)?;
         println!(
             "| {name} | {} of {} | {:.1} % | {:.2} % | {:.3} px | {:.3} px | {:.3} px | {:.2} % | {:.2} % |",
-            score.tied,
+            score.labelled,
             score.frames,
             100.0 * score.recall(),
             100.0 * score.precision(),

@@ -1,5 +1,5 @@
-//! Writes the figures of the documents: crops of simulated raw images, four times enlarged, and what
-//! pre-calibration and detection find in them.
+//! Writes the figures of the documentation: crops of simulated raw images, enlarged four times, and
+//! what pre-calibration and detection find in them.
 //!
 //!     cargo run --release --example figures -- docs/figures
 
@@ -20,7 +20,7 @@ use plenocal::{Result, report};
 /// Size of a crop, px.
 const CROP: (u32, u32) = (140, 105);
 const ENLARGED: u32 = 4;
-/// Between two crops, px.
+/// Gap between two crops, px.
 const GAP: u32 = 8;
 
 fn grey(raw: &RawImage) -> GrayImage {
@@ -51,7 +51,7 @@ fn main() -> Result<()> {
     let amplified = Shot { imaging: Imaging { gain: 4.0, ..white.imaging }, ..white };
     let whites = side_by_side(&[take(&white)?, take(&amplified)?], (500, 375));
 
-    // Far and near: the blur of the three types changes places.
+    // Far and near: the three types exchange their blur.
     let frames = &data_set.subsets[2];
     let (far, near) = (take(&frames[frames.len() - 1].1)?, take(&frames[0].1)?);
     let boards = side_by_side(&[far, near], (500, 375));

@@ -1,4 +1,4 @@
-//! Calibrates the shipped feature set and writes all figures, alone and on one page.
+//! Calibrates the shipped feature set and writes all figures, as files and on one page.
 //!
 //!     cargo run --release --example report -- out/report
 

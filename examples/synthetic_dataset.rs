@@ -1,4 +1,5 @@
-//! Writes the feature set of `data/synthetic`: a small multi-focus camera seen by its own model, with known truth.
+//! Writes the feature set of `data/synthetic`: features of a small multi-focus camera, drawn from the
+//! camera model, with known truth.
 //!
 //!     cargo run --example synthetic_dataset -- data/synthetic
 
@@ -17,8 +18,8 @@ const SEED: u64 = 2020;
 
 const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
 
-/// What a user would know of the camera: the nominal lens, and white-image measurements that are
-/// off by about a percent.
+/// What a user would know of the camera: the nominal lens, and measurements of white images that are
+/// off by about one per cent.
 const PROJECT: &str = r#"# plenocal project: a small multi-focus camera, observations drawn from its own model.
 # Made by `cargo run --example synthetic_dataset`; the truth is in truth/.
 
@@ -100,7 +101,7 @@ fn poses() -> Vec<FramePose> {
     .collect()
 }
 
-/// To 10⁻⁴ px, a two-thousandth of the noise, so that the files stay small.
+/// Rounds to 10⁻⁴ px, a two-thousandth of the noise, to keep the files small.
 fn rounded(observations: Observations) -> Observations {
     let round = |x: f64| (x * 1e4).round() / 1e4;
     Observations {

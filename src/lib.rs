@@ -5,10 +5,10 @@
 //!
 //! # Stages
 //!
-//! Every stage is a function from values to a value: [`simulation::simulate`],
+//! Every stage is a function that takes values and returns a value: [`simulation::simulate`],
 //! [`precalibration::precalibrate`], [`detection::detect`], [`calibration::calibrate`],
-//! [`evaluation::evaluate`]. What the user should know is part of the result; files are read and
-//! written by [`io`] alone. The whole pipeline in memory, on a simulated camera:
+//! [`evaluation::evaluate`]. Warnings to the user are part of the result; only [`io`] reads and
+//! writes files. The whole pipeline in memory, on a simulated camera:
 //!
 //! ```
 //! use plenocal::calibration::{CalibrationOptions, Start, calibrate};
@@ -20,7 +20,7 @@
 //! use plenocal::simulation::{Content, Settings, simulate};
 //!
 //! # fn main() -> plenocal::Result<()> {
-//! // Few rays and boards, to be quick.
+//! // Few rays and boards, to save time.
 //! let few = ["rays=16", "boards.calibration=4", "boards.evaluation=2", "translation.images=0"];
 //! let settings = Settings::preset("mini", &few.map(str::to_owned))?;
 //! let (mut whites, mut boards, mut others) = (Vec::new(), Vec::new(), Vec::new());
@@ -33,7 +33,7 @@
 //!     }
 //!     Ok(())
 //! })?;
-//! let reference = whites.pop().expect("the devignetting image is the last white one");
+//! let reference = whites.pop().expect("the devignetting image is the last white image");
 //!
 //! // What a user would state about this camera.
 //! let (sheet, board) = (settings.datasheet(), settings.target.board());
@@ -78,14 +78,14 @@
 //!
 //! # Frames and units
 //!
-//! Lengths are in mm, angles in rad, image quantities in px; names carry the unit.
+//! Lengths are in mm, angles in rad, image quantities in px; names end in the unit.
 //!
 //! - *Image*: pixel (0, 0) is the centre of the top-left pixel; u to the right, v down.
 //! - *Camera*: origin at the centre O of the main lens, z towards the scene, x right, y down.
 //! - *Sensor*: the plane z = −(D + d). The image is stored upright, so pixels run against the
 //!   optical image: u = u₀ − x/s, v = v₀ − y/s.
-//! - *Array*: origin at the middle of the micro-lenses, axes those of the camera turned by
-//!   R = Rz·Ry·Rx. Micro-lens and micro-image (k, l) are the same one; k grows with u and l with v,
+//! - *Array*: origin at the middle of the micro-lenses, axes those of the camera rotated by
+//!   R = Rz·Ry·Rx. Micro-lens (k, l) forms micro-image (k, l); k grows with u and l with v,
 //!   hence node(k, l) lies at −ΔC times its lattice position.
 //! - *Board*: corners at z = 0, x along its columns, y along its rows. `camera_from_board` takes its
 //!   points into the camera frame.
@@ -104,10 +104,10 @@
 //! | D | `lens_to_mla_mm` | mm | main lens to array, at the middle of the array |
 //! | θx θy θz | `rotation_rad` | rad | misalignment of the array |
 //! | t_x t_y | `offset_mm` | mm | middle of the array in the camera frame |
-//! | ΔC | `pitch_mm`, `pitch_ratio` | mm, 1 | distance of neighbouring micro-lenses, Eq. (mlinterdist) |
+//! | ΔC | `pitch_mm`, `pitch_ratio` | mm, 1 | distance between neighbouring micro-lenses, Eq. (mlinterdist) |
 //! | f⁽ⁱ⁾ | `focal_lengths_mm` | mm | focal lengths of the micro-lenses by type |
-//! | s | `pixel_size_mm` | mm | edge of a pixel |
-//! | Δc, δc | `micro_image_pitch_mm`, `pitch_px` | mm, px | distance of neighbouring micro-image centres |
+//! | s | `pixel_size_mm` | mm | side of a pixel |
+//! | Δc, δc | `micro_image_pitch_mm`, `pitch_px` | mm, px | distance between neighbouring micro-image centres |
 //! | h, H | `focus_distance_mm` | mm | focus distance and its image distance ([`model::optics`]) |
 //! | N | `f_number` | 1 | f-number |
 //! | m, q'ᵢ | `m_mm`, `q_prime_mm` | mm | internal parameters, Eq. (miradiusfnumber) |
@@ -120,7 +120,7 @@
 //! header `cpp/include/plenocal/projection.hpp`, and nowhere else; the cost of section 5.3 is in
 //! `residuals.hpp` beside it. The scalar relations of section 5.1 are in [`model::optics`].
 
-#![allow(clippy::doc_markdown)] // names such as COMPOTE and plenocal are no code
+#![allow(clippy::doc_markdown)] // names such as COMPOTE and plenocal are not code
 
 pub mod calibration;
 pub mod detection;

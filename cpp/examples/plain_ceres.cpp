@@ -4,7 +4,7 @@
 // uses none of its headers. Equations are those of "Blur Aware Calibration of Multi-Focus Plenoptic
 // Camera" (CVPR 2020).
 //
-// Long because it stands alone: one file that anybody can compile and compare with.
+// Long because it is self-contained: one file that anybody can compile and compare with.
 //
 // Lengths are in mm, angles in rad, image quantities in px; pixel (0, 0) is the centre of the
 // top-left pixel. Camera frame: origin O at the main-lens centre, z towards the scene, x right,
@@ -180,7 +180,7 @@ struct Lattice {
     const Eigen::Vector2d g(k + (l % 2 == shifted_parity ? 0.5 : 0.0), std::sqrt(0.75) * l);
     return g - Eigen::Vector2d(0.5 * (columns - 0.5), 0.5 * std::sqrt(0.75) * (rows - 1));
   }
-  // The lattice's three-colouring, in which no two neighbours are of one type.
+  // The lattice's three-colouring, in which no two neighbours have the same type.
   int Type(int k, int l) const { return ((shifted_parity == 0 ? 1 : 2) * (l % 2) + k) % kTypes; }
 };
 
@@ -212,7 +212,7 @@ void MicroLensCenter(const Eigen::Vector2d& g, const T* mla, const T* pitch, T C
   C[2] = -sy * x + cy * sx * y - mla[kBigD];
 }
 
-// Micro-image centre: the ray from O through C met with the sensor plane.
+// Micro-image centre: where the ray from O through C meets the sensor plane.
 template <int kPitches>
 struct CenterResidual {
   Eigen::Vector2d g;
@@ -254,7 +254,7 @@ struct FeatureResidual {
     const T xd = x + x * radial + P[0] * (r2 + 2.0 * x * x) + 2.0 * P[1] * x * y;
     const T yd = y + y * radial + P[1] * (r2 + 2.0 * y * y) + 2.0 * P[0] * x * y;
 
-    // The ray from C through p' met with the sensor plane z = -(D + d).
+    // Where the ray from C through p' meets the sensor plane z = -(D + d).
     T C[3];
     MicroLensCenter<kPitches>(g, mla, pitch, C);
     const T a = z - C[2];                                  // micro-lens to p'
@@ -275,15 +275,15 @@ struct Parameters {
   std::array<double, kMainLensSize> main_lens{};
   std::array<double, kSensorSize> sensor{};
   std::array<double, kMlaSize> mla{};
-  std::array<double, 2> pitch{};  // the second is used by two-pitch runs only
+  std::array<double, 2> pitch{};  // only runs with two pitches use the second
   std::array<double, kTypes> f{};
   std::map<int, std::array<double, kPoseSize>> poses;
 };
 
 // ---- Initial values ------------------------------------------------------------------------
 
-// Fits (u, v) = (a g_x - b g_y + c, b g_x + a g_y + e), a lattice of pitch |(a, b)| turned by
-// atan2(b, a), with either parity of the shifted rows, and keeps the better one.
+// Fits (u, v) = (a g_x - b g_y + c, b g_x + a g_y + e), a lattice of pitch |(a, b)| rotated by
+// atan2(b, a), with either parity of the shifted rows, and keeps the better fit.
 Eigen::Vector4d FitLattice(const std::vector<Observation>& centers, Lattice* lattice) {
   if (centers.size() < 3) throw std::runtime_error("fewer than three micro-image centres");
   Eigen::Vector4d best_fit;
@@ -326,10 +326,10 @@ void InitializeIntrinsics(const Options& o, const std::vector<Observation>& cent
   p->sensor = {0.5 * (o.width - 1), 0.5 * (o.height - 1), d};
   p->pitch = {dC, dC};
   for (int i = 0; i < kTypes; ++i) p->f[i] = d * dC / (2.0 * o.q_mm[i]);
-  // Inverting both axes is a rotation, so the turn seen in the image is the turn of the MLA.
+  // Inverting both axes is a rotation, so the rotation in the image is that of the MLA.
   p->mla = {0.0, 0.0, std::atan2(fit[1], fit[0]), 0.0, 0.0, D};
 
-  // The offset enters the centres linearly: choose it to make their mean residual zero.
+  // The centres are linear in the offset: choose it to make their mean residual zero.
   Eigen::Vector2d mean = Eigen::Vector2d::Zero();
   for (const Observation& c : centers) {
     const CenterResidual<1> error{lattice->Node(c.k, c.l), c.u, c.v, o.pixel_size_mm};
@@ -398,8 +398,8 @@ void InitializePoses(const Options& o, const std::vector<Observation>& features,
   }
 }
 
-// Poses from a CSV file frame,rx,ry,rz,tx,ty,tz instead. A small board far away looks the same when
-// it leans the other way, and the homography may take the wrong one of the two.
+// Poses from a CSV file frame,rx,ry,rz,tx,ty,tz instead. A small board far away looks the same if
+// it is tilted the other way, and the homography may give the wrong one of the two poses.
 void ReadPoses(const Options& o, Parameters* p) {
   std::ifstream file(o.poses);
   std::string line;

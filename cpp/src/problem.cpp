@@ -10,8 +10,8 @@
 namespace plenocal {
 namespace {
 
-// Observations to a residual block. Larger blocks share more work and make the Schur complement
-// cheaper; smaller ones divide better between threads.
+// Number of observations in a residual block. Larger blocks share more work and make the Schur
+// complement cheaper; smaller ones divide better between threads.
 constexpr std::size_t kFeaturesPerBlock = 256;
 constexpr std::size_t kCentersPerBlock = 256;
 
@@ -50,7 +50,7 @@ void require_feature(const FeatureObservation& o, const Lattice& lattice, bool h
                      std::size_t poses) {
   require_inside(lattice, o.k, o.l);
   if (o.frame < 0 || o.frame >= static_cast<int>(poses)) {
-    reject("a feature names frame " + std::to_string(o.frame) + ", which has no pose");
+    reject("a feature belongs to frame " + std::to_string(o.frame) + ", which has no pose");
   }
   const auto& [x, y, z] = o.board_point;
   if (!std::isfinite(x) || !std::isfinite(y) || !std::isfinite(z)) {
@@ -75,7 +75,7 @@ void require_center(const CenterObservation& o, const Lattice& lattice) {
   require_std_dev(o.std_dev, text);
 }
 
-// Ceres checks its input with CHECK, which ends the process: everything is checked before.
+// Ceres checks its input with CHECK, which aborts the process, so everything is checked first.
 void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
                       const Observations& observations, const CostOptions& options) {
   validate(camera);

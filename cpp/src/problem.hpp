@@ -12,11 +12,11 @@
 
 namespace plenocal {
 
-/// Kinds of residuals, each with a variance of its own.
+/// Kinds of residuals, each with its own variance.
 enum ResidualKind { kUv = 0, kRho = 1, kCenter = 2, kResidualKinds = 3 };
 
 /// Owns the parameter blocks and the problem over them; neither copied nor moved, since Ceres
-/// points into it.
+/// keeps pointers into it.
 class CalibrationProblem {
  public:
   CalibrationProblem(const Camera& camera, const std::vector<Pose>& poses,
@@ -29,15 +29,15 @@ class CalibrationProblem {
   /// Poses are eliminated first by the Schur solvers.
   std::shared_ptr<ceres::ParameterBlockOrdering> ordering();
 
-  /// Camera and poses as the parameter blocks stand now.
+  /// Camera and poses with the present values of the parameter blocks.
   Camera camera() const;
   std::vector<Pose> poses() const;
 
-  /// All parameters one after the other, and back.
+  /// All parameters as one vector, and back.
   Eigen::VectorXd state() const;
   void set_state(const Eigen::VectorXd& state);
 
-  /// The cost of every frame's features at the present state; infinite where the model is not
+  /// The cost of every frame's features at the present values; infinite if the model is not
   /// defined.
   std::vector<double> frame_costs() const;
 

@@ -10,22 +10,22 @@
 
 // Levenberg-Marquardt by Ceres, with extrapolation.
 //
-// Where residuals stay, Gauss-Newton converges only linearly: with every step the error is
-// multiplied by -(J'J)^-1 S, S being the part of the Hessian that Gauss-Newton leaves out. In the
-// valleys of this problem that is 0.5 and more in the weakest directions, whatever the trust
-// region. Such a sequence has a limit that can be extrapolated from a few of its members. So the
-// solve is interrupted when it is slow, moved to the extrapolated limit if the cost is lower there,
-// and goes on; the steps, the decision which to accept and when to stop are Ceres'.
+// With residuals that do not vanish, Gauss-Newton converges only linearly: every step multiplies
+// the error by -(J'J)^-1 S, S being the part of the Hessian that Gauss-Newton leaves out. In the
+// valleys of this problem the factor is 0.5 and more in the weakest directions, whatever the trust
+// region. The limit of such a sequence can be extrapolated from a few of its members. So a slow
+// solve is interrupted, moved to the extrapolated limit if the cost is lower there, and continued.
+// Ceres makes the steps and decides which to accept and when to stop.
 
 namespace plenocal {
 namespace {
 
-// Steps to extrapolate from.
+// Number of steps to extrapolate from.
 constexpr std::size_t kSteps = 4;
-// A solve is slow when the cost still changes by this part of the change before.
+// A solve is slow if the change of the cost is still this fraction of the change before.
 constexpr double kSlow = 0.05;
 
-// Follows the solve: reports progress, remembers the accepted states, recognises slowness.
+// Follows the solve: reports progress, records the accepted states, detects slow convergence.
 class Watch : public ceres::IterationCallback {
  public:
   Watch(const CalibrationProblem& calibration, const Progress& progress, bool interrupt,
@@ -97,7 +97,7 @@ Eigen::VectorXd limit(const std::vector<Eigen::VectorXd>& states) {
                                 .completeOrthogonalDecomposition()
                                 .solve(Eigen::VectorXd::Ones(count));
   weights /= weights.sum();
-  // Written by steps back from the last member, so that what is fixed does not move by rounding.
+  // Written as steps back from the last member, so that rounding does not move fixed parameters.
   Eigen::VectorXd result = states.back();
   double before = 0.0;
   for (std::size_t i = 0; i + 1 < count; ++i) {
@@ -107,7 +107,7 @@ Eigen::VectorXd limit(const std::vector<Eigen::VectorXd>& states) {
   return result;
 }
 
-// Moves to the limit of the accepted states if the cost is lower there. Returns by how much.
+// Moves to the limit of the accepted states if the cost is lower there. Returns the decrease.
 double extrapolate(CalibrationProblem* calibration, const Watch& watch, double cost) {
   if (watch.states().size() < 3) return 0.0;
   const Eigen::VectorXd there = limit(watch.states());
@@ -172,7 +172,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
           "the model is not defined at the start: a board point lies within the focal length of "
           "the main lens, or is imaged onto a micro-lens");
     }
-    // Also where Ceres gives back the start, after a stop by the caller.
+    // This covers a stop by the caller too, after which Ceres returns the start.
     calibration.set_state(watch.states().back());
     result.cost = watch.cost();
     go_on = summary.termination_type == ceres::USER_SUCCESS;

@@ -12,11 +12,11 @@ using RowMajorMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eig
 
 // Singular values of the column-scaled Jacobian below this fraction of the largest count as zero.
 // They come as square roots of eigenvalues of J'J, which carry an error near
-// size * epsilon ~ 1e-14 of the largest: 1e-7 is what can be told from zero.
+// size * epsilon ~ 1e-14 of the largest: values below 1e-7 cannot be distinguished from zero.
 constexpr double kRankTolerance = 1e-7;
 
-// A parameter that a direction which is not determined moves by more than this part of the
-// direction's length is not determined either; rounding in the directions is far below.
+// A parameter is not determined if a direction that is not determined moves it by more than this
+// fraction of the direction's length; rounding errors of the directions are far smaller.
 constexpr double kDeterminedTolerance = 1e-3;
 
 // The information of each kind of residual, and the gradient.
@@ -54,8 +54,8 @@ NormalEquations accumulate(const ceres::CRSMatrix& jacobian, const std::vector<d
   return equations;
 }
 
-// The standard deviation of each kind of residual as the cost has it: root mean square over the
-// observations; not a number where there are none.
+// The standard deviation of each kind of residual in the cost: root mean square over the
+// observations; not a number if there are none.
 std::array<double, kResidualKinds> typical_std_devs(const Observations& observations,
                                                     const CostOptions& options) {
   std::array<double, kResidualKinds> squares{};
@@ -117,7 +117,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   for (int kind = 0; kind < kResidualKinds; ++kind) {
     const double redundancy =
         equations.count[kind] - equations.information[kind].cwiseProduct(inverse_information).sum();
-    // Without redundancy the noise cannot be measured; the stated one stands.
+    // Without redundancy the noise cannot be measured; the stated noise is used.
     const double variance = redundancy > 0.5 ? equations.squares[kind] / redundancy : 1.0;
     spread += variance * equations.information[kind];
     result.residual_std_dev[kind] = equations.count[kind] > 0

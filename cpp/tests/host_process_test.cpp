@@ -1,4 +1,4 @@
-// What the library leaves to the program that uses it.
+// The library leaves the settings of its host program alone.
 #include <glog/logging.h>
 #include <gtest/gtest.h>
 
@@ -9,8 +9,8 @@
 namespace plenocal {
 namespace {
 
-// How much is logged is the program's choice, and a setting of the whole process.
-TEST(Logging, LevelStaysAsTheProgramSetIt) {
+// The log level is the program's choice, and a setting of the whole process.
+TEST(Logging, LeavesTheLevelUnchanged) {
   const test::Scene scene = test::make_scene(1);
   for (int level : {google::GLOG_INFO, google::GLOG_FATAL}) {
     FLAGS_minloglevel = level;

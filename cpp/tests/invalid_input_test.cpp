@@ -1,4 +1,5 @@
-// Input the model is not defined for: std::invalid_argument that names the culprit, never an abort.
+// Input for which the model is not defined: std::invalid_argument that names the culprit, never an
+// abort.
 #include <gtest/gtest.h>
 
 #include <functional>
@@ -49,7 +50,7 @@ Scene small_scene(int types) {
 
 class InvalidInput : public testing::TestWithParam<Spoiled> {};
 
-TEST_P(InvalidInput, IsRefusedByRefine) {
+TEST_P(InvalidInput, IsRejectedByRefine) {
   Scene scene = small_scene(3);
   CostOptions options;
   GetParam().spoil(&scene, &options);
@@ -58,7 +59,7 @@ TEST_P(InvalidInput, IsRefusedByRefine) {
       GetParam().culprit);
 }
 
-TEST_P(InvalidInput, IsRefusedByUncertainty) {
+TEST_P(InvalidInput, IsRejectedByUncertainty) {
   Scene scene = small_scene(3);
   CostOptions options;
   GetParam().spoil(&scene, &options);
@@ -67,16 +68,16 @@ TEST_P(InvalidInput, IsRefusedByUncertainty) {
       GetParam().culprit);
 }
 
-// What is spoilt in the camera, refused by validate() as well.
+// Spoilt values of the camera, rejected by validate() too.
 class InvalidCamera : public InvalidInput {};
 
-TEST_P(InvalidCamera, IsRefusedByValidate) {
+TEST_P(InvalidCamera, IsRejectedByValidate) {
   Scene scene = small_scene(3);
   CostOptions options;
   GetParam().spoil(&scene, &options);
   expect_names(rejection([&] { validate(scene.camera); }), GetParam().culprit);
 }
-TEST_P(InvalidCamera, IsRefusedByRefine) {
+TEST_P(InvalidCamera, IsRejectedByRefine) {
   Scene scene = small_scene(3);
   CostOptions options;
   GetParam().spoil(&scene, &options);
@@ -246,7 +247,7 @@ TEST(InvalidInput, FixedFocalLengthOfAPinholeArray) {
       "no parameter f_1");
 }
 
-TEST(InvalidInput, BlurOfAPinholeArrayMayBeAnything) {
+TEST(InvalidInput, BlurOfAPinholeArrayIsNotChecked) {
   Scene scene = small_scene(0);
   for (FeatureObservation& o : scene.observations.features) {
     o.observed.rho = kNan;
@@ -275,7 +276,7 @@ TEST(InvalidInput, SolverOptionsAreNamed) {
   expect_names(refused(radius), "initial_trust_region_radius");
 }
 
-// Valid numbers at which the model is not defined: no start for the solver, no Jacobian.
+// Valid numbers at which the model is not defined: the solver cannot start, there is no Jacobian.
 TEST(InvalidInput, BoardWithinTheFocalLength) {
   Scene scene = small_scene(3);
   scene.poses[1].translation.z = 40.0;

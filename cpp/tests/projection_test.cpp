@@ -1,5 +1,5 @@
-// The forward model against numbers worked out by pencil. The arithmetic stands beside each
-// expectation; none of it comes from the functions under test.
+// The forward model against numbers worked out by hand. The arithmetic is next to each expectation;
+// none of it comes from the functions under test.
 //
 // The camera of most tests: F = 50 mm, MLA at D = 59 mm, sensor d = 0.5 mm behind it, s = 0.01 mm,
 // 5 x 5 micro-lenses of 0.2 mm on a square lattice, (u0, v0) = (100, 80). A plane at z = 300 mm is
@@ -17,11 +17,11 @@
 namespace plenocal {
 namespace {
 
-// Literals carry some 12 digits and the model some ten roundings of numbers near 1e2: both stay
-// well below this many px (and pitches).
+// Literals have about 12 digits, and the model makes about ten rounding errors in numbers near 1e2:
+// both stay well below this tolerance in px (and pitches).
 constexpr double kRounding = 1e-9;
 
-Camera pencil_camera() {
+Camera simple_camera() {
   Camera camera;
   camera.lattice = {Packing::kOrthogonal, 5, 5};
   camera.pixel_size = 0.01;
@@ -56,7 +56,7 @@ void expect_feature(const Feature<double>& actual, double u, double v, double rh
 }
 
 TEST(Projection, OnAxisThroughTheMiddleOfTheArray) {
-  const Camera camera = pencil_camera();
+  const Camera camera = simple_camera();
   // 1/f - 1/a - 1/delta = 1 + 1 - 2 = 0: in focus.
   expect_feature(seen(camera, at_distance(300), {0, 0, 0}, 2, 2), 100, 80, 0);
   expect_pixel(project_center(camera, 2, 2), 100, 80);
@@ -65,19 +65,19 @@ TEST(Projection, OnAxisThroughTheMiddleOfTheArray) {
 TEST(Projection, OffAxisThroughTheMiddleOfTheArray) {
   // p' = -(3, 1.5, 300)/5 = (-0.6, -0.3, -60). Half-way from C = (0, 0, -59) to p' the ray meets
   // the sensor, at (-0.3, -0.15): 30 and 15 px from the axis. Right is right and down is down.
-  expect_feature(seen(pencil_camera(), at_distance(300), {3, 1.5, 0}, 2, 2), 130, 95, 0);
+  expect_feature(seen(simple_camera(), at_distance(300), {3, 1.5, 0}, 2, 2), 130, 95, 0);
 }
 
 TEST(Projection, ThroughANeighbour) {
   // C = (-0.2, 0, -59), as k runs with u and u against x: half-way to p' lies (-0.4, -0.15).
-  expect_feature(seen(pencil_camera(), at_distance(300), {3, 1.5, 0}, 3, 2), 140, 95, 0);
+  expect_feature(seen(simple_camera(), at_distance(300), {3, 1.5, 0}, 3, 2), 140, 95, 0);
   // C = (0, -0.2, -59): half-way lies (-0.3, -0.25).
-  expect_feature(seen(pencil_camera(), at_distance(300), {3, 1.5, 0}, 2, 3), 130, 105, 0);
+  expect_feature(seen(simple_camera(), at_distance(300), {3, 1.5, 0}, 2, 3), 130, 105, 0);
 }
 
 TEST(Projection, BlurBySignOfDefocusOfTheMicroLens) {
   // rho = 0.2/0.02 * 0.5 * (1/f - 1/a - 2) = 5 (1/f - 1).
-  Camera camera = pencil_camera();
+  Camera camera = simple_camera();
   camera.micro_lens_focal_lengths = {0.8};
   EXPECT_NEAR(seen(camera, at_distance(300), {0, 0, 0}, 2, 2).rho, 1.25, kRounding);
   camera.micro_lens_focal_lengths = {1.25};
@@ -88,7 +88,7 @@ TEST(Projection, BlurBySideOfTheFocusOfAPoint) {
   // f = 1 is in focus at 300 mm. Beyond, z' = -50*305/255 = -3050/51, a = 59 - 3050/51 = -41/51,
   // rho = 5 (1 + 51/41 - 2) = 5 * 10/41. Before, z' = -50*275/225 = -550/9, a = -19/9,
   // rho = 5 (9/19 - 1) = -50/19.
-  const Camera camera = pencil_camera();
+  const Camera camera = simple_camera();
   EXPECT_NEAR(seen(camera, at_distance(305), {0, 0, 0}, 2, 2).rho, 1.219512195122, kRounding);
   EXPECT_NEAR(seen(camera, at_distance(275), {0, 0, 0}, 2, 2).rho, -2.631578947368, kRounding);
 }
@@ -97,12 +97,12 @@ TEST(Projection, KeplerianSideOfTheArray) {
   // z = 350: z' = -50*350/300 = -175/3, in front of the MLA, a = 59 - 175/3 = 2/3; p'_x = -3/6.
   // The ray C -> p' runs on backwards to the sensor: -delta/a = -3/4, x = +0.375, u = 62.5;
   // rho = 5 (1 - 3/2 - 2) = -12.5.
-  expect_feature(seen(pencil_camera(), at_distance(350), {3, 0, 0}, 2, 2), 62.5, 80, -12.5);
+  expect_feature(seen(simple_camera(), at_distance(350), {3, 0, 0}, 2, 2), 62.5, 80, -12.5);
 }
 
 TEST(Projection, EachTypeHasItsFocalLength) {
   // Rows hexagonal 3 x 1: types 0, 1, 2 along the row, rho = 5 (1/f - 1) for each.
-  Camera camera = pencil_camera();
+  Camera camera = simple_camera();
   camera.lattice = {Packing::kHexagonalRowsEven, 3, 1};
   camera.micro_lens_focal_lengths = {1.0, 0.5, 2.0};
   const double expected[] = {0.0, 5.0, -2.5};
@@ -112,7 +112,7 @@ TEST(Projection, EachTypeHasItsFocalLength) {
 }
 
 TEST(Projection, PinholeArrayHasNoBlur) {
-  Camera camera = pencil_camera();
+  Camera camera = simple_camera();
   camera.micro_lens_focal_lengths.clear();
   const Feature<double> feature = seen(camera, at_distance(275), {0, 0, 0}, 2, 2);
   expect_pixel({feature.u, feature.v}, 100, 80);
@@ -123,7 +123,7 @@ TEST(Projection, GivesDerivativesToItsUsers) {
   // Through the middle of the array, off axis (see above): u = u0 + 30 px, which grow as the
   // magnification by F/(z - F) = 1/5 does, du/dx = 0.2 * 0.5 / 0.01 = 10 px/mm; du/du0 = 1.
   using Jet = ceres::Jet<double, 2>;
-  const Camera camera = pencil_camera();
+  const Camera camera = simple_camera();
   const auto as_jets = [](auto block) {
     std::array<Jet, std::tuple_size<decltype(block)>::value> jets;
     for (std::size_t i = 0; i < block.size(); ++i) jets[i] = Jet(block[i]);
@@ -146,14 +146,14 @@ TEST(Projection, GivesDerivativesToItsUsers) {
 }
 
 TEST(Projection, PoseTurnsThenMovesTheBoard) {
-  // A quarter turn about z takes (1.5, -2, 0) to (2, 1.5, 0), the move to (3, 1.5, 300).
+  // A quarter turn about z takes (1.5, -2, 0) to (2, 1.5, 0), the translation to (3, 1.5, 300).
   const Pose pose{{0.0, 0.0, M_PI / 2}, {1.0, 0.0, 300.0}};
-  expect_feature(seen(pencil_camera(), pose, {1.5, -2, 0}, 2, 2), 130, 95, 0);
+  expect_feature(seen(simple_camera(), pose, {1.5, -2, 0}, 2, 2), 130, 95, 0);
   // About x, y goes to z: (0, 0, 290) + (0, 0, 10); about y, z = -x: again 300 mm on axis.
   const Pose about_x{{M_PI / 2, 0.0, 0.0}, {0.0, 0.0, 290.0}};
-  expect_feature(seen(pencil_camera(), about_x, {3, 10, 0}, 2, 2), 130, 80, 0);
+  expect_feature(seen(simple_camera(), about_x, {3, 10, 0}, 2, 2), 130, 80, 0);
   const Pose about_y{{0.0, M_PI / 2, 0.0}, {0.0, 1.5, 310.0}};
-  expect_feature(seen(pencil_camera(), about_y, {10, 0, 0}, 2, 2), 100, 95, 0);
+  expect_feature(seen(simple_camera(), about_y, {10, 0, 0}, 2, 2), 100, 95, 0);
 }
 
 TEST(Projection, DistortionMovesTheImageOfTheMainLens) {
@@ -164,7 +164,7 @@ TEST(Projection, DistortionMovesTheImageOfTheMainLens) {
   // y: -0.3*1.004996125 + P2 (0.45 + 0.18) + P1 * 2*0.18
   //    = -0.3014988375 - 0.00126 + 0.00108 = -0.3016788375
   // The micro-lens in the middle halves them.
-  Camera camera = pencil_camera();
+  Camera camera = simple_camera();
   camera.main_lens = {50.0, {0.01, 0.002, 0.001}, {0.003, -0.002}};
   expect_feature(seen(camera, at_distance(300), {3, 1.5, 0}, 2, 2), 130.01038375, 95.083941875, 0);
 }
@@ -172,7 +172,7 @@ TEST(Projection, DistortionMovesTheImageOfTheMainLens) {
 TEST(Projection, BlurUsesTheGeometricMeanOfTwoPitches) {
   // sqrt(1.21) = 1.1 times the 1.25 px of one pitch; (2, 3) moves by 1.21 pitches, C_y = -0.242,
   // and half-way to p'_y = -0.3 lies -0.271.
-  Camera camera = pencil_camera();
+  Camera camera = simple_camera();
   camera.micro_lens_focal_lengths = {0.8};
   camera.mla.pitch_ratio = 1.21;
   expect_feature(seen(camera, at_distance(300), {3, 1.5, 0}, 2, 3), 130, 107.1, 1.375);
@@ -183,7 +183,7 @@ TEST(Projection, TiltChangesDepthOfEachMicroLens) {
   // -0.2 * that = (-0.16, 0, 0.12) from (0, 0, -59). a = -60 + 58.88 = -1.12, delta = 0.62.
   // x = -0.16 + 0.62/1.12 * (-0.6 + 0.16) = -0.403571428571, y = 0.62/1.12 * -0.3
   // = -0.166071428571; rho = 10 (0.62/1 + 0.62/1.12 - 1) = 1.735714285714.
-  Camera camera = pencil_camera();
+  Camera camera = simple_camera();
   camera.mla.rotation.y = std::asin(0.6);
   expect_feature(seen(camera, at_distance(300), {3, 1.5, 0}, 3, 2), 140.3571428571, 96.6071428571,
                  1.735714285714);
@@ -196,7 +196,7 @@ TEST(Projection, ArrayTurnsByRzRyRx) {
   //   (15/17 * 3/13 - 8/17 * 4/5, 8/17 * 3/13 + 15/17 * 4/5, 36/65)
   //   = (-191/1105, 180/221, 36/65).
   // Steps of -0.2 mm along the first and -0.2 * 1.5 mm along the second.
-  Camera camera = pencil_camera();
+  Camera camera = simple_camera();
   camera.mla.rotation.x = std::asin(3.0 / 5.0);
   camera.mla.rotation.y = std::asin(5.0 / 13.0);
   camera.mla.rotation.z = std::asin(8.0 / 17.0);
@@ -215,10 +215,10 @@ TEST(Projection, ArrayTurnsByRzRyRx) {
 }
 
 TEST(Projection, MicroImageCentreLiesOnTheRayFromTheMainLens) {
-  // (3, 2) at x = -0.2 mm is thrown to -0.2 * 59.5/59 = -0.201694915254.
-  Camera camera = pencil_camera();
+  // (3, 2) at x = -0.2 mm is projected to -0.2 * 59.5/59 = -0.201694915254.
+  Camera camera = simple_camera();
   expect_pixel(project_center(camera, 3, 2), 120.1694915254, 80);
-  // The array moved by (0.05, -0.1) mm: (2, 2) moves by -(5, -10) * 59.5/59 px.
+  // The array is moved by (0.05, -0.1) mm: the centre of (2, 2) moves by -(5, -10) * 59.5/59 px.
   camera.mla.offset[0] = 0.05;
   camera.mla.offset[1] = -0.1;
   expect_pixel(project_center(camera, 2, 2), 94.9576271186, 90.0847457627);
@@ -228,7 +228,7 @@ TEST(Projection, IndicesGrowWithThePixels) {
   for (Packing packing :
        {Packing::kOrthogonal, Packing::kHexagonalRowsEven, Packing::kHexagonalRowsOdd,
         Packing::kHexagonalColumnsEven, Packing::kHexagonalColumnsOdd}) {
-    Camera camera = pencil_camera();
+    Camera camera = simple_camera();
     camera.lattice.packing = packing;
     for (int i = 0; i + 1 < 5; ++i) {
       EXPECT_GT(project_center(camera, i + 1, 2).u, project_center(camera, i, 2).u);
@@ -237,8 +237,8 @@ TEST(Projection, IndicesGrowWithThePixels) {
   }
 }
 
-TEST(Projection, UndefinedPointsAreRefusedAndLeaveTheResultAlone) {
-  const Camera camera = pencil_camera();
+TEST(Projection, UndefinedPointsFailAndLeaveTheResultUnchanged) {
+  const Camera camera = simple_camera();
   const double nan = std::numeric_limits<double>::quiet_NaN();
   for (double z : {50.0, 49.0, 0.0, -300.0, nan}) {
     Feature<double> feature{1, 2, 3};
@@ -246,7 +246,7 @@ TEST(Projection, UndefinedPointsAreRefusedAndLeaveTheResultAlone) {
     expect_feature(feature, 1, 2, 3);
   }
   // 2F is imaged at 2F, onto the micro-lens when D = 2F; 100 and 1 are exact in binary.
-  Camera at_array = pencil_camera();
+  Camera at_array = simple_camera();
   at_array.mla.lens_to_mla = 100.0;
   Feature<double> feature{1, 2, 3};
   EXPECT_FALSE(project(at_array, at_distance(100), {0, 0, 0}, 2, 2, &feature));
@@ -255,7 +255,7 @@ TEST(Projection, UndefinedPointsAreRefusedAndLeaveTheResultAlone) {
 
 TEST(Lattice, NodesByHand) {
   const double height = 0.866025403784;  // sqrt(3)/2
-  // 3 x 2, even rows moved: x in 0.5..2.5 and 0..2, so 1.25 is the middle; y in 0..0.866.
+  // 3 x 2, even rows shifted: x in 0.5..2.5 and 0..2, so 1.25 is the middle; y in 0..0.866.
   const Lattice rows{Packing::kHexagonalRowsEven, 3, 2};
   EXPECT_NEAR(rows.node(0, 0).x, -0.75, kRounding);
   EXPECT_NEAR(rows.node(0, 1).x, -1.25, kRounding);
@@ -270,8 +270,8 @@ TEST(Lattice, NodesByHand) {
   EXPECT_NEAR(square.node(3, 0).y, -1.0, kRounding);
 }
 
-// Without another row beside it, a row that is moved is centred like any other.
-TEST(Lattice, SingleMovedRowIsCentred) {
+// Without another row beside it, a shifted row is centred like any other.
+TEST(Lattice, SingleShiftedRowIsCentred) {
   const Lattice row{Packing::kHexagonalRowsEven, 4, 1};
   EXPECT_NEAR(row.node(0, 0).x, -1.5, kRounding);
   EXPECT_NEAR(row.node(3, 0).x, 1.5, kRounding);
@@ -291,7 +291,7 @@ TEST(Lattice, ContainsItsIndicesOnly) {
 }
 
 TEST(Lattice, TypesFollowTheR12Rule) {
-  // (l mod 2 + k) mod 3 when the even rows are moved.
+  // (l mod 2 + k) mod 3 if the even rows are shifted.
   const Lattice lattice{Packing::kHexagonalRowsEven, 6, 4};
   const int expected[4][6] = {
       {0, 1, 2, 0, 1, 2}, {1, 2, 0, 1, 2, 0}, {0, 1, 2, 0, 1, 2}, {1, 2, 0, 1, 2, 0}};

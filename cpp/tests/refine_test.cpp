@@ -19,11 +19,11 @@ using test::one_pitch;
 using test::residuals;
 using test::Scene;
 
-// Noise-free recovery, relative to each parameter: what double precision leaves of pixels near
-// 1e3 after the conditioning of the scene is near 1e-11; anything beyond this did not converge.
+// Noise-free recovery, relative to each parameter: double precision at pixels near 1e3 and the
+// conditioning of the scene limit it to about 1e-11; a larger error means no convergence.
 constexpr double kRecovery = 1e-8;
 
-// A start some per cent away from the truth, several px in the residuals; parameters in `fixed`
+// A start some per cent from the truth, with residuals of several px; parameters in `fixed`
 // start at the truth.
 Scene disturbed(const Scene& truth, const std::vector<std::string>& fixed) {
   const std::vector<double> factors = {1.01,  0.9,    0.9,   0.9,  0.9,  0.9, 1.005,
@@ -69,7 +69,7 @@ TEST_P(Recovery, OfAllParametersWithoutNoise) {
   const Scene start = disturbed(truth, kOnePitch);
   const Refinement result = refine(start.camera, start.poses, start.observations, one_pitch(), {});
   EXPECT_EQ(result.termination, Termination::kConverged) << result.message;
-  // The start is honest: several px off on average.
+  // The start really is several px off on average.
   EXPECT_GT(result.initial_cost, 1.0 * truth.observations.features.size());
   expect_recovered(result, truth);
 }
@@ -86,7 +86,7 @@ TEST(Refine, CostIsHalfTheSumOfSquares) {
   solver.max_iterations = 20;
   const Refinement result = refine(start.camera, start.poses, start.observations, options, solver);
   EXPECT_EQ(result.termination, Termination::kIterationLimit);
-  // Summation in another order.
+  // The order of summation differs.
   constexpr double kSummation = 1e-9;
   expect_near_relative(result.initial_cost, 0.5 * residuals(start, options).squaredNorm(),
                        kSummation, "start");
@@ -136,14 +136,14 @@ TEST(Refine, FrameCostsAreThoseOfTheFeaturesAfterTheLoss) {
                            "frame " + std::to_string(frame));
       sum += result.frame_costs[frame];
     }
-    // The centres, without a loss, have the rest.
+    // The rest is that of the centres, without a loss.
     const Scene centers{result.camera, result.poses, {{}, scene.observations.centers}};
     expect_near_relative(sum + 0.5 * residuals(centers, options).squaredNorm(), result.cost,
                          kSummation, "cost");
   }
 }
 
-TEST(Refine, DoublingOwnStdDevsIsDoublingTheOption) {
+TEST(Refine, DoublingOwnStdDevsEqualsDoublingTheOption) {
   Scene scene = test::make_scene(3);
   test::add_noise(0.1, 0.05, 0.02, 19, &scene.observations);
   CostOptions doubled = one_pitch();
@@ -158,12 +158,12 @@ TEST(Refine, DoublingOwnStdDevsIsDoublingTheOption) {
   for (FeatureObservation& o : scene.observations.features) o.std_dev = {2.0, 2.0, 2.0};
   for (CenterObservation& o : scene.observations.centers) o.std_dev = 2.0;
   const Refinement actual = refine(scene.camera, scene.poses, scene.observations, own, solver);
-  // The same arithmetic throughout.
+  // The arithmetic is exactly the same.
   EXPECT_EQ(actual.cost, expected.cost);
   EXPECT_EQ(test::intrinsics(actual.camera), test::intrinsics(expected.camera));
 }
 
-// Each of the three, and that of the centres, at its place.
+// Each of the three, and that of the centres, has its effect.
 TEST(Refine, OwnStdDevsWeighTheirOwnResidual) {
   constexpr double kSummation = 1e-9;
   Scene scene = test::make_scene(3);
@@ -186,7 +186,7 @@ TEST(Refine, TwoPitchesAreRecovered) {
   const Refinement free = refine(start.camera, start.poses, start.observations, two_pitches, {});
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
   expect_recovered(free, truth);
-  // One pitch cannot explain it: the outer centres alone are off by 0.2 px.
+  // One pitch cannot fit this: the outer centres alone are off by 0.2 px.
   Scene one = start;
   one.camera.mla.pitch_ratio = 1.0;
   const Refinement fixed = refine(one.camera, one.poses, one.observations, one_pitch(), {});
@@ -233,14 +233,14 @@ TEST(Refine, ThreadsDoNotChangeTheResult) {
   const Refinement one = refine(scene.camera, scene.poses, scene.observations, one_pitch(), solver);
   solver.threads = 2;
   const Refinement two = refine(scene.camera, scene.poses, scene.observations, one_pitch(), solver);
-  // Sums in another order, at the floating-point floor of the minimum.
+  // Sums are in another order, at the limit of precision of the minimum.
   constexpr double kSameMinimum = 1e-10;
   expect_near_relative(two.cost, one.cost, kSameMinimum, "cost");
   expect_near_relative(two.camera.mla.lens_to_mla, one.camera.mla.lens_to_mla, kRecovery, "D");
 }
 
-// Large residuals make Gauss-Newton slow. The limit that the extrapolation goes to is the minimum
-// that Ceres alone creeps to, and it is there sooner.
+// Large residuals make Gauss-Newton slow. The extrapolation leads to the same minimum as Ceres
+// alone, in fewer iterations.
 TEST(Refine, ExtrapolationReachesTheSameMinimumSooner) {
   Scene scene = test::make_scene(3);
   test::add_noise(5.0, 0.1, 0.5, 17, &scene.observations);
@@ -253,7 +253,7 @@ TEST(Refine, ExtrapolationReachesTheSameMinimumSooner) {
       refine(scene.camera, scene.poses, scene.observations, one_pitch(), solver);
   ASSERT_EQ(fast.termination, Termination::kConverged) << fast.message;
   ASSERT_EQ(plain.termination, Termination::kConverged) << plain.message;
-  // Both stop where the cost changes by 1e-13 of itself, Ceres alone with a tail still to come.
+  // Both stop when the cost changes by a fraction of 1e-13; Ceres alone then is still further off.
   constexpr double kSameMinimum = 1e-10;
   expect_near_relative(fast.cost, plain.cost, kSameMinimum, "cost");
   EXPECT_LT(fast.iterations.back().number, plain.iterations.back().number);
@@ -271,14 +271,14 @@ double worst_error(const Camera& camera, const Scene& truth, const Uncertainty& 
   return worst;
 }
 
-TEST(Refine, RobustLossShrugsOffOutliers) {
+TEST(Refine, RobustLossResistsOutliers) {
   const Scene truth = test::make_scene(3);
   CostOptions options = one_pitch();
   options.uv_std_dev = options.rho_std_dev = options.centers_std_dev = 0.1;
   Scene scene = truth;
   test::add_noise(0.1, 0.1, 0.1, 11, &scene.observations);
   const Uncertainty clean = uncertainty(truth.camera, truth.poses, scene.observations, options);
-  // Every 20th feature, a wrong corner: up to 10 px off, more often to one side.
+  // Every 20th feature is a wrong corner: up to 10 px off, more often to one side.
   std::mt19937 generator(12);
   std::uniform_real_distribution<double> gross(-5.0, 10.0);
   for (std::size_t i = 0; i < scene.observations.features.size(); i += 20) {
@@ -291,7 +291,7 @@ TEST(Refine, RobustLossShrugsOffOutliers) {
     EXPECT_EQ(result.termination, Termination::kConverged) << result.message;
     return worst_error(result.camera, truth, clean);
   };
-  // Of 19 parameters none is beyond 4 standard deviations where outliers no longer count.
+  // Once outliers no longer count, none of 19 parameters is off by more than 4 standard deviations.
   constexpr double kShrugged = 4.0;
   EXPECT_GT(worst(LossKind::kNone), 3.0 * kShrugged);
   EXPECT_LT(worst(LossKind::kHuber), kShrugged);
@@ -356,9 +356,9 @@ TEST(Progress, StopsTheSolve) {
   EXPECT_EQ(result.iterations.size(), kLast + 1u);
 }
 
-// The camera and poses of a stopped solve are those of the cost it reports. Disabled: Ceres leaves
-// the parameters at the start when a callback aborts, while its final cost is the best one seen.
-TEST(Progress, StoppedSolveReturnsWhatItReached) {
+// The camera and poses of a stopped solve have the cost it reports. Disabled: Ceres leaves the
+// parameters at the start if a callback aborts, while its final cost is the lowest so far.
+TEST(Progress, StoppedSolveReturnsTheParametersOfItsCost) {
   const Scene start = disturbed(test::make_scene(1), kOnePitch);
   double first = 0.0;
   const Refinement result = refine(start.camera, start.poses, start.observations, one_pitch(), {},

@@ -1,5 +1,5 @@
-// The cost functors: zero at truth, hand-computed off truth, derivatives against finite
-// differences, the loss against Ceres' own, and grouping without effect on the values.
+// The cost functors: zero at the truth, computed by hand elsewhere; derivatives against finite
+// differences, the loss against that of Ceres, and grouping without effect on the values.
 #include "plenocal/residuals.hpp"
 
 #include <ceres/gradient_checker.h>
@@ -17,8 +17,8 @@ constexpr double kRounding = 1e-10;
 // Relative. Ridders' finite differences are good to 1e-8 px per unit; the smallest derivatives here
 // are near 4e-4, and the worst agreement measured is 1.2e-5.
 constexpr double kGradientTolerance = 1e-4;
-// Also the least absolute step. Ceres' default of 1e-2 would take F and D through the pole of the
-// model at a = 0, and residuals across the kink of a Huber loss.
+// Also the smallest absolute step. Ceres' default of 1e-2 would take F and D through the pole of
+// the model at a = 0, and residuals across the kink of a Huber loss.
 constexpr double kRiddersStep = 1e-5;
 
 // A handful of roundings and the truncated series of apply_loss, relative to rho(s) ...
@@ -56,9 +56,9 @@ struct Blocks {
   }
 };
 
-// The pencil camera of projection_test.cpp with two hexagonal rows of two micro-lenses: (0, 1) and
-// (1, 1) sit at x = +0.15 and -0.05 mm, (0, 0) and (1, 0) at +0.05 and -0.15 mm.
-Camera pencil_camera(int types) {
+// The simple camera of projection_test.cpp with two hexagonal rows of two micro-lenses: (0,
+// 1) and (1, 1) lie at x = +0.15 and -0.05 mm, (0, 0) and (1, 0) at +0.05 and -0.15 mm.
+Camera simple_camera(int types) {
   Camera camera;
   camera.lattice = {Packing::kHexagonalRowsEven, 2, 2};
   camera.pixel_size = 0.01;
@@ -69,34 +69,34 @@ Camera pencil_camera(int types) {
   return camera;
 }
 
-const Pose kPencilPose{{0.0, 0.0, 0.0}, {0.0, 0.0, 300.0}};
+const Pose kSimplePose{{0.0, 0.0, 0.0}, {0.0, 0.0, 300.0}};
 
-// What the pencil camera sees of (3, 1.5, 0) through (1, 0), of type 1. p' = (-0.6, -0.3, -60),
+// The feature of (3, 1.5, 0) through micro-lens (1, 0), of type 1. p' = (-0.6, -0.3, -60),
 // C = (-0.15, +0.0866025403784, -59), half-way: (-0.375, -0.1066987298108), so u = 137.5 and
 // v = 90.66987298108; rho = 10 (0.5/f + 0.5 - 1): 0 for f = 1, 1.25 for f = 0.8.
-const Vector3<double> kPencilPoint = {3.0, 1.5, 0.0};
-constexpr double kPencilU = 137.5;
-constexpr double kPencilV = 90.66987298108;
-constexpr double kPencilRho[] = {0.0, 0.0, 0.0, 1.25};  // by number of types
+const Vector3<double> kSimplePoint = {3.0, 1.5, 0.0};
+constexpr double kSimpleU = 137.5;
+constexpr double kSimpleV = 90.66987298108;
+constexpr double kSimpleRho[] = {0.0, 0.0, 0.0, 1.25};  // by number of types
 
-WeightedFeature pencil_feature(const Camera& camera, double du, double dv, double drho,
+WeightedFeature simple_feature(const Camera& camera, double du, double dv, double drho,
                                const Feature<double>& weight = {1.0, 1.0, 1.0}) {
   const int types = camera.lens_types();
-  return {kPencilPoint,
+  return {kSimplePoint,
           micro_lens_of(camera, 1, 0),
-          {kPencilU + du, kPencilV + dv, kPencilRho[types] + drho},
+          {kSimpleU + du, kSimpleV + dv, kSimpleRho[types] + drho},
           weight};
 }
 
 template <int I>
 void expect_features_by_hand() {
-  const Camera camera = pencil_camera(I);
-  const Blocks blocks(camera, kPencilPose);
-  // Residuals are projected minus observed, times the weight of their own. No loss.
+  const Camera camera = simple_camera(I);
+  const Blocks blocks(camera, kSimplePose);
+  // Residuals are projected minus observed, each times its own weight. No loss.
   const auto cost =
-      FeatureResiduals<I>::create({pencil_feature(camera, 0, 0, 0, {2.0, 2.0, 8.0}),
-                                   pencil_feature(camera, 1.0, -3.0, 0.25, {2.0, 2.0, 8.0}),
-                                   pencil_feature(camera, 1.0, -3.0, 0.25, {4.0, 0.5, 2.0})},
+      FeatureResiduals<I>::create({simple_feature(camera, 0, 0, 0, {2.0, 2.0, 8.0}),
+                                   simple_feature(camera, 1.0, -3.0, 0.25, {2.0, 2.0, 8.0}),
+                                   simple_feature(camera, 1.0, -3.0, 0.25, {4.0, 0.5, 2.0})},
                                   0.01, {});
   const std::vector<double> residuals = evaluate(*cost, blocks.pointers());
   const std::vector<double> expected = I == 0
@@ -114,10 +114,10 @@ TEST(FeatureResiduals, ThreeTypesByHand) { expect_features_by_hand<3>(); }
 
 TEST(FeatureResiduals, LossScalesTheWholeFeature) {
   // |(-2, 6, -3)| = 7, Huber at 1: the norm becomes sqrt(2*7 - 1), the direction stays.
-  const Camera camera = pencil_camera(3);
+  const Camera camera = simple_camera(3);
   const auto cost = FeatureResiduals<3>::create(
-      {pencil_feature(camera, 1.0, -3.0, 0.375, {2.0, 2.0, 8.0})}, 0.01, {LossKind::kHuber, 1.0});
-  const auto residuals = evaluate(*cost, Blocks(camera, kPencilPose).pointers());
+      {simple_feature(camera, 1.0, -3.0, 0.375, {2.0, 2.0, 8.0})}, 0.01, {LossKind::kHuber, 1.0});
+  const auto residuals = evaluate(*cost, Blocks(camera, kSimplePose).pointers());
   const double factor = 0.515078753637713;  // sqrt(13)/7
   EXPECT_NEAR(residuals[0], -2 * factor, kRounding);
   EXPECT_NEAR(residuals[1], 6 * factor, kRounding);
@@ -125,17 +125,17 @@ TEST(FeatureResiduals, LossScalesTheWholeFeature) {
 }
 
 TEST(FeatureResiduals, UndefinedPointFailsTheBlock) {
-  const Camera camera = pencil_camera(3);
-  const auto cost = FeatureResiduals<3>::create({pencil_feature(camera, 0, 0, 0)}, 0.01, {});
+  const Camera camera = simple_camera(3);
+  const auto cost = FeatureResiduals<3>::create({simple_feature(camera, 0, 0, 0)}, 0.01, {});
   double residuals[3];
   const Blocks blocks(camera, {{0.0, 0.0, 0.0}, {0.0, 0.0, 49.0}});
   EXPECT_FALSE(cost->Evaluate(blocks.pointers().data(), residuals, nullptr));
 }
 
 TEST(CenterResiduals, ByHand) {
-  // (0, 1) sits at (+0.15, -0.0866025403784) mm, thrown to 59.5/59 times that:
+  // (0, 1) lies at (+0.15, -0.0866025403784) mm, projected to 59.5/59 times that:
   // u = 100 - 15.1271186441, v = 80 + 8.7336460212.
-  const Camera camera = pencil_camera(0);
+  const Camera camera = simple_camera(0);
   const Node node = camera.lattice.node(0, 1);
   const auto cost = CenterResiduals::create({{node, {84.8728813559322, 88.7336460211998}, 4.0},
                                              {node, {85.8728813559322, 88.2336460211998}, 4.0},
@@ -199,27 +199,27 @@ class RandomObservations {
     return std::uniform_real_distribution<double>(low, high)(generator_);
   }
 
-  // Each parameter within 1 %; Ridders' steps are relative, so none may be 0.
+  // Each parameter varies by 1 %; Ridders' steps are relative, so none may be 0.
   Camera camera(int types) {
     auto values = test::intrinsics(test::scene_camera(types));
     for (double& value : values) value *= uniform(0.99, 1.01);
     return test::with_intrinsics(test::scene_camera(types), values);
   }
 
-  // Nearer than 320 mm: there p' keeps away from the MLA, where the model has its pole.
+  // Nearer than 320 mm: there p' stays away from the MLA, where the model has its pole.
   Pose pose() {
     const auto angle = [this] { return uniform(0.1, 0.5) * (uniform(0, 1) < 0.5 ? -1 : 1); };
     return {{angle(), angle(), angle()}, {uniform(-2, -1), uniform(1, 2), uniform(250, 320)}};
   }
 
-  // Residuals of 0.2 to 0.3 sigma, or, every other one, of 3 to 5: well on either side of the kink
+  // Residuals are alternately 0.2 to 0.3 sigma and 3 to 5 sigma: well on either side of the kink
   // of a Huber loss at 1, where finite differences would be wrong.
   std::vector<WeightedFeature> features(const Camera& camera, const Pose& pose, int count) {
     std::vector<WeightedFeature> features;
     for (int i = 0; i < count; ++i) {
       const int k = static_cast<int>(uniform(0, camera.lattice.columns));
       const int l = static_cast<int>(uniform(0, camera.lattice.rows));
-      // Two features of a corner in turn, as in a sorted problem.
+      // Two consecutive features of every corner, as in a sorted problem.
       const auto corner = test::board_corner(pose, i / 2 % 6, i / 2 % 5);
       Feature<double> seen{};
       EXPECT_TRUE(project(camera, pose, corner, k, l, &seen));
@@ -297,10 +297,10 @@ TEST(Gradients, Centers) {
 
 TEST(Gradients, AreFiniteWithoutRotationOrDistortion) {
   // Angle-axis and distortion at exactly 0, where a careless sqrt would give NaN.
-  const Camera camera = pencil_camera(3);
-  const auto cost = FeatureResiduals<3>::create({pencil_feature(camera, 0, 0, 0)}, 0.01,
+  const Camera camera = simple_camera(3);
+  const auto cost = FeatureResiduals<3>::create({simple_feature(camera, 0, 0, 0)}, 0.01,
                                                 {LossKind::kCauchy, 1.0});
-  const Blocks blocks(camera, kPencilPose);
+  const Blocks blocks(camera, kSimplePose);
   std::array<double, 3 * 6> lens, pose;
   std::array<double, 3 * 11> array;
   std::array<double, 3 * 3> focal_lengths;
@@ -311,20 +311,20 @@ TEST(Gradients, AreFiniteWithoutRotationOrDistortion) {
   for (double value : array) EXPECT_TRUE(std::isfinite(value));
   for (double value : focal_lengths) EXPECT_TRUE(std::isfinite(value));
   for (double value : pose) EXPECT_TRUE(std::isfinite(value));
-  // Turning by w about z moves (3, 1.5) by w (-1.5, 3), which shrinks tenfold on the sensor, upside
-  // down, upside up again in the image: -15 and +30 px per rad.
+  // Turning by w about z moves (3, 1.5) by w (-1.5, 3). This shrinks tenfold on the sensor,
+  // inverted, and is upright again in the image: -15 and +30 px per rad.
   EXPECT_NEAR(pose[2], -15.0, kRounding);
   EXPECT_NEAR(pose[6 + 2], 30.0, kRounding);
 }
 
-// Each observation weighs as much alone as in a group, whatever stands before it.
+// Each observation has the same residual alone as in a group, whatever precedes it.
 TEST(Grouping, DoesNotChangeFeatures) {
   RandomObservations random(7);
   const Camera camera = random.camera(3);
   const Pose pose = random.pose();
   auto features = random.features(camera, pose, 8);
   std::swap(features[1],
-            features[6]);  // a corner's features need not follow each other
+            features[6]);  // a corner's features need not be consecutive
   const Blocks blocks(camera, pose);
   for (LossKind kind : kLosses) {
     const Loss loss{kind, 1.0};

@@ -1,5 +1,5 @@
-// A small synthetic calibration, made with plenocal::project: what the tests of the residuals and
-// of the solver share. Values are those of a Raytrix R12, on an array cut down to 20 x 18.
+// A small synthetic calibration made with plenocal::project, shared by the tests of the residuals
+// and of the solver. Values are those of a Raytrix R12 with the array reduced to 20 x 18.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -23,8 +23,8 @@ struct Scene {
   Observations observations;
 };
 
-/// All parameters differ from zero, so that each can be recovered to a relative accuracy. The
-/// distortion is exaggerated: the image is only 2.5 mm wide.
+/// All parameters differ from zero, so that the error of each can be relative. The distortion is
+/// exaggerated because the image is only 2.5 mm wide.
 inline Camera scene_camera(int types) {
   Camera camera;
   camera.lattice = {Packing::kHexagonalRowsEven, 20, 18};
@@ -37,8 +37,8 @@ inline Camera scene_camera(int types) {
   return camera;
 }
 
-/// Boards of some 10 mm that fill the image, tilted by up to 0.6 rad about changing axes: depth
-/// within a board is what tells the focal lengths and distances apart.
+/// Boards of about 10 mm that fill the image, tilted by up to 0.6 rad about different axes: depth
+/// within a board separates the focal lengths from the distances.
 inline std::vector<Pose> scene_poses() {
   return {{{0.5, 0.1, 0.05}, {-0.3, 0.2, 250.0}},  {{-0.4, 0.3, -0.1}, {0.4, -0.2, 275.0}},
           {{0.1, -0.6, 0.2}, {0.1, 0.4, 300.0}},   {{0.3, 0.5, 0.4}, {-0.5, -0.3, 325.0}},
@@ -46,14 +46,14 @@ inline std::vector<Pose> scene_poses() {
           {{-0.3, 0.2, 0.7}, {0.2, -0.4, 400.0}}};
 }
 
-/// Corner of a board centred on its pose, of squares that fill the image at the board's distance.
+/// Corner of a board centred on its pose; its squares fill the image at the board's distance.
 inline Vector3<double> board_corner(const Pose& pose, int column, int row) {
   const double square = 0.0065 * pose.translation.z;
   return {square * (column - (kBoardColumns - 1) / 2.0), square * (row - (kBoardRows - 1) / 2.0),
           0.0};
 }
 
-/// Every corner through every micro-lens whose micro-image it falls into, and every centre.
+/// Every corner in every micro-image that shows it, and every centre.
 inline Observations observe(const Camera& camera, const std::vector<Pose>& poses) {
   Observations observations;
   const double micro_image_radius = 0.45 * camera.mla.pitch / camera.pixel_size;

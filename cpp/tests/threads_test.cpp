@@ -1,5 +1,5 @@
-// Several refinements at once in one process: under ThreadSanitizer free of data races, and with
-// the results that they have alone.
+// Several refinements at once in one process: free of data races under ThreadSanitizer, with the
+// same results as each alone.
 #include <gtest/gtest.h>
 
 #include <thread>

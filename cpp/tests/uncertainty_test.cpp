@@ -1,4 +1,4 @@
-// The uncertainty of a refinement: against ceres::Covariance, and where parameters are not
+// The uncertainty of a refinement: against ceres::Covariance, and with parameters that are not
 // determined.
 #include <ceres/ceres.h>
 #include <gtest/gtest.h>
@@ -68,8 +68,8 @@ class AtMinimum : public testing::Test {
     return uncertainty(scene_.camera, scene_.poses, scene_.observations, options);
   }
 
-  // Weights under which the measured variances are 1: then the covariance is the inverse of the
-  // information alone. Parameters stay, so this is a fixed point in three numbers.
+  // Weights with which the measured variances are 1: then the covariance is simply the inverse of
+  // the information. The parameters do not change, so this is a fixed point in three numbers.
   CostOptions measured_weights() const {
     CostOptions options = options_;
     for (int i = 0; i < 10; ++i) options = weights(at(options).residual_std_dev);
@@ -130,7 +130,7 @@ double largest_difference(const Eigen::MatrixXd& a, const Eigen::MatrixXd& expec
 }
 
 TEST_F(AtMinimum, ResidualStdDevIsTheInjectedNoise) {
-  constexpr double kOfTheNoise = 0.1;  // 720 numbers at least: 2.6 % of scatter
+  constexpr double kOfTheNoise = 0.1;  // at least 720 numbers: a scatter of 2.6 %
   const Uncertainty u = at(options_);
   for (int kind = 0; kind < 3; ++kind) {
     expect_near_relative(u.residual_std_dev[kind], kNoise[kind], kOfTheNoise, std::to_string(kind));
@@ -144,7 +144,7 @@ TEST_F(AtMinimum, ResidualStdDevIsTheInjectedNoise) {
 }
 
 TEST_F(AtMinimum, OwnStdDevsOfAKindAreAFactorOfTheKind) {
-  // Powers of two: all of it is the same to the last bit.
+  // Powers of two: everything agrees to the last bit.
   const Uncertainty expected = at(weights({0.2, 0.2, 0.01}));
   for (FeatureObservation& o : scene_.observations.features) o.std_dev = {2.0, 2.0, 4.0};
   for (CenterObservation& o : scene_.observations.centers) o.std_dev = 0.5;
@@ -156,10 +156,10 @@ TEST_F(AtMinimum, OwnStdDevsOfAKindAreAFactorOfTheKind) {
   }
 }
 
-TEST_F(AtMinimum, ResidualStdDevGoesByTheRootMeanSquareOfOwnOnes) {
-  // u and v have the same noise s, but v is said to be 7 times worse: the mean square of the
-  // standardised residuals is (1 + 1/49)/2 and that of the own deviations (1 + 49)/2, so
-  // s sqrt(25/49 * 25) = 25/7 s is what comes out.
+TEST_F(AtMinimum, ResidualStdDevUsesTheRootMeanSquareOfOwnStdDevs) {
+  // u and v have the same noise s, but the stated noise of v is 7 times larger: the mean square of
+  // the standardised residuals is (1 + 1/49)/2 and that of the stated deviations (1 + 49)/2, so
+  // the result is s sqrt(25/49 * 25) = 25/7 s.
   constexpr double kOfTheNoise = 0.1;
   for (FeatureObservation& o : scene_.observations.features) o.std_dev.v = 7.0;
   expect_near_relative(at(options_).residual_std_dev[0], 25.0 / 7.0 * kNoise[0], kOfTheNoise,
@@ -167,8 +167,8 @@ TEST_F(AtMinimum, ResidualStdDevGoesByTheRootMeanSquareOfOwnOnes) {
 }
 
 TEST_F(AtMinimum, CovarianceIsThatOfCeres) {
-  // J'J is inverted by eigenvalues here and J by QR in Ceres: the condition of J'J times epsilon.
-  // Measured: 3e-6.
+  // J'J is inverted by eigenvalues here, J by QR in Ceres: the error is the condition of J'J times
+  // epsilon. Measured: 3e-6.
   constexpr double kConditioning = 1e-5;
   const CostOptions options = measured_weights();
   const Uncertainty u = at(options);
@@ -182,11 +182,11 @@ TEST_F(AtMinimum, CovarianceIsThatOfCeres) {
 }
 
 TEST_F(AtMinimum, CovarianceWithTheKnownNoiseIsThatOfCeres) {
-  // The variances are measured: twice the scatter of 720 centres, the worst of the three kinds.
+  // The variances are measured: twice the scatter with 720 centres, the worst of the three kinds.
   constexpr double kMeasuredVariance = 0.1;
   const Eigen::MatrixXd expected = ceres_covariance(scene_, options_);
   EXPECT_LT(largest_difference(covariance_of(at(options_)), expected), kMeasuredVariance);
-  // Stated deviations a hundred times too large change nothing: the noise is measured.
+  // Stated deviations that are a hundred times too large change nothing: the noise is measured.
   const CostOptions heavier = weights({10.0, 5.0, 2.0});
   EXPECT_LT(largest_difference(covariance_of(at(heavier)), expected), kMeasuredVariance);
 }
@@ -203,10 +203,10 @@ TEST_F(AtMinimum, WeakestDirectionsSpanOneStandardDeviation) {
 }
 
 TEST_F(AtMinimum, ExpectedDecreaseIsZeroHereAndTheExcessElsewhere) {
-  // Relative to the cost: the floor of double precision, with room for the conditioning.
+  // Relative to the cost: the limit of double precision, with a margin for the conditioning.
   constexpr double kFloor = 1e-12;
   EXPECT_LT(at(options_).expected_decrease, kFloor * cost_);
-  // Off the minimum in the best determined direction, where the cost is quadratic.
+  // Off the minimum along the best determined direction, where the cost is quadratic.
   constexpr double kQuadratic = 0.01;
   Scene off = scene_;
   off.camera.mla.pitch *= 1.001;
@@ -228,7 +228,7 @@ void expect_finite(const Uncertainty& u) {
   EXPECT_EQ(static_cast<int>(u.information.size()), u.size);
 }
 
-// |J v| of a unit of the scaled space, which would be near 1 if the direction were seen.
+// |J v| of a unit of the scaled space, which would be near 1 if the direction were determined.
 constexpr double kUnseen = 1e-5;
 
 // One board parallel to an untilted array: all its images lie in one plane.
@@ -240,9 +240,9 @@ Scene fronto_parallel() {
   return scene;
 }
 
-TEST(RankDeficiency, FrontoParallelBoardDoesNotTellFocalLengthFromDistance) {
-  // Only the magnification m = F/(z - F) = 1/5 and a = D - m z are seen. m stays while
-  // dF/F = dz/z, and a while dD = m dz: the direction is (dF, dD, dz) = (1/6, 1/5, 1).
+TEST(RankDeficiency, FrontoParallelBoardDoesNotSeparateFocalLengthFromDistance) {
+  // Only the magnification m = F/(z - F) = 1/5 and a = D - m z are observable. m is constant if
+  // dF/F = dz/z, and a if dD = m dz: the direction is (dF, dD, dz) = (1/6, 1/5, 1).
   constexpr double kParallel = 1e-6;
   const Scene scene = fronto_parallel();
   CostOptions options;
@@ -261,7 +261,7 @@ TEST(RankDeficiency, FrontoParallelBoardDoesNotTellFocalLengthFromDistance) {
   }
 }
 
-TEST(RankDeficiency, OneBoardAndNoCentresLeaveMuchOpen) {
+TEST(RankDeficiency, OneBoardAndNoCentresLeaveFiveDirectionsUndetermined) {
   // At least five directions: the one above; a common scale of d, a and f_i; of the image against
   // the magnification; and a common shift of array and principal point along x and along y.
   constexpr int kOpen = 5;
@@ -275,7 +275,7 @@ TEST(RankDeficiency, OneBoardAndNoCentresLeaveMuchOpen) {
   for (int row = 0; row < Uncertainty::kWeakest; ++row) {
     const Eigen::Map<const Eigen::VectorXd> v(u.weakest.data() + row * u.size, u.size);
     const Eigen::Map<const Eigen::VectorXd> information(u.information.data(), u.size);
-    EXPECT_NEAR(v.cwiseAbs2().dot(information), 1.0, kUnseen) << row;  // a unit, not nothing
+    EXPECT_NEAR(v.cwiseAbs2().dot(information), 1.0, kUnseen) << row;  // a unit, not zero
     EXPECT_LT(sensitivity(scene, options, u, row, 0.1), kUnseen) << row;
   }
 }
@@ -310,7 +310,7 @@ TEST(RankDeficiency, UnobservedLensTypeIsFound) {
   EXPECT_EQ(u.information[kF3], 0.0);
 }
 
-// Disabled: the direction of a parameter without any information comes out as zeros.
+// Disabled: the direction of a parameter without any information is all zeros.
 TEST(RankDeficiency, UnobservedLensTypeIsTheWeakestDirection) {
   const Scene scene = without_third_type();
   const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, one_pitch());

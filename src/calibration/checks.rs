@@ -1,5 +1,5 @@
-//! What a calibration looks at before and after the refinement: whether camera and observations
-//! belong together, and what the user should know of the result.
+//! Checks before and after the refinement: whether camera and observations belong together, and
+//! warnings about the result.
 
 use crate::calibration::{LeftOut, Mode, NoPose, Start, Warning};
 use crate::error::{Error, Result};
@@ -9,17 +9,17 @@ use crate::model::{
 use crate::precalibration::MicroImageArray;
 use crate::solver::{self, Refinement, Uncertainty};
 
-/// Boards tilted by less than this, rad (5°), look alike in a projection.
+/// Boards tilted by less than this, rad (5°), can hardly be distinguished in a projection.
 const FRONTO_PARALLEL_RAD: f64 = 0.087;
-/// A reprojection error beyond this part of the micro-image pitch is no noise of a detector: on the
-/// R12 it is 2.3 px, real data have 0.9.
+/// A reprojection error above this fraction of the micro-image pitch is not noise of a detector. On
+/// the R12 the limit is 2.3 px; real data have 0.9 px.
 const BAD_FIT: f64 = 0.1;
-/// A model that explains the blur radii leaves less than this part of their spread.
+/// A model that explains the blur radii leaves residuals below this fraction of their spread.
 const UNEXPLAINED_RHO: f64 = 0.5;
 /// An array may be larger than the image by this factor.
 const ARRAY_OVER_IMAGE: f64 = 1.5;
 
-/// The observations without some frames, and these.
+/// The observations without the given frames, and those frames.
 pub(super) fn without_frames(
     observations: &Observations,
     frames: &[u32],
@@ -27,7 +27,7 @@ pub(super) fn without_frames(
     let known = observations.frames();
     if let Some(frame) = frames.iter().find(|frame| !known.contains(frame)) {
         return Err(Error::invalid(format!(
-            "frame {frame} is to be left out, but there is none; the frames are {known:?}"
+            "frame {frame} is to be left out, but it does not exist; the frames are {known:?}"
         )));
     }
     let (out, kept): (Vec<BapFeature>, Vec<BapFeature>) =
@@ -59,8 +59,8 @@ pub(super) fn check_observations(
     Ok(())
 }
 
-/// An error if a feature lies far from the micro-image whose index it carries, by the grid of the
-/// centres, or without them by the camera.
+/// An error if a feature lies far from the micro-image whose index it has. Centres are those of the
+/// grid, or, without one, those of the camera.
 pub(super) fn check_indices(
     camera: &PlenopticCamera,
     grid: Option<&MicroImageArray>,
@@ -80,8 +80,8 @@ pub(super) fn check_indices(
         .filter(|(_, distance)| *distance > pitch);
     let Some((f, distance)) = far.next() else { return Ok(()) };
     Err(Error::invalid(format!(
-        "corner {} of frame {} is {distance:.0} px from the centre of micro-image ({}, {}) that it is \
-         said to lie in, as are {} more features; a micro-image is {pitch:.1} px wide, so indices and \
+        "corner {} of frame {} is {distance:.0} px from the centre of its micro-image ({}, {}), and {} \
+         more features are too far from theirs; a micro-image is {pitch:.1} px wide, so indices and \
          positions do not belong together",
         f.corner,
         f.frame,
@@ -91,7 +91,7 @@ pub(super) fn check_indices(
     )))
 }
 
-/// An error if the refinement left what a camera can be.
+/// An error if the refined camera or a pose is impossible.
 pub(super) fn check_refined(refinement: &Refinement) -> Result<()> {
     let poses = refinement.poses.iter().all(|p| p.to_homogeneous().iter().all(|v| v.is_finite()));
     let reason = match refinement.camera.validate() {
@@ -106,13 +106,13 @@ pub(super) fn check_refined(refinement: &Refinement) -> Result<()> {
     )))
 }
 
-/// A warning of centres far from the grid.
+/// A warning if centres lie far from the grid.
 pub(super) fn outlying_centers(grid: &MicroImageArray, centers: usize) -> Option<Warning> {
     let (outliers, grid_rms_px) = (grid.outliers, grid.rms_px);
     (outliers > 0).then_some(Warning::OutlyingCenters { outliers, centers, grid_rms_px })
 }
 
-/// A warning of an array that reaches far out of the image.
+/// A warning if the array extends far beyond the image.
 pub(super) fn array_beyond_image(camera: &PlenopticCamera) -> Option<Warning> {
     let (lattice, sensor) = (&camera.lattice, &camera.sensor);
     let extent = camera.micro_image_pitch_px()
@@ -127,7 +127,7 @@ pub(super) fn array_beyond_image(camera: &PlenopticCamera) -> Option<Warning> {
     )
 }
 
-/// A warning of parameters that the observations say nothing about.
+/// A warning if the observations do not determine all parameters.
 pub(super) fn undetermined(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> Option<Warning> {
     let (rank, parameters) = (uncertainty.rank, uncertainty.size());
     if rank == parameters {
@@ -138,7 +138,7 @@ pub(super) fn undetermined(camera: &PlenopticCamera, uncertainty: &Uncertainty) 
     Some(Warning::Undetermined { rank, parameters, names })
 }
 
-/// A warning of residuals that no noise explains.
+/// A warning if noise cannot explain the residuals.
 pub(super) fn bad_fit(camera: &PlenopticCamera, reprojection: &Reprojection) -> Option<Warning> {
     let (rmse, micro_image_pitch_px) = (reprojection.rmse(), camera.micro_image_pitch_px());
     if rmse.all_px > BAD_FIT * micro_image_pitch_px {
@@ -152,7 +152,7 @@ pub(super) fn bad_fit(camera: &PlenopticCamera, reprojection: &Reprojection) -> 
     Some(Warning::UnexplainedBlur { rms_px, spread_px })
 }
 
-/// A warning of boards from which F and distance can hardly be told apart.
+/// A warning if F and the distance of the boards can hardly be separated.
 pub(super) fn fronto_parallel(poses: &[FramePose], mode: Mode) -> Option<Warning> {
     let tilt = |p: &FramePose| {
         let normal = p.camera_from_board.rotation * nalgebra::Vector3::z();

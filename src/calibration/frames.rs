@@ -1,4 +1,4 @@
-//! The frames at the start: which have a pose, and which one.
+//! Initial poses of the frames.
 
 use std::collections::BTreeMap;
 
@@ -18,13 +18,13 @@ use crate::solver::{
 /// A pose alone converges in a few steps; the choice between two needs no more.
 const CHOICE_ITERATIONS: usize = 5;
 
-/// From poses that differ less in rotation the refinement comes to the same one.
+/// Poses that differ by less in rotation lead to the same refined pose.
 const ALIKE_RAD: f64 = 0.1;
-/// Two ways to the same pose end in costs that differ by less.
+/// Two refinements that reach the same pose end in costs that differ by less.
 const CLEARLY_LOWER: f64 = 1e-3;
 
-/// Where an observation has no standard deviation of its own, px: that of the cost's options, which
-/// multiplies it, stands alone.
+/// Standard deviation of an observation without its own, px. The factor in the options of the cost
+/// then is the standard deviation itself.
 const NO_OWN_STD_DEV: f64 = 1.0;
 
 /// Frames with a pose, their features, and the frames left out.
@@ -36,10 +36,10 @@ pub(super) struct Frames {
 
 /// Initial poses of all frames.
 ///
-/// PnP on the barycentres gives up to two poses mirrored in tilt. Parallax and blur tell which way
-/// a board leans: each candidate is refined with the camera fixed, and the one that leads to the
-/// lower cost is taken, as PnP gave it. (The refined one would fit the initial camera so well that
-/// the solver takes half as many steps more to leave it.)
+/// PnP on the barycentres gives up to two poses mirrored in tilt. Parallax and blur show which way
+/// a board is tilted: each candidate is refined with the camera fixed, and the one that leads to the
+/// lower cost is taken, as PnP gave it. (The refined pose would fit the initial camera so well that
+/// the solver would need half as many steps again to leave it.)
 pub(super) fn initial_frames(
     camera: &PlenopticCamera,
     board: &Board,
@@ -74,11 +74,11 @@ pub(super) fn initial_frames(
     Ok(Frames { poses, features, left_out })
 }
 
-/// Poses for another refinement where some board turns out to lean the other way; `None` if every
-/// board is where it should be.
+/// Poses for another refinement if some board turns out to be tilted the other way; `None` if no
+/// board is mirrored.
 ///
-/// The first camera may be too far off to tell, and a mirrored board then holds the refinement in a
-/// wrong minimum. The refined camera knows better.
+/// The initial camera may be too inaccurate to decide, and a mirrored board then keeps the refinement
+/// in a wrong minimum. The refined camera can decide.
 pub(super) fn reconsidered_poses(
     camera: &PlenopticCamera,
     board: &Board,
@@ -116,8 +116,8 @@ pub(super) fn reconsidered_poses(
     Ok(Some(candidates.iter().zip(chosen).map(pose).collect()))
 }
 
-/// For every frame the index of the candidate that leads to the lowest cost with the camera fixed;
-/// an earlier one unless a later one is better by more than [`CLEARLY_LOWER`].
+/// For every frame the index of the candidate that leads to the lowest cost with the camera fixed.
+/// A later candidate has to be better by more than [`CLEARLY_LOWER`].
 fn choose(
     camera: &PlenopticCamera,
     board: &Board,
@@ -170,7 +170,7 @@ pub(super) fn solver_features(
         *of_corner.entry((f.frame, f.corner)).or_default() += 1.0;
     }
     // ρ of a corner follows from its virtual depth, one measurement that all its features in a frame
-    // share. With √n times its σ the n of them weigh as much as that one.
+    // share. With √n times its σ the n features together weigh as much as that one measurement.
     let rho_std_dev =
         |f: &BapFeature| f.rho_std_dev_px.map(|own| own * of_corner[&(f.frame, f.corner)].sqrt());
     let to_solver = |f: &BapFeature| SolverFeature {
@@ -263,7 +263,7 @@ mod tests {
         }
     }
 
-    /// The board about its middle, tilted about x, before the camera.
+    /// The board in front of the camera, tilted about x through its middle.
     fn tilted(angle_rad: f64) -> Isometry3<f64> {
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), angle_rad);
         let middle = Point3::new(12.0, 6.0, 0.0);
@@ -299,8 +299,8 @@ mod tests {
         residuals.iter().map(square).sum()
     }
 
-    /// Gross outliers that lie towards the mirrored pose: by plain squares it fits better, by the
-    /// loss that the poses are refined with it does not.
+    /// Gross outliers that lie towards the mirrored pose: that pose has the lower sum of squares, but
+    /// not the lower cost with the loss used to refine the poses.
     #[test]
     fn the_robust_cost_chooses_the_pose() {
         let (right, mirrored) = (tilted(0.5), tilted(-0.5));

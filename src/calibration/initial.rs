@@ -11,7 +11,7 @@ use crate::precalibration::MicroImageArray;
 /// The camera to start the refinement from. The array is placed so that the micro-image centres are
 /// reprojected onto the grid.
 ///
-/// An error if a value cannot be.
+/// An error if a value is impossible.
 pub fn initial_camera(
     datasheet: &Datasheet,
     internal: &InternalParameters,

@@ -1,4 +1,4 @@
-//! What a calibration is told: where it starts, what it estimates, and at which cost.
+//! Input of a calibration: its start, what it estimates, and its cost.
 
 use crate::error::{Error, Result};
 use crate::model::{
@@ -22,12 +22,12 @@ pub enum Mode {
     PosesOnly,
 }
 
-/// What the calibration starts from.
+/// What a calibration starts from.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Start {
     /// Datasheet and internal parameters: the paper's initialisation.
     Datasheet(Datasheet, InternalParameters),
-    /// A camera calibrated before.
+    /// A calibrated camera.
     Camera(PlenopticCamera),
 }
 
@@ -64,7 +64,7 @@ impl Start {
         }
     }
 
-    /// The internal parameters; `None` for a camera calibrated before.
+    /// The internal parameters; `None` for a calibrated camera.
     pub(super) fn internal(&self) -> Option<&InternalParameters> {
         match self {
             Self::Datasheet(_, internal) => Some(internal),
@@ -80,7 +80,7 @@ impl Start {
         }
     }
 
-    /// This start without lens types where the mode has none.
+    /// This start, without lens types if the mode has none.
     pub(super) fn for_mode(&self, mode: Mode) -> Self {
         let mut start = self.clone();
         if mode == Mode::CornersOnly {
@@ -92,7 +92,7 @@ impl Start {
         start
     }
 
-    /// An error naming the value that is impossible.
+    /// An error that names the impossible value.
     pub(super) fn validate(&self) -> Result<()> {
         match self {
             Self::Datasheet(sheet, internal) => {
@@ -105,7 +105,7 @@ impl Start {
 }
 
 impl CalibrationOptions {
-    /// An error naming the option that does not go with this start.
+    /// An error that names an impossible option, or one that does not fit this start.
     pub(super) fn validate(&self, start: &Start) -> Result<()> {
         if self.mode == Mode::PosesOnly && matches!(start, Start::Datasheet(..)) {
             return Err(Error::NotCalibrated);

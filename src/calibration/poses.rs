@@ -12,16 +12,16 @@ use opencv::prelude::*;
 use crate::calibration::NoPose;
 use crate::model::{BapFeature, Board, MIN_CORNERS, PlenopticCamera};
 
-/// Corners are taken for collinear when their spread across the best line is below this part of the
+/// Corners count as collinear if their spread across the best line is below this fraction of the
 /// spread along it.
 const COLLINEAR: f64 = 1e-3;
 
-/// Poses `camera_from_board` that explain the features of a frame, the likeliest first.
+/// Poses `camera_from_board` that explain the features of a frame, the best first.
 ///
 /// The mean of all observations of a corner is nearly its projection by a pinhole camera of focal
-/// length (D + d)/s about (u₀, v₀). A planar target seen so allows two poses, mirrored in tilt, and
-/// in a narrow field of view both fit nearly as well; those in front of the camera are given. The
-/// error is the reason why there is none.
+/// length (D + d)/s about (u₀, v₀). Such a projection of a planar target allows two poses, mirrored
+/// in tilt, and in a narrow field of view both fit nearly equally well; those in front of the camera
+/// are returned. The error is the reason why there is none.
 pub fn initial_poses(
     camera: &PlenopticCamera,
     board: &Board,

@@ -12,10 +12,10 @@ use crate::solver::{
     self, CostOptions, Iteration, Problem, Refinement, SolverOptions, Termination,
 };
 
-/// A board whose tilt changes its sign may bring others to light; it has to end.
+/// Limit of repetitions: correcting one mirrored board may reveal others.
 const MAX_RECONSIDERATIONS: usize = 4;
 
-/// Refines, and again for boards whose tilt turns out to have the other sign.
+/// Refines, and repeats if the tilt of a board turns out to have the other sign.
 pub(super) fn refine(
     problem: &Problem,
     board: &Board,
@@ -45,7 +45,7 @@ pub(super) fn refine(
             break;
         }
         let (camera, poses) = (&refinement.camera, &refinement.poses);
-        // Whatever fails on the way is no better than what there is.
+        // If a repetition fails, the present result stands.
         let Ok(Some(poses)) =
             reconsidered_poses(camera, board, frames, poses, &options.cost, &options.solver)
         else {
@@ -68,7 +68,7 @@ pub(super) fn refine(
         }
     }
     info!(
-        "cost {:.6} (at the start {:.6}) after {} iterations in {:.3} s",
+        "cost {:.6} (initially {:.6}) after {} iterations in {:.3} s",
         refinement.cost,
         refinement.initial_cost,
         refinement.iterations.len().saturating_sub(1),

@@ -1,4 +1,4 @@
-//! What a calibration gives.
+//! The result of a calibration.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ use crate::solver::{Refinement, Uncertainty};
 /// A frame that was not used.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LeftOut {
-    /// Label of the frame.
+    /// Number of the frame.
     pub frame: u32,
     /// Number of its features.
     pub features: usize,
@@ -18,40 +18,41 @@ pub struct LeftOut {
     pub reason: NoPose,
 }
 
-/// A calibration: the camera and everything one wants to know about how it came about.
+/// A calibration: the camera, and a record of how it was estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
     /// The camera before the refinement.
     pub initial: PlenopticCamera,
-    /// |m| as white images had it, mm; `None` if the start was a calibrated camera.
+    /// |m| from white images, mm; `None` if the start was a calibrated camera.
     pub m_mm: Option<f64>,
     /// The refined camera.
     pub camera: PlenopticCamera,
-    /// The poses of the frames used, by label.
+    /// The poses of the frames used, by frame number.
     pub poses: Vec<FramePose>,
-    /// The frames not used.
+    /// The frames left out.
     pub left_out: Vec<LeftOut>,
     /// The grid of the centres; `None` without centres.
     pub grid: Option<MicroImageArray>,
     /// Root mean square centre residual of the initial camera, px; `None` without centres.
     pub initial_centers_rmse_px: Option<f64>,
-    /// What the solver gave.
+    /// Result of the solver.
     pub refinement: Refinement,
-    /// Residuals at the end.
+    /// Residuals of the refined camera.
     pub reprojection: Reprojection,
-    /// Uncertainty at the end.
+    /// Uncertainty of the refined camera and poses.
     pub uncertainty: Uncertainty,
-    /// At a minimum: by the solver's tolerances, and by what a further step would gain.
+    /// Whether it is at a minimum: by the solver's tolerances, and by how much a further step would lower
+    /// the cost.
     pub converged: bool,
-    /// Its options.
+    /// The options used.
     pub options: CalibrationOptions,
-    /// What the user should know.
+    /// Warnings to the user.
     pub warnings: Vec<Warning>,
 }
 
 impl Calibration {
-    /// ε_m = (m* − m)/m*: by how much m of the white images falls short of that of the refined camera
-    /// (paper, Table 2).
+    /// ε_m = (m* − m)/m*: the relative amount by which m of the white images falls short of m* of the
+    /// refined camera (paper, Table 2).
     #[must_use]
     pub fn m_error(&self) -> Option<f64> {
         let of_camera = optics::internal_parameters(&self.camera).m_mm;

@@ -20,11 +20,11 @@ use crate::model::{
 use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
 use crate::solver::{self, CostOptions, Iteration, Problem, Refinement, Termination, Uncertainty};
 
-/// The minimum counts as reached when one more Gauss-Newton step would gain less than this part of
-/// the cost. A parameter n standard deviations from its place adds n² s²/2 to the cost, s² being the
-/// variance of the residuals that determine it: with 10⁵ residuals of like variance n < 10⁻³.
+/// The minimum counts as reached if one more Gauss-Newton step would lower the cost by less than this
+/// fraction. A parameter n standard deviations off adds n² s²/2 to the cost, s² being the variance of
+/// the residuals that determine it: with 10⁵ residuals of similar variance n < 10⁻³.
 const MAX_EXPECTED_DECREASE: f64 = 1e-11;
-/// Below this for every (standardised) residual a cost is zero up to rounding: (10⁻⁶)²/2.
+/// A cost below this per (standardised) residual is zero up to rounding: (10⁻⁶)²/2.
 const ZERO_COST_PER_RESIDUAL: f64 = 0.5e-12;
 
 /// Calibrates a camera, or with [`Mode::PosesOnly`] finds the poses of the boards.
@@ -92,7 +92,7 @@ pub fn initial_from(start: &Start, observations: &Observations) -> Result<Plenop
 }
 
 /// The camera to start from and the grid of the centres, if there are any; an error unless they
-/// and the observations are of one camera.
+/// and the observations belong to one camera.
 fn initial_and_grid(
     start: &Start,
     observations: &Observations,
@@ -120,7 +120,7 @@ fn start_camera(start: &Start, grid: Option<&MicroImageArray>) -> Result<Plenopt
         (Start::Datasheet(..), None) => Err(Error::NoCenters),
         (Start::Camera(camera), Some(grid)) if camera.lattice != grid.lattice => {
             Err(Error::invalid(format!(
-                "the camera has {}, but the centres lie on {}: they are of different cameras",
+                "the camera has {}, but the centres lie on {}: they belong to different cameras",
                 camera.lattice, grid.lattice
             )))
         }
@@ -183,7 +183,7 @@ fn refined_poses(frames: &Frames, refinement: &Refinement) -> Vec<FramePose> {
     frames.poses.iter().zip(&refinement.poses).map(pose).collect()
 }
 
-/// By the solver's tolerances, and by what a further step would gain.
+/// By the solver's tolerances, and by how much a further step would lower the cost.
 fn is_converged(
     refinement: &Refinement,
     uncertainty: &Uncertainty,

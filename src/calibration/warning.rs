@@ -1,17 +1,17 @@
-//! What the user of a calibration should know: warnings, and why frames were left out.
+//! Warnings of a calibration, and reasons why frames were left out.
 
 use std::fmt;
 
 use crate::model::MIN_CORNERS;
 
-/// What may be wrong with a calibration that went through.
+/// What may be wrong with a calibration that succeeded.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Warning {
     /// Micro-image centres far from the grid; they are kept.
     OutlyingCenters {
-        /// How many.
+        /// Number of these centres.
         outliers: usize,
-        /// Of how many.
+        /// Number of all centres.
         centers: usize,
         /// Root mean square distance from the grid, px.
         grid_rms_px: f64,
@@ -20,7 +20,7 @@ pub enum Warning {
     ArrayBeyondImage {
         /// Micro-lenses along u and v.
         array: (i32, i32),
-        /// What they cover, px.
+        /// Size of the area that they cover, px.
         extent_px: (f64, f64),
         /// Size of the image, px.
         image_px: (u32, u32),
@@ -31,14 +31,14 @@ pub enum Warning {
         rank: usize,
         /// Number of parameters.
         parameters: usize,
-        /// The intrinsic parameters that are not determined; none if it is poses alone.
+        /// The intrinsic parameters that are not determined; empty if only poses are not.
         names: Vec<&'static str>,
     },
     /// Residuals far larger than noise.
     BadFit {
         /// Root mean square residual of (u, v, ρ), px.
         rms_px: f64,
-        /// Distance of neighbouring micro-image centres, px.
+        /// Micro-image pitch, px.
         micro_image_pitch_px: f64,
     },
     /// The camera does not explain the blur radii.
@@ -61,7 +61,7 @@ impl fmt::Display for Warning {
             Self::OutlyingCenters { outliers, centers, grid_rms_px } => write!(
                 f,
                 "{outliers} of {centers} micro-image centres lie far from the grid (its RMS is \
-                 {grid_rms_px:.3} px); they are kept, and a robust loss lessens their weight"
+                 {grid_rms_px:.3} px); they are kept, and a robust loss reduces their weight"
             ),
             Self::ArrayBeyondImage { array, extent_px, image_px } => write!(
                 f,
@@ -75,13 +75,13 @@ impl fmt::Display for Warning {
                 write!(
                     f,
                     "the observations determine {rank} of {parameters} parameters; not determined: \
-                     {which}. Fix parameters, or add what would determine them: frames at other \
+                     {which}. Fix parameters, or add observations that determine them: frames at other \
                      distances and tilts, every lens type"
                 )
             }
             Self::BadFit { rms_px, micro_image_pitch_px } => write!(
                 f,
-                "the residuals of the features are {rms_px:.2} px RMS, a good part of a micro-image \
+                "the residuals of the features are {rms_px:.2} px RMS, a large part of a micro-image \
                  ({micro_image_pitch_px:.1} px): noise alone is far smaller; check the board, the \
                  sign of rho and the frames with large residuals"
             ),

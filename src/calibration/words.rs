@@ -1,13 +1,13 @@
-//! A calibration in words: how it ended, and what the data say least about.
+//! A calibration as sentences: how it ended, and its weakest directions.
 
 use crate::calibration::Calibration;
 use crate::model::{display_unit, signed};
 use crate::solver::{Termination, WeakDirection};
 
-/// The distance of the boards is named when a direction explains this share of its variance.
+/// A direction names the distance of the boards if it explains this share of its variance.
 const BOARDS_NAMED_SHARE: f64 = 0.5;
 
-/// How the refinement ended, in a sentence.
+/// A sentence that says how the refinement ended.
 #[must_use]
 pub fn termination_text(calibration: &Calibration) -> String {
     let decrease = calibration.uncertainty.expected_decrease;
@@ -30,7 +30,7 @@ pub fn termination_text(calibration: &Calibration) -> String {
     }
 }
 
-/// The weakest directions in words, a sentence each; the weakest first.
+/// The weakest directions, one sentence each; the weakest first.
 #[must_use]
 pub fn weakest_directions_text(calibration: &Calibration) -> Vec<String> {
     let lens_types = calibration.camera.lens_types();

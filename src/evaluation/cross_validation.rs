@@ -1,4 +1,4 @@
-//! Cross-validation: frames that a calibration has not seen, reprojected by it.
+//! Cross-validation: frames left out of a calibration, reprojected by it.
 
 use std::collections::BTreeSet;
 
@@ -11,24 +11,24 @@ use crate::model::{Board, FeatureResidual, Observations, PlenopticCamera, Rmse};
 /// One fold.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fold {
-    /// The frames held out.
+    /// The frames left out.
     pub frames: Vec<u32>,
     /// The camera calibrated without them.
     pub camera: PlenopticCamera,
     /// Whether that calibration converged.
     pub converged: bool,
-    /// How many of them found no pose.
+    /// Number of left-out frames for which no pose was found.
     pub left_out: usize,
-    /// Reprojection errors of the others, poses refined with the camera held.
+    /// Reprojection errors of the other left-out frames; poses refined with the camera fixed.
     pub rmse: Rmse,
 }
 
-/// All folds, and the errors of all frames when held out.
+/// All folds, and the errors of all frames when left out.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CrossValidation {
     /// The folds.
     pub folds: Vec<Fold>,
-    /// Over all frames.
+    /// Reprojection errors over all frames.
     pub rmse: Rmse,
 }
 
@@ -49,10 +49,10 @@ impl CrossValidation {
     }
 }
 
-/// Calibrates once for every fold, without the frames of that fold, and reprojects these.
+/// Calibrates once for every fold without the frames of that fold, and reprojects those frames.
 ///
-/// Fold i of n holds frames i, i + n, i + 2n and so on. `progress` is called after every fold. An error if there are fewer frames than folds, fewer than
-/// two folds, or if a calibration fails.
+/// Fold i of n has frames i, i + n, i + 2n and so on. `progress` is called after every fold. An error
+/// if there are fewer frames than folds, fewer than two folds, or if a calibration fails.
 pub fn cross_validate(
     start: &Start,
     board: &Board,
@@ -62,7 +62,7 @@ pub fn cross_validate(
     progress: &(dyn Fn() + Sync),
 ) -> Result<CrossValidation> {
     let frames = foldable_frames(observations, options, folds)?;
-    // Every fold has a thread of its own.
+    // Every fold has its own thread.
     let mut options = options.clone();
     options.solver.threads = 1;
     let options = &options;
@@ -99,7 +99,7 @@ pub fn cross_validate(
     Ok(CrossValidation { folds: done.into_iter().map(|(fold, _)| fold).collect(), rmse })
 }
 
-/// The frames that are divided into folds; an error if there are fewer of them than folds, or fewer than
+/// The frames to be divided into folds; an error if there are fewer frames than folds, or fewer than
 /// two folds.
 pub fn foldable_frames(
     observations: &Observations,

@@ -12,16 +12,17 @@ use crate::model::{BapFeature, Board, MicroImageCenter};
 use crate::precalibration::{PrecalibrationOptions, White, precalibrate};
 use crate::simulation::{DataSet, Settings, Shot};
 
-/// What detected features are worth, over the frames of a data set.
+/// Quality of detected features over the frames of a data set.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct DetectionScore {
     /// True features at least [`INSIDE_PX`] within the edge of a micro-image.
     pub sought: usize,
-    /// Those of them that were found.
+    /// Number of these that were found.
     pub found: usize,
-    /// Features reported.
+    /// Number of features detected.
     pub reported: usize,
-    /// Those of them that are true, by micro-image and corner, and nearer than [`TRUE_PX`].
+    /// Number of these that are true: in the right micro-image, of the right corner, and nearer than
+    /// [`TRUE_PX`].
     pub right: usize,
     small: usize,
     small_square: f64,
@@ -30,10 +31,10 @@ pub struct DetectionScore {
     depths: usize,
     depth_square: f64,
     median_square: f64,
-    /// Frames looked at.
+    /// Number of frames.
     pub frames: usize,
-    /// Frames tied to the board.
-    pub tied: usize,
+    /// Number of labelled frames.
+    pub labelled: usize,
 }
 
 /// True features nearer to the edge of the micro-image need not be found, px.
@@ -43,21 +44,21 @@ pub const TRUE_PX: f64 = 1.0;
 /// A blur that counts as small, px.
 pub const SMALL_RHO_PX: f64 = 3.0;
 
-/// What is true of a frame.
+/// The truth of a frame.
 struct FrameTruth<'a> {
     features: &'a [BapFeature],
     centers: &'a HashMap<(i32, i32), MicroImageCenter>,
     /// Outer radius of micro-image (k, l), px.
     outer_radius_px: &'a dyn Fn(i32, i32) -> f64,
-    /// It may have been taken for itself turned by half.
+    /// The board; it may have been labelled as if turned by 180 degrees.
     board: &'a Board,
     /// λ = D/(D + d).
     lambda: f64,
 }
 
 impl DetectionScore {
-    /// Simulates the first boards of a data set, and its white images; pre-calibrates, detects, and
-    /// compares with the truth. The estimator decides which ρ is held against it; of 1/ν both are.
+    /// Simulates the first boards of a data set and its white images; pre-calibrates, detects, and
+    /// compares with the truth. The estimator decides which ρ is compared; 1/ν is compared for both.
     pub fn of_simulation(
         settings: &Settings,
         frames: usize,
@@ -88,7 +89,7 @@ impl DetectionScore {
                 detect_frame(pose.frame, &image.grey(), &reference.image.grey(), &search);
             score.frames += 1;
             let Ok(detection) = result else { continue };
-            score.tied += 1;
+            score.labelled += 1;
             let features: Vec<BapFeature> = tracer
                 .features(pose.frame, &board, &pose.camera_from_board)
                 .into_iter()
@@ -163,7 +164,7 @@ impl DetectionScore {
                 })
                 .collect();
             if let Some(line) = CornerLine::fit(observations.iter()) {
-                // Both with the true λ, so that they can be held against each other.
+                // Both with the true λ, so that they can be compared.
                 let of = |slope: f64| 1.0 - slope / truth.lambda;
                 let off = |slope: f64| (of(slope) / of(line.slope) - 1.0).powi(2);
                 self.depths += 1;
@@ -173,13 +174,13 @@ impl DetectionScore {
         }
     }
 
-    /// Part of the features to be found that were.
+    /// Fraction of the features to be found that were found.
     #[must_use]
     pub fn recall(&self) -> f64 {
         self.found as f64 / self.sought as f64
     }
 
-    /// Part of what is reported that is true.
+    /// Fraction of the detected features that are true.
     #[must_use]
     pub fn precision(&self) -> f64 {
         self.right as f64 / self.reported as f64
@@ -191,25 +192,25 @@ impl DetectionScore {
         (self.square / self.right as f64).sqrt()
     }
 
-    /// The same of features with a small blur.
+    /// Root mean square error of the position of features with a small blur, per axis, px.
     #[must_use]
     pub fn small_rms_px(&self) -> f64 {
         (self.small_square / self.small as f64).sqrt()
     }
 
-    /// Root mean square error of ρ, px, by the estimator that the features were detected with.
+    /// Root mean square error of ρ, px, with the estimator used in the detection.
     #[must_use]
     pub fn rho_rms_px(&self) -> f64 {
         (self.rho_square / self.right as f64).sqrt()
     }
 
-    /// Root mean square error of 1/ν of a corner, relative, by the line.
+    /// Relative root mean square error of 1/ν of a corner, by the line.
     #[must_use]
     pub fn depth_rms(&self) -> f64 {
         (self.depth_square / self.depths as f64).sqrt()
     }
 
-    /// Root mean square error of 1/ν of a corner, relative, by the paper's median over pairs.
+    /// Relative root mean square error of 1/ν of a corner, by the paper's median over pairs.
     #[must_use]
     pub fn median_depth_rms(&self) -> f64 {
         (self.median_square / self.depths as f64).sqrt()

@@ -1,5 +1,5 @@
-//! How good a calibration is: reprojection errors, the uncertainty of the parameters, known motions,
-//! frames held out, and cameras, poses and features against the truth.
+//! How good a calibration is: reprojection errors, the uncertainty of the parameters, known
+//! displacements, cross-validation, and cameras, poses and features against the truth.
 
 mod cross_validation;
 mod detection;

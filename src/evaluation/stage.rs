@@ -1,4 +1,4 @@
-//! The evaluation as one stage: cameras on boards that they were not calibrated with (paper, section 6).
+//! The evaluation as one stage: cameras on boards not used in their calibration (paper, section 6).
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
@@ -13,31 +13,31 @@ use crate::model::{BapFeature, Board, FramePose, Observations, PlenopticCamera, 
 /// A camera to evaluate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Candidate {
-    /// What tables call it.
+    /// Its name in tables.
     pub name: String,
     /// The camera.
     pub camera: PlenopticCamera,
-    /// Standard deviations of its intrinsic parameters where they are known.
+    /// Standard deviations of its intrinsic parameters; `None` if not known.
     pub std_devs: Vec<Option<f64>>,
 }
 
-/// True poses of the boards of a subset, beside those that were found.
+/// True and estimated poses of the boards of a subset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PosePairs {
-    /// What tables call the subset.
+    /// Name of the subset in tables.
     pub name: String,
-    /// The true ones.
+    /// The true poses.
     pub truth: Vec<FramePose>,
-    /// Those found.
+    /// The estimated poses.
     pub found: Vec<FramePose>,
 }
 
-/// A cross-validation to do.
+/// Input of a cross-validation.
 #[derive(Debug, Clone)]
 pub struct Folds {
-    /// What the calibrations start from.
+    /// The start of the calibrations.
     pub start: Start,
-    /// What they are made from.
+    /// Their observations.
     pub observations: Observations,
     /// Their options.
     pub options: CalibrationOptions,
@@ -45,20 +45,20 @@ pub struct Folds {
     pub count: usize,
 }
 
-/// What cameras are evaluated on.
+/// Input of an evaluation.
 #[derive(Debug, Clone)]
 pub struct EvaluationInput {
     /// The board.
     pub board: Board,
-    /// Boards that were not calibrated with; empty for none.
+    /// Features of boards not used in the calibration; empty for none.
     pub evaluation: Vec<BapFeature>,
     /// A board moved along the optical axis, and the steps, mm.
     pub translation: Option<(Vec<BapFeature>, f64)>,
-    /// The same motion by other software: distances by frame, mm; empty for none.
+    /// Distances of the moved board by other software, by frame, mm; empty for none.
     pub clouds_mm: Vec<(u32, f64)>,
     /// The true camera, if it is known.
     pub truth: Option<PlenopticCamera>,
-    /// Poses found elsewhere, beside the true ones.
+    /// True and estimated poses of other subsets.
     pub poses: Vec<PosePairs>,
     /// True poses of the boards of `evaluation`; the first candidate's are compared with them.
     pub evaluation_poses: Option<Vec<FramePose>>,
@@ -67,7 +67,7 @@ pub struct EvaluationInput {
 }
 
 impl EvaluationInput {
-    /// Nothing but a board.
+    /// An input with a board and nothing else.
     #[must_use]
     pub fn new(board: Board) -> Self {
         Self {
@@ -83,7 +83,7 @@ impl EvaluationInput {
     }
 }
 
-/// Boards with a fixed camera.
+/// Poses of boards, estimated with a fixed camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Posed {
     /// Their poses.
@@ -92,16 +92,16 @@ pub struct Posed {
     pub reprojection: Reprojection,
     /// Frames without a pose.
     pub left_out: Vec<LeftOut>,
-    /// Whether their poses are at a minimum.
+    /// Whether the poses are at a minimum.
     pub converged: bool,
 }
 
-/// What was found of one camera.
+/// The evaluation of one camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CandidateResult {
-    /// What tables call it.
+    /// Its name in tables.
     pub name: String,
-    /// Boards that it was not calibrated with (Table 4).
+    /// Boards not used in its calibration (Table 4).
     pub evaluation: Option<Posed>,
     /// A board moved in known steps (Table 3).
     pub translation: Option<Displacements>,
@@ -109,22 +109,22 @@ pub struct CandidateResult {
     pub truth: Option<Vec<ParameterError>>,
 }
 
-/// What was found.
+/// The result of an evaluation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evaluation {
-    /// By camera.
+    /// Results by camera.
     pub candidates: Vec<CandidateResult>,
-    /// The known motion by other software.
+    /// The displacements of the moved board by other software.
     pub clouds: Option<Displacements>,
     /// Errors of poses by subset of the boards.
     pub poses: Vec<(String, PoseErrors)>,
-    /// The cross-validation.
+    /// The result of the cross-validation.
     pub folds: Option<CrossValidation>,
-    /// What could not be evaluated and why, in words.
+    /// What could not be evaluated, and why.
     pub problems: Vec<String>,
 }
 
-/// Finds the poses of boards with a fixed camera.
+/// Estimates the poses of boards with a fixed camera.
 pub fn pose_boards(
     camera: &PlenopticCamera,
     board: &Board,
@@ -138,9 +138,9 @@ pub fn pose_boards(
     Ok(Posed { poses, reprojection, left_out, converged })
 }
 
-/// Evaluates cameras. What fails (boards without a pose, a motion of one frame, a true camera of another
-/// kind) is listed in `problems`, and the rest is evaluated all the same. `progress` is called after every
-/// fold of the cross-validation.
+/// Evaluates cameras. What fails (boards without a pose, a translation with only one frame, a true
+/// camera of another kind) is listed in `problems`, and the rest is evaluated all the same. `progress`
+/// is called after every fold of the cross-validation.
 #[must_use]
 pub fn evaluate(
     candidates: &[Candidate],
@@ -178,7 +178,7 @@ fn candidate_result(
         if let Ok(posed) = &posed {
             problems.extend(posed.left_out.iter().map(|l| format!("{what}: {l}")));
             if !posed.converged {
-                problems.push(format!("{what}: their poses are not converged"));
+                problems.push(format!("{what}: the poses did not converge"));
             }
         }
         kept(&what, posed, problems)
@@ -191,7 +191,7 @@ fn candidate_result(
         .and_then(|(features, step_mm)| Some((posed("translation", features)?, *step_mm)));
     let translation = moved.and_then(|(posed, step_mm)| {
         let found = Displacements::of_poses(&posed.poses, &input.board, step_mm);
-        kept(&format!("{name}, known motion"), found, problems)
+        kept(&format!("{name}, known displacement"), found, problems)
     });
     let truth = input.truth.as_ref().and_then(|truth| {
         let errors = parameter_errors(truth, &candidate.camera, &candidate.std_devs);
@@ -217,7 +217,7 @@ fn poses_against_truth(
     poses
 }
 
-/// From the frame of a board to that of the same board turned by 180 degrees.
+/// Rigid transform from the frame of a board to that of the board turned by 180 degrees.
 fn half_turn(board: &Board) -> Isometry3<f64> {
     let last = board.point_mm(board.corners() - 1);
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI);

@@ -4,16 +4,16 @@
 use crate::error::{Error, Result};
 use crate::model::{Board, FramePose};
 
-/// Motion between two frames that follow each other.
+/// Displacement of the board between two frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Displacement {
     /// The earlier frame.
     pub from: u32,
     /// The later frame.
     pub to: u32,
-    /// Known motion, mm; positive away from the camera.
+    /// Known displacement, mm; positive away from the camera.
     pub true_mm: f64,
-    /// Measured motion along the optical axis, mm.
+    /// Measured displacement along the optical axis, mm.
     pub measured_mm: f64,
 }
 
@@ -24,7 +24,7 @@ impl Displacement {
         (self.measured_mm - self.true_mm).abs()
     }
 
-    /// The absolute error over the true motion.
+    /// The absolute error over the true displacement.
     #[must_use]
     pub fn relative_error(&self) -> f64 {
         self.absolute_error_mm() / self.true_mm.abs()
@@ -36,7 +36,7 @@ impl Displacement {
 pub struct Spread {
     /// Mean.
     pub mean: f64,
-    /// Standard deviation about the mean; `None` of a single value.
+    /// Standard deviation about the mean; `None` for a single value.
     pub std_dev: Option<f64>,
 }
 
@@ -49,24 +49,28 @@ impl Spread {
     }
 }
 
-/// All motions of a series, with the errors that Table 3 of the paper has: mean and standard deviation
+/// All displacements of a series, with the errors of the paper's Table 3: mean and standard deviation
 /// over the steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Displacements {
-    /// From every frame to the next one.
+    /// From every frame to the next.
     pub steps: Vec<Displacement>,
-    /// From the first frame to the last one.
+    /// From the first frame to the last.
     pub whole: Displacement,
 }
 
 impl Displacements {
-    /// From distances along the optical axis, by frame; frames are `step_mm` apart, and may be missing.
+    /// Displacements from distances along the optical axis, by frame; frames are `step_mm` apart, and
+    /// some may be missing.
     ///
-    /// Distances may have either sign and grow either way (`RxLive` measures towards the camera), so the
-    /// direction is taken from the whole way. An error if there are fewer than two frames.
+    /// Distances may have either sign and grow in either direction (`RxLive` measures towards the camera),
+    /// so the direction follows from the first and last frames. An error if there are fewer than two
+    /// frames.
     pub fn of(distances_mm: &[(u32, f64)], step_mm: f64) -> Result<Self> {
         if !(step_mm.is_finite() && step_mm != 0.0) {
-            return Err(Error::invalid(format!("a step of {step_mm} mm is no motion")));
+            return Err(Error::invalid(format!(
+                "the step of the translation is {step_mm} mm; it has to be finite and not 0"
+            )));
         }
         let mut sorted = distances_mm.to_vec();
         sorted.sort_by_key(|&(frame, _)| frame);
@@ -74,7 +78,7 @@ impl Displacements {
             return Err(Error::invalid("there are no frames with a distance"));
         };
         if sorted.len() < 2 {
-            return Err(Error::invalid("a motion takes two frames, but there is one"));
+            return Err(Error::invalid("a displacement needs two frames, but there is only one"));
         }
         let side = ((last.1 - first.1) * step_mm).signum();
         let between = |a: (u32, f64), b: (u32, f64)| Displacement {
@@ -89,7 +93,8 @@ impl Displacements {
         })
     }
 
-    /// The same from poses, by the middle of the board: its distance is known best.
+    /// Displacements from poses, measured at the middle of the board, where the distance is most
+    /// accurate.
     pub fn of_poses(poses: &[FramePose], board: &Board, step_mm: f64) -> Result<Self> {
         let corners = [0, board.corners() - 1].map(|corner| board.point_mm(corner));
         let middle = nalgebra::center(&corners[0], &corners[1]);
@@ -116,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_are_of_steps_and_missing_frames_make_longer_ones() {
+    fn errors_are_those_of_steps_and_missing_frames_make_longer_steps() {
         // Steps of 10 mm; frame 2 is missing. By hand: 10.1, 20.4 and 9.5 mm.
         let distances = [(0, 400.0), (1, 410.1), (3, 430.5), (4, 440.0)];
         let all = Displacements::of(&distances, 10.0).unwrap();

@@ -1,4 +1,4 @@
-//! A calibration against a camera and poses that are known.
+//! A calibration against the true camera and poses.
 
 use nalgebra::Isometry3;
 
@@ -21,7 +21,7 @@ pub struct ParameterError {
 }
 
 impl ParameterError {
-    /// Estimate less truth.
+    /// Estimate minus truth.
     #[must_use]
     pub fn error(&self) -> f64 {
         self.estimate - self.truth
@@ -34,8 +34,9 @@ impl ParameterError {
     }
 }
 
-/// Every parameter that both cameras have, in the order of [`intrinsic_parameters`]; standard deviations
-/// in the same order, of the estimate. An error if the cameras are of different kinds.
+/// Errors of every parameter that both cameras have, in the order of [`intrinsic_parameters`];
+/// `std_devs` are those of the estimate in the same order. An error if the cameras are of different
+/// kinds.
 pub fn parameter_errors(
     truth: &PlenopticCamera,
     estimate: &PlenopticCamera,
@@ -70,16 +71,16 @@ pub fn parameter_errors(
 pub struct PoseErrors {
     /// Number of frames.
     pub frames: usize,
-    /// Of the board's position across the optical axis, mm.
+    /// Error of the board's position across the optical axis, mm.
     pub across_mm: f64,
-    /// Of its distance, mm.
+    /// Error of its distance, mm.
     pub along_mm: f64,
-    /// Of its rotation, rad.
+    /// Error of its rotation, rad.
     pub rotation_rad: f64,
 }
 
-/// Compares poses by frame; a board that is the same when turned by half may have been taken so
-/// (`turned` takes the turned board's frame to its own). `None` without common frames.
+/// Compares poses by frame. A board that is the same when turned by 180 degrees may have been labelled
+/// that way (`turned` takes the turned board's frame to its own). `None` without common frames.
 #[must_use]
 pub fn pose_errors(
     truth: &[FramePose],

@@ -1,50 +1,51 @@
-//! Levenberg and Marquardt's method for small problems (Marquardt, J. SIAM 11, 1963): millions of them
-//! are solved for an image, so that nothing is allocated between steps.
+//! The Levenberg-Marquardt method for small problems (Marquardt, J. SIAM 11, 1963). An image needs
+//! millions of them, so nothing is allocated between steps.
 
 use nalgebra::{SMatrix, SVector};
 
-/// A sum of squares to make small, over P parameters.
+/// A sum of squares to minimise over P parameters.
 pub(crate) trait LeastSquares<const P: usize> {
     /// The parameters.
     type Point: Copy;
 
-    /// The weighted sum of squares at a point, which is on trial from then on; `None` if there is no
-    /// model there.
+    /// The weighted sum of squares at a point, which becomes the trial point; `None` if the model is not
+    /// defined there.
     fn evaluate(&mut self, at: &Self::Point) -> Option<f64>;
 
-    /// Takes the point on trial.
+    /// Accepts the trial point.
     fn accept(&mut self);
 
-    /// JᵀWJ and JᵀWr at the point taken last, r being what was measured less the model; `None` if the
-    /// descent has led nowhere.
+    /// JᵀWJ and JᵀWr at the point accepted last, r being the measurement minus the model; `None` if the
+    /// descent has failed.
     fn normal_equations(&mut self) -> Option<(SMatrix<f64, P, P>, SVector<f64, P>)>;
 
-    /// The point a step away, kept within what makes sense.
+    /// The point a step away, kept within the permitted range.
     fn moved(&self, from: &Self::Point, step: &SVector<f64, P>) -> Self::Point;
 
-    /// How far a point is from another, in the unit of [`Descent::settled`].
+    /// Distance between two points, in the unit of [`Descent::settled`].
     fn distance(&self, from: &Self::Point, to: &Self::Point) -> f64;
 }
 
-/// How a sum of squares is followed down.
+/// Settings of the minimisation.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Descent {
-    /// Most steps.
+    /// Largest number of steps.
     pub steps: usize,
-    /// A shorter step that was a gain is the last one.
+    /// A step that lowers the sum and is shorter than this is the last one.
     pub settled: f64,
-    /// The damping is divided by this after a gain, and multiplied by it after a loss.
+    /// The damping is divided by this after a step that lowers the sum, and multiplied by it otherwise.
     pub factor: f64,
-    /// Smallest damping; and largest: where that is a loss too nothing is left to gain.
+    /// Smallest and largest damping. If even the largest does not lower the sum, the descent ends.
     pub damping: (f64, f64),
 }
 
-/// Damping of the first step, in parts of the diagonal: nearly a Gauss-Newton step, as starts are near.
+/// Damping of the first step, relative to the diagonal: nearly a Gauss-Newton step, as the start is
+/// near the minimum.
 const FIRST_DAMPING: f64 = 1e-3;
 
 impl Descent {
-    /// The lowest point found from a start, and its sum of squares. `None` if there is no model at the
-    /// start, or if parameters are not determined on the way.
+    /// The lowest point found from a start, and its sum of squares. `None` if the model is not defined at
+    /// the start, or if a step does not determine the parameters.
     #[inline]
     pub fn from<const P: usize, S: LeastSquares<P>>(
         &self,
@@ -126,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_a_curved_valley_is_reached() {
+    fn the_minimum_of_a_curved_valley_is_reached() {
         let mut valley = Valley { trial: Vector2::zeros(), taken: Vector2::zeros() };
         let descent = Descent { steps: 100, settled: 1e-10, factor: 5.0, damping: (1e-9, 1e6) };
         let (end, cost) = descent.from(Vector2::new(-1.2, 1.0), &mut valley).unwrap();

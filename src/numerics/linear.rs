@@ -2,8 +2,8 @@
 
 use nalgebra::{RealField, SMatrix, SVector};
 
-/// The normal equations of P unknowns, each of Q columns wide, summed row by row: the design matrix
-/// itself is never stored, so that sums over millions of pixels take no memory.
+/// The normal equations of P unknowns with Q right-hand sides, summed row by row. The design matrix
+/// is never stored, so sums over millions of pixels take no memory.
 ///
 /// Sums are kept and solved in the precision T of the data, see [`Self::in_double`].
 #[derive(Debug, Clone, Copy)]
@@ -18,12 +18,12 @@ impl<T: RealField + Copy, const P: usize, const Q: usize> NormalEquations<T, P, 
         Self { normal: SMatrix::zeros(), right: SMatrix::zeros() }
     }
 
-    /// Adds a row of the design matrix with what was measured there, and its weight: one over the
-    /// variance, up to a common factor.
+    /// Adds a row of the design matrix with its measurement and its weight: one over the variance, up
+    /// to a common factor.
     #[inline]
     pub fn add(&mut self, row: &SVector<T, P>, measured: &SMatrix<T, 1, Q>, weight: T) {
         let weighted = row * weight;
-        // The lower triangle is all that a Cholesky decomposition reads.
+        // A Cholesky decomposition reads the lower triangle only.
         for j in 0..P {
             for i in j..P {
                 self.normal[(i, j)] += weighted[i] * row[j];
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_place_determines_no_line() {
+    fn a_single_point_does_not_determine_a_line() {
         let mut equations = NormalEquations::new();
         equations.add(&Vector2::new(1.0_f32, 2.0), &Vector1::new(1.0), 1.0);
         assert!(equations.solve().is_none());

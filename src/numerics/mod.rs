@@ -1,4 +1,4 @@
-//! Estimates that outliers do not spoil, and small least-squares problems.
+//! Robust estimates and small least-squares problems.
 
 mod levenberg_marquardt;
 mod linear;

@@ -1,27 +1,27 @@
-//! Iteratively reweighted least squares: estimates that outliers do not spoil (Huber, Robust
+//! Iteratively reweighted least squares: estimates that are robust to outliers (Huber, Robust
 //! Statistics, 1981; Tukey's biweight: Beaton and Tukey, Technometrics 16, 1974).
 
 use super::median;
 
-/// How the weight of a residual of length r falls towards the limit L beyond which it is an outlier.
+/// The weight of a residual of length r; beyond the limit L it is an outlier.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Weight {
-    /// Tukey's biweight (1 − r²/L²)², 0 from L on: efficient for normal residuals, and far ones have
-    /// no say at all.
+    /// Tukey's biweight (1 − r²/L²)², 0 from L on: efficient for normal residuals, and outliers have
+    /// no effect at all.
     Biweight,
-    /// 1 up to L, 0 beyond: where few rounds have to do.
+    /// 1 up to L, 0 beyond: for fits with few rounds.
     Cut,
-    /// 1/(1 + r⁴/L⁴): never 0, so that few values cannot leave the fit undetermined.
+    /// 1/(1 + r⁴/L⁴): never 0, so that a fit to few values stays determined.
     Smooth,
 }
 
-/// What the typical length of the residuals, their median, is counted in.
+/// The unit of the typical length of the residuals, which is their median.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Scale {
     /// The median itself.
     Median,
-    /// Standard deviation per axis of residuals in the plane: the length of a normal one has a median
-    /// of √(2 ln 2) of these.
+    /// Standard deviation per axis of residuals in the plane: for normal ones the median length is
+    /// √(2 ln 2) standard deviations.
     PerAxis,
 }
 
@@ -34,21 +34,21 @@ impl Scale {
     }
 }
 
-/// When a residual is an outlier: beyond `scales` times the typical length, which is not taken below
-/// `least`, and `slack` more. All in the unit of the residuals.
+/// When a residual is an outlier: beyond `scales` times its typical length, which is taken as at
+/// least `least`, plus `slack`. Both are in the unit of the residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Outliers {
     pub weight: Weight,
     pub scale: Scale,
     pub scales: f64,
-    /// So that residuals that are nearly all zero do not make outliers of the rest.
+    /// Smallest typical length: if nearly all residuals are zero, the rest must not become outliers.
     pub least: f64,
-    /// What the residuals may have beside their scatter.
+    /// Allowance on top of the scatter of the residuals.
     pub slack: f64,
 }
 
 impl Outliers {
-    /// Typical length of residuals; `None` without any.
+    /// Typical length of residuals; `None` if there are none.
     pub fn typical(&self, lengths: &[f64]) -> Option<f64> {
         let median = median(lengths.iter().copied())?;
         Some(self.scale.of_median(median).max(self.least))
@@ -78,20 +78,20 @@ pub(crate) trait Reweighted {
     /// Number of data.
     fn count(&self) -> usize;
 
-    /// The model that fits best with these weights, one for each datum, on top of what data weigh by
-    /// themselves; `last` is that of the round before. `None` if the data do not determine it.
+    /// The model that fits best with these weights, one for each datum, which multiply the data's own
+    /// weights; `last` is the model of the previous round. `None` if the data do not determine it.
     fn solve(&self, weights: &[f64], last: Option<&Self::Model>) -> Option<Self::Model>;
 
     /// Length of the residual of a datum.
     fn length(&self, model: &Self::Model, datum: usize) -> f64;
 
-    /// Whether a round changed nothing worth having.
+    /// Whether the last round made no significant change.
     fn settled(&self, _last: &Self::Model, _next: &Self::Model) -> bool {
         false
     }
 }
 
-/// A model with what it leaves over.
+/// A fitted model with its residuals.
 #[derive(Debug, Clone)]
 pub(crate) struct Fitted<M> {
     pub model: M,
@@ -99,13 +99,13 @@ pub(crate) struct Fitted<M> {
     pub lengths: Vec<f64>,
     /// Their typical length, see [`Outliers::typical`].
     pub typical: f64,
-    /// The weights that these lengths give.
+    /// The weights that follow from these lengths.
     pub weights: Vec<f64>,
 }
 
-/// Fits a model in at most so many rounds, each with the weights that the residuals of the last one
-/// give, the first with those of `start`, or equal ones. `None` if there are no data, or if they do
-/// not determine the model.
+/// Fits a model in at most `rounds` rounds. The weights of a round follow from the residuals of the
+/// previous one; the first round has those of `start`, or equal weights. `None` if there are no data,
+/// or if they do not determine the model.
 pub(crate) fn fit<R: Reweighted>(
     data: &R,
     start: Option<R::Model>,
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn outliers_have_no_say() {
+    fn outliers_do_not_move_the_estimate() {
         let data = Mean(vec![1.0, 1.1, 0.9, 1.05, 0.95, 1.0, 50.0]);
         for weight in [Weight::Biweight, Weight::Cut, Weight::Smooth] {
             let outliers =

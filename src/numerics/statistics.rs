@@ -1,6 +1,6 @@
-//! Statistics that a few bad values do not spoil.
+//! Robust statistics.
 
-/// The middle one of the values by size, of an even number the upper of the two; `None` of no values.
+/// The median; of an even number of values the upper of the middle two. `None` without values.
 pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();
     let middle = values.len() / 2;
@@ -12,7 +12,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_median_is_the_middle_one() {
+    fn the_median_is_the_middle_value() {
         assert_eq!(median([3.0, 1.0, 2.0]), Some(2.0));
         assert_eq!(median([4.0, 1.0, 3.0, 2.0]), Some(3.0));
         assert_eq!(median([]), None);

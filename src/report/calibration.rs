@@ -100,7 +100,7 @@ pub(super) fn summary(calibration: &Calibration) -> String {
     let _ = writeln!(text, "{}", termination_text(calibration));
     let _ = writeln!(
         text,
-        "Cost {:.6} (at the start {:.6}) after {} iterations in {:.3} s.",
+        "Cost {:.6} (initially {:.6}) after {} iterations in {:.3} s.",
         refinement.cost,
         refinement.initial_cost,
         refinement.iterations.last().map_or(0, |i| i.number),
@@ -116,7 +116,7 @@ pub(super) fn summary(calibration: &Calibration) -> String {
         .collect();
     let counts = match calibration.initial_centers_rmse_px {
         Some(rmse) => format!(
-            "{} features of {} frames; {} centres, missed by {rmse:.3} px RMS at the start.",
+            "{} features of {} frames; {} centres, initial RMS residual {rmse:.3} px.",
             calibration.reprojection.features.len(),
             calibration.poses.len(),
             calibration.reprojection.centers.len()

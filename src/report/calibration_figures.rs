@@ -1,4 +1,4 @@
-//! Pictures of a calibration.
+//! Figures of a calibration.
 
 mod charts;
 mod correlations;
@@ -14,8 +14,8 @@ use crate::calibration::Calibration;
 use crate::error::Result;
 use crate::model::Board;
 
-/// All pictures that a calibration gives; those that it has nothing to show for are left out: without
-/// centres their residuals, with the camera held its correlations, and so on.
+/// All figures of a calibration. Those with nothing to show are left out: residuals of centres if
+/// there are no centres, correlations if the camera is fixed, and so on.
 pub fn calibration_figures(calibration: &Calibration, board: &Board) -> Result<Vec<Figure>> {
     let figures = [
         vectors::residual_vectors(calibration)?,
@@ -30,7 +30,7 @@ pub fn calibration_figures(calibration: &Calibration, board: &Board) -> Result<V
     Ok(figures.into_iter().flatten().collect())
 }
 
-/// A figure by the parts of its name and caption.
+/// A figure; `name` is without the extension.
 fn figure(name: &str, caption: String, svg: String) -> Figure {
     Figure { name: format!("{name}.svg"), caption, svg }
 }

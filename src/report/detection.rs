@@ -1,4 +1,4 @@
-//! Detected features as text and as pictures.
+//! Detected features as text and figures.
 
 use std::fmt::Write as _;
 
@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::model::Board;
 
-/// Frame by frame what was found and what was dropped.
+/// What was found and what was dropped in each frame.
 #[must_use]
 pub fn detection_text(frames: &[DetectedFrame]) -> String {
     format!("{}\n\n{}", detection_table(frames), dropped_text(frames))
@@ -67,21 +67,21 @@ pub(super) fn dropped_text(frames: &[DetectedFrame]) -> String {
     let features: usize = frames.iter().map(DetectedFrame::features).sum();
     let with_features = frames.iter().filter(|frame| frame.features() > 0).count();
     format!(
-        "{features} features in {with_features} of {} frames. Corners: found in a micro-image by \
-         itself. Board: corners tied to it.\nDropped: alone (in no cluster), off the line of their \
-         cluster, texture (a large cluster with hardly a line), off the board.\nLooked for again where \
-         they are expected: board corners lost; micro-images unclear, with the corner misplaced, or of \
-         a corner given up.",
+        "{features} features in {with_features} of {} frames. Corners: corner observations found in \
+         single micro-images. Board: labelled corners.\nDropped: alone (in no cluster), off the line of \
+         their cluster, texture (a large cluster with hardly a line), off the board.\nSearched for again \
+         where they are expected: board corners lost; micro-images unclear, with the corner misplaced, \
+         or of a corner given up.",
         frames.len()
     )
 }
 
 /// Largest width of the picture under the features, px.
 const PICTURE: usize = 1400;
-/// Its quality, of 100.
+/// Its JPEG quality, up to 100.
 const QUALITY: u8 = 60;
 
-/// A frame with its features as blur circles, coloured by corner, and the board's lattice.
+/// A frame with its features as blur circles, coloured by corner, and the grid of the board.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // pixels
 pub fn features_figure(image: &RawImage, detection: &Detection, board: &Board) -> Result<String> {
     let (width, height) = (image.width, image.height);

@@ -1,4 +1,4 @@
-//! What pictures share: colours, type, and the lines, arrows and words that are laid over a chart.
+//! What figures share: colours, fonts, and the lines, arrows and text drawn over a chart.
 
 use std::fmt::Write as _;
 
@@ -8,21 +8,21 @@ use plotters::prelude::*;
 use super::html::escaped;
 use crate::error::{Error, Result};
 
-/// Colours of the lens types, after the paper: red, green, blue; readable on white and for the
-/// colour-blind by their lightness.
+/// Colours of the lens types, as in the paper: red, green, blue; readable on white, and told apart
+/// by the colour-blind by their lightness.
 pub(super) const TYPE_COLORS: [RGBColor; 3] =
     [RGBColor(200, 30, 30), RGBColor(40, 140, 60), RGBColor(30, 70, 200)];
 /// Text and lines.
 pub(super) const INK: RGBColor = RGBColor(60, 60, 60);
-/// Lines of a model through what was measured.
+/// Lines of a model through measurements.
 pub(super) const FITTED: RGBColor = RGBColor(190, 0, 190);
-/// Two colours that everybody tells apart, for quantities side by side and for the two signs.
+/// Two colours that everybody can tell apart, for two quantities side by side and for the two signs.
 pub(super) const BLUE: RGBColor = RGBColor(0, 100, 170);
 pub(super) const ORANGE: RGBColor = RGBColor(200, 80, 0);
-/// Words on one of these two.
+/// Text on one of these two.
 pub(super) const ON_COLOR: RGBColor = RGBColor(253, 253, 253);
 
-/// Colours as they are on white, and what they become on a dark page.
+/// Colours on a white page, and their replacements on a dark one.
 pub(super) const ON_DARK: [(RGBColor, RGBColor); 10] = [
     (WHITE, RGBColor(30, 31, 34)),
     (BLACK, RGBColor(255, 255, 255)),
@@ -36,12 +36,12 @@ pub(super) const ON_DARK: [(RGBColor, RGBColor); 10] = [
     (ON_COLOR, RGBColor(18, 18, 18)),
 ];
 
-/// A colour as attributes have it, in the spelling of the SVG backend.
+/// A colour as an attribute value, spelt like the SVG backend spells it.
 pub(super) fn hex(RGBColor(r, g, b): RGBColor) -> String {
     format!("#{r:02X}{g:02X}{b:02X}")
 }
 
-/// Words in ink, `size` px high.
+/// Text in ink, `size` px high.
 pub(super) fn font(size: u32) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&INK)
 }
@@ -53,8 +53,8 @@ pub(super) fn drawing<E: std::error::Error + Send + Sync>(error: DrawingAreaErro
 
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
-/// Draws a picture of a size in px: charts by the library, and over them what its whole pixels are too
-/// coarse for.
+/// Draws a picture of a size in px: charts by the library, and over them what its integer pixel
+/// coordinates are too coarse for.
 pub(super) fn picture(
     size: (u32, u32),
     draw: impl FnOnce(&Area, &mut Overlay) -> Result<()>,
@@ -72,7 +72,7 @@ pub(super) fn picture(
     Ok(svg)
 }
 
-/// Where words stand with respect to their place.
+/// Where text stands with respect to its position.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Anchor {
     Start,
@@ -80,7 +80,7 @@ pub(super) enum Anchor {
     End,
 }
 
-/// Marks that lie over a chart, in px of the picture.
+/// Marks drawn over a chart, in px of the picture.
 #[derive(Debug, Default)]
 pub(super) struct Overlay {
     svg: String,
@@ -93,20 +93,20 @@ impl Overlay {
         self.path(points, "", &format!("fill=\"none\" {}", stroke(color, width)));
     }
 
-    /// The same, dashed.
+    /// A dashed line through points.
     pub fn dashed(&mut self, points: &[Vector2<f64>], color: RGBColor, width: f64) {
         let style = format!("fill=\"none\" {} stroke-dasharray=\"5 4\"", stroke(color, width));
         self.path(points, "", &style);
     }
 
-    /// An area without an edge.
+    /// A filled area without an outline.
     pub fn area(&mut self, points: &[Vector2<f64>], color: RGBColor, opacity: f64) {
         let fill = hex(color);
         self.path(points, "z", &format!("fill=\"{fill}\" fill-opacity=\"{opacity:.3}\""));
     }
 
-    /// Rectangles without edges, each by its upper left corner and its size; no gap shows between those
-    /// that touch.
+    /// Filled rectangles without outlines, each by its upper left corner and its size; no gap shows
+    /// between those that touch.
     pub fn rectangles(
         &mut self,
         rectangles: &[(Vector2<f64>, Vector2<f64>)],
@@ -115,7 +115,7 @@ impl Overlay {
     ) {
         self.svg.push_str("<path d=\"");
         for (corner, size) in rectangles {
-            // Edges as places, not as lengths: neighbours have the same ones to the last digit.
+            // Edges as positions, not as lengths: neighbours share them to the last digit.
             let (left, top, end) = (corner.x, corner.y, corner + size);
             let _ = write!(self.svg, "M{left:.1} {top:.1}H{:.1}V{:.1}H{left:.1}z", end.x, end.y);
         }
@@ -126,7 +126,7 @@ impl Overlay {
         );
     }
 
-    /// One of them.
+    /// One filled rectangle.
     pub fn rectangle(
         &mut self,
         corner: Vector2<f64>,
@@ -150,7 +150,7 @@ impl Overlay {
         }
     }
 
-    /// Arrows from a place along a vector, as one path; one too short for a head is a line or a dot.
+    /// Arrows from a point along a vector, as one path; one too short for a head is a line or a dot.
     pub fn arrows(&mut self, arrows: &[(Vector2<f64>, Vector2<f64>)], color: RGBColor, width: f64) {
         if arrows.is_empty() {
             return;
@@ -176,12 +176,12 @@ impl Overlay {
         let _ = writeln!(self.svg, "\" fill=\"none\" {style} stroke-linecap=\"round\"/>");
     }
 
-    /// Words, their middle line at a place.
+    /// Text, vertically centred on a point.
     pub fn text(&mut self, at: Vector2<f64>, anchor: Anchor, size: f64, words: &str) {
         self.colored_text(at, anchor, size, INK, words);
     }
 
-    /// The same in another colour.
+    /// Text in another colour.
     pub fn colored_text(
         &mut self,
         at: Vector2<f64>,
@@ -193,7 +193,7 @@ impl Overlay {
         self.words(at, anchor, size, color, words, "");
     }
 
-    /// Words that run upwards.
+    /// Text that runs upwards.
     pub fn upward_text(&mut self, at: Vector2<f64>, anchor: Anchor, size: f64, words: &str) {
         let turn = format!(" transform=\"rotate(-90 {:.1} {:.1})\"", at.x, at.y);
         self.words(at, anchor, size, INK, words, &turn);
@@ -237,7 +237,8 @@ impl Overlay {
 
 /// Shortest arrow that has a head, px.
 const SHORTEST_WITH_HEAD: f64 = 3.0;
-/// Length of the head as part of the arrow's, its limits in px, and half its width by its length.
+/// Length of the head as a fraction of the arrow's, its limits in px, and half its width over its
+/// length.
 const HEAD_PART: f64 = 0.35;
 const HEAD: (f64, f64) = (2.0, 7.0);
 const HEAD_WIDTH: f64 = 0.45;
@@ -246,16 +247,16 @@ fn stroke(color: RGBColor, width: f64) -> String {
     format!("stroke=\"{}\" stroke-width=\"{width}\"", hex(color))
 }
 
-/// What is left of a tick at 0 after rounding.
+/// Rounding error of a tick at 0.
 const NOTHING: f64 = 1e-12;
 
-/// A number on an axis: short, whatever its size.
+/// A number on an axis: short, whatever its magnitude.
 pub(super) fn axis_number(value: f64) -> String {
     let size = value.abs();
     if size < NOTHING {
         "0".to_owned()
     } else if (1e-3..1e5).contains(&size) {
-        // Ticks are multiples that rounding has touched.
+        // Ticks are multiples with rounding errors.
         let text = format!("{value:.4}");
         text.trim_end_matches('0').trim_end_matches('.').to_owned()
     } else {
@@ -266,12 +267,12 @@ pub(super) fn axis_number(value: f64) -> String {
 /// The largest of 1, 2 and 5 times a power of ten that is not above a value.
 pub(super) fn round_below(value: f64) -> f64 {
     let decade = 10_f64.powf(value.log10().floor());
-    // A value that is such a number itself may have lost its last digit.
+    // A value that is such a number may be off in its last digit.
     let part = value / decade * (1.0 + 1e-9);
     decade * [10.0, 5.0, 2.0].into_iter().find(|&step| part >= step).unwrap_or(1.0)
 }
 
-/// The value below which a part of others lie, 0 to 1; `None` without any. Sorts them.
+/// The value below which a fraction (0 to 1) of the values lies; `None` without values. Sorts them.
 pub(super) fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a position
@@ -279,19 +280,19 @@ pub(super) fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
     values.get(i).copied()
 }
 
-/// What a linear axis makes of values: px of the picture.
+/// Two linear axes: from values to px of the picture.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Plane {
     /// Value at `origin_px`.
     pub origin: Vector2<f64>,
-    /// Its place.
+    /// Its position.
     pub origin_px: Vector2<f64>,
     /// Px of the picture for one unit.
     pub scale: Vector2<f64>,
 }
 
 impl Plane {
-    /// Of a chart that spans values from `from` to `to`, the former at the lower left.
+    /// The axes of a chart that spans values from `from` at the lower left to `to`.
     pub fn of_chart(
         (across, down): (std::ops::Range<i32>, std::ops::Range<i32>),
         from: Vector2<f64>,

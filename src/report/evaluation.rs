@@ -9,11 +9,11 @@ use crate::model::{
     PlenopticCamera, Rmse, display_unit, intrinsic_parameters, signed, with_std_dev,
 };
 
-/// Name of other software's point clouds in tables.
+/// What tables call the point clouds of other software.
 const CLOUDS: &str = "point clouds";
 
-/// The tables of an evaluation: reprojection (Table 4), known motions (Table 3), the true camera and
-/// poses, and the cross-validation of the first candidate.
+/// The tables of an evaluation: reprojection (Table 4), known displacements (Table 3), errors
+/// against the true camera and poses, and the cross-validation of the first candidate.
 #[must_use]
 pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> Vec<HtmlTable> {
     let mut tables = Vec::new();
@@ -22,7 +22,7 @@ pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> V
         &[0],
     );
     let mut motion = table(
-        &["Camera", "Steps", "Mean error, %", "± σ", "Mean error, mm", "± σ", "Whole way, %"],
+        &["Camera", "Steps", "Mean error, %", "± σ", "Mean error, mm", "± σ", "Overall error, %"],
         &[0],
     );
     let (mut posed, mut moved) = (false, false);
@@ -38,15 +38,15 @@ pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> V
         }
         if let Some(displacements) = &candidate.translation {
             moved = true;
-            motion.add_row(motion_row(&candidate.name, displacements));
+            motion.add_row(displacement_row(&candidate.name, displacements));
         }
     }
     if let Some(clouds) = &evaluation.clouds {
-        motion.add_row(motion_row(CLOUDS, clouds));
+        motion.add_row(displacement_row(CLOUDS, clouds));
     }
     if posed {
         tables.push(reprojection.captioned(
-            "Boards that were not calibrated with, poses refined with the camera fixed (paper, Table 4)",
+            "Boards not used in the calibration; poses refined with the camera fixed (paper, Table 4)",
         ));
     }
     if moved {
@@ -88,7 +88,7 @@ fn rmse_cells(rmse: &Rmse, with_sum: bool) -> Vec<String> {
     cells
 }
 
-fn motion_row(name: &str, displacements: &Displacements) -> Vec<String> {
+fn displacement_row(name: &str, displacements: &Displacements) -> Vec<String> {
     let percent = |part: f64| format!("{:.3}", 100.0 * part);
     let (relative, absolute) = (displacements.relative(), displacements.absolute_mm());
     vec![
@@ -116,7 +116,7 @@ fn steps_table(evaluation: &Evaluation) -> Option<HtmlTable> {
     let mut table = table(&header, &[0]);
     for step in &first.steps {
         let mut row = vec![format!("{} to {}", step.from, step.to), format!("{:.3}", step.true_mm)];
-        // Series may lack frames that others have.
+        // One series may lack frames that another has.
         let same = |displacements: &Displacements| {
             displacements.steps.iter().find(|s| s.from == step.from && s.to == step.to).copied()
         };
@@ -166,7 +166,7 @@ fn pose_errors_table(subsets: &[(String, PoseErrors)]) -> HtmlTable {
             number(errors.rotation_rad * 1e3),
         ]);
     }
-    table.captioned("Poses against the true ones, root mean square")
+    table.captioned("Errors of the poses against the true ones, root mean square")
 }
 
 /// Cameras side by side (paper, Table 1); the first is the one before the refinement.
@@ -195,11 +195,11 @@ pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> Htm
     table.captioned("Parameters before and after the refinement (paper, Table 1)")
 }
 
-/// Frames held out, and what the jackknife says of the parameters beside the covariance.
+/// The folds, and the standard deviations by the jackknife beside those of the covariance.
 fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<HtmlTable> {
     let mut of_folds = table(
         &[
-            "Held out",
+            "Left out",
             "Frames",
             "Without pose",
             "Features",

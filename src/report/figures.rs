@@ -1,4 +1,4 @@
-//! Pictures as SVG.
+//! Figures of a pre-calibration as SVG.
 
 use std::fmt::Write as _;
 use std::io::Cursor;
@@ -13,8 +13,8 @@ use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::precalibration::{ArrayMeasurement, Precalibration};
 
-/// The paper's figure of radii: over 1/N with the fitted lines, and a histogram for each type at the
-/// f-number in the middle.
+/// Radii of micro-images as in the paper's figure: over 1/N with the fitted lines, and a histogram
+/// for each type at the middle f-number.
 pub fn radii_figure(result: &Precalibration) -> Result<String> {
     let mut svg = String::new();
     {
@@ -53,7 +53,7 @@ fn lines(area: &Area, result: &Precalibration) -> Result<()> {
         .map_err(drawing)?;
     for (lens_type, color) in TYPE_COLORS.into_iter().enumerate().take(result.lens_types.types) {
         let of_type = || radii.iter().filter(move |r| r.lens_type == lens_type);
-        // Two points of the fitted line, from what was measured and what is left over.
+        // Two points of the fitted line: each is the measured value minus its residual.
         let mut fitted: Vec<(f64, f64)> =
             of_type().map(|r| (1.0 / r.f_number, r.radius_px - r.residual_px)).collect();
         fitted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -85,7 +85,7 @@ fn histogram(area: &Area, result: &Precalibration, lens_type: usize) -> Result<(
     let of_type: Vec<_> = result.radii.iter().filter(|r| r.lens_type == lens_type).collect();
     let Some(shown) = of_type.get(of_type.len() / 2) else { return Ok(()) };
     let mut sorted = shown.single_px.clone();
-    // A few outliers may not hide the rest.
+    // A few outliers must not hide the rest.
     let mut at = |part: f64| quantile(&mut sorted, part).unwrap_or_default();
     let (first, last) = (at(0.02), at(0.98));
     let width = ((last - first) * 1.2).max(0.05);
@@ -163,7 +163,7 @@ pub fn micro_images_figure(
         STANDARD.encode(png.get_ref())
     );
     for c in &array.centers {
-        // The centre of a pixel is half a pixel into it.
+        // The centre of a pixel is half a pixel from its edge.
         let (x, y) = (c.u_px - left as f64 + 0.5, c.v_px - top as f64 + 0.5);
         let lens_type = array.grid.lattice.lens_type(c.k, c.l, radii_px.len());
         let radius = radii_px.get(lens_type).copied().unwrap_or(0.0);

@@ -1,4 +1,4 @@
-//! Reports as one HTML file that needs nothing else: no script, no network.
+//! Reports as one self-contained HTML file: no script, no network.
 
 use std::collections::HashSet;
 use std::fmt::Write as _;
@@ -11,15 +11,15 @@ use super::drawing::{ON_DARK, hex};
 /// A report.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct HtmlReport {
-    /// Of the page, and its heading.
+    /// Title of the page, and its heading.
     pub title: String,
-    /// Stands below it; empty for none.
+    /// Line below the title; empty for none.
     pub subtitle: String,
     /// In order.
     pub sections: Vec<Section>,
 }
 
-/// A part of the report that stands in its table of contents.
+/// A part of the report that is listed in its table of contents.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Section {
     /// Its heading.
@@ -28,7 +28,7 @@ pub struct Section {
     pub parts: Vec<Part>,
 }
 
-/// What sections are made of.
+/// A part of a section.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
@@ -38,9 +38,9 @@ pub enum Part {
     Table(HtmlTable),
     /// A picture.
     Figure(Figure),
-    /// Parts that are shown on demand, and on paper.
+    /// Parts that are shown on demand, and always in print.
     Details {
-        /// What they are.
+        /// What the parts are.
         summary: String,
         /// In order.
         parts: Vec<Part>,
@@ -56,24 +56,24 @@ pub struct HtmlTable {
     pub header: Vec<String>,
     /// Cells, row by row.
     pub rows: Vec<Vec<String>>,
-    /// Columns of words; the others are numbers, to the right. The first, if it is of words, names the
-    /// rows.
+    /// Indices of the columns with text; the others hold numbers, aligned right. The first column, if
+    /// it is text, names the rows.
     pub text_columns: Vec<usize>,
 }
 
-/// A picture with its file name and what is to be seen on it.
+/// A picture with its file name and caption.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Figure {
     /// File name, such as `correlations.svg`.
     pub name: String,
     /// What it shows, in a sentence or two.
     pub caption: String,
-    /// The picture, an SVG document; where a figure is written as JSON it is a file of its own.
+    /// The picture, an SVG document. A figure written as JSON leaves it to a separate file.
     #[serde(skip)]
     pub svg: String,
 }
 
-/// Text in which nothing is markup, also between double quotes.
+/// Text with all markup escaped, also within double quotes.
 pub(super) fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -83,7 +83,7 @@ pub(super) fn escaped(text: &str) -> String {
             '>' => out.push_str("&gt;"),
             '"' => out.push_str("&quot;"),
             '\'' => out.push_str("&#39;"),
-            // Neither XML nor HTML has a place for other control characters.
+            // Neither XML nor HTML allows other control characters.
             c if c.is_control() && !matches!(c, '\n' | '\t') => out.push('\u{fffd}'),
             c => out.push(c),
         }
@@ -94,7 +94,7 @@ pub(super) fn escaped(text: &str) -> String {
 const STYLE: &str = include_str!("html.css");
 
 impl HtmlReport {
-    /// The file.
+    /// The report as the text of an HTML file.
     #[must_use]
     pub fn to_html(&self) -> String {
         let title = escaped(&self.title);
@@ -132,7 +132,7 @@ impl HtmlReport {
     }
 }
 
-/// Pictures have their colours from white paper; on a dark screen each becomes another.
+/// Style rules that replace the colours of pictures, made for white paper, on a dark screen.
 fn dark_figures() -> String {
     let mut css = String::from("@media screen and (prefers-color-scheme: dark) {\n");
     for (light, dark) in ON_DARK {
@@ -179,7 +179,7 @@ impl Writer {
 
     fn table(&mut self, table: &HtmlTable) {
         let caption = escaped(&table.caption);
-        // A table wider than the page is scrolled, which a keyboard can only where the focus is.
+        // A table wider than the page scrolls; the keyboard can scroll only what has the focus.
         self.line(&format!(
             "<div class=\"table\" role=\"region\" aria-label=\"{caption}\" tabindex=\"0\">\n<table>\n\
              <caption>{caption}</caption>\n<thead>"
@@ -224,8 +224,9 @@ impl Writer {
     }
 }
 
-/// An SVG document as an element of a page: without prolog and namespaces, which HTML does not want;
-/// its ids with a prefix, since others may have the same. `None` if it is not one.
+/// An SVG document as an element of a page: without prolog and namespaces, which HTML does not need;
+/// its ids with a prefix, since other pictures may use the same ones. `None` if it is not an SVG
+/// document.
 fn inlined(svg: &str, prefix: &str, name: &str) -> Option<String> {
     let document = Document::parse(svg).ok()?;
     let root = document.root_element();
@@ -238,7 +239,7 @@ fn inlined(svg: &str, prefix: &str, name: &str) -> Option<String> {
     Some(html)
 }
 
-/// A value of an attribute in which references to ids of the document are those of the page.
+/// The value of an attribute, with references to ids of the document adapted to the page.
 fn with_prefix(value: &str, ids: &HashSet<&str>, prefix: &str) -> String {
     let mut out = String::new();
     let mut rest = value;
@@ -268,7 +269,7 @@ fn element(
         let (key, value) = (attribute.name(), attribute.value());
         let value = match key {
             "role" | "aria-label" if root_name.is_some() => continue,
-            // "#x" is what a reference to x looks like.
+            // A reference to x is written "#x".
             "id" => referring(&format!("#{value}"))[1..].to_owned(),
             "aria-labelledby" | "aria-describedby" => {
                 let ids = value.split_whitespace();
@@ -318,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn text_is_never_markup() {
+    fn markup_in_text_is_escaped() {
         let words = "<b onclick=\"x\">&'\u{7}";
         let table = HtmlTable {
             caption: words.into(),
@@ -341,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_picture_twice_has_ids_of_its_own() {
+    fn ids_of_a_picture_shown_twice_are_unique() {
         let html = page(vec![
             figure("one"),
             Part::Details { summary: "more".into(), parts: vec![figure("two")] },
@@ -351,7 +352,7 @@ mod tests {
             assert!(html.contains(&format!("href=\"#figure-{n}-a\"")));
             assert!(html.contains(&format!("fill=\"url(#figure-{n}-a)\"")));
         }
-        // A colour is no reference, and the document's own words and size stay.
+        // A colour is not a reference, and the document's own text and size stay.
         assert!(html.contains("stroke=\"#abc\"") && html.contains("1 &lt; 2"));
         assert!(html.contains("viewBox=\"0 0 20 10\" role=\"img\" aria-label=\"one\""));
         assert!(!html.contains("<?xml") && !html.contains("made by hand"));
@@ -386,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_picture_is_named() {
+    fn a_picture_that_cannot_be_read_is_named() {
         let broken = Figure { name: "x.svg".into(), caption: "c".into(), svg: "<svg".into() };
         assert!(page(vec![Part::Figure(broken)]).contains("x.svg could not be read"));
     }

@@ -1,4 +1,4 @@
-//! Results for people: tables, text, pictures, and the report of a run.
+//! Results for people: tables, text, figures, and the report of a run.
 
 mod calibration;
 mod calibration_figures;

@@ -8,7 +8,7 @@ use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 pub fn precalibration_text(result: &Precalibration) -> String {
     let types = types_text(&result.lens_types);
     let correction = format!(
-        "The pitch is free of shading, which had changed it by {:.1e}.",
+        "The pitch is corrected for vignetting, which had changed it by {:.1e}.",
         -result.pitch_correction
     );
     [
@@ -23,7 +23,7 @@ pub fn precalibration_text(result: &Precalibration) -> String {
 #[must_use]
 pub fn types_text(types: &LensTypes) -> String {
     if types.types == 1 {
-        return "One lens type, or several that cannot be told apart by size.".to_owned();
+        return "One lens type, or several whose micro-images have the same size.".to_owned();
     }
     let apart = types.separation.map(|s| format!(", {s:.0} standard deviations apart"));
     let agree = types

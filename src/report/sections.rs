@@ -1,4 +1,4 @@
-//! The sections of a run's report: what each stage has to show.
+//! The sections of a run's report, one for each stage.
 
 use super::calibration::{errors_table, parameters_table, summary};
 use super::detection::{detection_table, dropped_text};
@@ -8,7 +8,7 @@ use crate::calibration::Calibration;
 use crate::detection::DetectedBoards;
 use crate::precalibration::Precalibration;
 
-/// Pictures of frames that are shown at once; the others on demand.
+/// Number of frames whose figures are shown at once; the others are shown on demand.
 const FRAMES_SHOWN: usize = 1;
 
 fn paragraphs(text: &str) -> impl Iterator<Item = Part> {
@@ -54,7 +54,7 @@ pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Fig
     Section { title: format!("Boards: {subset}"), parts }
 }
 
-/// Parameters, errors, and what they are worth.
+/// Parameters with their standard deviations, errors, and figures.
 #[must_use]
 pub fn calibration_section(
     title: &str,
@@ -84,7 +84,7 @@ pub fn tables_section(title: &str, tables: Vec<HtmlTable>, texts: &[String]) -> 
 }
 
 impl Section {
-    /// All figures of it.
+    /// All figures of the section.
     pub fn figures_mut(&mut self) -> Vec<&mut Figure> {
         fn collect<'a>(parts: &'a mut [Part], figures: &mut Vec<&'a mut Figure>) {
             for part in parts {

@@ -1,4 +1,4 @@
-//! Tables, as they stand on a terminal and in a report.
+//! Tables for the terminal and for a report.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use comfy_table::presets::NOTHING;
 
 use super::html::HtmlTable;
 
-/// A table without lines; numbers are to the right, the columns named here to the left.
+/// A table without lines; numbers are aligned right, the columns in `text_columns` left.
 #[derive(Debug, Clone)]
 pub(super) struct Table {
     header: Vec<String>,
@@ -42,7 +42,7 @@ impl fmt::Display for Table {
 }
 
 impl fmt::Display for HtmlTable {
-    /// As it stands on a terminal.
+    /// Formats the table for a terminal.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}", self.caption)?;
         text(&self.header, &self.rows, &self.text_columns).fmt(f)

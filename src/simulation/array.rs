@@ -1,4 +1,4 @@
-//! The micro-lens array as rays meet it: thin lenses with circular stops in one tilted plane.
+//! The micro-lens array as rays meet it: thin lenses with circular openings in one tilted plane.
 
 use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector2, Vector3};
 
@@ -14,13 +14,13 @@ pub(super) struct MicroLens {
     pub center: Point3<f64>,
     /// 1/f.
     pub power: f64,
-    /// False for a dead one, which lets no light through.
+    /// False for a dead micro-lens, which lets no light through.
     pub alive: bool,
 }
 
 impl MicroLens {
-    /// How many times a pupil is larger than its picture in the plane of the micro-lens, seen from a
-    /// point of the sensor; negative if turned around.
+    /// Size of a pupil over its projection onto the plane of the micro-lens, seen from a point of the
+    /// sensor; negative if inverted.
     #[inline]
     pub fn demagnification(&self, to_sensor: f64, to_pupil: f64) -> f64 {
         1.0 + to_pupil * (1.0 / to_sensor - self.power)
@@ -36,14 +36,14 @@ pub(super) struct MicroLenses {
     pub axes: Matrix3<f64>,
     /// ΔC along x.
     pub pitch: f64,
-    pub stop_radius: f64,
+    pub opening_radius: f64,
     pub sensor_z: f64,
     pub pixel_size: f64,
     principal_point: Vector2<f64>,
 }
 
 impl MicroLenses {
-    /// Micro-lenses with stops of `fill_factor` times their distance.
+    /// Micro-lenses with openings of `fill_factor` times their pitch.
     pub fn new(camera: &PlenopticCamera, fill_factor: f64) -> Self {
         let mla = &camera.mla;
         let [x, y, z] = mla.rotation_rad.into();
@@ -52,7 +52,7 @@ impl MicroLenses {
         let lattice = &camera.lattice;
         let lens = |k, l| {
             let node = lattice.node(k, l);
-            // The image is stored upright, hence against x and y of the camera.
+            // The image is stored upright, so it runs against x and y of the camera.
             let place = -mla.pitch_mm * Vector3::new(node.x, mla.pitch_ratio * node.y, 0.0);
             let lens_type = camera.lens_type(k, l);
             MicroLens {
@@ -72,20 +72,20 @@ impl MicroLenses {
             lenses,
             axes: axes.into_inner(),
             pitch: mla.pitch_mm,
-            stop_radius: fill_factor * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0,
+            opening_radius: fill_factor * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0,
             sensor_z: -(mla.lens_to_mla_mm + mla.mla_to_sensor_mm),
             pixel_size: camera.sensor.pixel_size_mm,
             principal_point: mla.principal_point_px,
         }
     }
 
-    /// Into local coordinates of a micro-lens.
+    /// Converts to local coordinates of a micro-lens.
     #[inline]
     pub fn local(&self, lens: &MicroLens, point: &Point3<f64>) -> Vector3<f64> {
         self.axes.tr_mul(&(point - lens.center))
     }
 
-    /// Out of local coordinates, for a point of the plane of the lenses.
+    /// Converts from local coordinates, for a point in the plane of the micro-lenses.
     #[inline]
     pub fn of_lens(&self, lens: &MicroLens, on_lens: Vector2<f64>) -> Point3<f64> {
         lens.center + self.axes.column(0) * on_lens.x + self.axes.column(1) * on_lens.y
@@ -105,8 +105,8 @@ impl MicroLenses {
         Point2::from(self.principal_point - hit.xy().coords / self.pixel_size)
     }
 
-    /// Follows a ray that goes through `on_lens` (local) and aims at or comes from `point` on the
-    /// far side of the array (camera frame) down to the sensor, px.
+    /// Where a ray through `on_lens` (local) and `point` (camera frame, on the far side of the array)
+    /// meets the sensor, px.
     pub fn to_sensor(
         &self,
         lens: &MicroLens,
@@ -114,7 +114,7 @@ impl MicroLenses {
         point: &Point3<f64>,
     ) -> Point2<f64> {
         let target = self.local(lens, point);
-        // Beyond the lens the slope is less by x/f than before it, seen from the sensor.
+        // Seen from the sensor, the slope beyond the lens is less by x/f.
         let outer = (target.xy() - on_lens) / target.z;
         let inner = outer + on_lens * lens.power;
         let direction = self.axes * Vector3::new(inner.x, inner.y, 1.0);

@@ -27,12 +27,12 @@ pub struct Shot {
     pub f_number: f64,
     /// How it is read out.
     pub imaging: Imaging,
-    /// Tells the chance of this image from that of others.
+    /// Seeds the randomness of this image.
     pub number: u64,
 }
 
 impl Shot {
-    /// Takes the image. `progress` is told of every finished row.
+    /// Takes the image. `progress` is called after every finished row.
     pub fn take(&self, settings: &Settings, progress: &(dyn Fn() + Sync)) -> Result<RawImage> {
         let begun = Instant::now();
         let seed = hash([settings.seed, self.number, 0, 0]);
@@ -56,12 +56,12 @@ pub struct DataSet {
     pub subsets: [Vec<(FramePose, Shot)>; 3],
 }
 
-/// Draws before it is said that no pose fits.
+/// Number of draws before giving up.
 const DRAWS: usize = 10_000;
 
 impl DataSet {
-    /// Plans a data set: the same settings give the same one. The calibration boards are at `poses`
-    /// if these are given, else at random ones.
+    /// Plans a data set; the same settings give the same data set. The calibration boards are at `poses`
+    /// if given, else at random poses.
     pub fn plan(settings: &Settings, poses: Option<Vec<FramePose>>) -> Result<Self> {
         settings.validate()?;
         let boards = &settings.boards;
@@ -106,7 +106,7 @@ impl DataSet {
         whites.chain([(Content::Devignetting, &self.devignetting)]).chain(boards)
     }
 
-    /// Everything that would fail later, before the first image is taken.
+    /// Checks all images before the first one is taken.
     fn check(&self, settings: &Settings) -> Result<()> {
         for shot in self.whites.iter().chain([&self.devignetting]) {
             settings.tracer(shot.f_number)?;
@@ -123,8 +123,8 @@ impl DataSet {
     }
 }
 
-/// Frame by frame a distance from its own slice of the range, any direction of tilt, and a place
-/// such that enough of the board is in view.
+/// Every frame has a distance from its own slice of the range, a random direction of tilt, and a
+/// position at which enough of the board is in view.
 fn random_poses(settings: &Settings, count: usize, subset: Subset) -> Result<Vec<FramePose>> {
     let mut random = StdRng::seed_from_u64(hash([settings.seed, subset as u64, 0, 2]));
     let boards = &settings.boards;
@@ -162,7 +162,7 @@ fn random_poses(settings: &Settings, count: usize, subset: Subset) -> Result<Vec
             }
             Err(Error::invalid(format!(
                 "no pose between {near} and {far} mm was found that shows {:.0} % of the corners \
-                 and leaves the whole board beyond the focal length: use a smaller board, larger \
+                 with the whole board beyond the focal length: use a smaller board, larger \
                  distances, less tilt, or a smaller min_in_view",
                 boards.min_in_view * 100.0
             )))
@@ -170,10 +170,10 @@ fn random_poses(settings: &Settings, count: usize, subset: Subset) -> Result<Vec
         .collect()
 }
 
-/// Given poses, of which there have to be some, each of its own frame.
+/// The given poses; an error if there are none, or two for one frame.
 fn distinct(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
     if poses.is_empty() {
-        return Err(Error::invalid("there are no poses to take boards at"));
+        return Err(Error::invalid("there are no poses for the boards"));
     }
     let mut frames = HashSet::new();
     match poses.iter().find(|pose| !frames.insert(pose.frame)) {
@@ -185,7 +185,7 @@ fn distinct(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
 fn translation_poses(settings: &Settings) -> Vec<FramePose> {
     let stage = &settings.translation;
     let sensor = &settings.camera.sensor;
-    // The stage moves along the optical axis; the board is in the middle of the image at the start.
+    // The linear stage moves along the optical axis; the board starts in the middle of the image.
     let offset = (sensor.center_px() - settings.camera.mla.principal_point_px)
         * (stage.start_mm / focal_length_px(settings));
     (0..stage.images)
@@ -218,7 +218,7 @@ fn focal_length_px(settings: &Settings) -> f64 {
     (mla.lens_to_mla_mm + mla.mla_to_sensor_mm) / settings.camera.sensor.pixel_size_mm
 }
 
-/// Part of the corners whose rays through the middle of the main lens meet the sensor.
+/// Fraction of the corners whose rays through the middle of the main lens meet the sensor.
 fn in_view(settings: &Settings, camera_from_board: &Isometry3<f64>) -> f64 {
     let board = settings.target.board();
     let sensor = &settings.camera.sensor;

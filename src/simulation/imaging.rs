@@ -1,4 +1,4 @@
-//! The sensor: from irradiance to whole numbers.
+//! The sensor: from irradiance to pixel values.
 
 use rand::SeedableRng;
 use rand::rngs::StdRng;
@@ -10,33 +10,33 @@ use super::sampling::hash;
 use crate::error::{Error, Result};
 use crate::image::{Color, Image, RawImage, Samples};
 
-/// How the sensor is set and how good it is. The response is linear.
+/// Settings and noise of the sensor. The response is linear.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Imaging {
-    /// What the middle of the brightest micro-image of a white target fills of a pixel's full well;
-    /// above 1 it overflows. It holds at any f-number: the time of exposure follows the light.
+    /// Fraction of the full well that the middle of the brightest micro-image of a white target fills;
+    /// above 1 the pixel overflows. It holds at any f-number: the exposure time is adapted to the light.
     pub exposure: f64,
-    /// Amplification after the pixel: with 4 a quarter of the full well is full scale.
+    /// Amplification after the pixel: with a gain of 4 a quarter of the full well is full scale.
     pub gain: f64,
-    /// 8 or 16.
+    /// Bits per sample, 8 or 16.
     pub bits: u32,
     /// Grey, RGB or a colour mosaic.
     pub color: Color,
     /// Response of red, green and blue pixels; grey ones respond with 1.
     pub channel_response: [f64; 3],
-    /// Electrons in a full pixel, which decide on the shot noise; `inf` for no noise at all.
+    /// Full well in electrons, which determines the shot noise; `inf` for no noise at all.
     pub full_well_electrons: f64,
     /// Standard deviation of the read noise, electrons.
     pub read_noise_electrons: f64,
 }
 
-/// No sensor, shutter or amplifier goes beyond.
+/// Upper limits beyond any real sensor, shutter or amplifier.
 const MAX_FACTOR: f64 = 1e6;
 const MAX_ELECTRONS: f64 = 1e9;
 
 impl Default for Imaging {
-    /// An 8-bit grey image, well exposed, with the noise of a middling CMOS sensor.
+    /// An 8-bit grey image, well exposed, with the noise of an average CMOS sensor.
     fn default() -> Self {
         Self {
             exposure: 0.8,
@@ -101,7 +101,7 @@ impl Imaging {
         let read_noise = Normal::new(0.0, self.read_noise_electrons)
             .map_err(|e| Error::invalid(format!("the read noise: {e}")))?;
         samples.par_chunks_mut(per_row).enumerate().for_each(|(v, row)| {
-            // A stream for each row, so that threads do not matter.
+            // One random stream for each row, so that the number of threads does not matter.
             let mut random = StdRng::seed_from_u64(hash([seed, v as u64, 0, 1]));
             for (u, pixel) in row.chunks_mut(self.color.samples()).enumerate() {
                 let light = f64::from(irradiance.at(u, v)) * self.exposure;
@@ -124,12 +124,12 @@ impl Imaging {
         Ok(RawImage { width, height, color: self.color, samples })
     }
 
-    /// One sample for a mean signal in parts of the full well.
+    /// One sample for a mean signal given as a fraction of the full well.
     fn sample(&self, signal: f64, read_noise: Normal<f64>, random: &mut StdRng) -> u16 {
         let well = self.full_well_electrons;
         let noisy = if well.is_finite() {
             let mean = signal * well;
-            // Only a mean of 0 is refused, as 0 without noise.
+            // Only a mean of 0 is rejected; it gives 0 without noise.
             let shot = Poisson::new(mean).map_or(mean, |p| p.sample(random));
             (shot.min(well) + read_noise.sample(random)) / well
         } else {
@@ -167,13 +167,13 @@ mod tests {
     }
 
     #[test]
-    fn noise_has_the_size_of_photons_and_read_out() {
+    fn noise_is_shot_noise_plus_read_noise() {
         let imaging = Imaging { bits: 16, exposure: 0.5, ..Imaging::default() };
         let (mean, variance) = moments(&imaging.read_out(&flat(0.6), 1).unwrap());
         let scale = 65_535.0 / imaging.full_well_electrons;
         let electrons = 0.3 * imaging.full_well_electrons;
         let expected = (electrons + imaging.read_noise_electrons.powi(2)) * scale * scale;
-        // 20 000 samples know the mean to σ/141 and the variance to 1 %.
+        // 20 000 samples determine the mean to σ/141 and the variance to 1 %.
         assert!((mean / (electrons * scale) - 1.0).abs() < 4.0 / 141.0 / electrons.sqrt());
         assert!((variance / expected - 1.0).abs() < 0.04, "{variance} for {expected}");
     }
@@ -190,7 +190,7 @@ mod tests {
         assert_eq!(value(Imaging { exposure: 1.0, gain: 4.0, ..ideal }, 0.5), 255);
     }
 
-    /// A full pixel still has the read noise of its amplifier, and the strongest light is white.
+    /// A full pixel still has the read noise of its amplifier; the strongest light gives white.
     #[test]
     fn full_pixels_keep_their_read_noise() {
         let imaging = Imaging {
@@ -201,7 +201,7 @@ mod tests {
             ..Imaging::default()
         };
         let (mean, variance) = moments(&imaging.read_out(&flat(1.0), 3).unwrap());
-        // 5 of 100 electrons at half the range of 255, and a twelfth for rounding.
+        // 5 of 100 electrons at half the range of 255, plus 1/12 for rounding.
         let expected = (0.05_f64 * 0.5 * 255.0).powi(2) + 1.0 / 12.0;
         assert!((mean - 127.5).abs() < 4.0 * expected.sqrt() / 141.0, "{mean}");
         assert!((variance / expected - 1.0).abs() < 0.04, "{variance} for {expected}");
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_are_where_the_name_says() {
+    fn colour_channels_follow_the_name_of_the_mosaic() {
         let ideal = Imaging {
             full_well_electrons: f64::INFINITY,
             exposure: 1.0,

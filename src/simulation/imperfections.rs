@@ -1,4 +1,4 @@
-//! What real cameras have and the model has not.
+//! Departures of real cameras from the model.
 
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -12,29 +12,29 @@ use crate::model::{PlenopticCamera, Sensor, positive};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Imperfections {
-    /// Where the exit pupil is, mm along z from the main lens; negative towards the array. Its size
-    /// follows: the cone of light on the axis stays that of F/N at the lens.
+    /// Position of the exit pupil, mm along z from the main lens; negative towards the array. Its size
+    /// follows from it: the cone of light on the axis stays that of a pupil F/N at the lens.
     pub exit_pupil_mm: f64,
-    /// A second stop, as the rim of a lens barrel, that cuts oblique rays.
+    /// A second stop, such as the rim of a lens barrel, that cuts off oblique rays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub second_stop: Option<SecondStop>,
-    /// Diameter of the micro-lenses' stops over their distance, above 0 and up to 1; the rest is
+    /// Diameter of the micro-lenses' openings over their pitch, above 0 and up to 1; the rest is
     /// opaque.
     pub fill_factor: f64,
     /// Number of micro-lenses that let no light through.
     pub dead_micro_lenses: usize,
     /// Number of opaque specks on the sensor.
     pub dust_specks: usize,
-    /// Diameter of the largest speck, px; the smallest has a quarter of it.
+    /// Diameter of the largest speck, px; the smallest has a quarter of this diameter.
     pub dust_diameter_px: f64,
 }
 
-/// A circular opening across the optical axis.
+/// A circular opening perpendicular to the optical axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SecondStop {
-    /// Place along z from the main lens, mm: negative behind it; in front of it where it seems to
-    /// be, seen from behind.
+    /// Position along z from the main lens, mm; negative behind it. In front of the lens, its apparent
+    /// position seen from behind.
     pub z_mm: f64,
     /// Diameter, mm.
     pub diameter_mm: f64,
@@ -53,11 +53,11 @@ impl Default for Imperfections {
     }
 }
 
-/// More would leave nothing to see.
+/// More specks would leave nothing to see.
 const MAX_SPECKS: usize = 100_000;
-/// From here on an exit pupil might as well be at infinity.
+/// Beyond this an exit pupil might as well be at infinity.
 const FURTHEST_MM: f64 = 1e6;
-/// Seeds of what is placed by chance, so that one does not move the other.
+/// Seeds of random positions, separate so that one does not change the other.
 const DEAD: u64 = 0x6465_6164;
 const DUST: u64 = 0x6475_7374;
 
@@ -105,7 +105,7 @@ fn place(what: &str, z: f64, lens_to_mla: f64) -> Result<()> {
         return Ok(());
     }
     Err(Error::invalid(format!(
-        "{what} at z = {z} mm is not possible: it lies between the array, at z = -{lens_to_mla} mm, \
+        "{what} at z = {z} mm is not possible: it has to lie between the array, at z = -{lens_to_mla} mm, \
          and {FURTHEST_MM} mm in front of the main lens"
     )))
 }
@@ -113,7 +113,7 @@ fn place(what: &str, z: f64, lens_to_mla: f64) -> Result<()> {
 /// Specks on the sensor.
 #[derive(Debug)]
 pub(super) struct Dust {
-    /// For every row of the image those that may touch it.
+    /// For every row of the image the specks that may touch it.
     rows: Vec<Vec<Speck>>,
 }
 

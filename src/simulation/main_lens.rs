@@ -1,11 +1,11 @@
-//! The main lens as rays meet it: thin, at z = 0, its images moved sideways by distortion.
+//! The main lens as rays meet it: a thin lens at z = 0 with lateral distortion.
 
 use nalgebra::{Matrix2, Point3, Vector2};
 
 use crate::model::MainLens;
 
 impl LocalDistortion {
-    /// By how much the image point is moved.
+    /// How far distortion moves the image point.
     pub fn shift(&self) -> Vector2<f64> {
         self.distorted - self.undistorted
     }
@@ -30,9 +30,9 @@ pub(super) struct ThinMainLens {
     distorts: bool,
 }
 
-/// How distortion acts about one ray of a narrow bundle: linearised about its image point. For other
-/// rays it is a start, from which one Newton step with this Jacobian leaves an error of the third
-/// order in the width of the bundle.
+/// Distortion near one ray of a narrow bundle: linearised about its image point. For other rays it is
+/// a start; one Newton step with this Jacobian then leaves an error of third order in the width of
+/// the bundle.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LocalDistortion {
     distorted: Vector2<f64>,
@@ -40,11 +40,11 @@ pub(super) struct LocalDistortion {
     inverse: Matrix2<f64>,
 }
 
-/// Places looked at from the axis to a corner of the image.
+/// Number of points checked from the axis to a corner of the image.
 const FOLD_STEPS: u32 = 32;
-/// A found image point is known much better than to a pixel, mm.
+/// Tolerance of an image point, far below a pixel, mm.
 const FOUND_MM: f64 = 1e-6;
-/// Newton's method on a distortion that is small against its argument gains five digits a step.
+/// With a distortion small against its argument, Newton's method gains five digits a step.
 const NEWTON_STEPS: usize = 4;
 
 impl ThinMainLens {
@@ -53,7 +53,7 @@ impl ThinMainLens {
         Self { lens: *lens, distorts }
     }
 
-    /// Where all rays of an object point meet behind the lens; `None` for points not beyond F.
+    /// Where all rays of an object point meet behind the lens; `None` if the point is not beyond F.
     pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
         if point.z <= self.lens.focal_length_mm {
             return None;
@@ -63,8 +63,8 @@ impl ThinMainLens {
         Some(Point3::from((ideal + self.distortion_mm(ideal)).push(point.z * magnification)))
     }
 
-    /// By how much distortion moves an ideal image point, both in mm of the camera frame
-    /// (Brown-Conrady; paper, section 2.1). The tracer's own, so that it can contradict the core's.
+    /// How far distortion moves an ideal image point, both in mm in the camera frame
+    /// (Brown-Conrady; paper, section 2.1). The tracer has its own, so that it can contradict the core's.
     #[inline]
     fn distortion_mm(&self, x: Vector2<f64>) -> Vector2<f64> {
         let [q1, q2, q3] = self.lens.radial;
@@ -87,15 +87,15 @@ impl ThinMainLens {
             + (x * p.transpose() + p * x.transpose()) * 2.0
     }
 
-    /// How far on the way from the axis to an image point (from 0 to 1) distortion folds the image,
-    /// if it does.
+    /// The fraction (0 to 1) of the way from the axis to an image point at which distortion folds the
+    /// image, if it does.
     pub fn first_fold(&self, distorted: &Vector2<f64>) -> Option<f64> {
         (1..=FOLD_STEPS).map(|step| f64::from(step) / f64::from(FOLD_STEPS)).find(|&part| {
             let local = self.about(distorted * part);
             let ideal = local.undistorted;
             let miss = ideal + self.distortion_mm(ideal) - local.distorted;
             let jacobian = Matrix2::identity() + self.distortion_jacobian(ideal);
-            // A fold turns one direction round; the negated test takes NaN for one too.
+            // A fold reverses one direction; the negated test counts NaN as a fold too.
             !(miss.norm() < FOUND_MM && jacobian.determinant() > 0.0 && jacobian.trace() > 0.0)
         })
     }
@@ -115,11 +115,11 @@ impl ThinMainLens {
         LocalDistortion { distorted, undistorted, inverse }
     }
 
-    /// The ray in front of the lens that belongs to `ray` behind it, for an object that has its image
-    /// at `image_z`.
+    /// The ray in front of the lens that belongs to `ray` behind it, for an object whose image lies at
+    /// `image_z`.
     ///
     /// A ray aims at an image point; without distortion it would aim at the point that distortion
-    /// moves there. That ray is refracted by the thin lens, which takes x/F from the slope.
+    /// moves there. The thin lens refracts that ray: it subtracts x/F from the slope.
     #[inline]
     pub fn object_ray(&self, ray: &Ray, image_z: f64, local: &LocalDistortion) -> Ray {
         let mut slope = ray.slope;

@@ -1,9 +1,9 @@
 //! Raw images of a simulated camera with complete ground truth.
 //!
 //! Rays run from points of the pixels through points of the micro-lenses and the main lens into the
-//! scene, and are bent or stopped on the way. Lenses are thin, the main lens has the paper's lateral
-//! distortion, the array has all six degrees of freedom; see [`Tracer`]. Nothing here calls the
-//! projection model of the C++ core, so that each can be tested by the other.
+//! scene, and are refracted or blocked on the way. Lenses are thin, the main lens has the paper's
+//! lateral distortion, the array has all six degrees of freedom; see [`Tracer`]. Nothing here calls the
+//! projection model of the C++ core, so each can be tested against the other.
 //!
 //! [`simulate`] makes a whole data set from [`Settings`].
 

@@ -39,7 +39,7 @@ impl Settings {
     }
 
     /// Settings from the text of a simulation file. `replaced` holds `key=value` pairs that take
-    /// precedence over the file: keys with dots for tables, values in TOML (or plain words).
+    /// precedence over the file: keys with dots for tables, values in TOML (or plain strings).
     pub fn from_toml(text: &str, replaced: &[String]) -> Result<Self> {
         settings_from(text, replaced)
     }
@@ -52,9 +52,9 @@ impl Settings {
     }
 }
 
-/// What a simulation file need not have.
+/// Optional settings of a simulation file.
 const LEFT_OUT: &str = "
-# Left out where it is not wanted:
+# Optional:
 #
 # [imperfections.second_stop]   # cuts oblique rays
 # z_mm = -9.0                   # from the main lens, negative towards the array
@@ -71,7 +71,7 @@ fn settings_from(text: &str, replaced: &[String]) -> Result<Settings> {
     for pair in replaced {
         replace(&mut table, pair)?;
     }
-    // Without replacements errors can name the line.
+    // Without replaced values, errors can name the line.
     let mut unknown = Vec::new();
     let mut note = |path: serde_ignored::Path| unknown.push(path.to_string());
     let settings: Settings = if replaced.is_empty() {
@@ -108,7 +108,7 @@ fn replace(table: &mut Table, pair: &str) -> Result<()> {
             .entry(part)
             .or_insert_with(|| Value::Table(Table::new()))
             .as_table_mut()
-            .ok_or_else(|| Error::invalid(format!("'{key}': {part} is no table of settings")))?;
+            .ok_or_else(|| Error::invalid(format!("'{key}': {part} is not a table of settings")))?;
     }
     inner.insert(last.to_owned(), value);
     Ok(())

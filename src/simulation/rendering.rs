@@ -1,4 +1,4 @@
-//! Takes images: light of all rays from the pixels through the micro-lenses.
+//! Renders images: the light along all rays from the pixels through the micro-lenses.
 
 use nalgebra::{Point3, Vector2, Vector3};
 use rayon::prelude::*;
@@ -11,30 +11,30 @@ use super::tracer::{Tracer, check_rays};
 use crate::error::Result;
 use crate::image::Image;
 
-/// Tilt changes the outline of a micro-image by less than this part; what is looked at in vain is
-/// cheap.
+/// Tilt changes the outline of a micro-image by less than this fraction; testing a few pixels too
+/// many is cheap.
 const OUTLINE_MARGIN: f64 = 1.02;
 /// Half the diagonal of a pixel, px.
 const HALF_DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-/// What one micro-lens does for one pixel, in local coordinates.
+/// The rays between one pixel and one micro-lens, in local coordinates.
 pub(super) struct Bundle {
     /// Middle of the pixel, and the steps to its neighbours.
     pub pixel: Vector3<f64>,
     pub right: Vector3<f64>,
     pub down: Vector3<f64>,
-    /// Rays are drawn on the stop of the micro-lens, or else on the pupil: on whichever is the
-    /// smaller one, seen in the plane of the micro-lens.
-    pub on_stop: bool,
-    /// Area that the rays are drawn from, in the plane of the micro-lens.
+    /// Whether rays are drawn on the opening of the micro-lens, or else on the pupil: on whichever is
+    /// smaller, projected onto the plane of the micro-lens.
+    pub on_opening: bool,
+    /// Area from which the rays are drawn, in the plane of the micro-lens.
     pub area: f64,
-    /// Of the main lens for this bundle, if it leads to the board.
+    /// Distortion of the main lens for this bundle, if it leads to the board.
     pub local: Option<LocalDistortion>,
 }
 
 impl Tracer {
-    /// Takes an image: irradiance of every pixel relative to [`Tracer::reference_irradiance`], from
-    /// `rays` rays for every pixel through every micro-lens that reaches it. `progress` is told of
+    /// Renders an image: irradiance of every pixel relative to [`Tracer::reference_irradiance`], from
+    /// `rays` rays for every pixel through every micro-lens that reaches it. `progress` is called after
     /// every finished row. The same seed gives the same image, whatever the number of threads.
     pub fn render(
         &self,
@@ -65,7 +65,7 @@ impl Tracer {
         Ok(Image { width, height, pixels })
     }
 
-    /// Centre and radius (px) of what a micro-lens can reach.
+    /// Centre and radius (px) of the disc that light through a micro-lens can reach.
     pub(super) fn outline(&self, lens: &MicroLens) -> (Vector2<f64>, f64) {
         let pupil = Point3::new(0.0, 0.0, self.pupil.z);
         let center = self.array.to_pixel(&lens.center, &(pupil - lens.center)).coords;
@@ -124,20 +124,23 @@ impl Tracer {
         let pupil = array.local(lens, &Point3::new(0.0, 0.0, self.pupil.z));
         let (to_sensor, to_pupil) = (-pixel.z, pupil.z);
         let demagnification = lens.demagnification(to_sensor, to_pupil);
-        // Everything in the plane of the micro-lens, times the demagnification, which may be 0.
+        // All in the plane of the micro-lens, times the demagnification, which may be 0.
         let place = pupil.xy() + pixel.xy() * (to_pupil / to_sensor);
-        let stop = array.stop_radius * demagnification.abs();
+        let stop = array.opening_radius * demagnification.abs();
         let pixel_reach = HALF_DIAGONAL * array.pixel_size * to_pupil / to_sensor;
         if place.norm() > (stop + self.pupil.radius + pixel_reach) * OUTLINE_MARGIN {
             return None;
         }
-        let on_stop = stop <= self.pupil.radius;
-        let radius =
-            if on_stop { array.stop_radius } else { self.pupil.radius / demagnification.abs() };
+        let on_opening = stop <= self.pupil.radius;
+        let radius = if on_opening {
+            array.opening_radius
+        } else {
+            self.pupil.radius / demagnification.abs()
+        };
         let local = board.and_then(|board| {
-            // The ray through the middle of the pupil's picture, or its nearest point of the stop.
+            // The ray through the middle of the projected pupil, or the nearest point of the opening.
             let middle = if stop > 0.0 { place / demagnification } else { place };
-            let within = (array.stop_radius / middle.norm()).min(1.0);
+            let within = (array.opening_radius / middle.norm()).min(1.0);
             let (ray, _) = self.through(lens, middle * within, &pixel);
             let about = |shift| Some(self.lens.about(ray.at(board.image_z(&ray, shift)?)));
             about(&about(&Vector2::zeros())?.shift())
@@ -147,7 +150,7 @@ impl Tracer {
             pixel,
             right: -array.axes.row(0).transpose() * step,
             down: -array.axes.row(1).transpose() * step,
-            on_stop,
+            on_opening,
             area: std::f64::consts::PI * radius * radius,
             local,
         })
@@ -170,7 +173,7 @@ impl Tracer {
         (Ray { at_lens: start.xy().coords - slope * start.z, slope }, inner)
     }
 
-    /// Light along one ray of a bundle, per area of the micro-lens.
+    /// Light along one ray of a bundle, per unit area of the micro-lens.
     #[inline]
     fn light(
         &self,
@@ -181,15 +184,15 @@ impl Tracer {
     ) -> f64 {
         let pixel = bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
         let on_disc = Vector2::from(point.disc);
-        let on_lens = if bundle.on_stop {
-            on_disc * self.array.stop_radius
+        let on_lens = if bundle.on_opening {
+            on_disc * self.array.opening_radius
         } else {
             let aim = on_disc * self.pupil.radius;
             let aim = self.array.local(lens, &Point3::new(aim.x, aim.y, self.pupil.z));
             (aim.xy() - pixel.xy() * (aim.z / pixel.z)) / lens.demagnification(-pixel.z, aim.z)
         };
-        let stop = self.array.stop_radius;
-        if !bundle.on_stop && on_lens.norm_squared() > stop * stop {
+        let stop = self.array.opening_radius;
+        if !bundle.on_opening && on_lens.norm_squared() > stop * stop {
             return 0.0;
         }
         let (ray, inner) = self.through(lens, on_lens, &pixel);
@@ -210,7 +213,7 @@ impl Tracer {
     }
 }
 
-/// Whole numbers between two positions, cut to those below `count`.
+/// Integers between two positions, limited to 0 up to `count`.
 fn pixels_between(low: f64, high: f64, count: usize) -> std::ops::Range<usize> {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // saturating, and cut below
     let (low, high) = (low.ceil().max(0.0) as usize, (high.floor() + 1.0).max(0.0) as usize);

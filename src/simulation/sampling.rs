@@ -9,8 +9,8 @@ pub(super) struct RayPoint {
     pub disc: [f64; 2],
 }
 
-/// Many differently scrambled sets of points; every pixel of every micro-lens takes one by chance,
-/// so that what error a set has is noise and no pattern.
+/// Many differently scrambled sets of points. Every pixel of every micro-lens takes a random one, so
+/// that the error of a set becomes noise rather than a pattern.
 #[derive(Debug)]
 pub(super) struct RaySets {
     sets: Vec<Vec<RayPoint>>,
@@ -18,7 +18,7 @@ pub(super) struct RaySets {
 
 /// Enough sets that neighbouring pixels rarely share one.
 const SETS: u32 = 256;
-/// Where every set is long, fewer will do: each has little error to repeat.
+/// If the sets are long, fewer are enough: each has little error to repeat.
 const POINTS: u32 = 1 << 18;
 const FEWEST_SETS: u32 = 16;
 
@@ -42,8 +42,8 @@ impl RaySets {
     }
 }
 
-/// Area-preserving map of the unit square onto the unit disc (Shirley and Chiu's concentric map),
-/// which keeps neighbours together.
+/// Area-preserving map of the unit square onto the unit disc (Shirley and Chiu's concentric map);
+/// neighbours stay neighbours.
 fn disc(a: f64, b: f64) -> [f64; 2] {
     let (x, y) = (2.0 * a - 1.0, 2.0 * b - 1.0);
     let eighth = std::f64::consts::FRAC_PI_4;

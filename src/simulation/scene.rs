@@ -7,8 +7,8 @@ use super::main_lens::Ray;
 use crate::error::{Error, Result};
 use crate::model::{Board, positive};
 
-/// A checkerboard as it is printed: squares around its inner corners, a border, and what is behind.
-/// The square before corner 0 is black. Radiances are relative to a white target.
+/// A printed checkerboard: squares around its inner corners, a border, and the background. The square
+/// diagonally before corner 0 is black. Radiances are relative to a white target.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Target {
@@ -16,7 +16,7 @@ pub struct Target {
     pub columns: i32,
     /// Inner corners along a column.
     pub rows: i32,
-    /// Edge of a square, mm.
+    /// Side of a square, mm.
     pub square_mm: f64,
     /// Width of the white border around the squares, mm.
     pub border_mm: f64,
@@ -70,7 +70,7 @@ impl Target {
     }
 }
 
-/// What an image is taken of.
+/// What an image shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scene {
     /// A white target of radiance 1 that fills the view.
@@ -79,7 +79,7 @@ pub enum Scene {
     Board(Target, Isometry3<f64>),
 }
 
-/// A checkerboard in the camera frame, ready to be hit.
+/// A checkerboard in the camera frame, prepared for ray tracing.
 #[derive(Debug, Clone)]
 pub(super) struct PlacedTarget {
     target: Target,
@@ -114,7 +114,7 @@ impl PlacedTarget {
         }
         if normal.dot(&pose.translation.vector) <= 0.0 {
             return Err(Error::invalid(
-                "the board shows its back: its z axis has to point away from the camera",
+                "the camera sees the back of the board: its z axis has to point away from the camera",
             ));
         }
         // An object point X has its image x where X = x F/(z' + F), so n·X = c becomes
@@ -133,7 +133,7 @@ impl PlacedTarget {
         })
     }
 
-    /// z where a ray behind the lens meets the image of the board, which distortion moves sideways by
+    /// z where a ray behind the lens meets the image of the board, which distortion moves laterally by
     /// `shift` there; `None` if the ray leads away from the board.
     #[inline]
     pub fn image_z(&self, ray: &Ray, shift: &Vector2<f64>) -> Option<f64> {
@@ -150,7 +150,7 @@ impl PlacedTarget {
         self.normal.dot(&(self.origin - start)) / self.normal.dot(&ray.slope.push(1.0))
     }
 
-    /// Radiance of what is beside the board.
+    /// Radiance of the background.
     pub fn background(&self) -> f64 {
         self.target.background
     }

@@ -1,4 +1,4 @@
-//! All that a simulated data set is made from, as it stands in a simulation file.
+//! The settings of a simulated data set, as in a simulation file.
 
 use std::ops::RangeInclusive;
 
@@ -17,11 +17,11 @@ use crate::model::{Configuration, Datasheet, Noise, PlenopticCamera, positive};
 pub struct Settings {
     /// Rays for every pixel through every micro-lens that reaches it.
     pub rays: u32,
-    /// Start of everything that is left to chance.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Focal length engraved on the main lens, mm: what the project file tells.
+    /// Focal length engraved on the main lens, mm: the value in the project file.
     pub engraved_focal_length_mm: f64,
-    /// The true camera. The setting of its main lens is that of the boards' images.
+    /// The true camera. The setting of its main lens is that of the images of boards.
     pub camera: PlenopticCamera,
     /// Departures from the ideal model.
     #[serde(default)]
@@ -56,7 +56,7 @@ pub struct WhiteImages {
     pub gain: Option<f64>,
 }
 
-/// Boards at random poses, most of them within view.
+/// Boards at random poses, most of each within view.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Boards {
@@ -64,14 +64,14 @@ pub struct Boards {
     pub calibration: usize,
     /// Number of boards to evaluate with.
     pub evaluation: usize,
-    /// Nearest and furthest distance of a board's middle from the main lens, mm; each subset
+    /// Nearest and furthest distance from the main lens to the middle of a board, mm; each subset
     /// covers the range evenly.
     pub depth_mm: [f64; 2],
-    /// Largest tilt against the optical axis, degrees.
+    /// Largest tilt out of the image plane, degrees.
     pub max_tilt_deg: f64,
-    /// Largest turn in the image, either way, degrees.
+    /// Largest rotation in the image, in either direction, degrees.
     pub max_turn_deg: f64,
-    /// Least part of the corners that lies in the image.
+    /// Smallest fraction of the corners that lies in the image.
     pub min_in_view: f64,
 }
 
@@ -83,18 +83,18 @@ pub struct TranslationStage {
     pub images: usize,
     /// First distance of the board's middle, mm.
     pub start_mm: f64,
-    /// Motion between images, mm; negative towards the camera.
+    /// Displacement between images, mm; negative towards the camera.
     pub step_mm: f64,
 }
 
-/// Some twenty times an R12.
+/// About twenty times an R12.
 const MAX_PIXELS: u64 = 1 << 28;
 const MAX_MICRO_LENSES: u64 = 1 << 20;
 const MAX_IMAGES: u64 = 1000;
 const F_NUMBERS: RangeInclusive<f64> = 0.1..=1000.0;
 
 impl Settings {
-    /// An error naming what cannot be.
+    /// An error that names the impossible setting.
     pub fn validate(&self) -> Result<()> {
         check_rays(self.rays)?;
         self.camera.validate()?;
@@ -106,7 +106,7 @@ impl Settings {
         self.white_imaging().validate()?;
         if self.camera.main_lens.setting.is_none() {
             return Err(Error::invalid(
-                "the camera's main lens has no f_number: it is what the boards are taken at",
+                "the camera's main lens has no f_number; the images of boards need it",
             ));
         }
         let boards = &self.boards;
@@ -114,7 +114,7 @@ impl Settings {
         if !(near > 0.0 && far >= near && far.is_finite()) {
             return Err(Error::invalid(format!(
                 "boards from {near} to {far} mm are not possible: the depth runs along +z, the \
-                 nearest first; anything else is behind the camera"
+                 nearest first; a negative depth is behind the camera"
             )));
         }
         let focal_length = self.camera.main_lens.focal_length_mm;
@@ -136,7 +136,7 @@ impl Settings {
         }
         if !(0.0..=1.0).contains(&boards.min_in_view) {
             return Err(Error::invalid(format!(
-                "min_in_view is {}; it is a part of the corners, from 0 to 1",
+                "min_in_view is {}; it is a fraction of the corners, from 0 to 1",
                 boards.min_in_view
             )));
         }
@@ -145,12 +145,12 @@ impl Settings {
             return Err(Error::invalid("the translation's start_mm and step_mm have to be finite"));
         }
         if stage.images > 1 && stage.step_mm == 0.0 {
-            return Err(Error::invalid("the translation has a step of 0 mm; give one that moves"));
+            return Err(Error::invalid("the translation has a step of 0 mm; give another one"));
         }
         Ok(())
     }
 
-    /// An error if the data set would not fit into memory, or f-numbers cannot be told apart.
+    /// An error if the data set would not fit into memory, or an f-number is impossible.
     fn check_size(&self) -> Result<()> {
         let sensor = &self.camera.sensor;
         let pixels = u64::from(sensor.width_px) * u64::from(sensor.height_px);
@@ -159,11 +159,11 @@ impl Settings {
         for (what, count, limit) in [
             ("pixels", pixels, MAX_PIXELS),
             ("micro-lenses", self.camera.lattice.nodes() as u64, MAX_MICRO_LENSES),
-            ("images of a kind", images as u64, MAX_IMAGES),
+            ("images of one kind", images as u64, MAX_IMAGES),
         ] {
             if count > limit {
                 return Err(Error::invalid(format!(
-                    "{count} {what} are more than can be simulated, {limit}"
+                    "{count} {what} are more than can be simulated; the limit is {limit}"
                 )));
             }
         }
@@ -179,13 +179,13 @@ impl Settings {
         Ok(())
     }
 
-    /// F-number of the boards' images.
+    /// F-number of the images of boards.
     #[must_use]
     pub fn board_f_number(&self) -> f64 {
         self.camera.main_lens.setting.map_or(f64::NAN, |setting| setting.f_number)
     }
 
-    /// What the maker of the camera would tell.
+    /// The datasheet that the maker of the camera would give.
     #[must_use]
     pub fn datasheet(&self) -> Datasheet {
         let camera = &self.camera;

@@ -24,22 +24,22 @@ pub enum Content {
 
 /// Progress of a simulation.
 pub trait Progress: Sync {
-    /// The next image is begun.
+    /// Called at the start of every image.
     fn image(&self, content: Content);
-    /// A row of it is finished.
+    /// Called after every row of it.
     fn row(&self);
 }
 
-/// Progress that nobody follows.
+/// Ignores the progress.
 impl Progress for () {
     fn image(&self, _: Content) {}
     fn row(&self) {}
 }
 
-/// Everything that is known of a simulated data set.
+/// The truth of a simulated data set.
 ///
 /// Internal parameters and radii are those that the images show, imperfections included: with a fill
-/// factor below 1 micro-images and blur are smaller than the model says.
+/// factor below 1 micro-images and blur are smaller than in the model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
     /// The camera.
@@ -52,25 +52,25 @@ pub struct Truth {
     pub features: [Vec<TrueFeature>; 3],
 }
 
-/// A simulated data set but for its images.
+/// A simulated data set without its images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulated {
     /// Which images it consists of, and where the boards are.
     pub data_set: DataSet,
-    /// What is true of it.
+    /// Its truth.
     pub truth: Truth,
-    /// Centres, and the features of the calibration boards of which at least half the light is visible, all
-    /// with noise. Without features if there are no calibration boards.
+    /// Centres, and the features of the calibration boards with at least half of their light visible, all
+    /// with noise. No features if there are no calibration boards.
     pub observed: Observations,
 }
 
-/// Features with less of their light than this are not observed.
+/// Features with a smaller fraction of their light visible are not observed.
 const OBSERVABLE: f64 = 0.5;
 
-/// Plans a data set, works out its truth, takes its images one by one, and hands each to `receive`,
-/// since all together may not fit into memory.
+/// Plans a data set, computes its truth, takes its images one by one, and passes each to `receive`,
+/// since all of them may not fit into memory together.
 ///
-/// The calibration boards are at `poses` if these are given, else at random ones. The same settings
+/// The calibration boards are at `poses` if given, else at random poses. The same settings
 /// give the same data set. An error if the settings are impossible, or from `receive`.
 pub fn simulate(
     settings: &Settings,

@@ -1,4 +1,4 @@
-//! The tracer against the closed form and against by-hand cases.
+//! The tracer against the closed form and against cases worked out by hand.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
@@ -25,9 +25,9 @@ fn pose(x: f64, y: f64, z: f64, turn: [f64; 3]) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(x, y, z), turn)
 }
 
-/// Where a ray from the sensor meets the board, light from there comes back to the sensor
+/// From the point where a ray from the sensor meets the board, light returns to the sensor
 /// through the same point of the micro-lens. Rays are traced back with the distortion of their
-/// bundle, so a small part of a pixel is lost.
+/// bundle, so a small fraction of a pixel is lost.
 #[test]
 fn light_returns_along_the_rays() {
     const LOST_PX: f64 = 2e-3;
@@ -52,7 +52,7 @@ fn light_returns_along_the_rays() {
             for point in sets.set(i as u64) {
                 let pixel =
                     bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
-                let on_lens = Vector2::from(point.disc) * tracer.array.stop_radius;
+                let on_lens = Vector2::from(point.disc) * tracer.array.opening_radius;
                 let ray = tracer.through(lens, on_lens, &pixel).0;
                 if !tracer.passes(&ray) {
                     continue;
@@ -79,13 +79,13 @@ fn light_returns_along_the_rays() {
 /// lose.
 #[test]
 fn light_is_conserved_for_every_lens_type() {
-    // What 1024 rays through a few hundred pixels leave.
+    // The noise of 1024 rays through a few hundred pixels.
     const NOISE: f64 = 2e-3;
     for (name, f_number) in [("mini", 4.0), ("mini", 16.0), ("keplerian", 5.66)] {
         let mut camera = settings(name).camera;
         camera.mla.rotation_rad.fill(0.0);
         camera.mla.offset_mm.fill(0.0);
-        // Only the dead surround the one that is looked at.
+        // All neighbours of the micro-lens under test are dead.
         (camera.lattice.columns, camera.lattice.rows) = (3, 1);
         (camera.sensor.width_px, camera.sensor.height_px) = (90, 40);
         camera.mla.principal_point_px = camera.sensor.center_px();
@@ -97,7 +97,7 @@ fn light_is_conserved_for_every_lens_type() {
             let image = tracer.render(&Scene::White, 1024, 0, &|| ()).unwrap();
             let sum: f64 = image.pixels.iter().map(|&p| f64::from(p)).sum();
             let flux = sum * tracer.reference_irradiance() * tracer.array.pixel_size.powi(2);
-            let (pupil, stop) = (tracer.pupil.radius, tracer.array.stop_radius);
+            let (pupil, stop) = (tracer.pupil.radius, tracer.array.opening_radius);
             let distance = camera.mla.lens_to_mla_mm;
             let all = (std::f64::consts::PI * pupil * stop / distance).powi(2);
             // The slopes at the sensor are those of pupil and micro-lens, of the mean squares
@@ -149,10 +149,13 @@ fn images_do_not_depend_on_threads() {
     };
     let one = render(1);
     assert!(one == render(3));
-    assert!(one != tracer.render(&scene, 8, 6, &|| ()).unwrap(), "another seed, another image");
+    assert!(
+        one != tracer.render(&scene, 8, 6, &|| ()).unwrap(),
+        "another seed gives another image"
+    );
 }
 
-/// Corner 0 is at the top left of the board and of the image, and the square before it black.
+/// Corner 0 is at the top left of the board and of the image, and the square before it is black.
 #[test]
 fn the_image_is_upright() {
     let settings = settings("mini");

@@ -1,7 +1,7 @@
 //! Traces rays from the sensor through micro-lenses and main lens into the scene.
 //!
-//! Nothing here knows the projection model of the C++ core: lenses bend rays, stops hold them back,
-//! and blur, vignetting, overlap and the sizes of micro-images follow.
+//! Nothing here uses the projection model of the C++ core: lenses refract rays and openings block
+//! them; blur, vignetting, overlap and the sizes of micro-images follow.
 
 use super::array::{MicroLens, MicroLenses};
 use super::imperfections::{Dust, Imperfections};
@@ -10,7 +10,7 @@ use super::scene::{PlacedTarget, Scene};
 use crate::error::{Error, Result};
 use crate::model::{InternalParameters, Lattice, PlenopticCamera, Sensor, positive};
 
-/// A circular stop across the optical axis.
+/// A circular opening perpendicular to the optical axis.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Stop {
     pub z: f64,
@@ -20,7 +20,7 @@ pub(super) struct Stop {
 impl Stop {
     #[inline]
     fn passes(&self, ray: &Ray) -> bool {
-        // A ray drawn on the rim may not fall off it by rounding.
+        // Rounding must not block a ray drawn on the rim.
         ray.at(self.z).norm_squared() <= self.radius * self.radius * (1.0 + 1e-9)
     }
 }
@@ -43,10 +43,10 @@ pub struct Tracer {
 
 /// Micro-images wider than this many pitches cover their neighbours' centres.
 const LARGEST_RADIUS: f64 = 1.0;
-/// The noise of more is below what a 16-bit sample can hold.
+/// More rays would lower the noise below the resolution of a 16-bit sample.
 const MAX_RAYS: u32 = 1 << 14;
 impl Tracer {
-    /// The camera with its main lens at `f_number`; `seed` places what is placed by chance.
+    /// The camera with its main lens at `f_number`; `seed` sets the random positions.
     pub fn new(
         camera: &PlenopticCamera,
         f_number: f64,
@@ -94,7 +94,7 @@ impl Tracer {
             if lens.center.z <= self.array.sensor_z {
                 return Err(Error::invalid(format!(
                     "micro-lens ({k}, {l}) lies {:.3} mm behind the sensor: the array is tilted too \
-                     much for its distance to the sensor",
+                     far for its distance from the sensor",
                     self.array.sensor_z - lens.center.z
                 )));
             }
@@ -110,15 +110,15 @@ impl Tracer {
         if radius > LARGEST_RADIUS * pitch_px {
             return Err(Error::invalid(format!(
                 "at f/{f_number} micro-images have a radius of {radius:.1} px, but their centres are \
-                 only {pitch_px:.1} px apart, so that every one covers its neighbours' centres: \
+                 only {pitch_px:.1} px apart, so that each covers its neighbours' centres: \
                  stop the main lens down"
             )));
         }
         Ok(())
     }
 
-    /// An error if distortion folds the image before the corners of the sensor: then no object point
-    /// has its image there.
+    /// An error if distortion folds the image within the corners of the sensor: no object point has
+    /// its image beyond the fold.
     fn check_distortion(&self) -> Result<()> {
         let (right, bottom) = (self.sensor.width_px - 1, self.sensor.height_px - 1);
         for (u, v) in [(0, 0), (right, 0), (0, bottom), (right, bottom)] {
@@ -134,23 +134,23 @@ impl Tracer {
         Ok(())
     }
 
-    /// Distance of neighbouring micro-image centres, as the exit pupil casts them, mm.
+    /// Distance between neighbouring micro-image centres, as projected from the exit pupil, mm.
     fn micro_image_pitch_mm(&self) -> f64 {
         let to_pupil = self.pupil.z + self.lens_to_mla;
         let to_sensor = -self.lens_to_mla - self.array.sensor_z;
         self.array.pitch * (1.0 + to_sensor / to_pupil)
     }
 
-    /// Ω as white images of this camera show it, imperfections included: the outer radius of the
-    /// micro-images is the distance of pupil and stop of the micro-lens from each other, both seen
-    /// on the sensor, and grows with the pupil. Of the ideal camera it is what the paper says.
+    /// Ω as white images of this camera show it, imperfections included. The outer radius of a
+    /// micro-image combines the radii of the pupil and of the micro-lens's opening, both projected
+    /// onto the sensor, and grows with the pupil. For the ideal camera it agrees with the paper.
     #[must_use]
     pub fn internal_parameters(&self) -> InternalParameters {
         let to_pupil = self.pupil.z + self.lens_to_mla;
         let to_sensor = -self.lens_to_mla - self.array.sensor_z;
         let pitch = self.micro_image_pitch_mm();
         let q_prime = |lens: &MicroLens| {
-            let stop = lens.demagnification(to_sensor, to_pupil) * self.array.stop_radius;
+            let stop = lens.demagnification(to_sensor, to_pupil) * self.array.opening_radius;
             pitch / 2.0 - stop * to_sensor / to_pupil
         };
         InternalParameters {
@@ -177,24 +177,24 @@ impl Tracer {
         &self.sensor
     }
 
-    /// Outer radius of a micro-image on white, px: where the last ray arrives, from one rim of the
-    /// pupil through the other rim of the micro-lens.
+    /// Outer radius of a micro-image of a white image, px: where the outermost ray arrives, from one
+    /// rim of the pupil through the opposite rim of the micro-lens.
     pub(super) fn micro_image_radius_px(&self, lens: &MicroLens) -> f64 {
         let to_sensor = lens.center.z - self.array.sensor_z;
         let to_pupil = self.pupil.z - lens.center.z;
-        let stop = lens.demagnification(to_sensor, to_pupil).abs() * self.array.stop_radius;
+        let stop = lens.demagnification(to_sensor, to_pupil).abs() * self.array.opening_radius;
         (stop + self.pupil.radius) * to_sensor / to_pupil / self.array.pixel_size
     }
 
-    /// Irradiance (relative to the radiance of white: a solid angle) in the middle of the brightest
-    /// type's micro-image, untilted and on the axis.
+    /// Irradiance (relative to the radiance of white: a solid angle) in the middle of a micro-image of
+    /// the brightest type, untilted and on the axis.
     #[must_use]
     pub fn reference_irradiance(&self) -> f64 {
         let middle = |lens: &MicroLens| {
             let to_sensor = lens.center.z - self.array.sensor_z;
             let to_pupil = self.pupil.z - lens.center.z;
             let demagnification = lens.demagnification(to_sensor, to_pupil).abs();
-            let radius = (self.pupil.radius / demagnification).min(self.array.stop_radius);
+            let radius = (self.pupil.radius / demagnification).min(self.array.opening_radius);
             std::f64::consts::PI * (radius / to_sensor).powi(2)
         };
         self.one_of_each_type().map(middle).fold(0.0, f64::max)
@@ -209,7 +209,7 @@ impl Tracer {
         }
     }
 
-    /// An error if the scene is one that no image can be taken of.
+    /// An error if no image can be taken of the scene.
     pub(super) fn check_scene(&self, scene: &Scene) -> Result<()> {
         self.place(scene).map(drop)
     }
@@ -221,7 +221,7 @@ impl Tracer {
     }
 }
 
-/// An error unless so many rays per pixel can be traced.
+/// An error unless this number of rays per pixel can be traced.
 pub(super) fn check_rays(rays: u32) -> Result<()> {
     if (1..=MAX_RAYS).contains(&rays) {
         return Ok(());

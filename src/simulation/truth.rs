@@ -8,15 +8,14 @@ use super::main_lens::Ray;
 use super::tracer::Tracer;
 use crate::model::{BapFeature, Board, MicroImageCenter};
 
-/// The light of one point of space on the sensor behind one micro-lens.
+/// The light of one point in space on the sensor behind one micro-lens.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spot {
     /// Middle of the rays through the rim of the micro-lens, px.
     pub center_px: Point2<f64>,
-    /// Mean distance of those rays from the middle, px; negative if they arrive turned around, as
-    /// for ρ.
+    /// Mean distance of those rays from the middle, px; negative if they arrive inverted, as for ρ.
     pub radius_px: f64,
-    /// Part of the light that comes through pupil and stops.
+    /// Fraction of the light that passes the pupil and all stops.
     pub visible: f64,
 }
 
@@ -27,7 +26,7 @@ pub struct TrueCenter {
     pub center: MicroImageCenter,
     /// Index of the lens type, from 0.
     pub lens_type: usize,
-    /// False for a dead micro-lens: no micro-image shows there.
+    /// False for a dead micro-lens, which has no micro-image.
     pub alive: bool,
 }
 
@@ -36,18 +35,18 @@ pub struct TrueCenter {
 pub struct TrueFeature {
     /// The feature, without noise.
     pub feature: BapFeature,
-    /// Part of its light that comes through pupil and stops, above 0.
+    /// Fraction of its light that passes the pupil and all stops, above 0.
     pub visible: f64,
 }
 
 /// Rays through the rim of a micro-lens; their mean is exact for any even number.
 const RIM_RAYS: u32 = 32;
-/// Rings of rays that measure how much is visible, of equal area and as many rays.
+/// Rings of rays that measure how much is visible, with equal areas and equal numbers of rays.
 const RINGS: u32 = 8;
 
 impl Tracer {
-    /// The spot that a point of the camera frame makes through micro-lens (k, l); `None` for a
-    /// point not beyond the focal length, or no such micro-lens.
+    /// The spot that a point in the camera frame forms through micro-lens (k, l); `None` if the point is
+    /// not beyond the focal length, or there is no such micro-lens.
     #[must_use]
     pub fn spot(&self, point: &Point3<f64>, k: i32, l: i32) -> Option<Spot> {
         Some(self.spot_of_image(&self.lens.image_of(point)?, self.micro_lens(k, l)?))
@@ -56,12 +55,12 @@ impl Tracer {
     fn spot_of_image(&self, image: &Point3<f64>, lens: &MicroLens) -> Spot {
         let rim = directions(RIM_RAYS);
         let hit = |direction: &Vector2<f64>| {
-            self.array.to_sensor(lens, direction * self.array.stop_radius, image)
+            self.array.to_sensor(lens, direction * self.array.opening_radius, image)
         };
         let hits: Vec<Point2<f64>> = rim.iter().map(hit).collect();
         let rays = f64::from(RIM_RAYS);
         let center = Point2::from(hits.iter().map(|p| p.coords).sum::<Vector2<f64>>() / rays);
-        // A ray through the right rim of the lens, seen in the upright image, has u + ρ.
+        // Seen in the upright image, a ray through the right rim of the lens arrives at u + ρ.
         let radius = rim.iter().zip(&hits).map(|(direction, hit)| {
             let outwards = self.array.of_lens(lens, *direction) - lens.center;
             outwards.xy().dot(&(hit - center))
@@ -79,7 +78,7 @@ impl Tracer {
             directions(RIM_RAYS).into_iter().map(move |direction| direction * radius)
         };
         let passes = |on_lens: &Vector2<f64>| {
-            let start = self.array.of_lens(lens, on_lens * self.array.stop_radius);
+            let start = self.array.of_lens(lens, on_lens * self.array.opening_radius);
             let towards = image - start;
             let slope = towards.xy() / towards.z;
             self.passes(&Ray { at_lens: start.xy().coords - slope * start.z, slope })
@@ -165,7 +164,7 @@ impl Tracer {
     }
 }
 
-/// Unit vectors all around.
+/// Unit vectors, evenly spaced around the circle.
 fn directions(count: u32) -> Vec<Vector2<f64>> {
     let turn = std::f64::consts::TAU / f64::from(count);
     (0..count).map(|i| (f64::from(i) * turn).sin_cos()).map(|(s, c)| Vector2::new(c, s)).collect()

@@ -1,4 +1,4 @@
-//! The C++ core and the problems it is given: projection, refinement, uncertainty.
+//! The interface to the C++ core: projection, refinement, uncertainty.
 
 mod bridge;
 mod options;

@@ -1,4 +1,4 @@
-//! The cost function and how to minimise it.
+//! Options of the cost function and of its minimisation.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,19 +19,19 @@ pub enum LossKind {
 pub struct Loss {
     /// Its shape.
     pub kind: LossKind,
-    /// Where it sets in, in standard deviations; without effect on [`LossKind::None`].
+    /// Residual norm at which it sets in, in standard deviations; no effect with [`LossKind::None`].
     pub scale: f64,
 }
 
-/// The cost: ½ Σ loss(|r/σ|²). The σ of a residual is the observation's own, 1 px unless given,
-/// times the factor of its kind given here.
+/// The cost: ½ Σ loss(|r/σ|²). The σ of a residual is that of the observation (1 px unless given)
+/// times the factor given here for its kind.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CostOptions {
-    /// σ of u and v of a feature, px where it has none of its own.
+    /// Factor on σ of u and v of a feature; σ in px if the feature has none of its own.
     pub uv_std_dev_px: f64,
-    /// σ of ρ, likewise.
+    /// Factor on σ of ρ, likewise.
     pub rho_std_dev_px: f64,
-    /// σ of u and v of a micro-image centre, likewise.
+    /// Factor on σ of u and v of a micro-image centre, likewise.
     pub centers_std_dev_px: f64,
     /// Loss on features and on centres.
     pub loss: Loss,
@@ -52,16 +52,17 @@ impl Default for CostOptions {
     }
 }
 
-/// How to minimise the cost.
+/// Options of the minimisation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SolverOptions {
-    /// Limit of Levenberg-Marquardt iterations.
+    /// Largest number of Levenberg-Marquardt iterations.
     pub max_iterations: usize,
     /// Threads of the solver.
     pub threads: usize,
-    /// Go to the extrapolated limit of the steps where they become slow; false leaves all to Ceres.
+    /// Whether to jump to the extrapolated limit of the steps when they converge slowly; if false, Ceres
+    /// does all the work.
     pub extrapolate: bool,
-    /// Initial trust-region radius; large, since the first steps are nearly Gauss-Newton's.
+    /// Initial trust-region radius; large, so that the first steps are nearly Gauss-Newton steps.
     pub initial_trust_region_radius: f64,
 }
 

@@ -15,7 +15,7 @@ pub(crate) struct SolverFeature {
     pub v_px: f64,
     /// `None` where the camera is an array of pinholes.
     pub rho_px: Option<f64>,
-    /// Of u, v and ρ; the standard deviations of `CostOptions` are factors on them.
+    /// Standard deviations of u, v and ρ; those of `CostOptions` are factors on them.
     pub std_dev_px: [f64; 3],
 }
 
@@ -26,7 +26,7 @@ pub(crate) struct SolverCenter {
     pub l: i32,
     pub u_px: f64,
     pub v_px: f64,
-    /// Of u and of v; that of `CostOptions` is a factor on it.
+    /// Standard deviation of u and of v; that of `CostOptions` is a factor on it.
     pub std_dev_px: f64,
 }
 

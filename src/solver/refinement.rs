@@ -1,4 +1,4 @@
-//! What the refinement gives back.
+//! The result of the refinement.
 
 use nalgebra::Isometry3;
 
@@ -7,13 +7,13 @@ use crate::model::PlenopticCamera;
 /// One iteration of the refinement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Iteration {
-    /// From 0, the start.
+    /// Number of the iteration; 0 is the start.
     pub number: i32,
     /// The cost.
     pub cost: f64,
     /// Largest component of the gradient.
     pub gradient_max_norm: f64,
-    /// Length of the step.
+    /// 2-norm of the change of all parameters; 0 for a rejected step.
     pub step_norm: f64,
     /// Radius of the trust region.
     pub trust_region_radius: f64,
@@ -24,43 +24,43 @@ pub struct Iteration {
 /// Why the solver stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Termination {
-    /// At a minimum, by the solver's tolerances.
+    /// It reached a minimum, by the solver's tolerances.
     Converged,
-    /// At the limit of iterations.
+    /// It reached the limit of iterations.
     IterationLimit,
-    /// By the progress function.
+    /// The progress function stopped it.
     Stopped,
-    /// By a failure.
+    /// It failed.
     Failed,
 }
 
-/// What the solver gives back.
+/// The result of the refinement.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refinement {
     /// The refined camera.
     pub camera: PlenopticCamera,
     /// The refined `camera_from_board`, in the order given.
     pub poses: Vec<Isometry3<f64>>,
-    /// Cost at the start.
+    /// Initial cost.
     pub initial_cost: f64,
-    /// Cost at the end.
+    /// Final cost.
     pub cost: f64,
-    /// The part of `cost` that comes from the features of each pose, in the order of `poses`.
+    /// The contribution of the features of each pose to `cost`, in the order of `poses`.
     pub frame_costs: Vec<f64>,
     /// Why it stopped.
     pub termination: Termination,
-    /// The reason in Ceres' words.
+    /// The reason as stated by Ceres.
     pub message: String,
     /// Ceres' full report.
     pub report: String,
     /// Wall time of the solve, s.
     pub time_s: f64,
-    /// Every iteration.
+    /// All iterations.
     pub iterations: Vec<Iteration>,
 }
 
 impl Refinement {
-    /// This refinement and one that went on from where it ended, as one.
+    /// This refinement and `next`, which continued from its end, as one.
     pub(crate) fn followed_by(self, next: Self) -> Self {
         let last = self.iterations.last().map_or(0, |i| i.number);
         let later = next.iterations.iter().skip(1).map(|i| Iteration {

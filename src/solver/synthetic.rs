@@ -1,7 +1,7 @@
 //! Observations drawn from the camera model itself, with Gaussian noise of known size.
 //!
-//! They tell whether the estimation is right: parameters have to come back within their predicted
-//! uncertainty. They cannot tell whether the model is right, since they are made by it.
+//! They show whether the estimation is right: it has to recover the parameters within their predicted
+//! uncertainty. They cannot show whether the model is right, since they are made with it.
 
 use nalgebra::{Isometry3, Vector2};
 
@@ -12,12 +12,12 @@ use crate::model::{
 };
 use crate::solver::{Problem, Projected, SolverFeature};
 
-/// A corner counts as seen when it lies at least this far inside its micro-image, px: nearer to the
-/// edge a detector has no two sides of it to look at.
+/// A corner counts as visible if it lies at least this far inside its micro-image, px: nearer to the
+/// edge a detector cannot use both sides of it.
 const EDGE_MARGIN_PX: f64 = 3.0;
 
 /// The centres of all micro-images that lie wholly in the image, and the features of every corner
-/// in every micro-image that sees it, frame by frame. The same seed gives the same noise.
+/// in every micro-image that shows it, frame by frame. The same seed gives the same noise.
 pub fn synthesize(
     camera: &PlenopticCamera,
     board: &Board,

@@ -1,4 +1,4 @@
-//! Standard deviations, correlations and the direction that the data determine least.
+//! Standard deviations, correlations and weakest directions.
 
 use nalgebra::DMatrix;
 
@@ -6,15 +6,15 @@ use crate::model::{Parameter, intrinsic_parameters};
 
 /// Number of parameters of a pose.
 const POSE_PARAMETERS: usize = 6;
-/// Place of the translation along z in a pose (rotation first).
+/// Index of the translation along z in a pose (rotation first).
 const POSE_Z: usize = 5;
 
 /// How well the observations determine the parameters.
 ///
-/// The parameters are the intrinsics that were free, then six for every pose (angle-axis rotation
-/// in rad, translation in mm). The covariance is scaled by the residual variances as measured for
-/// each kind of residual, so it holds whether or not the weights of the cost match the noise. It
-/// takes the errors of different observations as independent.
+/// The parameters are the free intrinsic parameters, then six for every pose (angle-axis rotation
+/// in rad, translation in mm). The covariance is scaled by the measured variance of each kind of
+/// residual, so it is valid whether or not the weights of the cost match the noise. It assumes that
+/// the errors of different observations are independent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Uncertainty {
     /// Indices of the free parameters into `PlenopticCamera::intrinsics`.
@@ -25,23 +25,23 @@ pub struct Uncertainty {
     pub covariance: DMatrix<f64>,
     /// Diagonal of the information matrix J'J.
     pub information: Vec<f64>,
-    /// The directions of parameter space about which the data say least, in proportion to what they
-    /// say on each parameter alone; the weakest first. Each is the change of all parameters along
-    /// one standard deviation, or, where the data do not determine it at all (the first
-    /// size − rank), along the unit of the scaled space.
+    /// The directions of parameter space with the least information in proportion to that on each
+    /// parameter alone; the weakest first. Each is the change of all parameters along one standard
+    /// deviation, or, if the observations do not determine it at all (the first size − rank), along
+    /// the unit of the scaled space.
     pub weakest: Vec<Vec<f64>>,
-    /// Whether each parameter is determined at all; where not, its variance says nothing.
+    /// Whether each parameter is determined at all; if not, its variance is meaningless.
     pub determined: Vec<bool>,
     /// Measured standard deviation of a residual, px: u and v of features, ρ, u and v of centres;
-    /// not a number for a kind without observations. Where observations have a σ of their own, at
-    /// the root mean square of these. Under a robust loss that of the weighted
-    /// residuals, smaller than the noise.
+    /// not a number for a kind without observations. If observations have their own σ, it is the value
+    /// for the root mean square of these. With a robust loss it is that of the weighted residuals,
+    /// smaller than the noise.
     pub residual_std_dev_px: [f64; 3],
-    /// What a Gauss-Newton step would still take off the cost; next to nothing at a true minimum.
+    /// How much a further Gauss-Newton step would lower the cost; almost 0 at a true minimum.
     pub expected_decrease: f64,
 }
 
-/// A parameter's part in the weakest direction.
+/// A parameter's component of a weak direction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Component {
     /// Name of the parameter.
@@ -50,28 +50,29 @@ pub struct Component {
     pub change: f64,
     /// Its unit.
     pub unit: &'static str,
-    /// The share of its variance that lies in the direction, or, where the direction is not
-    /// determined, of the direction's length that lies in the parameter; 0 to 1.
+    /// The share of its variance that the direction explains, or, if the direction is not determined,
+    /// the parameter's share of the direction's length; 0 to 1.
     pub share: f64,
 }
 
-/// A direction of parameter space about which the data say little.
+/// A direction of parameter space that the observations determine weakly.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WeakDirection {
-    /// Whether the data determine it at all. If not, its changes are in no particular proportion to
-    /// standard deviations.
+    /// Whether the observations determine it at all. If not, its changes have no relation to standard
+    /// deviations.
     pub determined: bool,
     /// Intrinsic parameters that it moves most, the largest share first.
     pub components: Vec<Component>,
-    /// Mean change of the distance of the boards along it, mm.
+    /// Mean change of the board distance along it, mm.
     pub board_distance_mm: f64,
-    /// The largest share of the variance of a board's distance that it explains, 0 to 1.
+    /// The largest share of the variance of any board distance that it explains, 0 to 1.
     pub board_distance_share: f64,
 }
 
-/// A parameter is named when the direction explains at least this share of its variance.
+/// A parameter is named if the direction explains at least this share of its variance.
 const NAMED_SHARE: f64 = 0.5;
-/// In a direction that is not determined, when it has at least this share of the length.
+/// In a direction that is not determined, a parameter is named if it has at least this share of the
+/// length.
 const NAMED_SHARE_UNDETERMINED: f64 = 0.01;
 
 impl Uncertainty {
@@ -100,7 +101,7 @@ impl Uncertainty {
     }
 
     /// Standard deviations of the parameters of a pose: rotation vector (rad), translation (mm);
-    /// infinite for those not determined.
+    /// infinite if not determined.
     #[must_use]
     pub fn pose_std_devs(&self, pose: usize) -> [f64; POSE_PARAMETERS] {
         let first = self.free_intrinsics.len() + POSE_PARAMETERS * pose;
@@ -150,7 +151,7 @@ impl Uncertainty {
             if determined {
                 (square / self.covariance[(row, row)].max(f64::MIN_POSITIVE)).min(1.0)
             } else {
-                // Without any information the scaled space has the parameter's own unit.
+                // Without any information, the unit of the scaled space is that of the parameter.
                 let information = self.information[row];
                 square * if information > 0.0 { information } else { 1.0 }
             }
@@ -167,12 +168,12 @@ impl Uncertainty {
                 share: share(row),
             })
             .zip(&self.determined)
-            // The variance of what is not determined means nothing.
+            // The variance of a parameter that is not determined is meaningless.
             .filter(|(component, known)| **known == determined && component.share >= least)
             .map(|(component, _)| component)
             .collect();
         components.sort_by(|a, b| b.share.total_cmp(&a.share));
-        // The sign of a direction is free: the first parameter named grows.
+        // The sign of a direction is arbitrary: choose it so that the first parameter named grows.
         let sign = components.first().map_or(1.0, |first| first.change.signum());
         for component in &mut components {
             component.change *= sign;

@@ -1,4 +1,4 @@
-//! How obliquely light reaches a micro-image, and what that does to it: natural vignetting, cos⁴.
+//! How obliquely light reaches a micro-image, and the effect: natural vignetting, cos⁴.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -9,19 +9,19 @@ pub struct Obliquity {
     pub chief: Vector2<f64>,
     /// 1/d, d being the distance from the array to the sensor, 1/px.
     pub inverse_distance: f64,
-    /// Δc/2, half the distance of neighbouring micro-image centres, px. It stands for the radius ΔC/2 of
-    /// the micro-lens, which is smaller by D/(D + d).
+    /// Δc/2, half the micro-image pitch, px. It stands for the radius ΔC/2 of the micro-lens, which is
+    /// smaller by the factor D/(D + d).
     pub half_pitch_px: f64,
 }
 
-/// Light falls off with its angle of incidence by this power of the cosine.
+/// Light falls off with this power of the cosine of its angle of incidence.
 const FALL_OFF: f64 = 4.0;
 
 impl Obliquity {
     /// How far the fall-off moves the centroid of the light that a pixel receives through a part of the
-    /// micro-lens, in radii of the micro-lens: the steeper side counts for less. `from_lens` is the way
-    /// from the centroid of that part to the pixel, px, `spread` its standard deviations in units of half
-    /// a radius.
+    /// micro-lens, in radii of the micro-lens: more oblique light counts for less. `from_lens` is the
+    /// vector from the centroid of that part to the pixel, px; `spread` is its standard deviations in
+    /// units of half a radius.
     ///
     /// To first order: cosⁿ of an angle θ is 1 − n θ²/2, and a weight with the gradient g moves the
     /// centroid of a part with covariance C by C g.
@@ -31,8 +31,8 @@ impl Obliquity {
         spread * (spread * gradient) / 4.0
     }
 
-    /// Light through a part of the micro-lens over what it would be at normal incidence. `from_lens` as
-    /// above, `along` and `across` the standard deviations in units of half a radius.
+    /// Light through a part of the micro-lens over that at normal incidence. `from_lens` as above;
+    /// `along` and `across` are the standard deviations in units of half a radius.
     pub(crate) fn light(&self, from_lens: &Vector2<f64>, along: f64, across: f64) -> f64 {
         let angle = self.chief + from_lens * self.inverse_distance;
         let extent = self.half_pitch_px * self.inverse_distance / 2.0;

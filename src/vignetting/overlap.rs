@@ -1,11 +1,11 @@
-//! The overlap of the main lens's pupil and a micro-lens, as a pixel sees them.
+//! The overlap of the main lens's pupil and a micro-lens, seen from a pixel.
 //!
 //! On the sensor the pupil, seen through the middle of a micro-lens, is a disc, and the micro-lens
 //! blurs every point of it over another disc. A pixel sees the pupil through the part of the micro-lens
 //! where the two overlap.
 
-/// Area that two discs at distance r have in common, over that of the smaller one. `outer` is the sum
-/// of their radii, `inner` the difference.
+/// Common area of two discs at distance r, over the area of the smaller one. `outer` is the sum of
+/// their radii, `inner` the difference.
 pub(crate) fn overlap_area(r: f64, outer: f64, inner: f64) -> f64 {
     if r <= inner {
         return 1.0;
@@ -23,7 +23,7 @@ pub(crate) fn overlap_area(r: f64, outer: f64, inner: f64) -> f64 {
     area / (std::f64::consts::PI * s2)
 }
 
-/// The part of the unit disc that another disc overlaps.
+/// The part of the unit disc that another disc covers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Overlap {
     /// Distance of its centroid from the middle of the unit disc, towards the other disc.
@@ -42,11 +42,11 @@ impl Overlap {
 
 /// Strips that the integrals are summed over.
 const STRIPS: u32 = 200;
-/// An overlap of less than this share of the disc is too small for moments.
+/// An overlap of less than this fraction of the disc is too small for moments.
 const LEAST: f64 = 1e-3;
 
-/// What a disc of some radius overlaps of the unit disc at a distance; `None` if that is next to
-/// nothing.
+/// The overlap of the unit disc with a disc of another radius at a distance; `None` if it is
+/// negligible.
 pub(crate) fn overlap(distance: f64, radius: f64) -> Option<Overlap> {
     let (low, high) = ((-1.0_f64).max(distance - radius), 1.0_f64.min(distance + radius));
     if high <= low {
@@ -80,7 +80,7 @@ pub(crate) fn overlap(distance: f64, radius: f64) -> Option<Overlap> {
 mod tests {
     use super::*;
 
-    /// By hand: equal discs at the distance of their radius have 2π/3 − √3/2 of r² in common.
+    /// By hand: equal discs one radius r apart have the area (2π/3 − √3/2) r² in common.
     #[test]
     fn areas_of_overlaps() {
         let equal = (2.0 * std::f64::consts::PI / 3.0 - 0.75_f64.sqrt()) / std::f64::consts::PI;

@@ -4,38 +4,40 @@
 //! reaches pixel p through the part of the micro-lens that this disc overlaps. Its centroid and spread
 //! depend on the distance of p from the centre c only.
 //!
-//! Points of the micro-lens have the sign that they have in p − ρ w: they are half a turn away from
-//! where they lie.
+//! Points of the micro-lens have the sign that they have in p − ρ w: they are rotated by half a turn
+//! from their true positions.
 
 use nalgebra::{Matrix2, Vector2};
 
 use crate::vignetting::{Overlap, overlap};
 
-/// The vignetting of micro-lenses of one type, by distance from the centre of the micro-image.
+/// Vignetting of the micro-lenses of one type as a function of the distance from the centre of the
+/// micro-image.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Vignetting {
     moments: Vec<Moments>,
     sign: f64,
 }
 
-/// What is seen at a distance from the centre.
+/// What a pixel at some distance from the centre sees.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Moments {
     /// The visible part of the micro-lens.
     part: Overlap,
-    /// How much nearer to the centre a pixel's light is than its middle, px.
+    /// Distance by which the centroid of a pixel's light is nearer to the centre than the pixel's
+    /// middle, px.
     inwards: f64,
 }
 
 /// Resolution, px.
 const STEP_PX: f64 = 0.1;
 
-/// At the very edge the light falls to nothing and its logarithm has no bound: the shift is limited to
-/// this.
+/// At the very edge the light falls to zero and its logarithm is unbounded, so the shift is limited
+/// to this.
 const MOST_INWARDS_PX: f64 = 0.3;
 
 impl Vignetting {
-    /// For a pupil of radius a and its blur radius qᵢ, px.
+    /// Vignetting for a pupil of radius a and the intercept qᵢ, px.
     pub fn new(pupil_px: f64, q_px: f64) -> Self {
         let q = q_px.abs().max(1e-6);
         let outer = pupil_px + q;
@@ -44,7 +46,7 @@ impl Vignetting {
         let mut part = Overlap::WHOLE;
         let mut moments: Vec<Moments> = (0..count)
             .map(|i| {
-                // Where next to nothing is visible, the last part that was.
+                // Where almost nothing is visible, use the last part that was.
                 part = overlap(i as f64 * STEP_PX / q, pupil_px / q).unwrap_or(part);
                 Moments { part, inwards: 0.0 }
             })
@@ -56,12 +58,12 @@ impl Vignetting {
         Self { moments, sign: q_px.signum() }
     }
 
-    /// None: the whole micro-lens is visible.
+    /// No vignetting: the whole micro-lens is visible.
     pub fn none() -> Self {
         Self { moments: vec![Moments { part: Overlap::WHOLE, inwards: 0.0 }], sign: 1.0 }
     }
 
-    /// What the pixel at an offset from the centre, px, sees through.
+    /// The part of the micro-lens through which the pixel at an offset from the centre, px, sees.
     pub fn at(&self, offset: &Vector2<f64>) -> VisiblePart {
         let r = offset.norm();
         let outwards = if r > 1e-9 { offset / r } else { Vector2::x() };
@@ -85,8 +87,8 @@ impl Vignetting {
 /// The visible part of a micro-lens.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VisiblePart {
-    /// Centroid of the pixel's light from the centre of the micro-image, px. The light falls towards the
-    /// edge, and a pixel has a variance of a twelfth along each axis.
+    /// Centroid of the pixel's light relative to the centre of the micro-image, px. The light falls off
+    /// towards the edge, and a pixel has a variance of 1/12 px² along each axis.
     pub seen_at: Vector2<f64>,
     /// Centroid of the visible part, in radii of the micro-lens.
     pub mean: Vector2<f64>,
@@ -99,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pixel_right_of_the_centre_sees_through_the_side_that_the_blur_has() {
+    fn a_pixel_right_of_the_centre_sees_the_side_given_by_the_sign_of_the_blur() {
         for (q, side) in [(5.0, 1.0), (-5.0, -1.0)] {
             let vignetting = Vignetting::new(6.0, q);
             let part = vignetting.at(&Vector2::new(9.0, 0.0));

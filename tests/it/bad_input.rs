@@ -1,4 +1,4 @@
-//! Bad input: a message that names it, exit status 1, and no output.
+//! Bad input gives a message that names it, exit status 1, and no output.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -14,7 +14,7 @@ use crate::support::{
     board, datasheet_start, options, plenocal, run, synthetic_folder, true_camera,
 };
 
-/// A copy of the shipped set that a test may spoil.
+/// A copy of the shipped feature set that a test may spoil.
 struct Spoiled {
     folder: TempDir,
 }
@@ -35,7 +35,7 @@ impl Spoiled {
     fn edit(self, file: &str, edit: impl FnOnce(String) -> String) -> Self {
         let text = fs::read_to_string(self.path(file)).unwrap();
         let edited = edit(text.clone());
-        assert_ne!(text, edited, "the edit does something");
+        assert_ne!(text, edited, "the edit changes the file");
         fs::write(self.path(file), edited).unwrap();
         self
     }
@@ -48,7 +48,7 @@ impl Spoiled {
         self.edit(file, |text| text + line + "\n")
     }
 
-    /// Runs the program; all of `words` have to be in its message.
+    /// Runs the program; its message has to contain all of `words`.
     fn is_rejected(&self, words: &[&str]) {
         self.is_rejected_with(&[], words);
     }
@@ -73,7 +73,7 @@ impl Spoiled {
 }
 
 #[test]
-fn missing_files() {
+fn missing_files_are_rejected() {
     let spoiled = Spoiled::new();
     spoiled.is_rejected_with(&["--centers", "nowhere.csv"], &["nowhere.csv"]);
     fs::remove_file(spoiled.path("features.csv")).unwrap();
@@ -81,7 +81,7 @@ fn missing_files() {
 }
 
 #[test]
-fn files_that_are_empty_or_no_text() {
+fn empty_files_and_binary_files_are_rejected() {
     let spoiled = Spoiled::new();
     fs::write(spoiled.path("features.csv"), [0xff, 0xfe, 0x00, 0x80]).unwrap();
     spoiled.is_rejected(&["features.csv"]);
@@ -92,7 +92,7 @@ fn files_that_are_empty_or_no_text() {
 }
 
 #[test]
-fn truncated_csv() {
+fn truncated_csv_files_are_rejected() {
     let half = |text: String| {
         let end = text.len() / 2;
         let line_start = text[..end].rfind('\n').unwrap() + 1;
@@ -107,7 +107,7 @@ fn truncated_csv() {
 }
 
 #[test]
-fn damaged_gzip() {
+fn damaged_gzip_files_are_rejected() {
     let gzip = |bytes: &[u8]| {
         use flate2::{Compression, write::GzEncoder};
         use std::io::Write;
@@ -131,7 +131,7 @@ fn damaged_gzip() {
     spoiled.is_rejected_with(&features, &["linked.bin.gz", "24 bytes follow"]);
     fs::write(&file, &gzip(&[0; 4096])[..20]).unwrap();
     spoiled.is_rejected_with(&features, &["linked.bin.gz", "damaged or cut short"]);
-    // One centre announced, and bytes for half of it.
+    // The header announces one centre, but there are bytes for half of it only.
     let mut short = vec![1, 0, 0, 0, 0, 0, 0, 0];
     short.extend([0; 12]);
     fs::write(&file, gzip(&short)).unwrap();
@@ -139,7 +139,7 @@ fn damaged_gzip() {
 }
 
 #[test]
-fn wrong_columns() {
+fn wrong_columns_are_rejected() {
     Spoiled::new().replace("features.csv", "rho", "radius").is_rejected(&[
         "features.csv",
         "'rho'",
@@ -154,7 +154,7 @@ fn wrong_columns() {
 }
 
 #[test]
-fn wrong_numbers() {
+fn values_that_are_not_numbers_are_rejected() {
     for (value, word) in [("NaN", "not a finite"), ("inf", "not a finite"), ("x", "not a number")] {
         let line = format!("5,5,{value},100.0,0.1,3,0");
         Spoiled::new().append("features.csv", &line).is_rejected(&["features.csv", "line", word]);
@@ -169,7 +169,7 @@ fn wrong_numbers() {
 }
 
 #[test]
-fn indices_that_do_not_exist() {
+fn indices_out_of_range_are_rejected() {
     Spoiled::new()
         .append("features.csv", "43,5,100.0,100.0,0.1,3,0")
         .is_rejected(&["(43, 5)", "43 x 37"]);
@@ -184,7 +184,7 @@ fn indices_that_do_not_exist() {
 }
 
 #[test]
-fn duplicates() {
+fn duplicate_observations_are_rejected() {
     let repeat_last = |text: String| {
         let last = text.lines().last().unwrap().to_owned();
         text + &last + "\n"
@@ -193,9 +193,9 @@ fn duplicates() {
     Spoiled::new().edit("centers.csv", repeat_last).is_rejected(&["given twice", "centre"]);
 }
 
-/// The remedy that the message names works.
+/// The remedy in the message works.
 #[test]
-fn a_frame_with_three_corners() {
+fn a_frame_with_three_corners_is_rejected_until_it_is_excluded() {
     let mut lines = String::new();
     for (corner, l) in [(0, 10), (1, 11), (9, 12)] {
         let _ = writeln!(lines, "20,{l},480.0,{}.0,0.1,{corner},77", 20 * l);
@@ -212,18 +212,18 @@ fn a_frame_with_three_corners() {
 }
 
 #[test]
-fn no_centres() {
+fn missing_centres_are_rejected() {
     let spoiled = Spoiled::new().replace("project.toml", "centers = \"centers.csv\"\n", "");
     spoiled.is_rejected(&["no micro-image centres", "--centers"]);
 }
 
 #[test]
-fn an_excluded_frame_that_does_not_exist() {
+fn excluding_an_unknown_frame_is_rejected() {
     Spoiled::new().is_rejected_with(&["--exclude-frames", "99"], &["frame 99"]);
 }
 
 #[test]
-fn a_project_of_no_possible_camera() {
+fn projects_with_an_impossible_camera_are_rejected() {
     for (from, to, words) in [
         ("lens_types = 3", "lens_types = 1", &["I = 1", "q'"][..]),
         ("lens_types = 3", "lens_types = 2", &["2 lens types"]),
@@ -245,7 +245,7 @@ fn a_project_of_no_possible_camera() {
 }
 
 #[test]
-fn a_project_of_an_absurd_camera() {
+fn projects_with_an_absurd_camera_are_rejected() {
     for (from, to, words) in [
         ("lens_types = 3", "lens_types = 2000000000", &["2000000000 lens types"][..]),
         ("columns = 43", "columns = 2000000000", &["2000000000 x 37"]),
@@ -258,7 +258,7 @@ fn a_project_of_an_absurd_camera() {
 }
 
 #[test]
-fn a_damaged_camera_file() {
+fn damaged_camera_files_are_rejected() {
     let spoiled = Spoiled::new();
     let truth = fs::read_to_string(synthetic_folder().join("truth/camera.json")).unwrap();
     let camera = spoiled.path("camera.json");
@@ -278,14 +278,14 @@ fn a_damaged_camera_file() {
 }
 
 #[test]
-fn a_feature_outside_its_micro_image() {
+fn a_feature_outside_its_micro_image_is_rejected() {
     Spoiled::new()
         .append("features.csv", "5,5,900.0,700.0,0.1,3,0")
         .is_rejected(&["corner 3", "(5, 5)", "0 more"]);
 }
 
 #[test]
-fn centres_with_rows_counted_from_another_one() {
+fn centres_with_offset_row_indices_are_rejected() {
     let shifted = |text: String| {
         let mut lines = text.lines();
         let mut edited = lines.next().unwrap().to_owned() + "\n";
@@ -302,7 +302,7 @@ fn centres_with_rows_counted_from_another_one() {
 }
 
 #[test]
-fn centres_of_a_single_row() {
+fn centres_of_a_single_row_are_rejected() {
     let one_row = |text: String| {
         let kept = |line: &&str| line.starts_with('k') || line.split(',').nth(1) == Some("5");
         text.lines().filter(kept).collect::<Vec<_>>().join("\n")
@@ -311,14 +311,14 @@ fn centres_of_a_single_row() {
 }
 
 #[test]
-fn a_refinement_that_diverges_says_so() {
+fn a_diverging_refinement_is_an_error() {
     Spoiled::new()
         .replace("project.toml", "square_mm = 3.0", "square_mm = 300.0")
         .is_rejected(&["fit"]);
 }
 
 #[test]
-fn impossible_options() {
+fn impossible_options_are_rejected() {
     let spoiled = Spoiled::new();
     spoiled.is_rejected_with(&["--fix", "focal"], &["'focal'", "theta_x"]);
     spoiled.is_rejected_with(&["--uv-std-dev", "0"], &["(u, v)", "0"]);
@@ -330,7 +330,7 @@ fn impossible_options() {
 }
 
 #[test]
-fn damaged_internal_parameters() {
+fn damaged_internal_parameters_are_rejected() {
     let spoiled = Spoiled::new();
     let params = spoiled.path("params.js");
     fs::write(&params, r#"{"m": "-0.14", "q_prime": ["0.035", "0.040"], "I": "3"}"#).unwrap();
@@ -342,7 +342,7 @@ fn damaged_internal_parameters() {
     spoiled.is_rejected_with(&["--params", params.to_str().unwrap()], &["params.js", "JSON"]);
 }
 
-/// Calibrates into a place that cannot be written.
+/// Calibrates into a folder that cannot be written.
 fn assert_cannot_write(spoiled: &Spoiled, out: &Path, words: &str) {
     let mut command = plenocal();
     command.arg("calibrate").arg(spoiled.path("project.toml")).arg("--out").arg(out);
@@ -350,16 +350,16 @@ fn assert_cannot_write(spoiled: &Spoiled, out: &Path, words: &str) {
 }
 
 #[test]
-fn results_in_the_place_of_a_file() {
+fn an_output_folder_that_is_a_file_is_an_error() {
     let spoiled = Spoiled::new();
     let out = spoiled.path("centers.csv");
     assert_cannot_write(&spoiled, &out, "centers.csv");
     assert!(out.is_file());
 }
 
-/// A folder has the name of a result: the others do not appear either.
+/// A folder has the name of a result: the other results are not written either.
 #[test]
-fn a_result_in_the_place_of_a_folder() {
+fn a_result_whose_name_is_taken_by_a_folder_is_an_error() {
     let spoiled = Spoiled::new();
     let out = spoiled.path("results");
     fs::create_dir_all(out.join("solver.txt")).unwrap();
@@ -369,13 +369,13 @@ fn a_result_in_the_place_of_a_folder() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn results_where_not_even_root_may_write() {
+fn an_output_folder_that_not_even_root_can_write_is_an_error() {
     assert_cannot_write(&Spoiled::new(), Path::new("/proc/none"), "cannot write");
 }
 
-/// Fronto-parallel boards leave F and distance hard to separate: that is said, not hidden.
+/// With fronto-parallel boards F and distance are hard to separate; the user is warned.
 #[test]
-fn fronto_parallel_boards_bring_a_warning() {
+fn fronto_parallel_boards_give_a_warning() {
     let noise = Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 };
     let poses: Vec<FramePose> = (0_u8..5)
         .map(|i| FramePose {

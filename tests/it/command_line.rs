@@ -33,12 +33,12 @@ fn a_project_gives_tables_and_files() {
     assert!(fs::read_to_string(out.join("solver.txt")).unwrap().contains("CONVERGENCE"));
     let residuals = fs::read_to_string(out.join("residuals.csv")).unwrap();
     assert!(residuals.starts_with("kind,frame,cluster,k,l,lens_type,u,v,rho,du,dv,drho\n"));
-    // Nothing else is left behind.
+    // No other files are left behind.
     assert_eq!(fs::read_dir(&out).unwrap().count(), 4);
 }
 
 #[test]
-fn json_is_one_object_with_the_promised_fields() {
+fn json_is_one_object_with_the_documented_fields() {
     let folder = TempDir::new().unwrap();
     let output = calibrate(folder.path()).arg("--json").output().unwrap();
     assert!(output.status.success());
@@ -59,7 +59,7 @@ fn json_is_one_object_with_the_promised_fields() {
 }
 
 #[test]
-fn single_files_and_a_project_give_the_same() {
+fn single_files_and_a_project_give_the_same_result() {
     let (project, folder) = (synthetic_folder().join("project.toml"), TempDir::new().unwrap());
     let cost = |output: std::process::Output| {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -105,7 +105,7 @@ fn options_of_the_command_line_take_precedence_over_the_project() {
 }
 
 #[test]
-fn a_result_that_is_not_converged_is_written_and_exits_with_3() {
+fn a_calibration_that_is_not_converged_is_written_and_exits_with_3() {
     let folder = TempDir::new().unwrap();
     calibrate(folder.path())
         .args(["--max-iterations", "2"])
@@ -117,7 +117,7 @@ fn a_result_that_is_not_converged_is_written_and_exits_with_3() {
 }
 
 #[test]
-fn poses_only_goes_on_from_a_calibrated_camera() {
+fn poses_only_starts_from_a_calibrated_camera() {
     let folder = TempDir::new().unwrap();
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
     calibrate(&first).assert().success();
@@ -183,6 +183,6 @@ fn a_camera_of_pinholes_needs_no_blur_radii() {
     command.args(["--mode", "poses-only", "--camera"]).arg(first.join("camera.json"));
     command.arg("--features").arg(&features);
     command.assert().success().stdout(predicate::str::contains("Rotation vector"));
-    // The camera is fixed, so there is no new one.
+    // The camera is fixed, so none is written.
     assert!(second.join("poses.json").exists() && !second.join("camera.json").exists());
 }

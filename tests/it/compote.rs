@@ -1,4 +1,4 @@
-//! COMPOTE's files: what is written is read back, and projects alike.
+//! COMPOTE's files: written cameras and poses, read back, give the same projections.
 
 use nalgebra::Vector2;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
@@ -16,8 +16,8 @@ use crate::support::{
     NO_NOISE, board, options, pairs, run, shipped_observations, true_camera, true_poses,
 };
 
-/// The files hold shortest decimal numbers that read back to the same bits; what is left is the
-/// rounding of a few rotations and products.
+/// The files have the shortest decimal numbers that read back to the same bits; what remains is the
+/// rounding error of a few rotations and products.
 const SAME_PIXEL: f64 = 1e-9;
 
 fn grid(camera: &PlenopticCamera) -> MicroImageArray {
@@ -45,7 +45,7 @@ fn round_trip(camera: &PlenopticCamera, poses: &[FramePose]) -> (PlenopticCamera
     (*back, read_poses(&paths[1]).unwrap())
 }
 
-/// Largest difference of any projected feature or centre, px.
+/// Largest difference between projected features or centres, px.
 fn largest_difference(
     (camera, poses): (&PlenopticCamera, &[FramePose]),
     (other, other_poses): (&PlenopticCamera, &[FramePose]),
@@ -69,7 +69,7 @@ fn largest_difference(
 }
 
 #[test]
-fn written_cameras_and_poses_project_alike_when_read_back() {
+fn cameras_and_poses_read_back_give_the_same_projections() {
     let mut camera = true_camera();
     camera.mla.pitch_ratio = 1.003;
     for (packing, columns, rows) in [
@@ -90,7 +90,7 @@ fn written_cameras_and_poses_project_alike_when_read_back() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
     #[test]
-    fn any_camera_and_pose_come_back(
+    fn any_camera_and_pose_survive_a_round_trip(
         tilt in prop::array::uniform3(-0.05..0.05_f64),
         offset in prop::array::uniform2(-2.0..2.0_f64),
         principal in prop::array::uniform2(-300.0..1300.0_f64),

@@ -1,4 +1,4 @@
-//! `plenocal detect`: from images to features, and what goes wrong on the way.
+//! `plenocal detect`: from images to features, with bad input too.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -16,13 +16,14 @@ use tempfile::TempDir;
 use crate::prepared::Files;
 use crate::support::plenocal;
 
-/// A command on the project of a set, with its results in another folder.
+/// Runs a command on the project of a data set, with its results in another folder.
 fn on_project(command: &str, set: &Path, out: &Path) -> Assert {
     let mut program = plenocal();
     program.arg(command).arg(set.join("project.toml")).arg("--out").arg(out).assert()
 }
 
-/// The default set in `set` without what serves the evaluation, and in `measured` what detection finds in it from its white images on.
+/// The default data set in `set`, without evaluation and translation images. In `measured`, its
+/// pre-calibration and detection.
 static WHOLE: LazyLock<Files> = LazyLock::new(|| {
     let folder = TempDir::new().unwrap();
     let (set, measured) = (folder.path().join("set"), folder.path().join("measured"));
@@ -38,7 +39,7 @@ static WHOLE: LazyLock<Files> = LazyLock::new(|| {
     Files::read(folder.path())
 });
 
-/// A small set in `set`, and its white images measured in `measured`.
+/// A small data set in `set`, and its pre-calibration in `measured`.
 static SMALL: LazyLock<Files> = LazyLock::new(|| {
     let folder = TempDir::new().unwrap();
     let (set, measured) = (folder.path().join("set"), folder.path().join("measured"));
@@ -52,7 +53,7 @@ static SMALL: LazyLock<Files> = LazyLock::new(|| {
     Files::read(folder.path())
 });
 
-/// A copy of a set for one test.
+/// A copy of a data set for one test.
 struct Set {
     folder: TempDir,
 }
@@ -70,7 +71,7 @@ impl Set {
         self.folder.path().join(name)
     }
 
-    /// Detects with the white images measured before, into a folder.
+    /// Detects into a folder, with the pre-calibration made before.
     fn detect_into(&self, out: &str, options: &[&str]) -> Assert {
         let mut program = plenocal();
         program.arg("detect").arg(self.path("set/project.toml")).arg("--no-pictures");
@@ -95,7 +96,7 @@ impl Set {
         self
     }
 
-    /// Changes every pixel of an image, at u and v with its value, into another image.
+    /// Writes a copy of an image in which `paint` has changed every pixel, given u, v and its value.
     fn repaint(&self, from: &str, to: &str, paint: impl Fn(u32, u32, u8) -> u8) -> &Self {
         let mut picture = image::open(self.path("set").join(from)).unwrap().into_luma8();
         for (u, v, pixel) in picture.enumerate_pixels_mut() {
@@ -105,7 +106,7 @@ impl Set {
         self
     }
 
-    /// Edits the internal parameters that were measured.
+    /// Edits the measured internal parameters.
     fn edit_internal(&self, edit: impl Fn(&mut Value)) {
         let file = self.path("measured/precalibration.json");
         let mut document: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
@@ -114,7 +115,7 @@ impl Set {
     }
 }
 
-/// Images to camera: the simulated one within 0.2 % in F and D, 0.4 % in d and fᵢ.
+/// From images to a camera: within 0.2 % of the simulated one in F and D, 0.4 % in d and fᵢ.
 #[test]
 fn detected_features_calibrate_the_simulated_camera() {
     let set = Set::whole();
@@ -142,15 +143,15 @@ fn detected_features_calibrate_the_simulated_camera() {
 }
 
 #[test]
-fn white_images_measured_before_give_the_same_features() {
+fn a_pre_calibration_made_before_gives_the_same_features() {
     let set = Set::whole();
     set.detect(&[]).success();
     assert_eq!(set.features("out").len(), set.features("measured").len());
 }
 
-/// A hand before the board.
+/// A hand in front of the board.
 #[test]
-fn a_board_that_is_partly_hidden_gives_the_features_that_show() {
+fn a_partly_hidden_board_gives_its_visible_features() {
     let set = Set::whole();
     set.repaint("calibration/calibration-05.png", "hidden.png", |u, v, grey| {
         if (400..600).contains(&u) && v > 300 { grey.min(20) } else { grey }
@@ -168,7 +169,7 @@ fn a_board_that_is_partly_hidden_gives_the_features_that_show() {
     let strange = kept.difference(&known).count();
     println!("{} of {} features are left, {strange} new", kept.len(), known.len());
     assert!(kept.len() * 2 > known.len() && kept.len() < known.len());
-    assert!(strange * 50 <= kept.len(), "{strange} features that the whole board has not");
+    assert!(strange * 50 <= kept.len(), "{strange} features that the whole board does not have");
 }
 
 #[test]
@@ -188,7 +189,7 @@ fn json_lists_the_features_and_drops_of_every_frame() {
 }
 
 #[test]
-fn the_estimator_changes_the_blur_radii_alone() {
+fn the_estimator_changes_only_the_blur_radii() {
     let set = Set::small();
     let features = |estimator: &str| {
         set.detect_into(estimator, &["--subset", "evaluation", "--estimator", estimator])
@@ -248,7 +249,7 @@ fn a_board_of_another_size_is_an_error_and_nothing_is_written() {
 }
 
 #[test]
-fn a_board_of_two_corners_a_side_is_refused() {
+fn a_board_of_two_corners_a_side_is_rejected() {
     Set::small()
         .replace("columns = 8\nrows = 5", "columns = 2\nrows = 2")
         .detect(&[])
@@ -257,7 +258,7 @@ fn a_board_of_two_corners_a_side_is_refused() {
 }
 
 #[test]
-fn a_white_image_at_another_f_number_is_refused() {
+fn a_white_image_at_another_f_number_is_rejected() {
     let set = Set::small();
     set.replace("\"devignetting.png\"", "\"whites/white-4-n-16.00.png\"");
     on_project("detect", &set.path("set"), &set.path("out"))
@@ -265,9 +266,9 @@ fn a_white_image_at_another_f_number_is_refused() {
         .stderr(contains("taken with another aperture").and(contains("no frame shows the board")));
 }
 
-/// It is not taken for frames that are over-exposed.
+/// The message does not blame the frames for over-exposure.
 #[test]
-fn a_white_image_that_is_saturated_is_refused() {
+fn a_white_image_that_is_saturated_is_rejected() {
     Set::small()
         .repaint("devignetting.png", "clipped.png", |_, _, grey| grey.saturating_mul(8))
         .replace("\"devignetting.png\"", "\"clipped.png\"")
@@ -278,7 +279,7 @@ fn a_white_image_that_is_saturated_is_refused() {
 
 /// Stops are engraved in round numbers.
 #[test]
-fn the_white_image_of_the_nearest_stop_serves_where_it_is_near() {
+fn the_white_image_of_the_nearest_stop_is_used_if_it_is_near_enough() {
     let no_reference = ("devignetting = \"devignetting.png\"\n", "");
     let at = |f_number: &str| {
         let set = Set::small();
@@ -293,12 +294,12 @@ fn the_white_image_of_the_nearest_stop_serves_where_it_is_near() {
 }
 
 #[test]
-fn a_key_that_does_not_exist_is_refused_by_name() {
+fn a_key_that_does_not_exist_is_rejected_by_name() {
     Set::small().replace("[board]", "[bord]").detect(&[]).code(1).stderr(contains("bord"));
 }
 
 #[test]
-fn centres_of_a_larger_array_than_stated_are_refused() {
+fn centres_of_a_larger_array_than_stated_are_rejected() {
     Set::small()
         .replace("columns = 43\nrows = 37", "columns = 39\nrows = 33")
         .detect(&[])
@@ -307,7 +308,7 @@ fn centres_of_a_larger_array_than_stated_are_refused() {
 }
 
 #[test]
-fn internal_parameters_of_another_camera_are_refused_by_folder() {
+fn internal_parameters_of_another_camera_are_rejected_by_folder() {
     for (key, value, words) in [
         ("q_prime_mm", json!([0.05]), "I = 3 lens types"),
         ("m_mm", json!(-0.4), "|m|"),

@@ -5,20 +5,20 @@ use plenocal::evaluation::DetectionScore;
 
 use crate::support::preset;
 
-/// What detected features are held to: parts of what is to be found, of what is reported, and root mean
-/// square errors, px.
+/// Limits for detected features: smallest recall and precision, and largest root mean square errors,
+/// px.
 const FOUND: f64 = 0.90;
 const TRUE: f64 = 0.995;
 const SMALL_BLUR_PX: f64 = 0.10;
 const ANY_BLUR_PX: f64 = 0.20;
-/// Of ρ, without noise and with one of 4 grey levels.
+/// Limits for ρ, without noise and with a noise of 4 grey levels.
 const RHO_PX: f64 = 0.04;
 const NOISY_RHO_PX: f64 = 0.12;
-/// Of 1/ν, relative. Half a per cent is held without noise; a noise of 4 grey levels adds to it.
+/// Limit for 1/ν, relative. Without noise it is half a per cent; a noise of 4 grey levels adds to it.
 const DEPTH: f64 = 0.008;
 
-/// Detects in the first images of a simulated set, at least `needed` of `frames`, and holds the
-/// features to the limits.
+/// Detects in the first images of a simulated data set. At least `needed` of `frames` have to be
+/// labelled, and the features have to be within the limits.
 fn assert_found(name: &str, replaced: &[&str], (needed, frames): (usize, usize), rho_px: f64) {
     let replaced = [&["rays=32"][..], replaced].concat();
     let settings = preset(name, &replaced);
@@ -26,7 +26,7 @@ fn assert_found(name: &str, replaced: &[&str], (needed, frames): (usize, usize),
     println!(
         "{name} {replaced:?}: {} of {frames} frames, {:.1} % found, {:.2} % true, {:.3} px, {:.3} px, \
          rho {:.3} px, depth {:.2} %",
-        score.tied,
+        score.labelled,
         100.0 * score.recall(),
         100.0 * score.precision(),
         score.small_rms_px(),
@@ -34,7 +34,7 @@ fn assert_found(name: &str, replaced: &[&str], (needed, frames): (usize, usize),
         score.rho_rms_px(),
         100.0 * score.depth_rms()
     );
-    assert!(score.tied >= needed);
+    assert!(score.labelled >= needed);
     assert!(score.recall() > FOUND && score.precision() > TRUE);
     assert!(score.small_rms_px() < SMALL_BLUR_PX && score.rms_px() < ANY_BLUR_PX);
     assert!(score.rho_rms_px() < rho_px && score.depth_rms() < DEPTH);
@@ -60,7 +60,7 @@ fn corners_are_found_on_tilted_boards() {
     assert_found("mini", &["boards.max_tilt_deg=45", "seed=2"], (4, 4), RHO_PX);
 }
 
-/// Of a board that is cut by the border one cannot always tell which part shows.
+/// If the border cuts a board, it is not always possible to say which part of it is visible.
 #[test]
 fn corners_are_found_on_boards_cut_by_the_border() {
     assert_found("mini", &["boards.min_in_view=0.65", "seed=3"], (2, 4), RHO_PX);
@@ -81,7 +81,7 @@ fn corners_are_found_with_an_orthogonal_array() {
     assert_found("mini", &replaced, (2, 2), RHO_PX);
 }
 
-/// The sensor goes on beyond the array, whose border cuts the boards.
+/// The sensor extends beyond the array, whose border cuts the boards.
 #[test]
 fn corners_are_found_with_an_array_smaller_than_the_sensor() {
     let replaced =
@@ -100,7 +100,7 @@ fn corners_are_found_with_an_r12() {
 }
 
 #[test]
-fn the_median_of_pairs_gives_other_blur_radii_and_as_good() {
+fn the_median_of_pairs_gives_other_but_equally_good_blur_radii() {
     let settings = preset("mini", &["rays=32"]);
     let of = |estimator| DetectionScore::of_simulation(&settings, 1, estimator).unwrap();
     let (line, median) = (of(DepthEstimator::Line), of(DepthEstimator::Median));

@@ -37,7 +37,7 @@ fn floor(room: &str) -> usize {
     ROOMS.iter().position(|r| *r == room).unwrap_or_else(|| panic!("{room} has no floor"))
 }
 
-/// What a file is of: the first part of its path.
+/// The room of a file: the first part of its path.
 fn room(path: &Path) -> String {
     let first = path.components().next().unwrap().as_os_str().to_string_lossy();
     first.trim_end_matches(".rs").to_owned()
@@ -47,7 +47,7 @@ fn code(text: &str) -> impl Iterator<Item = &str> {
     text.lines().filter(|line| !line.trim_start().starts_with("//"))
 }
 
-/// Rooms that a file names by an absolute path, of `use` or in between.
+/// Rooms that a file refers to by an absolute path, in `use` or elsewhere.
 fn imports(text: &str) -> BTreeSet<String> {
     let code: Vec<&str> = code(text).collect();
     let code = code.join("\n");
@@ -102,7 +102,7 @@ fn no_file_lies_outside_the_rooms() {
     assert!(loose.is_empty(), "{loose:?}");
 }
 
-/// The tracer is there to contradict the projection model.
+/// The tracer is an independent check of the projection model.
 #[test]
 fn the_simulation_never_calls_the_core() {
     for (path, text) in sources().iter().filter(|(path, _)| path.starts_with("simulation")) {
@@ -112,7 +112,7 @@ fn the_simulation_never_calls_the_core() {
 
 /// Words that only some files may use, by the beginning of their path.
 #[test]
-fn invariants_of_the_architecture() {
+fn restricted_words_are_used_only_where_allowed() {
     let rules: [(&[&str], &[&str]); 6] = [
         // Only the command line prints and ends the process.
         (&["println!", "print!", "eprintln!", "stdout()", "stderr()", "process::exit"], &["cli"]),

@@ -1,14 +1,14 @@
-//! The limits of the house: files and functions that a person reads in one sitting.
+//! Limits of length: files and functions that a person reads in one sitting.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Lines of a file. A longer one gives its reason in a comment near its beginning.
+/// Most lines of a file. A longer one gives its reason in a comment near its beginning.
 const FILE_LINES: usize = 400;
 const REASON: &str = "Long because ";
-/// Lines, from the beginning, among which the reason stands.
+/// Number of lines at the beginning that may contain the reason.
 const HEADER_LINES: usize = 30;
-/// Lines of a function, from its name to its closing brace.
+/// Most lines of a function, from its name to its closing brace.
 const FUNCTION_LINES: usize = 80;
 
 /// The sources in the folders, by their path in the repository.
@@ -27,12 +27,12 @@ pub fn sources(folders: &[&str], extensions: &[&str]) -> Vec<(String, String)> {
             }
         }
     }
-    assert!(sources.len() > 10, "the sources are there");
+    assert!(sources.len() > 10, "sources were found");
     sources
 }
 
 #[test]
-fn files_are_short_or_say_why_not() {
+fn files_are_short_or_give_a_reason() {
     let is_long = |(_, text): &(String, String)| {
         let mut header = text.lines().take(HEADER_LINES);
         text.lines().count() > FILE_LINES
@@ -75,7 +75,7 @@ fn functions(text: &str) -> Vec<(String, usize)> {
     found
 }
 
-/// The name, where a line begins a function.
+/// The name of a function if a line begins one.
 fn function_name(code: &str) -> Option<&str> {
     let (before, after) = code.split_once("fn ")?;
     let is_qualifier = |word: &str| {

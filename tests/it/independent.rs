@@ -1,4 +1,4 @@
-//! The independent Ceres program (`cpp/examples/plain_ceres`) comes to the same minimum.
+//! The independent Ceres program (`cpp/examples/plain_ceres`) reaches the same minimum.
 
 use std::io::Write;
 use std::path::Path;
@@ -15,8 +15,8 @@ use crate::support::{
 const COST: f64 = 1e-9;
 /// Relative agreement of the parameters ...
 const PARAMETER: f64 = 1e-6;
-/// ... or, for those whose value is not much more than their uncertainty, this part of the latter:
-/// where both programs stop, the cost is known to 1e-13, that is the parameters to some 1e-4 σ.
+/// ... or, for values not much larger than their uncertainty, this fraction of the uncertainty: where
+/// both programs stop, the cost is accurate to 1e-13, and the parameters to about 1e-4 σ.
 const PARAMETER_SIGMAS: f64 = 1e-3;
 
 /// Runs the program; `values` are the camera's.
@@ -81,7 +81,7 @@ fn two_pitches() -> CalibrationOptions {
 
 #[test]
 #[cfg_attr(not(plenocal_plain_ceres), ignore = "set PLENOCAL_PLAIN_CERES to the program")]
-fn on_the_shipped_features() {
+fn the_minimum_on_the_shipped_features_is_the_same() {
     let folder = synthetic_folder();
     let mut values = vec![
         ("pixel-size-mm", "0.0055"),
@@ -96,7 +96,7 @@ fn on_the_shipped_features() {
         ("board-columns", "9"),
         ("square-mm", "3"),
     ];
-    // The program does not tell mirrored poses apart, so it is started from the true ones.
+    // The program cannot recognise mirrored poses, so it starts from the true ones.
     let mut poses = tempfile::NamedTempFile::new().unwrap();
     writeln!(poses, "frame,rx,ry,rz,tx,ty,tz").unwrap();
     for pose in true_poses() {
@@ -119,7 +119,7 @@ fn on_the_shipped_features() {
     not(all(plenocal_plain_ceres, plenocal_r12a)),
     ignore = "set PLENOCAL_PLAIN_CERES and PLENOCAL_R12A"
 )]
-fn on_the_real_features() {
+fn the_minimum_on_the_real_features_is_the_same() {
     let folder = r12a_folder();
     let mut values = vec![
         ("pixel-size-mm", "0.0055"),

@@ -37,7 +37,7 @@ fn folder_of(names: &[&str]) -> TempDir {
     folder
 }
 
-/// The lists of a section without what stands before the folder of the images.
+/// The lists of images of a section, with paths relative to the folder of the images.
 fn lists(images: &ImagesSection, folder: &Path) -> Vec<Vec<PathBuf>> {
     let folder = fs::canonicalize(folder).unwrap();
     let below =
@@ -51,7 +51,7 @@ fn lists(images: &ImagesSection, folder: &Path) -> Vec<Vec<PathBuf>> {
         .collect()
 }
 
-/// A small simulated set in `set`, and in `projects/made.toml` a project made from it.
+/// A small simulated data set in `set`, and in `projects/made.toml` a project made from it.
 static SIMULATED: LazyLock<Files> = LazyLock::new(|| {
     let folder = TempDir::new().unwrap();
     let set = folder.path().join("set");
@@ -89,7 +89,7 @@ fn a_simulated_set_gives_its_project() {
 }
 
 #[test]
-fn the_project_of_a_simulated_set_serves_precalibration_and_detection() {
+fn the_project_of_a_simulated_set_works_for_precalibration_and_detection() {
     let folder = SIMULATED.copy();
     let (project, white) = (folder.path().join("projects/made.toml"), folder.path().join("white"));
     let mut command = plenocal();
@@ -100,7 +100,7 @@ fn the_project_of_a_simulated_set_serves_precalibration_and_detection() {
     command.arg("--out").arg(folder.path().join("boards")).assert().success();
 }
 
-/// Images whose names tell all kinds of things, and one file that is none.
+/// Images whose names say all kinds of things, and one file that is not an image.
 fn named_images() -> TempDir {
     let folder = folder_of(&[
         "N8.png",
@@ -120,7 +120,7 @@ fn named_images() -> TempDir {
 }
 
 #[test]
-fn what_is_not_known_is_a_comment() {
+fn unknown_values_are_comments() {
     let folder = named_images();
     let out = folder.path().join("project.toml");
     init(folder.path(), &out)
@@ -143,7 +143,7 @@ fn what_is_not_known_is_a_comment() {
 }
 
 #[test]
-fn the_comments_filled_in_make_a_project() {
+fn the_comments_when_filled_in_make_a_project() {
     let folder = named_images();
     let out = folder.path().join("project.toml");
     init(folder.path(), &out).assert().success();
@@ -190,7 +190,7 @@ fn a_preset_of_another_sensor_leaves_its_size_open() {
     }
 }
 
-/// No project is made of a folder, and the message has all of `words`.
+/// No project is made from a folder, and the message contains all of `words`.
 fn is_rejected(images: &Path, words: &[&str]) {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("out/project.toml");
@@ -202,7 +202,7 @@ fn is_rejected(images: &Path, words: &[&str]) {
 }
 
 #[test]
-fn folders_without_images_are_refused() {
+fn folders_without_images_are_rejected() {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("a.txt"), "").unwrap();
     is_rejected(folder.path(), &["no images"]);
@@ -210,14 +210,14 @@ fn folders_without_images_are_refused() {
 }
 
 #[test]
-fn images_of_two_sizes_are_refused() {
+fn images_of_two_sizes_are_rejected() {
     let two = folder_of(&["white_f4.png", "white_f8.png", "board_1.png"]);
     write_image(&two.path().join("board_2.png"), 6, 8);
     is_rejected(two.path(), &["board_2.png: 6 x 8", "3 of 4", "8 x 6"]);
 }
 
 #[test]
-fn an_image_that_cannot_be_read_is_refused() {
+fn an_image_that_cannot_be_read_is_rejected() {
     let broken = folder_of(&["white_f4.png"]);
     fs::write(broken.path().join("white_f8.png"), "no image").unwrap();
     is_rejected(broken.path(), &["white_f8.png"]);

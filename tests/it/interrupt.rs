@@ -13,18 +13,18 @@ use crate::support::plenocal;
 const PATIENCE: Duration = Duration::from_secs(60);
 const TICK: Duration = Duration::from_millis(10);
 
-/// Files in a folder and those in it.
+/// Number of files in a folder and its subfolders.
 fn files(folder: &Path) -> usize {
     let Ok(entries) = fs::read_dir(folder) else { return 0 };
     let count = |path: &Path| if path.is_dir() { files(path) } else { 1 };
     entries.flatten().map(|entry| count(&entry.path())).sum()
 }
 
-/// A simulation that takes a while, once its first image is under way.
+/// Starts a long simulation and returns once its first image is being written.
 fn simulation(out: &Path) -> Child {
     let program = assert_cmd::cargo::cargo_bin("plenocal");
     let mut command = if cfg!(target_os = "linux") {
-        // What runs in the background of a script ignores interrupts, and leaves that to its children.
+        // A background process of a script ignores interrupts, and its children inherit that.
         let mut command = Command::new("env");
         command.arg("--default-signal=INT,TERM,HUP").arg(program);
         command
@@ -40,7 +40,7 @@ fn simulation(out: &Path) -> Child {
         .unwrap();
     let begun = Instant::now();
     while files(&out.join("whites")) == 0 {
-        assert!(begun.elapsed() < PATIENCE, "no temporary file shows");
+        assert!(begun.elapsed() < PATIENCE, "no temporary file appears");
         sleep(TICK);
     }
     child
@@ -68,7 +68,7 @@ fn an_interrupt_leaves_nothing_behind() {
         assert_interrupted(&child.wait_with_output().unwrap());
         assert!(!folder.path().join("new").exists(), "{signal}");
     }
-    // The folder can be used after that.
+    // The folder can be used afterwards.
     let few = ["rays=1", "boards.calibration=0", "boards.evaluation=0", "translation.images=0"];
     let mut command = plenocal();
     command.arg("simulate").args(few.iter().flat_map(|set| ["--set", set]));
@@ -83,14 +83,14 @@ fn an_interrupt_keeps_older_files() {
     fs::write(&project, "older").unwrap();
     let child = simulation(folder.path());
     send("-INT", &child);
-    // Impatience changes nothing.
+    // A second interrupt changes nothing.
     let _ = Command::new("kill").args(["-INT", &child.id().to_string()]).output();
     assert_interrupted(&child.wait_with_output().unwrap());
     assert_eq!(fs::read_to_string(&project).unwrap(), "older");
     assert_eq!(files(folder.path()), 1);
 }
 
-/// Nobody reads stderr any more when the interrupt comes.
+/// Nobody reads stderr any more when the interrupt arrives.
 #[test]
 fn an_interrupt_ends_a_program_whose_stderr_is_closed() {
     let folder = TempDir::new().unwrap();

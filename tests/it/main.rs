@@ -1,6 +1,7 @@
 //! Tests of whole stages and of the command line.
 //!
-//! Some need what is not always there, and are reported as ignored without it. Variables name it:
+//! Some need data or programs that are not always available, and are reported as ignored without
+//! them. Environment variables name these:
 //! `PLENOCAL_R12A` the folder of the real R12-A observations, `PLENOCAL_WHITES` that of real white
 //! images, `PLENOCAL_PLAIN_CERES` the independent Ceres program, `PLENOCAL_CHROMIUM` a browser;
 //! `PLENOCAL_TOOLS` says that bash, zsh, fish and groff are installed.

@@ -1,4 +1,4 @@
-//! What surrounds the commands: records, completions, manual pages, places that cannot be written.
+//! What all commands share: log, completions, manual pages, folders that cannot be written.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ fn calibrate(out: &Path) -> assert_cmd::Command {
 }
 
 #[test]
-fn records_go_to_stderr_and_json_stays_pure() {
+fn the_log_goes_to_stderr_and_json_stays_pure() {
     let folder = TempDir::new().unwrap();
     let lines = |level: &[&str]| {
         let Output { status, stdout, stderr } =
@@ -33,8 +33,8 @@ fn records_go_to_stderr_and_json_stays_pure() {
         assert!(few.contains(word), "{word}: {few}");
     }
     assert!(!few.contains("iteration 1:") && more.contains("iteration 1:"), "{more}");
-    assert!(!few.contains('\x1b'), "no colours but on a terminal");
-    // Before the command it is the same.
+    assert!(!few.contains('\x1b'), "colours on a terminal only");
+    // The option works before the command too.
     let mut before = plenocal();
     before.args(["-v", "simulate", "--print"]).assert().success();
 }
@@ -69,7 +69,7 @@ fn completions_of_every_shell_name_the_commands() {
 
 #[test]
 #[cfg_attr(not(plenocal_tools), ignore = "needs bash, zsh and fish; run by `make test-all`")]
-fn shells_read_their_completions() {
+fn shells_accept_their_completions() {
     let folder = TempDir::new().unwrap();
     for shell in ["bash", "zsh", "fish"] {
         let script = folder.path().join(shell);
@@ -107,7 +107,7 @@ fn every_command_has_a_manual_page() {
     let help = String::from_utf8(help.stdout).unwrap();
     let (_, commands) = help.split_once("Commands:\n").unwrap();
     let (commands, _) = commands.split_once("\n\n").unwrap();
-    // Lines that are indented further go on with a description.
+    // Lines that are indented further continue a description.
     let names = commands.lines().filter(|line| !line.starts_with("   "));
     let names = names.filter_map(|line| line.split_whitespace().next()).filter(|n| *n != "help");
     let mut pages = vec![out.join("plenocal.1")];
@@ -161,7 +161,7 @@ fn a_folder_without_permission_is_an_error() {
     let folder = TempDir::new().unwrap();
     let mode =
         |path: &Path, mode| fs::set_permissions(path, fs::Permissions::from_mode(mode)).unwrap();
-    // The other user may read neither the source tree nor a temporary folder as it is made.
+    // The other user may read neither the source tree nor a new temporary folder.
     mode(folder.path(), 0o755);
     for file in ["project.toml", "centers.csv", "features.csv"] {
         fs::copy(synthetic_folder().join(file), folder.path().join(file)).unwrap();

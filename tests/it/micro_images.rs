@@ -20,12 +20,12 @@ fn small_white(replaced: &[&str]) -> (Settings, RawImage) {
     (settings, image)
 }
 
-/// Centroids alone, without what other f-numbers tell of shading, which moves them by up to 0.1 px at
-/// the border of these images.
+/// Limit for centroids alone. Without other f-numbers vignetting is not corrected; it moves centroids
+/// by up to 0.1 px at the border of these images.
 const ALONE_PX: f64 = 0.12;
 
 #[test]
-fn any_lattice_pitch_and_rotation_is_found_unaided() {
+fn any_lattice_pitch_and_rotation_is_found_without_hints() {
     for (lattice, pixel_size, rotation, pitch) in [
         ("hexagonal-rows", 0.0183, 0.07, 7.0),
         ("hexagonal-columns", 0.0107, -0.05, 12.0),
@@ -57,7 +57,7 @@ fn any_lattice_pitch_and_rotation_is_found_unaided() {
         assert!((grid.pitch_px / settings.camera.micro_image_pitch_px() - 1.0).abs() < 1e-3);
         assert!((grid.pitch_px - pitch).abs() < 0.1, "{}", grid.pitch_px);
         assert!((grid.rotation_rad - rotation).abs() < 1e-4, "{}", grid.rotation_rad);
-        // Each lies on a true one; indices count from another one.
+        // Each lies on a true centre; indices have another origin.
         let truth = settings.tracer(8.0).unwrap().centers();
         let mut square = 0.0;
         for c in array.centers.iter().step_by(7) {
@@ -72,9 +72,9 @@ fn any_lattice_pitch_and_rotation_is_found_unaided() {
 }
 
 #[test]
-fn damage_is_left_out_by_reason_and_does_not_spoil_the_rest() {
+fn damaged_micro_images_are_left_out_by_reason_and_do_not_spoil_the_rest() {
     let (settings, mut image) = small_white(&["imperfections.dead_micro_lenses=40"]);
-    // A black and a white patch, the black one where the pattern is looked for first.
+    // A black and a white patch, the black one where the pattern is searched for first.
     let Samples::Bits8(samples) = &mut image.samples else { panic!("an image of 8 bits") };
     for v in 250..500 {
         samples[v * image.width..][350..650].fill(0);
@@ -97,9 +97,9 @@ fn damage_is_left_out_by_reason_and_does_not_spoil_the_rest() {
     let at_border = all.iter().filter(|&t| at_border(t)).count();
     println!("{at_border} at the border");
     assert!((at_border..at_border + 40).contains(&out.cut), "{out:?}");
-    // 300 x 250 px hold 160 micro-images, and cut more at the edge; 40 are dead.
+    // 300 x 250 px contain 160 micro-images, and cut more at the edge; 40 are dead.
     assert!((160..250).contains(&out.dark), "{out:?}");
-    // 130 x 130 px hold some 30, of which some at the edge still show one.
+    // 130 x 130 px contain about 30, some of which are still found at the edge.
     assert!((20..40).contains(&out.saturated), "{out:?}");
 }
 
@@ -131,7 +131,7 @@ fn drawn(grid: &MicroImageArray, radius_px: f64) -> RawImage {
 }
 
 #[test]
-fn an_array_smaller_than_the_sensor_is_counted_by_what_shows() {
+fn the_size_of_an_array_smaller_than_the_sensor_is_that_of_its_visible_part() {
     use LatticeKind::{HexagonalColumns, HexagonalRows, Orthogonal};
     for (kind, columns, rows, center, rotation_rad) in [
         (HexagonalRows, 30, 22, (499.5, 374.5), 0.0),
@@ -164,7 +164,7 @@ fn an_array_smaller_than_the_sensor_is_counted_by_what_shows() {
             let place = truth.center_of(c.k, c.l);
             assert!((place - Vector2::new(c.u_px, c.v_px)).norm() < 0.2, "{c:?} at {place}");
         }
-        // As it is, it may be stated; larger than it shows, not.
+        // The true size may be stated, a size larger than what is visible may not.
         let stated = measure_array(&image, Some((columns, rows))).unwrap();
         assert_eq!(stated.centers.len(), array.centers.len());
         let error = measure_array(&image, Some((columns + 6, rows))).unwrap_err().to_string();
@@ -173,7 +173,7 @@ fn an_array_smaller_than_the_sensor_is_counted_by_what_shows() {
 }
 
 #[test]
-fn images_without_an_array_are_refused() {
+fn images_without_an_array_are_rejected() {
     let size = (600, 500);
     let picture = |value: fn(usize, usize) -> usize| {
         let sample = |i: usize| u16::try_from(value(i % size.0, i / size.0)).unwrap();
@@ -221,7 +221,7 @@ fn real_square_arrays_are_found() {
     assert!(array.grid.rms_px < 0.5 && array.centers.len() > 1400);
 }
 
-/// The image has traces of the scene, which scatter single centres by a pixel.
+/// The image contains traces of the scene, which scatter single centres by a pixel.
 #[test]
 #[cfg_attr(not(plenocal_whites), ignore = "set PLENOCAL_WHITES to the folder of real white images")]
 fn a_real_array_agrees_with_its_maker() {
@@ -243,7 +243,7 @@ fn a_real_array_agrees_with_its_maker() {
     let rms = (square / array.centers.len() as f64).sqrt();
     assert!(rms < 1.5, "{rms} px");
 
-    // The three types show in the sizes of the micro-images, and are the maker's.
+    // The three types differ in the size of their micro-images, and agree with the maker's.
     println!("{:?}", array.lens_types);
     assert_eq!(array.lens_types.types, 3);
     let mut counts = [[0; 3]; 3];

@@ -1,4 +1,4 @@
-//! The ways of calibrating other than the paper's own.
+//! Modes of calibration other than that of the paper.
 
 use plenocal::calibration::{Mode, NoPose, Start, calibrate};
 use plenocal::solver::{Iteration, Termination};
@@ -46,7 +46,7 @@ fn poses_only_leaves_the_camera_alone_and_needs_no_centres() {
 }
 
 #[test]
-fn a_single_lens_type_is_calibrated_too() {
+fn a_camera_with_a_single_lens_type_is_recovered() {
     let mut truth = true_camera();
     truth.mla.focal_lengths_mm = vec![0.55];
     let observations = drawn(&truth, &NO_NOISE, 0);
@@ -77,7 +77,7 @@ fn fixed_parameters_keep_their_value() {
 }
 
 #[test]
-fn the_caller_sees_every_iteration_and_can_stop() {
+fn the_progress_function_sees_every_iteration_and_can_stop_the_solve() {
     let (start, observations) = (datasheet_start(), shipped_observations());
     let mut seen = Vec::new();
     let mut stop_at_two = |iteration: &Iteration| {
@@ -92,13 +92,13 @@ fn the_caller_sees_every_iteration_and_can_stop() {
 }
 
 #[test]
-fn the_limit_of_iterations_is_no_convergence() {
+fn reaching_the_limit_of_iterations_is_not_convergence() {
     let mut options = options();
     options.solver.max_iterations = 1;
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
     assert_eq!(calibration.refinement.termination, Termination::IterationLimit);
     assert!(!calibration.converged);
-    // Far from the minimum a step promises something.
+    // Far from the minimum a further step would lower the cost.
     assert!(calibration.uncertainty.expected_decrease > 1.0);
 }
 
@@ -111,7 +111,7 @@ fn the_result_does_not_depend_on_the_order_of_the_observations() {
     let reversed = run(&datasheet_start(), &observations, &options());
     let std_devs = reference.uncertainty.intrinsic_std_devs(3);
     for ((name, a, b), s) in pairs(&reference.camera, &reversed.camera).iter().zip(std_devs) {
-        // Rounding differs, and with it where the solver stops: within a thousandth of σ.
+        // Rounding differs, and so does the point where the solver stops: within a thousandth of σ.
         assert!((a - b).abs() <= 1e-3 * s.unwrap_or(0.0), "{name}: {a} and {b}");
     }
 }
@@ -144,7 +144,7 @@ fn excluded_frames_are_counted() {
 }
 
 #[test]
-fn what_is_not_observed_is_named() {
+fn parameters_that_are_not_observed_are_named() {
     let mut observations = shipped_observations();
     let camera = true_camera();
     observations.features.retain(|f| camera.lens_type(f.k, f.l) != 2);
@@ -159,7 +159,7 @@ fn what_is_not_observed_is_named() {
 }
 
 #[test]
-fn a_wrong_sign_of_rho_brings_a_warning() {
+fn a_wrong_sign_of_rho_gives_a_warning() {
     let mut observations = shipped_observations();
     observations.features.iter_mut().for_each(|f| f.rho_px = f.rho_px.map(|rho| -rho));
     let calibration = run(&datasheet_start(), &observations, &options());

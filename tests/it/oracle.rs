@@ -1,4 +1,4 @@
-//! The ray tracer against the closed-form projection of the C++ core: neither knows the other.
+//! The ray tracer against the closed-form projection of the C++ core; they share no code.
 
 use std::collections::HashMap;
 
@@ -26,7 +26,7 @@ fn bound_px(camera: &PlenopticCamera) -> f64 {
     tilt * camera.mla.pitch_mm / (2.0 * camera.sensor.pixel_size_mm) + ROUNDING_PX
 }
 
-/// A frontal, a near and tilted, and a far and turned board.
+/// A frontal board, a near and tilted one, and a far and rotated one.
 fn poses(settings: &Settings) -> Vec<FramePose> {
     let [near, far] = settings.boards.depth_mm;
     let board = settings.target.board();
@@ -44,8 +44,8 @@ fn poses(settings: &Settings) -> Vec<FramePose> {
         .collect()
 }
 
-/// The largest differences of centre and radius over all features that the model projects, and
-/// their number.
+/// The largest differences in centre and radius over all features that the model projects, and the
+/// number of these features.
 fn differences(camera: &PlenopticCamera, board: &Board, poses: &[FramePose]) -> (f64, f64, usize) {
     let observations = synthesize(camera, board, poses, &NO_NOISE, 0).unwrap();
     let f_number = camera.main_lens.setting.unwrap().f_number;
@@ -86,11 +86,11 @@ fn traced_spots_lie_where_the_closed_form_projects_them() {
     }
 }
 
-/// Some thousand rays hit a tiny board through a micro-lens, spread over a disc of 2 to 5 px: the
-/// middle is known to 2 in √1000, and half the light that oblique rays lose tips the balance by a
-/// hundredth of the radius.
+/// About a thousand rays hit a tiny board through a micro-lens, spread over a disc of 2 to 5 px: the
+/// middle is known to 2/√1000, and the light that oblique rays lose shifts it by a hundredth of the
+/// radius.
 const RENDERED_PX: f64 = 0.1;
-/// Averaged over the micro-images of all boards.
+/// Limits for averages over the micro-images of all boards.
 const RENDERED_MEAN_PX: f64 = 0.03;
 
 /// The closed form of a tiny board in one micro-image.
@@ -103,7 +103,7 @@ struct Spot {
     pattern_px2: f64,
 }
 
-/// The tiny board in the micro-images that all its light goes through.
+/// The tiny board in the micro-images that receive all its light.
 fn whole_spots(
     camera: &PlenopticCamera,
     tracer: &Tracer,
@@ -137,8 +137,8 @@ fn whole_spots(
         .collect()
 }
 
-/// How far the middle of the light lies from the closed form, and the radius of the disc that it
-/// would be without pattern and pixels.
+/// Distance of the middle of the light from the closed form, and the radius that the disc would
+/// have without pattern and pixels.
 fn rendered(image: &Image, spot: &Spot) -> ([f64; 2], f64) {
     let reach = spot.rho_px.abs() + 2.0;
     let (mut sum, mut moment, mut spread) = (0.0, [0.0; 2], 0.0);
@@ -178,7 +178,7 @@ fn rendered_spots_have_the_centre_and_radius_of_the_closed_form() {
     let mut compared = 0;
     for (name, depths) in [("mini", [68.0, 80.0]), ("keplerian", [190.0, 300.0])] {
         let mut camera = preset(name, &[]).camera;
-        // A small piece of the array about the axis, which is not the middle of it.
+        // A small part of the array about the axis, which is not the middle of the array.
         (camera.lattice.columns, camera.lattice.rows) = (7, 6);
         (camera.sensor.width_px, camera.sensor.height_px) = (120, 90);
         camera.mla.principal_point_px = camera.sensor.center_px().add_scalar(7.0);
@@ -196,7 +196,7 @@ fn rendered_spots_have_the_centre_and_radius_of_the_closed_form() {
                      px for {rho:+.3} px"
                 );
                 assert!(du.abs() < RENDERED_PX && dv.abs() < RENDERED_PX, "{name} ({k}, {l})");
-                // A spot as small as the pattern has no radius to speak of.
+                // A spot as small as the pattern has no meaningful radius.
                 if rho.abs() > 1.5 {
                     let off = radius - rho.abs();
                     assert!(off.abs() < RENDERED_PX, "{name} ({k}, {l}): {radius}");
@@ -231,7 +231,7 @@ fn traced_centres_lie_where_the_closed_form_projects_them() {
     }
 }
 
-/// The outer edge of a micro-image of white is where the last ray arrives; the radius of the paper,
+/// The outer edge of a micro-image of white is where the outermost ray arrives; the radius of the paper,
 /// |m/N + qᵢ|, has m negative in Galilean configuration. Light fades out towards the edge with the
 /// power 3/2 of the distance, so that the outermost lit pixel lies up to two (fine) pixels inside.
 #[test]
@@ -259,7 +259,7 @@ fn micro_images_of_white_have_the_radius_of_the_paper() {
                 let expected = (side * internal.m_mm / f_number + q).abs()
                     / camera.sensor.pixel_size_mm
                     / FINE;
-                // Look away from the neighbours, whose micro-images may touch.
+                // Search away from the neighbours, whose micro-images may touch.
                 let outwards = [f64::from(k - 1), f64::from(2 * l - 1)];
                 let lit = (0..white.height)
                     .flat_map(|v| (0..white.width).map(move |u| (u, v)))

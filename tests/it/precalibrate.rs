@@ -14,7 +14,7 @@ use tempfile::TempDir;
 use crate::prepared::Files;
 use crate::support::{plenocal, preset};
 
-/// m, relative.
+/// Limit for m, relative.
 const INTERNAL: f64 = 0.01;
 
 fn simulate(more: &[&str]) -> Files {
@@ -101,22 +101,22 @@ fn a_single_image_gives_its_array_alone() {
 }
 
 #[test]
-fn another_colour_pattern_than_stated_is_a_warning() {
+fn a_colour_pattern_other_than_stated_gives_a_warning() {
     let set = Set::mosaic();
     set.with("bayer-rggb", "bayer-gbrg").stderr(contains("the images have another mosaic"));
     set.with("\"bayer-rggb\"", "\"grey\"").stderr(contains("alternate in brightness"));
 }
 
 #[test]
-fn channels_that_an_image_has_not_are_refused() {
+fn channels_that_an_image_does_not_have_are_rejected() {
     let set = Set::mosaic();
     set.with("\"bayer-rggb\"", "\"rgb\"").code(1).stderr(contains("has 1 channel(s)"));
     assert!(!set.path("results").exists());
 }
 
-/// A stop as it is engraved stands for its f-number.
+/// An engraved stop stands for its true f-number.
 #[test]
-fn stops_stand_for_f_numbers_and_wrong_ones_are_a_warning() {
+fn stops_stand_for_f_numbers_and_wrong_ones_give_a_warning() {
     let set = Set::grey();
     set.with("f_number = 8\n", "stop = 8\n").success().stderr("");
     set.with("f_number = 8\n", "stop = 5.6\n").success().stderr(contains("check its f-number"));
@@ -124,7 +124,7 @@ fn stops_stand_for_f_numbers_and_wrong_ones_are_a_warning() {
 }
 
 #[test]
-fn stops_that_make_no_sense_are_refused() {
+fn stops_that_make_no_sense_are_rejected() {
     let set = Set::grey();
     set.with("f_number = 8\n", "f_number = 8\nstop = 8\n").code(1).stderr(contains("and not both"));
     set.with("f_number = 8\n", "stop = -8\n").code(1).stderr(contains("a stop of -8"));
@@ -132,7 +132,7 @@ fn stops_that_make_no_sense_are_refused() {
 }
 
 #[test]
-fn projects_that_contradict_the_images_are_refused() {
+fn projects_that_contradict_the_images_are_rejected() {
     let set = Set::grey();
     set.with("width_px = 1000", "width_px = 1001")
         .code(1)
@@ -143,7 +143,7 @@ fn projects_that_contradict_the_images_are_refused() {
 }
 
 #[test]
-fn projects_without_images_are_refused_by_name() {
+fn projects_without_images_are_rejected_by_name() {
     let set = Set::grey();
     set.with("[images]", "[pictures]").code(1).stderr(contains("other.toml"));
     set.with("devignetting.png", "gone.png").code(1).stderr(contains("gone.png"));
@@ -151,7 +151,7 @@ fn projects_without_images_are_refused_by_name() {
 }
 
 #[test]
-fn damaged_images_are_refused_by_name() {
+fn damaged_images_are_rejected_by_name() {
     let set = Set::grey();
     let image = set.path("set/devignetting.png");
     let bytes = fs::read(&image).unwrap();
@@ -163,7 +163,7 @@ fn damaged_images_are_refused_by_name() {
 }
 
 #[test]
-fn images_that_are_empty_or_of_other_samples_are_refused_by_name() {
+fn images_that_are_empty_or_of_other_samples_are_rejected_by_name() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("results");
     for (name, text) in [("w0.pgm", "P5\n0 5\n255\n"), ("h0.pgm", "P5\n5 0\n255\n")] {
@@ -195,7 +195,7 @@ fn run_maker(folder: &Path, size: &str) -> Assert {
 }
 
 #[test]
-fn sizes_that_do_not_fit_a_makers_calibration_are_refused() {
+fn sizes_that_do_not_fit_a_makers_calibration_are_rejected() {
     let folder = TempDir::new().unwrap();
     for size in ["4000000000x4000000000", "65536x100", "0x100", "100"] {
         let words = "each edge from 1 to 65535 px";
@@ -209,7 +209,7 @@ fn sizes_that_do_not_fit_a_makers_calibration_are_refused() {
 }
 
 #[test]
-fn a_makers_calibration_gives_the_same_columns_with_nothing_measured() {
+fn a_makers_calibration_gives_the_same_columns_without_measurements() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("results");
     run_maker(folder.path(), "600x500").success().stdout(contains("3 lens type(s)"));
@@ -224,7 +224,7 @@ fn a_makers_calibration_gives_the_same_columns_with_nothing_measured() {
 }
 
 #[test]
-fn options_for_another_kind_of_input_are_refused() {
+fn options_for_another_kind_of_input_are_rejected() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("results");
     for (input, option, value) in [

@@ -1,4 +1,4 @@
-//! White images: from pixels to the internal parameters, on simulated ones.
+//! From simulated white images to the internal parameters.
 
 use std::collections::HashMap;
 use std::sync::LazyLock;
@@ -14,14 +14,14 @@ use plenocal::simulation::{DataSet, Settings, Shot};
 
 use crate::support::preset;
 
-/// The limits that the pre-calibration is held to: centres, px RMS; pitch, relative; rotation, rad;
-/// m and q', relative.
+/// Limits for the pre-calibration: centres, px RMS; pitch, relative; rotation, rad; m and q',
+/// relative.
 const CENTERS_PX: f64 = 0.05;
 const PITCH: f64 = 1e-5;
 const ROTATION: f64 = 1e-5;
 const INTERNAL: f64 = 0.01;
-/// In Keplerian configuration rays meet the sensor at up to 20 degrees more, and the light that this
-/// costs at the edge is taken for a smaller radius.
+/// Limit in Keplerian configuration. Rays meet the sensor at angles up to 20 degrees larger, and the
+/// light lost at the edge looks like a smaller radius.
 const INTERNAL_KEPLERIAN: f64 = 0.02;
 
 fn white(settings: &Settings, shot: &Shot) -> White {
@@ -42,7 +42,7 @@ fn taken(settings: &Settings) -> (Vec<White>, White) {
     (whites, white(settings, &plan.devignetting))
 }
 
-/// Distances of measured centres to the true ones, and the grid of the true ones.
+/// Errors of the measured centres, and of pitch and rotation against the grid of the true centres.
 pub fn compare(settings: &Settings, array: &ArrayMeasurement) -> (f64, f64, f64) {
     let truth = settings.tracer(settings.board_f_number()).unwrap().centers();
     let truth: Vec<MicroImageCenter> = truth.iter().map(|t| t.center).collect();
@@ -62,8 +62,8 @@ fn assert_right(name: &str, settings: &Settings, result: &Precalibration) {
     let (rms, pitch, rotation) = compare(settings, &result.array);
     println!("{name}: centres {rms:.4} px RMS, pitch {pitch:+.1e}, rotation {rotation:+.1e} rad");
     assert!(rms < CENTERS_PX, "{name}: {rms} px");
-    // What is not symmetric about a centre tells how far off it may be; grids of pixels and what is
-    // left of shading add to it.
+    // The standard deviation of a centre follows from the asymmetry about it; sampling by pixels and
+    // residual vignetting add to the error.
     let std_devs = || result.array.centers.iter().filter_map(|c| c.std_dev_px);
     let square = std_devs().map(|s| s * s).sum::<f64>() / std_devs().count() as f64;
     let ratio = rms / (2.0 * square).sqrt();
@@ -98,7 +98,7 @@ fn an_r12_is_measured_from_its_white_images() {
     assert_right("r12-a", &settings, &result);
 }
 
-/// With a reference and without, where the widest white image serves.
+/// With a reference and without, when the white image at the widest aperture is used.
 fn assert_measured(name: &str, replaced: &[&str]) {
     let settings = preset(name, replaced);
     let (whites, reference) = taken(&settings);
@@ -141,7 +141,7 @@ static SMALL: LazyLock<Small> = LazyLock::new(|| {
 });
 
 impl Small {
-    /// The white images with other f-numbers.
+    /// The white images with other stated f-numbers.
     fn at(&self, f_numbers: [f64; 3]) -> [White; 3] {
         std::array::from_fn(|i| White { f_number: f_numbers[i], ..self.whites[i].clone() })
     }
@@ -150,30 +150,30 @@ impl Small {
         precalibrate(whites, None, &options(&self.settings), &|| ())
     }
 
-    fn is_refused(&self, whites: &[White], words: &str) {
+    fn is_rejected(&self, whites: &[White], words: &str) {
         let error = self.precalibrate(whites).unwrap_err().to_string();
         assert!(error.contains(words), "{error}");
     }
 }
 
 #[test]
-fn fewer_than_two_f_numbers_are_refused() {
+fn fewer_than_two_f_numbers_are_rejected() {
     let small = &*SMALL;
-    small.is_refused(&[], "0 f-number(s)");
-    small.is_refused(&small.whites[..1], "1 f-number(s)");
-    small.is_refused(&small.at([4.0, 4.0, 16.0])[..2], "1 f-number(s)");
+    small.is_rejected(&[], "0 f-number(s)");
+    small.is_rejected(&small.whites[..1], "1 f-number(s)");
+    small.is_rejected(&small.at([4.0, 4.0, 16.0])[..2], "1 f-number(s)");
 }
 
 #[test]
-fn f_numbers_that_are_wrong_are_refused() {
+fn f_numbers_that_are_wrong_are_rejected() {
     let small = &*SMALL;
-    small.is_refused(&small.at([4.0, -8.0, 16.0])[..2], "the f-number of f/8.00 is -8");
+    small.is_rejected(&small.at([4.0, -8.0, 16.0])[..2], "the f-number of f/8.00 is -8");
     let [first, _, last] = small.at([16.0, 8.0, 4.0]);
-    small.is_refused(&[first, last], "micro-images do not grow as the f-number falls");
+    small.is_rejected(&[first, last], "micro-images do not grow as the f-number falls");
 }
 
 #[test]
-fn white_images_of_another_camera_are_refused() {
+fn white_images_of_another_camera_are_rejected() {
     let small = &*SMALL;
     let [first, second, _] = small.whites.clone();
     let image = RawImage {
@@ -183,23 +183,23 @@ fn white_images_of_another_camera_are_refused() {
         ..second.image.clone()
     };
     let tiny = White { image, ..second };
-    small.is_refused(&[first.clone(), tiny], "all white images have to be of one camera");
+    small.is_rejected(&[first.clone(), tiny], "all white images have to be of one camera");
     let other = preset("mini", &["rays=8", "camera.micro_lens_array.pitch_mm=0.12"]);
     let shot = DataSet::plan(&other, None).unwrap().whites[2];
-    small.is_refused(&[first, white(&other, &shot)], "they are of different cameras");
+    small.is_rejected(&[first, white(&other, &shot)], "they are of different cameras");
 }
 
 #[test]
-fn a_white_image_that_is_black_is_refused() {
+fn a_white_image_that_is_black_is_rejected() {
     let small = &*SMALL;
     let [first, second, _] = small.whites.clone();
     let samples = Samples::Bits8(vec![0; 750_000]);
     let black = White { image: RawImage { samples, ..second.image.clone() }, ..second };
-    small.is_refused(&[first, black], "f/8.00: no micro-images show where f/4.00");
+    small.is_rejected(&[first, black], "f/8.00: no micro-images show where f/4.00");
 }
 
 #[test]
-fn a_stated_size_that_does_not_show_is_refused() {
+fn a_stated_size_that_is_not_visible_is_rejected() {
     let Small { settings, whites } = &*SMALL;
     let stated = PrecalibrationOptions { array_size: Some((60, 37)), ..options(settings) };
     let error = precalibrate(whites, None, &stated, &|| ()).unwrap_err().to_string();
@@ -207,7 +207,7 @@ fn a_stated_size_that_does_not_show_is_refused() {
 }
 
 #[test]
-fn one_wrong_f_number_among_three_is_a_warning() {
+fn one_wrong_f_number_among_three_gives_a_warning() {
     let small = &*SMALL;
     let result = small.precalibrate(&small.at([4.0, 5.66, 16.0])).unwrap();
     assert_eq!(result.warnings.len(), 1, "{:?}", result.warnings);
@@ -215,25 +215,25 @@ fn one_wrong_f_number_among_three_is_a_warning() {
 }
 
 #[test]
-fn a_datasheet_that_contradicts_the_images_is_refused() {
+fn a_datasheet_that_contradicts_the_images_is_rejected() {
     let small = &*SMALL;
     let result = small.precalibrate(&small.whites).unwrap();
     let sheet = || small.settings.datasheet();
     result.check_stated(&sheet()).unwrap();
-    let refused = |sheet: &Datasheet| result.check_stated(sheet).unwrap_err().to_string();
+    let rejected = |sheet: &Datasheet| result.check_stated(sheet).unwrap_err().to_string();
     let orthogonal = Datasheet { lattice_kind: LatticeKind::Orthogonal, ..sheet() };
-    assert!(refused(&orthogonal).contains("'orthogonal'"));
+    assert!(rejected(&orthogonal).contains("'orthogonal'"));
     let pitch = Datasheet { micro_image_pitch_px: Some(23.5), ..sheet() };
-    assert!(refused(&pitch).contains("23.5000 px"));
+    assert!(rejected(&pitch).contains("23.5000 px"));
     for (types, fits) in [(0, true), (1, false), (3, true)] {
         let sheet = Datasheet { lens_types: types, ..sheet() };
         assert_eq!(result.check_stated(&sheet).is_ok(), fits, "{types} lens types stated");
     }
 }
 
-/// The paper's estimator, as it is known to be: short on linear images.
+/// The paper's estimator is known to give too small values on linear images.
 #[test]
-fn the_second_moments_of_the_paper_are_short_on_linear_images() {
+fn the_second_moments_of_the_paper_are_too_small_on_linear_images() {
     let settings = preset("mini", &["rays=16", "white_images.f_numbers=[4.0, 8.0, 16.0]"]);
     let (whites, _) = taken(&settings);
     let moments =

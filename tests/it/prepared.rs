@@ -1,5 +1,5 @@
-//! Results that take long to make and that several tests start from: made once, kept in memory, and
-//! written out anew for every test.
+//! Results that take long to make and are shared by several tests: made once, kept in memory, and
+//! written anew for every test.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ impl Files {
         Self(files)
     }
 
-    /// A folder with these files that a test may change.
+    /// A folder with copies of these files, which a test may change.
     pub fn copy(&self) -> TempDir {
         let folder = TempDir::new().unwrap();
         for (name, bytes) in &self.0 {
@@ -45,9 +45,9 @@ impl Files {
         &found.unwrap_or_else(|| panic!("there is no {name}")).1
     }
 
-    /// The names of those that differ from other ones of the same names.
+    /// The names of the files that differ from those of the same name in `other`.
     pub fn differing(&self, other: &Self) -> Vec<&Path> {
-        assert!(self.0.iter().map(|f| &f.0).eq(other.0.iter().map(|f| &f.0)), "other names");
+        assert!(self.0.iter().map(|f| &f.0).eq(other.0.iter().map(|f| &f.0)), "the names differ");
         self.0
             .iter()
             .zip(&other.0)

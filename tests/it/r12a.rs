@@ -11,11 +11,11 @@ use plenocal::model::{Board, Observations};
 
 use crate::support::{options, pairs, r12a_folder};
 
-/// The minimum of the CSV files, from `cpp/examples/plain_ceres`, and half a digit.
+/// The minimum with the CSV files, from `cpp/examples/plain_ceres`, and half a unit of its last digit.
 const MINIMUM_CSV: f64 = 7_188.390_898;
-/// With one pitch per axis.
+/// The minimum with one pitch per axis.
 const MINIMUM_CSV_TWO_PITCHES: f64 = 7_156.377_169;
-/// The binary file holds the same observations with more digits, so its minimum is another one.
+/// The binary file has the same observations with more digits, so its minimum differs.
 const MINIMUM_BINARY: f64 = 7_188.690_787;
 const MINIMUM_BINARY_TWO_PITCHES: f64 = 7_156.690_526;
 const HALF_A_DIGIT: f64 = 1e-6;
@@ -78,7 +78,7 @@ fn assert_published_errors(calibration: &Calibration) {
 
 #[test]
 #[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the R12-A files")]
-fn csv_gives_the_known_minimum() {
+fn the_csv_files_give_the_known_minimum() {
     let data = csv();
     assert_eq!(
         (data.observations.features.len(), data.observations.centers.len()),
@@ -108,7 +108,7 @@ fn the_binary_file_gives_the_same_camera() {
 
 #[test]
 #[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the R12-A files")]
-fn the_start_is_that_of_table_1() {
+fn the_initial_values_are_those_of_table_1() {
     let data = csv();
     let calibration = run(&data, &options());
     let mla = &calibration.initial.mla;
@@ -122,13 +122,13 @@ fn the_start_is_that_of_table_1() {
     assert_eq!(format!("{:.3}", grid.pitch_px), "23.312");
 }
 
-/// The valley is long and flat; the same place has to be found from anywhere near.
+/// The valley is long and flat; the same minimum has to be reached from any start nearby.
 #[test]
 #[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the R12-A files")]
 fn a_disturbed_start_ends_at_the_same_minimum() {
     let data = csv();
     let reference = run(&data, &options());
-    // Up and down by 2 to 4 per cent; a shift of the axis for what starts at zero.
+    // Up and down by 2 to 4 per cent; parameters that start at zero are shifted.
     for factors in [[1.03, 0.97, 1.04, 0.98], [0.97, 1.03, 0.96, 1.02]] {
         let mut camera = reference.initial.clone();
         let [f, d, focal, shift] = factors;
@@ -154,8 +154,8 @@ fn a_disturbed_start_ends_at_the_same_minimum() {
     }
 }
 
-/// The published camera, with the poses refitted. It reprojects the centres nearly as well as the
-/// optimum (0.288 px), which shows that the conventions are read as they are meant. Its blur radii
+/// The published camera, with the poses refined. It reprojects the centres nearly as well as the
+/// optimum (0.288 px), which shows that the conventions are interpreted correctly. Its blur radii
 /// are off because COMPOTE computes them with d at one corner of its tilted array.
 #[test]
 #[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the R12-A files")]
@@ -186,7 +186,7 @@ fn the_published_camera_reprojects_centres_and_corners() {
     }
 }
 
-/// Noury et al. 2017: neither blur radii nor focal lengths of micro-lenses.
+/// Noury et al. 2017: no blur radii and no focal lengths of micro-lenses.
 #[test]
 #[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the R12-A files")]
 fn corners_only_gives_a_camera_near_the_full_one() {

@@ -1,4 +1,4 @@
-//! Known truth comes back.
+//! A calibration recovers the known truth.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use plenocal::calibration::{CalibrationOptions, Mode, Start, initial_poses};
@@ -10,18 +10,18 @@ use crate::support::{
     true_camera, true_poses,
 };
 
-/// Noise-free recovery is limited by rounding of the projections (1e-13 px) times the condition of
-/// the weakest parameters.
+/// Noise-free recovery is limited by the rounding errors of the projections (1e-13 px) times the
+/// condition of the weakest parameters.
 const NOISE_FREE: f64 = 1e-8;
-/// A normal variable is further out than this once in 16 000 draws; some 70 are looked at.
+/// A normal variable exceeds this once in 16 000 draws; about 70 are tested.
 const FOUR_SIGMA: f64 = 4.0;
-/// With 10⁴ observations the measured noise is known to a per cent.
+/// With 10⁴ observations the measured noise is accurate to one per cent.
 const NOISE_AGREEMENT: f64 = 0.1;
 
 const NOISE: Noise = Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 };
 
 #[test]
-fn without_noise_the_truth_comes_back_from_the_datasheet() {
+fn without_noise_the_truth_is_recovered_from_the_datasheet() {
     let truth = true_camera();
     let calibration = run(&datasheet_start(), &drawn(&truth, &NO_NOISE, 0), &options());
     assert!(calibration.converged);
@@ -77,7 +77,7 @@ fn with_noise_the_truth_lies_within_the_predicted_uncertainty() {
 }
 
 #[test]
-fn two_pitches_are_told_apart() {
+fn two_pitches_are_recovered() {
     let mut truth = true_camera();
     truth.mla.pitch_ratio = 1.0004;
     let mut options = options();
@@ -97,7 +97,7 @@ fn a_robust_loss_withstands_gross_errors() {
         feature.u_px += 12.0;
         feature.v_px -= 6.0;
     }
-    // Sharp weights, so that the scale of the loss means what it says.
+    // Weights that match the noise, so that the scale of the loss is in standard deviations.
     let weighted = |kind: LossKind| {
         let mut options = options();
         options.cost.uv_std_dev_px = NOISE.uv_px;
@@ -106,7 +106,7 @@ fn a_robust_loss_withstands_gross_errors() {
         options.cost.loss = Loss { kind, scale: 2.0 };
         options
     };
-    // Distance from the truth in units of what the clean data allow.
+    // Distance from the truth relative to the uncertainty with clean data.
     let clean = run(&datasheet_start(), &drawn(&truth, &NOISE, 7), &weighted(LossKind::None));
     let std_devs = clean.uncertainty.intrinsic_std_devs(3);
     let distance = |options: &CalibrationOptions| {
@@ -125,9 +125,10 @@ fn a_robust_loss_withstands_gross_errors() {
     }
 }
 
-/// A 50 mm lens sees boards of 24 mm so narrowly that `solvePnP` takes some for their mirror images; parallax and blur have to put that right.
+/// A 50 mm lens sees boards of 24 mm in so narrow a field of view that `solvePnP` mistakes some for
+/// their mirror images; parallax and blur have to correct that.
 #[test]
-fn boards_in_a_narrow_field_of_view_do_not_lean_the_wrong_way() {
+fn boards_in_a_narrow_field_of_view_are_not_tilted_the_wrong_way() {
     let mut camera = true_camera();
     camera.main_lens.focal_length_mm = 50.4;
     camera.main_lens.radial = [2.0e-4, -3.0e-6, 4.0e-8];
@@ -159,25 +160,25 @@ fn boards_in_a_narrow_field_of_view_do_not_lean_the_wrong_way() {
         let first = initial_poses(&camera, &board(), &seen).unwrap()[0];
         first.rotation.angle_to(&pose.camera_from_board.rotation) > 0.3
     });
-    assert!(mirrored.count() >= 1, "PnP alone is wrong, or this test says nothing");
+    assert!(mirrored.count() >= 1, "PnP alone has to be wrong, or this test shows nothing");
 
     let mut options = options();
     options.mode = Mode::PosesOnly;
     let calibration = run(&Start::Camera(camera), &observations, &options);
     for (found, truth) in calibration.poses.iter().zip(&poses) {
         let angle = found.camera_from_board.rotation.angle_to(&truth.camera_from_board.rotation);
-        // Noise alone turns a board by a thousandth; its mirror image is half a radian off.
+        // Noise alone rotates a board by a milliradian; its mirror image is half a radian off.
         assert!(angle < 0.02, "frame {}: {angle} rad", truth.frame);
     }
 }
 
-/// The predicted covariance against what repeated experiments scatter by.
+/// The predicted covariance against the scatter of repeated experiments.
 #[test]
 #[ignore = "slow: 200 calibrations; run by `make test-slow`"]
 fn the_covariance_agrees_with_monte_carlo() {
     const RUNS: u32 = 200;
-    /// Standard error of a standard deviation from so many runs is 1/√(2·200) = 5 %; four of them,
-    /// since 19 are looked at.
+    /// The standard error of a standard deviation from 200 runs is 1/√(2·200) = 5 %; the limit is four
+    /// of them, since 19 are tested.
     const AGREEMENT: f64 = 0.2;
 
     let truth = true_camera();

@@ -1,4 +1,4 @@
-//! Pictures and the page of a report.
+//! Figures and the page of a report.
 
 use std::collections::HashSet;
 use std::process::Command;
@@ -16,17 +16,17 @@ use crate::support::{
     NO_NOISE, board, datasheet_start, drawn, options, run, shipped_observations, true_camera,
 };
 
-/// A page with ten such pictures still opens at once, bytes.
+/// Largest size of a figure, bytes: a page with ten such figures still opens at once.
 const LARGEST_SVG: usize = 300_000;
 
-/// That of the shipped feature set.
+/// The calibration of the shipped feature set.
 fn shipped() -> Calibration {
     static SHIPPED: LazyLock<Calibration> =
         LazyLock::new(|| run(&datasheet_start(), &shipped_observations(), &options()));
     SHIPPED.clone()
 }
 
-/// Those of the calibration, and of its array.
+/// The figures of the calibration, and that of its array.
 fn figures_of(calibration: &Calibration, board: &Board) -> Vec<Figure> {
     let mut figures = calibration_figures(calibration, board).unwrap();
     if let Some(grid) = &calibration.grid {
@@ -41,7 +41,7 @@ fn names(figures: &[Figure]) -> Vec<&str> {
     figures.iter().map(|figure| figure.name.as_str()).collect()
 }
 
-/// Well-formed, with marks, and with numbers only where numbers belong.
+/// Checks that a figure is well-formed, has marks, and has only numbers where numbers belong.
 fn check(figure: &Figure) {
     let name = &figure.name;
     let document = Document::parse(&figure.svg).unwrap_or_else(|e| panic!("{name}: {e}"));
@@ -51,7 +51,7 @@ fn check(figure: &Figure) {
             "path" | "rect" | "circle" | "line" | "polyline" | "polygon"
         )
     });
-    // Paper and axes are a few themselves.
+    // Background and axes are a few marks themselves.
     assert!(marks.count() > 5, "{name} is empty");
     for node in document.descendants() {
         for attribute in node.attributes() {
@@ -96,7 +96,7 @@ fn report(figures: Vec<Figure>) -> HtmlReport {
 }
 
 #[test]
-fn a_calibration_gives_all_pictures() {
+fn a_calibration_gives_all_figures() {
     let figures = figures_of(&shipped(), &board());
     assert_eq!(
         names(&figures),
@@ -116,7 +116,7 @@ fn a_calibration_gives_all_pictures() {
 }
 
 #[test]
-fn the_page_holds_all_pictures_and_its_references_have_targets() {
+fn the_page_has_all_figures_and_its_references_have_targets() {
     let figures = figures_of(&shipped(), &board());
     let count = figures.len();
     let html = report(figures).to_html();
@@ -146,7 +146,7 @@ fn corners_alone_have_no_lens_types_and_no_blur() {
 }
 
 #[test]
-fn what_there_is_nothing_to_show_of_is_left_out() {
+fn figures_with_nothing_to_show_are_left_out() {
     let mut truth = true_camera();
     truth.main_lens.radial = [0.0; 3];
     truth.main_lens.tangential = [0.0; 2];
@@ -156,7 +156,7 @@ fn what_there_is_nothing_to_show_of_is_left_out() {
     options.mode = Mode::PosesOnly;
     let calibration = run(&Start::Camera(truth), &observations, &options);
     let figures = figures_of(&calibration, &board());
-    // Without centres, free intrinsics and distortion; residuals are rounding only.
+    // Without centres, free intrinsics and distortion; residuals are rounding errors only.
     assert_eq!(
         names(&figures),
         [
@@ -193,7 +193,7 @@ fn a_single_residual_of_any_size_can_be_shown() {
 }
 
 #[test]
-fn without_results_there_is_only_the_distortion_to_show() {
+fn without_observations_only_the_distortion_is_shown() {
     let mut calibration = shipped();
     calibration.reprojection = Reprojection::default();
     calibration.refinement.iterations.clear();
@@ -211,7 +211,7 @@ fn many_features_are_shown_by_their_means() {
         features.extend_from_within(..);
     }
     let (count, board) = (features.len(), board());
-    // More frames than there is room for their numbers.
+    // More frames than numbers that fit.
     let poses = calibration.poses.clone();
     calibration.poses.extend((100..200).map(|frame| {
         let mut pose = poses[frame as usize % poses.len()];
@@ -224,7 +224,7 @@ fn many_features_are_shown_by_their_means() {
     assert!(figures[0].svg.len() < LARGEST_SVG / 3);
 }
 
-/// Collects what fails from the start on, and at the end what became of the pictures.
+/// Collects all failures from the start, and the state of the figures at the end.
 const WATCH: &str = "<script>var failures = [];
 addEventListener('error', e => failures.push(e.message || e.target.tagName), true);</script>";
 const MEASURE: &str = "<script>addEventListener('load', () => {
@@ -249,7 +249,7 @@ fn left_behind<'a>(dom: &'a str, name: &str) -> &'a str {
 
 #[test]
 #[cfg_attr(not(plenocal_chromium), ignore = "set PLENOCAL_CHROMIUM to a Chromium browser")]
-fn a_browser_shows_all_pictures() {
+fn a_browser_shows_all_figures() {
     let browser = std::env::var_os("PLENOCAL_CHROMIUM").expect("PLENOCAL_CHROMIUM is set");
     let figures = figures_of(&shipped(), &board());
     let count = figures.len();

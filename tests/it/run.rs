@@ -1,6 +1,7 @@
-//! `plenocal run`: from images to a report, and what goes wrong on the way.
+//! `plenocal run`: from images to a report, with bad input too.
 //!
-//! The tests start from copies of one run: a small simulated set in `set`, its results in `results`.
+//! The tests start from copies of one run: a small simulated data set in `set`, its results in
+//! `results`.
 
 use std::fs;
 #[cfg(unix)]
@@ -18,7 +19,7 @@ use tempfile::TempDir;
 use crate::prepared::Files;
 use crate::support::plenocal;
 
-/// What the issue of a calibrator's makers asks for on ideal images; the paper has 3.33 % on real ones.
+/// Largest error of a displacement on ideal images; the paper has 3.33 % on real ones.
 const TRANSLATION: f64 = 0.005;
 
 /// The files of a run with three folds, and what it printed.
@@ -73,7 +74,7 @@ impl Run {
         program.arg("--out").arg(self.path("results")).args(options).assert()
     }
 
-    /// A single command on the results, with its own results in a folder of its name.
+    /// Runs a single command on the results; its own results go into a folder of its name.
     fn single(&self, command: &str, options: &[&str]) -> Assert {
         let mut program = plenocal();
         program.arg(command).arg(self.path("set/project.toml"));
@@ -91,11 +92,11 @@ impl Run {
     fn edit(&self, name: &str, edit: impl FnOnce(&str) -> String) {
         let text = fs::read_to_string(self.path(name)).unwrap();
         let edited = edit(&text);
-        assert_ne!(text, edited, "the edit does something");
+        assert_ne!(text, edited, "the edit changes the file");
         fs::write(self.path(name), edited).unwrap();
     }
 
-    /// Replaces the images of the evaluation by files that are none.
+    /// Replaces the images of the evaluation by files that are not images.
     fn spoil_evaluation(&self) {
         for frame in ["00", "01"] {
             let image = self.path(&format!("set/evaluation/evaluation-{frame}.png"));
@@ -150,7 +151,7 @@ fn the_cameras_of_a_run_agree_with_the_truth() {
 }
 
 #[test]
-fn the_report_of_a_run_holds_all_stages_and_nothing_from_elsewhere() {
+fn the_report_of_a_run_has_all_stages_and_no_external_references() {
     let report = Run::copy().report();
     for words in ["Pre-calibration", "Boards: calibration", "Boards: translation", "Evaluation"] {
         assert!(report.contains(words), "{words}");
@@ -168,7 +169,7 @@ fn an_unchanged_run_does_nothing_and_writes_only_the_report() {
             .stderr(contains("evaluation: unchanged").and(contains(" s\n").not()));
         Files::read(run.folder.path())
     };
-    // The first time it takes note of its new place.
+    // The first time it records its new folder.
     let (before, after) = (again(), again());
     let differing = after.differing(&before);
     assert!(
@@ -177,7 +178,7 @@ fn an_unchanged_run_does_nothing_and_writes_only_the_report() {
     );
 }
 
-/// Built from other sources it may compute something else, though its version is the same.
+/// A program built from other sources may give other results, though its version is the same.
 #[test]
 #[cfg(unix)]
 fn another_build_of_the_program_repeats_the_stages() {
@@ -185,7 +186,7 @@ fn another_build_of_the_program_repeats_the_stages() {
     run.again(&["--folds", "3"]).success().stderr(contains("calibration: unchanged"));
     let other = run.path("plenocal");
     let mut program = fs::read(assert_cmd::cargo::cargo_bin("plenocal")).unwrap();
-    // What follows an executable is not part of it.
+    // Bytes after the end of an executable do not change what it does.
     program.extend(b"other");
     fs::write(&other, program).unwrap();
     fs::set_permissions(&other, fs::Permissions::from_mode(0o755)).unwrap();
@@ -195,7 +196,7 @@ fn another_build_of_the_program_repeats_the_stages() {
 }
 
 #[test]
-fn a_missing_result_is_made_again_and_what_follows_stays() {
+fn a_missing_result_is_made_again_and_later_stages_are_kept() {
     let run = Run::copy();
     fs::remove_file(run.path("results/boards-evaluation/features.csv")).unwrap();
     run.again(&["--folds", "3"]).success().stderr(
@@ -218,13 +219,13 @@ fn another_option_repeats_only_what_depends_on_it() {
 }
 
 #[test]
-fn a_single_fold_is_refused() {
+fn a_single_fold_is_rejected() {
     Run::copy().again(&["--folds", "1"]).code(1).stderr(contains("one fold leaves nothing"));
 }
 
-/// What the comparison and the folds cannot take over of the options does not stop the run.
+/// Options that do not fit the comparison or the folds do not stop the run.
 #[test]
-fn fixed_parameters_and_excluded_frames_go_with_the_folds() {
+fn folds_work_with_fixed_parameters_and_excluded_frames() {
     let run = Run::copy();
     let options = "\n[calibration]\nfix = [\"f_1\"]\nexclude_frames = [5]\n";
     run.edit("set/project.toml", |text| format!("{text}{options}"));
@@ -235,7 +236,7 @@ fn fixed_parameters_and_excluded_frames_go_with_the_folds() {
 }
 
 #[test]
-fn the_truth_of_another_camera_is_a_warning() {
+fn the_truth_of_another_camera_gives_a_warning() {
     let run = Run::copy();
     run.edit("set/truth/camera.json", |text| text.replace("\"columns\": 43", "\"columns\": 42"));
     run.again(&["--folds", "0"])
@@ -258,7 +259,7 @@ fn a_damaged_image_is_left_out_by_name() {
 }
 
 #[test]
-fn a_calibration_needs_no_board_of_the_evaluation() {
+fn a_calibration_does_not_need_the_boards_of_the_evaluation() {
     let run = Run::copy();
     run.spoil_evaluation();
     run.again(&["--folds", "0", "--json"])
@@ -269,7 +270,7 @@ fn a_calibration_needs_no_board_of_the_evaluation() {
 }
 
 #[test]
-fn single_commands_without_a_board_say_so() {
+fn single_commands_without_a_board_are_errors() {
     let run = Run::copy();
     run.spoil_evaluation();
     for command in ["extrinsics", "evaluate"] {
@@ -285,20 +286,20 @@ fn extrinsics_finds_the_poses_of_a_subset() {
 }
 
 #[test]
-fn more_folds_than_frames_are_refused() {
+fn more_folds_than_frames_are_rejected() {
     let run = Run::copy();
     run.evaluate_with_folds("100").code(1).stderr(contains("cannot be divided into 100 folds"));
 }
 
 #[test]
-fn an_unknown_list_of_images_is_refused_by_name() {
+fn an_unknown_list_of_images_is_rejected_by_name() {
     let run = Run::copy();
     run.edit("set/project.toml", |text| text.replace("evaluation = [", "calibration_unused = ["));
     run.single("evaluate", &[]).code(1).stderr(contains("calibration_unused"));
 }
 
 #[test]
-fn an_evaluation_needs_no_images_of_its_own() {
+fn an_evaluation_does_not_need_its_own_images() {
     let run = Run::copy();
     run.edit("set/project.toml", |text| {
         let list = text.find("evaluation = [").unwrap();
@@ -329,10 +330,10 @@ fn the_point_clouds_of_other_software_are_compared() {
 }
 
 #[test]
-fn what_a_project_lacks_is_said_before_the_work() {
+fn missing_parts_of_a_project_are_reported_before_any_stage() {
     let folder = TempDir::new().unwrap();
     let project = folder.path().join("project.toml");
-    let refused = |text: &str, words: &str| {
+    let rejected = |text: &str, words: &str| {
         fs::write(&project, text).unwrap();
         let out = folder.path().join("out");
         let mut program = plenocal();
@@ -340,14 +341,14 @@ fn what_a_project_lacks_is_said_before_the_work() {
         program.assert().code(1).stderr(contains(words));
         assert!(!out.exists());
     };
-    refused("", "there is no camera in it");
+    rejected("", "there is no camera in it");
     let camera = "[sensor]\nwidth_px = 100\nheight_px = 80\npixel_size_mm = 0.005\n\
                   [main_lens]\nfocal_length_mm = 50\nf_number = 4\nfocus_distance_mm = 500\n\
                   [micro_lens_array]\nconfiguration = \"galilean\"\nlattice = \"hexagonal-rows\"\n\
                   columns = 5\nrows = 4\nlens_types = 3\n";
-    refused(camera, "there is no board in it");
+    rejected(camera, "there is no board in it");
     let board = format!("{camera}[board]\ncolumns = 8\nrows = 5\nsquare_mm = 3\n");
-    refused(&board, "it lists no images");
+    rejected(&board, "it lists no images");
     let images = format!("{board}[images]\ncolor = \"grey\"\n");
-    refused(&format!("{images}[calibration]\nmode = \"poses-only\"\n"), "plenocal extrinsics");
+    rejected(&format!("{images}[calibration]\nmode = \"poses-only\"\n"), "plenocal extrinsics");
 }

@@ -75,7 +75,7 @@ fn a_data_set_has_its_truth() {
     }
 }
 
-/// The truth as it is, through its own camera, leaves nothing but what tilt does to the blur.
+/// With the true camera, the true features have no residuals but the effect of tilt on the blur.
 #[test]
 fn the_true_features_of_a_data_set_agree_with_its_true_camera() {
     let set = SET.copy();
@@ -118,7 +118,7 @@ fn another_seed_changes_the_files() {
 }
 
 #[test]
-fn printed_settings_are_the_written_ones() {
+fn printed_settings_are_the_same_as_the_written_ones() {
     let print = simulate(Path::new("unused"), &["--print"]).output().unwrap();
     assert_eq!(SET.get("simulation.toml"), print.stdout);
 }
@@ -141,8 +141,8 @@ fn assert_imaged(settings: [&str; 2], color: image::ColorType) {
     simulate(folder.path(), &set).assert().success();
     let image = image::open(folder.path().join("calibration/calibration-00.png")).unwrap();
     assert_eq!(image.color(), color);
-    // White reflects 0.9 and is exposed to 0.8; green counts most in luma and responds with 1,
-    // red and blue with 0.6 and 0.7. Rays and noise are few.
+    // White reflects 0.9 and is exposed to 0.8; green has the largest weight in luma and responds with
+    // 1, red and blue with 0.6 and 0.7. There are few rays and little noise.
     let brightest = image.to_luma32f().pixels().map(|p| p.0[0]).fold(0.0, f32::max);
     assert!((0.9 * 0.72 * 0.6..1.1 * 0.72).contains(&brightest), "{color:?}: {brightest}");
     let project = Project::read(&folder.path().join("project.toml")).unwrap();
@@ -166,7 +166,7 @@ fn images_have_colours_of_16_bits() {
 }
 
 #[test]
-fn settings_that_cannot_be_simulated_are_refused_in_words() {
+fn settings_that_cannot_be_simulated_are_rejected_by_name() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("set");
     for (set, words) in [
@@ -175,7 +175,7 @@ fn settings_that_cannot_be_simulated_are_refused_in_words() {
         ("camera.sensor.width_px=0", "has no area"),
         ("camera.sensor.width_px=4000000000", "pixels are more than can be simulated"),
         ("camera.micro_lens_array.columns=60000", "micro-lenses are more than can be simulated"),
-        ("boards.calibration=1000000000000", "images of a kind are more than can be simulated"),
+        ("boards.calibration=1000000000000", "images of one kind are more than can be simulated"),
         ("camera.main_lens.q1_per_mm2=-0.1", "the distortion folds the image"),
         ("camera.main_lens.p1_per_mm=1e10", "the distortion folds the image"),
         ("camera.micro_lens_array.mla_to_sensor_mm=0", "the camera's d (mm) is 0"),
@@ -211,7 +211,7 @@ fn settings_that_cannot_be_simulated_are_refused_in_words() {
             "there is no setting 'camera.main_lens.focal_lenth_mm'",
         ),
         ("seed", "'seed' sets nothing; write KEY=VALUE"),
-        ("seed.x=3", "seed is no table"),
+        ("seed.x=3", "seed is not a table"),
         ("seed=many", "invalid type: string \"many\", expected u64"),
         ("seed=1\nrays = 1", "the value of 'seed' has more than one line"),
     ] {
@@ -226,17 +226,17 @@ fn settings_that_cannot_be_simulated_are_refused_in_words() {
     }
 }
 
-fn refused(folder: &Path, arguments: &[&str]) -> assert_cmd::assert::Assert {
+fn rejected(folder: &Path, arguments: &[&str]) -> assert_cmd::assert::Assert {
     let mut command = plenocal();
     command.arg("simulate").args(arguments).arg("--out").arg(folder.join("out"));
     command.assert().code(1).stdout("")
 }
 
 #[test]
-fn bad_files_of_settings_are_refused_in_words() {
+fn bad_simulation_files_are_rejected() {
     let folder = TempDir::new().unwrap();
     let file = folder.path().join("a.toml");
-    let run = || refused(folder.path(), &[file.to_str().unwrap()]);
+    let run = || rejected(folder.path(), &[file.to_str().unwrap()]);
     run().stderr(contains("cannot read").and(contains("a.toml")));
     fs::write(&file, "rays = 3\nseed = ").unwrap();
     run().stderr(contains("a.toml: not a valid simulation file").and(contains("line 2")));
@@ -245,17 +245,17 @@ fn bad_files_of_settings_are_refused_in_words() {
 }
 
 #[test]
-fn bad_files_of_poses_are_refused_in_words() {
+fn bad_files_of_poses_are_rejected() {
     let folder = TempDir::new().unwrap();
     let file = folder.path().join("poses.json");
-    let run = || refused(folder.path(), &["--poses", file.to_str().unwrap()]);
+    let run = || rejected(folder.path(), &["--poses", file.to_str().unwrap()]);
     fs::write(&file, "").unwrap();
     run().stderr(contains("poses.json: the file is empty"));
-    // A board turned round shows its back.
+    // A board turned by 180 degrees shows its back.
     let pose = r#"{"frame": 3, "camera_from_board": {"rotation_vector_rad": [0, 3.14159, 0],
         "translation_mm": [0, 0, 80]}}"#;
     for (poses, words) in [
-        (pose.to_owned(), "calibration frame 3: the board shows its back"),
+        (pose.to_owned(), "calibration frame 3: the camera sees the back of the board"),
         (format!("{pose}, {pose}"), "frame 3 has two poses"),
         (String::new(), "there are no poses"),
     ] {
@@ -266,14 +266,14 @@ fn bad_files_of_poses_are_refused_in_words() {
 }
 
 #[test]
-fn a_data_set_in_the_place_of_a_file_is_refused() {
+fn an_output_folder_that_is_a_file_is_rejected() {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("out"), "in the way").unwrap();
-    refused(folder.path(), &[]).stderr(contains("is a file, but results go into a folder"));
+    rejected(folder.path(), &[]).stderr(contains("is a file, but results go into a folder"));
 }
 
 #[test]
-fn a_simulation_without_a_folder_or_of_no_preset_is_refused() {
+fn a_simulation_without_a_folder_or_with_an_unknown_preset_is_rejected() {
     plenocal().args(["simulate"]).assert().code(2).stderr(contains("--out <DIR>"));
     plenocal()
         .args(["simulate", "--preset", "r13", "--out", "x"])

@@ -1,4 +1,4 @@
-//! The simulation: from traced truth back to the camera, presets, imperfections.
+//! The simulation: calibration from the traced truth, presets, imperfections.
 
 use plenocal::calibration::{Calibration, Start, calibrate};
 use plenocal::image::Image;
@@ -7,10 +7,10 @@ use plenocal::simulation::{DataSet, Imperfections, PRESETS, Scene, SecondStop, S
 
 use crate::support::{options, pairs, preset};
 
-/// A normal variable is further out than this once in 16 000 draws; about a hundred are looked at.
+/// A normal variable exceeds this once in 16 000 draws; about a hundred are tested.
 const FOUR_SIGMA: f64 = 4.0;
 const NOISE_AGREEMENT: f64 = 0.05;
-/// Corners with less light are not looked for.
+/// Corners with less light are left out.
 const HALF_VISIBLE: f64 = 0.5;
 
 fn calibration_poses(settings: &Settings) -> Vec<FramePose> {
@@ -29,7 +29,7 @@ fn calibrated(settings: &Settings) -> Calibration {
         .filter(|f| f.visible >= HALF_VISIBLE)
         .map(|f| source.feature(&f.feature))
         .collect();
-    // Centres right at the border may be pushed out of the image.
+    // Noise may move centres right at the border out of the image.
     let inside = |u: f64, size: u32| (1.0..f64::from(size) - 2.0).contains(&u);
     let sensor = &settings.camera.sensor;
     let centers = tracer
@@ -44,8 +44,8 @@ fn calibrated(settings: &Settings) -> Calibration {
     calibrate(&start, &board, &observations, &options(), &mut |_| true).unwrap()
 }
 
-/// The traced observations know nothing of the model that is fitted to them.
-fn assert_comes_back(name: &str) {
+/// The traced observations do not depend on the model that is fitted to them.
+fn assert_recovered(name: &str) {
     let settings = preset(name, &[]);
     let calibration = calibrated(&settings);
     assert!(calibration.converged, "{name}");
@@ -54,7 +54,7 @@ fn assert_comes_back(name: &str) {
     for ((parameter, value, truth), std_dev) in
         pairs(&calibration.camera, &settings.camera).iter().zip(std_devs)
     {
-        // The pitch ratio is held.
+        // The pitch ratio is fixed.
         let Some(s) = std_dev else { continue };
         let off = (value - truth).abs() / s;
         assert!(off < FOUR_SIGMA, "{name}, {parameter}: {value} ± {s} for {truth}");
@@ -79,29 +79,29 @@ fn assert_comes_back(name: &str) {
 }
 
 #[test]
-fn the_small_camera_comes_back() {
-    assert_comes_back("mini");
+fn the_small_camera_is_recovered() {
+    assert_recovered("mini");
 }
 
-/// A board leans the wrong way at the start, and has to be found out.
+/// The initial tilt of one board has the wrong sign, which has to be detected.
 #[test]
-fn the_keplerian_camera_comes_back() {
-    assert_comes_back("keplerian");
-}
-
-#[test]
-fn the_r12_a_comes_back() {
-    assert_comes_back("r12-a");
+fn the_keplerian_camera_is_recovered() {
+    assert_recovered("keplerian");
 }
 
 #[test]
-fn the_r12_b_comes_back() {
-    assert_comes_back("r12-b");
+fn the_r12_a_is_recovered() {
+    assert_recovered("r12-a");
 }
 
 #[test]
-fn the_r12_c_comes_back() {
-    assert_comes_back("r12-c");
+fn the_r12_b_is_recovered() {
+    assert_recovered("r12-b");
+}
+
+#[test]
+fn the_r12_c_is_recovered() {
+    assert_recovered("r12-c");
 }
 
 #[test]
@@ -151,8 +151,8 @@ fn dead_micro_lenses_give_no_light() {
     assert!((part - 0.9).abs() < 0.01, "a tenth of the micro-lenses is dead: {part}");
 }
 
-/// All light goes through the stop of some micro-lens; the reference goes with its area too where
-/// the stop is the smaller one, as at f/4.
+/// All light passes the opening of some micro-lens. Where this opening is smaller than the projected
+/// pupil, as at f/4, the reference is proportional to its area too.
 #[test]
 fn the_fill_factor_scales_the_light_by_its_square() {
     let scaled = |imperfections: Imperfections| {
@@ -164,7 +164,7 @@ fn the_fill_factor_scales_the_light_by_its_square() {
     assert!((part / 0.64 - 1.0).abs() < 0.02, "0.8² of the light: {part}");
 }
 
-/// Specks of a radius from 1.25 to 5 px cover 34 px on the average, some of them dark before.
+/// Specks with radii from 1.25 to 5 px cover 34 px on average, some of which are dark anyway.
 #[test]
 fn dust_darkens_what_it_covers() {
     let ideal = white(Imperfections::default());
@@ -174,7 +174,7 @@ fn dust_darkens_what_it_covers() {
     assert!(dusty.pixels.iter().zip(&ideal.pixels).all(|(d, i)| d <= &(i + 1e-6)));
 }
 
-/// A rim half way to the array, three quarters of the pupil.
+/// A rim half way to the array, with three quarters of the diameter of the pupil.
 #[test]
 fn a_second_stop_darkens_the_border_and_not_the_middle() {
     let rim = SecondStop { z_mm: -9.0, diameter_mm: 3.0 };
@@ -190,13 +190,13 @@ fn a_second_stop_darkens_the_border_and_not_the_middle() {
     assert!(near(&vignetted, 30, 30) < 0.6 * near(&ideal, 30, 30));
 }
 
-/// Micro-image centres spread from the exit pupil: half way to the array, about the axis and seen
-/// from there, the pitch grows by d (1/(D/2) − 1/D).
+/// Micro-image centres are projected from the exit pupil. If it lies half way to the array, the pitch
+/// grows by d (1/(D/2) − 1/D).
 #[test]
 fn the_exit_pupil_sets_the_pitch_of_the_micro_images() {
     let mla = preset("mini", &[]).camera.mla;
     let (d, lens) = (mla.mla_to_sensor_mm, mla.lens_to_mla_mm);
-    // From one column to another.
+    // The distance between two columns.
     let width = |imperfections: Imperfections| {
         let centers = imperfect(imperfections).tracer(4.0).unwrap().centers();
         let [a, b] = [2, 40].map(|k| {

@@ -65,7 +65,7 @@ pub fn preset(name: &str, replaced: &[&str]) -> Settings {
     Settings::preset(name, &replaced).expect("presets are valid")
 }
 
-/// Observations of the shipped camera and poses with other noise.
+/// Observations of a camera at the shipped poses, with the given noise.
 pub fn drawn(camera: &PlenopticCamera, noise: &Noise, seed: u64) -> Observations {
     synthesize(camera, &board(), &true_poses(), noise, seed).unwrap()
 }

@@ -12,11 +12,11 @@ use crate::support::{
     datasheet_start, options, pairs, plenocal, run, shipped_observations, synthetic_folder,
 };
 
-/// So large that an observation as good as has no weight.
+/// So large that an observation has practically no weight.
 const LARGE_PX: f64 = 1e4;
-/// Estimates with and without the observations that have no weight, relative to their σ.
+/// Limit for the difference of estimates with and without the observations that have no weight, in σ.
 const UNCHANGED: f64 = 1e-3;
-/// Rounding of a few operations.
+/// Rounding error of a few operations.
 const EXACT: f64 = 1e-9;
 
 fn with_std_devs(mut observations: Observations, uv_px: f64, rho_px: f64) -> Observations {
@@ -30,7 +30,7 @@ fn with_std_devs(mut observations: Observations, uv_px: f64, rho_px: f64) -> Obs
     observations
 }
 
-/// One in ten is far off, and says so.
+/// Moves every tenth observation far off and gives it a large standard deviation.
 fn spoil(observations: &mut Observations) {
     for f in observations.features.iter_mut().step_by(10) {
         f.u_px += 5.0;
@@ -49,7 +49,7 @@ fn files_keep_the_standard_deviations() {
     let folder = TempDir::new().unwrap();
     let (features, centers) = (folder.path().join("f.csv"), folder.path().join("c.csv"));
     let mut written = with_std_devs(shipped_observations(), 0.25, 0.0625);
-    // Some have none.
+    // Some features have none.
     written.features[3] =
         BapFeature { std_dev_px: None, rho_std_dev_px: None, ..written.features[3] };
     written.centers[5].std_dev_px = None;
@@ -73,7 +73,7 @@ fn observations_with_a_large_standard_deviation_have_no_weight() {
     without.features.retain(|_| index.next().unwrap() % 10 != 0);
     let mut index = 0..;
     without.centers.retain(|_| index.next().unwrap() % 10 != 0);
-    // Their number does count: those of a corner share one measurement of ρ.
+    // Their number does matter: the features of a corner share one measurement of ρ.
     for f in spoiled.features.iter_mut().chain(&mut without.features) {
         f.rho_std_dev_px = f.rho_std_dev_px.map(|_| LARGE_PX);
     }
@@ -113,7 +113,7 @@ fn features_of_a_corner_share_one_measurement_of_the_blur_radius() {
     let mut observations = shipped_observations();
     observations.features.iter_mut().for_each(|f| f.rho_std_dev_px = Some(0.1));
     let mut shared = options();
-    // Nothing else weighs.
+    // Nothing else has weight.
     shared.cost.uv_std_dev_px = LARGE_PX;
     shared.cost.centers_std_dev_px = LARGE_PX;
     shared.solver.max_iterations = 1;

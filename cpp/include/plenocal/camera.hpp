@@ -15,16 +15,16 @@
 
 namespace plenocal {
 
-/// A vector of space, or a point by its coordinates. T is double, or a ceres::Jet when derivatives
-/// are wanted; likewise below.
+/// A vector in space, or a point by its coordinates. T is double, or a ceres::Jet for derivatives;
+/// likewise below.
 template <typename T>
 struct Vector3 {
   T x, y, z;
 };
 
 /// How the micro-lenses are packed: on a square lattice, or on a hexagonal one with straight rows
-/// or straight columns, where every other row (column) is shifted by +1/2 pitch. Even and odd name
-/// the indices of the shifted ones.
+/// or straight columns, where every other row (column) is shifted by +1/2 pitch. Even and odd are
+/// the indices of the shifted rows (columns).
 enum class Packing {
   kOrthogonal,            ///< square; nothing is shifted
   kHexagonalRowsEven,     ///< rows 0, 2, 4 ... are shifted along u
@@ -39,8 +39,8 @@ struct Node {
   double y;
 };
 
-/// The micro-lens array as a lattice of indices: micro-lens and micro-image (k, l) belong together,
-/// k grows with u and l with v.
+/// The micro-lens array as a lattice of indices: micro-lens (k, l) forms micro-image (k, l); k
+/// grows with u and l with v.
 struct Lattice {
   Packing packing = Packing::kOrthogonal;
   int columns = 0;  ///< number of micro-lenses along k
@@ -60,8 +60,8 @@ struct Lattice {
     const double kRowDistance = std::sqrt(3.0) / 2.0;
     const auto centred = [](int index, int count) { return index - (count - 1) / 2.0; };
     const auto shift = [this](int row) { return (row & 1) == shifted_parity() ? 0.5 : 0.0; };
-    // Along the straight rows, of which there are `across`: shifted and unshifted ones together
-    // reach half a pitch further.
+    // Along the straight rows, of which there are `across`: together, shifted and unshifted rows
+    // extend half a pitch further.
     const auto staggered = [&](int index, int count, int row, int across) {
       return centred(index, count) + shift(row) - (across > 1 ? 0.25 : shift(0));
     };
@@ -75,9 +75,9 @@ struct Lattice {
   }
 
   /// Index of the lens type of (k, l), from 0. With fewer than three types, or on a square lattice,
-  /// all are of type 0; three types follow the unique 3-colouring of the hexagonal lattice,
-  /// numbered so that micro-lens (0, 0) is of type 0 and its successor along the straight rows
-  /// (columns) of type 1.
+  /// all have type 0. Three types follow the unique 3-colouring of the hexagonal lattice, numbered
+  /// so that micro-lens (0, 0) has type 0 and the next one along the straight rows (columns)
+  /// type 1.
   int lens_type(int k, int l, int types) const {
     if (types < 3 || packing == Packing::kOrthogonal) return 0;
     const int along = has_straight_rows() ? k : l;
@@ -86,7 +86,7 @@ struct Lattice {
   }
 
  private:
-  // Of the shifted rows (columns).
+  // Parity of the shifted rows (columns).
   int shifted_parity() const {
     return packing == Packing::kHexagonalRowsEven || packing == Packing::kHexagonalColumnsEven ? 0
                                                                                                : 1;
@@ -191,8 +191,8 @@ constexpr int kMaxMicroLenses = 1 << 16;
 constexpr int kMaxLensTypes = 3;
 
 /// Calls f(name, parameter) for every intrinsic parameter of a `Camera` or `const Camera`: main
-/// lens, array, focal lengths. Wherever parameters are counted, this is the order. The name is a
-/// std::string or becomes one.
+/// lens, array, focal lengths. Indices of parameters always refer to this order. The name is a
+/// std::string or converts to one.
 template <typename AnyCamera, typename F>
 void for_each_parameter(AnyCamera& camera, F&& f) {
   MainLens<double>::visit(camera.main_lens, f);
@@ -213,8 +213,8 @@ inline std::vector<std::string> intrinsic_names(int lens_types) {
   return names;
 }
 
-/// Throws std::invalid_argument with the offending value unless the camera is one the model is
-/// defined for: sizes positive, everything finite, the number of lens types possible.
+/// Throws std::invalid_argument with the offending value unless the model is defined for the
+/// camera: sizes positive, everything finite, the number of lens types supported.
 void validate(const Camera& camera);
 
 }  // namespace plenocal

@@ -1,8 +1,8 @@
 // The forward model: board point -> BAP feature (u, v, rho), and micro-lens -> micro-image centre.
 //
-// This header is the only projection model of the library. It is a template so that the same code
-// gives values (T = double) and derivatives (T = ceres::Jet). Equation names are those of the paper
-// "Blur Aware Calibration of Multi-Focus Plenoptic Camera" (CVPR 2020).
+// This header is the only projection model of the library. It consists of templates, so that the
+// same code gives values (T = double) and derivatives (T = ceres::Jet). Equation names are those of
+// the paper "Blur Aware Calibration of Multi-Focus Plenoptic Camera" (CVPR 2020).
 #pragma once
 
 #include <ceres/rotation.h>
@@ -13,20 +13,20 @@
 
 namespace plenocal {
 
-/// A vector of the plane z = const of the camera frame, mm.
+/// A vector in a plane z = const of the camera frame, mm.
 template <typename T>
 struct Vector2 {
   T x, y;
 };
 
-/// A point of the raw image, px.
+/// A point in the raw image, px.
 template <typename T>
 struct Pixel {
   T u, v;
 };
 
-/// A blur aware plenoptic feature: position and signed blur radius, px. rho is not a number where
-/// there is none, for an array of pinholes.
+/// A blur aware plenoptic feature: position and signed blur radius, px. rho is not a number for an
+/// array of pinholes, which has no blur.
 template <typename T>
 struct Feature {
   T u, v, rho;
@@ -48,14 +48,14 @@ inline Pose pose_from_block(const std::array<double, Pose::kSize>& b) {
   return {{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
 }
 
-/// The motion of a pose block, its rotation matrix computed once for many points.
+/// The rigid transform of a pose block, with the rotation matrix computed once for many points.
 template <typename T>
 class Motion {
  public:
   explicit Motion(const T* block) : translation_{block[3], block[4], block[5]} {
     ceres::AngleAxisToRotationMatrix(block, ceres::RowMajorAdapter3x3(rotation_));
   }
-  /// A point of the board in the camera frame, mm.
+  /// Transforms a point of the board into the camera frame, mm.
   Vector3<T> operator()(const Vector3<double>& p) const {
     const auto row = [&](int i) {
       return rotation_[3 * i] * p.x + rotation_[3 * i + 1] * p.y + rotation_[3 * i + 2] * p.z +
@@ -69,7 +69,7 @@ class Motion {
   T translation_[3];
 };
 
-/// By how much distortion moves the ideal image point (x, y), all in mm of the camera frame (Brown-
+/// How far distortion moves the ideal image point (x, y), all in mm in the camera frame (Brown-
 /// Conrady; paper, section 2.1).
 template <typename T>
 Vector2<T> distortion(const MainLens<T>& lens, const T& x, const T& y) {
@@ -82,8 +82,8 @@ Vector2<T> distortion(const MainLens<T>& lens, const T& x, const T& y) {
           y * radial + t[1] * (r2 + 2.0 * y * y) + t[0] * xy};
 }
 
-/// p': image of a point of the camera frame through the main lens, K(F) and the distortion of
-/// Eq. (completemodel). False when the point is not beyond the focal plane.
+/// p': image of a point in the camera frame through the main lens, K(F) and the distortion of
+/// Eq. (completemodel). False if the point is not beyond the focal plane.
 template <typename T>
 bool main_lens_image(const MainLens<T>& lens, const Vector3<T>& point, Vector3<T>* image) {
   const T beyond_focus = point.z - lens.focal_length;
@@ -96,8 +96,8 @@ bool main_lens_image(const MainLens<T>& lens, const Vector3<T>& point, Vector3<T
   return true;
 }
 
-/// The geometry of micro-lenses and sensor, without the main lens; everything that does not depend
-/// on the observation is computed once.
+/// The geometry of micro-lenses and sensor, without the main lens. What does not depend on the
+/// observation is computed once.
 template <typename T>
 class ArrayOptics {
  public:
@@ -105,8 +105,8 @@ class ArrayOptics {
       : mla_(mla),
         pixels_per_mm_(1.0 / pixel_size),
         sensor_z_(-(mla.lens_to_mla + mla.mla_to_sensor)) {
-    // Half a micro-lens in pixels. The diameter of a micro-lens is taken to be the distance between
-    // neighbours (paper, section 2.1); where the two pitches differ, their geometric mean.
+    // Radius of a micro-lens in pixels. Its diameter is taken to be the distance between neighbours
+    // (paper, section 2.1); if the two pitches differ, their geometric mean.
     using std::sqrt;
     half_diameter_px_ = mla.pitch * sqrt(mla.pitch_ratio) * (0.5 * pixels_per_mm_);
     set_array_axes();
@@ -121,7 +121,7 @@ class ArrayOptics {
   }
 
   /// (u, v) and `scale` = -delta/a: where the straight ray from p' through C meets the sensor
-  /// plane. False when p' lies in the plane of the micro-lens.
+  /// plane. False if p' lies in the plane of the micro-lens.
   bool through_micro_lens(const Vector3<T>& image, const Vector3<T>& center, Pixel<T>* pixel,
                           T* scale) const {
     const T a = image.z - center.z;
@@ -171,7 +171,7 @@ class ArrayOptics {
   Vector3<T> axis_y_;
 };
 
-/// All the optics between object space and sensor.
+/// The optics between object space and sensor.
 template <typename T>
 struct Optics {
   MainLens<T> main_lens;
@@ -179,7 +179,8 @@ struct Optics {
   T inverse_focal_lengths[kMaxLensTypes]{};  ///< 1/f of every lens type, mm^-1
   bool has_blur;                             ///< false for an array of pinholes
 
-  /// `focal_lengths` are those of `lens_types` types: 0 (then it may be null) to `kMaxLensTypes`.
+  /// `focal_lengths` are those of `lens_types` types: 0 (then the pointer may be null) to
+  /// `kMaxLensTypes`.
   Optics(const MainLens<T>& lens, const MicroLensArray<T>& mla, const T* focal_lengths,
          int lens_types, double pixel_size)
       : main_lens(lens), array(mla, pixel_size), has_blur(lens_types > 0) {
@@ -193,7 +194,7 @@ inline Optics<double> optics_of(const Camera& camera) {
           camera.pixel_size};
 }
 
-/// What the projection needs to know of a micro-lens.
+/// What the projection needs of a micro-lens.
 struct MicroLens {
   Node node;
   int lens_type;
@@ -205,7 +206,7 @@ inline MicroLens micro_lens_of(const Camera& camera, int k, int l) {
 }
 
 /// Feature of a point whose image p' through the main lens is known, see `main_lens_image`. False,
-/// with the feature unchanged, when it is imaged onto the micro-lens.
+/// with the feature unchanged, if the point is imaged onto the micro-lens.
 template <typename T>
 bool project_image(const Optics<T>& optics, const Vector3<T>& image, const MicroLens& micro_lens,
                    Feature<T>* feature) {
@@ -222,8 +223,8 @@ bool project_image(const Optics<T>& optics, const Vector3<T>& image, const Micro
   return true;
 }
 
-/// Feature of a point of the camera frame (mm). False, with the feature unchanged, where the model
-/// is not defined: for a point within the focal length, or imaged onto the micro-lens.
+/// Feature of a point in the camera frame (mm). False, with the feature unchanged, if the model is
+/// not defined: for a point within the focal length, or imaged onto the micro-lens.
 template <typename T>
 bool project(const Optics<T>& optics, const Vector3<T>& point, const MicroLens& micro_lens,
              Feature<T>* feature) {

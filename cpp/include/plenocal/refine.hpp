@@ -34,7 +34,7 @@ struct Observations {
 };
 
 /// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations. The sigma of a residual is
-/// the observation's own, 1 px unless given, times the factor of its kind given here.
+/// that of the observation (1 px unless given) times the factor given here for its kind.
 struct CostOptions {
   double uv_std_dev = 1.0;       ///< of a feature's u and v
   double rho_std_dev = 1.0;      ///< of a feature's rho
@@ -46,8 +46,8 @@ struct CostOptions {
   std::vector<std::string> fixed = {"dC_ratio"};
 };
 
-/// How to minimise it. The tolerances are Ceres'; the defaults run to the floating-point floor
-/// rather than to a practical precision, since the cost has a long flat valley.
+/// Options of the minimisation. The tolerances are those of Ceres; the defaults are at the limit of
+/// floating-point precision rather than of practical use, since the cost has a long flat valley.
 struct SolverOptions {
   int max_iterations = 200;
   double function_tolerance = 1e-13;
@@ -55,7 +55,8 @@ struct SolverOptions {
   double parameter_tolerance = 1e-12;
   double initial_trust_region_radius = 1e10;
   int threads = 1;
-  /// Go to the extrapolated limit of the steps where they become slow; false leaves all to Ceres.
+  /// Whether to jump to the extrapolated limit of the steps when they converge slowly; if false,
+  /// Ceres does all the work.
   bool extrapolate = true;
 };
 
@@ -75,36 +76,36 @@ using Progress = std::function<bool(const Iteration&)>;
 /// Why the solver stopped.
 enum class Termination { kConverged, kIterationLimit, kStopped, kFailed };
 
-/// The refined camera and poses and how they came about.
+/// The refined camera and poses, and a record of the solve.
 struct Refinement {
   Camera camera;
   std::vector<Pose> poses;
   double initial_cost = 0.0;
   double cost = 0.0;
-  /// The part of `cost` that comes from the features of each frame; centres have the rest.
+  /// The contribution of the features of each frame to `cost`; the rest is that of the centres.
   std::vector<double> frame_costs;
   Termination termination = Termination::kFailed;
-  std::string message;  ///< Ceres' reason in words
+  std::string message;  ///< the reason as stated by Ceres
   std::string report;   ///< Ceres' full report
   double time_s = 0.0;  ///< wall time of the solve
   std::vector<Iteration> iterations;
 };
 
-/// Minimises the cost over the camera's intrinsic parameters (those not fixed) and all poses, all
-/// in one problem. Throws std::invalid_argument on input the model is not defined for; every frame
-/// needs a feature, and every board point has to be beyond the focal length at the start.
+/// Minimises the cost over the camera's free intrinsic parameters and all poses in one problem.
+/// Throws std::invalid_argument on input for which the model is not defined. Every frame needs a
+/// feature, and every board point has to be beyond the focal length initially.
 Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
                   const Observations& observations, const CostOptions& cost_options,
                   const SolverOptions& solver_options, const Progress& progress = {});
 
 /// How well the observations determine the parameters, at a minimum of the cost.
 ///
-/// Parameters: the intrinsics not fixed, in the order of `for_each_parameter`, then 6 per pose.
+/// Parameters: the free intrinsics, in the order of `for_each_parameter`, then 6 per pose.
 /// With H = J'J the information of the standardised residuals and H_k that of the residuals of
 /// kind k (features' u and v; features' rho; centres), the variance of a residual of kind k is
 /// measured as s_k^2 = |r_k|^2 / (n_k - tr(H_k H^+)), and
 /// covariance = H^+ (sum_k s_k^2 H_k) H^+,
-/// which holds whether or not the weights of the cost match the noise.
+/// which is valid whether or not the weights of the cost match the noise.
 struct Uncertainty {
   static constexpr int kWeakest = 3;  ///< the largest number of rows in `weakest`
   std::vector<int> free_intrinsics;   ///< indices into `intrinsic_names`
@@ -114,17 +115,17 @@ struct Uncertainty {
   std::vector<double> information;    ///< diagonal of H
   /// The directions of parameter space with the least information in proportion to that on each
   /// parameter alone, the weakest first: rows of `size` changes, along one standard deviation, or,
-  /// where a direction is not determined (the first size - rank of all), along the unit of the
+  /// if a direction is not determined (the first size - rank of all), along the unit of the
   /// scaled space.
   std::vector<double> weakest;
-  /// Whether the observations determine a parameter at all; where not, its variance is meaningless.
+  /// Whether the observations determine a parameter at all; if not, its variance is meaningless.
   std::vector<bool> determined;
   /// s_k times the sigma of the cost, px: features' u and v, rho, centres' u and v; not a number
-  /// for a kind without observations. Where observations have a sigma of their own, their root mean
-  /// square times the factor of the kind. Under a robust loss these are the residuals after
-  /// weighting, smaller than the noise.
+  /// for a kind without observations. If observations have their own sigma, the sigma of the cost
+  /// is their root mean square times the factor of the kind. With a robust loss, s_k is that of the
+  /// weighted residuals, smaller than the noise.
   std::array<double, 3> residual_std_dev{};
-  /// What a Gauss-Newton step would still take off the cost: 0 at a true minimum.
+  /// How much a further Gauss-Newton step would lower the cost: 0 at a true minimum.
   double expected_decrease = 0.0;
 };
 

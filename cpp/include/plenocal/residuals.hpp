@@ -1,6 +1,6 @@
 // Ceres auto-diff cost functors of the paper's cost function (section 5.3), many observations to a
 // residual block: the pose, the array's axes and the image of a board corner are then computed
-// once. With GCC made to inline the Jet arithmetic (`flatten`), this takes a third of the time of
+// once. With GCC forced to inline the Jet arithmetic (`flatten`), this takes a third of the time of
 // one block per observation.
 #pragma once
 
@@ -78,7 +78,7 @@ class FeatureResiduals {
     Vector3<T> image;
     const Vector3<double>* imaged = nullptr;
     for (const WeightedFeature& f : features_) {
-      // Features of a corner follow each other, so its image is computed once.
+      // Features of a corner are consecutive, so its image is computed once.
       if (imaged == nullptr || !same(*imaged, f.board_point)) {
         if (!main_lens_image(optics.main_lens, camera_from_board(f.board_point), &image)) {
           return false;

@@ -1,5 +1,5 @@
-// The smallest program that uses the installed library: what one micro-lens sees of a point, and
-// how that changes with the point.
+// The smallest program that uses the installed library: the feature of a point in one micro-image,
+// and its derivatives by the point.
 #include <ceres/jet.h>
 
 #include <cstdio>
@@ -23,16 +23,16 @@ int main() {
   plenocal::Pose camera_from_board;
   camera_from_board.translation = {0.0, 0.0, 300.0};
 
-  // The main lens images z = 300 mm 60 mm behind it at a fifth of its size, 1 mm behind the
-  // micro-lens in the middle, which halves that on its sensor 0.5 mm away:
+  // The main lens images the plane z = 300 mm at 60 mm behind it with a magnification of 1/5. That
+  // is 1 mm behind the middle micro-lens, which halves the image on the sensor 0.5 mm away:
   // u = 100 + 3/5/2/0.01 = 130, v = 80 + 1.5/5/2/0.01 = 95,
   // rho = 0.2/0.02 * 0.5 * (1/0.8 + 1 - 1/0.5) = 1.25.
   plenocal::Feature<double> feature{};
   if (!plenocal::project(camera, camera_from_board, {3.0, 1.5, 0.0}, 2, 2, &feature)) return 1;
   std::printf("u %.3f v %.3f rho %.3f\n", feature.u, feature.v, feature.rho);
 
-  // The same with derivatives by the point, in the camera frame: the optics as Jets that are
-  // constant. u grows by 1/5/2/0.01 = 10 px for every mm along x.
+  // Now with derivatives by the point in the camera frame: the optics are constant Jets.
+  // u grows by 1/5/2/0.01 = 10 px for every mm along x.
   using Jet = ceres::Jet<double, 3>;
   const auto constant = [](auto block) {
     std::array<Jet, std::tuple_size<decltype(block)>::value> jets;
@@ -50,7 +50,7 @@ int main() {
   if (!plenocal::project(optics, point, plenocal::micro_lens_of(camera, 2, 2), &jets)) return 1;
   std::printf("du/dx %.3f dv/dy %.3f\n", jets.u.v[0], jets.v.v[1]);
 
-  // The solver has to link as well.
+  // The solver has to link too.
   try {
     plenocal::refine(camera, {}, {}, {}, {});
   } catch (const std::exception& error) {

@@ -9,7 +9,7 @@ function(run)
   endif()
 endfunction()
 
-# What an earlier run left must not stand in for what this one fails to install.
+# Files from an earlier run must not hide what this one fails to install.
 file(REMOVE_RECURSE ${scratch})
 
 run(${CMAKE_COMMAND} --install ${library_build} --prefix ${scratch}/prefix --config ${config})

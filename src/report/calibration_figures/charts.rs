@@ -1,4 +1,4 @@
-//! Errors by lens type and frame, and the way down.
+//! Errors by lens type and frame, and the cost over the iterations.
 
 use nalgebra::Vector2;
 use plotters::prelude::*;
@@ -12,7 +12,7 @@ use crate::report::drawing::{
 };
 use crate::report::html::Figure;
 
-/// Room that a name under a bar takes, px.
+/// Height of a name under a bar, px.
 const NAME: f64 = 26.0;
 
 struct Bars<'a> {
@@ -53,7 +53,7 @@ pub(super) fn rmse(calibration: &Calibration) -> Result<Option<Figure>> {
             bars(&left, &of_types, &all, largest, overlay)?;
         }
         bars(&right, &of_frames, &all, largest, overlay)?;
-        // The key, at the upper right.
+        // The legend, at the upper right.
         let mut at = Vector2::new(884.0, 18.0);
         for (words, color) in
             [("ρ", ORANGE), ("(u, v)", BLUE)].into_iter().skip(usize::from(all.rho_px.is_none()))
@@ -69,8 +69,8 @@ pub(super) fn rmse(calibration: &Calibration) -> Result<Option<Figure>> {
     let (by, which) =
         if types > 0 { ("lens type and by frame", "frame or type") } else { ("frame", "frame") };
     let caption = format!(
-        "Root mean square errors of features by {by}, the dashed lines those of all. A {which} that \
-         stands out has worse observations than the others, or is where the model fits worst."
+        "Root mean square errors of features by {by}; the dashed lines are those of all features. A \
+         {which} that stands out has worse observations than the others, or the model fits it worst."
     );
     Ok(Some(figure("rmse", caption, svg)))
 }
@@ -103,7 +103,7 @@ fn bars(area: &Area, bars: &Bars, all: &Rmse, largest: f64, overlay: &mut Overla
     );
     let series = [(Some(all.uv_px), BLUE), (all.rho_px, ORANGE)];
     let shown = series.iter().filter(|(value, _)| value.is_some()).count() as f64;
-    // Bars side by side fill most of the room of their group.
+    // Bars side by side fill most of the width of their group.
     let width = 0.76 / shown;
     for (i, rmse) in bars.values.iter().enumerate() {
         for (side, (value, color)) in
@@ -113,7 +113,7 @@ fn bars(area: &Area, bars: &Bars, all: &Rmse, largest: f64, overlay: &mut Overla
             let left = i as f64 + 0.12 + side as f64 * width;
             let corner = plane.place(left, value);
             let size = Vector2::new(width, value).component_mul(&plane.scale).abs();
-            // Also what is 0 shows.
+            // A bar of 0 is visible too.
             overlay.rectangle(corner, size.sup(&Vector2::new(1.0, 0.8)), color, 1.0);
         }
     }
@@ -131,7 +131,7 @@ fn bars(area: &Area, bars: &Bars, all: &Rmse, largest: f64, overlay: &mut Overla
     Ok(())
 }
 
-/// Costs nearer to the lowest than this part of it are at it.
+/// Costs that exceed the lowest by less than this fraction of it count as the lowest.
 const AT_LOWEST: f64 = 1e-15;
 
 pub(super) fn convergence(calibration: &Calibration) -> Result<Option<Figure>> {
@@ -200,9 +200,9 @@ pub(super) fn convergence(calibration: &Calibration) -> Result<Option<Figure>> {
         Ok(())
     })?;
     let caption =
-        "Cost above the lowest one at every iteration; hollow is the lowest itself. A straight \
-                   fall to the end is a sound convergence, a long flat stretch a valley of weak \
-                   directions."
+        "Cost above the lowest cost at every iteration; a hollow dot marks the lowest itself. A \
+                   straight fall to the end shows sound convergence, a long flat stretch a valley of \
+                   weak directions."
             .to_owned();
     Ok(Some(figure("convergence", caption, svg)))
 }

@@ -9,7 +9,7 @@ use crate::model::intrinsic_parameters;
 use crate::report::drawing::{Anchor, BLUE, INK, ON_COLOR, ORANGE, Overlay, picture};
 use crate::report::html::Figure;
 
-/// Correlations beyond this have their value written.
+/// Correlations beyond this are labelled with their value.
 const STRONG: f64 = 0.9;
 /// Edge of a cell, px, and room at the upper left for names.
 const CELL: f64 = 40.0;
@@ -45,9 +45,9 @@ pub(super) fn correlations(calibration: &Calibration) -> Result<Option<Figure>> 
         Ok(())
     })?;
     let mut caption = format!(
-        "Correlations of the free intrinsic parameters; those beyond ±{STRONG} have their value in \
-         per cent. A strong correlation says that the observations tell only a combination of the \
-         two well."
+        "Correlations of the free intrinsic parameters; those beyond ±{STRONG} are labelled with their \
+         value in per cent. A strong correlation means that the observations determine only a \
+         combination of the two parameters well."
     );
     if uncertainty.determined[..names.len()].contains(&false) {
         caption.push_str(" A question mark stands for parameters that are not determined at all.");
@@ -58,13 +58,13 @@ pub(super) fn correlations(calibration: &Calibration) -> Result<Option<Figure>> 
 fn cell(row: usize, column: usize, value: f64, overlay: &mut Overlay) {
     let corner = Vector2::new(NAMES + CELL * column as f64, NAMES + CELL * row as f64);
     if row == column {
-        // Each with itself says nothing.
+        // The correlation of a parameter with itself is always 1.
         overlay.rectangle(corner, Vector2::repeat(CELL), INK, 0.25);
         return;
     }
     overlay.rectangle(corner, Vector2::repeat(CELL), sign_color(value), value.abs());
     if value.abs() > STRONG {
-        // Cut off rather than rounded: only what is 1 says so.
+        // Truncated rather than rounded: only a value of 1 shows as 100.
         let words = format!("{:+.1}", (1000.0 * value).trunc() / 10.0);
         let middle = corner + Vector2::repeat(CELL / 2.0);
         overlay.colored_text(middle, Anchor::Middle, 12.0, ON_COLOR, &words);
@@ -84,7 +84,7 @@ fn grid(count: usize, overlay: &mut Overlay) {
     }
 }
 
-/// The colours and what they mean.
+/// The colour scale.
 fn scale(left: f64, overlay: &mut Overlay) {
     const STEPS: u32 = 20;
     const STEP: f64 = 6.0;

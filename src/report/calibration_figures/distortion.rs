@@ -10,12 +10,12 @@ use crate::report::drawing::{Anchor, BLUE, INK, Overlay, Plane, axis_number, rou
 use crate::report::html::Figure;
 use crate::solver::distortion_mm;
 
-/// Places along the longer side: those of the colour, and of the arrows.
+/// Number of samples along the longer side: of the colours, and of the arrows.
 const CELLS: f64 = 120.0;
 const ARROWS: f64 = 18.0;
-/// Bands of colour are this many or up to 2.5 times as many.
+/// Number of colour bands: this many, or up to 2.5 times as many.
 const BANDS: f64 = 5.0;
-/// The colour of the largest distortion lets arrows be seen on any page.
+/// Opacity of the largest distortion; arrows stay visible on it on any page.
 const MOST_OPAQUE: f64 = 0.6;
 const SCALE_WIDTH: u32 = 74;
 
@@ -48,14 +48,14 @@ pub(super) fn distortion(camera: &PlenopticCamera) -> Result<Option<Figure>> {
         bands.draw_scale(plane, image_px, overlay);
     })?;
     let caption = format!(
-        "By how much the main lens moves an image point at each place of the sensor, in px (the \
-         colours); the arrows are {}. It counts as known only as far out as the features reach.",
+        "How far the distortion of the main lens moves an image point at each place of the sensor, in \
+         px (colours); the arrows are {}. The distortion is known only where there are features.",
         enlarged(factor)
     );
     Ok(Some(figure("distortion", caption, svg)))
 }
 
-/// Places of the image, and by how much distortion moves them, px.
+/// Positions in the image, and how far distortion moves them, px.
 fn shifts_px(
     camera: &PlenopticCamera,
     places: Vec<Vector2<f64>>,
@@ -68,7 +68,7 @@ fn shifts_px(
     Ok(places.into_iter().zip(shifts).map(move |(at, shift)| (at, -shift / pixel_size)))
 }
 
-/// Middles of square cells, row by row, so many along the longer side.
+/// Centres of square cells, row by row; `along` is their number along the longer side.
 fn places(image_px: Vector2<f64>, along: f64) -> Vec<Vec<Vector2<f64>>> {
     let cell = image_px.max() / along;
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a small number
@@ -82,7 +82,7 @@ fn places(image_px: Vector2<f64>, along: f64) -> Vec<Vec<Vector2<f64>>> {
     (0..rows).map(|row| (0..columns).map(|column| middle(column, row)).collect()).collect()
 }
 
-/// Ranges of sizes that have a colour each.
+/// Ranges of distortion, each with its own colour.
 struct Bands {
     step: f64,
     count: usize,
@@ -128,7 +128,7 @@ impl Bands {
         }
     }
 
-    /// The colours and what they mean.
+    /// The colour scale.
     fn draw_scale(&self, plane: &Plane, image_px: Vector2<f64>, overlay: &mut Overlay) {
         let size = Vector2::new(16.0, 22.0);
         let top = plane.place(image_px.x - 0.5, -0.5) + Vector2::new(18.0, 10.0);

@@ -13,7 +13,7 @@ use crate::report::html::Figure;
 use crate::solver::LossKind;
 
 const BINS: usize = 40;
-/// Residuals beyond so many standard deviations are counted, not drawn.
+/// Residuals beyond this many standard deviations are counted, not drawn.
 const SHOWN_STD_DEVS: f64 = 4.5;
 /// The narrowest range shown, px.
 const NARROWEST: f64 = 1e-9;
@@ -61,8 +61,8 @@ pub(super) fn residual_histograms(calibration: &Calibration) -> Result<Option<Fi
         "the standard deviation after weighting by the loss"
     };
     let caption = format!(
-        "Residuals with the normal curve of {spread}. Bars that stand beside the curve, or far out, \
-         are errors other than noise: false observations, or something that the model lacks."
+        "Residuals with the normal curve of {spread}. Bars that do not follow the curve, or lie far \
+         out, are errors other than noise: false observations, or something that the model lacks."
     );
     Ok(Some(figure("residual-histograms", caption, svg)))
 }
@@ -139,7 +139,7 @@ fn histogram(area: &Area, panel: &Panel, overlay: &mut Overlay) -> Result<()> {
     Ok(())
 }
 
-/// A standard deviation in px with the digits that matter.
+/// A standard deviation in px with its significant digits.
 fn short(value: f64) -> String {
     if value >= 1e-3 { format!("{value:.4}") } else { format!("{value:.1e}") }
 }

@@ -12,17 +12,17 @@ use crate::report::drawing::{
 };
 use crate::report::html::Figure;
 
-/// From where one looks: turned from the side towards the back of the camera, and from above, rad.
+/// Viewing direction: angle from the side towards the back of the camera, and from above, rad.
 const TURNED: f64 = 0.55;
 const RAISED: f64 = 0.38;
-/// Width of the picture, largest height of what it shows, and room around, px.
+/// Width of the picture, largest height of its content, and margin, px.
 const WIDTH: f64 = 900.0;
 const MOST_HEIGHT: f64 = 470.0;
 const MARGIN: Vector2<f64> = Vector2::new(72.0, 44.0);
-/// Room above for the numbers of the frames, px, and what one of them takes.
+/// Room above for the numbers of the frames, and the width of one number, px.
 const NUMBERS: f64 = 62.0;
 const NUMBER: f64 = 27.0;
-/// Parts of a circle.
+/// Segments of a circle.
 const CIRCLE: u32 = 48;
 const BOARD_COLORS: [RGBColor; 6] =
     [BLUE, ORANGE, TYPE_COLORS[1], FITTED, TYPE_COLORS[0], TYPE_COLORS[2]];
@@ -88,7 +88,7 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Result<Option<F
     let svg = picture(size, |_, overlay| {
         bounds.draw(&view, overlay);
         field_of_view(&sensor, furthest, &view, overlay);
-        // What is far away is drawn first.
+        // Distant boards are drawn first.
         let mut order: Vec<usize> = (0..boards.len()).collect();
         let depth = |i: usize| boards[i].1.iter().map(|p| view.into.dot(&p.coords)).sum::<f64>();
         order.sort_by(|&a, &b| depth(b).total_cmp(&depth(a)));
@@ -103,15 +103,16 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Result<Option<F
         numbers(&boards, &view, overlay);
         Ok(())
     })?;
-    let caption = "The camera and the boards as calibrated, in mm of the camera frame; numbers are those \
-                   of frames, a dot marks a board's first corner, and dashed lines bound what the sensor \
-                   sees through the middle of the main lens. Boards at many distances and tilts, all \
+    let caption =
+        "The camera and the boards as calibrated, in mm in the camera frame. Numbers are frames, \
+                   a dot marks a board's first corner, and dashed lines bound what the sensor sees \
+                   through the middle of the main lens. Boards at many distances and tilts, all \
                    over the field of view, determine a camera well."
-        .to_owned();
+            .to_owned();
     Ok(Some(figure("scene", caption, svg)))
 }
 
-/// A board with a square around its inner corners, from that of the first one.
+/// The outline of a board: its inner corners and one square around them, from the first corner.
 fn outline(board: &Board, camera_from_board: &Isometry3<f64>) -> [Point3<f64>; 4] {
     let (right, below) = (f64::from(board.columns), f64::from(board.rows));
     [(-1.0, -1.0), (right, -1.0), (right, below), (-1.0, below)].map(|(column, row)| {
@@ -129,7 +130,7 @@ fn sensor_outline(camera: &PlenopticCamera) -> [Point3<f64>; 4] {
     })
 }
 
-/// The pupil where it is known, else some circle that looks like a lens.
+/// The pupil if it is known, else a circle that stands for the lens.
 fn lens_outline(camera: &PlenopticCamera) -> Vec<Point3<f64>> {
     let lens = &camera.main_lens;
     let f_number = lens.setting.map_or(2.8, |setting| setting.f_number);
@@ -159,7 +160,7 @@ fn draw_camera(sensor: &[Point3<f64>], lens: &[Point3<f64>], view: &View, overla
         Vector2::new(middle, top)
     };
     let (sensor, lens) = (above(sensor), above(lens));
-    // Side by side where there is room, else one above the other.
+    // Side by side if there is room, else one above the other.
     let apart = (lens.x - sensor.x).abs() > 90.0;
     let line = sensor.y.min(lens.y) - 14.0;
     let sensor_word = Vector2::new(sensor.x, if apart { sensor.y - 14.0 } else { line });
@@ -175,7 +176,8 @@ fn field_of_view(sensor: &[Point3<f64>], furthest: f64, view: &View, overlay: &m
     }
 }
 
-/// Numbers of the frames in a row above, each tied to its board, so that none hides another.
+/// Numbers of the frames in a row above, each joined to its board by a line, so that none hides
+/// another.
 fn numbers(boards: &[(u32, [Point3<f64>; 4])], view: &View, overlay: &mut Overlay) {
     let mut tops: Vec<(usize, Vector2<f64>)> = boards
         .iter()
@@ -191,7 +193,7 @@ fn numbers(boards: &[(u32, [Point3<f64>; 4])], view: &View, overlay: &mut Overla
     let most = ((WIDTH - 2.0 * NUMBER) / NUMBER) as usize;
     let every = tops.len().div_ceil(most).max(1);
     let shown: Vec<_> = tops.into_iter().step_by(every).collect();
-    // From the left no nearer than a number's width, then the same from the right.
+    // At least a number's width apart from the left, then the same from the right.
     let mut places: Vec<f64> = Vec::new();
     for (_, top) in &shown {
         places.push(places.last().map_or(NUMBER, |last| last + NUMBER).max(top.x));
@@ -209,7 +211,7 @@ fn numbers(boards: &[(u32, [Point3<f64>; 4])], view: &View, overlay: &mut Overla
     }
 }
 
-/// The room that the scene fills.
+/// The box around the scene.
 struct Box3 {
     low: Vector3<f64>,
     high: Vector3<f64>,
@@ -228,7 +230,7 @@ impl Box3 {
         (0..8).map(move |i| Point3::new(ends[i & 1].x, ends[(i >> 1) & 1].y, ends[(i >> 2) & 1].z))
     }
 
-    /// Floor and the wall behind with their ticks.
+    /// Draws the floor and the wall behind with their ticks.
     fn draw(&self, view: &View, overlay: &mut Overlay) {
         let (low, high) = (self.low, self.high);
         let floor = |x: f64, z: f64| Point3::new(x, high.y, z);
@@ -271,12 +273,12 @@ impl Box3 {
     }
 }
 
-/// Distance of the ticks of an axis at least, px.
+/// Smallest distance between ticks, px.
 const TICK: f64 = 32.0;
 
-/// Round numbers along an axis, with their names.
+/// Round numbers along an axis, with their labels.
 fn ticks(low: f64, high: f64, view: &View) -> Vec<(f64, String)> {
-    // Round numbers are at most a factor of 2.5 apart.
+    // Consecutive round numbers differ by a factor of at most 2.5.
     let step = round_below(2.5 * TICK / view.scale);
     let mut ticks = Vec::new();
     let mut tick = (low / step).ceil() * step;

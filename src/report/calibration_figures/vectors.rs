@@ -16,31 +16,31 @@ use crate::report::drawing::{
 };
 use crate::report::html::Figure;
 
-/// More arrows than this hide each other, so their means over cells are drawn.
+/// More arrows than this would hide each other, so their means over cells are drawn.
 const MOST_ARROWS: usize = 3000;
 /// Cells along the longer side of the sensor.
 const CELLS: f64 = 28.0;
-/// The mean of a cell with less than this part of the usual number is mostly noise.
+/// The mean of a cell with less than this fraction of the usual number is mostly noise.
 const FEWEST: f64 = 0.25;
-/// Arrows smaller than rounding are not blown up to be seen.
+/// Arrows smaller than rounding errors are not enlarged.
 const MOST_ENLARGED: f64 = 1e6;
 /// Largest width and height of the sensor in a picture, and the smallest, px.
 const LARGEST: (f64, f64) = (820.0, 640.0);
 const SMALLEST: f64 = 120.0;
 /// Room around it: left, top, right, below.
 const ROOM: [u32; 4] = [66, 40, 18, 50];
-/// Length of the arrow of the key at most, px.
+/// Greatest length of the arrow in the key, px.
 const KEY: f64 = 90.0;
 
-/// A vector and where it belongs, px of the sensor.
+/// A vector and its position, px of the sensor.
 pub(super) struct Arrow {
     pub at: Vector2<f64>,
     pub along: Vector2<f64>,
     pub lens_type: usize,
 }
 
-/// Draws over an image of so many px, with equal scales along u and v. `scale_width` px are kept free
-/// to the right.
+/// Draws over an image of `image_px` px, with equal scales along u and v. `scale_width` px are left
+/// free on the right.
 pub(super) fn sensor_picture(
     image_px: Vector2<f64>,
     scale_width: u32,
@@ -86,14 +86,14 @@ pub(super) fn sensor_picture(
     })
 }
 
-/// By how much arrows are enlarged so that most are not longer than `longest_px`.
+/// The factor by which arrows are enlarged so that few are longer than `longest_px`.
 pub(super) fn enlargement(arrows: &[Arrow], longest_px: f64) -> f64 {
     let mut lengths: Vec<f64> = arrows.iter().map(|a| a.along.norm()).collect();
     let long = quantile(&mut lengths, 0.95).unwrap_or(0.0);
     round_below((longest_px / long).clamp(1.0 / MOST_ENLARGED, MOST_ENLARGED))
 }
 
-/// An enlargement in words.
+/// Describes an enlargement.
 pub(super) fn enlarged(factor: f64) -> String {
     if (factor - 1.0).abs() < 1e-9 {
         "drawn at their size in the image".to_owned()
@@ -104,7 +104,7 @@ pub(super) fn enlarged(factor: f64) -> String {
     }
 }
 
-/// An arrow of known length at the upper right.
+/// The key: an arrow of known length at the upper right.
 pub(super) fn key(plane: &Plane, image_px: Vector2<f64>, factor: f64, overlay: &mut Overlay) {
     let scale = plane.scale.x * factor;
     let length = round_below(KEY / scale);
@@ -129,7 +129,7 @@ pub(super) fn draw_arrows(
     overlay.arrows(&drawn, color, 1.0);
 }
 
-/// Means over square cells, and the fewest arrows that such a cell has.
+/// Means over square cells, and the fewest arrows that a cell needs.
 fn cell_means(arrows: &[Arrow], cell_px: f64) -> (Vec<Arrow>, usize) {
     let mut cells: BTreeMap<(i64, i64), Vec<&Arrow>> = BTreeMap::new();
     for arrow in arrows {
@@ -173,7 +173,7 @@ fn means_picture(
     })?;
     let left_out = match fewest {
         1 => String::new(),
-        fewest => format!(" (but for those with fewer than {fewest}, mostly noise)"),
+        fewest => format!(" (cells with fewer than {fewest} are left out as mostly noise)"),
     };
     Ok((svg, format!("means over cells of {cell} px{left_out}, {}", enlarged(factor))))
 }
@@ -215,8 +215,8 @@ pub(super) fn residual_vectors(calibration: &Calibration) -> Result<Option<Figur
         (svg, format!("{}{colored}", enlarged(factor)))
     };
     let caption = format!(
-        "{what}: {how}. Good residuals point in all directions everywhere; a pattern over the sensor \
-         says that the model lacks something."
+        "{what}: {how}. Good residuals point in random directions everywhere; a pattern over the \
+         sensor means that the model lacks something."
     );
     Ok(Some(figure("residual-vectors", caption, svg)))
 }
@@ -231,7 +231,7 @@ fn single_arrows(
     if types < 2 {
         return draw_arrows(arrows, BLUE, factor, plane, overlay);
     }
-    // Beside the title, which is no longer than this.
+    // To the right of the title, which is never wider than this.
     let mut at = Vector2::new(plane.origin_px.x + 190.0, f64::from(ROOM[1]) / 2.0);
     for (lens_type, color) in TYPE_COLORS.into_iter().enumerate().take(types) {
         let of_type: Vec<Arrow> =
@@ -262,14 +262,14 @@ pub(super) fn center_residuals(calibration: &Calibration) -> Result<Option<Figur
     let image_px = size_of(&calibration.camera.sensor);
     let (svg, how) = means_picture(&arrows, image_px, "Residuals of centres")?;
     let caption = format!(
-        "Observed minus projected centres of {} micro-images: {how}. A pattern over the sensor points \
-         to an array that is not flat or not regular, or to centres measured with a bias.",
+        "Observed minus projected centres of {} micro-images: {how}. A pattern over the sensor suggests \
+         an array that is not flat or not regular, or centres measured with a bias.",
         arrows.len()
     );
     Ok(Some(figure("center-residuals", caption, svg)))
 }
 
-/// How far the centres of a white image are from the grid fitted to them.
+/// Measured centres of a white image minus the grid fitted to them.
 pub fn array_residuals_figure(array: &ArrayMeasurement) -> Result<Figure> {
     let arrows: Vec<Arrow> = array
         .centers
@@ -280,15 +280,15 @@ pub fn array_residuals_figure(array: &ArrayMeasurement) -> Result<Figure> {
         })
         .filter(finite)
         .collect();
-    // The image ends about where its micro-images do.
+    // The image ends roughly where the micro-images do.
     let margin = Vector2::repeat(array.grid.pitch_px / 2.0);
     let image_px = arrows.iter().fold(2.0 * margin, |far, a| far.sup(&(a.at + margin)));
     let (svg, how) =
         means_picture(&arrows, image_px.map(f64::ceil), "Measured centres minus the fitted grid")?;
     let caption = format!(
-        "Measured centres of {} micro-images minus the fitted grid: {how}. Arrows in all directions are \
-         noise; a pattern over the image says that the array is not regular, or that shading moves the \
-         centres.",
+        "Measured centres of {} micro-images minus the fitted grid: {how}. Arrows in random directions \
+         are noise; a pattern over the image means that the array is not regular, or that vignetting \
+         moves the centres.",
         arrows.len()
     );
     Ok(figure("array-residuals", caption, svg))

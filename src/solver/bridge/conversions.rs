@@ -1,4 +1,4 @@
-//! What goes over the bridge and comes back, to and from the types of the other modules.
+//! Conversions between the types of the bridge and those of the other modules.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
@@ -25,7 +25,7 @@ impl Problem<'_> {
             l: f.l,
             u_px: f.u_px,
             v_px: f.v_px,
-            // The core's sign for none.
+            // NaN stands for no value in the core.
             rho_px: f.rho_px.unwrap_or(f64::NAN),
             std_dev_px: f.std_dev_px,
         };
@@ -85,7 +85,7 @@ impl From<ffi::Termination> for Termination {
             ffi::Termination::Converged => Self::Converged,
             ffi::Termination::IterationLimit => Self::IterationLimit,
             ffi::Termination::Stopped => Self::Stopped,
-            // Shared enumerations are open: there is no value but `Failed` left.
+            // Shared enumerations are open: the only value left is `Failed`.
             _ => Self::Failed,
         }
     }

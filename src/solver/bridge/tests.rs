@@ -34,7 +34,7 @@ fn camera(packing: Packing, columns: i32, rows: i32) -> PlenopticCamera {
 }
 
 #[test]
-fn both_sides_give_a_name_to_the_same_value() {
+fn both_sides_name_the_same_parameters() {
     for (packing, types) in [
         (Packing::Orthogonal, 0),
         (Packing::Orthogonal, 1),
@@ -96,7 +96,7 @@ fn a_pinhole_array_has_no_blur() {
 }
 
 #[test]
-fn both_sides_number_the_lattice_alike() {
+fn both_sides_number_the_lattice_in_the_same_way() {
     for kind in [LatticeKind::Orthogonal, LatticeKind::HexagonalRows, LatticeKind::HexagonalColumns]
     {
         for &packing in Packing::of_kind(kind) {
