@@ -21,11 +21,9 @@ pub fn initial_camera(
     internal.validate(datasheet.lens_types)?;
     let pixel = datasheet.sensor.pixel_size_mm;
     let micro_image_pitch = internal.micro_image_pitch_mm.unwrap_or(grid.pitch_px * pixel);
-    let image_distance =
-        optics::focus_image_distance(datasheet.focal_length_mm, datasheet.focus_distance_mm);
     let (lens_to_mla, mla_to_sensor) = optics::initial_distances(
         datasheet.focal_length_mm,
-        image_distance,
+        datasheet.focus_distance_mm,
         internal.m_mm,
         datasheet.configuration,
     );

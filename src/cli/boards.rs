@@ -9,8 +9,7 @@ use plenocal::detection::{
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
-use plenocal::model::{Board, Datasheet, Observations, Subset};
-use plenocal::precalibration::{check_stated_pitch, fit_grid};
+use plenocal::model::{Board, Datasheet, Subset};
 use plenocal::report::Figure;
 use plenocal::{Error, Result, report};
 
@@ -80,16 +79,7 @@ impl Shoot {
         let (sheet, pixel) = (&self.sheet, Some(self.sheet.sensor.pixel_size_mm));
         let internal = io::read_internal_parameters(&internal, pixel)?;
         let measured = io::read_centers(&centers)?;
-        let grid = fit_grid(&measured, sheet.lattice_kind, sheet.columns, sheet.rows)
-            .map_err(|e| e.in_file(&centers))?;
-        Observations { centers: measured.clone(), features: Vec::new() }
-            .validate(&sheet.sensor, (sheet.columns, sheet.rows), &self.board, false)
-            .map_err(|e| e.in_file(&centers))?;
-        internal
-            .validate(sheet.lens_types)
-            .and_then(|()| check_stated_pitch(sheet, &internal, &grid))
-            .map_err(|e| e.in_file(folder))?;
-        MicroImages::new(&grid, &measured, &internal, sheet).map_err(|e| e.in_file(folder))
+        MicroImages::of_measurements(&measured, &internal, sheet).map_err(|e| e.in_file(folder))
     }
 }
 

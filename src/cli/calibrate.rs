@@ -62,7 +62,8 @@ pub struct Arguments {
     /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3. (dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Estimation")]
     fix: Option<Vec<String>>,
-    /// Standard deviation of u and v of a feature, px [default: 1].
+    /// Standard deviation of u and v of a feature, px [default: 1]. Where the file states one for
+    /// each feature, this multiplies it; so do the next two.
     #[arg(long, value_name = "PX", help_heading = "Estimation")]
     uv_std_dev: Option<f64>,
     /// Standard deviation of rho, px [default: 1].

@@ -7,9 +7,9 @@ use nalgebra::Vector2;
 use crate::error::{Error, Result};
 use crate::model::{
     Configuration, Datasheet, InternalParameters, LatticeKind, MicroImageCenter, ROW_DISTANCE,
-    Sensor, optics,
+    Sensor, check_centers, optics,
 };
-use crate::precalibration::{MicroImageArray, Precalibration};
+use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::vignetting::{Obliquity, Vignetting};
 
 /// Where micro-images are, and how points are blurred in them.
@@ -125,11 +125,9 @@ impl MicroImages {
             }
         }
         let middle = sheet.sensor.center_px();
-        let image_distance =
-            optics::focus_image_distance(sheet.focal_length_mm, sheet.focus_distance_mm);
         let (lens_to_mla, mla_to_sensor) = optics::initial_distances(
             sheet.focal_length_mm,
-            image_distance,
+            sheet.focus_distance_mm,
             internal.m_mm.abs(),
             sheet.configuration,
         );
@@ -184,6 +182,20 @@ impl MicroImages {
             &measured.internal.parameters,
             sheet,
         )
+    }
+
+    /// From what was measured before; an error if it is not of this camera.
+    pub fn of_measurements(
+        centers: &[MicroImageCenter],
+        internal: &InternalParameters,
+        sheet: &Datasheet,
+    ) -> Result<Self> {
+        let array = (sheet.columns, sheet.rows);
+        check_centers(centers, &sheet.sensor, array)?;
+        let grid = fit_grid(centers, sheet.lattice_kind, sheet.columns, sheet.rows)?;
+        internal.validate(sheet.lens_types)?;
+        check_stated_pitch(sheet, internal, &grid)?;
+        Self::new(&grid, centers, internal, sheet)
     }
 
     /// How the micro-lens of a micro-image blurs.

@@ -338,9 +338,12 @@ pub fn camera_document(sheet: &Datasheet, grid: &MicroImageArray, lens_types: us
 #[must_use]
 pub fn parameters_document(internal: &InternalParameters, sheet: &Datasheet) -> Value {
     let pitch = internal.micro_image_pitch_mm.unwrap_or(0.0);
-    let image = optics::focus_image_distance(sheet.focal_length_mm, sheet.focus_distance_mm);
-    let (lens_to_mla, mla_to_sensor) =
-        optics::initial_distances(sheet.focal_length_mm, image, internal.m_mm, sheet.configuration);
+    let (lens_to_mla, mla_to_sensor) = optics::initial_distances(
+        sheet.focal_length_mm,
+        sheet.focus_distance_mm,
+        internal.m_mm,
+        sheet.configuration,
+    );
     let lambda = lens_to_mla / (lens_to_mla + mla_to_sensor);
     let side = if sheet.configuration == Configuration::Keplerian { 1.0 } else { -1.0 };
     let numbers = |values: Vec<f64>| values.into_iter().map(number).collect::<Vec<_>>();

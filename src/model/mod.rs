@@ -25,6 +25,7 @@ pub use datasheet::{Configuration, Datasheet, InternalParameters};
 pub(crate) use display::{display_unit, signed, with_std_dev};
 pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};
 pub use noise::{Noise, NoiseSource};
+pub(crate) use observations::check_centers;
 pub use observations::{BapFeature, MIN_CORNERS, MicroImageCenter, Observations};
 pub use parameters::{MAX_LENS_TYPES, Parameter, intrinsic_parameters};
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};

@@ -71,15 +71,7 @@ impl Observations {
         board: &Board,
         needs_rho: bool,
     ) -> Result<()> {
-        let mut seen = HashSet::new();
-        for c in &self.centers {
-            let what = format!("the centre of micro-image ({}, {})", c.k, c.l);
-            check_position(&what, (c.k, c.l), (c.u_px, c.v_px), array, sensor)?;
-            check_std_devs(&c.std_dev_px, &what)?;
-            if !seen.insert((c.k, c.l)) {
-                return Err(Error::invalid(format!("{what} is given twice")));
-            }
-        }
+        check_centers(&self.centers, sensor, array)?;
         let mut seen = HashSet::new();
         let mut corners: BTreeMap<u32, BTreeSet<i32>> = BTreeMap::new();
         for f in &self.features {
@@ -111,6 +103,24 @@ impl Observations {
             None => Ok(()),
         }
     }
+}
+
+/// Checks micro-image centres; an error names the first that is impossible or given twice.
+pub(crate) fn check_centers(
+    centers: &[MicroImageCenter],
+    sensor: &Sensor,
+    array: (i32, i32),
+) -> Result<()> {
+    let mut seen = HashSet::new();
+    for c in centers {
+        let what = format!("the centre of micro-image ({}, {})", c.k, c.l);
+        check_position(&what, (c.k, c.l), (c.u_px, c.v_px), array, sensor)?;
+        check_std_devs(&c.std_dev_px, &what)?;
+        if !seen.insert((c.k, c.l)) {
+            return Err(Error::invalid(format!("{what} is given twice")));
+        }
+    }
+    Ok(())
 }
 
 /// How far beyond the centres of the outermost pixels an observation may lie, px: half a pixel, and

@@ -24,10 +24,11 @@ pub fn focus_image_distance(focal_length: f64, focus_distance: f64) -> f64 {
 #[must_use]
 pub fn initial_distances(
     focal_length: f64,
-    image_distance: f64,
+    focus_distance: f64,
     m: f64,
     configuration: Configuration,
 ) -> (f64, f64) {
+    let image_distance = focus_image_distance(focal_length, focus_distance);
     let side = match configuration {
         Configuration::Galilean => 2.0,
         Configuration::Keplerian => -2.0,
@@ -88,13 +89,15 @@ mod tests {
 
     #[test]
     fn initial_distances_obey_focus_and_slope() {
-        let (f, h, m) = (50.0, 57.3, 0.14);
+        let (f, focus_distance, m) = (50.0, 450.0, 0.14);
+        let h = focus_image_distance(f, focus_distance);
         for (configuration, side) in [
             (Configuration::Galilean, 2.0),
             (Configuration::Keplerian, -2.0),
             (Configuration::Unfocused, 0.0),
         ] {
-            let (lens_to_mla, mla_to_sensor) = initial_distances(f, h, m, configuration);
+            let (lens_to_mla, mla_to_sensor) =
+                initial_distances(f, focus_distance, m, configuration);
             assert!((lens_to_mla + side * mla_to_sensor - h).abs() < EXACT);
             assert!((mla_to_sensor * f / (2.0 * lens_to_mla) - m).abs() < EXACT);
         }
@@ -114,9 +117,8 @@ mod tests {
     /// Table 1, column R12-A "Initial", to all printed digits.
     #[test]
     fn r12_a_starts_from_the_published_values() {
-        let image = focus_image_distance(50.0, 450.0);
         let (lens_to_mla, mla_to_sensor) =
-            initial_distances(50.0, image, 0.140_595_540_400_431_76, Configuration::Galilean);
+            initial_distances(50.0, 450.0, 0.140_595_540_400_431_76, Configuration::Galilean);
         let pitch = micro_lens_pitch(0.128_221_631_892_887_07, lens_to_mla, mla_to_sensor);
         assert_eq!(format!("{lens_to_mla:.4}"), "56.6576");
         assert_eq!(format!("{:.3}", mla_to_sensor * 1e3), "318.632");

@@ -64,9 +64,8 @@ impl PrecalibrationOptions {
     /// Angles of the light in the middle of the image, for a slope m of the radii.
     pub(super) fn obliquity(&self, m_mm: f64, micro_image_pitch_px: f64) -> Obliquity {
         let (focal_length, focus_distance) = self.lens_mm;
-        let image_distance = optics::focus_image_distance(focal_length, focus_distance);
         let (_, mla_to_sensor) =
-            optics::initial_distances(focal_length, image_distance, m_mm, self.configuration);
+            optics::initial_distances(focal_length, focus_distance, m_mm, self.configuration);
         Obliquity {
             chief: Vector2::zeros(),
             inverse_distance: self.pixel_size_mm / mla_to_sensor,
