@@ -356,8 +356,8 @@ TEST(Progress, StopsTheSolve) {
   EXPECT_EQ(result.iterations.size(), kLast + 1u);
 }
 
-// The camera and poses of a stopped solve have the cost it reports. Disabled: Ceres leaves the
-// parameters at the start if a callback aborts, while its final cost is the lowest so far.
+// Ceres leaves the parameters at the start if a callback aborts, while its final cost is the lowest
+// so far: the library has to put the two together.
 TEST(Progress, StoppedSolveReturnsTheParametersOfItsCost) {
   const Scene start = disturbed(test::make_scene(1), kOnePitch);
   double first = 0.0;

@@ -310,7 +310,7 @@ TEST(RankDeficiency, UnobservedLensTypeIsFound) {
   EXPECT_EQ(u.information[kF3], 0.0);
 }
 
-// Disabled: the direction of a parameter without any information is all zeros.
+// Its direction is that of the parameter alone, not zero.
 TEST(RankDeficiency, UnobservedLensTypeIsTheWeakestDirection) {
   const Scene scene = without_third_type();
   const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, one_pitch());

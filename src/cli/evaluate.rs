@@ -1,4 +1,4 @@
-//! `plenocal evaluate`: a camera on boards that it was not calibrated with.
+//! `plenocal evaluate`: a camera on boards that were not used in its calibration.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -18,11 +18,11 @@ use super::input::{Files, Input};
 use super::progress;
 use super::talk::{print_result, warn};
 
-/// Evaluate a camera: on boards that it was not calibrated with, on known motions, against the truth, and
-/// by leaving frames out.
+/// Evaluate a camera: on boards not used in its calibration, on known displacements, against the truth,
+/// and by leaving frames out.
 ///
 /// The project supplies the boards of `evaluation` and `translation` (with the steps, and point
-/// clouds of the same motion from other software), and the true camera of [truth]. What it does not
+/// clouds of the same displacement from other software), and the true camera of [truth]. What it does not
 /// list is not evaluated.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
