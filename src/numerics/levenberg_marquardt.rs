@@ -45,7 +45,7 @@ const FIRST_DAMPING: f64 = 1e-3;
 
 impl Descent {
     /// The lowest point found from a start, and its sum of squares. `None` if the model is not defined at
-    /// the start, or if a step does not determine the parameters.
+    /// the start or at a trial point.
     #[inline]
     pub fn from<const P: usize, S: LeastSquares<P>>(
         &self,
@@ -61,22 +61,26 @@ impl Descent {
             for i in 0..P {
                 damped[(i, i)] *= 1.0 + damping;
             }
-            let next = sum.moved(&point, &damped.cholesky()?.solve(&right));
-            let next_cost = sum.evaluate(&next)?;
-            if next_cost < cost {
-                let length = sum.distance(&point, &next);
-                (point, cost) = (next, next_cost);
-                sum.accept();
-                damping = (damping / self.factor).max(self.damping.0);
-                if length < self.settled {
-                    break;
+            // Where the equations have no solution, no step is possible with this damping.
+            let step = damped.cholesky().map(|factors| factors.solve(&right));
+            if let Some(step) = step {
+                let next = sum.moved(&point, &step);
+                let next_cost = sum.evaluate(&next)?;
+                if next_cost < cost {
+                    let length = sum.distance(&point, &next);
+                    (point, cost) = (next, next_cost);
+                    sum.accept();
+                    damping = (damping / self.factor).max(self.damping.0);
+                    if length < self.settled {
+                        break;
+                    }
+                    (normal, right) = sum.normal_equations()?;
+                    continue;
                 }
-                (normal, right) = sum.normal_equations()?;
-            } else {
-                damping *= self.factor;
-                if damping > self.damping.1 {
-                    break;
-                }
+            }
+            damping *= self.factor;
+            if damping > self.damping.1 {
+                break;
             }
         }
         Some((point, cost))

@@ -258,8 +258,16 @@ impl LeastSquares<2> for Squares<'_> {
         let columns =
             [derivative(Vector2::new(STEP_PX, 0.0))?, derivative(Vector2::new(0.0, STEP_PX))?];
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let normal = Matrix2::from_fn(|i, j| dot(&columns[i], &columns[j]));
-        Some((normal, -Vector2::from_fn(|i, _| dot(&columns[i], residuals))))
+        let mut normal = Matrix2::from_fn(|i, j| dot(&columns[i], &columns[j]));
+        let mut right = -Vector2::from_fn(|i, _| dot(&columns[i], residuals));
+        // Where a step of both would take the inner radius from 0 to below, it stays and the outer one
+        // moves alone: a step that is cut at 0 need not lead down, and the descent would end short of
+        // the minimum.
+        let inner_step = normal[(0, 0)] * right.y - normal[(0, 1)] * right.x;
+        if place.y <= 0.0 && inner_step < 0.0 {
+            (normal[(0, 1)], normal[(1, 0)], right.y) = (0.0, 0.0, 0.0);
+        }
+        Some((normal, right))
     }
 
     fn moved(&self, from: &Self::Point, step: &Vector2<f64>) -> Self::Point {
@@ -287,6 +295,23 @@ mod tests {
             }
         }
         stack.profile()
+    }
+
+    /// An edge that is rounder than any overlap of discs draws the inner radius below 0.
+    #[test]
+    fn descents_that_end_at_an_inner_radius_of_0_agree() {
+        let mut profile = drawn(7.0, 0.0, 6.0);
+        for bin in &mut profile.bins {
+            bin.light -= 0.05 * bin.light * (1.0 - bin.light);
+        }
+        let ends: Vec<Edge> = [(6.2, 0.3), (6.2, 1.5), (7.4, 5.0), (7.8, 2.0)]
+            .iter()
+            .filter_map(|&(outer, inner)| Some(profile.descend(outer, inner, 12.0)?.0))
+            .collect();
+        assert_eq!(ends.len(), 4);
+        for end in &ends {
+            assert!(end.inner == 0.0 && (end.outer - ends[0].outer).abs() < 1e-4, "{ends:?}");
+        }
     }
 
     #[test]
