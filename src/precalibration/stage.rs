@@ -138,13 +138,18 @@ pub fn precalibrate(
         RadiusEstimator::Moments => samples.measurements(&samples.radii(RadiusEstimator::Moments)?),
     };
     let internal = samples.fit_internal(&mut radii, array.grid.pitch_px)?;
-    let warnings = [
-        contradictions(whites, &radii, lens_types.types, options),
-        different_aperture(reference, &moments, &profiles),
-        disagreeing_types(&lens_types),
-    ];
-    let warnings =
-        doubtful_colors(whites).into_iter().chain(warnings.into_iter().flatten()).collect();
+    let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
+    // Lines through a wrong f-number say nothing about the aperture of the reference.
+    let wrong_aperture = match wrong_f_number {
+        Some(_) => None,
+        None => different_aperture(reference, &moments, &profiles),
+    };
+    let warnings = doubtful_colors(whites)
+        .into_iter()
+        .chain(
+            [wrong_f_number, wrong_aperture, disagreeing_types(&lens_types)].into_iter().flatten(),
+        )
+        .collect();
     let measured =
         Precalibration { array, lens_types, radii, internal, pitch_correction, warnings };
     if let Some(sheet) = &options.stated {
