@@ -193,7 +193,7 @@ impl Stages<'_> {
     ) -> CalibrationInput<'_> {
         let mut options = options;
         // Results agree to rounding with any number of threads.
-        options.solver.threads = CalibrationOptions::default().solver.threads;
+        options.solver.threads = 0;
         CalibrationInput {
             camera: self.camera(),
             precalibration: self.measured(ledger),
