@@ -65,7 +65,18 @@ CostOptions to_core(const CostParts& parts) {
   options.centers_loss = options.features_loss;
   options.fixed.clear();
   for (const rust::String& name : parts.fixed) options.fixed.push_back(std::string(name));
+  for (const AnchorRow& anchor : parts.anchors) {
+    options.anchors.push_back({std::string(anchor.quantity), anchor.value, anchor.std_dev});
+  }
+  options.anchor_weight = parts.anchor_weight;
   return options;
+}
+
+rust::Vec<double> from_core(const std::vector<double>& values) {
+  rust::Vec<double> result;
+  result.reserve(values.size());
+  for (double value : values) result.push_back(value);
+  return result;
 }
 
 IterationRow from_core(const Iteration& i) {
@@ -155,7 +166,7 @@ RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> p
   for (const Pose& pose : r.poses) parts.poses.push_back({pose_block(pose)});
   parts.initial_cost = r.initial_cost;
   parts.cost = r.cost;
-  for (double cost : r.frame_costs) parts.frame_costs.push_back(cost);
+  parts.frame_costs = from_core(r.frame_costs);
   parts.termination = r.termination;
   parts.message = r.message;
   parts.report = r.report;
@@ -166,17 +177,26 @@ RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> p
 
 UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
                              rust::Slice<const FeatureRow> features,
-                             rust::Slice<const CenterRow> centers, const CostParts& cost) {
-  const Uncertainty u = plenocal::uncertainty(to_core(camera), to_core(poses),
-                                              to_core(features, centers), to_core(cost));
+                             rust::Slice<const CenterRow> centers, const CostParts& cost,
+                             rust::Slice<const double> type_rho_std_dev_px) {
+  const Uncertainty u = plenocal::uncertainty(
+      to_core(camera), to_core(poses), to_core(features, centers), to_core(cost),
+      {type_rho_std_dev_px.begin(), type_rho_std_dev_px.end()});
   UncertaintyParts parts{};
   for (int index : u.free_intrinsics) parts.free_intrinsics.push_back(index);
   parts.size = u.size;
   parts.rank = u.rank;
-  parts.covariance.reserve(u.covariance.size());
-  for (double value : u.covariance) parts.covariance.push_back(value);
-  for (double value : u.information) parts.information.push_back(value);
-  for (double value : u.weakest) parts.weakest.push_back(value);
+  parts.shared = u.shared;
+  parts.covariance = from_core(u.covariance);
+  parts.independent_covariance = from_core(u.independent_covariance);
+  parts.freedom = from_core(u.freedom);
+  parts.left_out_changes = from_core(u.left_out_changes);
+  parts.frame_shares = from_core(u.frame_shares);
+  parts.frame_information = from_core(u.frame_information);
+  parts.poses_by_intrinsics = from_core(u.poses_by_intrinsics);
+  parts.dispersion = u.dispersion;
+  parts.information = from_core(u.information);
+  parts.weakest = from_core(u.weakest);
   for (bool value : u.determined) parts.determined.push_back(value);
   parts.residual_std_dev_px = u.residual_std_dev;
   parts.expected_decrease = u.expected_decrease;

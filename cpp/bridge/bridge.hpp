@@ -7,6 +7,7 @@
 
 namespace plenocal::bridge {
 
+struct AnchorRow;
 struct CameraParts;
 struct CostParts;
 struct FeatureRow;
@@ -35,6 +36,7 @@ RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> p
                        const CostParts& cost, const SolverParts& solver, ProgressSink& progress);
 UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
                              rust::Slice<const FeatureRow> features,
-                             rust::Slice<const CenterRow> centers, const CostParts& cost);
+                             rust::Slice<const CenterRow> centers, const CostParts& cost,
+                             rust::Slice<const double> type_rho_std_dev_px);
 
 }  // namespace plenocal::bridge

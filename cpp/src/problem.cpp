@@ -1,11 +1,12 @@
 #include "problem.hpp"
 
+#include <ceres/normal_prior.h>
+
 #include <algorithm>
 #include <limits>
 #include <numeric>
 #include <stdexcept>
 #include <string>
-#include <tuple>
 
 namespace plenocal {
 namespace {
@@ -75,6 +76,26 @@ void require_center(const CenterObservation& o, const Lattice& lattice) {
   require_std_dev(o.std_dev, text);
 }
 
+void require_anchor(const Anchor& anchor, const std::vector<std::string>& names,
+                    const std::vector<std::string>& fixed) {
+  const std::string text = "the anchor of " + anchor.quantity;
+  if (!std::isfinite(anchor.value)) reject(text + " is not finite");
+  require_std_dev(anchor.std_dev, text);
+  const auto is_fixed = [&fixed](const std::string& name) {
+    return std::find(fixed.begin(), fixed.end(), name) != fixed.end();
+  };
+  if (anchor.quantity == kSlopeName) {
+    if (is_fixed("F") && is_fixed("d") && is_fixed("D")) {
+      reject(text + " has no effect: F, d and D are fixed");
+    }
+    return;
+  }
+  if (std::find(names.begin(), names.end(), anchor.quantity) == names.end()) {
+    reject("there is no parameter " + anchor.quantity + " to anchor");
+  }
+  if (is_fixed(anchor.quantity)) reject(text + " has no effect: the parameter is fixed");
+}
+
 // Ceres checks its input with CHECK, which aborts the process, so everything is checked first.
 void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
                       const Observations& observations, const CostOptions& options) {
@@ -84,6 +105,9 @@ void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
   require_std_dev(options.centers_std_dev, "the centres");
   require_loss(options.features_loss);
   require_loss(options.centers_loss);
+  if (!is_positive(options.anchor_weight)) reject("the weight of the anchors has to be positive");
+  const auto names = intrinsic_names(camera.lens_types());
+  for (const Anchor& anchor : options.anchors) require_anchor(anchor, names, options.fixed);
   if (poses.empty()) reject("there are no frames");
   for (std::size_t i = 0; i < poses.size(); ++i) {
     for (double value : pose_block(poses[i])) {
@@ -101,6 +125,29 @@ void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
   }
   for (const CenterObservation& o : observations.centers) require_center(o, camera.lattice);
 }
+
+// Divides the area of the centres into equal patches.
+class Patches {
+ public:
+  explicit Patches(const std::vector<CenterObservation>& centers) {
+    for (const CenterObservation& o : centers) {
+      low_ = {std::min(low_.u, o.observed.u), std::min(low_.v, o.observed.v)};
+      high_ = {std::max(high_.u, o.observed.u), std::max(high_.v, o.observed.v)};
+    }
+  }
+  int of(const Pixel<double>& pixel) const {
+    const auto cell = [](double value, double low, double high, int count) {
+      const double part = high > low ? (value - low) / (high - low) : 0.0;
+      return std::min(static_cast<int>(part * count), count - 1);
+    };
+    return cell(pixel.u, low_.u, high_.u, kPatchColumns) +
+           kPatchColumns * cell(pixel.v, low_.v, high_.v, kPatchRows);
+  }
+
+ private:
+  Pixel<double> low_{HUGE_VAL, HUGE_VAL};
+  Pixel<double> high_{-HUGE_VAL, -HUGE_VAL};
+};
 
 }  // namespace
 
@@ -128,6 +175,7 @@ CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<P
   }
   add_centers(observations, options);
   fix(options);
+  add_anchors(options);
   for (auto& pose : poses_) free_blocks_.push_back(pose.data());
 }
 
@@ -145,29 +193,37 @@ void CalibrationProblem::add_features(const Observations& observations,
                                       const CostOptions& options) {
   // Sorted by frame, then corner; the order within a corner is kept.
   const auto& features = observations.features;
-  const auto by_frame_and_corner = [](const FeatureObservation& o) {
+  const auto frame_and_corner = [&features](std::size_t i) {
+    const FeatureObservation& o = features[i];
     return std::tie(o.frame, o.board_point.x, o.board_point.y, o.board_point.z);
   };
   std::vector<std::size_t> order(features.size());
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-    return by_frame_and_corner(features[a]) < by_frame_and_corner(features[b]);
+    return frame_and_corner(a) < frame_and_corner(b);
   });
+  int corner = -1;
   for (std::size_t begin = 0; begin < order.size();) {
     const int frame = features[order[begin]].frame;
     std::vector<WeightedFeature> weighted;
-    while (begin < order.size() && features[order[begin]].frame == frame &&
-           weighted.size() < kFeaturesPerBlock) {
-      const FeatureObservation& o = features[order[begin++]];
-      weighted.push_back(
-          {o.board_point,
-           frame_.lattice.node(o.k, o.l),
-           frame_.lattice.lens_type(o.k, o.l, I),
-           o.observed,
-           {1.0 / (o.std_dev.u * options.uv_std_dev), 1.0 / (o.std_dev.v * options.uv_std_dev),
-            1.0 / (o.std_dev.rho * options.rho_std_dev)}});
-      row_kinds_.insert(row_kinds_.end(), {kUv, kUv});
-      if (I > 0) row_kinds_.push_back(kRho);
+    for (; begin < order.size() && features[order[begin]].frame == frame &&
+           weighted.size() < kFeaturesPerBlock;
+         ++begin) {
+      if (begin == 0 || frame_and_corner(order[begin]) != frame_and_corner(order[begin - 1])) {
+        ++corner;
+      }
+      const FeatureObservation& o = features[order[begin]];
+      const int lens_type = frame_.lattice.lens_type(o.k, o.l, I);
+      const Feature<double> std_dev{o.std_dev.u * options.uv_std_dev,
+                                    o.std_dev.v * options.uv_std_dev,
+                                    o.std_dev.rho * options.rho_std_dev};
+      weighted.push_back({o.board_point,
+                          {frame_.lattice.node(o.k, o.l), lens_type},
+                          o.observed,
+                          {1.0 / std_dev.u, 1.0 / std_dev.v, 1.0 / std_dev.rho}});
+      rows_.push_back({kUv, frame, corner, lens_type, std_dev.u});
+      rows_.push_back({kUv, frame, corner, lens_type, std_dev.v});
+      if (I > 0) rows_.push_back({kRho, frame, corner, lens_type, std_dev.rho});
     }
     auto cost =
         FeatureResiduals<I>::create(std::move(weighted), frame_.pixel_size, options.features_loss);
@@ -181,18 +237,38 @@ void CalibrationProblem::add_features(const Observations& observations,
 
 void CalibrationProblem::add_centers(const Observations& observations, const CostOptions& options) {
   const auto& centers = observations.centers;
+  const Patches patches(centers);
   for (std::size_t begin = 0; begin < centers.size(); begin += kCentersPerBlock) {
     const std::size_t end = std::min(begin + kCentersPerBlock, centers.size());
     std::vector<WeightedCenter> weighted;
     for (std::size_t i = begin; i < end; ++i) {
       const CenterObservation& o = centers[i];
-      weighted.push_back(
-          {frame_.lattice.node(o.k, o.l), o.observed, 1.0 / (o.std_dev * options.centers_std_dev)});
-      row_kinds_.insert(row_kinds_.end(), {kCenter, kCenter});
+      const double std_dev = o.std_dev * options.centers_std_dev;
+      weighted.push_back({frame_.lattice.node(o.k, o.l), o.observed, 1.0 / std_dev});
+      rows_.insert(rows_.end(), 2, {kCenter, patches.of(o.observed), -1, -1, std_dev});
     }
     auto cost =
         CenterResiduals::create(std::move(weighted), frame_.pixel_size, options.centers_loss);
     problem_->AddResidualBlock(cost.release(), nullptr, array_.data());
+  }
+}
+
+void CalibrationProblem::add_anchors(const CostOptions& options) {
+  const double root = std::sqrt(options.anchor_weight);
+  for (const Anchor& anchor : options.anchors) {
+    const int index = static_cast<int>(&anchor - options.anchors.data());
+    rows_.push_back({kAnchor, index, -1, -1, anchor.std_dev});
+    const double weight = root / anchor.std_dev;
+    if (anchor.quantity == kSlopeName) {
+      problem_->AddResidualBlock(SlopeResidual::create(anchor.value, weight).release(), nullptr,
+                                 lens_.data(), array_.data());
+      continue;
+    }
+    auto [block, size, place] = intrinsic(anchor.quantity);
+    ceres::Matrix row = ceres::Matrix::Zero(1, size);
+    row(0, place) = weight;
+    problem_->AddResidualBlock(
+        new ceres::NormalPrior(row, ceres::Vector::Constant(size, anchor.value)), nullptr, block);
   }
 }
 
@@ -224,6 +300,16 @@ void CalibrationProblem::fix(const CostOptions& options) {
     }
     first += size;
   }
+}
+
+std::tuple<double*, int, int> CalibrationProblem::intrinsic(const std::string& name) {
+  const auto names = intrinsic_names(frame_.lens_types());
+  int place = static_cast<int>(std::find(names.begin(), names.end(), name) - names.begin());
+  for (auto [block, size] : intrinsic_blocks()) {
+    if (place < size) return {block, size, place};
+    place -= size;
+  }
+  throw std::invalid_argument("there is no parameter " + name);
 }
 
 std::vector<double> CalibrationProblem::frame_costs() const {

@@ -5,6 +5,8 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -12,8 +14,26 @@
 
 namespace plenocal {
 
-/// Kinds of residuals, each with its own variance.
-enum ResidualKind { kUv = 0, kRho = 1, kCenter = 2, kResidualKinds = 3 };
+/// Kinds of residuals. Those of observations each have a variance that is measured, anchors one
+/// that is known.
+enum ResidualKind { kUv = 0, kRho = 1, kCenter = 2, kAnchor = 3 };
+constexpr int kObservedKinds = 3;
+constexpr int kResidualKinds = 4;
+
+/// Where a residual row comes from: what it shares its errors with.
+struct RowOrigin {
+  ResidualKind kind;
+  int group;       ///< frame of a feature; patch of a centre, see `kPatches`; index of an anchor
+  int corner;      ///< of a feature: counts all corners of all frames; else -1
+  int lens_type;   ///< of a feature; else -1
+  double std_dev;  ///< of the cost: px, or the unit of the anchored quantity
+};
+
+/// Centres share errors with their neighbours: groups of them are patches of the image, so many
+/// along u and along v.
+constexpr int kPatchColumns = 8;
+constexpr int kPatchRows = 6;
+constexpr int kPatches = kPatchColumns * kPatchRows;
 
 /// Owns the parameter blocks and the problem over them; neither copied nor moved, since Ceres
 /// keeps pointers into it.
@@ -45,15 +65,18 @@ class CalibrationProblem {
   const std::vector<double*>& free_blocks() const { return free_blocks_; }
   /// Indices of the intrinsics that are free.
   const std::vector<int>& free_intrinsics() const { return free_intrinsics_; }
-  /// Kind of each residual row, in the order of the residual blocks of `problem`.
-  const std::vector<ResidualKind>& row_kinds() const { return row_kinds_; }
+  /// Origin of each residual row, in the order of the residual blocks of `problem`.
+  const std::vector<RowOrigin>& rows() const { return rows_; }
 
  private:
   template <int I>
   void add_features(const Observations& observations, const CostOptions& options);
   void add_centers(const Observations& observations, const CostOptions& options);
+  void add_anchors(const CostOptions& options);
   void fix(const CostOptions& options);
   std::vector<std::pair<double*, int>> intrinsic_blocks();
+  // Block of a parameter, its size, and the parameter's place in it.
+  std::tuple<double*, int, int> intrinsic(const std::string& name);
 
   Camera frame_;  // what is not a parameter: lattice, pixel size
   std::array<double, kMainLensParameters> lens_;
@@ -62,7 +85,7 @@ class CalibrationProblem {
   std::vector<std::array<double, Pose::kSize>> poses_;
   std::vector<double*> free_blocks_;
   std::vector<int> free_intrinsics_;
-  std::vector<ResidualKind> row_kinds_;
+  std::vector<RowOrigin> rows_;
   std::vector<std::pair<int, ceres::ResidualBlockId>> feature_blocks_;  // with their frames
   std::unique_ptr<ceres::Problem> problem_;
 };

@@ -130,7 +130,7 @@ fn choose(
     let rounds = candidates.iter().map(|(_, poses)| poses.len()).max().unwrap_or(0);
     let parameters = intrinsic_parameters(camera.lens_types());
     let fixed = parameters.iter().map(|parameter| parameter.name.to_owned()).collect();
-    let cost = CostOptions { fixed, ..cost.clone() };
+    let cost = CostOptions { fixed, anchors: Vec::new(), ..cost.clone() };
     let solver = SolverOptions { max_iterations: CHOICE_ITERATIONS, ..*solver };
     for round in 0..rounds {
         let start: Vec<FramePose> = candidates

@@ -1,5 +1,6 @@
 //! Calibration from observations (paper, section 5): initial intrinsics, initial poses, refinement.
 
+mod anchors;
 mod checks;
 mod frames;
 mod initial;
@@ -11,8 +12,9 @@ mod stage;
 mod warning;
 mod words;
 
+pub use anchors::{AnchorResult, AnchorSource, SLOPE};
 pub use initial::initial_camera;
-pub use options::{CalibrationOptions, Mode, Start};
+pub use options::{CalibrationOptions, Mode, Start, Weights};
 pub use poses::initial_poses;
 pub use result::{Calibration, LeftOut};
 pub use stage::{calibrate, initial_from};

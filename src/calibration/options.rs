@@ -1,5 +1,6 @@
 //! Input of a calibration: its start, what it estimates, and its cost.
 
+use crate::calibration::anchors::check_anchors;
 use crate::error::{Error, Result};
 use crate::model::{
     Datasheet, InternalParameters, LatticeKind, PlenopticCamera, Sensor, intrinsic_parameters,
@@ -22,6 +23,17 @@ pub enum Mode {
     PosesOnly,
 }
 
+/// The weights of observations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Weights {
+    /// Each by its own σ, where the detection has measured it.
+    #[default]
+    Own,
+    /// The same for all of a kind: the paper.
+    Unit,
+}
+
 /// What a calibration starts from.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Start {
@@ -32,16 +44,40 @@ pub enum Start {
 }
 
 /// All options of a calibration.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CalibrationOptions {
     /// What is estimated.
     pub mode: Mode,
-    /// The cost.
+    /// How observations are weighted.
+    pub weights: Weights,
+    /// The cost. Its anchors are those that the user states; its weight of the anchors is a first guess.
     pub cost: CostOptions,
+    /// Whether to use a robust loss where the observations state their σ, whatever `cost` says: without
+    /// σ a loss has no scale.
+    pub automatic_loss: bool,
+    /// Whether to anchor what datasheet, white images and sensor say.
+    pub default_anchors: bool,
+    /// Quantities without a default anchor.
+    pub not_anchored: Vec<String>,
     /// Its minimisation.
     pub solver: SolverOptions,
     /// Frames that are not used.
     pub exclude_frames: Vec<u32>,
+}
+
+impl Default for CalibrationOptions {
+    fn default() -> Self {
+        Self {
+            mode: Mode::default(),
+            weights: Weights::default(),
+            cost: CostOptions::default(),
+            automatic_loss: true,
+            default_anchors: true,
+            not_anchored: Vec::new(),
+            solver: SolverOptions::default(),
+            exclude_frames: Vec::new(),
+        }
+    }
 }
 
 impl Start {
@@ -105,6 +141,17 @@ impl Start {
 }
 
 impl CalibrationOptions {
+    /// The calibration of the paper: every observation has the same weight, no loss, no anchors.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            weights: Weights::Unit,
+            automatic_loss: false,
+            default_anchors: false,
+            ..Self::default()
+        }
+    }
+
     /// An error that names an impossible option, or one that does not fit this start.
     pub(super) fn validate(&self, start: &Start) -> Result<()> {
         if self.mode == Mode::PosesOnly && matches!(start, Start::Datasheet(..)) {
@@ -127,6 +174,6 @@ impl CalibrationOptions {
                 )));
             }
         }
-        Ok(())
+        check_anchors(self, start.lens_types())
     }
 }

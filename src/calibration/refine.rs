@@ -9,21 +9,81 @@ use crate::calibration::frames::{Frames, reconsidered_poses};
 use crate::error::Result;
 use crate::model::Board;
 use crate::solver::{
-    self, CostOptions, Iteration, Problem, Refinement, SolverOptions, Termination,
+    self, CostOptions, Iteration, Problem, Refinement, SolverOptions, Termination, Uncertainty,
 };
 
 /// Limit of repetitions: correcting one mirrored board may reveal others.
 const MAX_RECONSIDERATIONS: usize = 4;
 
+/// The weight of the anchors is settled if a further refinement would change it by less than this
+/// factor: it is known to some ten per cent at best, with as few frames as there are.
+const SETTLED: f64 = 1.1;
+/// Limit of refinements with other weights of the anchors.
+const MAX_WEIGHINGS: usize = 5;
+
+/// What a refinement needs besides the problem.
+pub(super) struct Settings<'a> {
+    pub board: &'a Board,
+    pub frames: &'a Frames,
+    pub options: &'a CalibrationOptions,
+    /// σ of ρ that features of a lens type have in common, px.
+    pub type_rho_std_dev_px: Vec<f64>,
+}
+
+/// The refinement, its uncertainty, and the cost with the weight that the anchors ended with.
+pub(super) struct Refined {
+    pub refinement: Refinement,
+    pub uncertainty: Uncertainty,
+    pub cost: CostOptions,
+}
+
+impl Settings<'_> {
+    /// Refines; with anchors, again until their weight is what the residuals say.
+    pub fn refine(
+        &self,
+        problem: &Problem,
+        mut cost: CostOptions,
+        progress: &mut dyn FnMut(&Iteration) -> bool,
+    ) -> Result<Refined> {
+        let progress = &mut |iteration: &Iteration| {
+            let Iteration { number, cost, gradient_max_norm, step_norm, .. } = iteration;
+            debug!(
+                "iteration {number}: cost {cost:.9}, gradient {gradient_max_norm:.3e}, step \
+                 {step_norm:.3e}"
+            );
+            progress(iteration)
+        };
+        let mut refinement = refine(problem, self, &cost, progress)?;
+        let mut weighings = 1;
+        loop {
+            let refined =
+                Problem { camera: &refinement.camera, poses: &refinement.poses, ..*problem };
+            let uncertainty = solver::uncertainty(&refined, &cost, &self.type_rho_std_dev_px)?;
+            let change = uncertainty.dispersion / cost.anchor_weight;
+            if cost.anchors.is_empty()
+                || refinement.termination == Termination::Stopped
+                || weighings == MAX_WEIGHINGS
+                || (1.0 / SETTLED..SETTLED).contains(&change)
+            {
+                return Ok(Refined { refinement, uncertainty, cost });
+            }
+            debug!("the anchors weigh {:.3}", uncertainty.dispersion);
+            cost.anchor_weight = uncertainty.dispersion;
+            let again = refine(&refined, self, &cost, progress)?;
+            refinement = refinement.followed_by(again);
+            weighings += 1;
+        }
+    }
+}
+
 /// Refines, and repeats if the tilt of a board turns out to have the other sign.
-pub(super) fn refine(
+fn refine(
     problem: &Problem,
-    board: &Board,
-    frames: &Frames,
+    settings: &Settings,
     cost: &CostOptions,
-    options: &CalibrationOptions,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Refinement> {
+    let Settings { board, frames, options, .. } = settings;
     info!(
         "{} features of {} frames, {} left out; {} centres",
         problem.features.len(),
@@ -31,13 +91,6 @@ pub(super) fn refine(
         frames.left_out.len(),
         problem.centers.len()
     );
-    let progress = &mut |iteration: &Iteration| {
-        let Iteration { number, cost, gradient_max_norm, step_norm, .. } = iteration;
-        debug!(
-            "iteration {number}: cost {cost:.9}, gradient {gradient_max_norm:.3e}, step {step_norm:.3e}"
-        );
-        progress(iteration)
-    };
     let mut refinement = solver::refine(problem, cost, &options.solver, progress)?;
     check_refined(&refinement)?;
     for _ in 0..MAX_RECONSIDERATIONS {
@@ -47,7 +100,7 @@ pub(super) fn refine(
         let (camera, poses) = (&refinement.camera, &refinement.poses);
         // If a repetition fails, the present result stands.
         let Ok(Some(poses)) =
-            reconsidered_poses(camera, board, frames, poses, &options.cost, &options.solver)
+            reconsidered_poses(camera, board, frames, poses, cost, &options.solver)
         else {
             break;
         };

@@ -2,10 +2,10 @@
 
 use std::fmt;
 
-use crate::calibration::{CalibrationOptions, NoPose, Warning};
+use crate::calibration::{AnchorResult, CalibrationOptions, NoPose, Warning};
 use crate::model::{FramePose, PlenopticCamera, Reprojection, optics};
 use crate::precalibration::MicroImageArray;
-use crate::solver::{Refinement, Uncertainty};
+use crate::solver::{CostOptions, Refinement, Uncertainty};
 
 /// A frame that was not used.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -46,6 +46,10 @@ pub struct Calibration {
     pub converged: bool,
     /// The options used.
     pub options: CalibrationOptions,
+    /// The cost used, with all anchors and their weight.
+    pub cost: CostOptions,
+    /// What became of the anchors.
+    pub anchors: Vec<AnchorResult>,
     /// Warnings to the user.
     pub warnings: Vec<Warning>,
 }

@@ -3,6 +3,7 @@
 use nalgebra::Isometry3;
 use tracing::debug;
 
+use crate::calibration::anchors::{anchors, results};
 use crate::calibration::checks::{
     array_beyond_image, bad_fit, check_indices, check_observations, fronto_parallel,
     outlying_centers, undetermined, without_frames,
@@ -10,20 +11,26 @@ use crate::calibration::checks::{
 use crate::calibration::frames::{
     Frames, feature_residuals, initial_frames, solver_centers, solver_features,
 };
-use crate::calibration::refine::refine;
-use crate::calibration::{Calibration, CalibrationOptions, Mode, Start, Warning, initial_camera};
+use crate::calibration::refine::{Refined, Settings};
+use crate::calibration::{
+    AnchorSource, Calibration, CalibrationOptions, Mode, Start, Warning, Weights, initial_camera,
+};
 use crate::error::{Error, Result};
 use crate::model::{
     Board, CenterResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
     Reprojection, intrinsic_parameters,
 };
 use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
-use crate::solver::{self, CostOptions, Iteration, Problem, Refinement, Termination, Uncertainty};
+use crate::solver::{
+    self, Anchor, CostOptions, Iteration, LossKind, Problem, Refinement, Termination, Uncertainty,
+};
 
 /// The minimum counts as reached if one more Gauss-Newton step would lower the cost by less than this
 /// fraction. A parameter n standard deviations off adds n² s²/2 to the cost, s² being the variance of
 /// the residuals that determine it: with 10⁵ residuals of similar variance n < 10⁻³.
 const MAX_EXPECTED_DECREASE: f64 = 1e-11;
+/// Where the automatic loss sets in, in σ of a feature: noise alone gets there once in 3000 times.
+const LOSS_SCALE: f64 = 4.0;
 /// A cost below this per (standardised) residual is zero up to rounding: (10⁻⁶)²/2.
 const ZERO_COST_PER_RESIDUAL: f64 = 0.5e-12;
 
@@ -43,7 +50,10 @@ pub fn calibrate(
     let start = start.for_mode(options.mode);
     start.validate()?;
     options.validate(&start)?;
-    let (observations, excluded) = without_frames(observations, &options.exclude_frames)?;
+    let (mut observations, excluded) = without_frames(observations, &options.exclude_frames)?;
+    if options.weights == Weights::Unit {
+        observations.forget_std_devs();
+    }
     check_observations(&start, board, &observations, options.mode)?;
     let (initial, grid) = initial_and_grid(&start, &observations)?;
     let mut frames = frames_with_poses(&initial, board, &observations, options)?;
@@ -54,17 +64,20 @@ pub fn calibrate(
     let poses: Vec<Isometry3<f64>> = frames.poses.iter().map(|p| p.camera_from_board).collect();
     let problem =
         Problem { camera: &initial, poses: &poses, features: &features, centers: &centers };
-    let cost = cost_for(options, &initial);
-    let refinement = refine(&problem, board, &frames, &cost, options, progress)?;
+    let anchors = anchors(&start, options);
+    let cost = cost_for(options, &initial, &observations, &anchors);
+    let type_rho_std_dev_px = type_rho_std_dev_px(&start, options.mode);
+    let settings = Settings { board, frames: &frames, options, type_rho_std_dev_px };
+    let Refined { refinement, uncertainty, cost } = settings.refine(&problem, cost, progress)?;
 
     let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
-    let uncertainty = solver::uncertainty(&refined, &cost)?;
     let reprojection = Reprojection {
         features: feature_residuals(&refined, &frames.features)?,
         centers: center_residuals(&refinement.camera, &observations.centers)?,
     };
     let poses = refined_poses(&frames, &refinement);
     let converged = is_converged(&refinement, &uncertainty, &reprojection);
+    let results = results(anchors, &refinement.camera);
     let mut warnings = warnings_before(&initial, grid.as_ref(), &observations);
     warnings.extend(undetermined(&refinement.camera, &uncertainty));
     warnings.extend(bad_fit(&refinement.camera, &reprojection));
@@ -82,6 +95,8 @@ pub fn calibrate(
         uncertainty,
         converged,
         options: options.clone(),
+        anchors: results,
+        cost,
         warnings,
     })
 }
@@ -158,13 +173,36 @@ fn frames_with_poses(
     Ok(frames)
 }
 
-fn cost_for(options: &CalibrationOptions, camera: &PlenopticCamera) -> CostOptions {
+/// The cost with what depends on the input: default anchors, and the loss.
+fn cost_for(
+    options: &CalibrationOptions,
+    camera: &PlenopticCamera,
+    observations: &Observations,
+    anchors: &[(Anchor, AnchorSource)],
+) -> CostOptions {
     let mut cost = options.cost.clone();
+    cost.anchors = anchors.iter().map(|(anchor, _)| anchor.clone()).collect();
+    if options.automatic_loss {
+        let stated = observations.features.iter().all(|f| f.std_dev_px.is_some());
+        cost.loss.kind = if stated { LossKind::Huber } else { LossKind::None };
+        cost.loss.scale = LOSS_SCALE;
+    }
     if options.mode == Mode::PosesOnly {
         let all = intrinsic_parameters(camera.lens_types());
         cost.fixed = all.iter().map(|parameter| parameter.name.to_owned()).collect();
     }
     cost
+}
+
+/// σ of ρ, px, that all features of a lens type have in common: that of q'ᵢ, since ρ = q'ᵢ − Δc/2ν.
+fn type_rho_std_dev_px(start: &Start, mode: Mode) -> Vec<f64> {
+    let pixel_mm = start.sensor().pixel_size_mm;
+    match start.internal() {
+        Some(internal) if mode == Mode::Full => {
+            internal.q_prime_std_dev_mm.iter().map(|std_dev| std_dev / pixel_mm).collect()
+        }
+        _ => Vec::new(),
+    }
 }
 
 fn initial_centers_rmse(

@@ -5,12 +5,12 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Args;
-use plenocal::calibration::{Calibration, Mode, calibrate, termination_text};
-use plenocal::io::{self, CalibrationSection, OutputFolder, Pitches, compote};
+use plenocal::calibration::{Calibration, Mode, Weights, calibrate, termination_text};
+use plenocal::io::{self, AnchorsSection, CalibrationSection, OutputFolder, Pitches, compote};
 use plenocal::solver::{LossKind, Termination};
 use plenocal::{Error, Result, report};
 
-use super::choices::{LOSSES, MODES, PITCHES, choice};
+use super::choices::{ANCHORS, LOSSES, MODES, PITCHES, WEIGHTS, choice};
 use super::input::{Files, Input};
 use super::progress;
 use super::talk::{print_result, say, warn, warn_of_calibration};
@@ -49,8 +49,14 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     features: Option<PathBuf>,
     /// Frames to leave out, e.g. 3,7.
-    #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Input")]
-    exclude_frames: Option<Vec<u32>>,
+    #[arg(
+        long,
+        alias = "exclude-frames",
+        value_name = "LIST",
+        value_delimiter = ',',
+        help_heading = "Input"
+    )]
+    exclude: Option<Vec<u32>>,
 
     /// What to estimate [default: full].
     #[arg(long, value_parser = choice(MODES), help_heading = "Estimation")]
@@ -62,6 +68,23 @@ pub struct Arguments {
     /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3. (dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Estimation")]
     fix: Option<Vec<String>>,
+    /// What is known of the camera before any board is seen: the focal length of the datasheet to 3 %,
+    /// m of the white images to 2 %, the axis in the middle of the sensor to 0.5 mm; or nothing
+    /// [default: default].
+    #[arg(long, value_parser = choice(ANCHORS), help_heading = "Estimation")]
+    anchors: Option<bool>,
+    /// What you know of a parameter or of m, in the units of camera.json: F=50:0.5 for 50 ± 0.5 mm, or
+    /// F=50:1%. Takes the place of a default anchor; F=none removes it.
+    #[arg(
+        long,
+        value_name = "NAME=VALUE:SIGMA",
+        value_delimiter = ',',
+        help_heading = "Estimation"
+    )]
+    anchor: Option<Vec<String>>,
+    /// Weights of observations [default: own].
+    #[arg(long, value_parser = choice(WEIGHTS), help_heading = "Estimation")]
+    weights: Option<Weights>,
     /// Standard deviation of u and v of a feature, px [default: 1]. Where the file states one for
     /// each feature, this multiplies it; so do the next two.
     #[arg(long, value_name = "PX", help_heading = "Estimation")]
@@ -72,7 +95,8 @@ pub struct Arguments {
     /// Standard deviation of u and v of a micro-image centre, px [default: 1].
     #[arg(long, value_name = "PX", help_heading = "Estimation")]
     centers_std_dev: Option<f64>,
-    /// Robust loss on the norm of every observation's residual [default: none].
+    /// Robust loss on the norm of every observation's residual [default: huber with a scale of 4 if
+    /// every feature has a σ of its own, else none].
     #[arg(long, value_parser = choice(LOSSES), help_heading = "Estimation")]
     loss: Option<LossKind>,
     /// Residual beyond which the loss acts, in standard deviations [default: 1].
@@ -99,7 +123,9 @@ Examples:
   plenocal calibrate project.toml --out results
   plenocal calibrate --camera camera.js --params params.js --scene scene.js \\
       --centers centers.csv --features features.csv --out results
-  plenocal calibrate project.toml --fix Q3,P1,P2 --loss huber --out results
+  plenocal calibrate project.toml --fix Q3,P1,P2 --exclude 3,7 --out results
+  plenocal calibrate project.toml --anchor F=51.6:0.2,u0=none --out results
+  plenocal calibrate project.toml --anchors none --weights unit --loss none --out paper
   plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
 
@@ -108,7 +134,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let begun = Instant::now();
     let mut output = OutputFolder::new(&arguments.out)?;
     let (json, with_compote) = (arguments.json, arguments.compote);
-    let input = Input::read(&arguments.files(), arguments.options())?;
+    let input = Input::read(&arguments.files(), arguments.options()?)?;
 
     let bar = progress::spinner(json, "refining");
     let calibration = calibrate(
@@ -175,13 +201,27 @@ pub(super) fn stage_results(
     output.stage("solver.txt", |out| out.write_all(calibration.refinement.report.as_bytes()))
 }
 
+/// `--anchors` and `--anchor`; `None` if neither is given.
+pub(super) fn anchors_section(
+    default: Option<bool>,
+    stated: Option<&[String]>,
+) -> Result<Option<AnchorsSection>> {
+    let mut section = AnchorsSection { default, ..AnchorsSection::default() };
+    for text in stated.into_iter().flatten() {
+        section.add_text(text)?;
+    }
+    Ok((section != AnchorsSection::default()).then_some(section))
+}
+
 impl Arguments {
-    fn options(&self) -> CalibrationSection {
-        CalibrationSection {
+    fn options(&self) -> Result<CalibrationSection> {
+        Ok(CalibrationSection {
             mode: self.mode,
             pitches: self.pitches,
             fix: self.fix.clone(),
-            exclude_frames: self.exclude_frames.clone(),
+            exclude_frames: self.exclude.clone(),
+            anchors: anchors_section(self.anchors, self.anchor.as_deref())?,
+            weights: self.weights,
             uv_std_dev_px: self.uv_std_dev,
             rho_std_dev_px: self.rho_std_dev,
             centers_std_dev_px: self.centers_std_dev,
@@ -189,7 +229,7 @@ impl Arguments {
             loss_scale: self.loss_scale,
             max_iterations: self.max_iterations,
             threads: self.threads,
-        }
+        })
     }
 
     fn files(&self) -> Files<'_> {

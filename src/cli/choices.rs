@@ -1,7 +1,7 @@
 //! The values that an option can take, with their descriptions in the help.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use plenocal::calibration::Mode;
+use plenocal::calibration::{Mode, Weights};
 use plenocal::detection::DepthEstimator;
 use plenocal::image::Color;
 use plenocal::io::Pitches;
@@ -31,6 +31,16 @@ pub const LOSSES: &[Choice<LossKind>] = &[
     ("none", "Least squares (the paper)", LossKind::None),
     ("huber", "Linear beyond the scale", LossKind::Huber),
     ("cauchy", "Logarithmic beyond the scale", LossKind::Cauchy),
+];
+
+pub const ANCHORS: &[Choice<bool>] = &[
+    ("default", "What datasheet, white images and sensor say", true),
+    ("none", "Only what --anchor states", false),
+];
+
+pub const WEIGHTS: &[Choice<Weights>] = &[
+    ("own", "Each observation by its own standard deviation, where the file has it", Weights::Own),
+    ("unit", "The same for all of a kind (the paper)", Weights::Unit),
 ];
 
 pub const SUBSETS: &[Choice<Subset>] = &[
@@ -95,6 +105,7 @@ mod tests {
     fn choices_have_the_names_of_files() {
         are_named_as_in_files(MODES);
         are_named_as_in_files(LOSSES);
+        are_named_as_in_files(WEIGHTS);
         are_named_as_in_files(SUBSETS);
         are_named_as_in_files(DEPTH_ESTIMATORS);
         are_named_as_in_files(RADIUS_ESTIMATORS);

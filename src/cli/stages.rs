@@ -227,7 +227,10 @@ impl Stages<'_> {
         let title = if stage == CALIBRATION { "Calibration" } else { "Corners only" };
         if stage == CORNERS_ONLY {
             options.mode = Mode::CornersOnly;
-            options.cost.fixed.retain(|name| !name.starts_with("f_"));
+            let known = |name: &String| !name.starts_with("f_");
+            options.cost.fixed.retain(known);
+            options.cost.anchors.retain(|anchor| known(&anchor.quantity));
+            options.not_anchored.retain(known);
         }
         let input = self.calibration_input(ledger, options);
         ledger.stage(stage, &input, |input, output| {

@@ -49,7 +49,7 @@ fn remedy(error: &Error) -> Option<String> {
             "give it, or calibrate from corners only (--mode corners-only)".to_owned()
         }
         Error::TooFewCorners { frame, .. } => {
-            format!("leave the frame out (--exclude-frames {frame})")
+            format!("leave the frame out (--exclude {frame})")
         }
         Error::NoCenters => "give them (--centers)".to_owned(),
         Error::Missing { missing } => {

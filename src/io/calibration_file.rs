@@ -63,7 +63,7 @@ pub fn calibration_document(calibration: &Calibration, time_s: f64) -> Value {
             "uv": uv,
             "rho": rho,
             "centers": centers,
-            "weighted_by_loss": calibration.options.cost.loss.kind != LossKind::None,
+            "weighted_by_loss": calibration.cost.loss.kind != LossKind::None,
         },
         "counts": {
             "features": reprojection.features.len(),

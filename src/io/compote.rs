@@ -97,6 +97,8 @@ pub(super) fn internal_parameters_from(
         m_mm: file.m.0.abs(),
         q_prime_mm: file.q_prime.iter().map(|q| q.0).collect(),
         micro_image_pitch_mm: file.dc.map(|dc| dc.0),
+        m_std_dev_mm: None,
+        q_prime_std_dev_mm: Vec::new(),
     })
 }
 

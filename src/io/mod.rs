@@ -2,6 +2,7 @@
 //! all.
 
 mod calibration_file;
+mod calibration_section;
 mod camera_file;
 pub mod compote;
 mod data_set_folder;
@@ -26,6 +27,9 @@ use std::path::Path;
 use std::time::Instant;
 
 pub use calibration_file::{calibrated_camera_document, calibration_document};
+pub use calibration_section::{
+    AnchorEntry, AnchorValue, AnchorsSection, CalibrationSection, NoAnchor, Pitches,
+};
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera, read_std_devs};
 pub use data_set_folder::{image_name, stage_data_set};
 pub use detection_file::detection_document;
@@ -45,10 +49,7 @@ pub use precalibration_file::{
     write_measured_centers,
 };
 pub use project_draft::{DraftText, ProjectDraft};
-pub use project_file::{
-    CalibrationSection, ImagesSection, Pitches, Project, TranslationImages, TruthSection,
-    WhiteImage,
-};
+pub use project_file::{ImagesSection, Project, TranslationImages, TruthSection, WhiteImage};
 pub use raytrix::{RaytrixCalibration, read_raytrix};
 pub use residuals_file::write_residuals;
 

@@ -27,6 +27,13 @@ struct InternalFile {
     m_mm: f64,
     q_prime_mm: Vec<f64>,
     micro_image_pitch_mm: Option<f64>,
+    standard_deviations: Option<InternalStdDevs>,
+}
+
+#[derive(Deserialize)]
+struct InternalStdDevs {
+    m_mm: f64,
+    q_prime_mm: Vec<f64>,
 }
 
 /// The content of `precalibration.json` where only an array was measured.
@@ -96,8 +103,8 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
             "q_prime_mm": internal.parameters.q_prime_mm,
             "micro_image_pitch_mm": internal.parameters.micro_image_pitch_mm,
             "standard_deviations": {
-                "m_mm": internal.m_std_dev_mm,
-                "q_prime_mm": internal.q_prime_std_dev_mm,
+                "m_mm": internal.parameters.m_std_dev_mm,
+                "q_prime_mm": internal.parameters.q_prime_std_dev_mm,
             },
             "rms_px": internal.rms_px,
         }),
@@ -124,10 +131,13 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
              white images at several f-numbers",
         )
     })?;
+    let std_devs = internal.standard_deviations;
     Ok(InternalParameters {
         m_mm: internal.m_mm,
         q_prime_mm: internal.q_prime_mm,
         micro_image_pitch_mm: internal.micro_image_pitch_mm,
+        m_std_dev_mm: std_devs.as_ref().map(|s| s.m_mm),
+        q_prime_std_dev_mm: std_devs.map(|s| s.q_prime_mm).unwrap_or_default(),
     })
 }
 

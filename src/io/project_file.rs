@@ -4,15 +4,14 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::calibration_section::CalibrationSection;
 use super::project_draft::FILL_IN;
 use super::read_text;
-use crate::calibration::{CalibrationOptions, Mode};
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
     Board, Configuration, Datasheet, InternalParameters, LatticeKind, Sensor, optics,
 };
-use crate::solver::{Loss, LossKind};
 
 /// A project file. Every table may be left out where a command gets its content another way.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -91,6 +90,11 @@ pub struct InternalSection {
     pub q_prime_mm: Vec<f64>,
     /// Δc, mm.
     pub micro_image_pitch_mm: Option<f64>,
+    /// σ of |m|, mm.
+    pub m_std_dev_mm: Option<f64>,
+    /// σ of each q'ᵢ, mm.
+    #[serde(default)]
+    pub q_prime_std_dev_mm: Vec<f64>,
 }
 
 /// `[images]`
@@ -174,92 +178,6 @@ pub struct ObservationsSection {
     pub features: PathBuf,
 }
 
-/// One micro-lens pitch or one for each axis.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Pitches {
-    /// One for both axes (the paper).
-    One,
-    /// One along x, one along y.
-    Two,
-}
-
-/// `[calibration]`: everything is optional; the command line takes precedence.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct CalibrationSection {
-    /// What is estimated.
-    pub mode: Option<Mode>,
-    /// One pitch or two.
-    pub pitches: Option<Pitches>,
-    /// Parameters that keep their value.
-    pub fix: Option<Vec<String>>,
-    /// Frames that are not used.
-    pub exclude_frames: Option<Vec<u32>>,
-    /// σ of u and v, px.
-    pub uv_std_dev_px: Option<f64>,
-    /// σ of ρ, px.
-    pub rho_std_dev_px: Option<f64>,
-    /// σ of the centres, px.
-    pub centers_std_dev_px: Option<f64>,
-    /// Robust loss.
-    pub loss: Option<LossKind>,
-    /// Its scale, standard deviations.
-    pub loss_scale: Option<f64>,
-    /// Maximum number of iterations.
-    pub max_iterations: Option<usize>,
-    /// Threads.
-    pub threads: Option<usize>,
-}
-
-impl CalibrationSection {
-    /// These options; where they say nothing, those of `other`.
-    #[must_use]
-    pub fn or(self, other: Self) -> Self {
-        Self {
-            mode: self.mode.or(other.mode),
-            pitches: self.pitches.or(other.pitches),
-            fix: self.fix.or(other.fix),
-            exclude_frames: self.exclude_frames.or(other.exclude_frames),
-            uv_std_dev_px: self.uv_std_dev_px.or(other.uv_std_dev_px),
-            rho_std_dev_px: self.rho_std_dev_px.or(other.rho_std_dev_px),
-            centers_std_dev_px: self.centers_std_dev_px.or(other.centers_std_dev_px),
-            loss: self.loss.or(other.loss),
-            loss_scale: self.loss_scale.or(other.loss_scale),
-            max_iterations: self.max_iterations.or(other.max_iterations),
-            threads: self.threads.or(other.threads),
-        }
-    }
-
-    /// The options of the calibration, defaults filled in.
-    #[must_use]
-    pub fn options(&self) -> CalibrationOptions {
-        let mode = self.mode.unwrap_or_default();
-        let mut options = CalibrationOptions { mode, ..CalibrationOptions::default() };
-        if self.pitches == Some(Pitches::Two) {
-            options.cost.fixed.clear();
-        }
-        options.cost.fixed.extend(self.fix.iter().flatten().cloned());
-        let cost = &mut options.cost;
-        for (value, target) in [
-            (self.uv_std_dev_px, &mut cost.uv_std_dev_px),
-            (self.rho_std_dev_px, &mut cost.rho_std_dev_px),
-            (self.centers_std_dev_px, &mut cost.centers_std_dev_px),
-        ] {
-            *target = value.unwrap_or(*target);
-        }
-        cost.loss = Loss {
-            kind: self.loss.unwrap_or(LossKind::None),
-            scale: self.loss_scale.unwrap_or(1.0),
-        };
-        options.exclude_frames = self.exclude_frames.clone().unwrap_or_default();
-        let solver = &mut options.solver;
-        solver.max_iterations = self.max_iterations.unwrap_or(solver.max_iterations);
-        solver.threads = self.threads.unwrap_or(solver.threads);
-        options
-    }
-}
-
 impl Project {
     /// Reads a project file; paths in it become relative to the working folder.
     pub fn read(path: &Path) -> Result<Self> {
@@ -319,6 +237,8 @@ impl Project {
             m_mm: section.m_mm,
             q_prime_mm: section.q_prime_mm.clone(),
             micro_image_pitch_mm: section.micro_image_pitch_mm,
+            m_std_dev_mm: section.m_std_dev_mm,
+            q_prime_std_dev_mm: section.q_prime_std_dev_mm.clone(),
         })
     }
 }

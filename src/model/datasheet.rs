@@ -54,6 +54,10 @@ pub struct InternalParameters {
     pub q_prime_mm: Vec<f64>,
     /// Distance Δc between neighbouring micro-image centres, mm, where it was measured.
     pub micro_image_pitch_mm: Option<f64>,
+    /// σ of |m|, mm, where it is known.
+    pub m_std_dev_mm: Option<f64>,
+    /// σ of each q'ᵢ, mm; empty where they are not known.
+    pub q_prime_std_dev_mm: Vec<f64>,
 }
 
 impl Datasheet {
@@ -88,6 +92,20 @@ impl InternalParameters {
         }
         if let Some(pitch) = self.micro_image_pitch_mm {
             positive(pitch, "the micro-image pitch (mm)")?;
+        }
+        for std_dev in self.m_std_dev_mm.iter().chain(&self.q_prime_std_dev_mm) {
+            if !(std_dev.is_finite() && *std_dev >= 0.0) {
+                return Err(Error::invalid(format!(
+                    "a standard deviation of the internal parameters is {std_dev}"
+                )));
+            }
+        }
+        let given = self.q_prime_std_dev_mm.len();
+        if given != 0 && given != self.q_prime_mm.len() {
+            return Err(Error::invalid(format!(
+                "there are {} values of q', but {given} standard deviations of them",
+                self.q_prime_mm.len()
+            )));
         }
         if lens_types != 0 && self.q_prime_mm.len() != lens_types {
             return Err(Error::invalid(format!(

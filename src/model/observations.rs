@@ -56,6 +56,16 @@ pub struct Observations {
 pub const MIN_CORNERS: usize = 4;
 
 impl Observations {
+    /// Removes the standard deviations of all observations.
+    pub(crate) fn forget_std_devs(&mut self) {
+        for feature in &mut self.features {
+            (feature.std_dev_px, feature.rho_std_dev_px) = (None, None);
+        }
+        for center in &mut self.centers {
+            center.std_dev_px = None;
+        }
+    }
+
     /// Numbers of the frames, ascending.
     #[must_use]
     pub fn frames(&self) -> Vec<u32> {

@@ -68,6 +68,8 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
         m_mm: mla.mla_to_sensor_mm * focal_length / (2.0 * mla.lens_to_mla_mm),
         q_prime_mm: mla.focal_lengths_mm.iter().map(q_prime).collect(),
         micro_image_pitch_mm: Some(camera.micro_image_pitch_px() * camera.sensor.pixel_size_mm),
+        m_std_dev_mm: None,
+        q_prime_std_dev_mm: Vec::new(),
     }
 }
 

@@ -24,12 +24,8 @@ pub struct RadiusMeasurement {
 /// Ω with its uncertainty.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InternalFit {
-    /// The parameters.
+    /// The parameters, with their standard deviations.
     pub parameters: InternalParameters,
-    /// Standard deviation of |m|, mm.
-    pub m_std_dev_mm: f64,
-    /// Standard deviations of q'ᵢ, mm.
-    pub q_prime_std_dev_mm: Vec<f64>,
     /// Root mean square residual, px.
     pub rms_px: f64,
 }
@@ -81,9 +77,9 @@ pub(super) fn fit_internal(
                 .map(|i| half_pitch + side * solution[1 + i] * pixel_size_mm)
                 .collect(),
             micro_image_pitch_mm: Some(2.0 * half_pitch),
+            m_std_dev_mm: Some(std_dev(0)),
+            q_prime_std_dev_mm: (0..types).map(|i| std_dev(1 + i)).collect(),
         },
-        m_std_dev_mm: std_dev(0),
-        q_prime_std_dev_mm: (0..types).map(|i| std_dev(1 + i)).collect(),
         rms_px: (sum / rows as f64).sqrt(),
     })
 }

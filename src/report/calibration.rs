@@ -128,7 +128,7 @@ pub(super) fn summary(calibration: &Calibration) -> String {
         ),
     };
     let _ = writeln!(text, "{counts}");
-    let what = if calibration.options.cost.loss.kind == LossKind::None {
+    let what = if calibration.cost.loss.kind == LossKind::None {
         "Measured noise per coordinate"
     } else {
         "Spread per coordinate after weighting by the loss, on which σ rests (below the noise)"

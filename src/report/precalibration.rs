@@ -85,15 +85,13 @@ pub(super) fn radii_table(result: &Precalibration) -> Table {
 }
 
 pub(super) fn internal_table(result: &Precalibration) -> Table {
-    let internal = &result.internal;
+    let internal = &result.internal.parameters;
     let mut table = table(&["Internal parameter, µm", "", "± σ"], &[0]);
     let mut add = |name: String, value: f64, std_dev: f64| {
         table.add_row([name, format!("{:.3}", value * 1e3), format!("{:.3}", std_dev * 1e3)]);
     };
-    add("|m|".to_owned(), internal.parameters.m_mm, internal.m_std_dev_mm);
-    for (i, (&q, &s)) in
-        internal.parameters.q_prime_mm.iter().zip(&internal.q_prime_std_dev_mm).enumerate()
-    {
+    add("|m|".to_owned(), internal.m_mm, internal.m_std_dev_mm.unwrap_or(f64::NAN));
+    for (i, (&q, &s)) in internal.q_prime_mm.iter().zip(&internal.q_prime_std_dev_mm).enumerate() {
         add(format!("q'_{}", i + 1), q, s);
     }
     table

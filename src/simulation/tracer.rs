@@ -157,6 +157,8 @@ impl Tracer {
             m_mm: self.pupil.radius * self.f_number * to_sensor / to_pupil,
             q_prime_mm: self.one_of_each_type().map(q_prime).collect(),
             micro_image_pitch_mm: Some(pitch),
+            m_std_dev_mm: None,
+            q_prime_std_dev_mm: Vec::new(),
         }
     }
 

@@ -128,6 +128,12 @@ mod ffi {
         rho_px: f64,
     }
 
+    struct AnchorRow {
+        quantity: String,
+        value: f64,
+        std_dev: f64,
+    }
+
     struct CostParts {
         uv_std_dev_px: f64,
         rho_std_dev_px: f64,
@@ -135,6 +141,8 @@ mod ffi {
         loss_kind: LossKind,
         loss_scale: f64,
         fixed: Vec<String>,
+        anchors: Vec<AnchorRow>,
+        anchor_weight: f64,
     }
 
     struct SolverParts {
@@ -170,7 +178,15 @@ mod ffi {
         free_intrinsics: Vec<i32>,
         size: i32,
         rank: i32,
+        shared: bool,
         covariance: Vec<f64>,
+        independent_covariance: Vec<f64>,
+        freedom: Vec<f64>,
+        left_out_changes: Vec<f64>,
+        frame_shares: Vec<f64>,
+        frame_information: Vec<f64>,
+        poses_by_intrinsics: Vec<f64>,
+        dispersion: f64,
         information: Vec<f64>,
         weakest: Vec<f64>,
         determined: Vec<bool>,
@@ -223,6 +239,7 @@ mod ffi {
             features: &[FeatureRow],
             centers: &[CenterRow],
             cost: &CostParts,
+            type_rho_std_dev_px: &[f64],
         ) -> Result<UncertaintyParts>;
     }
 }
@@ -333,22 +350,42 @@ pub(crate) fn refine(
     })
 }
 
-/// Uncertainty of the parameters at a minimum.
-pub(crate) fn uncertainty(problem: &Problem, cost: &CostOptions) -> Result<Uncertainty> {
+/// Uncertainty of the parameters at a minimum. `type_rho_std_dev_px` is the standard deviation of the
+/// error that ρ has in common in all features of a lens type; empty for none.
+pub(crate) fn uncertainty(
+    problem: &Problem,
+    cost: &CostOptions,
+    type_rho_std_dev_px: &[f64],
+) -> Result<Uncertainty> {
     let parts = ffi::uncertainty(
         &problem.camera.into(),
         &problem.pose_blocks(),
         &problem.feature_rows(),
         &problem.center_rows(),
         &cost.into(),
+        type_rho_std_dev_px,
     )
     .map_err(solver_error)?;
     let size = usize::try_from(parts.size).unwrap_or(0);
     let index = |i: &i32| usize::try_from(*i).unwrap_or(0);
+    let free = parts.free_intrinsics.len();
+    let frames = problem.poses.len();
     Ok(Uncertainty {
         free_intrinsics: parts.free_intrinsics.iter().map(index).collect(),
         rank: usize::try_from(parts.rank).unwrap_or(0),
+        shared: parts.shared,
         covariance: DMatrix::from_row_slice(size, size, &parts.covariance),
+        independent_covariance: DMatrix::from_row_slice(size, size, &parts.independent_covariance),
+        freedom: parts.freedom,
+        left_out_changes: DMatrix::from_row_slice(frames, free, &parts.left_out_changes),
+        frame_shares: DMatrix::from_row_slice(frames, free, &parts.frame_shares),
+        frame_information: parts
+            .frame_information
+            .chunks_exact((free * free).max(1))
+            .map(|values| DMatrix::from_row_slice(free, free, values))
+            .collect(),
+        poses_by_intrinsics: DMatrix::from_row_slice(size - free, free, &parts.poses_by_intrinsics),
+        dispersion: parts.dispersion,
         information: parts.information,
         weakest: parts.weakest.chunks_exact(size.max(1)).map(<[f64]>::to_vec).collect(),
         determined: parts.determined,

@@ -9,7 +9,7 @@ mod uncertainty;
 
 pub use bridge::{distortion_mm, silence_log};
 pub(crate) use bridge::{project, project_centers, refine, uncertainty};
-pub use options::{CostOptions, Loss, LossKind, SolverOptions};
+pub use options::{Anchor, CostOptions, Loss, LossKind, SolverOptions};
 pub(crate) use problem::{Problem, Projected, SolverCenter, SolverFeature};
 pub use refinement::{Iteration, Refinement, Termination};
 pub use synthetic::synthesize;

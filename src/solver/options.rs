@@ -23,8 +23,19 @@ pub struct Loss {
     pub scale: f64,
 }
 
-/// The cost: ½ Σ loss(|r/σ|²). The σ of a residual is that of the observation (1 px unless given)
-/// times the factor given here for its kind.
+/// What is known of a camera beforehand: one more residual in the cost, (quantity − value)/σ.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Anchor {
+    /// Name of an intrinsic parameter, or `m` for |m| = dF/2D (mm).
+    pub quantity: String,
+    /// Its value, in the unit of the parameter.
+    pub value: f64,
+    /// σ of the value, likewise.
+    pub std_dev: f64,
+}
+
+/// The cost: ½ Σ loss(|r/σ|²) + w/2 Σ (anchor residual)². The σ of an observation's residual is its own
+/// (1 px unless given) times the factor given here for its kind.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CostOptions {
     /// Factor on σ of u and v of a feature; σ in px if the feature has none of its own.
@@ -37,10 +48,15 @@ pub struct CostOptions {
     pub loss: Loss,
     /// Names of the intrinsic parameters that keep their value.
     pub fixed: Vec<String>,
+    /// What is known beforehand, each of another quantity.
+    pub anchors: Vec<Anchor>,
+    /// w: how many times larger the variance of what the observations say is than their σ claims. It
+    /// keeps observations and anchors in proportion.
+    pub anchor_weight: f64,
 }
 
 impl Default for CostOptions {
-    /// The paper's cost: 1 px each, no loss, one pitch.
+    /// The paper's cost: 1 px each, no loss, one pitch, no anchors.
     fn default() -> Self {
         Self {
             uv_std_dev_px: 1.0,
@@ -48,6 +64,8 @@ impl Default for CostOptions {
             centers_std_dev_px: 1.0,
             loss: Loss { kind: LossKind::None, scale: 1.0 },
             fixed: vec!["dC_ratio".to_owned()],
+            anchors: Vec::new(),
+            anchor_weight: 1.0,
         }
     }
 }

@@ -9,20 +9,43 @@ const POSE_PARAMETERS: usize = 6;
 /// Index of the translation along z in a pose (rotation first).
 const POSE_Z: usize = 5;
 
-/// How well the observations determine the parameters.
+/// How well observations and anchors determine the parameters.
 ///
 /// The parameters are the free intrinsic parameters, then six for every pose (angle-axis rotation
-/// in rad, translation in mm). The covariance is scaled by the measured variance of each kind of
-/// residual, so it is valid whether or not the weights of the cost match the noise. It assumes that
-/// the errors of different observations are independent.
+/// in rad, translation in mm). There are two covariances. That of independent errors takes every
+/// observation for itself, with the measured variance of its kind. That of shared errors lets all
+/// residuals of a frame, and those of neighbouring centres, have errors in common; it comes from how
+/// much frames contradict each other. Both are valid whether or not the weights match the noise, and
+/// both contain anchors and what all features of a lens type share. Equations: `Uncertainty` in
+/// `plenocal/refine.hpp`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Uncertainty {
     /// Indices of the free parameters into `PlenopticCamera::intrinsics`.
     pub free_intrinsics: Vec<usize>,
-    /// Number of independent directions of parameter space that the observations determine.
+    /// Number of independent directions of parameter space that are determined.
     pub rank: usize,
-    /// Covariance of all parameters, in their units.
+    /// Whether `covariance` is that of shared errors: from six frames on, or if only poses are
+    /// estimated.
+    pub shared: bool,
+    /// Covariance of all parameters, in their units: the one to trust.
     pub covariance: DMatrix<f64>,
+    /// Covariance if errors of all observations are independent.
+    pub independent_covariance: DMatrix<f64>,
+    /// If errors are shared: degrees of freedom of the variance of each free intrinsic parameter.
+    pub freedom: Vec<f64>,
+    /// By how much the free intrinsic parameters would change if a frame were left out, to first order:
+    /// a row for each frame; not a number where they would not all be determined any more.
+    pub left_out_changes: DMatrix<f64>,
+    /// The share of each frame (a row) in what the weights claim the variance of the free intrinsic
+    /// parameters to be, 0 to 1.
+    pub frame_shares: DMatrix<f64>,
+    /// The information of each frame on the free intrinsic parameters, with its pose unknown.
+    pub frame_information: Vec<DMatrix<f64>>,
+    /// How the poses follow the free intrinsic parameters: six rows for each.
+    pub poses_by_intrinsics: DMatrix<f64>,
+    /// How many times larger the variance of the anchored quantities is than the weights claim, as far as
+    /// the observations cause it; 1 without anchors.
+    pub dispersion: f64,
     /// Diagonal of the information matrix J'J.
     pub information: Vec<f64>,
     /// The directions of parameter space with the least information in proportion to that on each
@@ -32,10 +55,9 @@ pub struct Uncertainty {
     pub weakest: Vec<Vec<f64>>,
     /// Whether each parameter is determined at all; if not, its variance is meaningless.
     pub determined: Vec<bool>,
-    /// Measured standard deviation of a residual, px: u and v of features, ρ, u and v of centres;
-    /// not a number for a kind without observations. If observations have their own σ, it is the value
-    /// for the root mean square of these. With a robust loss it is that of the weighted residuals,
-    /// smaller than the noise.
+    /// Measured standard deviation of a residual, px: u and v of features, ρ, u and v of centres; root of
+    /// the sum of squares over their redundancy, not a number for a kind without observations. With a
+    /// robust loss it is that of the weighted residuals, smaller than the noise.
     pub residual_std_dev_px: [f64; 3],
     /// How much a further Gauss-Newton step would lower the cost; almost 0 at a true minimum.
     pub expected_decrease: f64,
@@ -86,11 +108,7 @@ impl Uncertainty {
     /// `PlenopticCamera::intrinsics`; `None` for those fixed, infinite for those not determined.
     #[must_use]
     pub fn intrinsic_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
-        let mut std_devs = vec![None; intrinsic_parameters(lens_types).len()];
-        for (row, &index) in self.free_intrinsics.iter().enumerate() {
-            std_devs[index] = Some(self.std_dev(row));
-        }
-        std_devs
+        self.by_intrinsic(lens_types, |row| self.std_dev(row))
     }
 
     /// Indices into `PlenopticCamera::intrinsics` of the free parameters that are not determined.
@@ -109,7 +127,47 @@ impl Uncertainty {
     }
 
     fn std_dev(&self, row: usize) -> f64 {
-        if self.determined[row] { self.covariance[(row, row)].sqrt() } else { f64::INFINITY }
+        self.std_dev_in(&self.covariance, row)
+    }
+
+    fn std_dev_in(&self, covariance: &DMatrix<f64>, row: usize) -> f64 {
+        if self.determined[row] { covariance[(row, row)].sqrt() } else { f64::INFINITY }
+    }
+
+    /// What [`Uncertainty::intrinsic_std_devs`] would be if all errors were independent.
+    #[must_use]
+    pub fn independent_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
+        self.by_intrinsic(lens_types, |row| self.std_dev_in(&self.independent_covariance, row))
+    }
+
+    /// By what fraction of itself each standard deviation is uncertain, √(1/2ν) with ν degrees of
+    /// freedom; `None` for fixed parameters, and if errors are taken as independent.
+    #[must_use]
+    pub fn std_dev_uncertainties(&self, lens_types: usize) -> Vec<Option<f64>> {
+        let of_row = |row: usize| self.freedom.get(row).map(|freedom| (0.5 / freedom).sqrt());
+        self.by_intrinsic(lens_types, of_row).into_iter().map(Option::flatten).collect()
+    }
+
+    /// The standard deviations that the jackknife over frames gives, √((n − 1)/n Σ(θᵢ − θ̄)²), with the
+    /// changes θᵢ to first order instead of n calibrations; `None` for fixed parameters.
+    #[must_use]
+    pub fn jackknife_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
+        let frames = self.left_out_changes.nrows() as f64;
+        let variance = |row: usize| self.left_out_changes.column(row).variance();
+        self.by_intrinsic(lens_types, |row| ((frames - 1.0) * variance(row)).sqrt())
+    }
+
+    /// A value for each intrinsic parameter, from the row of the free ones.
+    fn by_intrinsic<T: Clone>(
+        &self,
+        lens_types: usize,
+        of_row: impl Fn(usize) -> T,
+    ) -> Vec<Option<T>> {
+        let mut values = vec![None; intrinsic_parameters(lens_types).len()];
+        for (row, &index) in self.free_intrinsics.iter().enumerate() {
+            values[index] = Some(of_row(row));
+        }
+        values
     }
 
     /// Correlation matrix of the free intrinsic parameters; 0 where one is not determined.

@@ -31,4 +31,5 @@ mod run;
 mod simulate;
 mod simulation;
 mod support;
+mod uncertainty;
 mod weights;

@@ -70,8 +70,14 @@ pub fn drawn(camera: &PlenopticCamera, noise: &Noise, seed: u64) -> Observations
     synthesize(camera, &board(), &true_poses(), noise, seed).unwrap()
 }
 
-/// One thread: the result does not depend on the machine.
+/// One thread: the result does not depend on the machine. No anchors and no loss: the observations
+/// alone.
 pub fn options() -> CalibrationOptions {
+    CalibrationOptions { default_anchors: false, automatic_loss: false, ..anchored() }
+}
+
+/// The defaults, with one thread.
+pub fn anchored() -> CalibrationOptions {
     let solver = SolverOptions { threads: 1, ..SolverOptions::default() };
     CalibrationOptions { solver, ..CalibrationOptions::default() }
 }

@@ -96,6 +96,12 @@ bool main_lens_image(const MainLens<T>& lens, const Vector3<T>& point, Vector3<T
   return true;
 }
 
+/// |m| = dF/2D, mm: by how much the radius of a micro-image grows with 1/N, Eq. (miradiusfnumber).
+template <typename T>
+T micro_image_slope(const MainLens<T>& lens, const MicroLensArray<T>& mla) {
+  return 0.5 * mla.mla_to_sensor * lens.focal_length / mla.lens_to_mla;
+}
+
 /// The geometry of micro-lenses and sensor, without the main lens. What does not depend on the
 /// observation is computed once.
 template <typename T>

@@ -33,8 +33,19 @@ struct Observations {
   std::vector<CenterObservation> centers;
 };
 
-/// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations. The sigma of a residual is
-/// that of the observation (1 px unless given) times the factor given here for its kind.
+/// Name of |m| = dF/2D, mm (`micro_image_slope`), among the quantities of anchors.
+constexpr char kSlopeName[] = "m";
+
+/// What is known of a camera beforehand: one more residual, (quantity - value) / std_dev.
+struct Anchor {
+  std::string quantity;  ///< a free intrinsic parameter, see `intrinsic_names`, or `kSlopeName`
+  double value;          ///< in the unit of the quantity
+  double std_dev;        ///< likewise
+};
+
+/// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations + w/2 sum r_a^2 over the
+/// anchors. The sigma of a residual is that of the observation (1 px unless given) times the factor
+/// given here for its kind.
 struct CostOptions {
   double uv_std_dev = 1.0;       ///< of a feature's u and v
   double rho_std_dev = 1.0;      ///< of a feature's rho
@@ -44,6 +55,10 @@ struct CostOptions {
   /// Names of intrinsic parameters that keep their value, see `intrinsic_names`; by default the
   /// array has one pitch, as in the paper.
   std::vector<std::string> fixed = {"dC_ratio"};
+  std::vector<Anchor> anchors;
+  /// w: how many times larger the variance of what the observations say is than their sigma claims,
+  /// see `Uncertainty::dispersion`. It keeps observations and anchors in proportion.
+  double anchor_weight = 1.0;
 };
 
 /// Options of the minimisation. The tolerances are those of Ceres; the defaults are at the limit of
@@ -98,21 +113,55 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
                   const Observations& observations, const CostOptions& cost_options,
                   const SolverOptions& solver_options, const Progress& progress = {});
 
-/// How well the observations determine the parameters, at a minimum of the cost.
+/// How well observations and anchors determine the parameters, at a minimum of the cost.
 ///
 /// Parameters: the free intrinsics, in the order of `for_each_parameter`, then 6 per pose.
-/// With H = J'J the information of the standardised residuals and H_k that of the residuals of
-/// kind k (features' u and v; features' rho; centres), the variance of a residual of kind k is
-/// measured as s_k^2 = |r_k|^2 / (n_k - tr(H_k H^+)), and
-/// covariance = H^+ (sum_k s_k^2 H_k) H^+,
-/// which is valid whether or not the weights of the cost match the noise.
+///
+/// With H = J'J the information of the standardised residuals, every covariance here is
+/// H^+ S H^+, where S is the covariance of the gradient. The two kinds differ in S:
+///
+/// *Independent errors.* S = sum_k s_k^2 H_k over the kinds of residuals (features' u and v;
+/// features' rho; centres), with the variance s_k^2 of each kind measured as
+/// |r_k|^2 / (n_k - tr(H_k H^+)), so that it is valid whether or not the weights match the noise.
+/// (All rho of a corner come from one virtual depth; they count as one.)
+///
+/// *Shared errors.* Residuals of a frame, or of neighbouring centres, may have errors in common. S
+/// is then the sum of g g' over frames, over patches of the image (for the centres), and, in the
+/// part of a pose that is its own, over the corners of the frame, g being the gradient of the
+/// group; each corrected for what the fit takes away from it (`gradient_spread` in
+/// src/shared_errors.hpp).
+///
+/// Both contain w^2 H_a of the anchors, with H_a their information at w = 1, and the errors of rho
+/// that all features of a lens type share.
 struct Uncertainty {
-  static constexpr int kWeakest = 3;  ///< the largest number of rows in `weakest`
-  std::vector<int> free_intrinsics;   ///< indices into `intrinsic_names`
-  int size = 0;                       ///< number of parameters
-  int rank = 0;                       ///< number of independent directions that are determined
-  std::vector<double> covariance;     ///< size x size, row by row
-  std::vector<double> information;    ///< diagonal of H
+  static constexpr int kWeakest = 3;       ///< the largest number of rows in `weakest`
+  static constexpr int kEnoughFrames = 6;  ///< so many show what the errors of a frame share
+  std::vector<int> free_intrinsics;        ///< indices into `intrinsic_names`
+  int size = 0;                            ///< number of parameters
+  int rank = 0;                            ///< number of independent directions that are determined
+  /// Whether `covariance` is that of shared errors: with enough frames, or no free intrinsics.
+  bool shared = false;
+  std::vector<double> covariance;              ///< size x size, row by row
+  std::vector<double> independent_covariance;  ///< of independent errors, likewise
+  /// If errors are shared: for each free intrinsic, the degrees of freedom of its variance. The
+  /// variance is known to a fraction of sqrt(2 / freedom), its root to half of that.
+  std::vector<double> freedom;
+  /// By how much the free intrinsics would change if a frame were left out, to first order: a row
+  /// for each frame; not a number where they would not all be determined any more.
+  std::vector<double> left_out_changes;
+  /// The share of each frame in what the weights claim the variance of the free intrinsics to be: a
+  /// row for each frame, 0 to 1.
+  std::vector<double> frame_shares;
+  /// The information of each frame on the free intrinsics, with its pose unknown: a square matrix
+  /// for each frame, row by row.
+  std::vector<double> frame_information;
+  /// How the poses follow the free intrinsics: 6 rows for each frame.
+  std::vector<double> poses_by_intrinsics;
+  /// How many times larger the variance of the anchored quantities due to the observations is than
+  /// the weights claim, in the mean; 1 without anchors. `CostOptions::anchor_weight` should be
+  /// this.
+  double dispersion = 1.0;
+  std::vector<double> information;  ///< diagonal of H
   /// The directions of parameter space with the least information in proportion to that on each
   /// parameter alone, the weakest first: rows of `size` changes, along one standard deviation, or,
   /// if a direction is not determined (the first size - rank of all), along the unit of the
@@ -120,17 +169,19 @@ struct Uncertainty {
   std::vector<double> weakest;
   /// Whether the observations determine a parameter at all; if not, its variance is meaningless.
   std::vector<bool> determined;
-  /// s_k times the sigma of the cost, px: features' u and v, rho, centres' u and v; not a number
-  /// for a kind without observations. If observations have their own sigma, the sigma of the cost
-  /// is their root mean square times the factor of the kind. With a robust loss, s_k is that of the
-  /// weighted residuals, smaller than the noise.
+  /// Measured standard deviation of features' u and v, rho, centres' u and v, px: root of the sum
+  /// of squared residuals over their redundancy; not a number for a kind without any. With
+  /// a robust loss it is that of the weighted residuals, smaller than the noise.
   std::array<double, 3> residual_std_dev{};
   /// How much a further Gauss-Newton step would lower the cost: 0 at a true minimum.
   double expected_decrease = 0.0;
 };
 
+/// `type_rho_std_dev` is, for each lens type, the standard deviation (px) of an error that rho has
+/// in common in all features of the type, as those of q' from white images are; empty for none.
 /// Throws std::invalid_argument like `refine`.
 Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
-                        const Observations& observations, const CostOptions& cost_options);
+                        const Observations& observations, const CostOptions& cost_options,
+                        const std::vector<double>& type_rho_std_dev = {});
 
 }  // namespace plenocal

@@ -173,4 +173,30 @@ class CenterResiduals {
   Loss loss_;
 };
 
+/// Residual of an anchor on |m|. Parameter blocks: main lens, array.
+class SlopeResidual {
+ public:
+  /// `value` in mm; `weight` is 1 / sigma, 1/mm.
+  SlopeResidual(double value, double weight) : value_(value), weight_(weight) {}
+
+  template <typename T>
+  bool operator()(const T* lens, const T* array, T* residual) const {
+    const T slope =
+        micro_image_slope(from_block<MainLens>(lens), from_block<MicroLensArray>(array));
+    residual[0] = (slope - value_) * weight_;
+    return true;
+  }
+
+  /// A cost function of it.
+  static std::unique_ptr<ceres::CostFunction> create(double value, double weight) {
+    return std::make_unique<
+        ceres::AutoDiffCostFunction<SlopeResidual, 1, kMainLensParameters, kArrayParameters>>(
+        new SlopeResidual(value, weight));
+  }
+
+ private:
+  double value_;
+  double weight_;
+};
+
 }  // namespace plenocal

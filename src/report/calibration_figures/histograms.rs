@@ -55,7 +55,7 @@ pub(super) fn residual_histograms(calibration: &Calibration) -> Result<Option<Fi
         let areas = root.split_evenly((rows, panels.len().min(2)));
         panels.iter().zip(&areas).try_for_each(|(panel, area)| histogram(area, panel, overlay))
     })?;
-    let spread = if calibration.options.cost.loss.kind == LossKind::None {
+    let spread = if calibration.cost.loss.kind == LossKind::None {
         "the measured standard deviation"
     } else {
         "the standard deviation after weighting by the loss"

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use super::ffi;
 use crate::model::{Packing, Parity, PlenopticCamera};
-use crate::solver::options::{CostOptions, LossKind, SolverOptions};
+use crate::solver::options::{Anchor, CostOptions, LossKind, SolverOptions};
 use crate::solver::problem::{Problem, SolverCenter, SolverFeature};
 use crate::solver::refinement::{Iteration, Termination};
 
@@ -119,6 +119,13 @@ impl From<&ffi::IterationRow> for Iteration {
     }
 }
 
+impl From<&Anchor> for ffi::AnchorRow {
+    fn from(anchor: &Anchor) -> Self {
+        let Anchor { quantity, value, std_dev } = anchor;
+        Self { quantity: quantity.clone(), value: *value, std_dev: *std_dev }
+    }
+}
+
 impl From<&CostOptions> for ffi::CostParts {
     fn from(cost: &CostOptions) -> Self {
         Self {
@@ -128,6 +135,8 @@ impl From<&CostOptions> for ffi::CostParts {
             loss_kind: cost.loss.kind.into(),
             loss_scale: cost.loss.scale,
             fixed: cost.fixed.clone(),
+            anchors: cost.anchors.iter().map(ffi::AnchorRow::from).collect(),
+            anchor_weight: cost.anchor_weight,
         }
     }
 }

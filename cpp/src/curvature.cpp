@@ -1,0 +1,103 @@
+#include "curvature.hpp"
+
+#include <Eigen/Dense>
+#include <algorithm>
+
+namespace plenocal {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+// Number of weak directions, and the length of the steps in them, in the standard deviation that
+// the weights claim.
+constexpr int kDirections = 4;
+constexpr double kStep = 1e-2;
+
+// The state of a problem moved along a direction of the intrinsics, with the poses following.
+VectorXd moved(const CalibrationProblem& calibration, const VectorXd& state, const VectorXd& change,
+               const MatrixXd& poses_by_intrinsics) {
+  VectorXd result = state;
+  const auto& free = calibration.free_intrinsics();
+  for (std::size_t i = 0; i < free.size(); ++i) result[free[i]] += change[i];
+  result.tail(poses_by_intrinsics.rows()) += poses_by_intrinsics * change;
+  return result;
+}
+
+// H + S of each group, where S is known only for the directions: S `directions` = `second`. What it
+// does between two other directions is neglected. `dual` are the coordinates along the directions.
+MatrixXd with_second_order(const MatrixXd& information, const MatrixXd& second,
+                           const MatrixXd& directions, const MatrixXd& dual) {
+  const MatrixXd within = directions.transpose() * second;
+  return information + second * dual.transpose() + dual * second.transpose() -
+         dual * (0.5 * (within + within.transpose())) * dual.transpose();
+}
+
+}  // namespace
+
+Eliminated without_poses(const NormalEquations& equations) {
+  const int p = equations.intrinsics;
+  Eliminated result;
+  result.patches = equations.patches;
+  result.poses_by_intrinsics.resize(equations.size() - p, p);
+  int first = 0;
+  for (const Group& frame : equations.frames) {
+    const MatrixXd pose = frame.information.bottomRightCorner<Pose::kSize, Pose::kSize>();
+    const MatrixXd mixed = frame.information.bottomLeftCorner(Pose::kSize, p);
+    const MatrixXd follow = -ScaledInverse(pose).matrix() * mixed;
+    result.frames.push_back(
+        {frame.information.topLeftCorner(p, p) + follow.transpose() * mixed,
+         frame.gradient.head(p) + follow.transpose() * frame.gradient.tail<Pose::kSize>()});
+    result.poses_by_intrinsics.middleRows(first, Pose::kSize) = follow;
+    first += Pose::kSize;
+  }
+  return result;
+}
+
+Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
+  const int p = static_cast<int>(groups.poses_by_intrinsics.cols());
+  MatrixXd information = MatrixXd::Zero(p, p);
+  for (const Group& group : groups.frames) information += group.information;
+  for (const Group& group : groups.patches) information += group.information;
+  const ScaledInverse inverse(information);
+  const int known = std::min(kDirections, inverse.rank);
+  const MatrixXd directions =
+      inverse.basis.middleCols(p - inverse.rank, known) *
+      inverse.inverse.segment(p - inverse.rank, known).cwiseSqrt().asDiagonal();
+  const MatrixXd dual = information * directions;
+
+  std::vector<MatrixXd> of_frames(groups.frames.size(), MatrixXd(p, known));
+  std::vector<MatrixXd> of_patches(groups.patches.size(), MatrixXd(p, known));
+  const VectorXd state = calibration->state();
+  for (int i = 0; i < known; ++i) {
+    const VectorXd step = kStep * directions.col(i);
+    calibration->set_state(moved(*calibration, state, step, groups.poses_by_intrinsics));
+    const GroupGradients there = group_gradients(calibration);
+    const auto second = [&](const VectorXd& gradient, const Group& group) -> VectorXd {
+      return (gradient - group.gradient - group.information * step) / kStep;
+    };
+    for (std::size_t f = 0; f < groups.frames.size(); ++f) {
+      const auto follow = groups.poses_by_intrinsics.middleRows<Pose::kSize>(Pose::kSize * f);
+      const VectorXd reduced =
+          there.frames[f].head(p) + follow.transpose() * there.frames[f].tail<Pose::kSize>();
+      of_frames[f].col(i) = second(reduced, groups.frames[f]);
+    }
+    for (std::size_t g = 0; g < groups.patches.size(); ++g) {
+      of_patches[g].col(i) = second(there.patches[g], groups.patches[g]);
+    }
+  }
+  calibration->set_state(state);
+
+  Curvature result;
+  for (std::size_t f = 0; f < groups.frames.size(); ++f) {
+    result.frames.push_back(
+        with_second_order(groups.frames[f].information, of_frames[f], directions, dual));
+  }
+  for (std::size_t g = 0; g < groups.patches.size(); ++g) {
+    result.patches.push_back(
+        with_second_order(groups.patches[g].information, of_patches[g], directions, dual));
+  }
+  return result;
+}
+
+}  // namespace plenocal

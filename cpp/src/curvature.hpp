@@ -1,0 +1,32 @@
+// The Hessian of the cost on the intrinsics, beyond the approximation of Gauss and Newton.
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "normal_equations.hpp"
+
+namespace plenocal {
+
+/// What frames and patches say about the intrinsics alone: gradients and information with the poses
+/// eliminated.
+struct Eliminated {
+  std::vector<Group> frames;
+  std::vector<Group> patches;
+  Eigen::MatrixXd poses_by_intrinsics;  ///< how the poses follow: 6 rows for each frame
+};
+
+Eliminated without_poses(const NormalEquations& equations);
+
+/// Hessians of the cost of each group on the intrinsics, with the poses following.
+struct Curvature {
+  std::vector<Eigen::MatrixXd> frames;
+  std::vector<Eigen::MatrixXd> patches;
+};
+
+/// Gauss-Newton's J'J leaves out sum r r''. Where the model is not quite right, residuals have a
+/// pattern, and in the weak directions that sum is as large as J'J. It is measured there, by
+/// differences of the gradient; elsewhere it is negligible. `calibration` is left as it was.
+Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration);
+
+}  // namespace plenocal

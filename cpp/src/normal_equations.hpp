@@ -1,0 +1,71 @@
+// The normal equations of a calibration at its present values, as a whole and by what shares
+// errors.
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <vector>
+
+#include "problem.hpp"
+
+namespace plenocal {
+
+/// Information (J'J) and gradient (J'r) of a group of standardised residuals.
+struct Group {
+  Eigen::MatrixXd information;
+  Eigen::VectorXd gradient;
+};
+
+/// Parameters: the free intrinsics, then 6 per pose.
+struct NormalEquations {
+  int intrinsics = 0;                                       ///< number of free intrinsics
+  std::array<Eigen::MatrixXd, kResidualKinds> information;  ///< of each kind of residual
+  Eigen::VectorXd gradient;
+  /// Sum of squared residuals; of rho, whose errors the features of a corner share, the sum over
+  /// corners of (sum of residuals)^2 / number of them, which is right whether or not they do.
+  std::array<double, kResidualKinds> squares{};
+  std::array<int, kResidualKinds> terms{};             ///< number of terms in these sums
+  std::array<double, kResidualKinds> pixel_squares{};  ///< sum of squared residuals in px
+  std::array<int, kResidualKinds> count{};             ///< number of residuals
+  std::vector<Group> frames;                ///< on the free intrinsics and the pose of the frame
+  std::vector<Group> patches;               ///< of the centres, on the free intrinsics
+  std::vector<std::vector<Group>> corners;  ///< of every frame, on its pose
+  /// By how much the gradient changes if rho of all features of a lens type is 1 px smaller: a
+  /// column for each type.
+  Eigen::MatrixXd by_type_rho;
+
+  /// Derivatives of the anchored quantities, in arbitrary units: a row for each anchor, a column
+  /// for each free intrinsic.
+  Eigen::MatrixXd anchors;
+
+  int size() const { return static_cast<int>(gradient.size()); }
+  /// First parameter of the pose of a frame.
+  int pose(int frame) const { return intrinsics + Pose::kSize * frame; }
+};
+
+/// Throws std::invalid_argument where the model is not defined.
+NormalEquations normal_equations(CalibrationProblem* calibration);
+
+/// Gradients of frames (on the free intrinsics and the pose of the frame) and of patches (on the
+/// free intrinsics), as in `NormalEquations`.
+struct GroupGradients {
+  std::vector<Eigen::VectorXd> frames;
+  std::vector<Eigen::VectorXd> patches;
+};
+
+/// Only the gradients, much faster; throws like `normal_equations`.
+GroupGradients group_gradients(CalibrationProblem* calibration);
+
+/// Pseudo-inverse of an information matrix scaled to a unit diagonal, so that units do not matter.
+struct ScaledInverse {
+  Eigen::VectorXd inverse;  ///< inverse eigenvalues of the scaled matrix, descending; 0 for none
+  Eigen::MatrixXd vectors;  ///< its eigenvectors
+  Eigen::MatrixXd basis;    ///< the eigenvectors as changes of the parameters
+  Eigen::MatrixXd coordinates;  ///< weights of the parameters in the coordinate along each of them
+  int rank = 0;
+
+  explicit ScaledInverse(const Eigen::MatrixXd& information);
+  Eigen::MatrixXd matrix() const { return basis * inverse.asDiagonal() * basis.transpose(); }
+};
+
+}  // namespace plenocal

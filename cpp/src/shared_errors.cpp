@@ -1,0 +1,165 @@
+#include "shared_errors.hpp"
+
+#include "curvature.hpp"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <limits>
+#include <numeric>
+
+namespace plenocal {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+// A direction is determined by one group alone if that has all but this fraction of the
+// information.
+constexpr double kAlone = 1e-3;
+
+MatrixXd sum_of_information(const std::vector<Group>& groups) {
+  const auto size = groups.front().gradient.size();
+  return std::accumulate(
+      groups.begin(), groups.end(), MatrixXd(MatrixXd::Zero(size, size)),
+      [](const MatrixXd& sum, const Group& g) -> MatrixXd { return sum + g.information; });
+}
+
+// Variance of each intrinsic due to each group (a row) if the gradient of the group has the
+// covariance of its information.
+MatrixXd claimed_variances(const std::vector<Group>& groups, const MatrixXd& inverse) {
+  MatrixXd variances(groups.size(), inverse.rows());
+  for (std::size_t g = 0; g < groups.size(); ++g) {
+    variances.row(g) = (inverse * groups[g].information * inverse).diagonal();
+  }
+  return variances;
+}
+
+// Inverse degrees of freedom of a variance of which the groups' share is `part` (Satterthwaite).
+VectorXd inverse_freedom(const MatrixXd& variances, const VectorXd& part) {
+  VectorXd result(part.size());
+  for (Eigen::Index i = 0; i < part.size(); ++i) {
+    const double sum = variances.col(i).sum(), squares = variances.col(i).squaredNorm();
+    const double freedom = squares > 0.0 ? sum * sum / squares - 1.0 : 0.0;
+    result[i] = part[i] > 0.0 ? part[i] * part[i] / std::max(freedom, 1e-9) : 0.0;
+  }
+  return result;
+}
+
+// Changes of the intrinsics if each frame were left out, to first order: (H - H_f)^-1 g_f.
+MatrixXd left_out_changes(const std::vector<Group>& frames, const Curvature& curved,
+                          const MatrixXd& hessian) {
+  MatrixXd changes(frames.size(), hessian.rows());
+  const int rank = ScaledInverse(hessian).rank;
+  for (std::size_t f = 0; f < frames.size(); ++f) {
+    const ScaledInverse without(hessian - curved.frames[f]);
+    changes.row(f) = without.matrix() * frames[f].gradient;
+    if (without.rank < rank) changes.row(f).setConstant(std::numeric_limits<double>::quiet_NaN());
+  }
+  return changes;
+}
+
+}  // namespace
+
+MatrixXd symmetric(const MatrixXd& matrix) { return 0.5 * (matrix + matrix.transpose()); }
+
+std::vector<double> row_by_row(const MatrixXd& matrix) {
+  std::vector<double> values;
+  values.reserve(matrix.size());
+  for (const auto& row : matrix.rowwise()) values.insert(values.end(), row.begin(), row.end());
+  return values;
+}
+
+MatrixXd gradient_spread(const std::vector<Group>& groups) {
+  const MatrixXd information = sum_of_information(groups);
+  const ScaledInverse sum(information);
+  // Coordinates y in which the information of all groups together is the identity, g = `back` y.
+  const int rank = sum.rank;
+  if (rank == 0) return MatrixXd::Zero(information.rows(), information.cols());
+  const MatrixXd root = sum.basis.rightCols(rank) * sum.inverse.tail(rank).cwiseSqrt().asDiagonal();
+  const MatrixXd back = information * root;
+  VectorXd total = VectorXd::Zero(rank);
+  for (const Group& group : groups) total += root.transpose() * group.gradient;
+
+  MatrixXd spread = MatrixXd::Zero(rank, rank), alone = MatrixXd::Zero(rank, rank);
+  for (const Group& group : groups) {
+    const MatrixXd leverage = root.transpose() * group.information * root;
+    const VectorXd own = root.transpose() * group.gradient - leverage * total;
+    const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(leverage);
+    const VectorXd factors = eigen.eigenvalues().unaryExpr(
+        [](double k) { return k < 1.0 - kAlone ? 1.0 / std::sqrt(1.0 - k) : 0.0; });
+    const VectorXd corrected =
+        eigen.eigenvectors() * factors.cwiseProduct(eigen.eigenvectors().transpose() * own);
+    spread += corrected * corrected.transpose();
+    const VectorXd unknown =
+        eigen.eigenvalues().unaryExpr([](double k) { return k < 1.0 - kAlone ? 0.0 : k; });
+    alone += eigen.eigenvectors() * unknown.asDiagonal() * eigen.eigenvectors().transpose();
+  }
+  const double compared = rank - alone.trace();
+  spread += (compared > 0.5 ? spread.trace() / compared : 1.0) * alone;
+  return back * spread * back.transpose();
+}
+
+double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse,
+                       const MatrixXd& spread, const MatrixXd& information) {
+  double sum = 0.0;
+  int count = 0;
+  for (const auto& anchor : equations.anchors.rowwise()) {
+    const VectorXd to =
+        inverse.topLeftCorner(spread.rows(), equations.intrinsics) * anchor.transpose();
+    const double claimed = to.dot(information * to);
+    if (!(claimed > 0.0)) continue;
+    sum += to.dot(spread * to) / claimed;
+    ++count;
+  }
+  return count > 0 ? sum / count : 1.0;
+}
+
+SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inverse,
+                           const MatrixXd& common, CalibrationProblem* calibration) {
+  const int p = equations.intrinsics;
+  const Eliminated groups = without_poses(equations);
+  const MatrixXd& follow = groups.poses_by_intrinsics;
+  const Curvature curved = curvature(groups, calibration);
+  MatrixXd observed = MatrixXd::Zero(p, p);
+  for (const MatrixXd& hessian : curved.frames) observed += hessian;
+  for (const MatrixXd& hessian : curved.patches) observed += hessian;
+  const MatrixXd hessian = observed + equations.information[kAnchor].topLeftCorner(p, p);
+  const MatrixXd of_intrinsics = ScaledInverse(hessian).matrix();
+
+  SharedErrors result;
+  for (const Group& frame : groups.frames) {
+    const auto values = row_by_row(frame.information);
+    result.frame_information.insert(result.frame_information.end(), values.begin(), values.end());
+  }
+  result.poses_by_intrinsics = follow;
+  const MatrixXd claimed = claimed_variances(groups.frames, inverse.topLeftCorner(p, p));
+  result.frame_shares = claimed * inverse.diagonal().head(p).cwiseInverse().asDiagonal();
+  result.left_out_changes = left_out_changes(groups.frames, curved, hessian);
+
+  const MatrixXd by_frames = gradient_spread(groups.frames);
+  const MatrixXd by_patches = gradient_spread(groups.patches);
+  result.dispersion = mean_dispersion(equations, of_intrinsics, by_frames + by_patches, observed);
+  const MatrixXd camera = of_intrinsics * (by_frames + by_patches) * of_intrinsics;
+  MatrixXd covariance(equations.size(), equations.size());
+  covariance << camera, camera * follow.transpose(), follow * camera,
+      follow * camera * follow.transpose();
+  for (std::size_t f = 0; f < groups.frames.size(); ++f) {
+    const MatrixXd pose = ScaledInverse(sum_of_information(equations.corners[f])).matrix();
+    const int first = equations.pose(static_cast<int>(f));
+    covariance.block<Pose::kSize, Pose::kSize>(first, first) +=
+        pose * gradient_spread(equations.corners[f]) * pose;
+  }
+  result.covariance = symmetric(covariance + common);
+
+  const VectorXd variance = result.covariance.diagonal().head(p);
+  const auto part = [&](const MatrixXd& spread) -> VectorXd {
+    return (of_intrinsics * spread * of_intrinsics).diagonal().cwiseQuotient(variance);
+  };
+  result.freedom =
+      (inverse_freedom(claimed, part(by_frames)) +
+       inverse_freedom(claimed_variances(groups.patches, of_intrinsics), part(by_patches)))
+          .cwiseInverse();
+  return result;
+}
+
+}  // namespace plenocal

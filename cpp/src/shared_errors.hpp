@@ -1,0 +1,50 @@
+// The covariance of the parameters if residuals of a frame, of neighbouring centres or of a corner
+// have errors in common.
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "normal_equations.hpp"
+
+namespace plenocal {
+
+/// Covariance of the gradient if errors are independent between groups, but not within them.
+///
+/// It is sum_g g g', each gradient taken at the groups' own minimum, where their sum vanishes, and
+/// corrected for what the fit has taken from it: with the leverage K = H_g H^+ of the group, the
+/// gradient of independent errors has the covariance (1 - K) H_g there, and (1 - K)^(-1/2) g has
+/// H_g. So the result is unbiased if errors are independent after all (the "CR2" of Bell and
+/// McCaffrey, 2002). Directions that one group determines alone get the mean variance of the
+/// others.
+Eigen::MatrixXd gradient_spread(const std::vector<Group>& groups);
+
+/// What is known of shared errors and of single frames; see `Uncertainty`.
+struct SharedErrors {
+  Eigen::MatrixXd covariance;
+  Eigen::VectorXd freedom;
+  double dispersion;
+  Eigen::MatrixXd poses_by_intrinsics;
+  Eigen::MatrixXd frame_shares;
+  Eigen::MatrixXd left_out_changes;
+  std::vector<double> frame_information;
+};
+
+/// `inverse` is H^+, `common` the part of the covariance that is not due to single observations.
+/// Evaluates `calibration` at other values nearby, and leaves it as it was.
+SharedErrors shared_errors(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
+                           const Eigen::MatrixXd& common, CalibrationProblem* calibration);
+
+/// How many times larger than the weights claim the variance of the anchored quantities is if the
+/// gradient has the covariance `spread` instead of `information` (of all parameters, or of the
+/// intrinsics with the poses eliminated); the mean over the anchors, and 1 without any.
+double mean_dispersion(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
+                       const Eigen::MatrixXd& spread, const Eigen::MatrixXd& information);
+
+/// The values of a matrix, row by row.
+std::vector<double> row_by_row(const Eigen::MatrixXd& matrix);
+
+/// A matrix that is symmetric up to rounding, made so to the last bit.
+Eigen::MatrixXd symmetric(const Eigen::MatrixXd& matrix);
+
+}  // namespace plenocal

@@ -1,0 +1,180 @@
+//! Anchors: what is known of a camera before any board is seen, as residuals in the cost.
+//!
+//! Every anchor has a value and a σ, and one residual (quantity − value)/σ. Observations of a frame
+//! share errors, so their residuals claim to know more than they do. The weight of the anchors makes
+//! up for that: w is by how much the variance of the anchored quantities due to the observations is
+//! larger than claimed ([`Uncertainty::dispersion`](crate::solver::Uncertainty)). This is the
+//! magnitude adjustment of a composite likelihood (Pauli, Racugno, Ventura 2011), on the other side
+//! of the balance.
+
+use std::fmt;
+
+use crate::calibration::{CalibrationOptions, Mode, Start};
+use crate::error::{Error, Result};
+use crate::model::{PlenopticCamera, intrinsic_parameters, optics};
+use crate::solver::Anchor;
+
+/// Name of |m| = dF/2D among the quantities of anchors.
+pub const SLOPE: &str = "m";
+/// Engraved focal lengths are rounded: a "50 mm" lens is often one of 51.6 mm.
+const ENGRAVED: f64 = 0.03;
+/// What f-numbers are worth, and with them m.
+const F_NUMBERS: f64 = 0.02;
+/// How far from the middle of the sensor a mount may put the axis, mm.
+const MOUNT_MM: f64 = 0.5;
+
+/// Where the value of an anchor comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AnchorSource {
+    /// The focal length in the datasheet.
+    Datasheet,
+    /// m of the white images.
+    WhiteImages,
+    /// The middle of the sensor.
+    SensorMiddle,
+    /// The user.
+    Stated,
+}
+
+/// An anchor, and what became of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnchorResult {
+    /// The anchor.
+    pub anchor: Anchor,
+    /// Where its value comes from.
+    pub source: AnchorSource,
+    /// The value in the refined camera, in the unit of the quantity.
+    pub result: f64,
+}
+
+impl AnchorResult {
+    /// By how many of its σ the observations pull on the anchor: (result − value)/σ.
+    #[must_use]
+    pub fn pull(&self) -> f64 {
+        (self.result - self.anchor.value) / self.anchor.std_dev
+    }
+
+    /// Unit of the quantity.
+    #[must_use]
+    pub fn unit(&self) -> &'static str {
+        unit(&self.anchor.quantity)
+    }
+}
+
+impl fmt::Display for AnchorSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Datasheet => "datasheet",
+            Self::WhiteImages => "white images",
+            Self::SensorMiddle => "middle of the sensor",
+            Self::Stated => "stated",
+        })
+    }
+}
+
+fn unit(quantity: &str) -> &'static str {
+    let all = intrinsic_parameters(crate::model::MAX_LENS_TYPES);
+    all.iter().find(|parameter| parameter.name == quantity).map_or("mm", |parameter| parameter.unit)
+}
+
+/// The anchors of a calibration: those stated, and of the default ones those that no other replaces,
+/// that are wanted, and whose quantity is free.
+pub(super) fn anchors(start: &Start, options: &CalibrationOptions) -> Vec<(Anchor, AnchorSource)> {
+    if options.mode == Mode::PosesOnly {
+        return Vec::new();
+    }
+    let stated = options.cost.anchors.iter().map(|a| (a.clone(), AnchorSource::Stated));
+    let wanted = |anchor: &Anchor| {
+        let quantity = &anchor.quantity;
+        let replaced = options.cost.anchors.iter().any(|a| a.quantity == *quantity);
+        let free = is_free(quantity, &options.cost.fixed);
+        !replaced && free && !options.not_anchored.contains(quantity)
+    };
+    let defaults = if options.default_anchors { default_anchors(start) } else { Vec::new() };
+    stated.chain(defaults.into_iter().filter(|(anchor, _)| wanted(anchor))).collect()
+}
+
+fn default_anchors(start: &Start) -> Vec<(Anchor, AnchorSource)> {
+    let anchor = |quantity: &str, value: f64, std_dev: f64| Anchor {
+        quantity: quantity.to_owned(),
+        value,
+        std_dev,
+    };
+    let sensor = start.sensor();
+    let (middle, mount) = (sensor.center_px(), MOUNT_MM / sensor.pixel_size_mm);
+    let mut anchors = Vec::new();
+    if let Start::Datasheet(sheet, internal) = start {
+        let (f, m) = (sheet.focal_length_mm, internal.m_mm);
+        let of_m = internal.m_std_dev_mm.unwrap_or(0.0).hypot(F_NUMBERS * m);
+        anchors.push((anchor("F", f, ENGRAVED * f), AnchorSource::Datasheet));
+        anchors.push((anchor(SLOPE, m, of_m), AnchorSource::WhiteImages));
+    }
+    anchors.push((anchor("u0", middle.x, mount), AnchorSource::SensorMiddle));
+    anchors.push((anchor("v0", middle.y, mount), AnchorSource::SensorMiddle));
+    anchors
+}
+
+/// Whether a quantity depends on a parameter that is not fixed.
+fn is_free(quantity: &str, fixed: &[String]) -> bool {
+    let is_fixed = |name: &str| fixed.iter().any(|fixed| fixed == name);
+    if quantity == SLOPE { !["F", "d", "D"].into_iter().all(is_fixed) } else { !is_fixed(quantity) }
+}
+
+/// An error that names an anchor that is not possible.
+pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> Result<()> {
+    let known = intrinsic_parameters(lens_types);
+    let names = || -> Vec<&str> { known.iter().map(|p| p.name).chain([SLOPE]).collect() };
+    let unknown = |quantity: &str| {
+        Error::invalid(format!(
+            "there is no quantity '{quantity}' to anchor; this camera has {}",
+            names().join(", ")
+        ))
+    };
+    let stated = &options.cost.anchors;
+    let quantities = stated.iter().map(|anchor| &anchor.quantity).chain(&options.not_anchored);
+    if let Some(quantity) = quantities.into_iter().find(|q| !names().contains(&q.as_str())) {
+        return Err(unknown(quantity));
+    }
+    for (i, anchor) in stated.iter().enumerate() {
+        let Anchor { quantity, value, std_dev } = anchor;
+        if !value.is_finite() {
+            return Err(Error::invalid(format!("the anchor of {quantity} has the value {value}")));
+        }
+        if !(std_dev.is_finite() && *std_dev > 0.0) {
+            return Err(Error::invalid(format!(
+                "the anchor of {quantity} has σ = {std_dev}, which has to be positive; to hold a \
+                 parameter at a value, fix it"
+            )));
+        }
+        if stated[..i].iter().any(|other| other.quantity == *quantity) {
+            return Err(Error::invalid(format!("{quantity} is anchored twice")));
+        }
+        if !is_free(quantity, &options.cost.fixed) {
+            return Err(Error::invalid(format!(
+                "{quantity} is anchored, but it is fixed: an anchor would have no effect; leave one \
+                 of the two out"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// What became of the anchors in the refined camera.
+pub(super) fn results(
+    anchors: Vec<(Anchor, AnchorSource)>,
+    camera: &PlenopticCamera,
+) -> Vec<AnchorResult> {
+    let value = |quantity: &str| {
+        if quantity == SLOPE {
+            return optics::internal_parameters(camera).m_mm;
+        }
+        let parameters = intrinsic_parameters(camera.lens_types());
+        parameters.iter().find(|p| p.name == quantity).map_or(f64::NAN, |p| p.value(camera))
+    };
+    let result = |(anchor, source): (Anchor, AnchorSource)| AnchorResult {
+        result: value(&anchor.quantity),
+        anchor,
+        source,
+    };
+    anchors.into_iter().map(result).collect()
+}

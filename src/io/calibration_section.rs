@@ -1,0 +1,207 @@
+//! `[calibration]` of a project file, and the same from the command line.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+
+use crate::calibration::{CalibrationOptions, Mode, Weights};
+use crate::error::{Error, Result};
+use crate::solver::{Anchor, Loss, LossKind};
+
+/// `[calibration.anchors]`: quantities with what is known of them.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+pub struct AnchorsSection {
+    /// Whether there are the default anchors too.
+    pub default: Option<bool>,
+    /// By quantity: an intrinsic parameter, or `m`.
+    #[serde(flatten)]
+    pub quantities: BTreeMap<String, AnchorEntry>,
+}
+
+/// What is known of a quantity.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(untagged, expecting = "an anchor is { value = …, std_dev = … } or \"none\"")]
+pub enum AnchorEntry {
+    /// A value.
+    Known(AnchorValue),
+    /// Nothing: no default anchor either.
+    Nothing(NoAnchor),
+}
+
+/// A value with its σ, in the unit of the parameter in `camera.json` (mm, rad, px).
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AnchorValue {
+    /// The value.
+    pub value: f64,
+    /// Its σ.
+    pub std_dev: f64,
+}
+
+/// The word `none`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NoAnchor {
+    /// No anchor.
+    None,
+}
+
+impl AnchorsSection {
+    /// These anchors, and of other quantities those of `other`; without default anchors, these alone.
+    fn or(mut self, other: Self) -> Self {
+        if self.default == Some(false) {
+            return self;
+        }
+        self.default = self.default.or(other.default);
+        for (quantity, entry) in other.quantities {
+            self.quantities.entry(quantity).or_insert(entry);
+        }
+        self
+    }
+
+    /// Adds an anchor as it is written on the command line: `F=50:0.5` is 50 ± 0.5, `F=50:1%` has a
+    /// relative σ, and `F=none` is no anchor.
+    pub fn add_text(&mut self, text: &str) -> Result<()> {
+        let entry = text.split_once('=').and_then(|(quantity, known)| {
+            let entry = match known.trim() {
+                "none" => AnchorEntry::Nothing(NoAnchor::None),
+                known => {
+                    let (value, std_dev) = known.split_once(':')?;
+                    let value: f64 = value.trim().parse().ok()?;
+                    let std_dev = match std_dev.trim().strip_suffix('%') {
+                        Some(percent) => value.abs() * percent.trim().parse::<f64>().ok()? / 100.0,
+                        None => std_dev.trim().parse().ok()?,
+                    };
+                    AnchorEntry::Known(AnchorValue { value, std_dev })
+                }
+            };
+            Some((quantity.trim().to_owned(), entry))
+        });
+        let Some((quantity, entry)) = entry else {
+            return Err(Error::invalid(format!(
+                "'{text}' is not an anchor: write NAME=VALUE:SIGMA as in F=50:0.5 or F=50:1%, or \
+                 NAME=none"
+            )));
+        };
+        match self.quantities.insert(quantity, entry) {
+            None => Ok(()),
+            Some(_) => Err(Error::invalid(format!("'{text}' anchors a quantity a second time"))),
+        }
+    }
+
+    fn add_to(&self, options: &mut CalibrationOptions) {
+        options.default_anchors = self.default.unwrap_or(true);
+        for (quantity, entry) in &self.quantities {
+            match *entry {
+                AnchorEntry::Known(AnchorValue { value, std_dev }) => {
+                    options.cost.anchors.push(Anchor {
+                        quantity: quantity.clone(),
+                        value,
+                        std_dev,
+                    });
+                }
+                AnchorEntry::Nothing(NoAnchor::None) => options.not_anchored.push(quantity.clone()),
+            }
+        }
+    }
+}
+
+/// One micro-lens pitch or one for each axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Pitches {
+    /// One for both axes (the paper).
+    One,
+    /// One along x, one along y.
+    Two,
+}
+
+/// `[calibration]`: everything is optional; the command line takes precedence.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CalibrationSection {
+    /// What is estimated.
+    pub mode: Option<Mode>,
+    /// One pitch or two.
+    pub pitches: Option<Pitches>,
+    /// Parameters that keep their value.
+    pub fix: Option<Vec<String>>,
+    /// What is known beforehand.
+    pub anchors: Option<AnchorsSection>,
+    /// Weights of observations.
+    pub weights: Option<Weights>,
+    /// Frames that are not used.
+    pub exclude_frames: Option<Vec<u32>>,
+    /// σ of u and v, px.
+    pub uv_std_dev_px: Option<f64>,
+    /// σ of ρ, px.
+    pub rho_std_dev_px: Option<f64>,
+    /// σ of the centres, px.
+    pub centers_std_dev_px: Option<f64>,
+    /// Robust loss; chosen by the observations if not given.
+    pub loss: Option<LossKind>,
+    /// Its scale, standard deviations.
+    pub loss_scale: Option<f64>,
+    /// Maximum number of iterations.
+    pub max_iterations: Option<usize>,
+    /// Threads.
+    pub threads: Option<usize>,
+}
+
+impl CalibrationSection {
+    /// These options; where they say nothing, those of `other`.
+    #[must_use]
+    pub fn or(self, other: Self) -> Self {
+        Self {
+            mode: self.mode.or(other.mode),
+            pitches: self.pitches.or(other.pitches),
+            fix: self.fix.or(other.fix),
+            anchors: match (self.anchors, other.anchors) {
+                (Some(own), Some(other)) => Some(own.or(other)),
+                (own, other) => own.or(other),
+            },
+            weights: self.weights.or(other.weights),
+            exclude_frames: self.exclude_frames.or(other.exclude_frames),
+            uv_std_dev_px: self.uv_std_dev_px.or(other.uv_std_dev_px),
+            rho_std_dev_px: self.rho_std_dev_px.or(other.rho_std_dev_px),
+            centers_std_dev_px: self.centers_std_dev_px.or(other.centers_std_dev_px),
+            loss: self.loss.or(other.loss),
+            loss_scale: self.loss_scale.or(other.loss_scale),
+            max_iterations: self.max_iterations.or(other.max_iterations),
+            threads: self.threads.or(other.threads),
+        }
+    }
+
+    /// The options of the calibration, defaults filled in.
+    #[must_use]
+    pub fn options(&self) -> CalibrationOptions {
+        let mode = self.mode.unwrap_or_default();
+        let mut options = CalibrationOptions { mode, ..CalibrationOptions::default() };
+        if self.pitches == Some(Pitches::Two) {
+            options.cost.fixed.clear();
+        }
+        options.cost.fixed.extend(self.fix.iter().flatten().cloned());
+        options.weights = self.weights.unwrap_or_default();
+        options.automatic_loss = self.loss.is_none();
+        if let Some(anchors) = &self.anchors {
+            anchors.add_to(&mut options);
+        }
+        let cost = &mut options.cost;
+        for (value, target) in [
+            (self.uv_std_dev_px, &mut cost.uv_std_dev_px),
+            (self.rho_std_dev_px, &mut cost.rho_std_dev_px),
+            (self.centers_std_dev_px, &mut cost.centers_std_dev_px),
+        ] {
+            *target = value.unwrap_or(*target);
+        }
+        cost.loss = Loss {
+            kind: self.loss.unwrap_or(LossKind::None),
+            scale: self.loss_scale.unwrap_or(1.0),
+        };
+        options.exclude_frames = self.exclude_frames.clone().unwrap_or_default();
+        let solver = &mut options.solver;
+        solver.max_iterations = self.max_iterations.unwrap_or(solver.max_iterations);
+        solver.threads = self.threads.unwrap_or(solver.threads);
+        options
+    }
+}

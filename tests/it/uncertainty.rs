@@ -1,0 +1,213 @@
+//! Standard deviations against what they predict.
+
+use plenocal::calibration::{CalibrationOptions, Start};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use plenocal::model::{FramePose, Noise, NoiseSource, Observations, intrinsic_parameters, optics};
+use plenocal::solver::{Anchor, synthesize};
+use rayon::prelude::*;
+
+use crate::r12a;
+use crate::support::{board, datasheet_start, options, pairs, run, true_camera, true_poses, NO_NOISE};
+
+/// Draws of a Monte Carlo experiment. The standard error of a scatter from them is 5 %.
+const DRAWS: u64 = 200;
+
+/// A stream of standard normal numbers.
+struct Normal(NoiseSource);
+
+impl Normal {
+    fn new(seed: u64) -> Self {
+        Self(NoiseSource::new(&Noise { uv_px: 1.0, rho_px: 1.0, centers_px: 1.0 }, seed).unwrap())
+    }
+    fn draw(&mut self) -> f64 {
+        let zero = plenocal::model::MicroImageCenter { k: 0, l: 0, u_px: 0.0, v_px: 0.0, std_dev_px: None };
+        self.0.center(&zero).u_px
+    }
+}
+
+/// Exact observations with a σ of their own, uneven by a factor of four, and noise of that size.
+fn unevenly_noisy(exact: &Observations, normal: &mut Normal) -> Observations {
+    let mut observations = exact.clone();
+    for (i, f) in observations.features.iter_mut().enumerate() {
+        let std_dev = 0.1 * f64::from(1 + (i % 4) as u32);
+        f.u_px += std_dev * normal.draw();
+        f.v_px += std_dev * normal.draw();
+        f.std_dev_px = Some([std_dev; 2]);
+    }
+    // One error for all features of a corner in a frame.
+    let mut errors = std::collections::BTreeMap::new();
+    for f in &mut observations.features {
+        let error = *errors.entry((f.frame, f.corner)).or_insert_with(|| 0.02 * normal.draw());
+        f.rho_px = f.rho_px.map(|rho| rho + error);
+        f.rho_std_dev_px = Some(0.02);
+    }
+    for c in &mut observations.centers {
+        c.u_px += 0.1 * normal.draw();
+        c.v_px += 0.1 * normal.draw();
+        c.std_dev_px = Some(0.1);
+    }
+    observations
+}
+
+/// The shipped poses, and as many more: turned in their plane, and further away.
+fn sixteen_poses() -> Vec<FramePose> {
+    let near = true_poses();
+    let center = Isometry3::from(board().point_mm(board().corners() - 1).coords / 2.0);
+    let far = near.iter().map(|pose| {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.5);
+        let turned = pose.camera_from_board * center * turn * center.inverse();
+        let shift = Translation3::new(0.0, 0.0, 0.1 * turned.translation.z);
+        FramePose { frame: pose.frame + 8, camera_from_board: shift * turned }
+    });
+    near.iter().copied().chain(far).collect()
+}
+
+fn exact() -> Observations {
+    synthesize(&true_camera(), &board(), &sixteen_poses(), &NO_NOISE, 0).unwrap()
+}
+
+/// One draw: what is calibrated, from where, and how.
+type Draw = (Start, Observations, CalibrationOptions);
+
+/// Scatter over draws, with the root mean square of both predictions; prints them.
+fn monte_carlo(draw: impl Fn(u64) -> Draw + Sync) -> Vec<(&'static str, f64, f64)> {
+    let truth = true_camera();
+    let parameters = intrinsic_parameters(3);
+    let one = |seed: u64| {
+        let (start, observations, options) = draw(seed);
+        let calibration = run(&start, &observations, &options);
+        assert!(calibration.converged, "seed {seed}");
+        let u = &calibration.uncertainty;
+        let errors: Vec<f64> =
+            pairs(&calibration.camera, &truth).iter().map(|(_, a, b)| a - b).collect();
+        (errors, u.intrinsic_std_devs(3), u.independent_std_devs(3))
+    };
+    let draws: Vec<_> = (0..DRAWS).into_par_iter().map(one).collect();
+    let rms = |value: &dyn Fn(&(Vec<f64>, Vec<Option<f64>>, Vec<Option<f64>>)) -> f64| {
+        (draws.iter().map(|d| value(d).powi(2)).sum::<f64>() / DRAWS as f64).sqrt()
+    };
+    let mut ratios = Vec::new();
+    for (i, parameter) in parameters.iter().enumerate() {
+        if draws[0].1[i].is_none() {
+            continue;
+        }
+        let error = rms(&|d| d.0[i]);
+        let (shared, independent) = (rms(&|d| d.1[i].unwrap()), rms(&|d| d.2[i].unwrap()));
+        let mean = draws.iter().map(|d| d.0[i]).sum::<f64>() / DRAWS as f64;
+        println!(
+            "{:8} RMS error {error:10.3e}, mean {:5.2} se; error/σ {:.3}, independent {:.3}",
+            parameter.name,
+            mean / error * (DRAWS as f64).sqrt(),
+            error / shared,
+            error / independent
+        );
+        ratios.push((parameter.name, error / shared, error / independent));
+    }
+    ratios
+}
+
+/// Datasheet and internal parameters of the true camera, with σ of q'.
+fn true_start(q_prime_std_dev_mm: f64) -> Start {
+    let Start::Datasheet(sheet, _) = datasheet_start() else { unreachable!() };
+    let mut internal = optics::internal_parameters(&true_camera());
+    internal.q_prime_std_dev_mm = vec![q_prime_std_dev_mm; 3];
+    Start::Datasheet(sheet, internal)
+}
+
+#[test]
+#[ignore = "slow: 200 calibrations; run by `make test-slow`"]
+fn monte_carlo_of_independent_errors_weights_and_anchors() {
+    let truth = true_camera();
+    let exact = exact();
+    let pixel = truth.sensor.pixel_size_mm;
+    let ratios = monte_carlo(|seed| {
+        let mut normal = Normal::new(seed);
+        let mut observations = unevenly_noisy(&exact, &mut normal);
+        let q_px = 0.02;
+        let errors = [normal.draw(), normal.draw(), normal.draw()];
+        for f in &mut observations.features {
+            let error = q_px * errors[truth.lens_type(f.k, f.l)];
+            f.rho_px = f.rho_px.map(|rho| rho + error);
+        }
+        let m = optics::internal_parameters(&truth).m_mm;
+        let known = [
+            ("F", truth.main_lens.focal_length_mm, 0.02),
+            ("m", m, 0.002 * m),
+            ("u0", truth.mla.principal_point_px.x, 5.0),
+            ("v0", truth.mla.principal_point_px.y, 5.0),
+        ];
+        let mut options = options();
+        options.cost.anchors = known
+            .map(|(quantity, value, std_dev)| Anchor {
+                quantity: quantity.to_owned(),
+                value: value + std_dev * normal.draw(),
+                std_dev,
+            })
+            .to_vec();
+        (true_start(q_px * pixel), observations, options)
+    });
+    for (name, shared, independent) in ratios {
+        assert!((0.85..1.15).contains(&shared), "{name}: {shared}");
+        assert!((0.85..1.15).contains(&independent), "{name}: {independent}");
+    }
+}
+
+#[test]
+#[ignore = "slow: 200 calibrations; run by `make test-slow`"]
+fn monte_carlo_of_errors_that_frames_share() {
+    let exact = exact();
+    let half = board().point_mm(board().corners() - 1).coords / 2.0;
+    let ratios = monte_carlo(|seed| {
+        let mut normal = Normal::new(10_000 + seed);
+        let mut observations = unevenly_noisy(&exact, &mut normal);
+        let mut of_frame = std::collections::BTreeMap::new();
+        for f in &mut observations.features {
+            let [a, b, c] = *of_frame
+                .entry(f.frame)
+                .or_insert_with(|| std::array::from_fn(|_| 0.5 * normal.draw()));
+            let place = board().point_mm(f.corner).coords - half;
+            let (x, y) = (place.x / half.x, place.y / half.x);
+            f.u_px += a * (x * x - y * y) + c;
+            f.v_px += b * x * y;
+        }
+        (true_start(0.0), observations, options())
+    });
+    for (name, shared, _) in ratios {
+        assert!((0.8..1.25).contains(&shared), "{name}: {shared}");
+    }
+}
+
+#[test]
+#[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the R12-A files")]
+fn on_r12a_left_out_frames_agree_with_sixteen_calibrations() {
+    let data = r12a::csv();
+    let full = r12a::run(&data, &options());
+    let frames: Vec<u32> = full.poses.iter().map(|p| p.frame).collect();
+    let without: Vec<Vec<f64>> = frames
+        .iter()
+        .map(|&frame| {
+            let mut options = options();
+            options.exclude_frames.push(frame);
+            r12a::run(&data, &options).camera.intrinsics()
+        })
+        .collect();
+    let n = frames.len() as f64;
+    let u = &full.uncertainty;
+    let shared = u.intrinsic_std_devs(3);
+    let independent = u.independent_std_devs(3);
+    let predicted = u.jackknife_std_devs(3);
+    let freedom = u.std_dev_uncertainties(3);
+    for (i, p) in intrinsic_parameters(3).iter().enumerate() {
+        let mean = without.iter().map(|v| v[i]).sum::<f64>() / n;
+        let real = ((n - 1.0) / n * without.iter().map(|v| (v[i] - mean).powi(2)).sum::<f64>()).sqrt();
+        let Some(s) = shared[i] else { continue };
+        println!(
+            "{:8} real {real:10.3e} first order {:6.2} CR2 {:6.2} independent {:6.2} ±{:.2}",
+            p.name,
+            predicted[i].unwrap() / real,
+            s / real,
+            independent[i].unwrap() / real,
+            freedom[i].unwrap()
+        );
+    }
+}
