@@ -72,7 +72,7 @@ Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
   for (int i = 0; i < known; ++i) {
     const VectorXd step = kStep * directions.col(i);
     calibration->set_state(moved(*calibration, state, step, groups.poses_by_intrinsics));
-    const GroupGradients there = group_gradients(calibration);
+    const GroupGradients there = group_gradients(*calibration);
     const auto second = [&](const VectorXd& gradient, const Group& group) -> VectorXd {
       return (gradient - group.gradient - group.information * step) / kStep;
     };

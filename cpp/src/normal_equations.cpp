@@ -15,10 +15,10 @@ Group zero_group(int size) {
   return {Eigen::MatrixXd::Zero(size, size), Eigen::VectorXd::Zero(size)};
 }
 
-// Only the lower triangle, until `mirror`.
-void add_row(const Eigen::VectorXd& row, double residual, Group* group) {
-  group->information.selfadjointView<Eigen::Lower>().rankUpdate(row);
-  group->gradient += residual * row;
+// Only the lower triangle of the information, until `mirror`.
+void add_rows(const Eigen::MatrixXd& jacobian, const Eigen::VectorXd& residuals, Group* group) {
+  group->information.selfadjointView<Eigen::Lower>().rankUpdate(jacobian.transpose());
+  group->gradient += jacobian.transpose() * residuals;
 }
 
 void mirror(Eigen::MatrixXd* lower) {
@@ -44,37 +44,32 @@ class Accumulator {
     equations_.anchors.setZero(anchors, intrinsics);
   }
 
-  void add(const ceres::CRSMatrix& jacobian, int row, const RowOrigin& origin, double residual) {
-    const int p = equations_.intrinsics;
-    const bool of_feature = origin.kind == kUv || origin.kind == kRho;
-    const int pose = of_feature ? equations_.pose(origin.group) : 0;
-    Eigen::VectorXd local = Eigen::VectorXd::Zero(of_feature ? p + Pose::kSize : p);
-    for (int i = jacobian.rows[row]; i < jacobian.rows[row + 1]; ++i) {
-      const int column = jacobian.cols[i];
-      local[column < p ? column : column - pose + p] = jacobian.values[i];
-      equations_.gradient[column] += jacobian.values[i] * residual;
-      if (origin.kind == kRho) {
-        equations_.by_type_rho(column, origin.lens_type) += jacobian.values[i] / origin.std_dev;
+  void add(const CalibrationProblem::Linearised& block, const std::vector<RowOrigin>& rows) {
+    const RowOrigin& first = rows[block.first_row];
+    const int n = static_cast<int>(block.residuals.size());
+    if (first.corner >= 0) {
+      add_features(block, rows);
+    } else {
+      for (int i = 0; i < n; ++i) {
+        const RowOrigin& row = rows[block.first_row + i];
+        add_rows(block.jacobian.row(i), block.residuals.segment<1>(i),
+                 row.kind == kCenter ? &equations_.patches[row.group] : &anchors_);
+        if (row.kind == kAnchor) equations_.anchors.row(row.group) = block.jacobian.row(i);
       }
     }
-    if (of_feature) {
-      add_row(local, residual, &by_kind_[origin.group][origin.kind]);
-      add_row(local.tail<Pose::kSize>(), residual, &corners_[origin.corner]);
-      frame_of_corner_[origin.corner] = origin.group;
-    } else {
-      add_row(local, residual,
-              origin.kind == kCenter ? &equations_.patches[origin.group] : &anchors_);
-      if (origin.kind == kAnchor) equations_.anchors.row(origin.group) = local;
+    for (int i = 0; i < n; ++i) {
+      const RowOrigin& row = rows[block.first_row + i];
+      const double residual = block.residuals[i];
+      if (row.kind == kRho) {
+        rho_[row.corner].sum += residual;
+        ++rho_[row.corner].count;
+      } else {
+        equations_.squares[row.kind] += residual * residual;
+        ++equations_.terms[row.kind];
+      }
+      equations_.pixel_squares[row.kind] += std::pow(residual * row.std_dev, 2);
+      ++equations_.count[row.kind];
     }
-    if (origin.kind == kRho) {
-      rho_[origin.corner].sum += residual;
-      ++rho_[origin.corner].count;
-    } else {
-      equations_.squares[origin.kind] += residual * residual;
-      ++equations_.terms[origin.kind];
-    }
-    equations_.pixel_squares[origin.kind] += std::pow(residual * origin.std_dev, 2);
-    ++equations_.count[origin.kind];
   }
 
   NormalEquations finish() {
@@ -87,6 +82,8 @@ class Accumulator {
         mirror(&group.information);
         sum.information += group.information;
         sum.gradient += group.gradient;
+        equations_.gradient.head(p) += group.gradient.head(p);
+        equations_.gradient.segment<Pose::kSize>(pose) += group.gradient.tail<Pose::kSize>();
         Eigen::MatrixXd& all = equations_.information[kind];
         all.topLeftCorner(p, p) += group.information.topLeftCorner(p, p);
         all.block(pose, 0, Pose::kSize, p) = group.information.bottomLeftCorner(Pose::kSize, p);
@@ -108,13 +105,46 @@ class Accumulator {
     for (Group& patch : equations_.patches) {
       mirror(&patch.information);
       equations_.information[kCenter].topLeftCorner(p, p) += patch.information;
+      equations_.gradient.head(p) += patch.gradient;
     }
     mirror(&anchors_.information);
     equations_.information[kAnchor].topLeftCorner(p, p) = anchors_.information;
+    equations_.gradient.head(p) += anchors_.gradient;
     return std::move(equations_);
   }
 
  private:
+  // A block of features: all of one frame.
+  void add_features(const CalibrationProblem::Linearised& block,
+                    const std::vector<RowOrigin>& rows) {
+    const int n = static_cast<int>(block.residuals.size());
+    const int p = equations_.intrinsics;
+    const int frame = rows[block.first_row].group, pose = equations_.pose(frame);
+    for (ResidualKind kind : {kUv, kRho}) {
+      std::vector<int> of_kind;
+      for (int i = 0; i < n; ++i) {
+        if (rows[block.first_row + i].kind == kind) of_kind.push_back(i);
+      }
+      add_rows(block.jacobian(of_kind, Eigen::all), block.residuals(of_kind),
+               &by_kind_[frame][kind]);
+    }
+    for (int i = 0; i < n;) {
+      const int begin = i, corner = rows[block.first_row + i].corner;
+      while (i < n && rows[block.first_row + i].corner == corner) ++i;
+      add_rows(block.jacobian.block(begin, p, i - begin, Pose::kSize),
+               block.residuals.segment(begin, i - begin), &corners_[corner]);
+      frame_of_corner_[corner] = frame;
+    }
+    for (int i = 0; i < n; ++i) {
+      const RowOrigin& row = rows[block.first_row + i];
+      if (row.kind != kRho) continue;
+      auto sum = equations_.by_type_rho.col(row.lens_type);
+      sum.head(p) += block.jacobian.row(i).head(p).transpose() / row.std_dev;
+      sum.segment<Pose::kSize>(pose) +=
+          block.jacobian.row(i).tail<Pose::kSize>().transpose() / row.std_dev;
+    }
+  }
+
   NormalEquations equations_;
   std::vector<std::array<Group, 2>> by_kind_;  // of frames: kUv, kRho
   std::vector<Group> corners_;
@@ -127,63 +157,40 @@ class Accumulator {
   Group anchors_;
 };
 
-struct Linearised {
-  std::vector<double> residuals;
-  ceres::CRSMatrix jacobian;
-};
-
-Linearised linearise(CalibrationProblem* calibration) {
-  ceres::Problem::EvaluateOptions options;
-  options.parameter_blocks = calibration->free_blocks();
-  Linearised result;
-  if (!calibration->problem().Evaluate(options, nullptr, &result.residuals, nullptr,
-                                       &result.jacobian)) {
-    throw std::invalid_argument(
-        "the model is not defined at this camera and these poses: a board point lies within the "
-        "focal length of the main lens");
-  }
-  return result;
-}
-
 }  // namespace
 
-GroupGradients group_gradients(CalibrationProblem* calibration) {
-  const auto [residuals, jacobian] = linearise(calibration);
-  const int p = static_cast<int>(calibration->free_intrinsics().size());
-  const int frames = (jacobian.num_cols - p) / Pose::kSize;
+GroupGradients group_gradients(const CalibrationProblem& calibration) {
+  const auto p = static_cast<Eigen::Index>(calibration.free_intrinsics().size());
   GroupGradients gradients;
-  gradients.frames.assign(frames, Eigen::VectorXd::Zero(p + Pose::kSize));
   gradients.patches.assign(kPatches, Eigen::VectorXd::Zero(p));
-  for (int row = 0; row < jacobian.num_rows; ++row) {
-    const RowOrigin& origin = calibration->rows()[row];
-    if (origin.kind == kAnchor) continue;
-    const bool of_center = origin.kind == kCenter;
-    Eigen::VectorXd& sum = (of_center ? gradients.patches : gradients.frames)[origin.group];
-    const int pose = of_center ? 0 : Pose::kSize * origin.group;
-    for (int i = jacobian.rows[row]; i < jacobian.rows[row + 1]; ++i) {
-      const int column = jacobian.cols[i];
-      sum[column < p ? column : column - pose] += jacobian.values[i] * residuals[row];
+  calibration.linearise([&](const CalibrationProblem::Linearised& block) {
+    const RowOrigin* rows = &calibration.rows()[block.first_row];
+    if (rows->kind == kUv) {
+      gradients.frames.resize(std::max<std::size_t>(gradients.frames.size(), rows->group + 1),
+                              Eigen::VectorXd::Zero(p + Pose::kSize));
+      gradients.frames[rows->group] += block.jacobian.transpose() * block.residuals;
+    } else if (rows->kind == kCenter) {
+      for (Eigen::Index i = 0; i < block.residuals.size(); ++i) {
+        gradients.patches[rows[i].group] += block.residuals[i] * block.jacobian.row(i).transpose();
+      }
     }
-  }
+  });
   return gradients;
 }
 
-NormalEquations normal_equations(CalibrationProblem* calibration) {
-  const auto [residuals, jacobian] = linearise(calibration);
-  const std::vector<RowOrigin>& rows = calibration->rows();
+NormalEquations normal_equations(const CalibrationProblem& calibration) {
   int frames = 0, types = 0, corners = 0, anchors = 0;
-  for (const RowOrigin& row : rows) {
+  for (const RowOrigin& row : calibration.rows()) {
     anchors += row.kind == kAnchor ? 1 : 0;
     if (row.corner < 0) continue;
     frames = std::max(frames, row.group + 1);
     types = std::max(types, row.lens_type + 1);
     corners = std::max(corners, row.corner + 1);
   }
-  Accumulator sum(static_cast<int>(calibration->free_intrinsics().size()), frames, types, corners,
+  Accumulator sum(static_cast<int>(calibration.free_intrinsics().size()), frames, types, corners,
                   anchors);
-  for (int row = 0; row < jacobian.num_rows; ++row) {
-    sum.add(jacobian, row, rows[row], residuals[row]);
-  }
+  calibration.linearise(
+      [&](const CalibrationProblem::Linearised& block) { sum.add(block, calibration.rows()); });
   return sum.finish();
 }
 

@@ -44,7 +44,7 @@ struct NormalEquations {
 };
 
 /// Throws std::invalid_argument where the model is not defined.
-NormalEquations normal_equations(CalibrationProblem* calibration);
+NormalEquations normal_equations(const CalibrationProblem& calibration);
 
 /// Gradients of frames (on the free intrinsics and the pose of the frame) and of patches (on the
 /// free intrinsics), as in `NormalEquations`.
@@ -54,7 +54,7 @@ struct GroupGradients {
 };
 
 /// Only the gradients, much faster; throws like `normal_equations`.
-GroupGradients group_gradients(CalibrationProblem* calibration);
+GroupGradients group_gradients(const CalibrationProblem& calibration);
 
 /// Pseudo-inverse of an information matrix scaled to a unit diagonal, so that units do not matter.
 struct ScaledInverse {

@@ -161,7 +161,10 @@ CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<P
   for (const Pose& pose : poses) poses_.push_back(pose_block(pose));
 
   problem_ = std::make_unique<ceres::Problem>();
-  for (auto [block, size] : intrinsic_blocks()) problem_->AddParameterBlock(block, size);
+  for (auto [block, size] : intrinsic_blocks()) {
+    problem_->AddParameterBlock(block, size);
+    for (int place = 0; place < size; ++place) places_.push_back({block, size, place});
+  }
   for (auto& pose : poses_) problem_->AddParameterBlock(pose.data(), Pose::kSize);
   switch (camera.lens_types()) {
     case 0:
@@ -230,8 +233,7 @@ void CalibrationProblem::add_features(const Observations& observations,
     std::vector<double*> blocks = {lens_.data(), array_.data()};
     if (I > 0) blocks.push_back(focal_lengths_.data());
     blocks.push_back(poses_[frame].data());
-    feature_blocks_.emplace_back(frame,
-                                 problem_->AddResidualBlock(cost.release(), nullptr, blocks));
+    feature_blocks_.emplace_back(frame, add_block(std::move(cost), std::move(blocks)));
   }
 }
 
@@ -249,26 +251,64 @@ void CalibrationProblem::add_centers(const Observations& observations, const Cos
     }
     auto cost =
         CenterResiduals::create(std::move(weighted), frame_.pixel_size, options.centers_loss);
-    problem_->AddResidualBlock(cost.release(), nullptr, array_.data());
+    add_block(std::move(cost), {array_.data()});
   }
+}
+
+ceres::ResidualBlockId CalibrationProblem::add_block(std::unique_ptr<ceres::CostFunction> cost,
+                                                     std::vector<double*> parameters) {
+  blocks_.push_back({cost.get(), parameters});
+  return problem_->AddResidualBlock(cost.release(), nullptr, parameters);
+}
+
+CalibrationProblem::Linearised CalibrationProblem::linearised(const Block& block,
+                                                              int first_row) const {
+  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  const int n = block.cost->num_residuals();
+  const auto& sizes = block.cost->parameter_block_sizes();
+  std::vector<RowMajor> parts;
+  for (int size : sizes) parts.emplace_back(n, size);
+  std::vector<double*> pointers;
+  for (RowMajor& part : parts) pointers.push_back(part.data());
+  const int free = static_cast<int>(free_intrinsics_.size());
+  const bool has_pose = rows_[first_row].corner >= 0;
+  Linearised result{first_row, Eigen::VectorXd(n),
+                    Eigen::MatrixXd::Zero(n, free + (has_pose ? Pose::kSize : 0))};
+  if (!block.cost->Evaluate(block.parameters.data(), result.residuals.data(), pointers.data())) {
+    throw std::invalid_argument(
+        "the model is not defined at this camera and these poses: a board point lies within the "
+        "focal length of the main lens");
+  }
+  if (has_pose) result.jacobian.rightCols<Pose::kSize>() = parts.back();
+  int column = 0;
+  for (int index : free_intrinsics_) {
+    const auto [values, size, place] = places_[index];
+    for (std::size_t i = 0; i < parts.size(); ++i) {
+      if (block.parameters[i] == values) result.jacobian.col(column) = parts[i].col(place);
+    }
+    ++column;
+  }
+  return result;
 }
 
 void CalibrationProblem::add_anchors(const CostOptions& options) {
   const double root = std::sqrt(options.anchor_weight);
+  const auto names = intrinsic_names(frame_.lens_types());
   for (const Anchor& anchor : options.anchors) {
     const int index = static_cast<int>(&anchor - options.anchors.data());
     rows_.push_back({kAnchor, index, -1, -1, anchor.std_dev});
     const double weight = root / anchor.std_dev;
     if (anchor.quantity == kSlopeName) {
-      problem_->AddResidualBlock(SlopeResidual::create(anchor.value, weight).release(), nullptr,
-                                 lens_.data(), array_.data());
+      add_block(SlopeResidual::create(anchor.value, weight), {lens_.data(), array_.data()});
       continue;
     }
-    auto [block, size, place] = intrinsic(anchor.quantity);
+    const auto found = std::find(names.begin(), names.end(), anchor.quantity);
+    const auto [block, size, place] = places_[found - names.begin()];
     ceres::Matrix row = ceres::Matrix::Zero(1, size);
     row(0, place) = weight;
-    problem_->AddResidualBlock(
-        new ceres::NormalPrior(row, ceres::Vector::Constant(size, anchor.value)), nullptr, block);
+    add_block(
+        std::make_unique<ceres::NormalPrior>(row, ceres::Vector::Constant(size, anchor.value)),
+        {block});
   }
 }
 
@@ -300,16 +340,6 @@ void CalibrationProblem::fix(const CostOptions& options) {
     }
     first += size;
   }
-}
-
-std::tuple<double*, int, int> CalibrationProblem::intrinsic(const std::string& name) {
-  const auto names = intrinsic_names(frame_.lens_types());
-  int place = static_cast<int>(std::find(names.begin(), names.end(), name) - names.begin());
-  for (auto [block, size] : intrinsic_blocks()) {
-    if (place < size) return {block, size, place};
-    place -= size;
-  }
-  throw std::invalid_argument("there is no parameter " + name);
 }
 
 std::vector<double> CalibrationProblem::frame_costs() const {

@@ -5,8 +5,6 @@
 
 #include <Eigen/Core>
 #include <memory>
-#include <string>
-#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -65,8 +63,26 @@ class CalibrationProblem {
   const std::vector<double*>& free_blocks() const { return free_blocks_; }
   /// Indices of the intrinsics that are free.
   const std::vector<int>& free_intrinsics() const { return free_intrinsics_; }
-  /// Origin of each residual row, in the order of the residual blocks of `problem`.
+  /// Origin of each residual row, block by block.
   const std::vector<RowOrigin>& rows() const { return rows_; }
+
+  /// Residuals and Jacobian of a block: columns are the free intrinsics, then, for features, the
+  /// six of their frame's pose.
+  struct Linearised {
+    int first_row;  ///< in `rows`
+    Eigen::VectorXd residuals;
+    Eigen::MatrixXd jacobian;
+  };
+  /// Calls f(const Linearised&) for every block, at the present values. Throws
+  /// std::invalid_argument where the model is not defined.
+  template <typename F>
+  void linearise(F&& f) const {
+    int first_row = 0;
+    for (const Block& block : blocks_) {
+      f(linearised(block, first_row));
+      first_row += block.cost->num_residuals();
+    }
+  }
 
  private:
   template <int I>
@@ -75,17 +91,29 @@ class CalibrationProblem {
   void add_anchors(const CostOptions& options);
   void fix(const CostOptions& options);
   std::vector<std::pair<double*, int>> intrinsic_blocks();
-  // Block of a parameter, its size, and the parameter's place in it.
-  std::tuple<double*, int, int> intrinsic(const std::string& name);
+  struct Place {
+    double* block;
+    int size;   // of the block
+    int index;  // in the block
+  };
+  struct Block {
+    const ceres::CostFunction* cost;
+    std::vector<double*> parameters;
+  };
+  ceres::ResidualBlockId add_block(std::unique_ptr<ceres::CostFunction> cost,
+                                   std::vector<double*> parameters);
+  Linearised linearised(const Block& block, int first_row) const;
 
   Camera frame_;  // what is not a parameter: lattice, pixel size
   std::array<double, kMainLensParameters> lens_;
   std::array<double, kArrayParameters> array_;
   std::vector<double> focal_lengths_;
   std::vector<std::array<double, Pose::kSize>> poses_;
+  std::vector<Place> places_;  // of all intrinsics
   std::vector<double*> free_blocks_;
   std::vector<int> free_intrinsics_;
   std::vector<RowOrigin> rows_;
+  std::vector<Block> blocks_;
   std::vector<std::pair<int, ceres::ResidualBlockId>> feature_blocks_;  // with their frames
   std::unique_ptr<ceres::Problem> problem_;
 };

@@ -75,7 +75,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const std::vector<double>& type_rho_std_dev) {
   require_std_devs(type_rho_std_dev);
   CalibrationProblem calibration(camera, poses, observations, cost_options);
-  const NormalEquations equations = normal_equations(&calibration);
+  const NormalEquations equations = normal_equations(calibration);
 
   Uncertainty result;
   result.free_intrinsics = calibration.free_intrinsics();

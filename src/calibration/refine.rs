@@ -15,11 +15,16 @@ use crate::solver::{
 /// Limit of repetitions: correcting one mirrored board may reveal others.
 const MAX_RECONSIDERATIONS: usize = 4;
 
-/// The weight of the anchors is settled if a further refinement would change it by less than this
-/// factor: it is known to some ten per cent at best, with as few frames as there are.
-const SETTLED: f64 = 1.1;
-/// Limit of refinements with other weights of the anchors.
-const MAX_WEIGHINGS: usize = 5;
+/// The weight of the anchors is measured at a rough minimum, after so many iterations, and again if it
+/// differs from the weight used there by more than this factor. With as few frames as there are, it is
+/// known to some ten per cent at best.
+const ROUGH_ITERATIONS: usize = 4;
+const ALIKE: f64 = 2.0;
+const MAX_WEIGHINGS: usize = 4;
+/// The weight to begin with: that of real observations.
+const FIRST_WEIGHT: f64 = 10.0;
+/// Weight of the anchors where residuals vanish, as in simulations without noise.
+const LEAST_WEIGHT: f64 = 1e-6;
 
 /// What a refinement needs besides the problem.
 pub(super) struct Settings<'a> {
@@ -38,7 +43,7 @@ pub(super) struct Refined {
 }
 
 impl Settings<'_> {
-    /// Refines; with anchors, again until their weight is what the residuals say.
+    /// Refines; with anchors, after it has found their weight.
     pub fn refine(
         &self,
         problem: &Problem,
@@ -53,27 +58,41 @@ impl Settings<'_> {
             );
             progress(iteration)
         };
-        let mut refinement = refine(problem, self, &cost, progress)?;
-        let mut weighings = 1;
-        loop {
-            let refined =
-                Problem { camera: &refinement.camera, poses: &refinement.poses, ..*problem };
-            let uncertainty = solver::uncertainty(&refined, &cost, &self.type_rho_std_dev_px)?;
-            let change = uncertainty.dispersion / cost.anchor_weight;
-            if cost.anchors.is_empty()
-                || refinement.termination == Termination::Stopped
-                || weighings == MAX_WEIGHINGS
-                || (1.0 / SETTLED..SETTLED).contains(&change)
-            {
-                return Ok(Refined { refinement, uncertainty, cost });
+        let mut so_far = None;
+        cost.anchor_weight = FIRST_WEIGHT;
+        for _ in 0..if cost.anchors.is_empty() { 0 } else { MAX_WEIGHINGS } {
+            let start = at_end(problem, so_far.as_ref());
+            let rough = SolverOptions { max_iterations: ROUGH_ITERATIONS, ..self.options.solver };
+            let refinement = solver::refine(&start, &cost, &rough, progress)?;
+            check_refined(&refinement)?;
+            let dispersion =
+                solver::uncertainty(&at_end(problem, Some(&refinement)), &cost, &[])?.dispersion;
+            let change = dispersion.max(LEAST_WEIGHT) / cost.anchor_weight;
+            cost.anchor_weight *= change;
+            debug!("the anchors weigh {:.3}", cost.anchor_weight);
+            so_far = Some(followed(so_far, refinement));
+            if (1.0 / ALIKE..ALIKE).contains(&change) {
+                break;
             }
-            debug!("the anchors weigh {:.3}", uncertainty.dispersion);
-            cost.anchor_weight = uncertainty.dispersion;
-            let again = refine(&refined, self, &cost, progress)?;
-            refinement = refinement.followed_by(again);
-            weighings += 1;
         }
+        let refinement = refine(&at_end(problem, so_far.as_ref()), self, &cost, progress)?;
+        let refinement = followed(so_far, refinement);
+        let refined = at_end(problem, Some(&refinement));
+        let uncertainty = solver::uncertainty(&refined, &cost, &self.type_rho_std_dev_px)?;
+        Ok(Refined { refinement, uncertainty, cost })
     }
+}
+
+fn followed(so_far: Option<Refinement>, next: Refinement) -> Refinement {
+    match so_far {
+        Some(so_far) => so_far.followed_by(next),
+        None => next,
+    }
+}
+
+/// A problem at the end of a refinement, if there is one.
+fn at_end<'a>(problem: &Problem<'a>, refinement: Option<&'a Refinement>) -> Problem<'a> {
+    refinement.map_or(*problem, |r| Problem { camera: &r.camera, poses: &r.poses, ..*problem })
 }
 
 /// Refines, and repeats if the tilt of a board turns out to have the other sign.
