@@ -122,6 +122,7 @@
 
 #![allow(clippy::doc_markdown)] // names such as COMPOTE and plenocal are not code
 
+pub mod assessment;
 pub mod calibration;
 pub mod detection;
 pub mod error;

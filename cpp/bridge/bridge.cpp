@@ -203,4 +203,47 @@ UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBl
   return parts;
 }
 
+rust::Vec<double> frame_information(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
+                                    rust::Slice<const FeatureRow> features, const CostParts& cost) {
+  return from_core(plenocal::frame_information(to_core(camera), to_core(poses),
+                                               to_core(features, {}), to_core(cost)));
+}
+
+rust::Vec<FeatureRow> visible_features(const CameraParts& parts,
+                                       rust::Slice<const PoseBlock> poses,
+                                       rust::Slice<const PointRow> board_points, double margin_px) {
+  const Camera camera = to_core(parts);
+  rust::Vec<FeatureRow> rows;
+  int frame = 0;
+  for (const PoseBlock& pose : poses) {
+    const Motion<double> camera_from_board(pose.block.data());
+    for (const PointRow& row : board_points) {
+      const Vector3<double> point = camera_from_board(to_core(row.point_mm));
+      for (const auto& [k, l] : micro_lenses_seeing(camera, point, margin_px)) {
+        Feature<double> seen{};
+        if (project(camera, pose_from_block(pose.block), to_core(row.point_mm), k, l, &seen)) {
+          rows.push_back({frame, row.point_mm, k, l, seen.u, seen.v, seen.rho, {1.0, 1.0, 1.0}});
+        }
+      }
+    }
+    ++frame;
+  }
+  return rows;
+}
+
+rust::Vec<SensitivityRow> point_sensitivities(const CameraParts& parts,
+                                              rust::Slice<const PointRow> points,
+                                              const std::array<double, 3>& std_dev_px,
+                                              double margin_px) {
+  const Camera camera = to_core(parts);
+  rust::Vec<SensitivityRow> rows;
+  for (const PointRow& row : points) {
+    const PointSensitivity s =
+        point_sensitivity(camera, to_core(row.point_mm),
+                          {std_dev_px[0], std_dev_px[1], std_dev_px[2]}, margin_px);
+    rows.push_back({s.micro_lenses, from_core(s.by_intrinsics), s.covariance});
+  }
+  return rows;
+}
+
 }  // namespace plenocal::bridge

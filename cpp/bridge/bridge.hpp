@@ -2,6 +2,7 @@
 // shared structs of src/solver/bridge.rs and the core's types, nothing else.
 #pragma once
 
+#include "plenocal/points.hpp"
 #include "plenocal/refine.hpp"
 #include "rust/cxx.h"
 
@@ -16,9 +17,11 @@ struct MicroLensIndex;
 struct NamedParameter;
 struct NodeRow;
 struct PairRow;
+struct PointRow;
 struct PoseBlock;
 struct ProjectionRow;
 struct RefinementParts;
+struct SensitivityRow;
 struct SolverParts;
 struct UncertaintyParts;
 struct ProgressSink;
@@ -38,5 +41,15 @@ UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBl
                              rust::Slice<const FeatureRow> features,
                              rust::Slice<const CenterRow> centers, const CostParts& cost,
                              rust::Slice<const double> type_rho_std_dev_px);
+
+rust::Vec<double> frame_information(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
+                                    rust::Slice<const FeatureRow> features, const CostParts& cost);
+rust::Vec<FeatureRow> visible_features(const CameraParts& camera,
+                                       rust::Slice<const PoseBlock> poses,
+                                       rust::Slice<const PointRow> board_points, double margin_px);
+rust::Vec<SensitivityRow> point_sensitivities(const CameraParts& camera,
+                                              rust::Slice<const PointRow> points,
+                                              const std::array<double, 3>& std_dev_px,
+                                              double margin_px);
 
 }  // namespace plenocal::bridge

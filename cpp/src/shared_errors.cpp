@@ -1,6 +1,5 @@
 #include "shared_errors.hpp"
 
-#include "curvature.hpp"
 
 #include <Eigen/Dense>
 #include <algorithm>
@@ -69,6 +68,15 @@ std::vector<double> row_by_row(const MatrixXd& matrix) {
   return values;
 }
 
+std::vector<double> frame_by_frame(const Eliminated& groups) {
+  std::vector<double> all;
+  for (const Group& frame : groups.frames) {
+    const auto values = row_by_row(frame.information);
+    all.insert(all.end(), values.begin(), values.end());
+  }
+  return all;
+}
+
 MatrixXd gradient_spread(const std::vector<Group>& groups) {
   const MatrixXd information = sum_of_information(groups);
   const ScaledInverse sum(information);
@@ -127,10 +135,7 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   const MatrixXd of_intrinsics = ScaledInverse(hessian).matrix();
 
   SharedErrors result;
-  for (const Group& frame : groups.frames) {
-    const auto values = row_by_row(frame.information);
-    result.frame_information.insert(result.frame_information.end(), values.begin(), values.end());
-  }
+  result.frame_information = frame_by_frame(groups);
   result.poses_by_intrinsics = follow;
   const MatrixXd claimed = claimed_variances(groups.frames, inverse.topLeftCorner(p, p));
   result.frame_shares = claimed * inverse.diagonal().head(p).cwiseInverse().asDiagonal();

@@ -5,6 +5,7 @@
 #include <Eigen/Core>
 #include <vector>
 
+#include "curvature.hpp"
 #include "normal_equations.hpp"
 
 namespace plenocal {
@@ -40,6 +41,9 @@ SharedErrors shared_errors(const NormalEquations& equations, const Eigen::Matrix
 /// intrinsics with the poses eliminated); the mean over the anchors, and 1 without any.
 double mean_dispersion(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
                        const Eigen::MatrixXd& spread, const Eigen::MatrixXd& information);
+
+/// The information of every frame, matrix by matrix, row by row.
+std::vector<double> frame_by_frame(const Eliminated& groups);
 
 /// The values of a matrix, row by row.
 std::vector<double> row_by_row(const Eigen::MatrixXd& matrix);

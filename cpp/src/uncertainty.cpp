@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <limits>
 
+#include "curvature.hpp"
 #include "normal_equations.hpp"
 #include "plenocal/refine.hpp"
 #include "shared_errors.hpp"
@@ -114,6 +115,13 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   add_weakest(scaled, result.shared ? shared.covariance : covariance, &result);
   result.expected_decrease = 0.5 * equations.gradient.dot(inverse * equations.gradient);
   return result;
+}
+
+std::vector<double> frame_information(const Camera& camera, const std::vector<Pose>& poses,
+                                      const Observations& observations,
+                                      const CostOptions& cost_options) {
+  const CalibrationProblem calibration(camera, poses, observations, cost_options);
+  return frame_by_frame(without_poses(normal_equations(calibration)));
 }
 
 }  // namespace plenocal

@@ -9,7 +9,7 @@
 
 use std::fmt;
 
-use crate::calibration::{CalibrationOptions, Mode, Start};
+use crate::calibration::{CalibrationOptions, Mode, Start, Warning};
 use crate::error::{Error, Result};
 use crate::model::{PlenopticCamera, intrinsic_parameters, optics};
 use crate::solver::Anchor;
@@ -157,6 +157,14 @@ pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> 
         }
     }
     Ok(())
+}
+
+/// A pull by more σ than this is a contradiction.
+const PULLED: f64 = 3.0;
+
+/// A warning for each anchor that the observations contradict.
+pub(super) fn pulled(results: &[AnchorResult]) -> impl Iterator<Item = Warning> {
+    results.iter().filter(|r| r.pull().abs() > PULLED).cloned().map(Warning::AnchorPulled)
 }
 
 /// What became of the anchors in the refined camera.

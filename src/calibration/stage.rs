@@ -3,7 +3,7 @@
 use nalgebra::Isometry3;
 use tracing::debug;
 
-use crate::calibration::anchors::{anchors, results};
+use crate::calibration::anchors::{anchors, pulled, results};
 use crate::calibration::checks::{
     array_beyond_image, bad_fit, check_indices, check_observations, fronto_parallel,
     outlying_centers, undetermined, without_frames,
@@ -79,6 +79,7 @@ pub fn calibrate(
     let converged = is_converged(&refinement, &uncertainty, &reprojection);
     let results = results(anchors, &refinement.camera);
     let mut warnings = warnings_before(&initial, grid.as_ref(), &observations);
+    warnings.extend(pulled(&results));
     warnings.extend(undetermined(&refinement.camera, &uncertainty));
     warnings.extend(bad_fit(&refinement.camera, &reprojection));
     warnings.extend(fronto_parallel(&poses, options.mode));

@@ -2,7 +2,9 @@
 
 use std::fmt;
 
-use crate::model::MIN_CORNERS;
+use crate::calibration::{AnchorResult, SLOPE};
+use crate::model::{MIN_CORNERS, display_unit};
+use crate::solver::Anchor;
 
 /// What may be wrong with a calibration that succeeded.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,6 +50,8 @@ pub enum Warning {
         /// Standard deviation of ρ itself, px.
         spread_px: f64,
     },
+    /// The observations pull on an anchor.
+    AnchorPulled(AnchorResult),
     /// All boards are nearly parallel to the image plane.
     FrontoParallel {
         /// The largest tilt, degrees.
@@ -91,6 +95,21 @@ impl fmt::Display for Warning {
                  spread by only {spread_px:.3} px: the camera does not explain them; check the sign \
                  of rho and the order of q'"
             ),
+            Self::AnchorPulled(anchor) => {
+                let (unit, factor) = display_unit(&anchor.anchor.quantity, anchor.unit());
+                let Anchor { quantity, value, std_dev } = &anchor.anchor;
+                write!(
+                    f,
+                    "{quantity} is {:.6} {unit}, but {:.6} ± {:.4} {unit} is known of it ({}): the \
+                     observations pull by {:+.1} σ. {}",
+                    anchor.result * factor,
+                    value * factor,
+                    std_dev * factor,
+                    anchor.source,
+                    anchor.pull(),
+                    meaning(quantity)
+                )
+            }
             Self::FrontoParallel { largest_tilt_deg } => write!(
                 f,
                 "all boards are fronto-parallel (tilted by at most {largest_tilt_deg:.1} degrees): \
@@ -98,6 +117,25 @@ impl fmt::Display for Warning {
                  boards tilted by 20 to 40 degrees"
             ),
         }
+    }
+}
+
+/// What a contradiction of an anchor may mean.
+fn meaning(quantity: &str) -> &'static str {
+    match quantity {
+        "F" | "D" => {
+            "Check the focal length and the size of the squares; the exit pupil of the lens may lie \
+             elsewhere than in the lens, as the model has it"
+        }
+        SLOPE => {
+            "Check the f-numbers of the white images, the size of a pixel and of the squares; the exit \
+             pupil of the lens may lie elsewhere than in the lens, as the model has it"
+        }
+        "u0" | "v0" => {
+            "Check whether the images are cropped; with few tilted boards, or corners that are biased \
+             towards the border, the axis drifts off"
+        }
+        _ => "Check the value, its unit, and whether it is of this camera and setting",
     }
 }
 

@@ -36,6 +36,19 @@ impl Board {
         Point3::new(f64::from(column) * self.square_mm, f64::from(row) * self.square_mm, 0.0)
     }
 
+    /// The corners at its four corners, mm.
+    #[must_use]
+    pub fn outer_corners_mm(&self) -> [Point3<f64>; 4] {
+        let (last_column, last) = (self.columns - 1, self.corners() - 1);
+        [0, last_column, last - last_column, last].map(|corner| self.point_mm(corner))
+    }
+
+    /// Its middle, mm.
+    #[must_use]
+    pub fn middle_mm(&self) -> Point3<f64> {
+        Point3::from(self.point_mm(self.corners() - 1).coords / 2.0)
+    }
+
     /// An error unless the board has corners and a size.
     pub fn validate(&self) -> Result<()> {
         let possible = 2..=MAX_BOARD_CORNERS;

@@ -6,10 +6,10 @@ mod conversions;
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-use nalgebra::{DMatrix, Isometry3, Vector2};
+use nalgebra::{DMatrix, Isometry3, Point3, Vector2};
 
 use super::options::{CostOptions, SolverOptions};
-use super::problem::{Problem, Projected};
+use super::problem::{PointSensitivity, Problem, Projected, SolverFeature};
 use super::refinement::{Iteration, Refinement};
 use super::uncertainty::Uncertainty;
 use crate::error::{Error, Result};
@@ -112,6 +112,18 @@ mod ffi {
         u_px: f64,
         v_px: f64,
         std_dev_px: f64,
+    }
+
+    /// A point in space or on a board.
+    struct PointRow {
+        point_mm: [f64; 3],
+    }
+
+    /// See `PointSensitivity`.
+    struct SensitivityRow {
+        micro_lenses: i32,
+        by_intrinsics: Vec<f64>,
+        covariance_mm2: [f64; 9],
     }
 
     /// Micro-lens (k, l).
@@ -241,6 +253,24 @@ mod ffi {
             cost: &CostParts,
             type_rho_std_dev_px: &[f64],
         ) -> Result<UncertaintyParts>;
+        fn frame_information(
+            camera: &CameraParts,
+            poses: &[PoseBlock],
+            features: &[FeatureRow],
+            cost: &CostParts,
+        ) -> Result<Vec<f64>>;
+        fn visible_features(
+            camera: &CameraParts,
+            poses: &[PoseBlock],
+            board_points: &[PointRow],
+            margin_px: f64,
+        ) -> Result<Vec<FeatureRow>>;
+        fn point_sensitivities(
+            camera: &CameraParts,
+            points: &[PointRow],
+            std_dev_px: &[f64; 3],
+            margin_px: f64,
+        ) -> Result<Vec<SensitivityRow>>;
     }
 }
 
@@ -366,32 +396,46 @@ pub(crate) fn uncertainty(
         type_rho_std_dev_px,
     )
     .map_err(solver_error)?;
-    let size = usize::try_from(parts.size).unwrap_or(0);
-    let index = |i: &i32| usize::try_from(*i).unwrap_or(0);
-    let free = parts.free_intrinsics.len();
-    let frames = problem.poses.len();
-    Ok(Uncertainty {
-        free_intrinsics: parts.free_intrinsics.iter().map(index).collect(),
-        rank: usize::try_from(parts.rank).unwrap_or(0),
-        shared: parts.shared,
-        covariance: DMatrix::from_row_slice(size, size, &parts.covariance),
-        independent_covariance: DMatrix::from_row_slice(size, size, &parts.independent_covariance),
-        freedom: parts.freedom,
-        left_out_changes: DMatrix::from_row_slice(frames, free, &parts.left_out_changes),
-        frame_shares: DMatrix::from_row_slice(frames, free, &parts.frame_shares),
-        frame_information: parts
-            .frame_information
-            .chunks_exact((free * free).max(1))
-            .map(|values| DMatrix::from_row_slice(free, free, values))
-            .collect(),
-        poses_by_intrinsics: DMatrix::from_row_slice(size - free, free, &parts.poses_by_intrinsics),
-        dispersion: parts.dispersion,
-        information: parts.information,
-        weakest: parts.weakest.chunks_exact(size.max(1)).map(<[f64]>::to_vec).collect(),
-        determined: parts.determined,
-        residual_std_dev_px: parts.residual_std_dev_px,
-        expected_decrease: parts.expected_decrease,
-    })
+    Ok(Uncertainty::from((&parts, problem.poses.len())))
+}
+
+/// The information of each pose's features on the free intrinsic parameters, with the pose unknown.
+pub(crate) fn frame_information(problem: &Problem, cost: &CostOptions) -> Result<Vec<DMatrix<f64>>> {
+    let values = ffi::frame_information(
+        &problem.camera.into(),
+        &problem.pose_blocks(),
+        &problem.feature_rows(),
+        &cost.into(),
+    )
+    .map_err(solver_error)?;
+    let free = problem.camera.intrinsics().len() - cost.fixed.len();
+    Ok(conversions::square_matrices(free, &values))
+}
+
+/// Features of board points through all micro-lenses that see them at least `margin_px` inside the
+/// micro-image, without noise.
+pub(crate) fn visible_features(
+    camera: &PlenopticCamera,
+    poses: &[Isometry3<f64>],
+    board_points_mm: &[Point3<f64>],
+    margin_px: f64,
+) -> Result<Vec<SolverFeature>> {
+    let poses: Vec<_> = poses.iter().map(ffi::PoseBlock::from).collect();
+    let points: Vec<_> = board_points_mm.iter().map(ffi::PointRow::from).collect();
+    let rows = ffi::visible_features(&camera.into(), &poses, &points, margin_px);
+    Ok(rows.map_err(solver_error)?.iter().map(SolverFeature::from).collect())
+}
+
+/// How points of space, reconstructed from their features, depend on the camera and on noise.
+pub(crate) fn point_sensitivities(
+    camera: &PlenopticCamera,
+    points_mm: &[Point3<f64>],
+    std_dev_px: [f64; 3],
+    margin_px: f64,
+) -> Result<Vec<PointSensitivity>> {
+    let points: Vec<_> = points_mm.iter().map(ffi::PointRow::from).collect();
+    let rows = ffi::point_sensitivities(&camera.into(), &points, &std_dev_px, margin_px);
+    Ok(rows.map_err(solver_error)?.iter().map(PointSensitivity::from).collect())
 }
 
 // `map_err` passes the error by value.

@@ -8,9 +8,11 @@ mod synthetic;
 mod uncertainty;
 
 pub use bridge::{distortion_mm, silence_log};
-pub(crate) use bridge::{project, project_centers, refine, uncertainty};
+pub(crate) use bridge::{
+    frame_information, point_sensitivities, project, project_centers, refine, uncertainty, visible_features,
+};
 pub use options::{Anchor, CostOptions, Loss, LossKind, SolverOptions};
-pub(crate) use problem::{Problem, Projected, SolverCenter, SolverFeature};
+pub(crate) use problem::{PointSensitivity, Problem, Projected, SolverCenter, SolverFeature};
 pub use refinement::{Iteration, Refinement, Termination};
 pub use synthetic::synthesize;
 pub use uncertainty::{Component, Uncertainty, WeakDirection};

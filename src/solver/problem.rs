@@ -1,6 +1,6 @@
 //! A problem for the solver.
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Point3};
 
 use crate::model::PlenopticCamera;
 
@@ -37,6 +37,18 @@ pub(crate) struct Projected {
     pub v_px: f64,
     /// `None` for an array of pinholes, which has no blur.
     pub rho_px: Option<f64>,
+}
+
+/// How a point, reconstructed from its features by least squares, depends on camera and noise.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct PointSensitivity {
+    /// Number of micro-lenses that see it.
+    pub micro_lenses: usize,
+    /// Its change with every intrinsic parameter, the features being fixed: three rows, mm per unit of the
+    /// parameter; `None` if too few micro-lenses see it.
+    pub by_intrinsics: Option<DMatrix<f64>>,
+    /// Its covariance due to the noise of one observation, mm²; likewise.
+    pub covariance: Option<Matrix3<f64>>,
 }
 
 /// A problem for the solver.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::house;
 
 /// The rooms of `src`, the lowest first; a room may import those before it.
-const ROOMS: [&str; 14] = [
+const ROOMS: [&str; 15] = [
     "error",
     "model",
     "numerics",
@@ -17,6 +17,7 @@ const ROOMS: [&str; 14] = [
     "precalibration",
     "detection",
     "calibration",
+    "assessment",
     "evaluation",
     "io",
     "report",

@@ -184,4 +184,11 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const Observations& observations, const CostOptions& cost_options,
                         const std::vector<double>& type_rho_std_dev = {});
 
+/// The information of each frame on the free intrinsics with its pose unknown, as in
+/// `Uncertainty::frame_information`, without the rest. Anchors and centres take no part. Throws like
+/// `refine`.
+std::vector<double> frame_information(const Camera& camera, const std::vector<Pose>& poses,
+                                      const Observations& observations,
+                                      const CostOptions& cost_options);
+
 }  // namespace plenocal

@@ -1,12 +1,17 @@
 //! Conversions between the types of the bridge and those of the other modules.
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::ffi;
 use crate::model::{Packing, Parity, PlenopticCamera};
 use crate::solver::options::{Anchor, CostOptions, LossKind, SolverOptions};
-use crate::solver::problem::{Problem, SolverCenter, SolverFeature};
+use crate::solver::problem::{PointSensitivity, Problem, SolverCenter, SolverFeature};
 use crate::solver::refinement::{Iteration, Termination};
+use crate::solver::uncertainty::Uncertainty;
+
+fn index(i: i32) -> usize {
+    usize::try_from(i).unwrap_or(0)
+}
 
 fn count(n: usize) -> i32 {
     i32::try_from(n).unwrap_or(i32::MAX)
@@ -150,4 +155,73 @@ impl From<&SolverOptions> for ffi::SolverParts {
             extrapolate: solver.extrapolate,
         }
     }
+}
+
+impl From<&Point3<f64>> for ffi::PointRow {
+    fn from(point: &Point3<f64>) -> Self {
+        Self { point_mm: point.coords.into() }
+    }
+}
+
+impl From<&ffi::FeatureRow> for SolverFeature {
+    fn from(row: &ffi::FeatureRow) -> Self {
+        Self {
+            pose: index(row.frame),
+            board_point_mm: row.board_point_mm.into(),
+            k: row.k,
+            l: row.l,
+            u_px: row.u_px,
+            v_px: row.v_px,
+            // NaN stands for no value in the core.
+            rho_px: (!row.rho_px.is_nan()).then_some(row.rho_px),
+            std_dev_px: row.std_dev_px,
+        }
+    }
+}
+
+impl From<&ffi::SensitivityRow> for PointSensitivity {
+    fn from(row: &ffi::SensitivityRow) -> Self {
+        let known = |values: &[f64]| !values.is_empty() && values.iter().all(|v| v.is_finite());
+        let columns = row.by_intrinsics.len() / 3;
+        Self {
+            micro_lenses: index(row.micro_lenses),
+            by_intrinsics: known(&row.by_intrinsics)
+                .then(|| DMatrix::from_row_slice(3, columns, &row.by_intrinsics)),
+            covariance: known(&row.covariance_mm2)
+                .then(|| Matrix3::from_row_slice(&row.covariance_mm2)),
+        }
+    }
+}
+
+/// The result for so many frames.
+impl From<(&ffi::UncertaintyParts, usize)> for Uncertainty {
+    fn from((parts, frames): (&ffi::UncertaintyParts, usize)) -> Self {
+        let (size, free) = (index(parts.size), parts.free_intrinsics.len());
+        let matrix = |rows: usize, columns: usize, values: &[f64]| {
+            DMatrix::from_row_slice(rows, columns, values)
+        };
+        Self {
+            free_intrinsics: parts.free_intrinsics.iter().map(|&i| index(i)).collect(),
+            rank: index(parts.rank),
+            shared: parts.shared,
+            covariance: matrix(size, size, &parts.covariance),
+            independent_covariance: matrix(size, size, &parts.independent_covariance),
+            freedom: parts.freedom.clone(),
+            left_out_changes: matrix(frames, free, &parts.left_out_changes),
+            frame_shares: matrix(frames, free, &parts.frame_shares),
+            frame_information: square_matrices(free, &parts.frame_information),
+            poses_by_intrinsics: matrix(size - free, free, &parts.poses_by_intrinsics),
+            dispersion: parts.dispersion,
+            information: parts.information.clone(),
+            weakest: parts.weakest.chunks_exact(size.max(1)).map(<[f64]>::to_vec).collect(),
+            determined: parts.determined.clone(),
+            residual_std_dev_px: parts.residual_std_dev_px,
+            expected_decrease: parts.expected_decrease,
+        }
+    }
+}
+
+pub(super) fn square_matrices(size: usize, values: &[f64]) -> Vec<DMatrix<f64>> {
+    let matrix = |part: &[f64]| DMatrix::from_row_slice(size, size, part);
+    values.chunks_exact((size * size).max(1)).map(matrix).collect()
 }

@@ -1,0 +1,161 @@
+//! Which further board would lower the largest σ in space most.
+//!
+//! Boards are tried at several distances, tilts and places. With M the covariance of the camera and S
+//! the information that a board would give on it with its pose unknown, the covariance becomes
+//! (M⁻¹ + S)⁻¹. Both are those of independent errors; only the ratio of σ before and after is used.
+
+use nalgebra::{DMatrix, Isometry3, Translation3, UnitQuaternion, Vector3};
+
+use super::object_space::{MARGIN, ObjectSpace, camera_covariance, largest_mm, point_seen_at};
+use crate::calibration::Calibration;
+use crate::error::Result;
+use crate::model::Board;
+use crate::solver::{self, CostOptions, Problem};
+
+/// Distances to try, as multiples of the nearest and of the farthest board so far.
+const NEARER: f64 = 0.9;
+const FARTHER: f64 = 1.1;
+/// Tilts to try, about x or y.
+const TILT_DEG: f64 = 30.0;
+/// Places of the middle of the board, as fractions of the image.
+const PLACES: [([f64; 2], &str); 5] = [
+    ([0.5, 0.5], "in the middle of the image"),
+    ([0.25, 0.25], "in the upper left of the image"),
+    ([0.75, 0.25], "in the upper right of the image"),
+    ([0.25, 0.75], "in the lower left of the image"),
+    ([0.75, 0.75], "in the lower right of the image"),
+];
+/// At most so many corners of a board are used, along each side.
+const SIDE: i32 = 6;
+/// A board that gains less is not worth a trip.
+const WORTH: f64 = 0.98;
+
+/// A board that would help.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NextBoard {
+    /// Distance of its middle, mm.
+    pub distance_mm: f64,
+    /// Rotation about the x and the y axis of the camera, degrees.
+    pub tilt_deg: [f64; 2],
+    /// Where its middle is seen, px.
+    pub pixel_px: [f64; 2],
+    /// The same in words.
+    pub place: &'static str,
+    /// The largest σ in space within the distances of the boards, before and after, mm.
+    pub largest_mm: [f64; 2],
+}
+
+struct Candidate {
+    board: NextBoard,
+    pose: Isometry3<f64>,
+}
+
+/// The best of the boards tried; `None` if none helps.
+pub(super) fn next_board(
+    calibration: &Calibration,
+    board: &Board,
+    space: &ObjectSpace,
+) -> Result<Option<NextBoard>> {
+    let candidates = candidates(calibration, board);
+    let information = information(calibration, board, &candidates)?;
+    let free = calibration.uncertainty.free_intrinsics.len();
+    let covariance =
+        calibration.uncertainty.independent_covariance.view((0, 0), (free, free)).into_owned();
+    let largest = |covariance: &DMatrix<f64>| largest_mm(space.points_within_boards(), covariance);
+    let before = largest(&covariance);
+    let honest = largest(&camera_covariance(&calibration.uncertainty));
+    let mut best: Option<NextBoard> = None;
+    for (candidate, information) in candidates.into_iter().zip(&information) {
+        let gain = largest(&with(&covariance, information)) / before;
+        let so_far = best.as_ref().map_or(WORTH, |b| b.largest_mm[1] / b.largest_mm[0]);
+        if gain < so_far {
+            best = Some(NextBoard { largest_mm: [honest, honest * gain], ..candidate.board });
+        }
+    }
+    Ok(best)
+}
+
+fn candidates(calibration: &Calibration, board: &Board) -> Vec<Candidate> {
+    let camera = &calibration.camera;
+    let middle = board.middle_mm();
+    let distances = calibration.poses.iter().map(|p| (p.camera_from_board * middle).z);
+    let near = NEARER * distances.clone().fold(f64::INFINITY, f64::min);
+    let far = FARTHER * distances.fold(0.0, f64::max);
+    let size = [camera.sensor.width_px, camera.sensor.height_px].map(f64::from);
+    let tilts = [[0.0, 0.0], [TILT_DEG, 0.0], [-TILT_DEG, 0.0], [0.0, TILT_DEG], [0.0, -TILT_DEG]];
+    let mut candidates = Vec::new();
+    for distance_mm in [near, (near * far).sqrt(), far] {
+        for tilt_deg in tilts {
+            for (part, place) in PLACES {
+                let pixel_px = [part[0] * size[0], part[1] * size[1]];
+                let at = point_seen_at(camera, pixel_px, distance_mm);
+                let [x, y] = tilt_deg.map(f64::to_radians);
+                let turn = UnitQuaternion::from_scaled_axis(Vector3::new(x, y, 0.0));
+                let pose = Translation3::from(at.coords - turn * middle.coords) * turn;
+                let board =
+                    NextBoard { distance_mm, tilt_deg, pixel_px, place, largest_mm: [0.0; 2] };
+                candidates.push(Candidate { board, pose });
+            }
+        }
+    }
+    candidates
+}
+
+/// The information of each board on the free intrinsic parameters; zero where too little is seen.
+fn information(
+    calibration: &Calibration,
+    board: &Board,
+    candidates: &[Candidate],
+) -> Result<Vec<DMatrix<f64>>> {
+    let camera = &calibration.camera;
+    let column = |i: i32| i * (board.columns - 1) / (board.columns.min(SIDE) - 1);
+    let row = |j: i32| j * (board.rows - 1) / (board.rows.min(SIDE) - 1);
+    let corners: Vec<i32> = (0..board.rows.min(SIDE))
+        .flat_map(|j| (0..board.columns.min(SIDE)).map(move |i| (i, j)))
+        .map(|(i, j)| row(j) * board.columns + column(i))
+        .collect();
+    let points: Vec<_> = corners.iter().map(|&corner| board.point_mm(corner)).collect();
+    let margin = MARGIN * camera.micro_image_pitch_px() / 2.0;
+    let noise = calibration.uncertainty.residual_std_dev_px;
+    let all: Vec<Isometry3<f64>> = candidates.iter().map(|c| c.pose).collect();
+    let mut features = solver::visible_features(camera, &all, &points, margin)?;
+    let sensor = &camera.sensor;
+    features.retain(|f| {
+        let inside = |x: f64, size: u32| x >= 0.0 && x < f64::from(size);
+        inside(f.u_px, sensor.width_px) && inside(f.v_px, sensor.height_px)
+    });
+    // Poses without enough features take no part.
+    let seen: Vec<usize> = (0..all.len())
+        .filter(|&i| features.iter().filter(|f| f.pose == i).count() >= corners.len())
+        .collect();
+    features.retain(|f| seen.contains(&f.pose));
+    for feature in &mut features {
+        feature.pose = seen.iter().position(|&i| i == feature.pose).unwrap_or(0);
+        feature.std_dev_px = [noise[0], noise[0], noise[1]].map(|s| if s > 0.0 { s } else { 1.0 });
+    }
+    let free = calibration.uncertainty.free_intrinsics.len();
+    let mut result = vec![DMatrix::zeros(free, free); all.len()];
+    if seen.is_empty() {
+        return Ok(result);
+    }
+    let poses: Vec<_> = seen.iter().map(|&i| all[i]).collect();
+    let problem = Problem { camera, poses: &poses, features: &features, centers: &[] };
+    let cost = CostOptions { fixed: calibration.cost.fixed.clone(), ..CostOptions::default() };
+    for (i, information) in seen.into_iter().zip(solver::frame_information(&problem, &cost)?) {
+        result[i] = information;
+    }
+    Ok(result)
+}
+
+/// (M⁻¹ + S)⁻¹ = M − M R (1 + R'M R)⁻¹ R'M with S = R R', which needs no inverse of M.
+fn with(covariance: &DMatrix<f64>, information: &DMatrix<f64>) -> DMatrix<f64> {
+    let eigen = information.clone().symmetric_eigen();
+    let root = &eigen.eigenvectors
+        * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
+    let moved = covariance * &root;
+    let inner = DMatrix::identity(root.ncols(), root.ncols()) + root.tr_mul(&moved);
+    match inner.cholesky() {
+        Some(inner) => covariance - &moved * inner.solve(&moved.transpose()),
+        None => covariance.clone(),
+    }
+}

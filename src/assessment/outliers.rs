@@ -1,0 +1,127 @@
+//! Observations and frames that do not fit the others.
+
+use std::collections::BTreeMap;
+
+use crate::calibration::Calibration;
+use crate::model::{FeatureResidual, intrinsic_parameters};
+use crate::numerics::median;
+
+/// The norm of two independent standard normal numbers has this median.
+const MEDIAN_NORM: f64 = 1.1774;
+/// Features outlie if their residual is so many times the typical σ: noise gets to 5, and the corners
+/// of a real detector, good and bad ones together, to 8.
+const OUTLYING: f64 = 10.0;
+/// Frames outlie if their typical residual is so many times that of the others. On the published R12-A
+/// observations the largest is 1.5 times.
+const OUTLYING_FRAME: f64 = 2.5;
+/// Frames outlie if leaving them out moves a parameter by so many of the σ that the other frames alone
+/// predict. Noise gets to 2 with a frame that has a large share.
+const INFLUENTIAL: f64 = 4.0;
+/// So many frames are needed to tell that one is not like the others.
+const MIN_FRAMES: usize = 6;
+
+/// A feature far from where the camera projects it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OutlyingFeature {
+    /// Its residual.
+    pub residual: FeatureResidual,
+    /// |(du, dv)|, px.
+    pub distance_px: f64,
+    /// The same in units of its σ, as the residuals of all features measure it.
+    pub std_devs: f64,
+}
+
+/// A frame that does not fit the others.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OutlyingFrame {
+    /// Its number.
+    pub frame: u32,
+    /// Its typical residual as a multiple of that of the other frames.
+    pub residual_ratio: f64,
+    /// The parameter that moves most if the frame is left out.
+    pub parameter: &'static str,
+    /// By how many σ, as the other frames predict it.
+    pub influence: f64,
+}
+
+/// All that does not fit.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Outliers {
+    /// Features, the farthest first.
+    pub features: Vec<OutlyingFeature>,
+    /// Frames, the worst first.
+    pub frames: Vec<OutlyingFrame>,
+}
+
+/// |(du, dv)| over the stated σ; the unit is that of the weights.
+fn norm(residual: &FeatureResidual, calibration: &Calibration) -> f64 {
+    let factor = calibration.cost.uv_std_dev_px;
+    let [u, v] = residual.feature.std_dev_px.unwrap_or([1.0; 2]);
+    (residual.du_px / (u * factor)).hypot(residual.dv_px / (v * factor))
+}
+
+pub(super) fn outliers(calibration: &Calibration) -> Outliers {
+    Outliers { features: features(calibration), frames: frames(calibration) }
+}
+
+fn features(calibration: &Calibration) -> Vec<OutlyingFeature> {
+    let residuals = &calibration.reprojection.features;
+    let norms = residuals.iter().map(|r| norm(r, calibration));
+    let Some(typical) = median(norms).map(|m| m / MEDIAN_NORM) else { return Vec::new() };
+    let outlying = |r: &FeatureResidual| {
+        let std_devs = norm(r, calibration) / typical;
+        let distance_px = r.du_px.hypot(r.dv_px);
+        (std_devs > OUTLYING).then_some(OutlyingFeature { residual: *r, distance_px, std_devs })
+    };
+    let mut found: Vec<OutlyingFeature> = residuals.iter().filter_map(outlying).collect();
+    found.sort_by(|a, b| b.std_devs.total_cmp(&a.std_devs));
+    found
+}
+
+fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
+    let mut by_frame: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+    for r in &calibration.reprojection.features {
+        by_frame.entry(r.feature.frame).or_default().push(norm(r, calibration));
+    }
+    let typical: BTreeMap<u32, f64> = by_frame
+        .into_iter()
+        .filter_map(|(frame, norms)| Some((frame, median(norms)?)))
+        .collect();
+    if typical.len() < MIN_FRAMES {
+        return Vec::new();
+    }
+    let mut found = Vec::new();
+    for (i, pose) in calibration.poses.iter().enumerate() {
+        let Some(own) = typical.get(&pose.frame) else { continue };
+        let others = typical.iter().filter(|(frame, _)| **frame != pose.frame).map(|(_, m)| *m);
+        let residual_ratio = median(others).map_or(1.0, |others| own / others);
+        let (parameter, influence) = influence(calibration, i);
+        if residual_ratio > OUTLYING_FRAME || influence > INFLUENTIAL {
+            let frame = pose.frame;
+            found.push(OutlyingFrame { frame, residual_ratio, parameter, influence });
+        }
+    }
+    let badness =
+        |f: &OutlyingFrame| (f.residual_ratio / OUTLYING_FRAME).max(f.influence / INFLUENTIAL);
+    found.sort_by(|a, b| badness(b).total_cmp(&badness(a)));
+    found
+}
+
+/// The parameter that moves most if a frame is left out, and by how many of the σ that the jackknife
+/// over the other frames gives.
+fn influence(calibration: &Calibration, frame: usize) -> (&'static str, f64) {
+    let uncertainty = &calibration.uncertainty;
+    let changes = &uncertainty.left_out_changes;
+    let parameters = intrinsic_parameters(calibration.camera.lens_types());
+    let others = (changes.nrows() - 1) as f64;
+    let of = |(row, &index): (usize, &usize)| {
+        let column = changes.column(row);
+        let rest = column.iter().enumerate().filter(|(i, _)| *i != frame).map(|(_, change)| *change);
+        let mean = rest.clone().sum::<f64>() / others;
+        let std_dev = ((others - 1.0) / others * rest.map(|c| (c - mean).powi(2)).sum::<f64>()).sqrt();
+        let influence = (column[frame] - mean).abs() / std_dev;
+        (parameters[index].name, if influence.is_finite() { influence } else { 0.0 })
+    };
+    let free = uncertainty.free_intrinsics.iter().enumerate().map(of);
+    free.fold(("", 0.0), |worst, next| if next.1 > worst.1 { next } else { worst })
+}

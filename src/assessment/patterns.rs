@@ -1,0 +1,112 @@
+//! Residuals that are not scattered, but have a pattern: over the image, over the micro-images, by
+//! lens type.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector2;
+
+use crate::calibration::Calibration;
+use crate::error::Result;
+use crate::model::FeatureResidual;
+use crate::solver;
+
+/// Cells of the image along u and along v.
+const CELLS: (u32, u32) = (8, 6);
+/// A cell with fewer features says nothing about its mean.
+const MIN_FEATURES: usize = 20;
+
+/// The parts of the residuals of (u, v) that are systematic.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Patterns {
+    /// Root mean square of the means over cells of the image, less what scatter explains, as a fraction
+    /// of the root mean square of all residuals.
+    pub image: f64,
+    /// The same for the slope of the residuals over the distance from the centre of the micro-image, by
+    /// lens type.
+    pub micro_image: f64,
+    /// RMS residual of the worst lens type over that of the best.
+    pub lens_types: f64,
+    /// Fraction of the cells of the image that have features, of those that have micro-images.
+    pub coverage: f64,
+}
+
+pub(super) fn patterns(calibration: &Calibration) -> Result<Patterns> {
+    let residuals = &calibration.reprojection.features;
+    let total: f64 = residuals.iter().map(|r| r.du_px.powi(2) + r.dv_px.powi(2)).sum();
+    let rms = (total / residuals.len().max(1) as f64).sqrt();
+    let by_type: Vec<f64> = (0..calibration.camera.lens_types())
+        .map(|i| calibration.reprojection.lens_type_rmse(i).uv_px)
+        .filter(|rmse| *rmse > 0.0)
+        .collect();
+    let lens_types = by_type.iter().copied().fold(0.0, f64::max)
+        / by_type.iter().copied().fold(f64::INFINITY, f64::min);
+    Ok(Patterns {
+        image: over_image(calibration) / rms,
+        micro_image: over_micro_images(calibration)? / rms,
+        lens_types: if by_type.is_empty() { 1.0 } else { lens_types },
+        coverage: coverage(calibration),
+    })
+}
+
+fn cell(calibration: &Calibration, u_px: f64, v_px: f64) -> (u32, u32) {
+    let sensor = &calibration.camera.sensor;
+    let part = |value: f64, size: u32, cells: u32| {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within 0 to cells
+        let cell = (value / f64::from(size) * f64::from(cells)).max(0.0) as u32;
+        cell.min(cells - 1)
+    };
+    (part(u_px, sensor.width_px, CELLS.0), part(v_px, sensor.height_px, CELLS.1))
+}
+
+fn over_image(calibration: &Calibration) -> f64 {
+    let mut cells: BTreeMap<(u32, u32), Vec<Vector2<f64>>> = BTreeMap::new();
+    for r in &calibration.reprojection.features {
+        let place = cell(calibration, r.feature.u_px, r.feature.v_px);
+        cells.entry(place).or_default().push(Vector2::new(r.du_px, r.dv_px));
+    }
+    let (mut systematic, mut count) = (0.0, 0.0);
+    for of_cell in cells.values().filter(|c| c.len() >= MIN_FEATURES) {
+        let n = of_cell.len() as f64;
+        let mean = of_cell.iter().sum::<Vector2<f64>>() / n;
+        let scatter = of_cell.iter().map(|r| (r - mean).norm_squared()).sum::<f64>() / (n - 1.0);
+        systematic += n * (mean.norm_squared() - scatter / n);
+        count += n;
+    }
+    (systematic.max(0.0) / f64::max(count, 1.0)).sqrt()
+}
+
+/// A shift in proportion to the distance from the centre of the micro-image is what a detector makes
+/// that does not know the shade of the pupil.
+fn over_micro_images(calibration: &Calibration) -> Result<f64> {
+    let residuals = &calibration.reprojection.features;
+    let named = residuals.iter().map(|r| (r.feature.k, r.feature.l));
+    let centers = solver::project_centers(&calibration.camera, named)?;
+    let mut by_type: BTreeMap<usize, [f64; 3]> = BTreeMap::new();
+    let offset = |r: &FeatureResidual, [u, v]: &[f64; 2]| {
+        (r.feature.u_px - u, r.feature.v_px - v)
+    };
+    for (r, center) in residuals.iter().zip(&centers) {
+        let (u, v) = offset(r, center);
+        let sums = by_type.entry(r.lens_type).or_default();
+        sums[0] += u * u + v * v;
+        sums[1] += u * r.du_px + v * r.dv_px;
+        sums[2] += r.du_px.powi(2) + r.dv_px.powi(2);
+    }
+    // What the slope explains, less what it would explain of scatter alone: one of 2n residuals.
+    let explained = |[square, product, all]: &[f64; 3]| {
+        if *square > 0.0 { product * product / square } else { 0.0 } - all / residuals.len() as f64
+    };
+    let sum: f64 = by_type.values().map(explained).map(|part| part.max(0.0)).sum();
+    Ok((sum / residuals.len().max(1) as f64).sqrt())
+}
+
+fn coverage(calibration: &Calibration) -> f64 {
+    let mut seen = BTreeMap::new();
+    for r in &calibration.reprojection.centers {
+        seen.entry(cell(calibration, r.center.u_px, r.center.v_px)).or_insert(false);
+    }
+    for r in &calibration.reprojection.features {
+        seen.insert(cell(calibration, r.feature.u_px, r.feature.v_px), true);
+    }
+    seen.values().filter(|seen| **seen).count() as f64 / seen.len().max(1) as f64
+}

@@ -1,0 +1,49 @@
+//! The assessment as one function of a calibration.
+
+use super::next_board::{NextBoard, next_board};
+use super::object_space::{ObjectSpace, object_space};
+use super::outliers::{Outliers, outliers};
+use super::patterns::{Patterns, patterns};
+use super::verdict::{Reason, Verdict, reasons};
+use crate::calibration::{Calibration, Mode};
+use crate::error::Result;
+use crate::model::Board;
+
+/// Whether a calibration is to be trusted, and where.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Assessment {
+    /// What to do with the camera.
+    pub verdict: Verdict,
+    /// What speaks against it, the heaviest first.
+    pub reasons: Vec<Reason>,
+    /// Observations and frames that do not fit.
+    pub outliers: Outliers,
+    /// Systematic parts of the residuals.
+    pub patterns: Patterns,
+    /// σ of reconstructed points; `None` if the camera is fixed or not determined.
+    pub object_space: Option<ObjectSpace>,
+    /// The further board that would help most; `None` likewise.
+    pub next_board: Option<NextBoard>,
+}
+
+/// Assesses a calibration made with this board.
+///
+/// An error if the camera cannot be evaluated, which does not happen with one that `calibrate`
+/// returned.
+pub fn assess(calibration: &Calibration, board: &Board) -> Result<Assessment> {
+    let _span = tracing::info_span!("assessment").entered();
+    let outliers = outliers(calibration);
+    let patterns = patterns(calibration)?;
+    let reasons = reasons(calibration, &outliers, &patterns);
+    let verdict = reasons.iter().map(Reason::verdict).max().unwrap_or(Verdict::Good);
+    let uncertainty = &calibration.uncertainty;
+    let known = calibration.options.mode != Mode::PosesOnly
+        && !uncertainty.free_intrinsics.is_empty()
+        && uncertainty.rank == uncertainty.size();
+    let object_space = if known { object_space(calibration, board)? } else { None };
+    let next_board = match &object_space {
+        Some(space) => next_board(calibration, board, space)?,
+        None => None,
+    };
+    Ok(Assessment { verdict, reasons, outliers, patterns, object_space, next_board })
+}

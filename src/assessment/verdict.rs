@@ -1,0 +1,354 @@
+//! The verdict on a calibration, and its reasons.
+
+use std::fmt;
+
+use super::outliers::OutlyingFrame;
+use super::{Outliers, Patterns};
+use crate::calibration::{Calibration, Mode, SLOPE, Warning};
+use crate::model::intrinsic_parameters;
+
+/// What to do with a camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Verdict {
+    /// Nothing speaks against it.
+    Good,
+    /// It may be right; the reasons say what to look at.
+    UsableWithCare,
+    /// It is wrong, or not determined.
+    DoNotUse,
+}
+
+/// Something that speaks against a calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Reason {
+    /// It is not at a minimum.
+    NotConverged,
+    /// A warning of the calibration.
+    Warning(Warning),
+    /// The observations pull on what is known.
+    Pulled {
+        /// The anchored quantity.
+        quantity: String,
+        /// By so many σ.
+        pull: f64,
+    },
+    /// m of the white images and of the camera differ, where m is no anchor.
+    SlopeContradicts {
+        /// (m* − m)/m*.
+        error: f64,
+    },
+    /// A frame that does not fit the others.
+    Frame(OutlyingFrame),
+    /// Features that do not fit.
+    Features {
+        /// Their number.
+        outlying: usize,
+        /// Of so many.
+        all: usize,
+    },
+    /// The residuals have a pattern over the image.
+    ImagePattern(f64),
+    /// The residuals grow with the distance from the centre of the micro-image.
+    MicroImagePattern(f64),
+    /// One lens type has larger residuals than another.
+    LensTypes(f64),
+    /// Few frames.
+    FewFrames(usize),
+    /// Few tilted boards.
+    FewTilts {
+        /// Number of boards tilted by [`TILTED_RAD`] or more.
+        tilted: usize,
+        /// Number of boards.
+        frames: usize,
+    },
+    /// All boards at nearly the same distance.
+    OneDistance {
+        /// Largest over smallest distance.
+        ratio: f64,
+    },
+    /// Boards in a part of the image only.
+    Coverage(f64),
+    /// One frame has most of the information on a parameter.
+    DominantFrame {
+        /// The frame.
+        frame: u32,
+        /// The parameter.
+        parameter: &'static str,
+        /// Its share, 0 to 1.
+        share: f64,
+    },
+    /// A parameter is not known well.
+    Uncertain {
+        /// The parameter.
+        parameter: &'static str,
+        /// σ over its value.
+        relative: f64,
+    },
+}
+
+/// A pull by more σ than this is a contradiction.
+pub(super) const PULLED: f64 = 3.0;
+/// By this many, what is known or the observations are wrong.
+const TORN: f64 = 6.0;
+/// What m of the white images is worth besides its own σ: that of f-numbers.
+const SLOPE_FLOOR: f64 = 0.02;
+/// Patterns above these fractions of the residuals are named.
+const IMAGE_PATTERN: f64 = 0.3;
+const MICRO_IMAGE_PATTERN: f64 = 0.1;
+const LENS_TYPES: f64 = 1.4;
+/// Fewer frames do not show what their errors share.
+const ENOUGH_FRAMES: usize = 6;
+/// A board tilted by less, rad (10°), says little of F.
+const TILTED_RAD: f64 = 0.1745;
+const ENOUGH_TILTED: usize = 3;
+const DISTANCES: f64 = 1.2;
+const COVERAGE: f64 = 0.5;
+const DOMINANT: f64 = 0.5;
+const UNCERTAIN: f64 = 0.01;
+const UNKNOWN: f64 = 0.1;
+/// The parameters whose relative σ matters.
+const LENGTHS: [&str; 6] = ["F", "D", "d", "f_1", "f_2", "f_3"];
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Good => "good",
+            Self::UsableWithCare => "usable with care",
+            Self::DoNotUse => "do not use",
+        })
+    }
+}
+
+impl Reason {
+    /// The verdict that this reason alone leads to.
+    #[must_use]
+    pub fn verdict(&self) -> Verdict {
+        let care_below = |value: f64, limit: f64| {
+            if value < limit { Verdict::UsableWithCare } else { Verdict::DoNotUse }
+        };
+        match self {
+            Self::NotConverged => Verdict::DoNotUse,
+            Self::Warning(warning) => match warning {
+                Warning::BadFit { .. }
+                | Warning::Undetermined { .. }
+                | Warning::UnexplainedBlur { .. } => Verdict::DoNotUse,
+                _ => Verdict::UsableWithCare,
+            },
+            Self::Pulled { pull, .. } => care_below(pull.abs(), TORN),
+            Self::SlopeContradicts { error } => care_below(error.abs(), TORN * SLOPE_FLOOR),
+            Self::Uncertain { relative, .. } => care_below(*relative, UNKNOWN),
+            _ => Verdict::UsableWithCare,
+        }
+    }
+
+    /// How heavy it is among the reasons for the same verdict.
+    fn weight(&self) -> f64 {
+        match self {
+            Self::NotConverged => 100.0,
+            Self::Warning(_) => 50.0,
+            Self::Pulled { pull, .. } => 2.0 * pull.abs(),
+            Self::SlopeContradicts { error } => 2.0 * error.abs() / SLOPE_FLOOR,
+            Self::Frame(frame) => 5.0 + frame.influence.max(frame.residual_ratio),
+            Self::Uncertain { relative, .. } => 4.0 * relative / UNCERTAIN,
+            Self::ImagePattern(part) => 4.0 * part / IMAGE_PATTERN,
+            Self::MicroImagePattern(part) => 4.0 * part / MICRO_IMAGE_PATTERN,
+            Self::FewFrames(_) => 4.0,
+            Self::FewTilts { .. } | Self::OneDistance { .. } | Self::DominantFrame { .. } => 3.0,
+            Self::LensTypes(ratio) => 2.0 * ratio,
+            Self::Coverage(_) | Self::Features { .. } => 2.0,
+        }
+    }
+}
+
+/// All reasons, the heaviest first.
+pub(super) fn reasons(
+    calibration: &Calibration,
+    outliers: &Outliers,
+    patterns: &Patterns,
+) -> Vec<Reason> {
+    let mut reasons = Vec::new();
+    if !calibration.converged {
+        reasons.push(Reason::NotConverged);
+    }
+    let counts = |w: &&Warning| {
+        !matches!(w, Warning::OutlyingCenters { .. } | Warning::AnchorPulled(_))
+    };
+    reasons.extend(calibration.warnings.iter().filter(counts).cloned().map(Reason::Warning));
+    reasons.extend(outliers.frames.iter().cloned().map(Reason::Frame));
+    let (outlying, all) = (outliers.features.len(), calibration.reprojection.features.len());
+    if outlying > 0 {
+        reasons.push(Reason::Features { outlying, all });
+    }
+    if calibration.options.mode != Mode::PosesOnly {
+        reasons.extend(of_anchors(calibration));
+        reasons.extend(of_patterns(patterns));
+        reasons.extend(of_boards(calibration));
+        reasons.extend(of_parameters(calibration));
+    }
+    let order = |r: &Reason| (r.verdict(), r.weight());
+    reasons.sort_by(|a, b| order(b).partial_cmp(&order(a)).unwrap_or(std::cmp::Ordering::Equal));
+    reasons
+}
+
+fn of_anchors(calibration: &Calibration) -> Vec<Reason> {
+    let mut reasons: Vec<Reason> = calibration
+        .anchors
+        .iter()
+        .filter(|anchor| anchor.pull().abs() > PULLED)
+        .map(|a| Reason::Pulled { quantity: a.anchor.quantity.clone(), pull: a.pull() })
+        .collect();
+    let anchored = calibration.anchors.iter().any(|a| a.anchor.quantity == SLOPE);
+    let error = calibration.m_error().filter(|e| !anchored && e.abs() > PULLED * SLOPE_FLOOR);
+    reasons.extend(error.map(|error| Reason::SlopeContradicts { error }));
+    reasons
+}
+
+fn of_patterns(patterns: &Patterns) -> Vec<Reason> {
+    let mut reasons = Vec::new();
+    if patterns.image > IMAGE_PATTERN {
+        reasons.push(Reason::ImagePattern(patterns.image));
+    }
+    if patterns.micro_image > MICRO_IMAGE_PATTERN {
+        reasons.push(Reason::MicroImagePattern(patterns.micro_image));
+    }
+    if patterns.lens_types > LENS_TYPES {
+        reasons.push(Reason::LensTypes(patterns.lens_types));
+    }
+    if patterns.coverage < COVERAGE {
+        reasons.push(Reason::Coverage(patterns.coverage));
+    }
+    reasons
+}
+
+fn of_boards(calibration: &Calibration) -> Vec<Reason> {
+    let poses = &calibration.poses;
+    let frames = poses.len();
+    let mut reasons = Vec::new();
+    if frames < ENOUGH_FRAMES {
+        reasons.push(Reason::FewFrames(frames));
+    }
+    let tilt = |i: &usize| {
+        let normal = poses[*i].camera_from_board.rotation * nalgebra::Vector3::z();
+        normal.z.abs().min(1.0).acos() >= TILTED_RAD
+    };
+    let tilted = (0..frames).filter(tilt).count();
+    if tilted < ENOUGH_TILTED {
+        reasons.push(Reason::FewTilts { tilted, frames });
+    }
+    let distances = poses.iter().map(|p| p.camera_from_board.translation.z);
+    let ratio = distances.clone().fold(0.0, f64::max) / distances.fold(f64::INFINITY, f64::min);
+    if ratio < DISTANCES {
+        reasons.push(Reason::OneDistance { ratio });
+    }
+    reasons
+}
+
+fn of_parameters(calibration: &Calibration) -> Vec<Reason> {
+    let uncertainty = &calibration.uncertainty;
+    let parameters = intrinsic_parameters(calibration.camera.lens_types());
+    let lengths = uncertainty
+        .free_intrinsics
+        .iter()
+        .enumerate()
+        .filter(|(row, index)| {
+            LENGTHS.contains(&parameters[**index].name) && uncertainty.determined[*row]
+        });
+    let mut dominant: Option<(usize, usize, f64)> = None;
+    let mut uncertain: Option<(usize, f64)> = None;
+    for (row, &index) in lengths {
+        for frame in 0..calibration.poses.len() {
+            let share = uncertainty.frame_shares[(frame, row)];
+            if share > DOMINANT.max(dominant.map_or(0.0, |d| d.2)) {
+                dominant = Some((frame, index, share));
+            }
+        }
+        let value = parameters[index].value(&calibration.camera);
+        let relative = uncertainty.covariance[(row, row)].sqrt() / value.abs();
+        if relative > UNCERTAIN.max(uncertain.map_or(0.0, |u| u.1)) {
+            uncertain = Some((index, relative));
+        }
+    }
+    let dominant = dominant.filter(|_| calibration.poses.len() > 1).map(|(frame, index, share)| {
+        let (frame, parameter) = (calibration.poses[frame].frame, parameters[index].name);
+        Reason::DominantFrame { frame, parameter, share }
+    });
+    let uncertain = uncertain
+        .map(|(index, relative)| Reason::Uncertain { parameter: parameters[index].name, relative });
+    dominant.into_iter().chain(uncertain).collect()
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotConverged => f.write_str("it has not converged"),
+            Self::Warning(warning) => warning.fmt(f),
+            Self::Pulled { quantity, pull } => {
+                write!(f, "the observations pull {quantity} by {pull:+.1} σ from what is known of it")
+            }
+            Self::SlopeContradicts { error } => write!(
+                f,
+                "|m| of the white images is {:.1} % off that of the camera, far more than f-numbers \
+                 can explain",
+                100.0 * error.abs()
+            ),
+            Self::Frame(frame) => frame.fmt(f),
+            Self::Features { outlying, all } => write!(
+                f,
+                "{outlying} of {all} features lie far from where the camera projects them"
+            ),
+            Self::ImagePattern(part) => write!(
+                f,
+                "the residuals have a pattern over the image, {:.0} % of their size: the model lacks \
+                 something, or the board is not flat",
+                100.0 * part
+            ),
+            Self::MicroImagePattern(part) => write!(
+                f,
+                "the residuals change with the distance from the centre of the micro-image, by {:.0} % \
+                 of their size: the corners are biased",
+                100.0 * part
+            ),
+            Self::LensTypes(ratio) => write!(
+                f,
+                "the residuals of one lens type are {ratio:.1} times those of another"
+            ),
+            Self::FewFrames(frames) => write!(
+                f,
+                "{frames} frame(s) do not show what their errors share: σ takes all observations as \
+                 independent"
+            ),
+            Self::FewTilts { tilted, frames } => write!(
+                f,
+                "{tilted} of {frames} boards are tilted by more than 10 degrees: F and the distances \
+                 are hardly told apart"
+            ),
+            Self::OneDistance { ratio } => write!(
+                f,
+                "all boards are at nearly the same distance (the largest is {ratio:.2} times the \
+                 smallest)"
+            ),
+            Self::Coverage(part) => {
+                write!(f, "boards cover {:.0} % of the image", 100.0 * part)
+            }
+            Self::DominantFrame { frame, parameter, share } => write!(
+                f,
+                "frame {frame} alone has {:.0} % of what is known of {parameter}",
+                100.0 * share
+            ),
+            Self::Uncertain { parameter, relative } => {
+                write!(f, "{parameter} is known to {:.1} % only", 100.0 * relative)
+            }
+        }
+    }
+}
+
+impl fmt::Display for OutlyingFrame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { frame, residual_ratio, parameter, influence } = self;
+        write!(
+            f,
+            "frame {frame} does not fit the others: its residuals are {residual_ratio:.1} times \
+             theirs, and without it {parameter} moves by {influence:.1} σ"
+        )
+    }
+}
