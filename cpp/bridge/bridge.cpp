@@ -209,8 +209,7 @@ rust::Vec<double> frame_information(const CameraParts& camera, rust::Slice<const
                                                to_core(features, {}), to_core(cost)));
 }
 
-rust::Vec<FeatureRow> visible_features(const CameraParts& parts,
-                                       rust::Slice<const PoseBlock> poses,
+rust::Vec<FeatureRow> visible_features(const CameraParts& parts, rust::Slice<const PoseBlock> poses,
                                        rust::Slice<const PointRow> board_points, double margin_px) {
   const Camera camera = to_core(parts);
   rust::Vec<FeatureRow> rows;
@@ -238,9 +237,8 @@ rust::Vec<SensitivityRow> point_sensitivities(const CameraParts& parts,
   const Camera camera = to_core(parts);
   rust::Vec<SensitivityRow> rows;
   for (const PointRow& row : points) {
-    const PointSensitivity s =
-        point_sensitivity(camera, to_core(row.point_mm),
-                          {std_dev_px[0], std_dev_px[1], std_dev_px[2]}, margin_px);
+    const PointSensitivity s = point_sensitivity(
+        camera, to_core(row.point_mm), {std_dev_px[0], std_dev_px[1], std_dev_px[2]}, margin_px);
     rows.push_back({s.micro_lenses, from_core(s.by_intrinsics), s.covariance});
   }
   return rows;

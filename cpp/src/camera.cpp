@@ -1,17 +1,15 @@
 #include "plenocal/camera.hpp"
 
 #include <sstream>
-#include <stdexcept>
 
+#include "checks.hpp"
 #include "plenocal/projection.hpp"
 
 namespace plenocal {
 namespace {
 
-[[noreturn]] void reject(const std::string& what) { throw std::invalid_argument(what); }
-
 void require_positive(double value, const std::string& name) {
-  if (!(std::isfinite(value) && value > 0.0)) {
+  if (!is_positive(value)) {
     std::ostringstream text;
     text << "the camera's " << name << " is " << value << "; it has to be positive and finite";
     reject(text.str());

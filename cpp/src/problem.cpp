@@ -5,8 +5,9 @@
 #include <algorithm>
 #include <limits>
 #include <numeric>
-#include <stdexcept>
 #include <string>
+
+#include "checks.hpp"
 
 namespace plenocal {
 namespace {
@@ -16,8 +17,6 @@ namespace {
 constexpr std::size_t kFeaturesPerBlock = 256;
 constexpr std::size_t kCentersPerBlock = 256;
 
-[[noreturn]] void reject(const std::string& what) { throw std::invalid_argument(what); }
-
 std::string micro_lens_text(int k, int l) {
   return "micro-lens (" + std::to_string(k) + ", " + std::to_string(l) + ")";
 }
@@ -26,14 +25,6 @@ void require_inside(const Lattice& lattice, int k, int l) {
   if (!lattice.contains(k, l)) {
     reject(micro_lens_text(k, l) + " is outside the array of " + std::to_string(lattice.columns) +
            " x " + std::to_string(lattice.rows));
-  }
-}
-
-bool is_positive(double value) { return std::isfinite(value) && value > 0.0; }
-
-void require_std_dev(double value, const std::string& name) {
-  if (!is_positive(value)) {
-    reject("the standard deviation of " + name + " has to be positive and finite");
   }
 }
 

@@ -1,6 +1,5 @@
 #include "shared_errors.hpp"
 
-
 #include <Eigen/Dense>
 #include <algorithm>
 #include <limits>

@@ -4,31 +4,19 @@
 
 #include <functional>
 #include <limits>
-#include <stdexcept>
 
+#include "rejection.hpp"
 #include "synthetic_scene.hpp"
 
 namespace plenocal {
 namespace {
 
+using test::expect_names;
+using test::rejection;
 using test::Scene;
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-
-std::string rejection(const std::function<void()>& action) {
-  try {
-    action();
-  } catch (const std::invalid_argument& error) {
-    return error.what();
-  }
-  return "(accepted)";
-}
-
-void expect_names(const std::string& message, const std::string& culprit) {
-  EXPECT_NE(message.find(culprit), std::string::npos)
-      << "message: " << message << "\nwithout: " << culprit;
-}
 
 // One way to spoil a valid scene or its options, and what the message has to contain.
 struct Spoiled {

@@ -1,9 +1,8 @@
 // The forward model against numbers worked out by hand. The arithmetic is next to each expectation;
 // none of it comes from the functions under test.
 //
-// The camera of most tests: F = 50 mm, MLA at D = 59 mm, sensor d = 0.5 mm behind it, s = 0.01 mm,
-// 5 x 5 micro-lenses of 0.2 mm on a square lattice, (u0, v0) = (100, 80). A plane at z = 300 mm is
-// imaged at z' = -50*300/250 = -60 mm, magnified by -1/5: 1 mm behind the MLA, so a = -1.
+// With the camera of most tests, a plane at z = 300 mm is imaged at z' = -50*300/250 = -60 mm,
+// magnified by -1/5: 1 mm behind the MLA, so a = -1.
 #include <ceres/jet.h>
 #include <gtest/gtest.h>
 
@@ -13,28 +12,16 @@
 #include <tuple>
 
 #include "plenocal/projection.hpp"
+#include "simple_camera.hpp"
 
 namespace plenocal {
 namespace {
 
+using test::simple_camera;
+
 // Literals have about 12 digits, and the model makes about ten rounding errors in numbers near 1e2:
 // both stay well below this tolerance in px (and pitches).
 constexpr double kRounding = 1e-9;
-
-Camera simple_camera() {
-  Camera camera;
-  camera.lattice = {Packing::kOrthogonal, 5, 5};
-  camera.pixel_size = 0.01;
-  camera.main_lens.focal_length = 50.0;
-  camera.mla.principal_point[0] = 100.0;
-  camera.mla.principal_point[1] = 80.0;
-  camera.mla.lens_to_mla = 59.0;
-  camera.mla.mla_to_sensor = 0.5;
-  camera.mla.pitch = 0.2;
-  camera.mla.pitch_ratio = 1.0;
-  camera.micro_lens_focal_lengths = {1.0};
-  return camera;
-}
 
 Pose at_distance(double z) { return {{0.0, 0.0, 0.0}, {0.0, 0.0, z}}; }
 

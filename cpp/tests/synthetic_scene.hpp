@@ -146,4 +146,10 @@ inline void expect_near_relative(double actual, double expected, double toleranc
   EXPECT_NEAR(actual, expected, tolerance * std::abs(expected)) << name;
 }
 
+/// The largest difference of two covariances in units of the standard deviations involved.
+inline double largest_difference(const Eigen::MatrixXd& a, const Eigen::MatrixXd& expected) {
+  const Eigen::VectorXd scale = expected.diagonal().cwiseSqrt().cwiseInverse();
+  return (scale.asDiagonal() * (a - expected) * scale.asDiagonal()).cwiseAbs().maxCoeff();
+}
+
 }  // namespace plenocal::test

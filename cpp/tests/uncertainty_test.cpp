@@ -14,6 +14,7 @@ namespace plenocal {
 namespace {
 
 using test::expect_near_relative;
+using test::largest_difference;
 using test::one_pitch;
 using test::residuals;
 using test::Scene;
@@ -121,12 +122,6 @@ Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options)
 
 Eigen::MatrixXd covariance_of(const Uncertainty& u) {
   return Eigen::Map<const Eigen::MatrixXd>(u.covariance.data(), u.size, u.size);
-}
-
-// The largest difference of two covariances in units of the standard deviations involved.
-double largest_difference(const Eigen::MatrixXd& a, const Eigen::MatrixXd& expected) {
-  const Eigen::VectorXd scale = expected.diagonal().cwiseSqrt().cwiseInverse();
-  return (scale.asDiagonal() * (a - expected) * scale.asDiagonal()).cwiseAbs().maxCoeff();
 }
 
 TEST_F(AtMinimum, ResidualStdDevIsTheInjectedNoise) {

@@ -8,8 +8,7 @@
 //! carries camera and poses together).
 
 use nalgebra::{
-    DMatrix, Isometry3, Matrix3, Matrix3x6, Matrix6, Point3, Translation3, UnitQuaternion,
-    Vector3,
+    DMatrix, Isometry3, Matrix3, Matrix3x6, Matrix6, Point3, Translation3, UnitQuaternion, Vector3,
 };
 
 use crate::calibration::Calibration;
@@ -101,14 +100,14 @@ impl ObjectSpace {
 }
 
 /// `None` if no point is seen.
-pub(super) fn object_space(calibration: &Calibration, board: &Board) -> Result<Option<ObjectSpace>> {
+pub(super) fn object_space(
+    calibration: &Calibration,
+    board: &Board,
+) -> Result<Option<ObjectSpace>> {
     let camera = &calibration.camera;
     let middle = board.middle_mm();
-    let boards: Vec<f64> = calibration
-        .poses
-        .iter()
-        .map(|p| (p.camera_from_board * middle).z)
-        .collect();
+    let boards: Vec<f64> =
+        calibration.poses.iter().map(|p| (p.camera_from_board * middle).z).collect();
     let near = boards.iter().copied().fold(f64::INFINITY, f64::min);
     let far = boards.iter().copied().fold(0.0, f64::max);
     let motion = motion_of_boards(calibration, board);

@@ -83,10 +83,8 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     for r in &calibration.reprojection.features {
         by_frame.entry(r.feature.frame).or_default().push(norm(r, calibration));
     }
-    let typical: BTreeMap<u32, f64> = by_frame
-        .into_iter()
-        .filter_map(|(frame, norms)| Some((frame, median(norms)?)))
-        .collect();
+    let typical: BTreeMap<u32, f64> =
+        by_frame.into_iter().filter_map(|(frame, norms)| Some((frame, median(norms)?))).collect();
     if typical.len() < MIN_FRAMES {
         return Vec::new();
     }
@@ -116,9 +114,11 @@ fn influence(calibration: &Calibration, frame: usize) -> (&'static str, f64) {
     let others = (changes.nrows() - 1) as f64;
     let of = |(row, &index): (usize, &usize)| {
         let column = changes.column(row);
-        let rest = column.iter().enumerate().filter(|(i, _)| *i != frame).map(|(_, change)| *change);
+        let rest =
+            column.iter().enumerate().filter(|(i, _)| *i != frame).map(|(_, change)| *change);
         let mean = rest.clone().sum::<f64>() / others;
-        let std_dev = ((others - 1.0) / others * rest.map(|c| (c - mean).powi(2)).sum::<f64>()).sqrt();
+        let std_dev =
+            ((others - 1.0) / others * rest.map(|c| (c - mean).powi(2)).sum::<f64>()).sqrt();
         let influence = (column[frame] - mean).abs() / std_dev;
         (parameters[index].name, if influence.is_finite() { influence } else { 0.0 })
     };

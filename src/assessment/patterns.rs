@@ -82,9 +82,7 @@ fn over_micro_images(calibration: &Calibration) -> Result<f64> {
     let named = residuals.iter().map(|r| (r.feature.k, r.feature.l));
     let centers = solver::project_centers(&calibration.camera, named)?;
     let mut by_type: BTreeMap<usize, [f64; 3]> = BTreeMap::new();
-    let offset = |r: &FeatureResidual, [u, v]: &[f64; 2]| {
-        (r.feature.u_px - u, r.feature.v_px - v)
-    };
+    let offset = |r: &FeatureResidual, [u, v]: &[f64; 2]| (r.feature.u_px - u, r.feature.v_px - v);
     for (r, center) in residuals.iter().zip(&centers) {
         let (u, v) = offset(r, center);
         let sums = by_type.entry(r.lens_type).or_default();
@@ -93,8 +91,10 @@ fn over_micro_images(calibration: &Calibration) -> Result<f64> {
         sums[2] += r.du_px.powi(2) + r.dv_px.powi(2);
     }
     // What the slope explains, less what it would explain of scatter alone: one of 2n residuals.
+    let of_scatter = |all: f64| all / (2.0 * residuals.len() as f64);
     let explained = |[square, product, all]: &[f64; 3]| {
-        if *square > 0.0 { product * product / square } else { 0.0 } - all / residuals.len() as f64
+        let explained = if *square > 0.0 { product * product / square } else { 0.0 };
+        explained - of_scatter(*all)
     };
     let sum: f64 = by_type.values().map(explained).map(|part| part.max(0.0)).sum();
     Ok((sum / residuals.len().max(1) as f64).sqrt())

@@ -170,9 +170,8 @@ pub(super) fn reasons(
     if !calibration.converged {
         reasons.push(Reason::NotConverged);
     }
-    let counts = |w: &&Warning| {
-        !matches!(w, Warning::OutlyingCenters { .. } | Warning::AnchorPulled(_))
-    };
+    let counts =
+        |w: &&Warning| !matches!(w, Warning::OutlyingCenters { .. } | Warning::AnchorPulled(_));
     reasons.extend(calibration.warnings.iter().filter(counts).cloned().map(Reason::Warning));
     reasons.extend(outliers.frames.iter().cloned().map(Reason::Frame));
     let (outlying, all) = (outliers.features.len(), calibration.reprojection.features.len());
@@ -246,13 +245,9 @@ fn of_boards(calibration: &Calibration) -> Vec<Reason> {
 fn of_parameters(calibration: &Calibration) -> Vec<Reason> {
     let uncertainty = &calibration.uncertainty;
     let parameters = intrinsic_parameters(calibration.camera.lens_types());
-    let lengths = uncertainty
-        .free_intrinsics
-        .iter()
-        .enumerate()
-        .filter(|(row, index)| {
-            LENGTHS.contains(&parameters[**index].name) && uncertainty.determined[*row]
-        });
+    let lengths = uncertainty.free_intrinsics.iter().enumerate().filter(|(row, index)| {
+        LENGTHS.contains(&parameters[**index].name) && uncertainty.determined[*row]
+    });
     let mut dominant: Option<(usize, usize, f64)> = None;
     let mut uncertain: Option<(usize, f64)> = None;
     for (row, &index) in lengths {
@@ -283,7 +278,10 @@ impl fmt::Display for Reason {
             Self::NotConverged => f.write_str("it has not converged"),
             Self::Warning(warning) => warning.fmt(f),
             Self::Pulled { quantity, pull } => {
-                write!(f, "the observations pull {quantity} by {pull:+.1} σ from what is known of it")
+                write!(
+                    f,
+                    "the observations pull {quantity} by {pull:+.1} σ from what is known of it"
+                )
             }
             Self::SlopeContradicts { error } => write!(
                 f,
@@ -308,10 +306,9 @@ impl fmt::Display for Reason {
                  of their size: the corners are biased",
                 100.0 * part
             ),
-            Self::LensTypes(ratio) => write!(
-                f,
-                "the residuals of one lens type are {ratio:.1} times those of another"
-            ),
+            Self::LensTypes(ratio) => {
+                write!(f, "the residuals of one lens type are {ratio:.1} times those of another")
+            }
             Self::FewFrames(frames) => write!(
                 f,
                 "{frames} frame(s) do not show what their errors share: σ takes all observations as \

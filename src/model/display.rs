@@ -3,7 +3,7 @@
 /// The unit in which a parameter is shown, and the factor to it.
 pub(crate) fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64) {
     match name {
-        "d" | "dC" => ("µm", 1e3),
+        "d" | "dC" | "m" => ("µm", 1e3),
         name if name.starts_with("f_") => ("µm", 1e3),
         name if name.starts_with("theta") => ("mrad", 1e3),
         _ => (unit, 1.0),

@@ -9,7 +9,8 @@ mod uncertainty;
 
 pub use bridge::{distortion_mm, silence_log};
 pub(crate) use bridge::{
-    frame_information, point_sensitivities, project, project_centers, refine, uncertainty, visible_features,
+    frame_information, point_sensitivities, project, project_centers, refine, uncertainty,
+    visible_features,
 };
 pub use options::{Anchor, CostOptions, Loss, LossKind, SolverOptions};
 pub(crate) use problem::{PointSensitivity, Problem, Projected, SolverCenter, SolverFeature};

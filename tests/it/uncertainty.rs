@@ -1,13 +1,15 @@
 //! Standard deviations against what they predict.
 
-use plenocal::calibration::{CalibrationOptions, Start};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use plenocal::calibration::{CalibrationOptions, Start};
 use plenocal::model::{FramePose, Noise, NoiseSource, Observations, intrinsic_parameters, optics};
 use plenocal::solver::{Anchor, synthesize};
 use rayon::prelude::*;
 
 use crate::r12a;
-use crate::support::{board, datasheet_start, options, pairs, run, true_camera, true_poses, NO_NOISE};
+use crate::support::{
+    NO_NOISE, board, datasheet_start, options, pairs, run, true_camera, true_poses,
+};
 
 /// Draws of a Monte Carlo experiment. The standard error of a scatter from them is 5 %.
 const DRAWS: u64 = 200;
@@ -20,7 +22,13 @@ impl Normal {
         Self(NoiseSource::new(&Noise { uv_px: 1.0, rho_px: 1.0, centers_px: 1.0 }, seed).unwrap())
     }
     fn draw(&mut self) -> f64 {
-        let zero = plenocal::model::MicroImageCenter { k: 0, l: 0, u_px: 0.0, v_px: 0.0, std_dev_px: None };
+        let zero = plenocal::model::MicroImageCenter {
+            k: 0,
+            l: 0,
+            u_px: 0.0,
+            v_px: 0.0,
+            std_dev_px: None,
+        };
         self.0.center(&zero).u_px
     }
 }
@@ -199,7 +207,8 @@ fn on_r12a_left_out_frames_agree_with_sixteen_calibrations() {
     let freedom = u.std_dev_uncertainties(3);
     for (i, p) in intrinsic_parameters(3).iter().enumerate() {
         let mean = without.iter().map(|v| v[i]).sum::<f64>() / n;
-        let real = ((n - 1.0) / n * without.iter().map(|v| (v[i] - mean).powi(2)).sum::<f64>()).sqrt();
+        let real =
+            ((n - 1.0) / n * without.iter().map(|v| (v[i] - mean).powi(2)).sum::<f64>()).sqrt();
         let Some(s) = shared[i] else { continue };
         println!(
             "{:8} real {real:10.3e} first order {:6.2} CR2 {:6.2} independent {:6.2} ±{:.2}",

@@ -126,6 +126,10 @@ class ArrayOptics {
             axis_x_.z * node.x + axis_y_.z * node.y - mla_.lens_to_mla};
   }
 
+  /// Distance between neighbouring micro-image centres without tilt, px; if the pitches along u and
+  /// v differ, their geometric mean.
+  T micro_image_pitch() const { return 2.0 * half_diameter_px_ * (-sensor_z_ / mla_.lens_to_mla); }
+
   /// (u, v) and `scale` = -delta/a: where the straight ray from p' through C meets the sensor
   /// plane. False if p' lies in the plane of the micro-lens.
   bool through_micro_lens(const Vector3<T>& image, const Vector3<T>& center, Pixel<T>* pixel,

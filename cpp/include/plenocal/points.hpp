@@ -1,0 +1,49 @@
+// Single points in space: which micro-lenses see one, and how well it is reconstructed from them.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "plenocal/projection.hpp"
+
+namespace plenocal {
+
+/// Micro-lens (k, l) of the array.
+struct MicroLensIndex {
+  int k, l;
+};
+
+/// The micro-lenses in whose micro-image a point of the camera frame (mm) is seen at least `margin`
+/// px inside the edge, in order of l, then k. Micro-images are discs as wide as
+/// `ArrayOptics::micro_image_pitch`. Empty if the point is not finite or not beyond the focal
+/// plane. The time taken grows with their number, not with the size of the array.
+///
+/// Throws std::invalid_argument if the camera is not valid or the margin negative or not finite.
+std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera, const Vector3<double>& point,
+                                                double margin);
+
+/// How the reconstruction of a point by weighted least squares from its features (u, v and rho; u
+/// and v alone for an array of pinholes) responds to errors of the camera and of the features.
+///
+/// Arrays are stored row by row. Their values are not numbers if fewer than two micro-lenses see
+/// the point, or if the features do not determine it.
+struct PointSensitivity {
+  int micro_lenses = 0;  ///< the number that see the point
+  /// 3 x number of intrinsics, mm per unit of the parameter: change of the reconstructed x, y, z
+  /// with every parameter in the order of `for_each_parameter`, the features being fixed.
+  std::vector<double> by_intrinsics;
+  /// 3 x 3, mm^2: covariance of x, y, z due to the noise of the features.
+  std::array<double, 9> covariance{};
+};
+
+/// Sensitivity of a point of the camera frame (mm), seen without error by all of
+/// `micro_lenses_seeing`. `std_dev` is the noise of its features, px; that of rho is not used for
+/// an array of pinholes. The n values of rho come from a single measurement: each counts with
+/// sqrt(n) times its noise, so that together they weigh as one.
+///
+/// Throws std::invalid_argument like `micro_lenses_seeing`, and if the noise is not positive and
+/// finite.
+PointSensitivity point_sensitivity(const Camera& camera, const Vector3<double>& point,
+                                   const Feature<double>& std_dev, double margin);
+
+}  // namespace plenocal

@@ -1,0 +1,20 @@
+// Checks of what callers hand in: std::invalid_argument that says what is wrong.
+#pragma once
+
+#include <cmath>
+#include <stdexcept>
+#include <string>
+
+namespace plenocal {
+
+[[noreturn]] inline void reject(const std::string& what) { throw std::invalid_argument(what); }
+
+inline bool is_positive(double value) { return std::isfinite(value) && value > 0.0; }
+
+inline void require_std_dev(double value, const std::string& name) {
+  if (!is_positive(value)) {
+    reject("the standard deviation of " + name + " has to be positive and finite");
+  }
+}
+
+}  // namespace plenocal
