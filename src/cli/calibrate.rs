@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Args;
+use plenocal::assessment::assess;
 use plenocal::calibration::{Calibration, Mode, Weights, calibrate, termination_text};
 use plenocal::io::{self, AnchorsSection, CalibrationSection, OutputFolder, Pitches, compote};
 use plenocal::solver::{LossKind, Termination};
@@ -13,7 +14,7 @@ use plenocal::{Error, Result, report};
 use super::choices::{ANCHORS, LOSSES, MODES, PITCHES, WEIGHTS, choice};
 use super::input::{Files, Input};
 use super::progress;
-use super::talk::{print_result, say, warn, warn_of_calibration};
+use super::talk::{print_result, say, warn, warn_of_calibration, warn_of_frames};
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///
@@ -152,13 +153,16 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     );
     bar.finish_and_clear();
     let calibration = calibration?;
+    let assessment = assess(&calibration, &input.board)?;
 
     stage_results(&mut output, &calibration, with_compote)?;
     let paths = output.commit()?;
     warn(&calibration.left_out);
     warn_of_calibration(&calibration.warnings);
-    let document = io::calibration_document(&calibration, begun.elapsed().as_secs_f64());
-    print_result(json, &document, &report::calibration_text(&calibration), &paths);
+    warn_of_frames(&assessment);
+    let time_s = begun.elapsed().as_secs_f64();
+    let document = io::calibration_document(&calibration, &assessment, time_s);
+    print_result(json, &document, &report::calibration_text(&calibration, &assessment), &paths);
     if calibration.converged {
         return Ok(ExitCode::SUCCESS);
     }

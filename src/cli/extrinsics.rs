@@ -74,12 +74,19 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let options = CalibrationOptions { mode: Mode::PosesOnly, ..CalibrationOptions::default() };
     let result =
         calibrate(&Start::Camera(camera), &shoot.board, &observations, &options, &mut |_| true)?;
+    let assessment = assess(&result, &shoot.board)?;
     stage_results(&mut output, &result, false)?;
     let paths = output.commit()?;
     warn(&found.warnings);
     warn(&result.left_out);
     warn_of_calibration(&result.warnings);
-    let document = io::calibration_document(&result, begun.elapsed().as_secs_f64());
-    print_result(arguments.json, &document, &report::calibration_text(&result), &paths);
+    warn_of_frames(&assessment);
+    let document = io::calibration_document(&result, &assessment, begun.elapsed().as_secs_f64());
+    print_result(
+        arguments.json,
+        &document,
+        &report::calibration_text(&result, &assessment),
+        &paths,
+    );
     Ok(if result.converged { ExitCode::SUCCESS } else { not_converged(&result) })
 }

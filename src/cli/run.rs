@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use super::boards::{Shoot, images_of};
 use super::choices::{DEPTH_ESTIMATORS, choice};
 use super::ledger::{Ledger, SECTION};
-use super::stages::{CALIBRATION, CORNERS_ONLY, EVALUATION, Stages, calibration_options};
+use super::stages::{CALIBRATION, CORNERS_ONLY, EVALUATION, Stages, VERDICT, calibration_options};
 use super::talk::{print_result, say};
 
 /// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
@@ -127,8 +127,14 @@ fn print_results(arguments: &Arguments, ledger: &Ledger, report: &Path) -> Resul
     if ledger.has(EVALUATION) {
         tables.extend(tables_of(&read_section(&folder.join(EVALUATION))?));
     }
-    let tables: Vec<String> = tables.iter().map(ToString::to_string).collect();
-    print_result(arguments.json, &document, &tables.join("\n\n"), &[report.to_owned()]);
+    let verdict = read_json_section(&folder.join(CALIBRATION).join(VERDICT))?;
+    let lines = verdict.parts.into_iter().filter_map(|part| match part {
+        Part::Text(line) => Some(line),
+        _ => None,
+    });
+    let mut texts = vec![lines.collect::<Vec<_>>().join("\n")];
+    texts.extend(tables.iter().map(ToString::to_string));
+    print_result(arguments.json, &document, &texts.join("\n\n"), &[report.to_owned()]);
     Ok(())
 }
 
@@ -141,11 +147,14 @@ fn read_json(path: &Path) -> Result<Value> {
     })
 }
 
+fn read_json_section(path: &Path) -> Result<Section> {
+    serde_json::from_value(read_json(path)?)
+        .map_err(|e| Error::invalid(format!("not a section of a report: {e}")).in_file(path))
+}
+
 /// A stage's section of the report, figures included.
 fn read_section(folder: &Path) -> Result<Section> {
-    let path = folder.join(SECTION);
-    let mut section: Section = serde_json::from_value(read_json(&path)?)
-        .map_err(|e| Error::invalid(format!("not a section of a report: {e}")).in_file(&path))?;
+    let mut section = read_json_section(&folder.join(SECTION))?;
     for figure in section.figures_mut() {
         let path = folder.join(&figure.name);
         figure.svg = fs::read_to_string(&path)
@@ -164,7 +173,8 @@ fn tables_of(section: &Section) -> Vec<HtmlTable> {
 
 /// Writes report.html from what the stages have written.
 fn write_report(arguments: &Arguments, ledger: &Ledger, time_s: f64) -> Result<PathBuf> {
-    let mut sections = vec![overview(&arguments.project, ledger, time_s)];
+    let verdict = read_json_section(&arguments.out.join(CALIBRATION).join(VERDICT))?;
+    let mut sections = vec![verdict, overview(&arguments.project, ledger, time_s)];
     // First the results, then what they came from.
     let is_result = |name: &str| [CALIBRATION, EVALUATION].contains(&name);
     let (results, rest): (Vec<_>, Vec<_>) =

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use plenocal::assessment::assess;
 use plenocal::calibration::{CalibrationOptions, Mode, Start, calibrate, initial_from};
 use plenocal::detection::DepthEstimator;
 use plenocal::evaluation::{Candidate, EvaluationInput, Folds, PosePairs};
@@ -14,19 +15,22 @@ use plenocal::precalibration::PrecalibrationOptions;
 use plenocal::report::{Figure, Section};
 use plenocal::{Error, Result, report};
 use serde::Serialize;
+use serde_json::json;
 
 use super::boards::{self, Options, Shoot, images_of};
 use super::calibrate::stage_results;
 use super::evaluate::{calibrated, clouds, evaluated, read_candidate};
 use super::ledger::{InputFile, Ledger};
 use super::precalibrate;
-use super::talk::{warn, warn_of_calibration};
+use super::talk::{warn, warn_of_calibration, warn_of_frames};
 
 /// Names of the stages and of their folders.
 pub const PRECALIBRATION: &str = "precalibration";
 pub const CALIBRATION: &str = "calibration";
 pub const CORNERS_ONLY: &str = "corners-only";
 pub const EVALUATION: &str = "evaluation";
+/// The verdict of a calibration, as a section of the report.
+pub const VERDICT: &str = "verdict.json";
 /// Names of the two methods in tables.
 const BLUR_AWARE: &str = "blur aware";
 const CORNERS: &str = "corners only";
@@ -240,18 +244,22 @@ impl Stages<'_> {
             options.solver.threads = self.options.solver.threads;
             let board = input.camera.board;
             let result = calibrate(&start, board, &observations, &options, &mut |_| true)?;
+            let assessment = assess(&result, board)?;
             if stage == CALIBRATION {
                 warn(&result.left_out);
                 warn_of_calibration(&result.warnings);
+                warn_of_frames(&assessment);
             } else if !result.converged {
                 warn(&["the calibration with corners only has not converged"]);
             }
             stage_results(output, &result, false)?;
-            let document = io::calibration_document(&result, begun.elapsed().as_secs_f64());
+            let time_s = begun.elapsed().as_secs_f64();
+            let document = io::calibration_document(&result, &assessment, time_s);
             output.stage_json("calibration.json", &document)?;
-            let figures = report::calibration_figures(&result, board)?;
+            let figures = report::calibration_figures(&result, &assessment, board)?;
             stage_figures(output, &figures)?;
-            Ok(report::calibration_section(title, &result, figures))
+            output.stage_json(VERDICT, &json!(report::verdict_section(&assessment)))?;
+            Ok(report::calibration_section(title, &result, &assessment, figures))
         })
     }
 

@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 
+use plenocal::assessment::Assessment;
 use plenocal::calibration::Warning;
 use plenocal::error::Input;
 use plenocal::{Error, Result};
@@ -27,9 +28,17 @@ pub fn warn_of_calibration(warnings: &[Warning]) {
         let option = match warning {
             Warning::OutlyingCenters { .. } => " (--loss)",
             Warning::Undetermined { .. } => " (--fix)",
+            Warning::AnchorPulled(_) => " (--anchor)",
             _ => "",
         };
         say(&format!("warning: {warning}{option}"));
+    }
+}
+
+/// Names the frames that do not fit, each with the option that leaves it out.
+pub fn warn_of_frames(assessment: &Assessment) {
+    for frame in &assessment.outliers.frames {
+        say(&format!("warning: {frame} (--exclude {})", frame.frame));
     }
 }
 

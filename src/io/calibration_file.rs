@@ -1,10 +1,12 @@
 //! `calibration.json`: a calibration with all details of how it was obtained.
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
+use super::camera_file::errors_text;
 use super::{camera_document, poses_document};
-use crate::calibration::{Calibration, termination_text, weakest_directions_text};
-use crate::model::Rmse;
+use crate::assessment::{Assessment, Distance, PointTrust};
+use crate::calibration::{AnchorResult, Calibration, termination_text, weakest_directions_text};
+use crate::model::{Rmse, intrinsic_parameters};
 use crate::solver::LossKind;
 
 /// The content of `camera.json` for a calibration, `converged` included.
@@ -19,9 +21,129 @@ pub(super) fn rmse_document(rmse: &Rmse) -> Value {
     json!({ "features": rmse.count, "all": rmse.all_px, "uv": rmse.uv_px, "rho": rmse.rho_px })
 }
 
+fn assessment_document(assessment: &Assessment) -> Value {
+    let reasons: Vec<Value> = assessment
+        .reasons
+        .iter()
+        .map(|r| json!({ "verdict": r.verdict().to_string(), "text": r.to_string() }))
+        .collect();
+    let features: Vec<Value> = assessment
+        .outliers
+        .features
+        .iter()
+        .map(|o| {
+            let f = &o.residual.feature;
+            json!({
+                "frame": f.frame, "corner": f.corner, "k": f.k, "l": f.l,
+                "distance_px": o.distance_px, "std_devs": o.std_devs,
+            })
+        })
+        .collect();
+    let frames: Vec<Value> = assessment
+        .outliers
+        .frames
+        .iter()
+        .map(|o| {
+            json!({
+                "frame": o.frame,
+                "residual_ratio": o.residual_ratio,
+                "parameter": o.parameter,
+                "influence": o.influence,
+            })
+        })
+        .collect();
+    let space = assessment.object_space.as_ref().map(|space| {
+        let points = |d: &Distance| -> Vec<Value> {
+            let of = |p: &PointTrust| {
+                json!({
+                    "pixel_px": p.pixel_px,
+                    "point_mm": <[f64; 3]>::from(p.point_mm.coords),
+                    "micro_lenses": p.micro_lenses,
+                    "std_dev_across_along_mm": p.std_dev_mm,
+                    "noise_across_along_mm": p.noise_mm,
+                })
+            };
+            d.points.iter().map(of).collect()
+        };
+        let of = |d: &Distance| {
+            json!({
+                "distance_mm": d.distance_mm,
+                "within_boards": d.within_boards,
+                "points": points(d),
+            })
+        };
+        space.distances.iter().map(of).collect::<Vec<_>>()
+    });
+    let next = assessment.next_board.as_ref().map(|n| {
+        json!({
+            "distance_mm": n.distance_mm,
+            "tilt_deg": n.tilt_deg,
+            "pixel_px": n.pixel_px,
+            "largest_std_dev_before_after_mm": n.largest_mm,
+        })
+    });
+    json!({
+        "verdict": assessment.verdict.to_string(),
+        "reasons": reasons,
+        "outlying_features": features,
+        "outlying_frames": frames,
+        "object_space": space,
+        "next_board": next,
+    })
+}
+
+fn anchors_document(calibration: &Calibration) -> Value {
+    let of = |a: &AnchorResult| {
+        json!({
+            "quantity": a.anchor.quantity,
+            "unit": a.unit(),
+            "value": a.anchor.value,
+            "std_dev": a.anchor.std_dev,
+            "result": a.result,
+            "pull": a.pull(),
+            "source": a.source.to_string(),
+        })
+    };
+    json!({
+        "weight": calibration.cost.anchor_weight,
+        "anchors": calibration.anchors.iter().map(of).collect::<Vec<_>>(),
+    })
+}
+
+/// Both σ of every free parameter, and how uncertain the first is.
+fn std_devs_document(calibration: &Calibration) -> Value {
+    let lens_types = calibration.camera.lens_types();
+    let uncertainty = &calibration.uncertainty;
+    let both = uncertainty
+        .intrinsic_std_devs(lens_types)
+        .into_iter()
+        .zip(uncertainty.independent_std_devs(lens_types))
+        .zip(uncertainty.std_dev_uncertainties(lens_types));
+    let parameters: Map<String, Value> = intrinsic_parameters(lens_types)
+        .iter()
+        .zip(both)
+        .filter_map(|(p, ((used, independent), relative))| {
+            let (used, independent) = (used?, independent?);
+            let value = json!({
+                "used": used,
+                "independent": independent,
+                "ratio": used / independent,
+                "relative_uncertainty": relative,
+                "unit": p.unit,
+            });
+            Some((p.name.to_owned(), value))
+        })
+        .collect();
+    json!({ "errors": errors_text(uncertainty), "parameters": parameters })
+}
+
 /// The result of a calibration as one JSON object. `time_s` is the wall time of the whole command.
 #[must_use]
-pub fn calibration_document(calibration: &Calibration, time_s: f64) -> Value {
+pub fn calibration_document(
+    calibration: &Calibration,
+    assessment: &Assessment,
+    time_s: f64,
+) -> Value {
     let (refinement, reprojection) = (&calibration.refinement, &calibration.reprojection);
     let mut rmse = rmse_document(&reprojection.rmse());
     rmse["centers"] = json!(reprojection.centers_rmse_px());
@@ -48,6 +170,7 @@ pub fn calibration_document(calibration: &Calibration, time_s: f64) -> Value {
     let uncertainty = Some(&calibration.uncertainty);
     let warnings: Vec<String> = calibration.warnings.iter().map(ToString::to_string).collect();
     json!({
+        "verdict": assessment_document(assessment),
         "converged": calibration.converged,
         "termination": termination_text(calibration),
         "cost": refinement.cost,
@@ -77,6 +200,8 @@ pub fn calibration_document(calibration: &Calibration, time_s: f64) -> Value {
         "frames_left_out": left_out,
         "time_s": time_s,
         "solver_time_s": refinement.time_s,
+        "anchors": anchors_document(calibration),
+        "standard_deviations": std_devs_document(calibration),
         "weakest_directions": weakest_directions_text(calibration),
         "warnings": warnings,
         "initial_camera": camera_document(&calibration.initial, None),

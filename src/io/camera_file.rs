@@ -58,9 +58,15 @@ fn uncertainty_document(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> 
     json!({
         "standard_deviations": std_devs,
         "correlations": { "parameters": names, "matrix": rows },
+        "errors": errors_text(uncertainty),
         "parameters": uncertainty.size(),
         "rank": uncertainty.rank,
     })
+}
+
+/// What the errors of observations were taken to be.
+pub(super) fn errors_text(uncertainty: &Uncertainty) -> &'static str {
+    if uncertainty.shared { "shared by frames" } else { "independent" }
 }
 
 /// Reads the camera of a `camera.json`.

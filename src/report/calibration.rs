@@ -2,30 +2,45 @@
 
 use std::fmt::Write as _;
 
+use super::assessment::{
+    OBJECT_SPACE, anchors_table, object_space_table, outliers_text, verdict_lines,
+};
 use super::table::{Table, table};
+use crate::assessment::Assessment;
 use crate::calibration::{Calibration, termination_text, weakest_directions_text};
 use crate::model::{Rmse, display_unit, intrinsic_parameters, with_std_dev};
 use crate::solver::LossKind;
 
 /// The result of a calibration on a terminal: parameters, errors, convergence, weakest direction.
 #[must_use]
-pub fn calibration_text(calibration: &Calibration) -> String {
+pub fn calibration_text(calibration: &Calibration, assessment: &Assessment) -> String {
     let is_fixed = calibration.uncertainty.free_intrinsics.is_empty();
-    [
+    let mut verdict = verdict_lines(assessment);
+    verdict.extend(outliers_text(assessment));
+    let mut parts = vec![
+        verdict.join("\n"),
         if is_fixed { poses_table(calibration) } else { parameters_table(calibration) }.to_string(),
-        errors_table(calibration).to_string(),
-        summary(calibration),
-    ]
-    .join("\n\n")
+    ];
+    parts.extend(anchors_table(calibration).map(|table| table.to_string()));
+    let space = assessment.object_space.as_ref();
+    parts.extend(space.map(|space| object_space_table(space).captioned(OBJECT_SPACE).to_string()));
+    parts.extend([errors_table(calibration).to_string(), summary(calibration)]);
+    parts.join("\n\n")
 }
 
 pub(super) fn parameters_table(calibration: &Calibration) -> Table {
     let lens_types = calibration.camera.lens_types();
-    let mut table = table(&["Parameter", "Unit", "Initial", "Optimised", "± σ"], &[0, 1]);
-    let std_devs = calibration.uncertainty.intrinsic_std_devs(lens_types);
+    let uncertainty = &calibration.uncertainty;
+    let mut header = vec!["Parameter", "Unit", "Initial", "Optimised", "± σ"];
+    if uncertainty.shared {
+        header.extend(["if independent", "ratio"]);
+    }
+    let mut table = table(&header, &[0, 1]);
+    let std_devs = uncertainty.intrinsic_std_devs(lens_types);
+    let independent = uncertainty.independent_std_devs(lens_types);
     let values = calibration.initial.intrinsics().into_iter().zip(calibration.camera.intrinsics());
-    for ((parameter, (initial, optimised)), std_dev) in
-        intrinsic_parameters(lens_types).iter().zip(values).zip(std_devs)
+    for (((parameter, (initial, optimised)), std_dev), independent) in
+        intrinsic_parameters(lens_types).iter().zip(values).zip(std_devs).zip(independent)
     {
         let (unit, factor) = display_unit(parameter.name, parameter.unit);
         let (value, deviation) = with_std_dev(optimised * factor, std_dev.map(|s| s * factor));
@@ -34,15 +49,46 @@ pub(super) fn parameters_table(calibration: &Calibration) -> Table {
             Some(s) if s.is_infinite() => "undetermined".to_owned(),
             Some(_) => deviation,
         };
-        table.add_row([
+        let mut row = vec![
             parameter.name.to_owned(),
             unit.to_owned(),
             with_std_dev(initial * factor, None).0,
             value,
             deviation,
-        ]);
+        ];
+        if uncertainty.shared {
+            row.extend(match (std_dev, independent) {
+                (Some(s), Some(i)) if s.is_finite() && i > 0.0 => {
+                    [with_std_dev(0.0, Some(i * factor)).1, format!("{:.1}", s / i)]
+                }
+                _ => [String::new(), String::new()],
+            });
+        }
+        table.add_row(row);
     }
     table
+}
+
+/// What σ rests on.
+fn std_dev_text(calibration: &Calibration) -> String {
+    let uncertainty = &calibration.uncertainty;
+    if uncertainty.free_intrinsics.is_empty() {
+        return "σ lets all features of a corner have errors in common.".to_owned();
+    }
+    if !uncertainty.shared {
+        return "σ takes the errors of all observations as independent: it needs six frames to see \
+                what they share, and is too small if they do."
+            .to_owned();
+    }
+    let of_all = uncertainty.std_dev_uncertainties(calibration.camera.lens_types());
+    let known = || of_all.iter().flatten().copied().filter(|u| u.is_finite());
+    format!(
+        "σ comes from how much the {} frames contradict each other, so it holds what all corners of a \
+         frame have in common. With so few frames it is itself uncertain by {:.0} to {:.0} %.",
+        calibration.poses.len(),
+        100.0 * known().fold(f64::INFINITY, f64::min),
+        100.0 * known().fold(0.0, f64::max)
+    )
 }
 
 fn poses_table(calibration: &Calibration) -> Table {
@@ -128,6 +174,15 @@ pub(super) fn summary(calibration: &Calibration) -> String {
         ),
     };
     let _ = writeln!(text, "{counts}");
+    let _ = writeln!(text, "{}", std_dev_text(calibration));
+    if !calibration.anchors.is_empty() {
+        let _ = writeln!(
+            text,
+            "An anchor counts like {:.3} observations of its σ: so many times larger is the variance \
+             of what the observations say than their weights claim.",
+            calibration.cost.anchor_weight
+        );
+    }
     let what = if calibration.cost.loss.kind == LossKind::None {
         "Measured noise per coordinate"
     } else {

@@ -4,20 +4,28 @@ mod charts;
 mod correlations;
 mod distortion;
 mod histograms;
+mod object_space;
 mod scene;
 mod vectors;
 
 pub use vectors::array_residuals_figure;
 
 use super::html::Figure;
+use crate::assessment::Assessment;
 use crate::calibration::Calibration;
 use crate::error::Result;
 use crate::model::Board;
 
 /// All figures of a calibration. Those with nothing to show are left out: residuals of centres if
 /// there are no centres, correlations if the camera is fixed, and so on.
-pub fn calibration_figures(calibration: &Calibration, board: &Board) -> Result<Vec<Figure>> {
+pub fn calibration_figures(
+    calibration: &Calibration,
+    assessment: &Assessment,
+    board: &Board,
+) -> Result<Vec<Figure>> {
+    let space = assessment.object_space.as_ref().map(object_space::object_space).transpose()?;
     let figures = [
+        space.flatten(),
         vectors::residual_vectors(calibration)?,
         histograms::residual_histograms(calibration)?,
         charts::rmse(calibration)?,

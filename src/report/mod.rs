@@ -1,5 +1,6 @@
 //! Results for people: tables, text, figures, and the report of a run.
 
+mod assessment;
 mod calibration;
 mod calibration_figures;
 mod detection;
@@ -11,6 +12,7 @@ mod precalibration;
 mod sections;
 mod table;
 
+pub use assessment::{outliers_text, verdict_lines, verdict_section};
 pub use calibration::calibration_text;
 pub use calibration_figures::{array_residuals_figure, calibration_figures};
 pub use detection::{detection_text, features_figure};

@@ -1,9 +1,13 @@
 //! The sections of a run's report, one for each stage.
 
+use super::assessment::{
+    OBJECT_SPACE, anchors_table, object_space_table, outliers_text, verdict_lines,
+};
 use super::calibration::{errors_table, parameters_table, summary};
 use super::detection::{detection_table, dropped_text};
 use super::html::{Figure, HtmlTable, Part, Section};
 use super::precalibration::{array_text, internal_table, radii_table, types_text};
+use crate::assessment::Assessment;
 use crate::calibration::Calibration;
 use crate::detection::DetectedBoards;
 use crate::precalibration::Precalibration;
@@ -59,14 +63,24 @@ pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Fig
 pub fn calibration_section(
     title: &str,
     calibration: &Calibration,
+    assessment: &Assessment,
     figures: Vec<Figure>,
 ) -> Section {
-    let mut parts = Vec::new();
+    let mut parts: Vec<Part> = verdict_lines(assessment).into_iter().map(Part::Text).collect();
     let left_out = calibration.left_out.iter().map(ToString::to_string);
     let warnings: Vec<String> =
         left_out.chain(calibration.warnings.iter().map(ToString::to_string)).collect();
     parts.extend(warnings_part(&warnings));
     parts.push(Part::Table(parameters_table(calibration).captioned("Parameters")));
+    parts.extend(anchors_table(calibration).map(|t| {
+        Part::Table(
+            t.captioned("What was known, what came out, and how the observations pull on it"),
+        )
+    }));
+    if let Some(space) = &assessment.object_space {
+        parts.push(Part::Table(object_space_table(space).captioned(OBJECT_SPACE)));
+    }
+    parts.extend(outliers_text(assessment).into_iter().map(Part::Text));
     parts.extend(paragraphs(&summary(calibration)));
     parts.push(Part::Table(
         errors_table(calibration).captioned("Reprojection errors, px, root mean square"),

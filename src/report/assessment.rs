@@ -1,0 +1,126 @@
+//! The verdict on a calibration, its anchors, and the σ of points, as text and tables.
+
+use super::html::{Part, Section};
+use super::table::{Table, table};
+use crate::assessment::{Assessment, NextBoard, ObjectSpace, OutlyingFeature, Verdict};
+use crate::calibration::Calibration;
+use crate::model::display_unit;
+
+/// Outlying features that are named one by one.
+const NAMED: usize = 5;
+
+/// The verdict with its reasons, and what to do next: a line each.
+#[must_use]
+pub fn verdict_lines(assessment: &Assessment) -> Vec<String> {
+    let mut lines = vec![match (assessment.verdict, assessment.reasons.len()) {
+        (Verdict::Good, _) => "Verdict: good. Nothing speaks against this calibration.".to_owned(),
+        (verdict, _) => format!("Verdict: {verdict}, because"),
+    }];
+    let numbered = assessment.reasons.iter().enumerate();
+    lines.extend(numbered.map(|(i, reason)| format!("{}. {reason}.", i + 1)));
+    lines.extend(assessment.next_board.as_ref().map(next_text));
+    lines
+}
+
+fn next_text(next: &NextBoard) -> String {
+    let [x, y] = next.tilt_deg;
+    let tilt = match (x == 0.0, y == 0.0) {
+        (true, true) => "parallel to the sensor".to_owned(),
+        (false, _) => format!("tilted by {:+.0} degrees about the horizontal axis", x),
+        (_, false) => format!("tilted by {:+.0} degrees about the vertical axis", y),
+    };
+    let [before, after] = next.largest_mm;
+    format!(
+        "Next: of the boards tried, one at {:.0} mm {}, {tilt}, would help most: it would lower the \
+         largest σ in space from {} to {} mm.",
+        next.distance_mm,
+        next.place,
+        two_digits(before),
+        two_digits(after)
+    )
+}
+
+/// Features far from where they are expected: how many, and the worst.
+#[must_use]
+pub fn outliers_text(assessment: &Assessment) -> Vec<String> {
+    let outlying = &assessment.outliers.features;
+    if outlying.is_empty() {
+        return Vec::new();
+    }
+    let one = |o: &OutlyingFeature| {
+        let f = &o.residual.feature;
+        format!(
+            "frame {}, corner {}, micro-lens ({}, {}): {:.2} px off, {:.0} σ",
+            f.frame, f.corner, f.k, f.l, o.distance_px, o.std_devs
+        )
+    };
+    let named: Vec<String> = outlying.iter().take(NAMED).map(one).collect();
+    let which = if outlying.len() > NAMED { "the worst" } else { "they are" };
+    vec![format!("{} outlying feature(s); {which}: {}.", outlying.len(), named.join("; "))]
+}
+
+/// Anchors with prior, result and pull.
+pub(super) fn anchors_table(calibration: &Calibration) -> Option<Table> {
+    let mut table =
+        table(&["Anchor", "Unit", "Known", "± σ", "Result", "Pull, σ", "From"], &[0, 1, 6]);
+    for anchor in &calibration.anchors {
+        let quantity = &anchor.anchor.quantity;
+        let (unit, factor) = display_unit(quantity, anchor.unit());
+        table.add_row([
+            if quantity == "m" { "|m|".to_owned() } else { quantity.clone() },
+            unit.to_owned(),
+            format!("{:.6}", anchor.anchor.value * factor),
+            two_digits(anchor.anchor.std_dev * factor),
+            format!("{:.6}", anchor.result * factor),
+            format!("{:+.2}", anchor.pull()),
+            anchor.source.to_string(),
+        ]);
+    }
+    (!calibration.anchors.is_empty()).then_some(table)
+}
+
+/// σ of reconstructed points by distance.
+pub(super) fn object_space_table(space: &ObjectSpace) -> Table {
+    let mut table = table(
+        &[
+            "Distance, mm",
+            "± across, mm",
+            "worst",
+            "± along, mm",
+            "worst",
+            "Noise across",
+            "Noise along",
+        ],
+        &[],
+    );
+    for distance in space.distances.iter().filter(|d| d.within_boards) {
+        let [[across, along], [worst_across, worst_along]] = distance.summary_mm();
+        let [noise_across, noise_along] = distance.noise_mm();
+        let numbers = [across, worst_across, along, worst_along, noise_across, noise_along];
+        let mut row = vec![format!("{:.1}", distance.distance_mm)];
+        row.extend(numbers.map(two_digits));
+        table.add_row(row);
+    }
+    table
+}
+
+/// What the table of points shows.
+pub(super) const OBJECT_SPACE: &str = "σ of a reconstructed point against the boards, median and \
+     worst over the image: due to the calibration, and due to the noise of one observation of it";
+
+/// Two significant digits.
+pub(super) fn two_digits(value: f64) -> String {
+    if !(value > 0.0 && value.is_finite()) {
+        return "-".to_owned();
+    }
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few digits
+    let digits = (1.0 - value.log10().floor()).clamp(0.0, 9.0) as usize;
+    format!("{value:.digits$}")
+}
+
+/// The verdict as a section of its own.
+#[must_use]
+pub fn verdict_section(assessment: &Assessment) -> Section {
+    let parts = verdict_lines(assessment).into_iter().map(Part::Text).collect();
+    Section { title: "Verdict".to_owned(), parts }
+}
