@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use plenocal::Result;
+use plenocal::assessment::assess;
 use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::io::{OutputFolder, Project, read_centers, read_features};
 use plenocal::precalibration::ArrayMeasurement;
@@ -24,7 +25,7 @@ fn main() -> Result<()> {
     let options = CalibrationOptions::default();
     let calibration = calibrate(&start, &board, &observations, &options, &mut |_| true)?;
 
-    let mut figures = calibration_figures(&calibration, &board)?;
+    let mut figures = calibration_figures(&calibration, &assess(&calibration, &board)?, &board)?;
     if let Some(grid) = calibration.grid {
         let types = calibration.camera.lens_types();
         let array = ArrayMeasurement::of_grid(grid, observations.centers, types);

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::calibration::{AnchorResult, SLOPE};
-use crate::model::{MIN_CORNERS, display_unit};
+use crate::model::{MIN_CORNERS, display_unit, with_std_dev};
 use crate::solver::Anchor;
 
 /// What may be wrong with a calibration that succeeded.
@@ -98,13 +98,12 @@ impl fmt::Display for Warning {
             Self::AnchorPulled(anchor) => {
                 let (unit, factor) = display_unit(&anchor.anchor.quantity, anchor.unit());
                 let Anchor { quantity, value, std_dev } = &anchor.anchor;
+                let (known, deviation) = with_std_dev(value * factor, Some(std_dev * factor));
+                let (result, _) = with_std_dev(anchor.result * factor, Some(std_dev * factor));
                 write!(
                     f,
-                    "{quantity} is {:.6} {unit}, but {:.6} ± {:.4} {unit} is known of it ({}): the \
-                     observations pull by {:+.1} σ. {}",
-                    anchor.result * factor,
-                    value * factor,
-                    std_dev * factor,
+                    "{quantity} is {result} {unit}, but {known} ± {deviation} {unit} is known of it \
+                     ({}): the observations pull by {:+.1} σ. {}",
                     anchor.source,
                     anchor.pull(),
                     meaning(quantity)

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
+use plenocal::assessment::assess;
 use plenocal::calibration::{CalibrationOptions, Mode, Start, calibrate};
 use plenocal::detection::DepthEstimator;
 use plenocal::io::{self, OutputFolder, Project};
@@ -14,7 +15,7 @@ use super::boards::{self, Options, Shoot};
 use super::calibrate::{not_converged, stage_results};
 use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::evaluate::calibrated;
-use super::talk::{print_result, warn, warn_of_calibration};
+use super::talk::{print_result, warn, warn_of_calibration, warn_of_frames};
 
 /// Find the poses of boards in raw images with a calibrated camera.
 ///

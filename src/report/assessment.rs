@@ -4,7 +4,8 @@ use super::html::{Part, Section};
 use super::table::{Table, table};
 use crate::assessment::{Assessment, NextBoard, ObjectSpace, OutlyingFeature, Verdict};
 use crate::calibration::Calibration;
-use crate::model::display_unit;
+use crate::model::{display_unit, with_std_dev};
+use crate::solver::Anchor;
 
 /// Outlying features that are named one by one.
 const NAMED: usize = 5;
@@ -66,12 +67,16 @@ pub(super) fn anchors_table(calibration: &Calibration) -> Option<Table> {
     for anchor in &calibration.anchors {
         let quantity = &anchor.anchor.quantity;
         let (unit, factor) = display_unit(quantity, anchor.unit());
+        let Anchor { value, std_dev, .. } = anchor.anchor;
+        let (known, std_dev) = with_std_dev(value * factor, Some(std_dev * factor));
+        let (result, _) =
+            with_std_dev(anchor.result * factor, Some(anchor.anchor.std_dev * factor));
         table.add_row([
             if quantity == "m" { "|m|".to_owned() } else { quantity.clone() },
             unit.to_owned(),
-            format!("{:.6}", anchor.anchor.value * factor),
-            two_digits(anchor.anchor.std_dev * factor),
-            format!("{:.6}", anchor.result * factor),
+            known,
+            std_dev,
+            result,
             format!("{:+.2}", anchor.pull()),
             anchor.source.to_string(),
         ]);

@@ -178,8 +178,8 @@ pub(super) fn summary(calibration: &Calibration) -> String {
     if !calibration.anchors.is_empty() {
         let _ = writeln!(
             text,
-            "An anchor counts like {:.3} observations of its σ: so many times larger is the variance \
-             of what the observations say than their weights claim.",
+            "Anchors weigh {:.3}: so many times larger is the variance of what the observations say \
+             than their weights claim.",
             calibration.cost.anchor_weight
         );
     }

@@ -4,6 +4,7 @@ use std::collections::HashSet;
 use std::process::Command;
 use std::sync::LazyLock;
 
+use plenocal::assessment::{Assessment, assess};
 use plenocal::calibration::{Calibration, Mode, Start};
 use plenocal::model::{Board, Reprojection};
 use plenocal::precalibration::ArrayMeasurement;
@@ -26,9 +27,18 @@ fn shipped() -> Calibration {
     SHIPPED.clone()
 }
 
+fn assessed(calibration: &Calibration) -> Assessment {
+    assess(calibration, &board()).unwrap()
+}
+
+/// An assessment without anything to draw.
+fn nothing() -> Assessment {
+    Assessment { object_space: None, ..assessed(&shipped()) }
+}
+
 /// The figures of the calibration, and that of its array.
 fn figures_of(calibration: &Calibration, board: &Board) -> Vec<Figure> {
-    let mut figures = calibration_figures(calibration, board).unwrap();
+    let mut figures = calibration_figures(calibration, &assessed(calibration), board).unwrap();
     if let Some(grid) = &calibration.grid {
         let centers = calibration.reprojection.centers.iter().map(|c| c.center).collect();
         let array = ArrayMeasurement::of_grid(*grid, centers, 3);
@@ -186,7 +196,7 @@ fn a_single_residual_of_any_size_can_be_shown() {
         reprojection.features[0].drho_px = Some(size);
         reprojection.centers[0].du_px = size;
         reprojection.centers[0].dv_px = size;
-        let figures = calibration_figures(&calibration, &board()).unwrap();
+        let figures = calibration_figures(&calibration, &nothing(), &board()).unwrap();
         assert_eq!(figures.len(), 8, "{:?}", names(&figures));
         figures.iter().for_each(check);
     }
@@ -199,7 +209,7 @@ fn without_observations_only_the_distortion_is_shown() {
     calibration.refinement.iterations.clear();
     calibration.uncertainty.free_intrinsics.clear();
     calibration.poses.clear();
-    let figures = calibration_figures(&calibration, &board()).unwrap();
+    let figures = calibration_figures(&calibration, &nothing(), &board()).unwrap();
     assert_eq!(names(&figures), ["distortion.svg"]);
 }
 
@@ -218,7 +228,7 @@ fn many_features_are_shown_by_their_means() {
         pose.frame = frame;
         pose
     }));
-    let figures = calibration_figures(&calibration, &board).unwrap();
+    let figures = calibration_figures(&calibration, &nothing(), &board).unwrap();
     figures.iter().for_each(check);
     assert!(figures[0].caption.contains(&format!("{count} features: means over cells")));
     assert!(figures[0].svg.len() < LARGEST_SVG / 3);

@@ -16,7 +16,8 @@ struct MicroLensIndex {
 /// The micro-lenses in whose micro-image a point of the camera frame (mm) is seen at least `margin`
 /// px inside the edge, in order of l, then k. Micro-images are discs as wide as
 /// `ArrayOptics::micro_image_pitch`. Empty if the point is not finite or not beyond the focal
-/// plane. The time taken grows with their number, not with the size of the array.
+/// plane. The time taken grows with their number, not with the size of the array, unless the array
+/// is tilted so far that it reaches the sensor.
 ///
 /// Throws std::invalid_argument if the camera is not valid or the margin negative or not finite.
 std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera, const Vector3<double>& point,
