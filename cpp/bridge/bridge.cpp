@@ -199,6 +199,7 @@ UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBl
   parts.weakest = from_core(u.weakest);
   for (bool value : u.determined) parts.determined.push_back(value);
   parts.residual_std_dev_px = u.residual_std_dev;
+  parts.std_dev_factors = u.std_dev_factors;
   parts.expected_decrease = u.expected_decrease;
   return parts;
 }

@@ -26,7 +26,9 @@ MatrixXd independent_spread(const NormalEquations& equations, const MatrixXd& in
     const double used = information.cwiseProduct(inverse).sum();
     // Without redundancy the noise cannot be measured; the stated noise is used.
     const double redundancy = equations.terms[kind] - used;
-    spread += (redundancy > 0.5 ? equations.squares[kind] / redundancy : 1.0) * information;
+    const double variance = redundancy > 0.5 ? equations.squares[kind] / redundancy : 1.0;
+    spread += variance * information;
+    result->std_dev_factors[kind] = std::sqrt(variance);
     const double spare = equations.count[kind] - used;
     result->residual_std_dev[kind] = spare > 0.5 ? std::sqrt(equations.pixel_squares[kind] / spare)
                                                  : std::numeric_limits<double>::quiet_NaN();

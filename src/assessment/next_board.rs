@@ -33,6 +33,8 @@ const WORTH: f64 = 0.98;
 /// A board that would help.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NextBoard {
+    /// Its pose.
+    pub pose: Isometry3<f64>,
     /// Distance of its middle, mm.
     pub distance_mm: f64,
     /// Rotation about the x and the y axis of the camera, degrees.
@@ -43,11 +45,6 @@ pub struct NextBoard {
     pub place: &'static str,
     /// The largest σ in space within the distances of the boards, before and after, mm.
     pub largest_mm: [f64; 2],
-}
-
-struct Candidate {
-    board: NextBoard,
-    pose: Isometry3<f64>,
 }
 
 /// The best of the boards tried; `None` if none helps.
@@ -69,13 +66,13 @@ pub(super) fn next_board(
         let gain = largest(&with(&covariance, information)) / before;
         let so_far = best.as_ref().map_or(WORTH, |b| b.largest_mm[1] / b.largest_mm[0]);
         if gain < so_far {
-            best = Some(NextBoard { largest_mm: [honest, honest * gain], ..candidate.board });
+            best = Some(NextBoard { largest_mm: [honest, honest * gain], ..candidate });
         }
     }
     Ok(best)
 }
 
-fn candidates(calibration: &Calibration, board: &Board) -> Vec<Candidate> {
+fn candidates(calibration: &Calibration, board: &Board) -> Vec<NextBoard> {
     let camera = &calibration.camera;
     let middle = board.middle_mm();
     let distances = calibration.poses.iter().map(|p| (p.camera_from_board * middle).z);
@@ -92,9 +89,15 @@ fn candidates(calibration: &Calibration, board: &Board) -> Vec<Candidate> {
                 let [x, y] = tilt_deg.map(f64::to_radians);
                 let turn = UnitQuaternion::from_scaled_axis(Vector3::new(x, y, 0.0));
                 let pose = Translation3::from(at.coords - turn * middle.coords) * turn;
-                let board =
-                    NextBoard { distance_mm, tilt_deg, pixel_px, place, largest_mm: [0.0; 2] };
-                candidates.push(Candidate { board, pose });
+                let board = NextBoard {
+                    pose,
+                    distance_mm,
+                    tilt_deg,
+                    pixel_px,
+                    place,
+                    largest_mm: [0.0; 2],
+                };
+                candidates.push(board);
             }
         }
     }
@@ -105,7 +108,7 @@ fn candidates(calibration: &Calibration, board: &Board) -> Vec<Candidate> {
 fn information(
     calibration: &Calibration,
     board: &Board,
-    candidates: &[Candidate],
+    candidates: &[NextBoard],
 ) -> Result<Vec<DMatrix<f64>>> {
     let camera = &calibration.camera;
     let column = |i: i32| i * (board.columns - 1) / (board.columns.min(SIDE) - 1);

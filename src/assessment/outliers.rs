@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::calibration::Calibration;
-use crate::model::{FeatureResidual, intrinsic_parameters};
+use crate::model::{FeatureResidual, FramePose, intrinsic_parameters};
 use crate::numerics::median;
 
 /// The norm of two independent standard normal numbers has this median.
@@ -11,9 +11,12 @@ const MEDIAN_NORM: f64 = 1.1774;
 /// Features outlie if their residual is so many times the typical σ: noise gets to 5, and the corners
 /// of a real detector, good and bad ones together, to 8.
 const OUTLYING: f64 = 10.0;
-/// Frames outlie if their typical residual is so many times that of the others. On the published R12-A
-/// observations the largest is 1.5 times.
-const OUTLYING_FRAME: f64 = 2.5;
+/// Frames outlie if the logarithm of their typical residual is so many σ of the other frames' off. That
+/// σ is at least [`LEAST_SPREAD`]: frames of few corners scatter as much by chance.
+const OUTLYING_FRAME: f64 = 5.0;
+const LEAST_SPREAD: f64 = 0.1;
+/// σ of a normal distribution over its median deviation.
+const FROM_MEDIAN_DEVIATION: f64 = 1.4826;
 /// Frames outlie if leaving them out moves a parameter by so many of the σ that the other frames alone
 /// predict. Noise gets to 2 with a frame that has a large share.
 const INFLUENTIAL: f64 = 4.0;
@@ -88,19 +91,20 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     if typical.len() < MIN_FRAMES {
         return Vec::new();
     }
-    let mut found = Vec::new();
-    for (i, pose) in calibration.poses.iter().enumerate() {
-        let Some(own) = typical.get(&pose.frame) else { continue };
-        let others = typical.iter().filter(|(frame, _)| **frame != pose.frame).map(|(_, m)| *m);
-        let residual_ratio = median(others).map_or(1.0, |others| own / others);
+    let logarithms = || typical.values().map(|m| m.ln());
+    let middle = median(logarithms()).unwrap_or(0.0);
+    let deviation = median(logarithms().map(|l| (l - middle).abs())).unwrap_or(0.0);
+    let spread = (FROM_MEDIAN_DEVIATION * deviation).max(LEAST_SPREAD);
+    let badness = |f: &OutlyingFrame| {
+        (f.residual_ratio.ln() / spread / OUTLYING_FRAME).max(f.influence / INFLUENTIAL)
+    };
+    let of_pose = |(i, pose): (usize, &FramePose)| {
+        let residual_ratio = typical.get(&pose.frame)? / middle.exp();
         let (parameter, influence) = influence(calibration, i);
-        if residual_ratio > OUTLYING_FRAME || influence > INFLUENTIAL {
-            let frame = pose.frame;
-            found.push(OutlyingFrame { frame, residual_ratio, parameter, influence });
-        }
-    }
-    let badness =
-        |f: &OutlyingFrame| (f.residual_ratio / OUTLYING_FRAME).max(f.influence / INFLUENTIAL);
+        Some(OutlyingFrame { frame: pose.frame, residual_ratio, parameter, influence })
+    };
+    let all = calibration.poses.iter().enumerate().filter_map(of_pose);
+    let mut found: Vec<OutlyingFrame> = all.filter(|frame| badness(frame) > 1.0).collect();
     found.sort_by(|a, b| badness(b).total_cmp(&badness(a)));
     found
 }

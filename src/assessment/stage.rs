@@ -20,7 +20,8 @@ pub struct Assessment {
     pub outliers: Outliers,
     /// Systematic parts of the residuals.
     pub patterns: Patterns,
-    /// σ of reconstructed points; `None` if the camera is fixed or not determined.
+    /// σ of reconstructed points; `None` if the camera is fixed, not determined or not
+    /// converged.
     pub object_space: Option<ObjectSpace>,
     /// The further board that would help most; `None` likewise.
     pub next_board: Option<NextBoard>,
@@ -37,7 +38,8 @@ pub fn assess(calibration: &Calibration, board: &Board) -> Result<Assessment> {
     let reasons = reasons(calibration, &outliers, &patterns);
     let verdict = reasons.iter().map(Reason::verdict).max().unwrap_or(Verdict::Good);
     let uncertainty = &calibration.uncertainty;
-    let known = calibration.options.mode != Mode::PosesOnly
+    let known = calibration.converged
+        && calibration.options.mode != Mode::PosesOnly
         && !uncertainty.free_intrinsics.is_empty()
         && uncertainty.rank == uncertainty.size();
     let object_space = if known { object_space(calibration, board)? } else { None };

@@ -149,7 +149,7 @@ impl Reason {
             Self::Pulled { pull, .. } => 2.0 * pull.abs(),
             Self::SlopeContradicts { error } => 2.0 * error.abs() / SLOPE_FLOOR,
             Self::Frame(frame) => 5.0 + frame.influence.max(frame.residual_ratio),
-            Self::Uncertain { relative, .. } => 4.0 * relative / UNCERTAIN,
+            Self::Uncertain { relative, .. } => (4.0 * relative / UNCERTAIN).min(40.0),
             Self::ImagePattern(part) => 4.0 * part / IMAGE_PATTERN,
             Self::MicroImagePattern(part) => 4.0 * part / MICRO_IMAGE_PATTERN,
             Self::FewFrames(_) => 4.0,

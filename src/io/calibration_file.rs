@@ -186,6 +186,7 @@ pub fn calibration_document(
             "uv": uv,
             "rho": rho,
             "centers": centers,
+            "over_stated": calibration.uncertainty.std_dev_factors,
             "weighted_by_loss": calibration.cost.loss.kind != LossKind::None,
         },
         "counts": {

@@ -93,6 +93,13 @@ impl InternalParameters {
         if let Some(pitch) = self.micro_image_pitch_mm {
             positive(pitch, "the micro-image pitch (mm)")?;
         }
+        if lens_types != 0 && self.q_prime_mm.len() != lens_types {
+            return Err(Error::invalid(format!(
+                "the camera has I = {lens_types} lens types, but the internal parameters have {} \
+                 values of q'; both have to belong to the same camera",
+                self.q_prime_mm.len()
+            )));
+        }
         for std_dev in self.m_std_dev_mm.iter().chain(&self.q_prime_std_dev_mm) {
             if !(std_dev.is_finite() && *std_dev >= 0.0) {
                 return Err(Error::invalid(format!(
@@ -104,13 +111,6 @@ impl InternalParameters {
         if given != 0 && given != self.q_prime_mm.len() {
             return Err(Error::invalid(format!(
                 "there are {} values of q', but {given} standard deviations of them",
-                self.q_prime_mm.len()
-            )));
-        }
-        if lens_types != 0 && self.q_prime_mm.len() != lens_types {
-            return Err(Error::invalid(format!(
-                "the camera has I = {lens_types} lens types, but the internal parameters have {} \
-                 values of q'; both have to belong to the same camera",
                 self.q_prime_mm.len()
             )));
         }

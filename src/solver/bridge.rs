@@ -7,16 +7,18 @@ mod points;
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-use nalgebra::{Isometry3, Vector2};
+use nalgebra::Isometry3;
 
 use super::options::{CostOptions, SolverOptions};
-use super::problem::{Problem, Projected};
+use super::problem::Problem;
 use super::refinement::{Iteration, Refinement};
-pub(crate) use points::{frame_information, point_sensitivities, visible_features};
+pub use points::distortion_mm;
+pub(crate) use points::{
+    frame_information, point_sensitivities, project, project_centers, visible_features,
+};
 
 use super::uncertainty::Uncertainty;
 use crate::error::{Error, Result};
-use crate::model::PlenopticCamera;
 
 // cxx needs explicit lifetimes.
 #[allow(unsafe_code, clippy::elidable_lifetime_names)]
@@ -206,6 +208,7 @@ mod ffi {
         weakest: Vec<f64>,
         determined: Vec<bool>,
         residual_std_dev_px: [f64; 3],
+        std_dev_factors: [f64; 3],
         expected_decrease: f64,
     }
 
@@ -302,46 +305,6 @@ impl ProgressSink<'_> {
 /// For programs to call once, before they start threads. A library leaves the log alone.
 pub fn silence_log() {
     ffi::silence_log();
-}
-
-/// How far distortion of the main lens moves ideal image points, all in mm in the camera frame
-/// (Brown-Conrady; paper, section 2.1).
-///
-/// An error if the camera is not valid.
-pub fn distortion_mm(
-    camera: &PlenopticCamera,
-    image_points_mm: &[Vector2<f64>],
-) -> Result<Vec<Vector2<f64>>> {
-    let points: Vec<_> = image_points_mm.iter().map(|p| ffi::PairRow { x: p.x, y: p.y }).collect();
-    let shifts = ffi::distortion(&camera.into(), &points).map_err(solver_error)?;
-    Ok(shifts.iter().map(|shift| Vector2::new(shift.x, shift.y)).collect())
-}
-
-/// Projects every feature's board point through its micro-lens; `None` where the model is not
-/// defined.
-pub(crate) fn project(problem: &Problem) -> Result<Vec<Option<Projected>>> {
-    let rows =
-        ffi::project(&problem.camera.into(), &problem.pose_blocks(), &problem.feature_rows())
-            .map_err(solver_error)?;
-    let has_blur = problem.camera.lens_types() > 0;
-    let projected = |row: &ffi::ProjectionRow| {
-        row.defined.then_some(Projected {
-            u_px: row.u_px,
-            v_px: row.v_px,
-            rho_px: has_blur.then_some(row.rho_px),
-        })
-    };
-    Ok(rows.iter().map(projected).collect())
-}
-
-/// Projects micro-lenses (k, l) to their micro-image centres (u, v) in px.
-pub(crate) fn project_centers(
-    camera: &PlenopticCamera,
-    micro_lenses: impl Iterator<Item = (i32, i32)>,
-) -> Result<Vec<[f64; 2]>> {
-    let micro_lenses: Vec<_> = micro_lenses.map(|(k, l)| ffi::MicroLensIndex { k, l }).collect();
-    let rows = ffi::project_centers(&camera.into(), &micro_lenses).map_err(solver_error)?;
-    Ok(rows.iter().map(|pixel| [pixel.x, pixel.y]).collect())
 }
 
 /// Minimises the cost over camera and poses.

@@ -59,6 +59,8 @@ pub struct Uncertainty {
     /// the sum of squares over their redundancy, not a number for a kind without observations. With a
     /// robust loss it is that of the weighted residuals, smaller than the noise.
     pub residual_std_dev_px: [f64; 3],
+    /// By how much the errors of each kind are larger than their σ in the cost says; 1 if it is right.
+    pub std_dev_factors: [f64; 3],
     /// How much a further Gauss-Newton step would lower the cost; almost 0 at a true minimum.
     pub expected_decrease: f64,
 }

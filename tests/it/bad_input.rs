@@ -201,11 +201,11 @@ fn a_frame_with_three_corners_is_rejected_until_it_is_excluded() {
         let _ = writeln!(lines, "20,{l},480.0,{}.0,0.1,{corner},77", 20 * l);
     }
     let spoiled = Spoiled::new().edit("features.csv", |text| text + &lines);
-    spoiled.is_rejected(&["frame 77", "3 board corner", "--exclude-frames 77"]);
+    spoiled.is_rejected(&["frame 77", "3 board corner", "--exclude 77"]);
     plenocal()
         .arg("calibrate")
         .arg(spoiled.path("project.toml"))
-        .args(["--exclude-frames", "77", "--out"])
+        .args(["--exclude", "77", "--out"])
         .arg(spoiled.path("out"))
         .assert()
         .success();
@@ -219,7 +219,7 @@ fn missing_centres_are_rejected() {
 
 #[test]
 fn excluding_an_unknown_frame_is_rejected() {
-    Spoiled::new().is_rejected_with(&["--exclude-frames", "99"], &["frame 99"]);
+    Spoiled::new().is_rejected_with(&["--exclude", "99"], &["frame 99"]);
 }
 
 #[test]
@@ -314,7 +314,7 @@ fn centres_of_a_single_row_are_rejected() {
 fn a_diverging_refinement_is_an_error() {
     Spoiled::new()
         .replace("project.toml", "square_mm = 3.0", "square_mm = 300.0")
-        .is_rejected(&["fit"]);
+        .is_rejected_with(&["--anchors", "none"], &["fit"]);
 }
 
 #[test]

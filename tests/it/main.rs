@@ -6,6 +6,8 @@
 //! images, `PLENOCAL_PLAIN_CERES` the independent Ceres program, `PLENOCAL_CHROMIUM` a browser;
 //! `PLENOCAL_TOOLS` says that bash, zsh, fish and groff are installed.
 
+mod anchors;
+mod assessment;
 mod bad_input;
 mod command_line;
 mod compote;

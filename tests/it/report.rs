@@ -111,6 +111,7 @@ fn a_calibration_gives_all_figures() {
     assert_eq!(
         names(&figures),
         [
+            "object-space.svg",
             "residual-vectors.svg",
             "residual-histograms.svg",
             "rmse.svg",

@@ -58,7 +58,7 @@ fn unevenly_noisy(exact: &Observations, normal: &mut Normal) -> Observations {
 }
 
 /// The shipped poses, and as many more: turned in their plane, and further away.
-fn sixteen_poses() -> Vec<FramePose> {
+pub fn sixteen_poses() -> Vec<FramePose> {
     let near = true_poses();
     let center = Isometry3::from(board().point_mm(board().corners() - 1).coords / 2.0);
     let far = near.iter().map(|pose| {

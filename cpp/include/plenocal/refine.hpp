@@ -173,6 +173,8 @@ struct Uncertainty {
   /// of squared residuals over their redundancy; not a number for a kind without any. With
   /// a robust loss it is that of the weighted residuals, smaller than the noise.
   std::array<double, 3> residual_std_dev{};
+  /// s_k: by how much the errors are larger than their sigma in the cost says; 1 if it is right.
+  std::array<double, 3> std_dev_factors{};
   /// How much a further Gauss-Newton step would lower the cost: 0 at a true minimum.
   double expected_decrease = 0.0;
 };

@@ -216,6 +216,7 @@ impl From<(&ffi::UncertaintyParts, usize)> for Uncertainty {
             weakest: parts.weakest.chunks_exact(size.max(1)).map(<[f64]>::to_vec).collect(),
             determined: parts.determined.clone(),
             residual_std_dev_px: parts.residual_std_dev_px,
+            std_dev_factors: parts.std_dev_factors,
             expected_decrease: parts.expected_decrease,
         }
     }

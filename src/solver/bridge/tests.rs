@@ -1,11 +1,12 @@
 //! The bridge against the Rust side of the model.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 
 use super::ffi::NodeRow;
 use super::*;
 use crate::model::{
-    Lattice, LatticeKind, MainLens, MicroLensArray, Packing, Parity, Sensor, intrinsic_parameters,
+    Lattice, LatticeKind, MainLens, MicroLensArray, Packing, Parity, PlenopticCamera, Sensor,
+    intrinsic_parameters,
 };
 use crate::solver::problem::SolverFeature;
 

@@ -1,0 +1,238 @@
+//! What is known of a camera beforehand.
+
+use std::fs;
+
+use plenocal::calibration::{AnchorSource, Calibration, CalibrationOptions, Start, Warning};
+use plenocal::model::{Noise, Observations};
+use plenocal::solver::Anchor;
+use predicates::str::contains;
+use tempfile::TempDir;
+
+use crate::support::{
+    anchored, datasheet_start, drawn, options, plenocal, run, shipped_observations,
+    synthetic_folder, true_camera,
+};
+
+const NOISE: Noise = Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 };
+
+fn anchor(quantity: &str, value: f64, std_dev: f64) -> Anchor {
+    Anchor { quantity: quantity.to_owned(), value, std_dev }
+}
+
+fn with_anchor(quantity: &str, value: f64, std_dev: f64) -> CalibrationOptions {
+    let mut options = options();
+    options.cost.anchors.push(anchor(quantity, value, std_dev));
+    options
+}
+
+fn named<'a>(
+    calibration: &'a Calibration,
+    quantity: &str,
+) -> &'a plenocal::calibration::AnchorResult {
+    calibration.anchors.iter().find(|a| a.anchor.quantity == quantity).unwrap()
+}
+
+/// Observations that state their σ, and have it.
+fn honest_observations() -> Observations {
+    let mut observations = drawn(&true_camera(), &NOISE, 3);
+    let mut of_corner = std::collections::BTreeMap::new();
+    for f in &observations.features {
+        *of_corner.entry((f.frame, f.corner)).or_insert(0.0_f64) += 1.0;
+    }
+    for f in &mut observations.features {
+        f.std_dev_px = Some([NOISE.uv_px; 2]);
+        // Here every ρ has an error of its own.
+        f.rho_std_dev_px = Some(NOISE.rho_px / of_corner[&(f.frame, f.corner)].sqrt());
+    }
+    for c in &mut observations.centers {
+        c.std_dev_px = Some(NOISE.centers_px);
+    }
+    observations
+}
+
+#[test]
+fn an_anchor_without_tolerance_holds_a_parameter() {
+    let observations = shipped_observations();
+    for (quantity, value) in [("F", 16.3), ("d", 0.33), ("u0", 500.0)] {
+        let result = run(&datasheet_start(), &observations, &with_anchor(quantity, value, 1e-7));
+        let found = named(&result, quantity).result;
+        assert!((found - value).abs() < 1e-5 * value, "{quantity}: {found}");
+    }
+    let result = run(&datasheet_start(), &observations, &with_anchor("m", 0.144, 1e-9));
+    assert!((named(&result, "m").result - 0.144).abs() < 1e-6);
+}
+
+/// Two independent measurements of F: their mean is weighted by the inverse squares of their σ, that of
+/// the observations in proportion to what they are worth.
+#[test]
+fn observations_and_an_anchor_are_weighted_by_their_variances() {
+    let observations = honest_observations();
+    let alone = run(&datasheet_start(), &observations, &options());
+    let (f, s) = (
+        alone.camera.main_lens.focal_length_mm,
+        alone.uncertainty.independent_std_devs(3)[0].unwrap(),
+    );
+    let (known, tolerance) = (f + 3.0 * s, s);
+    let both = run(&datasheet_start(), &observations, &with_anchor("F", known, tolerance));
+    let weight = both.cost.anchor_weight;
+    let expected = f + (known - f) * s * s / (s * s + tolerance * tolerance / weight);
+    let found = both.camera.main_lens.focal_length_mm;
+    // The problem is not quite linear over three σ.
+    assert!(
+        (found - expected).abs() < 0.05 * (known - f),
+        "{found}, expected {expected}, w {weight}"
+    );
+    // Eight frames know their own scatter to a third.
+    assert!((0.3..3.0).contains(&weight), "{weight}");
+    let sigma = both.uncertainty.independent_std_devs(3)[0].unwrap();
+    assert!(sigma < s && sigma > 0.5 * s, "{sigma} after {s}");
+}
+
+#[test]
+fn the_proportion_does_not_depend_on_the_weights_of_observations() {
+    let observations = shipped_observations();
+    let mut options = anchored();
+    options.cost.anchors.push(anchor("F", 16.5, 0.05));
+    let one = run(&datasheet_start(), &observations, &options);
+    for factor in [0.01, 100.0] {
+        let cost = &mut options.cost;
+        cost.uv_std_dev_px = factor;
+        cost.rho_std_dev_px = factor;
+        cost.centers_std_dev_px = factor;
+        let other = run(&datasheet_start(), &observations, &options);
+        let (a, b) = (one.camera.main_lens.focal_length_mm, other.camera.main_lens.focal_length_mm);
+        // A fraction of the anchor's σ: the weight is measured at a rough minimum.
+        assert!((a - b).abs() < 0.1 * 0.05, "{factor}: {a} and {b}");
+    }
+}
+
+#[test]
+fn the_default_anchors_are_what_the_project_states() {
+    let result = run(&datasheet_start(), &shipped_observations(), &anchored());
+    let Start::Datasheet(sheet, internal) = datasheet_start() else { unreachable!() };
+    let middle = sheet.sensor.center_px();
+    let mount = 0.5 / sheet.sensor.pixel_size_mm;
+    let expected = [
+        ("F", sheet.focal_length_mm, 0.03 * sheet.focal_length_mm, AnchorSource::Datasheet),
+        ("m", internal.m_mm, 0.02 * internal.m_mm, AnchorSource::WhiteImages),
+        ("u0", middle.x, mount, AnchorSource::SensorMiddle),
+        ("v0", middle.y, mount, AnchorSource::SensorMiddle),
+    ];
+    assert_eq!(result.anchors.len(), expected.len());
+    for (found, (quantity, value, std_dev, source)) in result.anchors.iter().zip(expected) {
+        assert_eq!((found.anchor.quantity.as_str(), found.source), (quantity, source));
+        assert!(
+            (found.anchor.value - value).abs() < 1e-9
+                && (found.anchor.std_dev - std_dev).abs() < 1e-9
+        );
+        assert!(found.pull().abs() < 3.0, "{quantity}: {}", found.pull());
+    }
+    // On a good camera they change nothing that matters.
+    let without = run(&datasheet_start(), &shipped_observations(), &options());
+    let std_devs = without.uncertainty.intrinsic_std_devs(3);
+    for (i, (a, b)) in
+        result.camera.intrinsics().iter().zip(without.camera.intrinsics()).enumerate()
+    {
+        if let Some(s) = std_devs[i] {
+            assert!((a - b).abs() < 0.5 * s, "parameter {i}: {a} and {b} ± {s}");
+        }
+    }
+}
+
+#[test]
+fn anchors_are_replaced_removed_and_left_out_where_a_parameter_is_fixed() {
+    let observations = shipped_observations();
+    let quantities = |options: &CalibrationOptions| -> Vec<String> {
+        let result = run(&datasheet_start(), &observations, options);
+        result.anchors.into_iter().map(|a| a.anchor.quantity).collect()
+    };
+    let mut options = anchored();
+    options.cost.anchors.push(anchor("v0", 360.0, 4.0));
+    options.not_anchored.push("m".to_owned());
+    options.cost.fixed.push("F".to_owned());
+    assert_eq!(quantities(&options), ["v0", "u0"]);
+    assert!(quantities(&CalibrationOptions { default_anchors: false, ..anchored() }).is_empty());
+}
+
+#[test]
+fn a_contradiction_is_a_warning_that_says_what_it_may_mean() {
+    let result = run(&datasheet_start(), &shipped_observations(), &with_anchor("F", 17.5, 0.2));
+    let pulled: Vec<&Warning> =
+        result.warnings.iter().filter(|w| matches!(w, Warning::AnchorPulled(_))).collect();
+    assert_eq!(pulled.len(), 1);
+    let words = pulled[0].to_string();
+    assert!(words.contains("F is 16.") && words.contains("squares"), "{words}");
+}
+
+fn calibrate(arguments: &[&str], table: &str) -> assert_cmd::assert::Assert {
+    let folder = TempDir::new().unwrap();
+    for name in ["centers.csv", "features.csv"] {
+        fs::copy(synthetic_folder().join(name), folder.path().join(name)).unwrap();
+    }
+    let project = fs::read_to_string(synthetic_folder().join("project.toml")).unwrap();
+    let project = project.split("\n[truth]").next().unwrap().to_owned() + table;
+    fs::write(folder.path().join("project.toml"), project).unwrap();
+    plenocal()
+        .arg("calibrate")
+        .arg(folder.path().join("project.toml"))
+        .arg("--out")
+        .arg(folder.path().join("out"))
+        .args(arguments)
+        .assert()
+}
+
+#[test]
+fn bad_anchors_are_errors_that_name_them() {
+    for (argument, words) in [
+        ("Fokus=50:1", "'Fokus'"),
+        ("F=16:0", "F has σ = 0"),
+        ("F=16:-1", "F has σ = -1"),
+        ("F=nan:1", "F has the value NaN"),
+        ("F=16:nan", "F has σ = NaN"),
+        ("F=inf:1", "F has the value inf"),
+        ("F=16", "NAME=VALUE:SIGMA"),
+        ("F", "NAME=VALUE:SIGMA"),
+        ("F=16:x", "NAME=VALUE:SIGMA"),
+        ("dC_ratio=1:0.1", "dC_ratio is anchored, but it is fixed"),
+        ("F=16:1,F=17:1", "second time"),
+    ] {
+        calibrate(&["--anchor", argument], "").code(1).stderr(contains(words));
+    }
+    calibrate(&["--anchor", "F=16:1", "--fix", "F"], "").code(1).stderr(contains("F is anchored"));
+    for (table, words) in [
+        ("\n[calibration.anchors]\nF = { value = 16.0, std_dev = 0.0 }\n", "F has σ = 0"),
+        ("\n[calibration.anchors]\nF = { value = nan, std_dev = 0.1 }\n", "F has the value NaN"),
+        ("\n[calibration.anchors]\nF = 16.0\n", "std_dev"),
+        ("\n[calibration.anchors]\nFF = \"none\"\n", "'FF'"),
+        ("\n[calibration.anchors]\nF = { value = 16.0 }\n", "std_dev"),
+    ] {
+        calibrate(&[], table).code(1).stderr(contains(words));
+    }
+}
+
+#[test]
+fn anchors_of_the_project_and_of_the_command_line_are_combined() {
+    let table = "\n[calibration.anchors]\nm = \"none\"\nF = { value = 16.2, std_dev = 0.1 }\n";
+    let anchors = |arguments: &[&str]| -> Vec<(String, f64)> {
+        let arguments: Vec<&str> = arguments.iter().copied().chain(["--json"]).collect();
+        let output = calibrate(&arguments, table).success().get_output().stdout.clone();
+        let document: serde_json::Value = serde_json::from_slice(&output).unwrap();
+        let anchors = document["anchors"]["anchors"].as_array().unwrap();
+        let of = |a: &serde_json::Value| {
+            (a["quantity"].as_str().unwrap().to_owned(), a["std_dev"].as_f64().unwrap())
+        };
+        anchors.iter().map(of).collect()
+    };
+    let names = |found: &[(String, f64)]| -> Vec<String> {
+        found.iter().map(|(name, _)| name.clone()).collect()
+    };
+    let found = anchors(&[]);
+    assert_eq!(names(&found), ["F", "u0", "v0"]);
+    assert!((found[0].1 - 0.1).abs() < 1e-12);
+    // The command line comes first; a relative σ.
+    let found = anchors(&["--anchor", "F=16.2:1%,v0=none"]);
+    assert_eq!(names(&found), ["F", "u0"]);
+    assert!((found[0].1 - 0.162).abs() < 1e-12);
+    assert!(anchors(&["--anchors", "none"]).is_empty());
+    assert_eq!(names(&anchors(&["--anchors", "none", "--anchor", "D=18.5:1"])), ["D"]);
+}
