@@ -127,13 +127,12 @@ impl Reason {
             if value < limit { Verdict::UsableWithCare } else { Verdict::DoNotUse }
         };
         match self {
-            Self::NotConverged => Verdict::DoNotUse,
-            Self::Warning(warning) => match warning {
+            Self::NotConverged
+            | Self::Warning(
                 Warning::BadFit { .. }
                 | Warning::Undetermined { .. }
-                | Warning::UnexplainedBlur { .. } => Verdict::DoNotUse,
-                _ => Verdict::UsableWithCare,
-            },
+                | Warning::UnexplainedBlur { .. },
+            ) => Verdict::DoNotUse,
             Self::Pulled { pull, .. } => care_below(pull.abs(), TORN),
             Self::SlopeContradicts { error } => care_below(error.abs(), TORN * SLOPE_FLOOR),
             Self::Uncertain { relative, .. } => care_below(*relative, UNKNOWN),

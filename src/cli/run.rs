@@ -37,6 +37,9 @@ pub struct Arguments {
     /// How the virtual depth of a corner is estimated from the micro-images that show it.
     #[arg(long, value_parser = choice(DEPTH_ESTIMATORS), default_value = "line")]
     pub estimator: DepthEstimator,
+    /// Frames of the calibration to leave out, e.g. 3,7; in place of those of the project.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub exclude: Option<Vec<u32>>,
     /// Folds of the cross-validation; 0 for none.
     #[arg(long, value_name = "K", default_value_t = 5)]
     pub folds: usize,
@@ -52,6 +55,7 @@ const EXAMPLES: &str = "\
 Examples:
   plenocal init images --preset r12-a --board 9x5x10 --out project.toml
   plenocal run project.toml --out results
+  plenocal run project.toml --out results --exclude 3,7
   plenocal run project.toml --out results --force --folds 0";
 
 const REPORT: &str = "report.html";
@@ -62,7 +66,10 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let path = &arguments.project;
     let project = Project::read(path)?;
     let shoot = Shoot::of(path, &project)?;
-    let options = calibration_options(path, &project)?;
+    let mut options = calibration_options(path, &project)?;
+    if let Some(frames) = &arguments.exclude {
+        options.exclude_frames.clone_from(frames);
+    }
     if arguments.folds == 1 {
         return Err(Error::invalid(
             "one fold leaves nothing to calibrate with: give --folds 0 for none, or 2 or more",

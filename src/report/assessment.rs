@@ -27,8 +27,8 @@ fn next_text(next: &NextBoard) -> String {
     let [x, y] = next.tilt_deg;
     let tilt = match (x == 0.0, y == 0.0) {
         (true, true) => "parallel to the sensor".to_owned(),
-        (false, _) => format!("tilted by {:+.0} degrees about the horizontal axis", x),
-        (_, false) => format!("tilted by {:+.0} degrees about the vertical axis", y),
+        (false, _) => format!("tilted by {x:+.0} degrees about the horizontal axis"),
+        (_, false) => format!("tilted by {y:+.0} degrees about the vertical axis"),
     };
     let [before, after] = next.largest_mm;
     format!(

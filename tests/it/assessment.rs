@@ -110,7 +110,7 @@ fn false_features_are_withstood_and_named() {
 #[test]
 fn a_board_of_another_size_in_all_frames_is_not_to_be_used() {
     let observations = observations(8);
-    for factor in [0.8, 1.25] {
+    for factor in [0.9, 1.1] {
         let wrong = plenocal::model::Board { square_mm: factor * board().square_mm, ..board() };
         let result =
             calibrate(&datasheet_start(), &wrong, &observations, &anchored(), &mut |_| true)

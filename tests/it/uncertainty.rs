@@ -8,11 +8,11 @@ use rayon::prelude::*;
 
 use crate::r12a;
 use crate::support::{
-    NO_NOISE, board, datasheet_start, options, pairs, run, true_camera, true_poses,
+    NO_NOISE, anchored, board, datasheet_start, options, pairs, run, true_camera, true_poses,
 };
 
-/// Draws of a Monte Carlo experiment. The standard error of a scatter from them is 5 %.
-const DRAWS: u64 = 200;
+/// Draws of a Monte Carlo experiment. The standard error of a scatter from them is 3.5 %.
+const DRAWS: u64 = 400;
 
 /// A stream of standard normal numbers.
 struct Normal(NoiseSource);
@@ -123,7 +123,7 @@ fn true_start(q_prime_std_dev_mm: f64) -> Start {
 }
 
 #[test]
-#[ignore = "slow: 200 calibrations; run by `make test-slow`"]
+#[ignore = "slow: 400 calibrations; run by `make test-slow`"]
 fn monte_carlo_of_independent_errors_weights_and_anchors() {
     let truth = true_camera();
     let exact = exact();
@@ -155,13 +155,13 @@ fn monte_carlo_of_independent_errors_weights_and_anchors() {
         (true_start(q_px * pixel), observations, options)
     });
     for (name, shared, independent) in ratios {
-        assert!((0.85..1.15).contains(&shared), "{name}: {shared}");
-        assert!((0.85..1.15).contains(&independent), "{name}: {independent}");
+        assert!((0.9..1.1).contains(&shared), "{name}: {shared}");
+        assert!((0.9..1.1).contains(&independent), "{name}: {independent}");
     }
 }
 
 #[test]
-#[ignore = "slow: 200 calibrations; run by `make test-slow`"]
+#[ignore = "slow: 400 calibrations; run by `make test-slow`"]
 fn monte_carlo_of_errors_that_frames_share() {
     let exact = exact();
     let half = board().point_mm(board().corners() - 1).coords / 2.0;
@@ -185,14 +185,16 @@ fn monte_carlo_of_errors_that_frames_share() {
     }
 }
 
+/// Two estimates of the same thing: sixteen calibrations, and one small solve for each frame.
 #[test]
 #[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the R12-A files")]
 fn on_r12a_left_out_frames_agree_with_sixteen_calibrations() {
+    const AGREEMENT: f64 = 0.25;
     let data = r12a::csv();
     let full = r12a::run(&data, &options());
     let frames: Vec<u32> = full.poses.iter().map(|p| p.frame).collect();
     let without: Vec<Vec<f64>> = frames
-        .iter()
+        .par_iter()
         .map(|&frame| {
             let mut options = options();
             options.exclude_frames.push(frame);
@@ -201,22 +203,116 @@ fn on_r12a_left_out_frames_agree_with_sixteen_calibrations() {
         .collect();
     let n = frames.len() as f64;
     let u = &full.uncertainty;
-    let shared = u.intrinsic_std_devs(3);
-    let independent = u.independent_std_devs(3);
+    let (used, independent) = (u.intrinsic_std_devs(3), u.independent_std_devs(3));
     let predicted = u.jackknife_std_devs(3);
-    let freedom = u.std_dev_uncertainties(3);
     for (i, p) in intrinsic_parameters(3).iter().enumerate() {
         let mean = without.iter().map(|v| v[i]).sum::<f64>() / n;
-        let real =
-            ((n - 1.0) / n * without.iter().map(|v| (v[i] - mean).powi(2)).sum::<f64>()).sqrt();
-        let Some(s) = shared[i] else { continue };
+        let sum = without.iter().map(|v| (v[i] - mean).powi(2)).sum::<f64>();
+        let real = ((n - 1.0) / n * sum).sqrt();
+        let (Some(used), Some(independent), Some(predicted)) =
+            (used[i], independent[i], predicted[i])
+        else {
+            continue;
+        };
         println!(
-            "{:8} real {real:10.3e} first order {:6.2} CR2 {:6.2} independent {:6.2} ±{:.2}",
+            "{:8} jackknife {real:9.3e}: without calibrating {:.2}, σ {:.2}, independent {:.2}",
             p.name,
-            predicted[i].unwrap() / real,
-            s / real,
-            independent[i].unwrap() / real,
-            freedom[i].unwrap()
+            predicted / real,
+            used / real,
+            independent / real
         );
+        assert!((predicted / real - 1.0).abs() < AGREEMENT, "{}: {predicted}, {real}", p.name);
+        // σ contains errors of the centres as well, which frames do not show: they make the tilt.
+        let by_centers = p.name.starts_with("theta");
+        assert!(used / real > 1.0 - AGREEMENT, "{}: {used}, {real}", p.name);
+        assert!(by_centers || used / real < 1.0 + AGREEMENT, "{}: {used}, {real}", p.name);
+    }
+}
+
+#[test]
+#[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the R12-A files")]
+fn on_r12a_the_default_anchors_bring_the_camera_to_its_datasheet() {
+    let data = r12a::csv();
+    let result = r12a::run(&data, &anchored());
+    for anchor in &result.anchors {
+        println!("{}: {} ({:+.2} σ)", anchor.anchor.quantity, anchor.result, anchor.pull());
+        // m contradicts: the model has the exit pupil in the lens.
+        assert_eq!(anchor.pull().abs() < 3.0, anchor.anchor.quantity != "m");
+    }
+}
+
+/// First order without an anchor and a real calibration, on a scene where the model is right.
+#[test]
+fn leaving_a_frame_out_is_predicted() {
+    let noise = Noise { uv_px: 0.1, rho_px: 0.02, centers_px: 0.05 };
+    let observations = synthesize(&true_camera(), &board(), &sixteen_poses(), &noise, 1).unwrap();
+    let full = run(&datasheet_start(), &observations, &options());
+    let u = &full.uncertainty;
+    let std_devs = u.intrinsic_std_devs(3);
+    for (i, pose) in full.poses.iter().enumerate() {
+        let mut options = options();
+        options.exclude_frames.push(pose.frame);
+        let without = run(&datasheet_start(), &observations, &options).camera.intrinsics();
+        for (row, &index) in u.free_intrinsics.iter().enumerate() {
+            let change = without[index] - full.camera.intrinsics()[index];
+            let predicted = u.left_out_changes[(i, row)];
+            assert!(
+                (change - predicted).abs() < 0.05 * std_devs[index].unwrap(),
+                "frame {i}, parameter {index}: {change}, predicted {predicted}"
+            );
+        }
+    }
+}
+
+#[test]
+fn few_frames_are_taken_as_independent() {
+    let noise = Noise { uv_px: 0.1, rho_px: 0.02, centers_px: 0.05 };
+    let with = |frames: usize| {
+        let poses: Vec<FramePose> = sixteen_poses().into_iter().take(frames).collect();
+        let observations = synthesize(&true_camera(), &board(), &poses, &noise, 1).unwrap();
+        run(&datasheet_start(), &observations, &options()).uncertainty
+    };
+    let five = with(5);
+    assert!(!five.shared && five.covariance == five.independent_covariance);
+    assert!(five.std_dev_uncertainties(3).iter().all(Option::is_none));
+    let six = with(6);
+    assert!(six.shared && six.covariance != six.independent_covariance);
+    // A standard deviation from six values is known to 1/√(2·5) = 32 %, if all count the same.
+    let worst = six.std_dev_uncertainties(3).into_iter().flatten().fold(0.0, f64::max);
+    assert!((0.3..1.0).contains(&worst), "{worst}");
+}
+
+/// ρ = q' − Δc/2ν: with all else known, an error of q'ᵢ goes into fᵢ, and nowhere else.
+#[test]
+fn the_uncertainty_of_q_prime_reaches_the_focal_lengths() {
+    let observations = exact();
+    let mut noisy = observations.clone();
+    let mut normal = Normal::new(3);
+    for f in &mut noisy.features {
+        f.u_px += 0.1 * normal.draw();
+        f.v_px += 0.1 * normal.draw();
+    }
+    let std_dev_mm = 1e-4;
+    let plain = run(&true_start(0.0), &noisy, &options());
+    let told = run(&true_start(std_dev_mm), &noisy, &options());
+    assert_eq!(plain.camera, told.camera);
+    let (before, after) =
+        (plain.uncertainty.intrinsic_std_devs(3), told.uncertainty.intrinsic_std_devs(3));
+    let mla = &told.camera.mla;
+    for (i, parameter) in intrinsic_parameters(3).iter().enumerate() {
+        let (Some(before), Some(after)) = (before[i], after[i]) else { continue };
+        let added = (after * after - before * before).max(0.0).sqrt();
+        if parameter.name.starts_with("f_") {
+            // q' = dΔC/2f.
+            let f = parameter.value(&told.camera);
+            let expected = std_dev_mm * 2.0 * f * f / (mla.mla_to_sensor_mm * mla.pitch_mm);
+            assert!(
+                (added / expected - 1.0).abs() < 0.02,
+                "{}: {added}, {expected}",
+                parameter.name
+            );
+        } else {
+            assert!(added < 0.05 * before, "{}: {before} to {after}", parameter.name);
+        }
     }
 }
