@@ -34,6 +34,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         out: arguments.out.join("results"),
         force: true,
         estimator: DepthEstimator::default(),
+        exclude: None,
         folds: 5,
         no_pictures: false,
         json: false,

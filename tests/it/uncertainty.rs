@@ -36,8 +36,10 @@ impl Normal {
 /// Exact observations with a σ of their own, uneven by a factor of four, and noise of that size.
 fn unevenly_noisy(exact: &Observations, normal: &mut Normal) -> Observations {
     let mut observations = exact.clone();
-    for (i, f) in observations.features.iter_mut().enumerate() {
-        let std_dev = 0.1 * f64::from(1 + (i % 4) as u32);
+    for (f, factor) in
+        observations.features.iter_mut().zip([1.0, 2.0, 3.0, 4.0].into_iter().cycle())
+    {
+        let std_dev = 0.1 * factor;
         f.u_px += std_dev * normal.draw();
         f.v_px += std_dev * normal.draw();
         f.std_dev_px = Some([std_dev; 2]);
@@ -77,6 +79,9 @@ fn exact() -> Observations {
 /// One draw: what is calibrated, from where, and how.
 type Draw = (Start, Observations, CalibrationOptions);
 
+/// Errors of the parameters, σ, and σ if errors are independent.
+type Outcome = (Vec<f64>, Vec<Option<f64>>, Vec<Option<f64>>);
+
 /// Scatter over draws, with the root mean square of both predictions; prints them.
 fn monte_carlo(draw: impl Fn(u64) -> Draw + Sync) -> Vec<(&'static str, f64, f64)> {
     let truth = true_camera();
@@ -90,8 +95,8 @@ fn monte_carlo(draw: impl Fn(u64) -> Draw + Sync) -> Vec<(&'static str, f64, f64
             pairs(&calibration.camera, &truth).iter().map(|(_, a, b)| a - b).collect();
         (errors, u.intrinsic_std_devs(3), u.independent_std_devs(3))
     };
-    let draws: Vec<_> = (0..DRAWS).into_par_iter().map(one).collect();
-    let rms = |value: &dyn Fn(&(Vec<f64>, Vec<Option<f64>>, Vec<Option<f64>>)) -> f64| {
+    let draws: Vec<Outcome> = (0..DRAWS).into_par_iter().map(one).collect();
+    let rms = |value: &dyn Fn(&Outcome) -> f64| {
         (draws.iter().map(|d| value(d).powi(2)).sum::<f64>() / DRAWS as f64).sqrt()
     };
     let mut ratios = Vec::new();
