@@ -14,6 +14,8 @@ const CELL: Vector2<f64> = Vector2::new(52.0, 30.0);
 const LEFT: f64 = 74.0;
 const TOP: f64 = 52.0;
 const GAP: f64 = 44.0;
+/// Below this, mm, the numbers are in µm.
+const IN_MICROMETRES: f64 = 0.2;
 /// The lightest and the darkest cell.
 const OPACITY: (f64, f64) = (0.06, 0.75);
 
@@ -34,9 +36,9 @@ pub(in crate::report) fn object_space(space: &ObjectSpace) -> Result<Option<Figu
     let svg = picture(size, |_, overlay| {
         for (i, title) in ["across the axis", "along the axis"].into_iter().enumerate() {
             let left = i as f64 * (panel + GAP) + LEFT;
-            map(&rows, &columns, i, left, overlay);
+            let unit = map(&rows, &columns, i, left, overlay);
             let at = Vector2::new(left, 18.0);
-            overlay.text(at, Anchor::Start, 15.0, &format!("σ {title}, mm"));
+            overlay.text(at, Anchor::Start, 15.0, &format!("σ {title}, {unit}"));
         }
         Ok(())
     })?;
@@ -58,17 +60,19 @@ fn middle_row(distance: &Distance) -> Vec<&PointTrust> {
     distance.points.iter().filter(|p| (p.pixel_px[1] - middle).abs() < 0.5).collect()
 }
 
+/// Draws the map of a direction and returns its unit.
 fn map(
     rows: &[(&Distance, Vec<&PointTrust>)],
     columns: &[f64],
     direction: usize,
     left: f64,
     overlay: &mut Overlay,
-) {
+) -> &'static str {
     let values =
         || rows.iter().flat_map(|(_, points)| points.iter().map(|p| p.std_dev_mm[direction]));
     let least = values().fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
     let most = values().fold(0.0, f64::max).max(least * 1.01);
+    let (unit, factor) = if most < IN_MICROMETRES { ("µm", 1e3) } else { ("mm", 1.0) };
     for (row, (distance, points)) in rows.iter().enumerate() {
         let top = TOP + CELL.y * row as f64;
         let color = if distance.within_boards { INK } else { ORANGE };
@@ -82,7 +86,7 @@ fn map(
             let part = (value / least).ln() / (most / least).ln();
             let opacity = OPACITY.0 + (OPACITY.1 - OPACITY.0) * part.clamp(0.0, 1.0);
             overlay.rectangle(corner, CELL, BLUE, opacity);
-            overlay.text(corner + CELL / 2.0, Anchor::Middle, 12.0, &two_digits(value));
+            overlay.text(corner + CELL / 2.0, Anchor::Middle, 12.0, &two_digits(value * factor));
         }
     }
     let below = TOP + CELL.y * rows.len() as f64 + 16.0;
@@ -92,5 +96,6 @@ fn map(
     }
     let middle = left + CELL.x * columns.len() as f64 / 2.0;
     overlay.text(Vector2::new(middle, below + 20.0), Anchor::Middle, 13.0, "u, px");
-    overlay.text(Vector2::new(left - 8.0, TOP - 14.0), Anchor::End, 13.0, "mm");
+    overlay.text(Vector2::new(left - 8.0, TOP - 14.0), Anchor::End, 13.0, "z, mm");
+    unit
 }
