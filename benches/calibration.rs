@@ -109,11 +109,13 @@ fn seconds<T>(work: impl FnOnce() -> T) -> f64 {
 
 fn compare(program: &Path, data: &Data, observations: &Observations, threads: usize) {
     let solver = SolverOptions { threads, ..SolverOptions::default() };
-    let options = CalibrationOptions { solver, ..CalibrationOptions::default() };
+    let options = CalibrationOptions { solver, ..CalibrationOptions::paper() };
+    let defaults = CalibrationOptions { solver, ..CalibrationOptions::default() };
     let mut without = options.clone();
     without.solver.extrapolate = false;
     let (mut plain, mut solve, mut whole) = (Vec::new(), Vec::new(), Vec::new());
     let (mut ceres, mut ceres_iterations) = (Vec::new(), 0);
+    let (mut anchored, mut anchored_whole) = (Vec::new(), Vec::new());
     let (mut plain_end, mut end) = ((0, 0.0), (0, 0.0));
     for _ in 0..RUNS {
         let (time, iterations, cost) = baseline(program, data, threads);
@@ -132,6 +134,12 @@ fn compare(program: &Path, data: &Data, observations: &Observations, threads: us
         let refinement = &calibration.refinement;
         solve.push(refinement.time_s);
         end = (refinement.iterations.len() - 1, refinement.cost);
+        let start = Instant::now();
+        let calibration =
+            calibrate(&data.start, &data.board, observations, &defaults, &mut |_| true)
+                .expect("the data can be calibrated");
+        anchored_whole.push(start.elapsed().as_secs_f64());
+        anchored.push(calibration.refinement.time_s);
     }
     let (plain, solve, whole) = (median(plain), median(solve), median(whole));
     println!("{threads} thread(s), cold start to convergence, median of {RUNS} runs:");
@@ -150,6 +158,9 @@ fn compare(program: &Path, data: &Data, observations: &Observations, threads: us
     println!(
         "  plenocal, whole stage      {whole:7.3} s  (grid, initial values, refinement, uncertainty)"
     );
+    println!("  with anchors, refinement   {:7.3} s", median(anchored.clone()));
+    println!("  with anchors, whole stage  {:7.3} s", median(anchored_whole));
+    println!("  anchored to paper's        {:7.3}", median(anchored) / solve);
     println!("  ratio of the refinements   {:7.3}", solve / plain);
     println!("  ratio of the whole stage   {:7.3}", whole / plain);
 }

@@ -1,0 +1,177 @@
+// Errors that groups of residuals share, and anchors: by hand, and by their distribution.
+#include "shared_errors.hpp"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Dense>
+#include <random>
+
+#include "rejection.hpp"
+#include "synthetic_scene.hpp"
+
+namespace plenocal {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+using test::expect_names;
+using test::expect_near_relative;
+using test::one_pitch;
+using test::rejection;
+using test::Scene;
+
+constexpr double kRounding = 1e-12;
+
+Group scalar(double information, double gradient) {
+  return {MatrixXd::Constant(1, 1, information), VectorXd::Constant(1, gradient)};
+}
+
+TEST(GradientSpread, OfTwoNumbersIsWhatIsWorkedOutByHand) {
+  // H = 1 + 3. The minimum of both lies where the gradients sum to zero: 3 - 1/4 4 = 2 and
+  // 1 - 3/4 4 = -2. Corrected, 2 / sqrt(3/4) and -2 / sqrt(1/4): the squares are 16/3 and 16.
+  const MatrixXd spread = gradient_spread({scalar(1.0, 3.0), scalar(3.0, 1.0)});
+  EXPECT_NEAR(spread(0, 0), 16.0 / 3.0 + 16.0, kRounding);
+}
+
+TEST(GradientSpread, OfIndependentErrorsIsTheInformation) {
+  constexpr int kGroups = 7, kParameters = 3, kDraws = 4000;
+  constexpr double kScatter =
+      0.05;  // of a variance from 6 groups and 4000 draws: 1 %, the worst of 9
+  std::mt19937 generator(3);
+  std::normal_distribution<double> normal;
+  const auto random = [&](int rows, int columns) -> MatrixXd {
+    return MatrixXd::NullaryExpr(rows, columns, [&] { return normal(generator); });
+  };
+  std::vector<MatrixXd> designs;
+  MatrixXd information = MatrixXd::Zero(kParameters, kParameters);
+  for (int g = 0; g < kGroups; ++g) {
+    designs.push_back((g + 1.0) * random(4 + g, kParameters));  // of very different leverage
+    information += designs.back().transpose() * designs.back();
+  }
+  MatrixXd mean = MatrixXd::Zero(kParameters, kParameters);
+  for (int draw = 0; draw < kDraws; ++draw) {
+    std::vector<Group> groups;
+    for (const MatrixXd& design : designs) {
+      const VectorXd errors = random(static_cast<int>(design.rows()), 1);
+      groups.push_back({design.transpose() * design, design.transpose() * errors});
+    }
+    mean += gradient_spread(groups) / kDraws;
+  }
+  const VectorXd scale = information.diagonal().cwiseSqrt().cwiseInverse();
+  EXPECT_LT((scale.asDiagonal() * (mean - information) * scale.asDiagonal()).cwiseAbs().maxCoeff(),
+            kScatter);
+}
+
+TEST(GradientSpread, OfADirectionThatOneGroupDeterminesIsThatOfTheOthers) {
+  // Only the first group knows of the second parameter; the other direction has a variance of 4.
+  std::vector<Group> groups;
+  for (double sign : {1.0, -1.0, 1.0, -1.0}) {
+    MatrixXd information = MatrixXd::Zero(2, 2);
+    information(0, 0) = 1.0;
+    groups.push_back({information, VectorXd::Zero(2)});
+    groups.back().gradient[0] = sign * 2.0 * std::sqrt(0.75);
+  }
+  groups.front().information(1, 1) = 9.0;
+  const MatrixXd spread = gradient_spread(groups);
+  EXPECT_NEAR(spread(0, 0), 16.0, kRounding * 100);
+  EXPECT_NEAR(spread(1, 1), 4.0 * 9.0, kRounding * 100);
+}
+
+TEST(GradientSpread, OfNothingIsZero) {
+  EXPECT_EQ(gradient_spread({scalar(0.0, 0.0), scalar(0.0, 0.0)})(0, 0), 0.0);
+}
+
+Scene noisy_scene() {
+  Scene scene = test::make_scene(3);
+  test::add_noise(0.1, 0.05, 0.02, 5, &scene.observations);
+  return scene;
+}
+
+int index_of(const std::string& name) {
+  const auto names = intrinsic_names(3);
+  return static_cast<int>(std::find(names.begin(), names.end(), name) - names.begin());
+}
+
+TEST(Anchors, HoldAQuantity) {
+  const Scene scene = noisy_scene();
+  CostOptions options = one_pitch();
+  options.anchors = {{"F", 50.5, 1e-8}, {kSlopeName, 0.141, 1e-9}};
+  const Refinement r = refine(scene.camera, scene.poses, scene.observations, options, {});
+  EXPECT_NEAR(r.camera.main_lens.focal_length, 50.5, 1e-6);
+  EXPECT_NEAR(micro_image_slope(r.camera.main_lens, r.camera.mla), 0.141, 1e-7);
+}
+
+TEST(Anchors, GiveTheirOwnUncertaintyWhereObservationsHaveNone) {
+  // Observations so bad that the anchor decides: its sigma is that of the result, whatever its
+  // weight.
+  const Scene scene = test::make_scene(3);
+  for (double weight : {1.0, 16.0}) {
+    CostOptions options = one_pitch();
+    options.uv_std_dev = options.rho_std_dev = options.centers_std_dev = 1e4;
+    options.anchors = {{"F", 50.0, 1e-3}};
+    options.anchor_weight = weight;
+    const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, options);
+    const auto place =
+        std::find(u.free_intrinsics.begin(), u.free_intrinsics.end(), index_of("F")) -
+        u.free_intrinsics.begin();
+    expect_near_relative(std::sqrt(u.independent_covariance[place * (u.size + 1)]), 1e-3, 1e-3,
+                         "F");
+  }
+}
+
+TEST(Anchors, LeaveTheMinimumAloneThatTheyAgreeWith) {
+  const Scene scene = noisy_scene();
+  const Refinement without = refine(scene.camera, scene.poses, scene.observations, one_pitch(), {});
+  CostOptions options = one_pitch();
+  options.anchors = {{"D", without.camera.mla.lens_to_mla, 0.01}};
+  const Refinement with = refine(scene.camera, scene.poses, scene.observations, options, {});
+  expect_near_relative(with.cost, without.cost, 1e-10, "cost");
+  expect_near_relative(with.camera.mla.lens_to_mla, without.camera.mla.lens_to_mla, 1e-8, "D");
+}
+
+TEST(Anchors, ThatAreImpossibleAreNamed) {
+  const Scene scene = test::make_scene(3);
+  const auto message = [&](const Anchor& anchor) {
+    CostOptions options = one_pitch();
+    options.anchors = {anchor};
+    return rejection([&] { refine(scene.camera, scene.poses, scene.observations, options, {}); });
+  };
+  expect_names(message({"Q9", 1.0, 1.0}), "Q9");
+  expect_names(message({"F", 50.0, 0.0}), "F");
+  expect_names(message({"F", 50.0, -1.0}), "positive");
+  expect_names(message({"F", NAN, 1.0}), "finite");
+  expect_names(message({"d", 0.3, INFINITY}), "d");
+  expect_names(message({"dC_ratio", 1.0, 1.0}), "fixed");
+  CostOptions options = one_pitch();
+  options.anchor_weight = 0.0;
+  expect_names(
+      rejection([&] { uncertainty(scene.camera, scene.poses, scene.observations, options); }),
+      "weight");
+}
+
+// A bend of the board in each frame, the same for all its corners.
+TEST(SharedErrors, AreSeenInWhatFramesContradictEachOther) {
+  Scene scene = noisy_scene();
+  std::mt19937 generator(7);
+  std::normal_distribution<double> normal;
+  std::vector<double> bends;
+  for (std::size_t i = 0; i < scene.poses.size(); ++i) bends.push_back(normal(generator));
+  for (FeatureObservation& o : scene.observations.features) {
+    const double part = o.board_point.x / (0.0065 * scene.poses[o.frame].translation.z * 2.5);
+    o.observed.u += bends[o.frame] * part * part;
+  }
+  const Refinement r = refine(scene.camera, scene.poses, scene.observations, one_pitch(), {});
+  const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, one_pitch());
+  ASSERT_TRUE(u.shared);
+  for (const char* name : {"F", "D", "d", "P1"}) {
+    const auto place =
+        std::find(u.free_intrinsics.begin(), u.free_intrinsics.end(), index_of(name)) -
+        u.free_intrinsics.begin();
+    const auto at = place * (u.size + 1);
+    EXPECT_GT(std::sqrt(u.covariance[at] / u.independent_covariance[at]), 1.5) << name;
+  }
+  for (double freedom : u.freedom) EXPECT_GT(freedom, 0.0);
+}
+
+}  // namespace
+}  // namespace plenocal
