@@ -195,6 +195,8 @@ UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBl
   parts.frame_information = from_core(u.frame_information);
   parts.poses_by_intrinsics = from_core(u.poses_by_intrinsics);
   parts.dispersion = u.dispersion;
+  parts.contradiction = u.contradiction;
+  parts.contradicted = u.contradicted;
   parts.information = from_core(u.information);
   parts.weakest = from_core(u.weakest);
   for (bool value : u.determined) parts.determined.push_back(value);

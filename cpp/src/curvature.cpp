@@ -13,6 +13,8 @@ using Eigen::VectorXd;
 // the weights claim.
 constexpr int kDirections = 4;
 constexpr double kStep = 1e-2;
+// The least curvature of a minimum, as a fraction of that of J'J.
+constexpr double kLeastCurvature = 0.05;
 
 // The state of a problem moved along a direction of the intrinsics, with the poses following.
 VectorXd moved(const CalibrationProblem& calibration, const VectorXd& state, const VectorXd& change,
@@ -87,6 +89,16 @@ Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
     }
   }
   calibration->set_state(state);
+
+  // At a minimum the Hessian is positive. Off it, J'J is the better guess.
+  MatrixXd within = MatrixXd::Identity(known, known);
+  for (const MatrixXd& second : of_frames) within += directions.transpose() * second;
+  for (const MatrixXd& second : of_patches) within += directions.transpose() * second;
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(0.5 * (within + within.transpose()));
+  if (known > 0 && eigen.eigenvalues().minCoeff() < kLeastCurvature) {
+    for (MatrixXd& second : of_frames) second.setZero();
+    for (MatrixXd& second : of_patches) second.setZero();
+  }
 
   Curvature result;
   for (std::size_t f = 0; f < groups.frames.size(); ++f) {

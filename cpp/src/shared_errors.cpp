@@ -43,6 +43,42 @@ VectorXd inverse_freedom(const MatrixXd& variances, const VectorXd& part) {
   return result;
 }
 
+// By how much the gradient spreads more than its information claims, averaged over directions.
+double dispersion_of(const MatrixXd& spread, const MatrixXd& information) {
+  const ScaledInverse inverse(information);
+  return inverse.rank > 0 ? spread.cwiseProduct(inverse.matrix()).sum() / inverse.rank : 1.0;
+}
+
+// A direction counts as measured by both if either has this part of the information.
+constexpr double kMeasuredByBoth = 1e-3;
+// A contradiction of less than this many standard deviations is chance.
+constexpr double kChance = 3.0;
+
+// What boards (with anchors) and centres measure both, compared: along every eigenvector of their
+// relative information these are two measurements of one number.
+Contradiction contradiction(const MatrixXd& boards, const MatrixXd& centers, double of_boards,
+                            double of_centers, const VectorXd& gradient_of_centers,
+                            const VectorXd& variance) {
+  const ScaledInverse sum(boards + centers);
+  const MatrixXd root =
+      sum.basis.rightCols(sum.rank) * sum.inverse.tail(sum.rank).cwiseSqrt().asDiagonal();
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(root.transpose() * boards * root);
+  const MatrixXd directions = root * eigen.eigenvectors();
+  const VectorXd gradient = directions.transpose() * gradient_of_centers;
+  Contradiction result;
+  for (int i = 0; i < sum.rank; ++i) {
+    const double part = eigen.eigenvalues()[i], rest = 1.0 - part;
+    if (part < kMeasuredByBoth || rest < kMeasuredByBoth) continue;
+    const double spread = part * rest * (rest * of_boards + part * of_centers);
+    const double apart = std::abs(gradient[i]) / std::sqrt(spread);
+    if (apart < std::max(kChance, result.std_devs)) continue;
+    Eigen::Index most = 0;
+    directions.col(i).cwiseAbs2().cwiseQuotient(variance).maxCoeff(&most);
+    result = {apart, static_cast<int>(most)};
+  }
+  return result;
+}
+
 // Changes of the intrinsics if each frame were left out, to first order: (H - H_f)^-1 g_f.
 MatrixXd left_out_changes(const std::vector<Group>& frames, const Curvature& curved,
                           const MatrixXd& hessian) {
@@ -57,6 +93,19 @@ MatrixXd left_out_changes(const std::vector<Group>& frames, const Curvature& cur
 }
 
 }  // namespace
+
+MatrixXd common_covariance(const NormalEquations& equations, const MatrixXd& inverse,
+                           const Common& common) {
+  MatrixXd covariance = common.anchor_weight * (inverse * equations.information[kAnchor] * inverse);
+  const auto types = std::min<Eigen::Index>(
+      equations.by_type_rho.cols(), static_cast<Eigen::Index>(common.type_rho_std_dev.size()));
+  for (Eigen::Index type = 0; type < types; ++type) {
+    const VectorXd change =
+        common.type_rho_std_dev[type] * (inverse * equations.by_type_rho.col(type));
+    covariance += change * change.transpose();
+  }
+  return covariance;
+}
 
 MatrixXd symmetric(const MatrixXd& matrix) { return 0.5 * (matrix + matrix.transpose()); }
 
@@ -76,7 +125,7 @@ std::vector<double> frame_by_frame(const Eliminated& groups) {
   return all;
 }
 
-MatrixXd gradient_spread(const std::vector<Group>& groups) {
+MatrixXd gradient_spread(const std::vector<Group>& groups, const std::vector<MatrixXd>& hessians) {
   const MatrixXd information = sum_of_information(groups);
   const ScaledInverse sum(information);
   // Coordinates y in which the information of all groups together is the identity, g = `back` y.
@@ -84,13 +133,23 @@ MatrixXd gradient_spread(const std::vector<Group>& groups) {
   if (rank == 0) return MatrixXd::Zero(information.rows(), information.cols());
   const MatrixXd root = sum.basis.rightCols(rank) * sum.inverse.tail(rank).cwiseSqrt().asDiagonal();
   const MatrixXd back = information * root;
+  // The step to the minimum of the groups, and by how much it changes the gradient of each.
+  const auto hessian = [&](std::size_t g) -> MatrixXd {
+    const MatrixXd& of_group = hessians.empty() ? groups[g].information : hessians[g];
+    return root.transpose() * of_group * root;
+  };
   VectorXd total = VectorXd::Zero(rank);
-  for (const Group& group : groups) total += root.transpose() * group.gradient;
+  MatrixXd curved = MatrixXd::Zero(rank, rank);
+  for (std::size_t g = 0; g < groups.size(); ++g) {
+    total += root.transpose() * groups[g].gradient;
+    curved += hessian(g);
+  }
+  const VectorXd step = curved.ldlt().solve(total);
 
   MatrixXd spread = MatrixXd::Zero(rank, rank), alone = MatrixXd::Zero(rank, rank);
-  for (const Group& group : groups) {
-    const MatrixXd leverage = root.transpose() * group.information * root;
-    const VectorXd own = root.transpose() * group.gradient - leverage * total;
+  for (std::size_t g = 0; g < groups.size(); ++g) {
+    const MatrixXd leverage = root.transpose() * groups[g].information * root;
+    const VectorXd own = root.transpose() * groups[g].gradient - hessian(g) * step;
     const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(leverage);
     const VectorXd factors = eigen.eigenvalues().unaryExpr(
         [](double k) { return k < 1.0 - kAlone ? 1.0 / std::sqrt(1.0 - k) : 0.0; });
@@ -122,7 +181,7 @@ double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse
 }
 
 SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inverse,
-                           const MatrixXd& common, CalibrationProblem* calibration) {
+                           const Common& common, CalibrationProblem* calibration) {
   const int p = equations.intrinsics;
   const Eliminated groups = without_poses(equations);
   const MatrixXd& follow = groups.poses_by_intrinsics;
@@ -136,14 +195,25 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   SharedErrors result;
   result.frame_information = frame_by_frame(groups);
   result.poses_by_intrinsics = follow;
-  const MatrixXd claimed = claimed_variances(groups.frames, inverse.topLeftCorner(p, p));
-  result.frame_shares = claimed * inverse.diagonal().head(p).cwiseInverse().asDiagonal();
+  const MatrixXd claimed = claimed_variances(groups.frames, of_intrinsics);
+  result.frame_shares = claimed_variances(groups.frames, inverse.topLeftCorner(p, p)) *
+                        inverse.diagonal().head(p).cwiseInverse().asDiagonal();
   result.left_out_changes = left_out_changes(groups.frames, curved, hessian);
 
-  const MatrixXd by_frames = gradient_spread(groups.frames);
-  const MatrixXd by_patches = gradient_spread(groups.patches);
+  const MatrixXd by_frames = gradient_spread(groups.frames, curved.frames);
+  const MatrixXd by_patches = gradient_spread(groups.patches, curved.patches);
   result.dispersion = mean_dispersion(equations, of_intrinsics, by_frames + by_patches, observed);
   const MatrixXd camera = of_intrinsics * (by_frames + by_patches) * of_intrinsics;
+  if (p > 0 && equations.count[kCenter] > 0) {
+    const MatrixXd boards = sum_of_information(groups.frames);
+    const MatrixXd centers = sum_of_information(groups.patches);
+    VectorXd gradient = VectorXd::Zero(p);
+    for (const Group& patch : groups.patches) gradient += patch.gradient;
+    result.contradiction =
+        contradiction(boards + equations.information[kAnchor].topLeftCorner(p, p), centers,
+                      dispersion_of(by_frames, boards), dispersion_of(by_patches, centers),
+                      gradient, camera.diagonal());
+  }
   MatrixXd covariance(equations.size(), equations.size());
   covariance << camera, camera * follow.transpose(), follow * camera,
       follow * camera * follow.transpose();
@@ -153,7 +223,16 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
     covariance.block<Pose::kSize, Pose::kSize>(first, first) +=
         pose * gradient_spread(equations.corners[f]) * pose;
   }
-  result.covariance = symmetric(covariance + common);
+  // The inverse of the Hessian of all parameters.
+  MatrixXd whole(equations.size(), equations.size());
+  whole << of_intrinsics, of_intrinsics * follow.transpose(), follow * of_intrinsics,
+      follow * of_intrinsics * follow.transpose();
+  for (std::size_t f = 0; f < groups.frames.size(); ++f) {
+    const int first = equations.pose(static_cast<int>(f));
+    whole.block<Pose::kSize, Pose::kSize>(first, first) +=
+        ScaledInverse(sum_of_information(equations.corners[f])).matrix();
+  }
+  result.covariance = symmetric(covariance + common_covariance(equations, whole, common));
 
   const VectorXd variance = result.covariance.diagonal().head(p);
   const auto part = [&](const MatrixXd& spread) -> VectorXd {

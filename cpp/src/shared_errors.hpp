@@ -18,23 +18,44 @@ namespace plenocal {
 /// H_g. So the result is unbiased if errors are independent after all (the "CR2" of Bell and
 /// McCaffrey, 2002). Directions that one group determines alone get the mean variance of the
 /// others.
-Eigen::MatrixXd gradient_spread(const std::vector<Group>& groups);
+///
+/// `hessians` are those of the groups where J'J is not good enough for the step to their minimum;
+/// empty for J'J.
+Eigen::MatrixXd gradient_spread(const std::vector<Group>& groups,
+                                const std::vector<Eigen::MatrixXd>& hessians = {});
+
+/// Errors that are not those of single observations.
+struct Common {
+  double anchor_weight;
+  const std::vector<double>& type_rho_std_dev;  ///< see `uncertainty`
+};
+
+/// Their part of the covariance: of anchors, and of what all features of a lens type share.
+Eigen::MatrixXd common_covariance(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
+                                  const Common& common);
+
+/// Two measurements of one thing that differ.
+struct Contradiction {
+  double std_devs = 0.0;
+  int parameter = -1;  ///< row of the free intrinsic that the difference moves most; -1 for none
+};
 
 /// What is known of shared errors and of single frames; see `Uncertainty`.
 struct SharedErrors {
   Eigen::MatrixXd covariance;
   Eigen::VectorXd freedom;
   double dispersion;
+  Contradiction contradiction;
   Eigen::MatrixXd poses_by_intrinsics;
   Eigen::MatrixXd frame_shares;
   Eigen::MatrixXd left_out_changes;
   std::vector<double> frame_information;
 };
 
-/// `inverse` is H^+, `common` the part of the covariance that is not due to single observations.
+/// `inverse` is H^+.
 /// Evaluates `calibration` at other values nearby, and leaves it as it was.
 SharedErrors shared_errors(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
-                           const Eigen::MatrixXd& common, CalibrationProblem* calibration);
+                           const Common& common, CalibrationProblem* calibration);
 
 /// How many times larger than the weights claim the variance of the anchored quantities is if the
 /// gradient has the covariance `spread` instead of `information` (of all parameters, or of the

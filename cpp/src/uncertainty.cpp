@@ -17,6 +17,10 @@ using Eigen::VectorXd;
 // fraction of the direction's length; rounding errors of the directions are far smaller.
 constexpr double kDeterminedTolerance = 1e-3;
 
+// Too few frames do not show what they share. On real observations the variance is some tens of
+// times that of independent errors, on simulated ones a few times.
+constexpr double kAssumedDispersion = 10.0;
+
 // Covariance of the gradient if errors of observations are independent; also measures their noise.
 MatrixXd independent_spread(const NormalEquations& equations, const MatrixXd& inverse,
                             Uncertainty* result) {
@@ -34,20 +38,6 @@ MatrixXd independent_spread(const NormalEquations& equations, const MatrixXd& in
                                                  : std::numeric_limits<double>::quiet_NaN();
   }
   return spread;
-}
-
-// The part of the covariance that is not due to single observations: anchors, and what all features
-// of a lens type share.
-MatrixXd common_covariance(const NormalEquations& equations, const MatrixXd& inverse,
-                           double anchor_weight, const std::vector<double>& type_rho_std_dev) {
-  MatrixXd covariance = anchor_weight * (inverse * equations.information[kAnchor] * inverse);
-  const auto types = std::min<Eigen::Index>(equations.by_type_rho.cols(),
-                                            static_cast<Eigen::Index>(type_rho_std_dev.size()));
-  for (Eigen::Index type = 0; type < types; ++type) {
-    const VectorXd change = type_rho_std_dev[type] * (inverse * equations.by_type_rho.col(type));
-    covariance += change * change.transpose();
-  }
-  return covariance;
 }
 
 // Along a direction that is determined, parameters change as their covariance with the coordinate
@@ -96,9 +86,9 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   }
   const MatrixXd inverse = scaled.matrix();
   const MatrixXd independent = independent_spread(equations, inverse, &result);
-  const MatrixXd common =
-      common_covariance(equations, inverse, cost_options.anchor_weight, type_rho_std_dev);
-  const MatrixXd covariance = symmetric(inverse * independent * inverse + common);
+  const Common common{cost_options.anchor_weight, type_rho_std_dev};
+  const MatrixXd covariance =
+      symmetric(inverse * independent * inverse + common_covariance(equations, inverse, common));
   result.independent_covariance = row_by_row(covariance);
   const MatrixXd observed = total - equations.information[kAnchor];
   const SharedErrors shared = shared_errors(equations, inverse, common, &calibration);
@@ -109,9 +99,12 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   result.shared = equations.intrinsics == 0 || poses.size() >= Uncertainty::kEnoughFrames;
   if (result.shared) {
     result.dispersion = shared.dispersion;
+    result.contradiction = shared.contradiction.std_devs;
+    result.contradicted = shared.contradiction.parameter;
     result.freedom.assign(shared.freedom.begin(), shared.freedom.end());
   } else {
-    result.dispersion = mean_dispersion(equations, inverse, independent, observed);
+    result.dispersion =
+        kAssumedDispersion * mean_dispersion(equations, inverse, independent, observed);
   }
   result.covariance = row_by_row(result.shared ? shared.covariance : covariance);
   add_weakest(scaled, result.shared ? shared.covariance : covariance, &result);

@@ -9,7 +9,7 @@ mod verdict;
 
 pub use next_board::NextBoard;
 pub use object_space::{Distance, ObjectSpace, PointTrust};
-pub use outliers::{Outliers, OutlyingFeature, OutlyingFrame};
+pub use outliers::{Influence, Outliers, OutlyingFeature, OutlyingFrame};
 pub use patterns::Patterns;
 pub use stage::{Assessment, assess};
 pub use verdict::{Reason, Verdict};

@@ -2,7 +2,10 @@
 //!
 //! Boards are tried at several distances, tilts and places. With M the covariance of the camera and S
 //! the information that a board would give on it with its pose unknown, the covariance becomes
-//! (M⁻¹ + S)⁻¹. Both are those of independent errors; only the ratio of σ before and after is used.
+//! (M⁻¹ + S)⁻¹. S is divided by the mean ratio of M to the covariance of independent errors, since a
+//! further board will share errors too.
+
+use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, Isometry3, Translation3, UnitQuaternion, Vector3};
 
@@ -10,7 +13,7 @@ use super::object_space::{MARGIN, ObjectSpace, camera_covariance, largest_mm, po
 use crate::calibration::Calibration;
 use crate::error::Result;
 use crate::model::Board;
-use crate::solver::{self, CostOptions, Problem};
+use crate::solver::{self, CostOptions, Problem, SolverFeature};
 
 /// Distances to try, as multiples of the nearest and of the farthest board so far.
 const NEARER: f64 = 0.9;
@@ -56,17 +59,18 @@ pub(super) fn next_board(
     let candidates = candidates(calibration, board);
     let information = information(calibration, board, &candidates)?;
     let free = calibration.uncertainty.free_intrinsics.len();
-    let covariance =
-        calibration.uncertainty.independent_covariance.view((0, 0), (free, free)).into_owned();
+    let uncertainty = &calibration.uncertainty;
+    let covariance = camera_covariance(uncertainty);
+    // A board will share errors as those so far do.
+    let ratio = |i: usize| covariance[(i, i)] / uncertainty.independent_covariance[(i, i)];
+    let dispersion = (0..free).map(ratio).sum::<f64>() / free.max(1) as f64;
     let largest = |covariance: &DMatrix<f64>| largest_mm(space.points_within_boards(), covariance);
     let before = largest(&covariance);
-    let honest = largest(&camera_covariance(&calibration.uncertainty));
     let mut best: Option<NextBoard> = None;
     for (candidate, information) in candidates.into_iter().zip(&information) {
-        let gain = largest(&with(&covariance, information)) / before;
-        let so_far = best.as_ref().map_or(WORTH, |b| b.largest_mm[1] / b.largest_mm[0]);
-        if gain < so_far {
-            best = Some(NextBoard { largest_mm: [honest, honest * gain], ..candidate });
+        let after = largest(&with(&covariance, &(information / dispersion)));
+        if after < best.as_ref().map_or(WORTH * before, |b| b.largest_mm[1]) {
+            best = Some(NextBoard { largest_mm: [before, after], ..candidate });
         }
     }
     Ok(best)
@@ -132,9 +136,18 @@ fn information(
         .filter(|&i| features.iter().filter(|f| f.pose == i).count() >= corners.len())
         .collect();
     features.retain(|f| seen.contains(&f.pose));
+    let place =
+        |f: &SolverFeature| (f.pose, f.board_point_mm.x.to_bits(), f.board_point_mm.y.to_bits());
+    let mut of_corner: BTreeMap<_, f64> = BTreeMap::new();
+    for feature in &features {
+        *of_corner.entry(place(feature)).or_default() += 1.0;
+    }
     for feature in &mut features {
+        // All ρ of a corner come from one virtual depth.
+        let shared = of_corner[&place(feature)].sqrt();
         feature.pose = seen.iter().position(|&i| i == feature.pose).unwrap_or(0);
-        feature.std_dev_px = [noise[0], noise[0], noise[1]].map(|s| if s > 0.0 { s } else { 1.0 });
+        feature.std_dev_px =
+            [noise[0], noise[0], shared * noise[1]].map(|s| if s > 0.0 { s } else { 1.0 });
     }
     let free = calibration.uncertainty.free_intrinsics.len();
     let mut result = vec![DMatrix::zeros(free, free); all.len()];

@@ -16,9 +16,11 @@ use crate::error::Result;
 use crate::model::{Board, PlenopticCamera};
 use crate::solver::{self, Uncertainty};
 
-/// Points over the width and the height of the image, and distances.
+/// Points over the width and the height of the image, and distances of the boards.
 const GRID: (u32, u32) = (9, 7);
-const DISTANCES: u32 = 9;
+const DISTANCES: u32 = 7;
+/// Boards whose distances differ by less, as a fraction, are at one distance.
+const ALIKE: f64 = 0.01;
 /// How far beyond the boards the distances reach, as a fraction of their distance.
 const BEYOND: f64 = 0.15;
 /// A corner has to be seen this far inside its micro-image, as a fraction of the radius.
@@ -111,13 +113,17 @@ pub(super) fn object_space(
     let near = boards.iter().copied().fold(f64::INFINITY, f64::min);
     let far = boards.iter().copied().fold(0.0, f64::max);
     let motion = motion_of_boards(calibration, board);
-    let (least, most) = (near * (1.0 - BEYOND), far * (1.0 + BEYOND));
+    let between = (0..DISTANCES)
+        .map(|i| near * (far / near).powf(f64::from(i) / f64::from(DISTANCES - 1)))
+        .take(if far > near * (1.0 + ALIKE) { DISTANCES as usize } else { 1 });
     let mut distances = Vec::new();
-    for i in 0..DISTANCES {
-        let distance_mm = least * (most / least).powf(f64::from(i) / f64::from(DISTANCES - 1));
+    for (within_boards, distance_mm) in [(false, near * (1.0 - BEYOND))]
+        .into_iter()
+        .chain(between.map(|distance| (true, distance)))
+        .chain([(false, far * (1.0 + BEYOND))])
+    {
         let points = points_at(calibration, camera, distance_mm, &motion)?;
         if !points.is_empty() {
-            let within_boards = (near..=far).contains(&distance_mm);
             distances.push(Distance { distance_mm, within_boards, points });
         }
     }

@@ -41,10 +41,23 @@ pub struct OutlyingFrame {
     pub frame: u32,
     /// Its typical residual as a multiple of that of the other frames.
     pub residual_ratio: f64,
-    /// The parameter that moves most if the frame is left out.
+    /// What moves most if the frame is left out; `None` if the camera is fixed.
+    pub influence: Option<Influence>,
+}
+
+/// How a frame moves the camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Influence {
+    /// The parameter that changes most if the frame is left out.
     pub parameter: &'static str,
     /// By how many σ, as the other frames predict it.
-    pub influence: f64,
+    pub std_devs: f64,
+}
+
+impl OutlyingFrame {
+    pub(super) fn influence_std_devs(&self) -> f64 {
+        self.influence.map_or(0.0, |influence| influence.std_devs)
+    }
 }
 
 /// All that does not fit.
@@ -96,12 +109,12 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     let deviation = median(logarithms().map(|l| (l - middle).abs())).unwrap_or(0.0);
     let spread = (FROM_MEDIAN_DEVIATION * deviation).max(LEAST_SPREAD);
     let badness = |f: &OutlyingFrame| {
-        (f.residual_ratio.ln() / spread / OUTLYING_FRAME).max(f.influence / INFLUENTIAL)
+        (f.residual_ratio.ln() / spread / OUTLYING_FRAME).max(f.influence_std_devs() / INFLUENTIAL)
     };
     let of_pose = |(i, pose): (usize, &FramePose)| {
         let residual_ratio = typical.get(&pose.frame)? / middle.exp();
-        let (parameter, influence) = influence(calibration, i);
-        Some(OutlyingFrame { frame: pose.frame, residual_ratio, parameter, influence })
+        let influence = influence(calibration, i);
+        Some(OutlyingFrame { frame: pose.frame, residual_ratio, influence })
     };
     let all = calibration.poses.iter().enumerate().filter_map(of_pose);
     let mut found: Vec<OutlyingFrame> = all.filter(|frame| badness(frame) > 1.0).collect();
@@ -109,23 +122,24 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     found
 }
 
-/// The parameter that moves most if a frame is left out, and by how many of the σ that the jackknife
-/// over the other frames gives.
-fn influence(calibration: &Calibration, frame: usize) -> (&'static str, f64) {
+/// The parameter that moves most if a frame is left out, in σ that the jackknife over the other frames
+/// gives. Frames without which the camera is not determined are left out of the comparison.
+fn influence(calibration: &Calibration, frame: usize) -> Option<Influence> {
     let uncertainty = &calibration.uncertainty;
     let changes = &uncertainty.left_out_changes;
     let parameters = intrinsic_parameters(calibration.camera.lens_types());
-    let others = (changes.nrows() - 1) as f64;
     let of = |(row, &index): (usize, &usize)| {
         let column = changes.column(row);
-        let rest =
-            column.iter().enumerate().filter(|(i, _)| *i != frame).map(|(_, change)| *change);
-        let mean = rest.clone().sum::<f64>() / others;
-        let std_dev =
-            ((others - 1.0) / others * rest.map(|c| (c - mean).powi(2)).sum::<f64>()).sqrt();
-        let influence = (column[frame] - mean).abs() / std_dev;
-        (parameters[index].name, if influence.is_finite() { influence } else { 0.0 })
+        let rest: Vec<f64> = (0..changes.nrows())
+            .filter(|&i| i != frame && column[i].is_finite())
+            .map(|i| column[i])
+            .collect();
+        let others = rest.len() as f64;
+        let mean = rest.iter().sum::<f64>() / others;
+        let square: f64 = rest.iter().map(|c| (c - mean).powi(2)).sum();
+        let std_devs = (column[frame] - mean).abs() / ((others - 1.0) / others * square).sqrt();
+        std_devs.is_finite().then_some(Influence { parameter: parameters[index].name, std_devs })
     };
-    let free = uncertainty.free_intrinsics.iter().enumerate().map(of);
-    free.fold(("", 0.0), |worst, next| if next.1 > worst.1 { next } else { worst })
+    let free = uncertainty.free_intrinsics.iter().enumerate().filter_map(of);
+    free.max_by(|a, b| a.std_devs.total_cmp(&b.std_devs))
 }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::outliers::OutlyingFrame;
+use super::outliers::{Influence, OutlyingFrame};
 use super::{Outliers, Patterns};
 use crate::calibration::{Calibration, Mode, SLOPE, Warning};
 use crate::model::intrinsic_parameters;
@@ -98,6 +98,8 @@ const MICRO_IMAGE_PATTERN: f64 = 0.1;
 const LENS_TYPES: f64 = 1.4;
 /// Fewer frames do not show what their errors share.
 const ENOUGH_FRAMES: usize = 6;
+/// Fewer still leave too much to chance.
+const MIN_FRAMES: usize = 3;
 /// A board tilted by less, rad (10°), says little of F.
 const TILTED_RAD: f64 = 0.1745;
 const ENOUGH_TILTED: usize = 3;
@@ -133,6 +135,7 @@ impl Reason {
                 | Warning::Undetermined { .. }
                 | Warning::UnexplainedBlur { .. },
             ) => Verdict::DoNotUse,
+            Self::FewFrames(frames) if *frames < MIN_FRAMES => Verdict::DoNotUse,
             Self::Pulled { pull, .. } => care_below(pull.abs(), TORN),
             Self::SlopeContradicts { error } => care_below(error.abs(), TORN * SLOPE_FLOOR),
             Self::Uncertain { relative, .. } => care_below(*relative, UNKNOWN),
@@ -147,7 +150,7 @@ impl Reason {
             Self::Warning(_) => 50.0,
             Self::Pulled { pull, .. } => 2.0 * pull.abs(),
             Self::SlopeContradicts { error } => 2.0 * error.abs() / SLOPE_FLOOR,
-            Self::Frame(frame) => 5.0 + frame.influence.max(frame.residual_ratio),
+            Self::Frame(frame) => 5.0 + frame.influence_std_devs().max(frame.residual_ratio),
             Self::Uncertain { relative, .. } => (4.0 * relative / UNCERTAIN).min(40.0),
             Self::ImagePattern(part) => 4.0 * part / IMAGE_PATTERN,
             Self::MicroImagePattern(part) => 4.0 * part / MICRO_IMAGE_PATTERN,
@@ -235,7 +238,7 @@ fn of_boards(calibration: &Calibration) -> Vec<Reason> {
     }
     let distances = poses.iter().map(|p| p.camera_from_board.translation.z);
     let ratio = distances.clone().fold(0.0, f64::max) / distances.fold(f64::INFINITY, f64::min);
-    if ratio < DISTANCES {
+    if frames > 1 && ratio < DISTANCES {
         reasons.push(Reason::OneDistance { ratio });
     }
     reasons
@@ -315,7 +318,7 @@ impl fmt::Display for Reason {
             ),
             Self::FewTilts { tilted, frames } => write!(
                 f,
-                "{tilted} of {frames} boards are tilted by more than 10 degrees: F and the distances \
+                "only {tilted} of {frames} boards are tilted by more than 10 degrees: F and the distances \
                  are hardly told apart"
             ),
             Self::OneDistance { ratio } => write!(
@@ -340,11 +343,16 @@ impl fmt::Display for Reason {
 
 impl fmt::Display for OutlyingFrame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { frame, residual_ratio, parameter, influence } = self;
+        let Self { frame, residual_ratio, influence } = self;
         write!(
             f,
-            "frame {frame} does not fit the others: its residuals are {residual_ratio:.1} times \
-             theirs, and without it {parameter} moves by {influence:.1} σ"
-        )
+            "frame {frame} does not fit the others: its residuals are {residual_ratio:.1} times theirs"
+        )?;
+        match influence {
+            Some(Influence { parameter, std_devs }) => {
+                write!(f, ", and without it {parameter} moves by {std_devs:.1} σ")
+            }
+            None => Ok(()),
+        }
     }
 }

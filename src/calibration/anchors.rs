@@ -131,6 +131,11 @@ pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> 
         ))
     };
     let stated = &options.cost.anchors;
+    if options.mode == Mode::PosesOnly && !stated.is_empty() {
+        return Err(Error::invalid(
+            "anchors hold the camera, which is fixed where only poses are estimated: leave them out",
+        ));
+    }
     let quantities = stated.iter().map(|anchor| &anchor.quantity).chain(&options.not_anchored);
     if let Some(quantity) = quantities.into_iter().find(|q| !names().contains(&q.as_str())) {
         return Err(unknown(quantity));

@@ -59,27 +59,47 @@ impl Settings<'_> {
             progress(iteration)
         };
         let mut so_far = None;
-        cost.anchor_weight = FIRST_WEIGHT;
-        for _ in 0..if cost.anchors.is_empty() { 0 } else { MAX_WEIGHINGS } {
+        let mut weighings = 0;
+        if !cost.anchors.is_empty() {
+            (cost.anchor_weight, weighings) = (FIRST_WEIGHT, MAX_WEIGHINGS);
+        }
+        for _ in 0..weighings {
             let start = at_end(problem, so_far.as_ref());
-            let rough = SolverOptions { max_iterations: ROUGH_ITERATIONS, ..self.options.solver };
+            let max_iterations = ROUGH_ITERATIONS.min(self.left(so_far.as_ref()));
+            let rough = SolverOptions { max_iterations, ..self.options.solver };
             let refinement = solver::refine(&start, &cost, &rough, progress)?;
             check_refined(&refinement)?;
+            let stopped = refinement.termination == Termination::Stopped;
             let dispersion =
                 solver::uncertainty(&at_end(problem, Some(&refinement)), &cost, &[])?.dispersion;
             let change = dispersion.max(LEAST_WEIGHT) / cost.anchor_weight;
             cost.anchor_weight *= change;
             debug!("the anchors weigh {:.3}", cost.anchor_weight);
             so_far = Some(followed(so_far, refinement));
-            if (1.0 / ALIKE..ALIKE).contains(&change) {
+            let left = self.left(so_far.as_ref());
+            if stopped || left <= ROUGH_ITERATIONS || (1.0 / ALIKE..ALIKE).contains(&change) {
                 break;
             }
         }
-        let refinement = refine(&at_end(problem, so_far.as_ref()), self, &cost, progress)?;
-        let refinement = followed(so_far, refinement);
+        let refinement = match so_far {
+            Some(stopped) if stopped.termination == Termination::Stopped => stopped,
+            so_far => {
+                let max_iterations = self.left(so_far.as_ref()).max(1);
+                let start = at_end(problem, so_far.as_ref());
+                followed(so_far.clone(), refine(&start, self, &cost, max_iterations, progress)?)
+            }
+        };
         let refined = at_end(problem, Some(&refinement));
         let uncertainty = solver::uncertainty(&refined, &cost, &self.type_rho_std_dev_px)?;
         Ok(Refined { refinement, uncertainty, cost })
+    }
+}
+
+impl Settings<'_> {
+    /// Iterations that the options still allow.
+    fn left(&self, so_far: Option<&Refinement>) -> usize {
+        let done = so_far.map_or(0, |refinement| refinement.iterations.len().saturating_sub(1));
+        self.options.solver.max_iterations.saturating_sub(done)
     }
 }
 
@@ -100,6 +120,7 @@ fn refine(
     problem: &Problem,
     settings: &Settings,
     cost: &CostOptions,
+    max_iterations: usize,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Refinement> {
     let Settings { board, frames, options, .. } = settings;
@@ -110,7 +131,8 @@ fn refine(
         frames.left_out.len(),
         problem.centers.len()
     );
-    let mut refinement = solver::refine(problem, cost, &options.solver, progress)?;
+    let solver = SolverOptions { max_iterations, ..options.solver };
+    let mut refinement = solver::refine(problem, cost, &solver, progress)?;
     check_refined(&refinement)?;
     for _ in 0..MAX_RECONSIDERATIONS {
         if refinement.termination == Termination::Stopped {
@@ -125,7 +147,7 @@ fn refine(
         };
         info!("refining again: the tilt of some boards changes its sign");
         let done = refinement.iterations.len().saturating_sub(1);
-        let max_iterations = options.solver.max_iterations.saturating_sub(done);
+        let max_iterations = max_iterations.saturating_sub(done);
         if max_iterations == 0 {
             break;
         }

@@ -82,7 +82,8 @@ pub fn cross_validate(
                 .copied()
                 .collect(),
         };
-        let poses_only = CalibrationOptions { exclude_frames: Vec::new(), ..poses_only };
+        let mut poses_only = CalibrationOptions { exclude_frames: Vec::new(), ..poses_only };
+        poses_only.cost.anchors.clear();
         let known = Start::Camera(camera.clone());
         let posed = calibrate(&known, board, &seen, &poses_only, &mut |_| true)?;
         let residuals = posed.reprojection.features;

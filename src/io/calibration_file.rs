@@ -47,8 +47,8 @@ fn assessment_document(assessment: &Assessment) -> Value {
             json!({
                 "frame": o.frame,
                 "residual_ratio": o.residual_ratio,
-                "parameter": o.parameter,
-                "influence": o.influence,
+                "parameter": o.influence.map(|i| i.parameter),
+                "influence": o.influence.map(|i| i.std_devs),
             })
         })
         .collect();
@@ -105,7 +105,7 @@ fn anchors_document(calibration: &Calibration) -> Value {
         })
     };
     json!({
-        "weight": calibration.cost.anchor_weight,
+        "weight": (!calibration.anchors.is_empty()).then_some(calibration.cost.anchor_weight),
         "anchors": calibration.anchors.iter().map(of).collect::<Vec<_>>(),
     })
 }

@@ -66,7 +66,11 @@ fn uncertainty_document(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> 
 
 /// What the errors of observations were taken to be.
 pub(super) fn errors_text(uncertainty: &Uncertainty) -> &'static str {
-    if uncertainty.shared { "shared by frames" } else { "independent" }
+    match (uncertainty.shared, uncertainty.free_intrinsics.is_empty()) {
+        (_, true) => "shared by corners",
+        (true, false) => "shared by frames",
+        (false, false) => "independent",
+    }
 }
 
 /// Reads the camera of a `camera.json`.

@@ -80,11 +80,19 @@ fn std_dev_text(calibration: &Calibration) -> String {
                 what they share, and is too small if they do."
             .to_owned();
     }
+    let contradiction = uncertainty.contradiction.map_or(String::new(), |(index, std_devs)| {
+        format!(
+            " It does not hold that boards and micro-image centres contradict each other by \
+             {std_devs:.0} σ, most in {}.",
+            intrinsic_parameters(calibration.camera.lens_types())[index].name
+        )
+    });
     let of_all = uncertainty.std_dev_uncertainties(calibration.camera.lens_types());
     let known = || of_all.iter().flatten().copied().filter(|u| u.is_finite());
     format!(
         "σ comes from how much the {} frames contradict each other, so it holds what all corners of a \
-         frame have in common. With so few frames it is itself uncertain by {:.0} to {:.0} %.",
+         frame have in common. With so few frames it is itself uncertain by {:.0} to {:.0} \
+         %.{contradiction}",
         calibration.poses.len(),
         100.0 * known().fold(f64::INFINITY, f64::min),
         100.0 * known().fold(0.0, f64::max)

@@ -204,6 +204,8 @@ mod ffi {
         frame_information: Vec<f64>,
         poses_by_intrinsics: Vec<f64>,
         dispersion: f64,
+        contradiction: f64,
+        contradicted: i32,
         information: Vec<f64>,
         weakest: Vec<f64>,
         determined: Vec<bool>,

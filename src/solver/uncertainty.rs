@@ -46,6 +46,9 @@ pub struct Uncertainty {
     /// How many times larger the variance of the anchored quantities is than the weights claim, as far as
     /// the observations cause it; 1 without anchors.
     pub dispersion: f64,
+    /// The intrinsic parameter (its index) on which boards and micro-image centres contradict each other
+    /// most, and by how many σ; `None` if they agree within 3 σ. No covariance contains it.
+    pub contradiction: Option<(usize, f64)>,
     /// Diagonal of the information matrix J'J.
     pub information: Vec<f64>,
     /// The directions of parameter space with the least information in proportion to that on each

@@ -159,8 +159,13 @@ struct Uncertainty {
   std::vector<double> poses_by_intrinsics;
   /// How many times larger the variance of the anchored quantities due to the observations is than
   /// the weights claim, in the mean; 1 without anchors. `CostOptions::anchor_weight` should be
-  /// this.
+  /// this. With too few frames it is ten times what independent errors make it.
   double dispersion = 1.0;
+  /// By how many standard deviations boards and centres contradict each other at most, if errors
+  /// are shared, and the row of the free intrinsic that this moves most; -1 if they agree within
+  /// three. No covariance contains it.
+  double contradiction = 0.0;
+  int contradicted = -1;
   std::vector<double> information;  ///< diagonal of H
   /// The directions of parameter space with the least information in proportion to that on each
   /// parameter alone, the weakest first: rows of `size` changes, along one standard deviation, or,
@@ -187,8 +192,8 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const std::vector<double>& type_rho_std_dev = {});
 
 /// The information of each frame on the free intrinsics with its pose unknown, as in
-/// `Uncertainty::frame_information`, without the rest. Anchors and centres take no part. Throws like
-/// `refine`.
+/// `Uncertainty::frame_information`, without the rest. Anchors and centres take no part. Throws
+/// like `refine`.
 std::vector<double> frame_information(const Camera& camera, const std::vector<Pose>& poses,
                                       const Observations& observations,
                                       const CostOptions& cost_options);

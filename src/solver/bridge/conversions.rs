@@ -212,6 +212,9 @@ impl From<(&ffi::UncertaintyParts, usize)> for Uncertainty {
             frame_information: square_matrices(free, &parts.frame_information),
             poses_by_intrinsics: matrix(size - free, free, &parts.poses_by_intrinsics),
             dispersion: parts.dispersion,
+            contradiction: usize::try_from(parts.contradicted)
+                .ok()
+                .map(|row| (index(parts.free_intrinsics[row]), parts.contradiction)),
             information: parts.information.clone(),
             weakest: parts.weakest.chunks_exact(size.max(1)).map(<[f64]>::to_vec).collect(),
             determined: parts.determined.clone(),

@@ -1,5 +1,7 @@
 //! Projection, and points and boards in space: who sees them, and what they say of the camera.
 
+use std::collections::BTreeSet;
+
 use nalgebra::{DMatrix, Isometry3, Point3, Vector2};
 
 use super::{conversions, ffi, solver_error};
@@ -60,7 +62,8 @@ pub(crate) fn frame_information(
         &cost.into(),
     )
     .map_err(solver_error)?;
-    let free = problem.camera.intrinsics().len() - cost.fixed.len();
+    let fixed: BTreeSet<&String> = cost.fixed.iter().collect();
+    let free = problem.camera.intrinsics().len() - fixed.len();
     Ok(conversions::square_matrices(free, &values))
 }
 
