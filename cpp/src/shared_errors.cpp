@@ -125,7 +125,7 @@ std::vector<double> frame_by_frame(const Eliminated& groups) {
   return all;
 }
 
-MatrixXd gradient_spread(const std::vector<Group>& groups, const std::vector<MatrixXd>& hessians) {
+MatrixXd gradient_spread(const std::vector<Group>& groups) {
   const MatrixXd information = sum_of_information(groups);
   const ScaledInverse sum(information);
   // Coordinates y in which the information of all groups together is the identity, g = `back` y.
@@ -133,23 +133,13 @@ MatrixXd gradient_spread(const std::vector<Group>& groups, const std::vector<Mat
   if (rank == 0) return MatrixXd::Zero(information.rows(), information.cols());
   const MatrixXd root = sum.basis.rightCols(rank) * sum.inverse.tail(rank).cwiseSqrt().asDiagonal();
   const MatrixXd back = information * root;
-  // The step to the minimum of the groups, and by how much it changes the gradient of each.
-  const auto hessian = [&](std::size_t g) -> MatrixXd {
-    const MatrixXd& of_group = hessians.empty() ? groups[g].information : hessians[g];
-    return root.transpose() * of_group * root;
-  };
   VectorXd total = VectorXd::Zero(rank);
-  MatrixXd curved = MatrixXd::Zero(rank, rank);
-  for (std::size_t g = 0; g < groups.size(); ++g) {
-    total += root.transpose() * groups[g].gradient;
-    curved += hessian(g);
-  }
-  const VectorXd step = curved.ldlt().solve(total);
+  for (const Group& group : groups) total += root.transpose() * group.gradient;
 
   MatrixXd spread = MatrixXd::Zero(rank, rank), alone = MatrixXd::Zero(rank, rank);
-  for (std::size_t g = 0; g < groups.size(); ++g) {
-    const MatrixXd leverage = root.transpose() * groups[g].information * root;
-    const VectorXd own = root.transpose() * groups[g].gradient - hessian(g) * step;
+  for (const Group& group : groups) {
+    const MatrixXd leverage = root.transpose() * group.information * root;
+    const VectorXd own = root.transpose() * group.gradient - leverage * total;
     const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(leverage);
     const VectorXd factors = eigen.eigenvalues().unaryExpr(
         [](double k) { return k < 1.0 - kAlone ? 1.0 / std::sqrt(1.0 - k) : 0.0; });
@@ -200,8 +190,8 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
                         inverse.diagonal().head(p).cwiseInverse().asDiagonal();
   result.left_out_changes = left_out_changes(groups.frames, curved, hessian);
 
-  const MatrixXd by_frames = gradient_spread(groups.frames, curved.frames);
-  const MatrixXd by_patches = gradient_spread(groups.patches, curved.patches);
+  const MatrixXd by_frames = gradient_spread(groups.frames);
+  const MatrixXd by_patches = gradient_spread(groups.patches);
   result.dispersion = mean_dispersion(equations, of_intrinsics, by_frames + by_patches, observed);
   const MatrixXd camera = of_intrinsics * (by_frames + by_patches) * of_intrinsics;
   if (p > 0 && equations.count[kCenter] > 0) {

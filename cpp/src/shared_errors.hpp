@@ -18,11 +18,7 @@ namespace plenocal {
 /// H_g. So the result is unbiased if errors are independent after all (the "CR2" of Bell and
 /// McCaffrey, 2002). Directions that one group determines alone get the mean variance of the
 /// others.
-///
-/// `hessians` are those of the groups where J'J is not good enough for the step to their minimum;
-/// empty for J'J.
-Eigen::MatrixXd gradient_spread(const std::vector<Group>& groups,
-                                const std::vector<Eigen::MatrixXd>& hessians = {});
+Eigen::MatrixXd gradient_spread(const std::vector<Group>& groups);
 
 /// Errors that are not those of single observations.
 struct Common {
