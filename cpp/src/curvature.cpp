@@ -35,6 +35,17 @@ MatrixXd with_second_order(const MatrixXd& information, const MatrixXd& second,
          dual * (0.5 * (within + within.transpose())) * dual.transpose();
 }
 
+// Whether the Hessian is positive along all directions, as it is at a minimum. Off it, J'J is the
+// better guess.
+bool is_minimum(const MatrixXd& directions, const std::vector<MatrixXd>& of_frames,
+                const std::vector<MatrixXd>& of_patches) {
+  MatrixXd within = MatrixXd::Identity(directions.cols(), directions.cols());
+  for (const MatrixXd& second : of_frames) within += directions.transpose() * second;
+  for (const MatrixXd& second : of_patches) within += directions.transpose() * second;
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(0.5 * (within + within.transpose()));
+  return eigen.eigenvalues().minCoeff() > kLeastCurvature;
+}
+
 }  // namespace
 
 Eliminated without_poses(const NormalEquations& equations) {
@@ -90,12 +101,7 @@ Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
   }
   calibration->set_state(state);
 
-  // At a minimum the Hessian is positive. Off it, J'J is the better guess.
-  MatrixXd within = MatrixXd::Identity(known, known);
-  for (const MatrixXd& second : of_frames) within += directions.transpose() * second;
-  for (const MatrixXd& second : of_patches) within += directions.transpose() * second;
-  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(0.5 * (within + within.transpose()));
-  if (known > 0 && eigen.eigenvalues().minCoeff() < kLeastCurvature) {
+  if (known > 0 && !is_minimum(directions, of_frames, of_patches)) {
     for (MatrixXd& second : of_frames) second.setZero();
     for (MatrixXd& second : of_patches) second.setZero();
   }
