@@ -9,7 +9,8 @@ use crate::calibration::frames::{Frames, reconsidered_poses};
 use crate::error::Result;
 use crate::model::Board;
 use crate::solver::{
-    self, CostOptions, Iteration, Problem, Refinement, SolverOptions, Termination, Uncertainty,
+    self, CostOptions, Iteration, Loss, LossKind, Problem, Refinement, SolverOptions, Termination,
+    Uncertainty,
 };
 
 /// Limit of repetitions: correcting one mirrored board may reveal others.
@@ -20,7 +21,8 @@ const MAX_RECONSIDERATIONS: usize = 4;
 /// known to some ten per cent at best.
 const ROUGH_ITERATIONS: usize = 4;
 const ALIKE: f64 = 2.0;
-const MAX_WEIGHINGS: usize = 4;
+/// Limit of refinements, the first half of them rough.
+const MAX_ATTEMPTS: usize = 6;
 /// The weight to begin with: that of real observations.
 const FIRST_WEIGHT: f64 = 10.0;
 /// Weight of the anchors where residuals vanish, as in simulations without noise.
@@ -58,44 +60,46 @@ impl Settings<'_> {
             );
             progress(iteration)
         };
-        let mut so_far = None;
-        let mut weighings = 0;
         if !cost.anchors.is_empty() {
-            (cost.anchor_weight, weighings) = (FIRST_WEIGHT, MAX_WEIGHINGS);
+            cost.anchor_weight = FIRST_WEIGHT;
         }
-        for _ in 0..weighings {
-            let start = at_end(problem, so_far.as_ref());
-            let max_iterations = ROUGH_ITERATIONS.min(self.left(so_far.as_ref()));
-            let rough = SolverOptions { max_iterations, ..self.options.solver };
-            let refinement = solver::refine(&start, &cost, &rough, progress)?;
-            check_refined(&refinement)?;
-            let stopped = refinement.termination == Termination::Stopped;
-            let dispersion =
-                solver::uncertainty(&at_end(problem, Some(&refinement)), &cost, &[])?.dispersion;
-            let change = dispersion.max(LEAST_WEIGHT) / cost.anchor_weight;
-            cost.anchor_weight *= change;
-            debug!("the anchors weigh {:.3}", cost.anchor_weight);
-            so_far = Some(followed(so_far, refinement));
-            let left = self.left(so_far.as_ref());
-            if stopped || left <= ROUGH_ITERATIONS || (1.0 / ALIKE..ALIKE).contains(&change) {
-                break;
-            }
-        }
-        let refinement = match so_far {
-            Some(stopped) if stopped.termination == Termination::Stopped => stopped,
-            so_far => {
-                let max_iterations = self.left(so_far.as_ref()).max(1);
-                let start = at_end(problem, so_far.as_ref());
-                followed(so_far.clone(), refine(&start, self, &cost, max_iterations, progress)?)
-            }
+        // Far from the minimum nearly all residuals are in the flat part of a loss: without one the way
+        // takes a fifth of the steps.
+        let plain = |cost: &CostOptions| CostOptions {
+            loss: Loss { kind: LossKind::None, ..cost.loss },
+            ..cost.clone()
         };
-        let refined = at_end(problem, Some(&refinement));
-        let uncertainty = solver::uncertainty(&refined, &cost, &self.type_rho_std_dev_px)?;
-        Ok(Refined { refinement, uncertainty, cost })
+        let mut rough = !cost.anchors.is_empty() || cost.loss.kind != LossKind::None;
+        let mut so_far: Option<Refinement> = None;
+        let mut attempt = 0;
+        loop {
+            attempt += 1;
+            let start = at_end(problem, so_far.as_ref());
+            let left = self.left(so_far.as_ref());
+            let used = if rough { plain(&cost) } else { cost.clone() };
+            let limit = if rough { ROUGH_ITERATIONS.min(left) } else { left };
+            let next = refine(&start, self, &used, limit, rough, progress)?;
+            let stopped = next.termination == Termination::Stopped;
+            let refinement = followed(so_far.take(), next);
+            let refined = at_end(problem, Some(&refinement));
+            let uncertainty = solver::uncertainty(&refined, &used, &self.type_rho_std_dev_px)?;
+            let change = uncertainty.dispersion.max(LEAST_WEIGHT) / cost.anchor_weight;
+            let settled = cost.anchors.is_empty() || (1.0 / ALIKE..ALIKE).contains(&change);
+            let done = stopped
+                || self.left(Some(&refinement)) == 0
+                || (!rough && (settled || attempt >= MAX_ATTEMPTS));
+            if done {
+                return Ok(Refined { refinement, uncertainty, cost });
+            }
+            if !cost.anchors.is_empty() {
+                cost.anchor_weight *= change;
+                debug!("the anchors weigh {:.3}", cost.anchor_weight);
+            }
+            rough = rough && !settled && attempt < MAX_ATTEMPTS / 2;
+            so_far = Some(refinement);
+        }
     }
-}
 
-impl Settings<'_> {
     /// Iterations that the options still allow.
     fn left(&self, so_far: Option<&Refinement>) -> usize {
         let done = so_far.map_or(0, |refinement| refinement.iterations.len().saturating_sub(1));
@@ -115,12 +119,14 @@ fn at_end<'a>(problem: &Problem<'a>, refinement: Option<&'a Refinement>) -> Prob
     refinement.map_or(*problem, |r| Problem { camera: &r.camera, poses: &r.poses, ..*problem })
 }
 
-/// Refines, and repeats if the tilt of a board turns out to have the other sign.
+/// Refines, and, unless it is a rough refinement, repeats if the tilt of a board turns out to have the
+/// other sign.
 fn refine(
     problem: &Problem,
     settings: &Settings,
     cost: &CostOptions,
     max_iterations: usize,
+    rough: bool,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Refinement> {
     let Settings { board, frames, options, .. } = settings;
@@ -134,7 +140,7 @@ fn refine(
     let solver = SolverOptions { max_iterations, ..options.solver };
     let mut refinement = solver::refine(problem, cost, &solver, progress)?;
     check_refined(&refinement)?;
-    for _ in 0..MAX_RECONSIDERATIONS {
+    for _ in 0..if rough { 0 } else { MAX_RECONSIDERATIONS } {
         if refinement.termination == Termination::Stopped {
             break;
         }
