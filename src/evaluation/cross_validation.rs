@@ -34,8 +34,8 @@ pub struct CrossValidation {
 
 impl CrossValidation {
     /// Standard deviation of every intrinsic parameter of the full calibration, by the jackknife over the
-    /// folds: √((k − 1)/k Σ (θᵢ − θ̄)²), in the order of [`PlenopticCamera::intrinsics`]. Unlike the
-    /// covariance it takes frames, not observations, as independent.
+    /// folds: √((k − 1)/k Σ (θᵢ − θ̄)²), in the order of [`PlenopticCamera::intrinsics`]. It takes frames, not
+    /// observations, as independent.
     #[must_use]
     pub fn jackknife_std_devs(&self) -> Vec<f64> {
         let values: Vec<Vec<f64>> = self.folds.iter().map(|f| f.camera.intrinsics()).collect();

@@ -194,7 +194,7 @@ pub(super) fn summary(calibration: &Calibration) -> String {
     let what = if calibration.cost.loss.kind == LossKind::None {
         "Measured noise per coordinate"
     } else {
-        "Spread per coordinate after weighting by the loss, on which σ rests (below the noise)"
+        "Measured noise per coordinate, large residuals weighted down by the loss"
     };
     let _ = writeln!(text, "{what}, px: {}.", sigmas.join("; "));
     if let (Some(m), Some(error)) = (calibration.m_mm, calibration.m_error()) {

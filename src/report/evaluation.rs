@@ -247,8 +247,7 @@ fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<HtmlTable
             .captioned("Cross-validation: frames reprojected by a camera calibrated without them"),
     ];
     let spread = spread.captioned(
-        "Standard deviations: from the covariance, which takes observations as independent, and from \
-         leaving frames out",
+        "Standard deviations: from the covariance, and from calibrations without the frames of a fold",
     );
     // Cameras of other programs come without standard deviations.
     tables.extend((!spread.rows.is_empty()).then_some(spread));
