@@ -56,7 +56,7 @@ pub enum Reason {
     FewFrames(usize),
     /// Few tilted boards.
     FewTilts {
-        /// Number of boards tilted by [`TILTED_RAD`] or more.
+        /// Number of boards tilted by 10° or more.
         tilted: usize,
         /// Number of boards.
         frames: usize,
