@@ -74,7 +74,7 @@ pub struct Arguments {
     /// [default: default].
     #[arg(long, value_parser = choice(ANCHORS), help_heading = "Estimation")]
     anchors: Option<bool>,
-    /// What you know of a parameter or of m, in the units of camera.json: F=50:0.5 for 50 ± 0.5 mm, or
+    /// What you know of a parameter or of m, in the units of camera.json: F=50:0.5 for 50 mm to 0.5 mm, or
     /// F=50:1%. Takes the place of a default anchor; F=none removes it.
     #[arg(
         long,
@@ -97,7 +97,7 @@ pub struct Arguments {
     #[arg(long, value_name = "PX", help_heading = "Estimation")]
     centers_std_dev: Option<f64>,
     /// Robust loss on the norm of every observation's residual [default: huber with a scale of 4 if
-    /// every feature has a σ of its own, else none].
+    /// every feature has a standard deviation of its own, else none].
     #[arg(long, value_parser = choice(LOSSES), help_heading = "Estimation")]
     loss: Option<LossKind>,
     /// Residual beyond which the loss acts, in standard deviations [default: 1].
