@@ -59,10 +59,10 @@ fn camera() -> PlenopticCamera {
         sensor: Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 },
         lattice: Lattice { packing: Packing::HexagonalRows(Parity::Even), columns: 43, rows: 37 },
         main_lens: MainLens {
-            focal_length_mm: 16.2,
             radial: [-2.0e-3, 1.0e-4, -4.0e-6],
             tangential: [-3.0e-4, 2.0e-4],
             setting: Some(LensSetting { f_number: 2.8, focus_distance_mm: 120.0 }),
+            ..MainLens::thin(16.2)
         },
         mla: MicroLensArray {
             principal_point_px: Vector2::new(520.0, 362.0),

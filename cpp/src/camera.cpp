@@ -39,6 +39,12 @@ void validate(const Camera& camera) {
   for (int i = 0; i < types; ++i) {
     require_positive(camera.micro_lens_focal_lengths[i], "f_" + std::to_string(i + 1) + " (mm)");
   }
+  const auto require_behind = [](double distance, const std::string& what) {
+    if (!is_positive(distance)) reject("the exit pupil (e_z) does not lie " + what);
+  };
+  require_behind(camera.mla.lens_to_mla + camera.exit_pupil.z, "before the array");
+  require_behind(camera.main_lens.focal_length + camera.exit_pupil.z,
+                 "before the rear focal point");
   for_each_parameter(camera, [](const std::string& name, double value) {
     if (!std::isfinite(value)) reject("the camera's " + name + " is not a finite number");
   });
@@ -52,7 +58,7 @@ bool project(const Camera& camera, const Pose& camera_from_board,
 
 Pixel<double> project_center(const Camera& camera, int k, int l) {
   const ArrayOptics<double> optics(camera.mla, camera.pixel_size);
-  return optics.micro_image_center(camera.lattice.node(k, l));
+  return optics.micro_image_center(camera.exit_pupil, camera.lattice.node(k, l));
 }
 
 }  // namespace plenocal

@@ -30,8 +30,8 @@ struct Box {
 
 // The part of the array from which an image point p' can be seen.
 //
-// With s_z the z of the sensor and R the point where the ray from O through p' meets the plane
-// z = C_z of micro-lens C, p' is seen at
+// With all coordinates from the middle P of the exit pupil, s_z the z of the sensor and R the point
+// where the ray from P through p' meets the plane z = C_z of micro-lens C, p' is seen at
 //   (s_z - C_z) p'_z / ((p'_z - C_z) C_z) (R - C),   R = p' C_z / p'_z,
 // from the centre of the micro-image. It is thus seen within a radius r if, in x and y,
 //   |p' C_z - C p'_z| <= r |p'_z - C_z| |C_z| / |s_z - C_z|.
@@ -42,12 +42,14 @@ class Sight {
  public:
   Sight(const Camera& camera, const ArrayOptics<double>& array, const Vector3<double>& image,
         double radius_px)
-      : image_(image),
-        sensor_z_(-(camera.mla.lens_to_mla + camera.mla.mla_to_sensor)),
+      : image_(difference(image, pupil(camera))),
+        sensor_z_(-(camera.mla.lens_to_mla + camera.mla.mla_to_sensor) - camera.exit_pupil.z),
         radius_mm_(radius_px * camera.pixel_size),
-        origin_(array.micro_lens_center({0.0, 0.0})),
-        step_x_(difference(array.micro_lens_center({1.0, 0.0}), origin_)),
-        step_y_(difference(array.micro_lens_center({0.0, 1.0}), origin_)) {}
+        origin_(difference(array.micro_lens_center({0.0, 0.0}), pupil(camera))),
+        step_x_(
+            difference(array.micro_lens_center({1.0, 0.0}), array.micro_lens_center({0.0, 0.0}))),
+        step_y_(
+            difference(array.micro_lens_center({0.0, 1.0}), array.micro_lens_center({0.0, 0.0}))) {}
 
   // The part of a box from which p' can be seen.
   Box within(const Box& box) const {
@@ -69,6 +71,11 @@ class Sight {
  private:
   static Vector3<double> difference(const Vector3<double>& a, const Vector3<double>& b) {
     return {a.x - b.x, a.y - b.y, a.z - b.z};
+  }
+
+  static Vector3<double> pupil(const Camera& camera) {
+    const auto& [x, y, z] = camera.exit_pupil;
+    return {x, y, z};
   }
 
   static double farthest(const Interval& z, double from) {
@@ -123,7 +130,8 @@ bool is_finite(const Vector3<double>& v) {
 }
 
 constexpr int kPoint = 3;
-constexpr int kMaxIntrinsics = kMainLensParameters + kArrayParameters + kMaxLensTypes;
+constexpr int kMaxIntrinsics =
+    kMainLensParameters + kExitPupilParameters + kArrayParameters + kMaxLensTypes;
 constexpr int kVariables = kPoint + kMaxIntrinsics;  // x, y, z, then the intrinsics in their order
 using Jet = ceres::Jet<double, kVariables>;
 using Jacobian = Eigen::Matrix<double, Eigen::Dynamic, kVariables, Eigen::RowMajor>;
@@ -137,7 +145,8 @@ std::array<Jet, N> variables(const std::array<double, N>& values, int first) {
 }
 
 Optics<Jet> variable_optics(const Camera& camera) {
-  constexpr int kFirstOfArray = kPoint + kMainLensParameters;
+  // Features do not depend on the exit pupil.
+  constexpr int kFirstOfArray = kPoint + kMainLensParameters + kExitPupilParameters;
   const auto lens = variables(to_block(camera.main_lens), kPoint);
   const auto array = variables(to_block(camera.mla), kFirstOfArray);
   std::array<double, kMaxLensTypes> values{};
@@ -203,7 +212,7 @@ std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera, const Vect
     reject("the margin inside a micro-image has to be finite and not negative");
   }
   const Optics<double> optics = optics_of(camera);
-  const double radius = 0.5 * optics.array.micro_image_pitch() - margin;
+  const double radius = 0.5 * optics.array.micro_image_pitch(camera.exit_pupil) - margin;
   Vector3<double> image;
   if (radius < 0.0 || !main_lens_image(optics.main_lens, point, &image) || !is_finite(image)) {
     return {};
@@ -222,7 +231,8 @@ std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera, const Vect
       const MicroLens micro_lens = micro_lens_of(camera, i.k, i.l);
       Feature<double> feature;
       if (!project_image(optics, image, micro_lens, &feature)) continue;
-      const Pixel<double> center = optics.array.micro_image_center(micro_lens.node);
+      const Pixel<double> center =
+          optics.array.micro_image_center(camera.exit_pupil, micro_lens.node);
       if (std::hypot(feature.u - center.u, feature.v - center.v) <= radius) seeing.push_back(i);
     }
   }
@@ -237,7 +247,8 @@ PointSensitivity point_sensitivity(const Camera& camera, const Vector3<double>& 
   const std::vector<MicroLensIndex> micro_lenses = micro_lenses_seeing(camera, point, margin);
 
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-  const int intrinsics = kMainLensParameters + kArrayParameters + camera.lens_types();
+  const int intrinsics =
+      kMainLensParameters + kExitPupilParameters + kArrayParameters + camera.lens_types();
   PointSensitivity result;
   result.micro_lenses = static_cast<int>(micro_lenses.size());
   result.by_intrinsics.assign(kPoint * intrinsics, kNan);

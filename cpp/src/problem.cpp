@@ -76,8 +76,8 @@ void require_anchor(const Anchor& anchor, const std::vector<std::string>& names,
     return std::find(fixed.begin(), fixed.end(), name) != fixed.end();
   };
   if (anchor.quantity == kSlopeName) {
-    if (is_fixed("F") && is_fixed("d") && is_fixed("D")) {
-      reject(text + " has no effect: F, d and D are fixed");
+    if (is_fixed("F") && is_fixed("d") && is_fixed("D") && is_fixed("e_z")) {
+      reject(text + " has no effect: F, d, D and e_z are fixed");
     }
     return;
   }
@@ -146,6 +146,7 @@ CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<P
                                        const Observations& observations, const CostOptions& options)
     : frame_(camera),
       lens_(to_block(camera.main_lens)),
+      exit_pupil_(to_block(camera.exit_pupil)),
       array_(to_block(camera.mla)),
       focal_lengths_(camera.micro_lens_focal_lengths) {
   validate_problem(camera, poses, observations, options);
@@ -175,6 +176,7 @@ CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<P
 
 std::vector<std::pair<double*, int>> CalibrationProblem::intrinsic_blocks() {
   std::vector<std::pair<double*, int>> blocks = {{lens_.data(), kMainLensParameters},
+                                                 {exit_pupil_.data(), kExitPupilParameters},
                                                  {array_.data(), kArrayParameters}};
   if (!focal_lengths_.empty()) {
     blocks.emplace_back(focal_lengths_.data(), static_cast<int>(focal_lengths_.size()));
@@ -242,7 +244,7 @@ void CalibrationProblem::add_centers(const Observations& observations, const Cos
     }
     auto cost =
         CenterResiduals::create(std::move(weighted), frame_.pixel_size, options.centers_loss);
-    add_block(std::move(cost), {array_.data()});
+    add_block(std::move(cost), {exit_pupil_.data(), array_.data()});
   }
 }
 
@@ -290,7 +292,8 @@ void CalibrationProblem::add_anchors(const CostOptions& options) {
     rows_.push_back({kAnchor, index, -1, -1, anchor.std_dev});
     const double weight = root / anchor.std_dev;
     if (anchor.quantity == kSlopeName) {
-      add_block(SlopeResidual::create(anchor.value, weight), {lens_.data(), array_.data()});
+      add_block(SlopeResidual::create(anchor.value, weight),
+                {lens_.data(), exit_pupil_.data(), array_.data()});
       continue;
     }
     const auto found = std::find(names.begin(), names.end(), anchor.quantity);
@@ -359,6 +362,7 @@ Eigen::VectorXd CalibrationProblem::state() const {
     next = std::copy(block.begin(), block.end(), next);
   };
   append(lens_);
+  append(exit_pupil_);
   append(array_);
   append(focal_lengths_);
   for (const auto& pose : poses_) append(pose);
@@ -372,6 +376,7 @@ void CalibrationProblem::set_state(const Eigen::VectorXd& state) {
     next += block.size();
   };
   take(lens_);
+  take(exit_pupil_);
   take(array_);
   take(focal_lengths_);
   for (auto& pose : poses_) take(pose);
@@ -380,6 +385,7 @@ void CalibrationProblem::set_state(const Eigen::VectorXd& state) {
 Camera CalibrationProblem::camera() const {
   Camera camera = frame_;
   camera.main_lens = from_block<MainLens>(lens_.data());
+  camera.exit_pupil = from_block<ExitPupil>(exit_pupil_.data());
   camera.mla = from_block<MicroLensArray>(array_.data());
   camera.micro_lens_focal_lengths = focal_lengths_;
   return camera;

@@ -106,6 +106,7 @@ class CalibrationProblem {
 
   Camera frame_;  // what is not a parameter: lattice, pixel size
   std::array<double, kMainLensParameters> lens_;
+  std::array<double, kExitPupilParameters> exit_pupil_;
   std::array<double, kArrayParameters> array_;
   std::vector<double> focal_lengths_;
   std::vector<std::array<double, Pose::kSize>> poses_;

@@ -15,14 +15,14 @@ TEST(Logging, LeavesTheLevelUnchanged) {
   for (int level : {google::GLOG_INFO, google::GLOG_FATAL}) {
     FLAGS_minloglevel = level;
     std::set<int> during;
-    refine(scene.camera, scene.poses, scene.observations, test::one_pitch(), {},
+    refine(scene.camera, scene.poses, scene.observations, test::paper(), {},
            [&during](const Iteration&) {
              during.insert(FLAGS_minloglevel);
              return true;
            });
     EXPECT_EQ(during, std::set<int>{level});
     EXPECT_EQ(FLAGS_minloglevel, level);
-    uncertainty(scene.camera, scene.poses, scene.observations, test::one_pitch());
+    uncertainty(scene.camera, scene.poses, scene.observations, test::paper());
     EXPECT_EQ(FLAGS_minloglevel, level);
   }
 }

@@ -193,7 +193,7 @@ TEST(PointSensitivity, CovarianceByHand) {
 TEST(PointSensitivity, PrincipalPointMovesThePointSideways) {
   const auto s = point_sensitivity(simple_camera(), kOnAxis, kNoise, 0.0);
   const Eigen::MatrixXd by_intrinsics = by_intrinsics_of(s);
-  constexpr int kU0 = kMainLensParameters;
+  constexpr int kU0 = kMainLensParameters + kExitPupilParameters;
   const Eigen::Vector3d by_u0(-1.0 / kDuDx, 0.0, 0.0), by_v0(0.0, -1.0 / kDuDx, 0.0);
   EXPECT_LT((by_intrinsics.col(kU0) - by_u0).norm(), 1e-12);
   EXPECT_LT((by_intrinsics.col(kU0 + 1) - by_v0).norm(), 1e-12);
@@ -209,7 +209,7 @@ TEST(PointSensitivity, RhoOfPinholesNeedsNoStdDev) {
 void expect_undetermined(const PointSensitivity& s, int micro_lenses) {
   const auto is_nan = [](double value) { return std::isnan(value); };
   EXPECT_EQ(s.micro_lenses, micro_lenses);
-  EXPECT_EQ(s.by_intrinsics.size(), 3 * 18);
+  EXPECT_EQ(s.by_intrinsics.size(), 3 * 22);
   EXPECT_TRUE(std::all_of(s.by_intrinsics.begin(), s.by_intrinsics.end(), is_nan));
   EXPECT_TRUE(std::all_of(s.covariance.begin(), s.covariance.end(), is_nan));
 }

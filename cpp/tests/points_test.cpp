@@ -146,8 +146,9 @@ class EveryArray : public testing::TestWithParam<Setup> {
 
   Indices scan(const Vector3<double>& point, double margin) const {
     const auto& mla = camera_.mla;
+    const double to_pupil = mla.lens_to_mla + camera_.exit_pupil.z;
     const double diameter = mla.pitch * std::sqrt(mla.pitch_ratio) / camera_.pixel_size *
-                            (mla.lens_to_mla + mla.mla_to_sensor) / mla.lens_to_mla;
+                            (to_pupil + mla.mla_to_sensor) / to_pupil;
     Indices indices;
     for (int l = 0; l < camera_.lattice.rows; ++l) {
       for (int k = 0; k < camera_.lattice.columns; ++k) {

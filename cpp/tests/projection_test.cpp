@@ -211,6 +211,36 @@ TEST(Projection, MicroImageCentreLiesOnTheRayFromTheMainLens) {
   expect_pixel(project_center(camera, 2, 2), 94.9576271186, 90.0847457627);
 }
 
+TEST(Projection, MicroImageCentreLiesOnTheRayFromTheExitPupil) {
+  // P = (1, -2, -9): (3, 2) at C = (-0.2, 0, -59), the sensor at z = -59.5. From P to C and on:
+  // x = 1 - 1.2 * 50.5/50 = -0.212, y = -2 + 2 * 50.5/50 = 0.02.
+  Camera camera = simple_camera();
+  camera.exit_pupil = {1.0, -2.0, -9.0};
+  expect_pixel(project_center(camera, 3, 2), 121.2, 78.0);
+  // Neighbours are 0.2 * 50.5/50 mm apart; p = 1 - 9/50 and m = 0.5 * 0.82 * 50/(2 * 50).
+  const ArrayOptics<double> optics(camera.mla, camera.pixel_size);
+  EXPECT_NEAR(optics.micro_image_pitch(camera.exit_pupil), 20.2, kRounding);
+  EXPECT_NEAR(pupil_magnification(camera.main_lens, camera.exit_pupil), 0.82, kRounding);
+  EXPECT_NEAR(micro_image_slope(camera.main_lens, camera.exit_pupil, camera.mla), 0.205, kRounding);
+  // Features do not depend on it.
+  Feature<double> feature{}, at_lens{};
+  EXPECT_TRUE(project(camera, at_distance(300), {3, 1.5, 0}, 2, 2, &feature));
+  EXPECT_TRUE(project(simple_camera(), at_distance(300), {3, 1.5, 0}, 2, 2, &at_lens));
+  expect_feature(feature, at_lens.u, at_lens.v, at_lens.rho);
+}
+
+TEST(Projection, CurvedFieldMovesImagesTowardsTheLens) {
+  // (3, 1.5, 300) is imaged at (-0.6, -0.3, -60); 0.4 mm^-1 * 0.45 mm^2 nearer, at -59.82.
+  MainLens<double> lens{};
+  lens.focal_length = 50.0;
+  lens.field_curvature = 0.4;
+  Vector3<double> image;
+  ASSERT_TRUE(main_lens_image(lens, {3.0, 1.5, 300.0}, &image));
+  EXPECT_NEAR(image.x, -0.6, kRounding);
+  EXPECT_NEAR(image.y, -0.3, kRounding);
+  EXPECT_NEAR(image.z, -59.82, kRounding);
+}
+
 TEST(Projection, IndicesGrowWithThePixels) {
   for (Packing packing :
        {Packing::kOrthogonal, Packing::kHexagonalRowsEven, Packing::kHexagonalRowsOdd,

@@ -141,8 +141,9 @@ TEST(CenterResiduals, ByHand) {
                                              {node, {85.8728813559322, 88.2336460211998}, 4.0},
                                              {node, {85.8728813559322, 88.2336460211998}, 0.5}},
                                             0.01, {});
+  const auto pupil = to_block(camera.exit_pupil);
   const auto array = to_block(camera.mla);
-  const auto residuals = evaluate(*cost, {array.data()});
+  const auto residuals = evaluate(*cost, {pupil.data(), array.data()});
   const double expected[] = {0, 0, -4, 2, -0.5, 0.25};
   for (int i = 0; i < 6; ++i) EXPECT_NEAR(residuals[i], expected[i], kRounding) << i;
 }
@@ -286,11 +287,12 @@ TEST(Gradients, Centers) {
     RandomObservations random(seed);
     const Camera camera = random.camera(3);
     const auto centers = random.centers(camera, 6);
+    const auto pupil = to_block(camera.exit_pupil);
     const auto array = to_block(camera.mla);
     for (LossKind loss : kLosses) {
       SCOPED_TRACE(testing::Message() << "seed " << seed << " loss " << static_cast<int>(loss));
       const auto cost = CenterResiduals::create(centers, camera.pixel_size, {loss, 1.0});
-      expect_gradients(*cost, {array.data()});
+      expect_gradients(*cost, {pupil.data(), array.data()});
     }
   }
 }
@@ -301,7 +303,8 @@ TEST(Gradients, AreFiniteWithoutRotationOrDistortion) {
   const auto cost = FeatureResiduals<3>::create({simple_feature(camera, 0, 0, 0)}, 0.01,
                                                 {LossKind::kCauchy, 1.0});
   const Blocks blocks(camera, kSimplePose);
-  std::array<double, 3 * 6> lens, pose;
+  std::array<double, 3 * 7> lens;
+  std::array<double, 3 * 6> pose;
   std::array<double, 3 * 11> array;
   std::array<double, 3 * 3> focal_lengths;
   double* jacobians[] = {lens.data(), array.data(), focal_lengths.data(), pose.data()};
@@ -342,14 +345,15 @@ TEST(Grouping, DoesNotChangeCenters) {
   RandomObservations random(8);
   const Camera camera = random.camera(3);
   const auto centers = random.centers(camera, 8);
+  const auto pupil = to_block(camera.exit_pupil);
   const auto array = to_block(camera.mla);
   for (LossKind kind : kLosses) {
     const Loss loss{kind, 1.0};
-    const auto group =
-        evaluate(*CenterResiduals::create(centers, camera.pixel_size, loss), {array.data()});
+    const auto group = evaluate(*CenterResiduals::create(centers, camera.pixel_size, loss),
+                                {pupil.data(), array.data()});
     for (std::size_t i = 0; i < centers.size(); ++i) {
-      const auto alone =
-          evaluate(*CenterResiduals::create({centers[i]}, camera.pixel_size, loss), {array.data()});
+      const auto alone = evaluate(*CenterResiduals::create({centers[i]}, camera.pixel_size, loss),
+                                  {pupil.data(), array.data()});
       for (int j = 0; j < 2; ++j) EXPECT_DOUBLE_EQ(group[2 * i + j], alone[j]);
     }
   }

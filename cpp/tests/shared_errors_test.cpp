@@ -16,7 +16,7 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using test::expect_names;
 using test::expect_near_relative;
-using test::one_pitch;
+using test::paper;
 using test::rejection;
 using test::Scene;
 
@@ -94,7 +94,7 @@ int index_of(const std::string& name) {
 
 TEST(Anchors, HoldAQuantity) {
   const Scene scene = noisy_scene();
-  CostOptions options = one_pitch();
+  CostOptions options = paper();
   options.anchors = {{"F", 50.5, 1e-8}, {kSlopeName, 0.141, 1e-9}};
   const Refinement r = refine(scene.camera, scene.poses, scene.observations, options, {});
   EXPECT_NEAR(r.camera.main_lens.focal_length, 50.5, 1e-6);
@@ -106,7 +106,7 @@ TEST(Anchors, GiveTheirOwnUncertaintyWhereObservationsHaveNone) {
   // weight.
   const Scene scene = test::make_scene(3);
   for (double weight : {1.0, 16.0}) {
-    CostOptions options = one_pitch();
+    CostOptions options = paper();
     options.uv_std_dev = options.rho_std_dev = options.centers_std_dev = 1e4;
     options.anchors = {{"F", 50.0, 1e-3}};
     options.anchor_weight = weight;
@@ -121,8 +121,8 @@ TEST(Anchors, GiveTheirOwnUncertaintyWhereObservationsHaveNone) {
 
 TEST(Anchors, LeaveTheMinimumAloneThatTheyAgreeWith) {
   const Scene scene = noisy_scene();
-  const Refinement without = refine(scene.camera, scene.poses, scene.observations, one_pitch(), {});
-  CostOptions options = one_pitch();
+  const Refinement without = refine(scene.camera, scene.poses, scene.observations, paper(), {});
+  CostOptions options = paper();
   options.anchors = {{"D", without.camera.mla.lens_to_mla, 0.01}};
   const Refinement with = refine(scene.camera, scene.poses, scene.observations, options, {});
   expect_near_relative(with.cost, without.cost, 1e-10, "cost");
@@ -132,7 +132,7 @@ TEST(Anchors, LeaveTheMinimumAloneThatTheyAgreeWith) {
 TEST(Anchors, ThatAreImpossibleAreNamed) {
   const Scene scene = test::make_scene(3);
   const auto message = [&](const Anchor& anchor) {
-    CostOptions options = one_pitch();
+    CostOptions options = paper();
     options.anchors = {anchor};
     return rejection([&] { refine(scene.camera, scene.poses, scene.observations, options, {}); });
   };
@@ -142,7 +142,7 @@ TEST(Anchors, ThatAreImpossibleAreNamed) {
   expect_names(message({"F", NAN, 1.0}), "finite");
   expect_names(message({"d", 0.3, INFINITY}), "d");
   expect_names(message({"dC_ratio", 1.0, 1.0}), "fixed");
-  CostOptions options = one_pitch();
+  CostOptions options = paper();
   options.anchor_weight = 0.0;
   expect_names(
       rejection([&] { uncertainty(scene.camera, scene.poses, scene.observations, options); }),
@@ -160,8 +160,8 @@ TEST(SharedErrors, AreSeenInWhatFramesContradictEachOther) {
     const double part = o.board_point.x / (0.0065 * scene.poses[o.frame].translation.z * 2.5);
     o.observed.u += bends[o.frame] * part * part;
   }
-  const Refinement r = refine(scene.camera, scene.poses, scene.observations, one_pitch(), {});
-  const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, one_pitch());
+  const Refinement r = refine(scene.camera, scene.poses, scene.observations, paper(), {});
+  const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, paper());
   ASSERT_TRUE(u.shared);
   for (const char* name : {"F", "D", "d", "P1"}) {
     const auto place =

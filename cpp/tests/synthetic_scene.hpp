@@ -29,7 +29,8 @@ inline Camera scene_camera(int types) {
   Camera camera;
   camera.lattice = {Packing::kHexagonalRowsEven, 20, 18};
   camera.pixel_size = 0.0055;
-  camera.main_lens = {50.0, {0.02, -0.005, 0.002}, {0.001, -0.002}};
+  camera.main_lens = {50.0, {0.02, -0.005, 0.002}, {0.001, -0.002}, 0.004};
+  camera.exit_pupil = {0.3, -0.2, -5.0};
   camera.mla = {{231.5, 182.25}, 0.3186, {0.004, -0.003, 0.002}, {0.011, -0.007}, 56.6576,
                 0.127505,        1.0};
   const std::vector<double> focal_lengths = {0.578154, 0.504456, 0.551667};
@@ -111,12 +112,13 @@ inline Camera with_intrinsics(Camera camera, const std::vector<double>& values) 
   return camera;
 }
 
-inline const std::vector<std::string> kOnePitch = {"dC_ratio"};
+/// Parameters that the paper's model does not have.
+inline const std::vector<std::string> kBeyondThePaper = {"kappa", "e_x", "e_y", "e_z", "dC_ratio"};
 
-/// The paper's model: one pitch for both axes.
-inline CostOptions one_pitch() {
+/// Only what is free in the paper's model is.
+inline CostOptions paper() {
   CostOptions options;
-  options.fixed = kOnePitch;
+  options.fixed = kBeyondThePaper;
   return options;
 }
 

@@ -18,7 +18,7 @@ TEST(Threads, RefinementsDoNotDisturbEachOther) {
   SolverOptions solver;
   solver.max_iterations = 5;
   const auto solve = [&] {
-    return refine(scene.camera, scene.poses, scene.observations, test::one_pitch(), solver).cost;
+    return refine(scene.camera, scene.poses, scene.observations, test::paper(), solver).cost;
   };
   const double alone = solve();
   std::vector<double> costs(kThreads, 0.0);
@@ -26,7 +26,7 @@ TEST(Threads, RefinementsDoNotDisturbEachOther) {
   for (double& cost : costs) {
     threads.emplace_back([&] {
       cost = solve();
-      uncertainty(scene.camera, scene.poses, scene.observations, test::one_pitch());
+      uncertainty(scene.camera, scene.poses, scene.observations, test::paper());
     });
   }
   for (std::thread& thread : threads) thread.join();

@@ -15,7 +15,7 @@ namespace {
 
 using test::expect_near_relative;
 using test::largest_difference;
-using test::one_pitch;
+using test::paper;
 using test::residuals;
 using test::Scene;
 
@@ -48,7 +48,7 @@ constexpr double kNoise[] = {0.1, 0.05, 0.02};  // px: u and v, rho, centres
 class AtMinimum : public testing::Test {
  protected:
   static CostOptions weights(const std::array<double, 3>& std_devs) {
-    CostOptions options = one_pitch();
+    CostOptions options = paper();
     options.uv_std_dev = std_devs[0];
     options.rho_std_dev = std_devs[1];
     options.centers_std_dev = std_devs[2];
@@ -90,6 +90,7 @@ class AtMinimum : public testing::Test {
 // Covariance of the same cost by Ceres, from a problem with one block per observation.
 Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options) {
   auto lens = to_block(scene.camera.main_lens);
+  auto pupil = to_block(scene.camera.exit_pupil);
   auto array = to_block(scene.camera.mla);
   auto focal_lengths = scene.camera.micro_lens_focal_lengths;
   std::vector<std::array<double, 6>> poses;
@@ -111,9 +112,11 @@ Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options)
   for (const CenterObservation& o : scene.observations.centers) {
     auto cost = CenterResiduals::create(
         {{lattice.node(o.k, o.l), o.observed, 1.0 / options.centers_std_dev}}, s, {});
-    problem.AddResidualBlock(cost.release(), nullptr, array.data());
+    problem.AddResidualBlock(cost.release(), nullptr, pupil.data(), array.data());
   }
+  problem.SetManifold(lens.data(), new ceres::SubsetManifold(7, {6}));     // kappa fixed
   problem.SetManifold(array.data(), new ceres::SubsetManifold(11, {10}));  // dC_ratio fixed
+  problem.SetParameterBlockConstant(pupil.data());
 
   std::vector<const double*> blocks = {lens.data(), array.data(), focal_lengths.data()};
   for (const auto& pose : poses) blocks.push_back(pose.data());
@@ -270,7 +273,7 @@ TEST(RankDeficiency, OneBoardAndNoCentresLeaveFiveDirectionsUndetermined) {
   constexpr int kOpen = 5;
   Scene scene = fronto_parallel();
   scene.observations.centers.clear();
-  const CostOptions options = one_pitch();
+  const CostOptions options = paper();
   const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, options);
   EXPECT_LE(u.rank, u.size - kOpen);
   EXPECT_GT(u.rank, 6);
@@ -286,7 +289,7 @@ TEST(RankDeficiency, OneBoardAndNoCentresLeaveFiveDirectionsUndetermined) {
 TEST(RankDeficiency, RefineStaysFinite) {
   Scene scene = fronto_parallel();
   scene.observations.centers.clear();
-  const Refinement result = refine(scene.camera, scene.poses, scene.observations, one_pitch(), {});
+  const Refinement result = refine(scene.camera, scene.poses, scene.observations, paper(), {});
   EXPECT_TRUE(std::isfinite(result.cost));
   EXPECT_LE(result.cost, result.initial_cost);
   for (double value : test::intrinsics(result.camera)) EXPECT_TRUE(std::isfinite(value));
@@ -307,7 +310,7 @@ Scene without_third_type() {
 
 TEST(RankDeficiency, UnobservedLensTypeIsFound) {
   const Scene scene = without_third_type();
-  const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, one_pitch());
+  const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, paper());
   EXPECT_EQ(u.rank, u.size - 1);
   expect_finite(u);
   EXPECT_EQ(u.information[kF3], 0.0);
@@ -316,9 +319,9 @@ TEST(RankDeficiency, UnobservedLensTypeIsFound) {
 // Its direction is that of the parameter alone, not zero.
 TEST(RankDeficiency, UnobservedLensTypeIsTheWeakestDirection) {
   const Scene scene = without_third_type();
-  const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, one_pitch());
+  const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, paper());
   EXPECT_NE(u.weakest[kF3], 0.0);
-  EXPECT_LT(sensitivity(scene, one_pitch(), u, 0, 0.001), kUnseen);
+  EXPECT_LT(sensitivity(scene, paper(), u, 0, 0.001), kUnseen);
 }
 
 }  // namespace

@@ -14,7 +14,7 @@ use crate::error::{Error, Result};
 use crate::model::{PlenopticCamera, intrinsic_parameters, optics};
 use crate::solver::Anchor;
 
-/// Name of |m| = dF/2D among the quantities of anchors.
+/// Name of |m| among the quantities of anchors.
 pub const SLOPE: &str = "m";
 /// Engraved focal lengths are rounded: a "50 mm" lens is often one of 51.6 mm.
 const ENGRAVED: f64 = 0.03;
@@ -117,7 +117,11 @@ fn default_anchors(start: &Start) -> Vec<(Anchor, AnchorSource)> {
 /// Whether a quantity depends on a parameter that is not fixed.
 fn is_free(quantity: &str, fixed: &[String]) -> bool {
     let is_fixed = |name: &str| fixed.iter().any(|fixed| fixed == name);
-    if quantity == SLOPE { !["F", "d", "D"].into_iter().all(is_fixed) } else { !is_fixed(quantity) }
+    if quantity == SLOPE {
+        !["F", "d", "D", "e_z"].into_iter().all(is_fixed)
+    } else {
+        !is_fixed(quantity)
+    }
 }
 
 /// An error that names an anchor that is not possible.

@@ -244,12 +244,7 @@ mod tests {
                 columns: 43,
                 rows: 37,
             },
-            main_lens: MainLens {
-                focal_length_mm: 16.2,
-                radial: [0.0; 3],
-                tangential: [0.0; 2],
-                setting: None,
-            },
+            main_lens: MainLens::thin(16.2),
             mla: MicroLensArray {
                 principal_point_px: Vector2::new(499.5, 374.5),
                 mla_to_sensor_mm: 0.33,

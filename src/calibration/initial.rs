@@ -9,13 +9,14 @@ use crate::model::{
 use crate::precalibration::MicroImageArray;
 
 /// The camera to start the refinement from. The array is placed so that the micro-image centres are
-/// reprojected onto the grid.
+/// reprojected onto the grid. The exit pupil lies on the axis at e_z = `exit_pupil_mm`.
 ///
 /// An error if a value is impossible.
 pub fn initial_camera(
     datasheet: &Datasheet,
     internal: &InternalParameters,
     grid: &MicroImageArray,
+    exit_pupil_mm: f64,
 ) -> Result<PlenopticCamera> {
     datasheet.validate()?;
     internal.validate(datasheet.lens_types)?;
@@ -26,30 +27,31 @@ pub fn initial_camera(
         datasheet.focus_distance_mm,
         internal.m_mm,
         datasheet.configuration,
+        exit_pupil_mm,
     );
-    if !(lens_to_mla > 0.0 && mla_to_sensor > 0.0) {
+    let pupil_to_mla = lens_to_mla + exit_pupil_mm;
+    if !(lens_to_mla > 0.0 && mla_to_sensor > 0.0 && pupil_to_mla > 0.0) {
         return Err(Error::invalid(format!(
-            "F = {} mm and m = {} mm leave no place for the array: D = {lens_to_mla} mm, d = \
-             {mla_to_sensor} mm",
+            "F = {} mm, m = {} mm and an exit pupil at {exit_pupil_mm} mm leave no place for the array: \
+             D = {lens_to_mla} mm, d = {mla_to_sensor} mm",
             datasheet.focal_length_mm, internal.m_mm
         )));
     }
-    let pitch = optics::micro_lens_pitch(micro_image_pitch, lens_to_mla, mla_to_sensor);
+    let pitch = optics::micro_lens_pitch(micro_image_pitch, pupil_to_mla, mla_to_sensor);
     let principal_point = datasheet.sensor.center_px();
-    // The centre of the array seen from O meets the sensor at the centre of the grid.
-    let shrink = lens_to_mla / (lens_to_mla + mla_to_sensor);
+    // The centre of the array seen from the pupil meets the sensor at the centre of the grid.
+    let shrink = pupil_to_mla / (pupil_to_mla + mla_to_sensor);
     let focal_length = |&q: &f64| optics::micro_lens_focal_length(q, pitch, mla_to_sensor);
     Ok(PlenopticCamera {
         sensor: datasheet.sensor,
         lattice: grid.lattice,
         main_lens: MainLens {
-            focal_length_mm: datasheet.focal_length_mm,
-            radial: [0.0; 3],
-            tangential: [0.0; 2],
             setting: Some(LensSetting {
                 f_number: datasheet.f_number,
                 focus_distance_mm: datasheet.focus_distance_mm,
             }),
+            exit_pupil_mm: Vector3::new(0.0, 0.0, exit_pupil_mm),
+            ..MainLens::thin(datasheet.focal_length_mm)
         },
         mla: MicroLensArray {
             principal_point_px: principal_point,

@@ -43,6 +43,9 @@ pub enum Start {
     Camera(PlenopticCamera),
 }
 
+/// Names of the intrinsic parameters that are not estimated unless asked for.
+pub const FIXED: [&str; 3] = ["e_x", "e_y", "dC_ratio"];
+
 /// All options of a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CalibrationOptions {
@@ -59,6 +62,9 @@ pub struct CalibrationOptions {
     pub default_anchors: bool,
     /// Quantities without a default anchor.
     pub not_anchored: Vec<String>,
+    /// e_z to begin with, or to keep if `cost` fixes it, mm: where a calibration from a datasheet takes the
+    /// exit pupil to be.
+    pub exit_pupil_mm: f64,
     /// Its minimisation.
     pub solver: SolverOptions,
     /// Frames that are not used.
@@ -70,10 +76,14 @@ impl Default for CalibrationOptions {
         Self {
             mode: Mode::default(),
             weights: Weights::default(),
-            cost: CostOptions::default(),
+            cost: CostOptions {
+                fixed: FIXED.map(str::to_owned).to_vec(),
+                ..CostOptions::default()
+            },
             automatic_loss: true,
             default_anchors: true,
             not_anchored: Vec::new(),
+            exit_pupil_mm: 0.0,
             solver: SolverOptions::default(),
             exclude_frames: Vec::new(),
         }
@@ -141,13 +151,15 @@ impl Start {
 }
 
 impl CalibrationOptions {
-    /// The calibration of the paper: every observation has the same weight, no loss, no anchors.
+    /// The calibration of the paper: every observation has the same weight, no loss, no anchors, the exit
+    /// pupil in the lens, a flat field.
     #[must_use]
     pub fn paper() -> Self {
         Self {
             weights: Weights::Unit,
             automatic_loss: false,
             default_anchors: false,
+            cost: CostOptions::default(),
             ..Self::default()
         }
     }

@@ -55,7 +55,7 @@ pub fn calibrate(
         observations.forget_std_devs();
     }
     check_observations(&start, board, &observations, options.mode)?;
-    let (initial, grid) = initial_and_grid(&start, &observations)?;
+    let (initial, grid) = initial_and_grid(&start, &observations, options.exit_pupil_mm)?;
     let mut frames = frames_with_poses(&initial, board, &observations, options)?;
     frames.left_out.extend(excluded);
 
@@ -104,7 +104,7 @@ pub fn calibrate(
 
 /// The camera that a calibration of these observations starts from.
 pub fn initial_from(start: &Start, observations: &Observations) -> Result<PlenopticCamera> {
-    start_camera(start, fitted_grid(start, observations)?.as_ref())
+    start_camera(start, fitted_grid(start, observations)?.as_ref(), 0.0)
 }
 
 /// The camera to start from and the grid of the centres, if there are any; an error unless they
@@ -112,12 +112,13 @@ pub fn initial_from(start: &Start, observations: &Observations) -> Result<Plenop
 fn initial_and_grid(
     start: &Start,
     observations: &Observations,
+    exit_pupil_mm: f64,
 ) -> Result<(PlenopticCamera, Option<MicroImageArray>)> {
     let grid = fitted_grid(start, observations)?;
     if let (Some(grid), Start::Datasheet(sheet, internal)) = (&grid, start) {
         check_stated_pitch(sheet, internal, grid)?;
     }
-    let initial = start_camera(start, grid.as_ref())?;
+    let initial = start_camera(start, grid.as_ref(), exit_pupil_mm)?;
     check_indices(&initial, grid.as_ref(), observations)?;
     Ok((initial, grid))
 }
@@ -128,10 +129,14 @@ fn fitted_grid(start: &Start, observations: &Observations) -> Result<Option<Micr
     (!centers.is_empty()).then(|| fit_grid(centers, kind, columns, rows)).transpose()
 }
 
-fn start_camera(start: &Start, grid: Option<&MicroImageArray>) -> Result<PlenopticCamera> {
+fn start_camera(
+    start: &Start,
+    grid: Option<&MicroImageArray>,
+    exit_pupil_mm: f64,
+) -> Result<PlenopticCamera> {
     match (start, grid) {
         (Start::Datasheet(datasheet, internal), Some(grid)) => {
-            initial_camera(datasheet, internal, grid)
+            initial_camera(datasheet, internal, grid, exit_pupil_mm)
         }
         (Start::Datasheet(..), None) => Err(Error::NoCenters),
         (Start::Camera(camera), Some(grid)) if camera.lattice != grid.lattice => {

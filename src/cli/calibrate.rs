@@ -7,11 +7,14 @@ use std::time::Instant;
 use clap::Args;
 use plenocal::assessment::assess;
 use plenocal::calibration::{Calibration, Mode, Weights, calibrate, termination_text};
-use plenocal::io::{self, AnchorsSection, CalibrationSection, OutputFolder, Pitches, compote};
+use plenocal::io::{
+    self, AnchorsSection, CalibrationSection, ExitPupil, FieldCurvature, OutputFolder, Pitches,
+    compote,
+};
 use plenocal::solver::{LossKind, Termination};
 use plenocal::{Error, Result, report};
 
-use super::choices::{ANCHORS, LOSSES, MODES, PITCHES, WEIGHTS, choice};
+use super::choices::{ANCHORS, FIELD_CURVATURES, LOSSES, MODES, PITCHES, WEIGHTS, choice};
 use super::input::{Files, Input};
 use super::progress;
 use super::talk::{print_result, say, warn, warn_of_calibration, warn_of_frames};
@@ -65,8 +68,16 @@ pub struct Arguments {
     /// One micro-lens pitch, or one along x and one along y [default: one].
     #[arg(long, value_parser = choice(PITCHES), help_heading = "Estimation")]
     pitches: Option<Pitches>,
-    /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, u0, v0, d,
-    /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3. (dC_ratio is fixed unless --pitches two.)
+    /// Where the exit pupil of the main lens is, on its axis: estimated; at-lens (the paper); or its distance
+    /// from the lens in mm, negative towards the array, to keep it there [default: estimated].
+    #[arg(long, value_name = "PLACE", help_heading = "Estimation")]
+    exit_pupil: Option<ExitPupil>,
+    /// How images of a plane are curved [default: estimated].
+    #[arg(long, value_parser = choice(FIELD_CURVATURES), help_heading = "Estimation")]
+    field_curvature: Option<FieldCurvature>,
+    /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, kappa, e_z, u0, v0, d,
+    /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3. (e_x and e_y are 0, and dC_ratio is fixed unless
+    /// --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Estimation")]
     fix: Option<Vec<String>>,
     /// What is known of the camera before any board is seen: the focal length of the datasheet to 3 %,
@@ -126,7 +137,8 @@ Examples:
       --centers centers.csv --features features.csv --out results
   plenocal calibrate project.toml --fix Q3,P1,P2 --exclude 3,7 --out results
   plenocal calibrate project.toml --anchor F=51.6:0.2,u0=none --out results
-  plenocal calibrate project.toml --anchors none --weights unit --loss none --out paper
+  plenocal calibrate project.toml --exit-pupil at-lens --field-curvature flat --anchors none \\
+      --weights unit --loss none --out paper
   plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
 
@@ -222,6 +234,8 @@ impl Arguments {
         Ok(CalibrationSection {
             mode: self.mode,
             pitches: self.pitches,
+            exit_pupil: self.exit_pupil,
+            field_curvature: self.field_curvature,
             fix: self.fix.clone(),
             exclude_frames: self.exclude.clone(),
             anchors: anchors_section(self.anchors, self.anchor.as_deref())?,

@@ -4,7 +4,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use plenocal::calibration::{Mode, Weights};
 use plenocal::detection::DepthEstimator;
 use plenocal::image::Color;
-use plenocal::io::Pitches;
+use plenocal::io::{FieldCurvature, Pitches};
 use plenocal::model::Subset;
 use plenocal::precalibration::RadiusEstimator;
 use plenocal::solver::LossKind;
@@ -25,6 +25,11 @@ pub const MODES: &[Choice<Mode>] = &[
 pub const PITCHES: &[Choice<Pitches>] = &[
     ("one", "One for both axes (the paper)", Pitches::One),
     ("two", "One along x, one along y", Pitches::Two),
+];
+
+pub const FIELD_CURVATURES: &[Choice<FieldCurvature>] = &[
+    ("estimated", "Images off the axis may be nearer to the lens", FieldCurvature::Estimated),
+    ("flat", "None (the paper)", FieldCurvature::Flat),
 ];
 
 pub const LOSSES: &[Choice<LossKind>] = &[

@@ -130,6 +130,7 @@ impl MicroImages {
             sheet.focus_distance_mm,
             internal.m_mm.abs(),
             sheet.configuration,
+            0.0,
         );
         let lens_to_sensor_px = (lens_to_mla + mla_to_sensor) / pixel_size_mm;
         let mla_to_sensor_px = mla_to_sensor / pixel_size_mm;

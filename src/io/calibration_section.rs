@@ -1,6 +1,7 @@
 //! `[calibration]` of a project file, and the same from the command line.
 
 use std::collections::BTreeMap;
+use std::str::FromStr;
 
 use serde::Deserialize;
 
@@ -116,6 +117,62 @@ pub enum Pitches {
     Two,
 }
 
+/// Where the exit pupil of the main lens is: `estimated`, `at-lens`, or e_z in mm.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(try_from = "ExitPupilText")]
+pub enum ExitPupil {
+    /// Estimated.
+    Estimated,
+    /// At this e_z, mm; at 0 in the paper.
+    At(f64),
+}
+
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "exit_pupil is \"estimated\", \"at-lens\", or e_z in mm")]
+enum ExitPupilText {
+    Number(f64),
+    Word(String),
+}
+
+impl TryFrom<ExitPupilText> for ExitPupil {
+    type Error = Error;
+
+    fn try_from(text: ExitPupilText) -> Result<Self> {
+        match text {
+            ExitPupilText::Number(place) => Ok(Self::At(place)),
+            ExitPupilText::Word(word) => word.parse(),
+        }
+    }
+}
+
+impl FromStr for ExitPupil {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        match text {
+            "estimated" => Ok(Self::Estimated),
+            "at-lens" => Ok(Self::At(0.0)),
+            number => match number.parse() {
+                Ok(place) if f64::is_finite(place) => Ok(Self::At(place)),
+                _ => Err(Error::invalid(format!(
+                    "'{text}' is no place for the exit pupil: write estimated, at-lens, or its \
+                     distance from the lens in mm, negative towards the array"
+                ))),
+            },
+        }
+    }
+}
+
+/// The curvature of the field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FieldCurvature {
+    /// Estimated.
+    Estimated,
+    /// None: the paper.
+    Flat,
+}
+
 /// `[calibration]`: everything is optional; the command line takes precedence.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -124,6 +181,10 @@ pub struct CalibrationSection {
     pub mode: Option<Mode>,
     /// One pitch or two.
     pub pitches: Option<Pitches>,
+    /// Where the exit pupil is.
+    pub exit_pupil: Option<ExitPupil>,
+    /// The curvature of the field.
+    pub field_curvature: Option<FieldCurvature>,
     /// Parameters that keep their value.
     pub fix: Option<Vec<String>>,
     /// What is known beforehand.
@@ -155,6 +216,8 @@ impl CalibrationSection {
         Self {
             mode: self.mode.or(other.mode),
             pitches: self.pitches.or(other.pitches),
+            exit_pupil: self.exit_pupil.or(other.exit_pupil),
+            field_curvature: self.field_curvature.or(other.field_curvature),
             fix: self.fix.or(other.fix),
             anchors: match (self.anchors, other.anchors) {
                 (Some(own), Some(other)) => Some(own.or(other)),
@@ -177,8 +240,16 @@ impl CalibrationSection {
     pub fn options(&self) -> CalibrationOptions {
         let mode = self.mode.unwrap_or_default();
         let mut options = CalibrationOptions { mode, ..CalibrationOptions::default() };
+        let fixed = &mut options.cost.fixed;
         if self.pitches == Some(Pitches::Two) {
-            options.cost.fixed.clear();
+            fixed.retain(|name| name != "dC_ratio");
+        }
+        if let Some(ExitPupil::At(place)) = self.exit_pupil {
+            options.exit_pupil_mm = place;
+            fixed.push("e_z".to_owned());
+        }
+        if self.field_curvature == Some(FieldCurvature::Flat) {
+            fixed.push("kappa".to_owned());
         }
         options.cost.fixed.extend(self.fix.iter().flatten().cloned());
         options.weights = self.weights.unwrap_or_default();

@@ -15,8 +15,9 @@ use crate::solver::Uncertainty;
 
 /// `format` of the file.
 pub const CAMERA_FORMAT: &str = "plenocal-camera";
-/// `version` of the file.
-pub const CAMERA_VERSION: u64 = 1;
+/// `version` of the file. Files of version 1 have neither an exit pupil nor a curvature of the field: both
+/// are 0.
+pub const CAMERA_VERSION: u64 = 2;
 
 #[derive(Serialize, Deserialize)]
 struct CameraFile {
@@ -94,10 +95,10 @@ pub fn read_std_devs(path: &Path, lens_types: usize) -> Result<Vec<Option<f64>>>
 /// The camera in a JSON document.
 pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     let version = value.get("version").and_then(Value::as_u64);
-    if version != Some(CAMERA_VERSION) {
+    if !version.is_some_and(|version| (1..=CAMERA_VERSION).contains(&version)) {
         return Err(Error::invalid(format!(
-            "this is a {CAMERA_FORMAT} file of version {}, but only version {CAMERA_VERSION} is \
-             known",
+            "this is a {CAMERA_FORMAT} file of version {}, but only versions up to \
+             {CAMERA_VERSION} are known",
             version.map_or("unknown".to_owned(), |v| v.to_string())
         )));
     }

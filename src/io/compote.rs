@@ -184,13 +184,13 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
         sensor,
         lattice,
         main_lens: MainLens {
-            focal_length_mm: file.main_lens.f.0,
             radial: file.distortions.radial.fixed("the radial distortion")?,
             tangential: file.distortions.tangential.fixed("the tangential distortion")?,
             setting: Some(LensSetting {
                 f_number: file.main_lens.aperture.0,
                 focus_distance_mm: file.dist_focus.0,
             }),
+            ..MainLens::thin(file.main_lens.f.0)
         },
         mla: MicroLensArray {
             principal_point_px: last_pixel(&sensor) + origin.xy() / sensor.pixel_size_mm,
@@ -345,6 +345,7 @@ pub fn parameters_document(internal: &InternalParameters, sheet: &Datasheet) -> 
         sheet.focus_distance_mm,
         internal.m_mm,
         sheet.configuration,
+        0.0,
     );
     let lambda = lens_to_mla / (lens_to_mla + mla_to_sensor);
     let side = if sheet.configuration == Configuration::Keplerian { 1.0 } else { -1.0 };

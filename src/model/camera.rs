@@ -48,17 +48,46 @@ impl Sensor {
     }
 }
 
-/// The main lens: thin, with Brown-Conrady distortion of the image point, in mm.
+/// The main lens: a thin lens with Brown-Conrady distortion of the image point, in mm, and a curved field.
+/// A thick lens does the same, with the origin at its image-side principal point, if all objects are moved
+/// along z by the distance between its principal planes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MainLens {
-    /// F, mm.
+    /// F, mm: what it is for light that fills the aperture of the images.
     pub focal_length_mm: f64,
     /// Q₁, Q₂, Q₃ in mm⁻², mm⁻⁴, mm⁻⁶.
     pub radial: [f64; 3],
     /// P₁, P₂ in mm⁻¹.
     pub tangential: [f64; 2],
+    /// κ, mm⁻¹: off the axis by r, images are nearer to the lens by κr².
+    pub field_curvature_per_mm: f64,
+    /// P = (e_x, e_y, e_z), mm: centre of the exit pupil in the camera frame, where the light of every
+    /// micro-image comes from; e_z is negative towards the array. The paper's lies in the lens, at 0.
+    pub exit_pupil_mm: Vector3<f64>,
     /// What the lens was set to; recorded only, the model does not use it.
     pub setting: Option<LensSetting>,
+}
+
+impl MainLens {
+    /// The lens of the paper without distortion: thin, its pupil in the lens, its field flat.
+    #[must_use]
+    pub fn thin(focal_length_mm: f64) -> Self {
+        Self {
+            focal_length_mm,
+            radial: [0.0; 3],
+            tangential: [0.0; 2],
+            field_curvature_per_mm: 0.0,
+            exit_pupil_mm: Vector3::zeros(),
+            setting: None,
+        }
+    }
+
+    /// p: diameter of the exit pupil over that of the entrance pupil, 1 + e_z/F. The one is the image of
+    /// the other, so that by Newton's equation the exit pupil lies pF before the rear focal point.
+    #[must_use]
+    pub fn pupil_magnification(&self) -> f64 {
+        1.0 + self.exit_pupil_mm.z / self.focal_length_mm
+    }
 }
 
 /// Setting of the main lens.
@@ -92,8 +121,8 @@ pub struct MicroLensArray {
     pub focal_lengths_mm: Vec<f64>,
 }
 
-/// A camera, calibrated or to be refined: the 16 + I parameters of the paper and the ratio of the
-/// two pitches.
+/// A camera, calibrated or to be refined: the 16 + I parameters of the paper, the curvature of the field,
+/// the exit pupil, and the ratio of the two pitches.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "CameraFields", into = "CameraFields")]
 pub struct PlenopticCamera {
@@ -134,12 +163,18 @@ impl PlenopticCamera {
         })
     }
 
-    /// δc: distance between neighbouring micro-image centres, px, Eq. (mlinterdist).
+    /// D + e_z: exit pupil to array, mm.
+    #[must_use]
+    pub fn pupil_to_mla_mm(&self) -> f64 {
+        self.mla.lens_to_mla_mm + self.main_lens.exit_pupil_mm.z
+    }
+
+    /// Δc: distance between neighbouring micro-image centres, px, Eq. (mlinterdist) with distances from
+    /// the exit pupil: ΔC (D + e_z + d)/(D + e_z).
     #[must_use]
     pub fn micro_image_pitch_px(&self) -> f64 {
-        let mla = &self.mla;
-        mla.pitch_mm * (mla.lens_to_mla_mm + mla.mla_to_sensor_mm)
-            / (mla.lens_to_mla_mm * self.sensor.pixel_size_mm)
+        let (mla, to_pupil) = (&self.mla, self.pupil_to_mla_mm());
+        mla.pitch_mm * (to_pupil + mla.mla_to_sensor_mm) / (to_pupil * self.sensor.pixel_size_mm)
     }
 
     /// Checks all values; an error names the one that is not possible.
@@ -153,6 +188,11 @@ impl PlenopticCamera {
         let mla = &self.mla;
         positive(self.main_lens.focal_length_mm, "the camera's F (mm)")?;
         positive(mla.lens_to_mla_mm, "the camera's D (mm)")?;
+        positive(self.pupil_to_mla_mm(), "the camera's D + e_z, exit pupil to array (mm),")?;
+        positive(
+            self.main_lens.pupil_magnification(),
+            "the camera's 1 + e_z/F, the magnification of its pupil,",
+        )?;
         positive(mla.mla_to_sensor_mm, "the camera's d (mm)")?;
         positive(mla.pitch_mm, "the camera's dC (mm)")?;
         positive(mla.pitch_ratio, "the camera's dC_ratio")?;

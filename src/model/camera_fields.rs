@@ -23,6 +23,11 @@ struct MainLensFile {
     q3_per_mm6: f64,
     p1_per_mm: f64,
     p2_per_mm: f64,
+    /// 0 in files from before there was one; likewise the exit pupil.
+    #[serde(default)]
+    field_curvature_per_mm: f64,
+    #[serde(default)]
+    exit_pupil_mm: [f64; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     f_number: Option<f64>,
     /// Left out when the lens was focused at infinity or the setting is not known.
@@ -62,6 +67,8 @@ impl From<PlenopticCamera> for CameraFields {
                 q3_per_mm6,
                 p1_per_mm,
                 p2_per_mm,
+                field_curvature_per_mm: lens.field_curvature_per_mm,
+                exit_pupil_mm: lens.exit_pupil_mm.into(),
                 f_number: lens.setting.map(|s| s.f_number),
                 // JSON has no infinity.
                 focus_distance_mm: focus.filter(|h| h.is_finite()),
@@ -101,6 +108,8 @@ impl TryFrom<CameraFields> for PlenopticCamera {
                 focal_length_mm: lens.focal_length_mm,
                 radial: [lens.q1_per_mm2, lens.q2_per_mm4, lens.q3_per_mm6],
                 tangential: [lens.p1_per_mm, lens.p2_per_mm],
+                field_curvature_per_mm: lens.field_curvature_per_mm,
+                exit_pupil_mm: Vector3::from(lens.exit_pupil_mm),
                 setting: lens.f_number.map(|f_number| LensSetting {
                     f_number,
                     focus_distance_mm: lens.focus_distance_mm.unwrap_or(f64::INFINITY),

@@ -21,12 +21,16 @@ pub fn focus_image_distance(focal_length: f64, focus_distance: f64) -> f64 {
 /// The main lens is focused at 2d behind the array (Galilean) or in front of it (Keplerian),
 /// D = H ∓ 2d, or on it (unfocused); the slope of the micro-image radii gives m = dF/2D,
 /// Eq. (miradiusfnumbermc). Together they give d = 2mH/(F ± 4m); the paper prints the Galilean case.
+///
+/// With the exit pupil at e_z, `exit_pupil`, m = d (F + e_z)/2(D + e_z) and
+/// d = 2m (H + e_z)/(F + e_z ± 4m).
 #[must_use]
 pub fn initial_distances(
     focal_length: f64,
     focus_distance: f64,
     m: f64,
     configuration: Configuration,
+    exit_pupil: f64,
 ) -> (f64, f64) {
     let image_distance = focus_image_distance(focal_length, focus_distance);
     let side = match configuration {
@@ -34,14 +38,16 @@ pub fn initial_distances(
         Configuration::Keplerian => -2.0,
         Configuration::Unfocused => 0.0,
     };
-    let mla_to_sensor = 2.0 * m * image_distance / (focal_length + 2.0 * side * m);
+    let mla_to_sensor =
+        2.0 * m * (image_distance + exit_pupil) / (focal_length + exit_pupil + 2.0 * side * m);
     (image_distance - side * mla_to_sensor, mla_to_sensor)
 }
 
-/// ΔC from Δc, Eq. (mlinterdist): ΔC = Δc · D/(D + d).
+/// ΔC from Δc, Eq. (mlinterdist): ΔC = Δc · D/(D + d), with D + e_z, from the exit pupil to the array, in
+/// the place of D.
 #[must_use]
-pub fn micro_lens_pitch(micro_image_pitch: f64, lens_to_mla: f64, mla_to_sensor: f64) -> f64 {
-    micro_image_pitch * lens_to_mla / (lens_to_mla + mla_to_sensor)
+pub fn micro_lens_pitch(micro_image_pitch: f64, pupil_to_mla: f64, mla_to_sensor: f64) -> f64 {
+    micro_image_pitch * pupil_to_mla / (pupil_to_mla + mla_to_sensor)
 }
 
 /// fᵢ = d ΔC/(2 q'ᵢ) (paper, section 5.1).
@@ -58,14 +64,15 @@ pub fn f_number_of_stop(stop: f64) -> f64 {
     (thirds / 3.0 / 2.0).exp2()
 }
 
-/// Ω of a known camera: |m| = dF/2D and q'ᵢ = d ΔC/(2 fᵢ), Eq. (miradiusfnumbermc), with Δc of
-/// Eq. (mlinterdist).
+/// Ω of a known camera: |m| = dpF/2(D + e_z), which is dF/2D with the pupil in the lens, and
+/// q'ᵢ = d ΔC/(2 fᵢ), Eq. (miradiusfnumbermc), with Δc of Eq. (mlinterdist).
 #[must_use]
 pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
-    let (focal_length, mla) = (camera.main_lens.focal_length_mm, &camera.mla);
+    let (lens, mla) = (&camera.main_lens, &camera.mla);
+    let exit_pupil_over_n = lens.pupil_magnification() * lens.focal_length_mm;
     let q_prime = |f: &f64| mla.mla_to_sensor_mm * mla.pitch_mm / (2.0 * f);
     InternalParameters {
-        m_mm: mla.mla_to_sensor_mm * focal_length / (2.0 * mla.lens_to_mla_mm),
+        m_mm: mla.mla_to_sensor_mm * exit_pupil_over_n / (2.0 * camera.pupil_to_mla_mm()),
         q_prime_mm: mla.focal_lengths_mm.iter().map(q_prime).collect(),
         micro_image_pitch_mm: Some(camera.micro_image_pitch_px() * camera.sensor.pixel_size_mm),
         m_std_dev_mm: None,
@@ -98,10 +105,13 @@ mod tests {
             (Configuration::Keplerian, -2.0),
             (Configuration::Unfocused, 0.0),
         ] {
-            let (lens_to_mla, mla_to_sensor) =
-                initial_distances(f, focus_distance, m, configuration);
-            assert!((lens_to_mla + side * mla_to_sensor - h).abs() < EXACT);
-            assert!((mla_to_sensor * f / (2.0 * lens_to_mla) - m).abs() < EXACT);
+            for exit_pupil in [0.0, 7.0, -12.0] {
+                let (lens_to_mla, mla_to_sensor) =
+                    initial_distances(f, focus_distance, m, configuration, exit_pupil);
+                assert!((lens_to_mla + side * mla_to_sensor - h).abs() < EXACT);
+                let slope = mla_to_sensor * (f + exit_pupil) / (2.0 * (lens_to_mla + exit_pupil));
+                assert!((slope - m).abs() < EXACT);
+            }
         }
     }
 
@@ -120,7 +130,7 @@ mod tests {
     #[test]
     fn r12_a_starts_from_the_published_values() {
         let (lens_to_mla, mla_to_sensor) =
-            initial_distances(50.0, 450.0, 0.140_595_540_400_431_76, Configuration::Galilean);
+            initial_distances(50.0, 450.0, 0.140_595_540_400_431_76, Configuration::Galilean, 0.0);
         let pitch = micro_lens_pitch(0.128_221_631_892_887_07, lens_to_mla, mla_to_sensor);
         assert_eq!(format!("{lens_to_mla:.4}"), "56.6576");
         assert_eq!(format!("{:.3}", mla_to_sensor * 1e3), "318.632");

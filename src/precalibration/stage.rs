@@ -65,7 +65,7 @@ impl PrecalibrationOptions {
     pub(super) fn obliquity(&self, m_mm: f64, micro_image_pitch_px: f64) -> Obliquity {
         let (focal_length, focus_distance) = self.lens_mm;
         let (_, mla_to_sensor) =
-            optics::initial_distances(focal_length, focus_distance, m_mm, self.configuration);
+            optics::initial_distances(focal_length, focus_distance, m_mm, self.configuration, 0.0);
         Obliquity {
             chief: Vector2::zeros(),
             inverse_distance: self.pixel_size_mm / mla_to_sensor,

@@ -139,10 +139,9 @@ mod tests {
 
     fn lens() -> ThinMainLens {
         ThinMainLens::new(&MainLens {
-            focal_length_mm: 50.0,
             radial: [-4e-5, 2e-7, 1e-10],
             tangential: [3e-5, -2e-5],
-            setting: None,
+            ..MainLens::thin(50.0)
         })
     }
 
@@ -166,10 +165,9 @@ mod tests {
     #[test]
     fn distortion_is_that_of_the_paper() {
         let lens = ThinMainLens::new(&MainLens {
-            focal_length_mm: 50.0,
             radial: [1e-3, 1e-4, 1e-5],
             tangential: [1e-2, 1e-3],
-            setting: None,
+            ..MainLens::thin(50.0)
         });
         let shift = lens.distortion_mm(Vector2::new(1.0, 2.0));
         let radial = 5e-3 + 25e-4 + 125e-5;

@@ -12,7 +12,7 @@ pub(crate) use bridge::{
     frame_information, point_sensitivities, project, project_centers, refine, uncertainty,
     visible_features,
 };
-pub use options::{Anchor, CostOptions, Loss, LossKind, SolverOptions};
+pub use options::{Anchor, BEYOND_THE_PAPER, CostOptions, Loss, LossKind, SolverOptions};
 pub(crate) use problem::{PointSensitivity, Problem, Projected, SolverCenter, SolverFeature};
 pub use refinement::{Iteration, Refinement, Termination};
 pub use synthetic::synthesize;

@@ -2,6 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Names of the intrinsic parameters that the paper's camera does not have: curvature of the field, exit
+/// pupil, a second pitch.
+pub const BEYOND_THE_PAPER: [&str; 5] = ["kappa", "e_x", "e_y", "e_z", "dC_ratio"];
+
 /// Shape of the loss on the norm of an observation's standardised residual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -56,14 +60,14 @@ pub struct CostOptions {
 }
 
 impl Default for CostOptions {
-    /// The paper's cost: 1 px each, no loss, one pitch, no anchors.
+    /// The paper's cost: 1 px each, no loss, no anchors, and only the paper's parameters free.
     fn default() -> Self {
         Self {
             uv_std_dev_px: 1.0,
             rho_std_dev_px: 1.0,
             centers_std_dev_px: 1.0,
             loss: Loss { kind: LossKind::None, scale: 1.0 },
-            fixed: vec!["dC_ratio".to_owned()],
+            fixed: BEYOND_THE_PAPER.map(str::to_owned).to_vec(),
             anchors: Vec::new(),
             anchor_weight: 1.0,
         }

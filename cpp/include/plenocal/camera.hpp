@@ -93,12 +93,16 @@ struct Lattice {
   }
 };
 
-/// The main lens: a thin lens with lateral Brown-Conrady distortion (paper, section 2.1).
+/// Where the main lens images points: a thin lens with lateral Brown-Conrady distortion (paper,
+/// section 2.1) and a curved image of a plane. A thick lens does the same, with O as its image-side
+/// principal point, if all objects are moved along z by the distance between its principal planes.
 template <typename T>
 struct MainLens {
-  T focal_length;   ///< F, mm
-  T radial[3];      ///< Q1, Q2, Q3 in mm^-2, mm^-4, mm^-6
-  T tangential[2];  ///< P1, P2 in mm^-1
+  T focal_length;     ///< F, mm
+  T radial[3];        ///< Q1, Q2, Q3 in mm^-2, mm^-4, mm^-6
+  T tangential[2];    ///< P1, P2 in mm^-1
+  T field_curvature;  ///< kappa, mm^-1: off the axis by r, images are nearer to the lens by kappa
+                      ///< r^2
 
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>
@@ -109,6 +113,23 @@ struct MainLens {
     f("Q3", self.radial[2]);
     f("P1", self.tangential[0]);
     f("P2", self.tangential[1]);
+    f("kappa", self.field_curvature);
+  }
+};
+
+/// Centre P of the exit pupil of the main lens in the camera frame, mm: where the light that
+/// reaches a micro-lens comes from. The paper's lies in the main lens, at O. z is negative towards
+/// the array.
+template <typename T>
+struct ExitPupil {
+  T x, y, z;
+
+  /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
+  template <typename Self, typename F>
+  static constexpr void visit(Self& self, F&& f) {
+    f("e_x", self.x);
+    f("e_y", self.y);
+    f("e_z", self.z);
   }
 };
 
@@ -140,7 +161,7 @@ struct MicroLensArray {
   }
 };
 
-/// Number of parameters of `MainLens` or `MicroLensArray`.
+/// Number of parameters of `MainLens`, `ExitPupil` or `MicroLensArray`.
 template <template <typename> class Part>
 constexpr int parameter_count() {
   const Part<double> part{};
@@ -149,8 +170,11 @@ constexpr int parameter_count() {
   return count;
 }
 constexpr int kMainLensParameters = parameter_count<MainLens>();
+constexpr int kExitPupilParameters = parameter_count<ExitPupil>();
 constexpr int kArrayParameters = parameter_count<MicroLensArray>();
 static_assert(sizeof(MainLens<double>) == kMainLensParameters * sizeof(double),
+              "every member is a parameter");
+static_assert(sizeof(ExitPupil<double>) == kExitPupilParameters * sizeof(double),
               "every member is a parameter");
 static_assert(sizeof(MicroLensArray<double>) == kArrayParameters * sizeof(double),
               "every member is a parameter");
@@ -178,6 +202,7 @@ struct Camera {
   Lattice lattice;
   double pixel_size = 0.0;  ///< s, mm
   MainLens<double> main_lens{};
+  ExitPupil<double> exit_pupil{};
   MicroLensArray<double> mla{};
   std::vector<double> micro_lens_focal_lengths;  ///< f_1 .. f_I, mm
 
@@ -191,11 +216,12 @@ constexpr int kMaxMicroLenses = 1 << 16;
 constexpr int kMaxLensTypes = 3;
 
 /// Calls f(name, parameter) for every intrinsic parameter of a `Camera` or `const Camera`: main
-/// lens, array, focal lengths. Indices of parameters always refer to this order. The name is a
-/// std::string or converts to one.
+/// lens, exit pupil, array, focal lengths. Indices of parameters always refer to this order. The
+/// name is a std::string or converts to one.
 template <typename AnyCamera, typename F>
 void for_each_parameter(AnyCamera& camera, F&& f) {
   MainLens<double>::visit(camera.main_lens, f);
+  ExitPupil<double>::visit(camera.exit_pupil, f);
   MicroLensArray<double>::visit(camera.mla, f);
   int type = 0;
   for (auto& focal_length : camera.micro_lens_focal_lengths) {
@@ -214,7 +240,8 @@ inline std::vector<std::string> intrinsic_names(int lens_types) {
 }
 
 /// Throws std::invalid_argument with the offending value unless the model is defined for the
-/// camera: sizes positive, everything finite, the number of lens types supported.
+/// camera: sizes positive, everything finite, the exit pupil between the array and the front focal
+/// point, the number of lens types supported.
 void validate(const Camera& camera);
 
 }  // namespace plenocal

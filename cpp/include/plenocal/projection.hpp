@@ -82,8 +82,9 @@ Vector2<T> distortion(const MainLens<T>& lens, const T& x, const T& y) {
           y * radial + t[1] * (r2 + 2.0 * y * y) + t[0] * xy};
 }
 
-/// p': image of a point in the camera frame through the main lens, K(F) and the distortion of
-/// Eq. (completemodel). False if the point is not beyond the focal plane.
+/// p': image of a point in the camera frame through the main lens: K(F) and the distortion of
+/// Eq. (completemodel), and the curvature of the field. False if the point is not beyond the focal
+/// plane.
 template <typename T>
 bool main_lens_image(const MainLens<T>& lens, const Vector3<T>& point, Vector3<T>* image) {
   const T beyond_focus = point.z - lens.focal_length;
@@ -92,14 +93,26 @@ bool main_lens_image(const MainLens<T>& lens, const Vector3<T>& point, Vector3<T
   const T x = magnification * point.x;
   const T y = magnification * point.y;
   const Vector2<T> shift = distortion(lens, x, y);
-  *image = {x + shift.x, y + shift.y, magnification * point.z};
+  *image = {x + shift.x, y + shift.y,
+            magnification * point.z + lens.field_curvature * (x * x + y * y)};
   return true;
 }
 
-/// |m| = dF/2D, mm: by how much the radius of a micro-image grows with 1/N, Eq. (miradiusfnumber).
+/// p: diameter of the exit pupil over that of the entrance pupil, p = 1 + e_z/F. The one is the
+/// image of the other, so that by Newton's equation the exit pupil lies pF before the rear focal
+/// point z = -F.
 template <typename T>
-T micro_image_slope(const MainLens<T>& lens, const MicroLensArray<T>& mla) {
-  return 0.5 * mla.mla_to_sensor * lens.focal_length / mla.lens_to_mla;
+T pupil_magnification(const MainLens<T>& lens, const ExitPupil<T>& pupil) {
+  return 1.0 + pupil.z / lens.focal_length;
+}
+
+/// |m| = d p F / 2(D + e_z), mm: by how much the radius of a micro-image grows with 1/N. With the
+/// pupil in the lens it is dF/2D, Eq. (miradiusfnumber); the entrance pupil has the diameter F/N.
+template <typename T>
+T micro_image_slope(const MainLens<T>& lens, const ExitPupil<T>& pupil,
+                    const MicroLensArray<T>& mla) {
+  return 0.5 * mla.mla_to_sensor * pupil_magnification(lens, pupil) * lens.focal_length /
+         (mla.lens_to_mla + pupil.z);
 }
 
 /// The geometry of micro-lenses and sensor, without the main lens. What does not depend on the
@@ -126,9 +139,12 @@ class ArrayOptics {
             axis_x_.z * node.x + axis_y_.z * node.y - mla_.lens_to_mla};
   }
 
-  /// Distance between neighbouring micro-image centres without tilt, px; if the pitches along u and
-  /// v differ, their geometric mean.
-  T micro_image_pitch() const { return 2.0 * half_diameter_px_ * (-sensor_z_ / mla_.lens_to_mla); }
+  /// Distance between neighbouring micro-image centres without tilt, px, Eq. (mlinterdist) with
+  /// distances from the exit pupil: Delta C (D + e_z + d)/(D + e_z). If the pitches along u and v
+  /// differ, their geometric mean.
+  T micro_image_pitch(const ExitPupil<T>& pupil) const {
+    return 2.0 * half_diameter_px_ * ((pupil.z - sensor_z_) / (pupil.z + mla_.lens_to_mla));
+  }
 
   /// (u, v) and `scale` = -delta/a: where the straight ray from p' through C meets the sensor
   /// plane. False if p' lies in the plane of the micro-lens.
@@ -148,11 +164,13 @@ class ArrayOptics {
     return half_diameter_px_ * ((center.z - sensor_z_) * inverse_focal_length + scale - 1.0);
   }
 
-  /// Centre of the micro-image of a micro-lens: where the ray from O through C meets the sensor.
-  Pixel<T> micro_image_center(const Node& node) const {
+  /// Centre of the micro-image of a micro-lens: where the ray from the middle P of the exit pupil
+  /// through C meets the sensor. It is finite where the micro-lens lies behind the pupil.
+  Pixel<T> micro_image_center(const ExitPupil<T>& pupil, const Node& node) const {
     const Vector3<T> center = micro_lens_center(node);
-    const T scale = sensor_z_ / center.z;
-    return {to_u(scale * center.x), to_v(scale * center.y)};
+    const T scale = (sensor_z_ - pupil.z) / (center.z - pupil.z);
+    return {to_u(pupil.x + scale * (center.x - pupil.x)),
+            to_v(pupil.y + scale * (center.y - pupil.y))};
   }
 
  private:

@@ -33,7 +33,7 @@ struct Observations {
   std::vector<CenterObservation> centers;
 };
 
-/// Name of |m| = dF/2D, mm (`micro_image_slope`), among the quantities of anchors.
+/// Name of |m|, mm (`micro_image_slope`), among the quantities of anchors.
 constexpr char kSlopeName[] = "m";
 
 /// What is known of a camera beforehand: one more residual, (quantity - value) / std_dev.
@@ -53,8 +53,8 @@ struct CostOptions {
   Loss features_loss;            ///< on |(u, v, rho)| of a feature
   Loss centers_loss;             ///< on |(u, v)| of a centre
   /// Names of intrinsic parameters that keep their value, see `intrinsic_names`; by default the
-  /// array has one pitch, as in the paper.
-  std::vector<std::string> fixed = {"dC_ratio"};
+  /// camera is the paper's: the exit pupil in the lens, a flat field, one pitch of the array.
+  std::vector<std::string> fixed = {"kappa", "e_x", "e_y", "e_z", "dC_ratio"};
   std::vector<Anchor> anchors;
   /// w: how many times larger the variance of what the observations say is than their sigma claims,
   /// see `Uncertainty::dispersion`. It keeps observations and anchors in proportion.

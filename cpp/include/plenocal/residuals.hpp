@@ -137,7 +137,7 @@ struct WeightedCenter {
   double weight;           ///< 1 / sigma, 1/px
 };
 
-/// Residuals (u, v) / sigma of micro-image centres, 2 each. Parameter block: array.
+/// Residuals (u, v) / sigma of micro-image centres, 2 each. Parameter blocks: exit pupil, array.
 class CenterResiduals {
  public:
   static constexpr int kResiduals = 2;
@@ -146,10 +146,13 @@ class CenterResiduals {
       : centers_(std::move(centers)), pixel_size_(pixel_size), loss_(loss) {}
 
   template <typename T>
-  PLENOCAL_FLATTEN bool operator()(const T* array, T* residuals) const {
-    const ArrayOptics<T> optics(from_block<MicroLensArray>(array), pixel_size_);
+  PLENOCAL_FLATTEN bool operator()(const T* exit_pupil, const T* array, T* residuals) const {
+    const auto pupil = from_block<ExitPupil>(exit_pupil);
+    const auto mla = from_block<MicroLensArray>(array);
+    if (!(pupil.z + mla.lens_to_mla > 0.0)) return false;
+    const ArrayOptics<T> optics(mla, pixel_size_);
     for (const WeightedCenter& c : centers_) {
-      const Pixel<T> pixel = optics.micro_image_center(c.node);
+      const Pixel<T> pixel = optics.micro_image_center(pupil, c.node);
       residuals[0] = (pixel.u - c.observed.u) * c.weight;
       residuals[1] = (pixel.v - c.observed.v) * c.weight;
       apply_loss(loss_, kResiduals, residuals);
@@ -162,8 +165,8 @@ class CenterResiduals {
   static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedCenter> centers,
                                                      double pixel_size, Loss loss) {
     const int n = kResiduals * static_cast<int>(centers.size());
-    return std::make_unique<
-        ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC, kArrayParameters>>(
+    return std::make_unique<ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC,
+                                                        kExitPupilParameters, kArrayParameters>>(
         new CenterResiduals(std::move(centers), pixel_size, loss), n);
   }
 
@@ -173,24 +176,24 @@ class CenterResiduals {
   Loss loss_;
 };
 
-/// Residual of an anchor on |m|. Parameter blocks: main lens, array.
+/// Residual of an anchor on |m|. Parameter blocks: main lens, exit pupil, array.
 class SlopeResidual {
  public:
   /// `value` in mm; `weight` is 1 / sigma, 1/mm.
   SlopeResidual(double value, double weight) : value_(value), weight_(weight) {}
 
   template <typename T>
-  bool operator()(const T* lens, const T* array, T* residual) const {
-    const T slope =
-        micro_image_slope(from_block<MainLens>(lens), from_block<MicroLensArray>(array));
+  bool operator()(const T* lens, const T* exit_pupil, const T* array, T* residual) const {
+    const T slope = micro_image_slope(from_block<MainLens>(lens), from_block<ExitPupil>(exit_pupil),
+                                      from_block<MicroLensArray>(array));
     residual[0] = (slope - value_) * weight_;
     return true;
   }
 
   /// A cost function of it.
   static std::unique_ptr<ceres::CostFunction> create(double value, double weight) {
-    return std::make_unique<
-        ceres::AutoDiffCostFunction<SlopeResidual, 1, kMainLensParameters, kArrayParameters>>(
+    return std::make_unique<ceres::AutoDiffCostFunction<SlopeResidual, 1, kMainLensParameters,
+                                                        kExitPupilParameters, kArrayParameters>>(
         new SlopeResidual(value, weight));
   }
 

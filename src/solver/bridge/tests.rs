@@ -16,10 +16,9 @@ fn camera(packing: Packing, columns: i32, rows: i32) -> PlenopticCamera {
         sensor: Sensor { width_px: 100, height_px: 80, pixel_size_mm: 0.0055 },
         lattice: Lattice { packing, columns, rows },
         main_lens: MainLens {
-            focal_length_mm: 50.0,
             radial: [1.0, 2.0, 3.0],
             tangential: [4.0, 5.0],
-            setting: None,
+            ..MainLens::thin(50.0)
         },
         mla: MicroLensArray {
             principal_point_px: Vector2::new(6.0, 7.0),
