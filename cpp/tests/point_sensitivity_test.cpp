@@ -144,8 +144,10 @@ TEST_P(EveryCamera, PointMovesWithTheIntrinsics) {
     const Eigen::MatrixXd actual = by_intrinsics_of(s);
     const Eigen::MatrixXd expected = Reconstruction(camera, point).by_intrinsics();
     for (std::size_t i = 0; i < names.size(); ++i) {
-      EXPECT_GT(expected.col(i).norm(), 0.0) << names[i];
-      EXPECT_LT((actual - expected).col(i).norm(), 1e-5 * expected.col(i).norm())
+      // Features do not depend on the exit pupil.
+      const bool is_pupil = names[i].rfind("e_", 0) == 0;
+      EXPECT_EQ(expected.col(i).norm() > 0.0, !is_pupil) << names[i];
+      EXPECT_LE((actual - expected).col(i).norm(), 1e-5 * expected.col(i).norm())
           << names[i] << " at " << point.z << " mm";
     }
   }

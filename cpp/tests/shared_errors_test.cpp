@@ -98,7 +98,8 @@ TEST(Anchors, HoldAQuantity) {
   options.anchors = {{"F", 50.5, 1e-8}, {kSlopeName, 0.141, 1e-9}};
   const Refinement r = refine(scene.camera, scene.poses, scene.observations, options, {});
   EXPECT_NEAR(r.camera.main_lens.focal_length, 50.5, 1e-6);
-  EXPECT_NEAR(micro_image_slope(r.camera.main_lens, r.camera.mla), 0.141, 1e-7);
+  EXPECT_NEAR(micro_image_slope(r.camera.main_lens, r.camera.exit_pupil, r.camera.mla), 0.141,
+              1e-7);
 }
 
 TEST(Anchors, GiveTheirOwnUncertaintyWhereObservationsHaveNone) {

@@ -241,6 +241,7 @@ constexpr double kUnseen = 1e-5;
 Scene fronto_parallel() {
   Scene scene{test::scene_camera(3), {{{0.0, 0.0, 0.0}, {0.1, -0.2, 300.0}}}, {}};
   scene.camera.mla.rotation = {0.0, 0.0, 0.0};
+  scene.camera.main_lens.field_curvature = 0.0;
   scene.observations = test::observe(scene.camera, scene.poses);
   test::add_noise(0.1, 0.05, 0.02, 31, &scene.observations);
   return scene;
