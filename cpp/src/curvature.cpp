@@ -13,8 +13,6 @@ using Eigen::VectorXd;
 // the weights claim.
 constexpr int kDirections = 4;
 constexpr double kStep = 1e-2;
-// The least curvature of a minimum, as a fraction of that of J'J.
-constexpr double kLeastCurvature = 0.05;
 
 // The state of a problem moved along a direction of the intrinsics, with the poses following.
 VectorXd moved(const CalibrationProblem& calibration, const VectorXd& state, const VectorXd& change,
@@ -35,8 +33,8 @@ MatrixXd with_second_order(const MatrixXd& information, const MatrixXd& second,
          dual * (0.5 * (within + within.transpose())) * dual.transpose();
 }
 
-// Whether the Hessian is positive along all directions, as it is at a minimum. Off it, J'J is the
-// better guess.
+// Whether the Hessian of the whole cost is positive along all directions, as it is at a minimum.
+// Off it, J'J is the better guess. Along the directions J'J is the identity, anchors included.
 bool is_minimum(const MatrixXd& directions, const std::vector<MatrixXd>& of_frames,
                 const std::vector<MatrixXd>& of_patches) {
   MatrixXd within = MatrixXd::Identity(directions.cols(), directions.cols());
@@ -52,6 +50,7 @@ Eliminated without_poses(const NormalEquations& equations) {
   const int p = equations.intrinsics;
   Eliminated result;
   result.patches = equations.patches;
+  result.anchors = equations.information[kAnchor].topLeftCorner(p, p);
   result.poses_by_intrinsics.resize(equations.size() - p, p);
   int first = 0;
   for (const Group& frame : equations.frames) {
@@ -69,7 +68,7 @@ Eliminated without_poses(const NormalEquations& equations) {
 
 Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
   const int p = static_cast<int>(groups.poses_by_intrinsics.cols());
-  MatrixXd information = MatrixXd::Zero(p, p);
+  MatrixXd information = groups.anchors;
   for (const Group& group : groups.frames) information += group.information;
   for (const Group& group : groups.patches) information += group.information;
   const ScaledInverse inverse(information);
