@@ -6,8 +6,8 @@ use nalgebra::Vector2;
 
 use crate::error::{Error, Result};
 use crate::model::{
-    Configuration, Datasheet, InternalParameters, LatticeKind, MicroImageCenter, ROW_DISTANCE,
-    Sensor, check_centers, optics,
+    Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, MicroImageCenter,
+    ROW_DISTANCE, Sensor, check_centers, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::vignetting::{Obliquity, Vignetting};
@@ -26,9 +26,9 @@ pub struct MicroImages {
     q_prime_px: Vec<f64>,
     /// The middle of the image, px.
     middle: Vector2<f64>,
-    /// D + d and, in the middle of the image, d, px; of the initial camera.
-    lens_to_sensor_px: f64,
-    mla_to_sensor_px: f64,
+    /// The fall-off of light over the image, and inside micro-images.
+    fall_off: FallOff,
+    within_per_px2: f64,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
     /// Vignetting by lens type and by growth of d.
@@ -134,6 +134,9 @@ impl MicroImages {
         );
         let lens_to_sensor_px = (lens_to_mla + mla_to_sensor) / pixel_size_mm;
         let mla_to_sensor_px = mla_to_sensor / pixel_size_mm;
+        let fall_off = internal
+            .fall_off
+            .unwrap_or_else(|| FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, middle));
         let growth_per_px = grid.perspective_per_px * (lens_to_sensor_px / mla_to_sensor_px);
         let most = growth_per_px.abs().dot(&middle);
         if most.is_nan() || most > MOST_GROWTH {
@@ -163,8 +166,8 @@ impl MicroImages {
             first_step: -last_step,
             q_prime_px,
             middle,
-            lens_to_sensor_px,
-            mla_to_sensor_px,
+            within_per_px2: fall_off.within_per_px2(lens_to_sensor_px / mla_to_sensor_px),
+            fall_off,
             growth_per_px,
         })
     }
@@ -227,8 +230,8 @@ impl MicroImages {
             q_prime_px: self.q_prime_px[lens_type] * (1.0 + growth),
             half_pitch_px: self.grid.pitch_px / 2.0,
             obliquity: Obliquity {
-                chief: from_middle / self.lens_to_sensor_px,
-                inverse_distance: 1.0 / (self.mla_to_sensor_px * (1.0 + growth)),
+                gradient_per_px: self.fall_off.gradient(place),
+                within_per_px2: self.within_per_px2,
                 half_pitch_px: self.grid.pitch_px / 2.0,
             },
             growth,

@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use super::observations_file::std_dev_text;
 use crate::error::{Error, Result};
-use crate::model::{InternalParameters, MicroImageCenter};
+use crate::model::{FallOff, InternalParameters, MicroImageCenter};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// `format` of the file.
@@ -28,6 +28,7 @@ struct InternalFile {
     q_prime_mm: Vec<f64>,
     micro_image_pitch_mm: Option<f64>,
     standard_deviations: Option<InternalStdDevs>,
+    fall_off: Option<FallOff>,
 }
 
 #[derive(Deserialize)]
@@ -106,6 +107,7 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
                 "m_mm": internal.parameters.m_std_dev_mm,
                 "q_prime_mm": internal.parameters.q_prime_std_dev_mm,
             },
+            "fall_off": internal.parameters.fall_off,
             "rms_px": internal.rms_px,
         }),
     );
@@ -138,6 +140,7 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
         micro_image_pitch_mm: internal.micro_image_pitch_mm,
         m_std_dev_mm: std_devs.as_ref().map(|s| s.m_mm),
         q_prime_std_dev_mm: std_devs.map(|s| s.q_prime_mm).unwrap_or_default(),
+        fall_off: internal.fall_off,
     })
 }
 

@@ -10,7 +10,7 @@ use super::read_text;
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
-    Board, Configuration, Datasheet, InternalParameters, LatticeKind, Sensor, optics,
+    Board, Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Sensor, optics,
 };
 
 /// A project file. Every table may be left out where a command gets its content another way.
@@ -95,6 +95,8 @@ pub struct InternalSection {
     /// σ of each q'ᵢ, mm.
     #[serde(default)]
     pub q_prime_std_dev_mm: Vec<f64>,
+    /// The fall-off of light.
+    pub fall_off: Option<FallOff>,
 }
 
 /// `[images]`
@@ -239,6 +241,7 @@ impl Project {
             micro_image_pitch_mm: section.micro_image_pitch_mm,
             m_std_dev_mm: section.m_std_dev_mm,
             q_prime_std_dev_mm: section.q_prime_std_dev_mm.clone(),
+            fall_off: section.fall_off,
         })
     }
 }

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::camera::{Sensor, check_array_size, check_lens_types};
 use super::checks::positive;
+use super::fall_off::FallOff;
 use super::lattice::LatticeKind;
 use crate::error::{Error, Result};
 
@@ -58,6 +59,8 @@ pub struct InternalParameters {
     pub m_std_dev_mm: Option<f64>,
     /// σ of each q'ᵢ, mm; empty where they are not known.
     pub q_prime_std_dev_mm: Vec<f64>,
+    /// The fall-off of light, where it was measured.
+    pub fall_off: Option<FallOff>,
 }
 
 impl Datasheet {

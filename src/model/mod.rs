@@ -8,6 +8,7 @@ mod camera_fields;
 mod checks;
 mod datasheet;
 mod display;
+mod fall_off;
 mod lattice;
 mod noise;
 mod observations;
@@ -23,6 +24,7 @@ pub use camera::{
 pub(crate) use checks::positive;
 pub use datasheet::{Configuration, Datasheet, InternalParameters};
 pub(crate) use display::{display_unit, signed, with_std_dev};
+pub use fall_off::FallOff;
 pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};
 pub use noise::{Noise, NoiseSource};
 pub(crate) use observations::check_centers;

@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, Vector2};
 
 use super::centers::{measure, nodes_in};
 use super::centroid::Blob;
-use super::grid::{MicroImageArray, fit_grid, fit_regular_grid};
+use super::grid::{MicroImageArray, fit_grid};
 use super::indexing::Indexing;
 use super::pattern::{Pattern, find_pattern, of_steps};
 use super::types::{LensTypes, judge_single};
@@ -123,11 +123,6 @@ impl FoundArray {
     pub fn index(&self, node: (i32, i32)) -> (i32, i32) {
         self.indexing.index(&self.pattern, node)
     }
-
-    /// The centre that a micro-image has in one of the white images.
-    pub fn center(&self, blob: &Blob) -> MicroImageCenter {
-        self.indexing.center(&self.pattern, blob.node, &blob.center, Some(blob.std_dev))
-    }
 }
 
 /// Finds and measures all micro-images, as [`measure_array`] does.
@@ -196,15 +191,6 @@ pub(super) fn fit_found(
     lattice: &Lattice,
 ) -> Result<MicroImageArray> {
     fit_grid(centers, lattice.kind(), lattice.columns, lattice.rows).map_err(|_| no_grid(centers))
-}
-
-/// The grid without perspective, which moves the middle: to compare images of one camera.
-pub(super) fn fit_found_regular(
-    centers: &[MicroImageCenter],
-    lattice: &Lattice,
-) -> Result<MicroImageArray> {
-    fit_regular_grid(centers, lattice.kind(), lattice.columns, lattice.rows)
-        .map_err(|_| no_grid(centers))
 }
 
 fn no_grid(centers: &[MicroImageCenter]) -> Error {

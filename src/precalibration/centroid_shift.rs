@@ -11,30 +11,13 @@
 //!     X = ⟨y · (y − M)⟩ / 2,
 //! ```
 //!
-//! the mean over the light that is not clipped. Pitch and centre measured at several f-numbers and
-//! extrapolated to X = 0 are free of it, whatever the law of the fall-off.
+//! the mean over the light that is not clipped: by −g X, g being the gradient of [`FallOff`], whatever its law.
+//!
+//! [`FallOff`]: crate::model::FallOff
 
 use nalgebra::Vector2;
 
 use crate::vignetting::Obliquity;
-
-/// The grid of a white image as its centroids show it.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ShiftedGrid {
-    /// X, the mean over its lens types, px².
-    pub x: f64,
-    pub pitch_px: f64,
-    pub center_px: Vector2<f64>,
-}
-
-/// The shift of centroids by X.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct CentroidShift {
-    /// Relative change of the pitch by X, 1/px².
-    pitch: f64,
-    /// Change of the centre by X, 1/px.
-    center: Vector2<f64>,
-}
 
 /// Number of points that a disc is sampled at.
 const POINTS: u32 = 160;
@@ -93,30 +76,6 @@ fn disc(radius: f64) -> Vec<Vector2<f64>> {
             Vector2::new(r * cos, r * sin)
         })
         .collect()
-}
-
-/// Smaller ranges of X (px²) determine no slope.
-const LEAST_RANGE: f64 = 0.5;
-
-/// Slopes of pitch and centre over X; 0 if X varies too little to determine them.
-pub(super) fn fit_shift(images: &[ShiftedGrid]) -> CentroidShift {
-    let count = images.len() as f64;
-    let mean_x = images.iter().map(|s| s.x).sum::<f64>() / count;
-    let spread = images.iter().map(|s| (s.x - mean_x).powi(2)).sum::<f64>();
-    if images.len() < 2 || (spread / count).sqrt() < LEAST_RANGE {
-        return CentroidShift::default();
-    }
-    let mean_pitch = images.iter().map(|s| s.pitch_px).sum::<f64>() / count;
-    let pitch = images.iter().map(|s| (s.x - mean_x) * s.pitch_px).sum::<f64>() / spread;
-    let center = images.iter().map(|s| s.center_px * (s.x - mean_x)).sum::<Vector2<f64>>() / spread;
-    CentroidShift { pitch: pitch / mean_pitch, center }
-}
-
-impl CentroidShift {
-    /// The measured centre of a micro-image with moment X, less its shift.
-    pub fn corrected(&self, measured: Vector2<f64>, middle: &Vector2<f64>, x: f64) -> Vector2<f64> {
-        measured - (self.center + (measured - middle) * self.pitch) * x
-    }
 }
 
 #[cfg(test)]

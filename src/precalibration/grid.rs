@@ -82,7 +82,7 @@ pub fn fit_grid(
 }
 
 /// Fits the grid without perspective, else like [`fit_grid`].
-pub(super) fn fit_regular_grid(
+fn fit_regular_grid(
     centers: &[MicroImageCenter],
     kind: LatticeKind,
     columns: i32,

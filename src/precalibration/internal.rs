@@ -79,6 +79,7 @@ pub(super) fn fit_internal(
             micro_image_pitch_mm: Some(2.0 * half_pitch),
             m_std_dev_mm: Some(std_dev(0)),
             q_prime_std_dev_mm: (0..types).map(|i| std_dev(1 + i)).collect(),
+            fall_off: None,
         },
         rms_px: (sum / rows as f64).sqrt(),
     })

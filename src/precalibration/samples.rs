@@ -13,6 +13,7 @@ use super::stage::{PrecalibrationOptions, White};
 use crate::error::{Error, Result};
 use crate::image::{Grey, Image};
 use crate::model::{InternalParameters, LatticeKind};
+use crate::vignetting::Obliquity;
 
 /// Patterns of one camera at two f-numbers agree in pitch within this part, and in place within so
 /// many pitches: oblique light changes both by less.
@@ -88,19 +89,19 @@ impl<'a> Samples<'a> {
         self.whites.par_iter().zip(&self.samples).map(of_white).collect()
     }
 
-    /// The radii once more, now that the angles are known at which the light of the profiles arrives.
+    /// The radii once more, now that it is known how light falls off with its angle.
     pub fn oblique(
         &self,
         radii: &[Vec<TypeRadius>],
         internal: &InternalParameters,
-        micro_image_pitch_px: f64,
+        obliquity: &Obliquity,
     ) -> Vec<Vec<TypeRadius>> {
-        let obliquity = self.options.obliquity(internal.m_mm, micro_image_pitch_px);
+        let half_pitch_px = obliquity.half_pitch_px;
         let pixel = self.options.pixel_size_mm;
         let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
             let pupil_px = internal.m_mm / white.f_number / pixel;
             let again = |(radius, q_prime): (&TypeRadius, &f64)| {
-                radius.oblique(pupil_px, q_prime / pixel - micro_image_pitch_px / 2.0, &obliquity)
+                radius.oblique(pupil_px, q_prime / pixel - half_pitch_px, obliquity)
             };
             radii.iter().zip(&internal.q_prime_mm).map(again).collect()
         };

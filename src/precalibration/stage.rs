@@ -9,13 +9,14 @@ use super::checks::{
     contradictions, different_aperture, disagreeing_types, doubtful_colors, named, reference_of,
 };
 use super::correction::{Moments, corrected_array};
+use super::fall_off::known_fall_off;
 use super::internal::{InternalFit, RadiusMeasurement};
 use super::radii::{RadiusEstimator, profile_at};
 use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
 use crate::image::RawImage;
-use crate::model::{Configuration, Datasheet, optics, positive};
+use crate::model::{Configuration, Datasheet, FallOff, optics, positive};
 use crate::vignetting::Obliquity;
 
 /// A white image.
@@ -61,14 +62,20 @@ impl PrecalibrationOptions {
         }
     }
 
-    /// Angles of the light in the middle of the image, for a slope m of the radii.
-    pub(super) fn obliquity(&self, m_mm: f64, micro_image_pitch_px: f64) -> Obliquity {
+    /// D + d and d for a slope m of the radii, with the pupil in the lens, px.
+    pub(super) fn distances_px(&self, m_mm: f64) -> (f64, f64) {
         let (focal_length, focus_distance) = self.lens_mm;
-        let (_, mla_to_sensor) =
+        let (lens_to_mla, mla_to_sensor) =
             optics::initial_distances(focal_length, focus_distance, m_mm, self.configuration, 0.0);
+        ((lens_to_mla + mla_to_sensor) / self.pixel_size_mm, mla_to_sensor / self.pixel_size_mm)
+    }
+
+    /// The fall-off in the middle of the image, for a slope m of the radii.
+    fn obliquity(&self, m_mm: f64, micro_image_pitch_px: f64, fall_off: &FallOff) -> Obliquity {
+        let (lens_to_sensor_px, mla_to_sensor_px) = self.distances_px(m_mm);
         Obliquity {
-            chief: Vector2::zeros(),
-            inverse_distance: self.pixel_size_mm / mla_to_sensor,
+            gradient_per_px: Vector2::zeros(),
+            within_per_px2: fall_off.within_per_px2(lens_to_sensor_px / mla_to_sensor_px),
             half_pitch_px: micro_image_pitch_px / 2.0,
         }
     }
@@ -124,20 +131,30 @@ pub fn precalibrate(
     // The sizes of the discs decide how far centroids are shifted, whatever estimator is asked for.
     let seen_pitch_px = found.array.grid.pitch_px;
     let straight = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
-    let by_profile = samples.oblique(&by_profile, &straight.parameters, seen_pitch_px);
+    let m_mm = straight.parameters.m_mm;
+    let (fall_off, unknown_fall_off) =
+        known_fall_off(&found, &samples, reference, &straight.parameters, options);
+    let obliquity = options.obliquity(m_mm, seen_pitch_px, &fall_off);
+    let by_profile = samples.oblique(&by_profile, &straight.parameters, &obliquity);
     let oblique = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
-    let moments = Moments { internal: &oblique.parameters, grid: &found.array.grid, options };
+    let moments = Moments {
+        internal: &oblique.parameters,
+        obliquity: &obliquity,
+        grid: &found.array.grid,
+        options,
+    };
     let (middle, pattern) = samples.middle_of(&grey, &found.pattern);
     let profiles: Vec<_> =
         samples.nodes.par_iter().map(|nodes| profile_at(&middle, &pattern, nodes)).collect();
     let (array, pitch_correction) =
-        corrected_array(&found, &samples, &moments, &by_profile, (reference, &profiles))?;
+        corrected_array(&found, &fall_off, &moments, (reference.f_number, &profiles))?;
 
     let mut radii = match options.estimator {
         RadiusEstimator::Profile => samples.measurements(&by_profile),
         RadiusEstimator::Moments => samples.measurements(&samples.radii(RadiusEstimator::Moments)?),
     };
-    let internal = samples.fit_internal(&mut radii, array.grid.pitch_px)?;
+    let mut internal = samples.fit_internal(&mut radii, array.grid.pitch_px)?;
+    internal.parameters.fall_off = Some(fall_off);
     let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
     let wrong_aperture = match wrong_f_number {
@@ -147,7 +164,9 @@ pub fn precalibrate(
     let warnings = doubtful_colors(whites)
         .into_iter()
         .chain(
-            [wrong_f_number, wrong_aperture, disagreeing_types(&lens_types)].into_iter().flatten(),
+            [wrong_f_number, wrong_aperture, disagreeing_types(&lens_types), unknown_fall_off]
+                .into_iter()
+                .flatten(),
         )
         .collect();
     let measured =

@@ -159,6 +159,7 @@ impl Tracer {
             micro_image_pitch_mm: Some(pitch),
             m_std_dev_mm: None,
             q_prime_std_dev_mm: Vec::new(),
+            fall_off: None,
         }
     }
 

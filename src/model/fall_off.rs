@@ -1,0 +1,46 @@
+//! How light falls off with its angle, inside micro-images and over the sensor.
+
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+
+/// The fall-off of light as white images show it, whatever its law.
+///
+/// Light that comes through the point M of a micro-lens to the point y of its micro-image, both from their
+/// middles, changes by exp(−g(c)·(y − M)) to first order, with the gradient g(c) = G (c − c₀) for the
+/// micro-image at c. A law cosⁿ of the angle of incidence has G = n/d(D + e_z + d): of two micro-images the
+/// one that lies further out is seen at a larger angle. c₀ is where light arrives at a right angle.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FallOff {
+    /// G, px⁻².
+    pub growth_per_px2: f64,
+    /// Its σ, px⁻²; 0 where the law is assumed.
+    pub std_dev_per_px2: f64,
+    /// c₀, px.
+    pub middle_px: [f64; 2],
+}
+
+impl FallOff {
+    /// The cos⁴ law of a sensor without any other: for d, from array to sensor, and for D + e_z + d, from
+    /// pupil to sensor, px.
+    #[must_use]
+    pub fn cos4(mla_to_sensor_px: f64, pupil_to_sensor_px: f64, middle_px: Vector2<f64>) -> Self {
+        Self {
+            growth_per_px2: 4.0 / (mla_to_sensor_px * pupil_to_sensor_px),
+            std_dev_per_px2: 0.0,
+            middle_px: middle_px.into(),
+        }
+    }
+
+    /// H = n/d², px⁻², by how much light falls off inside a micro-image, from G = n/d(D + e_z + d) and the
+    /// ratio (D + e_z + d)/d.
+    #[must_use]
+    pub fn within_per_px2(&self, pupil_to_sensor_over_d: f64) -> f64 {
+        self.growth_per_px2 * pupil_to_sensor_over_d
+    }
+
+    /// g of the micro-image at a place, px⁻¹.
+    #[must_use]
+    pub fn gradient(&self, place_px: &Vector2<f64>) -> Vector2<f64> {
+        (place_px - Vector2::from(self.middle_px)) * self.growth_per_px2
+    }
+}

@@ -1,0 +1,316 @@
+//! The fall-off of light with its angle, from how lopsided micro-images of white targets are.
+//!
+//! A micro-image off the axis is brighter on one side. Its light is the mean light of all micro-images of
+//! its type at the distance r from its centre, Ī(r), times 1 − g·(y − M), where the pixel y sees the pupil
+//! through the part of the micro-lens about M. A centre that is off by δ makes it lopsided too, by −δ·Ī′ along
+//! the radius. The two differ in how they change with r, so both are fitted, and no other centre is needed:
+//! g is the same whatever window and centroid were used, whether part of the light is clipped or not.
+//! Pixels of all micro-images of a type have the same design, up to the grid of pixels; the plane g(c) = G (c −
+//! c₀) through all of them gives G with its σ.
+
+use nalgebra::{Matrix3, SVector, Vector1, Vector2, Vector3};
+use rayon::prelude::*;
+use tracing::debug;
+
+use super::array::FoundArray;
+use super::centers::part_with;
+use super::centroid::{Blob, pixels_about};
+use super::samples::Samples;
+use super::stage::{PrecalibrationOptions, White};
+use crate::image::Grey;
+use crate::model::{FallOff, InternalParameters};
+use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
+use crate::vignetting::overlap;
+
+/// Light is used up to this distance from the centre, in pitches: beyond, neighbours may begin.
+const REACH: f64 = 0.46;
+/// Width of the rings that the mean light is taken over, px.
+const RING_PX: f64 = 0.25;
+/// Samples above this part of full scale may be clipped; so may the mean of a ring with one.
+const CLIPPED: f32 = 0.97;
+/// Variance of a pixel without light, over that of the brightest.
+const READ_NOISE: f64 = 0.02;
+/// So many micro-images of the reference give G to about a per cent.
+const SAMPLE: usize = 3000;
+/// Fewest pixels that determine the five numbers of a micro-image.
+const FEWEST: usize = 30;
+/// Fewest micro-images for a plane.
+const FEWEST_GRADIENTS: usize = 30;
+/// Gradients this many times further than the typical one from the plane are dust and faults.
+const OUTLIERS: Outliers =
+    Outliers { weight: Weight::Cut, scale: Scale::PerAxis, scales: 4.0, least: 0.0, slack: 1e-12 };
+/// Rounds of the fit.
+const ROUNDS: usize = 4;
+
+/// The discs of pupil and blur, by white image.
+struct Discs {
+    /// a, px.
+    pupil_px: f64,
+    /// qᵢ with its sign, by lens type, px.
+    q_px: Vec<f64>,
+    /// Δc/2, px.
+    half_pitch_px: f64,
+}
+
+impl Discs {
+    /// Of an image at this f-number.
+    fn new(internal: &InternalParameters, f_number: f64, pitch_px: f64, pixel_mm: f64) -> Self {
+        Self {
+            pupil_px: internal.m_mm / f_number / pixel_mm,
+            q_px: internal.q_prime_mm.iter().map(|q| q / pixel_mm - pitch_px / 2.0).collect(),
+            half_pitch_px: pitch_px / 2.0,
+        }
+    }
+
+    /// |y − M| for a pixel at distance r, outwards: through which part of the micro-lens it sees the pupil.
+    fn from_lens(&self, lens_type: usize, r: f64) -> f64 {
+        let q = self.q_px[lens_type];
+        let size = q.abs().max(1e-6);
+        // Where nothing is visible there is no light either.
+        let mean = overlap(r / size, self.pupil_px / size).map_or(1.0, |part| part.mean);
+        r + mean * q.signum() * self.half_pitch_px
+    }
+}
+
+/// How lopsided a micro-image is.
+#[derive(Debug, Clone, Copy)]
+struct Gradient {
+    place: Vector2<f64>,
+    /// g, px⁻¹, and one over its variance per axis.
+    value: Vector2<f64>,
+    weight: f64,
+}
+
+/// A fall-off is known if its σ is below this part of that of cos⁴: corners near the border of an R12 are then
+/// right to 0.01 px.
+const KNOWN: f64 = 0.2;
+
+/// The fall-off that white images show, or else that of cos⁴ with a warning.
+pub(super) fn known_fall_off(
+    found: &FoundArray,
+    samples: &Samples,
+    reference: &White,
+    internal: &InternalParameters,
+    options: &PrecalibrationOptions,
+) -> (FallOff, Option<String>) {
+    let pitch_px = found.array.grid.pitch_px;
+    let discs = |f_number| Discs::new(internal, f_number, pitch_px, options.pixel_size_mm);
+    let of_whites: Vec<Discs> = samples.whites.iter().map(|white| discs(white.f_number)).collect();
+    let of_reference = (reference, &discs(reference.f_number));
+    let measured = measured_fall_off(found, samples, of_reference, &of_whites);
+    let (lens_to_sensor_px, mla_to_sensor_px) = options.distances_px(internal.m_mm);
+    let (width, height) = (reference.image.width as f64, reference.image.height as f64);
+    let middle = Vector2::new(width - 1.0, height - 1.0) / 2.0;
+    let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, middle);
+    if let Some(measured) = measured {
+        debug!(
+            "light falls off by {:.3} ± {:.3} of cos⁴ over the image",
+            measured.growth_per_px2 / cos4.growth_per_px2,
+            measured.std_dev_per_px2 / cos4.growth_per_px2
+        );
+        if measured.std_dev_per_px2 < KNOWN * cos4.growth_per_px2 {
+            return (measured, None);
+        }
+    }
+    let warning = "how light falls off with its angle does not show in the white images: it is taken to be \
+                   cos⁴, and corners far from the axis may be off by 0.1 px; take white images that are not \
+                   clipped";
+    (cos4, Some(warning.to_owned()))
+}
+
+/// The fall-off that all white images show together; `None` if they show none, not even that there is
+/// none: too few micro-images with unclipped light.
+fn measured_fall_off(
+    found: &FoundArray,
+    samples: &Samples,
+    (reference, of_reference): (&White, &Discs),
+    of_whites: &[Discs],
+) -> Option<FallOff> {
+    let types = of_reference.q_px.len();
+    let lens_type = |blob: &Blob| {
+        let (k, l) = found.index(blob.node);
+        found.array.grid.lattice.lens_type(k, l, types)
+    };
+    let reach = REACH * found.pattern.pitch();
+    let of_image = |image: &Grey, blobs: &[Blob], discs: &Discs| {
+        let own: Vec<(Blob, usize)> = blobs.iter().map(|b| (*b, lens_type(b))).collect();
+        (0..types).flat_map(move |t| gradients(image, &own, t, discs, reach)).collect::<Vec<_>>()
+    };
+    let of_white = |((white, sample), discs): ((&White, &_), &Discs)| {
+        let sample: &super::samples::Sample = sample;
+        of_image(&white.image.grey(), &sample.blobs, discs)
+    };
+    let mut all: Vec<Gradient> = samples
+        .whites
+        .par_iter()
+        .zip(&samples.samples)
+        .zip(of_whites)
+        .flat_map_iter(of_white)
+        .collect();
+    let step = found.blobs.len().div_ceil(SAMPLE).max(1);
+    // Every third in a row would be of one lens type.
+    let step = if step.is_multiple_of(3) { step + 1 } else { step };
+    let sample: Vec<Blob> = found.blobs.iter().copied().step_by(step).collect();
+    all.extend(of_image(&reference.image.grey(), &sample, of_reference));
+    plane(&all)
+}
+
+/// Pixels of a micro-image: offsets from its centre, light.
+type Pixels = Vec<(Vector2<f64>, f64)>;
+
+/// g of the micro-images of one type in one image.
+fn gradients(
+    image: &Grey,
+    blobs: &[(Blob, usize)],
+    lens_type: usize,
+    discs: &Discs,
+    reach: f64,
+) -> Vec<Gradient> {
+    let own: Vec<&Blob> =
+        blobs.iter().filter(|(_, own)| *own == lens_type).map(|(blob, _)| blob).collect();
+    let light: Vec<Pixels> =
+        own.par_iter().map(|blob| pixels_of(image, &blob.center, reach)).collect();
+    let rings = Rings::new(&light, reach, |r| discs.from_lens(lens_type, r));
+    own.par_iter()
+        .zip(&light)
+        .filter_map(|(blob, pixels)| rings.gradient(&blob.center, pixels))
+        .collect()
+}
+
+fn pixels_of(image: &Grey, center: &Vector2<f64>, reach: f64) -> Pixels {
+    let (part, corner) = part_with(image, std::iter::once(*center), reach + 1.0);
+    let mut pixels = Vec::new();
+    pixels_about(&part, &(center - corner), reach, |offset, value| pixels.push((offset, value)));
+    pixels
+}
+
+/// A ring of the mean micro-image.
+#[derive(Debug, Clone, Copy, Default)]
+struct Ring {
+    light: f64,
+    /// Ī′, px⁻¹.
+    slope: f64,
+    /// Ī |y − M|, px.
+    lever: f64,
+    usable: bool,
+}
+
+/// The mean light of the micro-images of one type in one image, by distance from the centre.
+struct Rings(Vec<Ring>);
+
+impl Rings {
+    fn new(all: &[Pixels], reach: f64, from_lens: impl Fn(f64) -> f64) -> Self {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
+        let count = (reach / RING_PX).ceil() as usize + 1;
+        let mut sums = vec![(0.0, 0.0, false); count];
+        for (offset, value) in all.iter().flatten() {
+            let sum = &mut sums[ring_of(offset)];
+            sum.0 += 1.0;
+            sum.1 += value;
+            sum.2 |= *value > f64::from(CLIPPED);
+        }
+        let mean = |i: usize| {
+            let (count, light, clipped) = sums[i];
+            (count > 0.0 && !clipped).then(|| light / count)
+        };
+        let ring = |i: usize| {
+            let (before, here, after) = (mean(i.checked_sub(1)?)?, mean(i)?, mean(i + 1)?);
+            Some(Ring {
+                light: here,
+                slope: (after - before) / (2.0 * RING_PX),
+                lever: here * from_lens((i as f64 + 0.5) * RING_PX),
+                usable: true,
+            })
+        };
+        let rings =
+            (0..count).map(|i| if i + 1 < count { ring(i) } else { None }.unwrap_or_default());
+        Self(rings.collect())
+    }
+
+    /// g of a micro-image; `None` if too little of its light is usable.
+    fn gradient(&self, place: &Vector2<f64>, pixels: &Pixels) -> Option<Gradient> {
+        let brightest = self.0.iter().map(|ring| ring.light).fold(0.0, f64::max);
+        let rows = || {
+            pixels.iter().filter_map(|(offset, value)| {
+                let ring = &self.0[ring_of(offset)];
+                let outwards = offset / offset.norm().max(1e-9);
+                let row = SVector::<f64, 5>::new(
+                    ring.light,
+                    -ring.lever * outwards.x,
+                    -ring.lever * outwards.y,
+                    -ring.slope * outwards.x,
+                    -ring.slope * outwards.y,
+                );
+                let weight = 1.0 / (ring.light + READ_NOISE * brightest);
+                (ring.usable && *value <= f64::from(CLIPPED)).then_some((row, *value, weight))
+            })
+        };
+        let count = rows().count();
+        if count < FEWEST {
+            return None;
+        }
+        let mut equations = NormalEquations::<f64, 5, 1>::new();
+        rows().for_each(|(row, value, weight)| equations.add(&row, &Vector1::new(value), weight));
+        let solution = equations.solve()?;
+        let squares: f64 =
+            rows().map(|(row, value, weight)| (value - row.dot(&solution)).powi(2) * weight).sum();
+        let variance = squares / (count - 5) as f64;
+        let inverse = equations.normal().try_inverse()?;
+        let of_axes = variance * f64::midpoint(inverse[(1, 1)], inverse[(2, 2)]);
+        let scale = solution[0];
+        (scale > 0.0 && of_axes > 0.0).then(|| Gradient {
+            place: *place,
+            value: Vector2::new(solution[1], solution[2]) / scale,
+            weight: scale * scale / of_axes,
+        })
+    }
+}
+
+fn ring_of(offset: &Vector2<f64>) -> usize {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a distance
+    let ring = (offset.norm() / RING_PX) as usize;
+    ring
+}
+
+/// G and c₀ of g = G (c − c₀) over all gradients.
+fn plane(gradients: &[Gradient]) -> Option<FallOff> {
+    if gradients.len() < FEWEST_GRADIENTS {
+        return None;
+    }
+    let count = gradients.len() as f64;
+    let middle = gradients.iter().map(|g| g.place).sum::<Vector2<f64>>() / count;
+    let mut kept = vec![true; gradients.len()];
+    let mut fitted = Vector3::zeros();
+    let mut information = Matrix3::zeros();
+    let mut variance = 1.0;
+    for _ in 0..ROUNDS {
+        let mut equations = NormalEquations::<f64, 3, 1>::new();
+        for (g, _) in gradients.iter().zip(&kept).filter(|(_, kept)| **kept) {
+            let from = g.place - middle;
+            let rows = [Vector3::new(from.x, 1.0, 0.0), Vector3::new(from.y, 0.0, 1.0)];
+            for (row, value) in rows.into_iter().zip(g.value.iter()) {
+                equations.add(&row, &Vector1::new(*value), g.weight);
+            }
+        }
+        fitted = equations.solve()?;
+        information = equations.normal();
+        let residual = |g: &Gradient| {
+            let expected = (g.place - middle) * fitted[0] + Vector2::new(fitted[1], fitted[2]);
+            (g.value - expected).norm() * g.weight.sqrt()
+        };
+        let lengths: Vec<f64> = gradients.iter().map(residual).collect();
+        let typical = OUTLIERS.typical(&lengths)?;
+        variance = typical * typical;
+        kept = lengths.iter().map(|length| *length <= OUTLIERS.limit(typical)).collect();
+    }
+    let std_dev = (variance * information.try_inverse()?[(0, 0)]).sqrt();
+    let growth = fitted[0];
+    // Without a fall-off it has no middle.
+    let shift = Vector2::new(fitted[1], fitted[2]);
+    let off = if growth.abs() > 3.0 * std_dev { -shift / growth } else { Vector2::zeros() };
+    Some(FallOff {
+        growth_per_px2: growth,
+        std_dev_per_px2: std_dev,
+        middle_px: (middle + off).into(),
+    })
+}
