@@ -12,9 +12,6 @@ use crate::model::{PlenopticCamera, Sensor, positive};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Imperfections {
-    /// Position of the exit pupil, mm along z from the main lens; negative towards the array. Its size
-    /// follows from it: the cone of light on the axis stays that of a pupil F/N at the lens.
-    pub exit_pupil_mm: f64,
     /// A second stop, such as the rim of a lens barrel, that cuts off oblique rays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub second_stop: Option<SecondStop>,
@@ -43,7 +40,6 @@ pub struct SecondStop {
 impl Default for Imperfections {
     fn default() -> Self {
         Self {
-            exit_pupil_mm: 0.0,
             second_stop: None,
             fill_factor: 1.0,
             dead_micro_lenses: 0,
@@ -55,7 +51,7 @@ impl Default for Imperfections {
 
 /// More specks would leave nothing to see.
 const MAX_SPECKS: usize = 100_000;
-/// Beyond this an exit pupil might as well be at infinity.
+/// Beyond this a stop might as well be at infinity.
 const FURTHEST_MM: f64 = 1e6;
 /// Seeds of random positions, separate so that one does not change the other.
 const DEAD: u64 = 0x6465_6164;
@@ -64,7 +60,6 @@ const DUST: u64 = 0x6475_7374;
 impl Imperfections {
     pub(super) fn validate(&self, camera: &PlenopticCamera) -> Result<()> {
         let distance = camera.mla.lens_to_mla_mm;
-        place("an exit pupil", self.exit_pupil_mm, distance)?;
         if !(self.fill_factor > 0.0 && self.fill_factor <= 1.0) {
             return Err(Error::invalid(format!(
                 "a fill factor of {} is not possible; give a number above 0 and up to 1",

@@ -1,13 +1,17 @@
-//! The main lens as rays meet it: a thin lens at z = 0 with lateral distortion.
+//! The main lens as rays meet it: a thin lens at z = 0 with lateral distortion and a curved field.
 
 use nalgebra::{Matrix2, Point3, Vector2};
 
 use crate::model::MainLens;
 
 impl LocalDistortion {
-    /// How far distortion moves the image point.
-    pub fn shift(&self) -> Vector2<f64> {
-        self.distorted - self.undistorted
+    /// How far image points near this one lie from the ideal ones.
+    pub fn shift(&self) -> ImageShift {
+        ImageShift {
+            across: self.distorted - self.undistorted,
+            along: self.nearer - self.gradient.dot(&self.undistorted),
+            gradient: self.gradient,
+        }
     }
 }
 
@@ -24,10 +28,28 @@ impl Ray {
     }
 }
 
+/// How far image points lie from those of an ideal lens: `across` to the side, and along z by `along` +
+/// `gradient` · x where the ideal point is x; mm.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ImageShift {
+    pub across: Vector2<f64>,
+    pub along: f64,
+    pub gradient: Vector2<f64>,
+}
+
+impl ImageShift {
+    /// That of an ideal lens.
+    pub fn none() -> Self {
+        Self { across: Vector2::zeros(), along: 0.0, gradient: Vector2::zeros() }
+    }
+}
+
 #[derive(Debug, Clone)]
 pub(super) struct ThinMainLens {
     lens: MainLens,
     distorts: bool,
+    /// Whether image points lie elsewhere than those of an ideal lens.
+    moves: bool,
 }
 
 /// Distortion near one ray of a narrow bundle: linearised about its image point. For other rays it is
@@ -38,6 +60,10 @@ pub(super) struct LocalDistortion {
     distorted: Vector2<f64>,
     undistorted: Vector2<f64>,
     inverse: Matrix2<f64>,
+    /// How much nearer to the lens the curvature of the field puts the image point, mm.
+    nearer: f64,
+    /// How that grows with the place of the image point.
+    gradient: Vector2<f64>,
 }
 
 /// Number of points checked from the axis to a corner of the image.
@@ -50,7 +76,8 @@ const NEWTON_STEPS: usize = 4;
 impl ThinMainLens {
     pub fn new(lens: &MainLens) -> Self {
         let distorts = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
-        Self { lens: *lens, distorts }
+        let moves = distorts || lens.field_curvature_per_mm != 0.0;
+        Self { lens: *lens, distorts, moves }
     }
 
     /// Where all rays of an object point meet behind the lens; `None` if the point is not beyond F.
@@ -60,7 +87,15 @@ impl ThinMainLens {
         }
         let magnification = -self.lens.focal_length_mm / (point.z - self.lens.focal_length_mm);
         let ideal = point.xy().coords * magnification;
-        Some(Point3::from((ideal + self.distortion_mm(ideal)).push(point.z * magnification)))
+        let z = point.z * magnification + self.nearer_mm(ideal);
+        Some(Point3::from((ideal + self.distortion_mm(ideal)).push(z)))
+    }
+
+    /// How much nearer to the lens the image of a point lies than that of an ideal lens, which is at x:
+    /// κ|x|², both in mm.
+    #[inline]
+    fn nearer_mm(&self, x: Vector2<f64>) -> f64 {
+        self.lens.field_curvature_per_mm * x.norm_squared()
     }
 
     /// How far distortion moves an ideal image point, both in mm in the camera frame
@@ -112,22 +147,25 @@ impl ThinMainLens {
                 undistorted -= inverse * miss;
             }
         }
-        LocalDistortion { distorted, undistorted, inverse }
+        let nearer = self.nearer_mm(undistorted);
+        let gradient = undistorted * (2.0 * self.lens.field_curvature_per_mm);
+        LocalDistortion { distorted, undistorted, inverse, nearer, gradient }
     }
 
     /// The ray in front of the lens that belongs to `ray` behind it, for an object whose image lies at
     /// `image_z`.
     ///
-    /// A ray aims at an image point; without distortion it would aim at the point that distortion
-    /// moves there. The thin lens refracts that ray: it subtracts x/F from the slope.
+    /// A ray aims at an image point; with an ideal lens it would aim at the point that distortion and
+    /// the curvature of the field move there. The thin lens refracts that ray: it subtracts x/F from the
+    /// slope.
     #[inline]
     pub fn object_ray(&self, ray: &Ray, image_z: f64, local: &LocalDistortion) -> Ray {
         let mut slope = ray.slope;
-        if self.distorts {
+        if self.moves {
             let target = ray.at(image_z);
             let near = local.undistorted + local.inverse * (target - local.distorted);
             let ideal = near - local.inverse * (near + self.distortion_mm(near) - target);
-            slope = (ideal - ray.at_lens) / image_z;
+            slope = (ideal - ray.at_lens) / (image_z - self.nearer_mm(ideal));
         }
         Ray { at_lens: ray.at_lens, slope: slope - ray.at_lens / self.lens.focal_length_mm }
     }
@@ -141,6 +179,7 @@ mod tests {
         ThinMainLens::new(&MainLens {
             radial: [-4e-5, 2e-7, 1e-10],
             tangential: [3e-5, -2e-5],
+            field_curvature_per_mm: 6e-3,
             ..MainLens::thin(50.0)
         })
     }

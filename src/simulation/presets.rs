@@ -71,6 +71,13 @@ fn settings_from(text: &str, replaced: &[String]) -> Result<Settings> {
     for pair in replaced {
         replace(&mut table, pair)?;
     }
+    let old = table.get("imperfections").and_then(|table| table.get("exit_pupil_mm"));
+    if let Some(z) = old {
+        return Err(wrong(&format!(
+            "imperfections.exit_pupil_mm is no longer a setting; the exit pupil is part of the camera: \
+             camera.main_lens.exit_pupil_mm = [0, 0, {z}]"
+        )));
+    }
     // Without replaced values, errors can name the line.
     let mut unknown = Vec::new();
     let mut note = |path: serde_ignored::Path| unknown.push(path.to_string());

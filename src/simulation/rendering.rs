@@ -1,10 +1,10 @@
 //! Renders images: the light along all rays from the pixels through the micro-lenses.
 
-use nalgebra::{Point3, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::array::MicroLens;
-use super::main_lens::{LocalDistortion, Ray};
+use super::main_lens::{ImageShift, LocalDistortion, Ray};
 use super::sampling::{RayPoint, RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
 use super::tracer::{Tracer, check_rays};
@@ -67,8 +67,7 @@ impl Tracer {
 
     /// Centre and radius (px) of the disc that light through a micro-lens can reach.
     pub(super) fn outline(&self, lens: &MicroLens) -> (Vector2<f64>, f64) {
-        let pupil = Point3::new(0.0, 0.0, self.pupil.z);
-        let center = self.array.to_pixel(&lens.center, &(pupil - lens.center)).coords;
+        let center = self.array.to_pixel(&lens.center, &(self.pupil.center - lens.center)).coords;
         (center, self.micro_image_radius_px(lens) * OUTLINE_MARGIN + HALF_DIAGONAL)
     }
 
@@ -121,7 +120,7 @@ impl Tracer {
     ) -> Option<Bundle> {
         let array = &self.array;
         let pixel = array.local(lens, &array.on_sensor(u as f64, v as f64));
-        let pupil = array.local(lens, &Point3::new(0.0, 0.0, self.pupil.z));
+        let pupil = array.local(lens, &self.pupil.center);
         let (to_sensor, to_pupil) = (-pixel.z, pupil.z);
         let demagnification = lens.demagnification(to_sensor, to_pupil);
         // All in the plane of the micro-lens, times the demagnification, which may be 0.
@@ -143,7 +142,7 @@ impl Tracer {
             let within = (array.opening_radius / middle.norm()).min(1.0);
             let (ray, _) = self.through(lens, middle * within, &pixel);
             let about = |shift| Some(self.lens.about(ray.at(board.image_z(&ray, shift)?)));
-            about(&about(&Vector2::zeros())?.shift())
+            about(&about(&ImageShift::none())?.shift())
         });
         let step = array.pixel_size;
         Some(Bundle {
@@ -188,7 +187,7 @@ impl Tracer {
             on_disc * self.array.opening_radius
         } else {
             let aim = on_disc * self.pupil.radius;
-            let aim = self.array.local(lens, &Point3::new(aim.x, aim.y, self.pupil.z));
+            let aim = self.array.local(lens, &(self.pupil.center + aim.push(0.0)));
             (aim.xy() - pixel.xy() * (aim.z / pixel.z)) / lens.demagnification(-pixel.z, aim.z)
         };
         let stop = self.array.opening_radius;

@@ -1,9 +1,9 @@
 //! What the camera looks at.
 
-use nalgebra::{Isometry3, Point3, Vector2, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::main_lens::Ray;
+use super::main_lens::{ImageShift, Ray};
 use crate::error::{Error, Result};
 use crate::model::{Board, positive};
 
@@ -133,14 +133,16 @@ impl PlacedTarget {
         })
     }
 
-    /// z where a ray behind the lens meets the image of the board, which distortion moves laterally by
-    /// `shift` there; `None` if the ray leads away from the board.
+    /// z where a ray behind the lens meets the image of the board, which distortion and the curvature of
+    /// the field move by `shift` there; `None` if the ray leads away from the board.
     #[inline]
-    pub fn image_z(&self, ray: &Ray, shift: &Vector2<f64>) -> Option<f64> {
-        let across = self.image_normal.xy();
-        let z = (self.offset - across.dot(&(ray.at_lens - shift)))
-            / (across.dot(&ray.slope) + self.image_normal.z);
-        (z < -self.focal_length).then_some(z)
+    pub fn image_z(&self, ray: &Ray, shift: &ImageShift) -> Option<f64> {
+        let across = self.image_normal.xy() - shift.gradient * self.image_normal.z;
+        let offset = self.offset + self.image_normal.z * shift.along;
+        let start = ray.at_lens - shift.across;
+        let z = (offset - across.dot(&start)) / (across.dot(&ray.slope) + self.image_normal.z);
+        let ideal_z = z - shift.along - shift.gradient.dot(&(start + ray.slope * z));
+        (ideal_z < -self.focal_length).then_some(z)
     }
 
     /// z where a ray in front of the lens meets the plane of the board.

@@ -27,16 +27,20 @@ fn pose(x: f64, y: f64, z: f64, turn: [f64; 3]) -> Isometry3<f64> {
 
 /// From the point where a ray from the sensor meets the board, light returns to the sensor
 /// through the same point of the micro-lens. Rays are traced back with the distortion of their
-/// bundle, so a small fraction of a pixel is lost.
+/// bundle, so a small fraction of a pixel is lost. The second camera has the curved field and the exit
+/// pupil of a real lens, off the axis.
 #[test]
 fn light_returns_along_the_rays() {
     const LOST_PX: f64 = 2e-3;
-    for (name, board) in [
-        ("mini", pose(-9.0, -7.0, 75.0, [0.6, -0.4, 0.3])),
-        ("r12-a", pose(-40.0, -25.0, 260.0, [-0.5, 0.5, 0.1])),
-        ("keplerian", pose(-20.0, -15.0, 220.0, [0.5, 0.5, -0.4])),
+    for (name, board, curvature, exit_pupil) in [
+        ("mini", pose(-9.0, -7.0, 75.0, [0.6, -0.4, 0.3]), 0.0, [0.0; 3]),
+        ("mini", pose(-9.0, -7.0, 75.0, [0.6, -0.4, 0.3]), 1e-2, [0.2, -0.1, -5.0]),
+        ("r12-a", pose(-40.0, -25.0, 260.0, [-0.5, 0.5, 0.1]), 0.0, [0.0; 3]),
+        ("keplerian", pose(-20.0, -15.0, 220.0, [0.5, 0.5, -0.4]), 0.0, [0.0; 3]),
     ] {
-        let settings = settings(name);
+        let mut settings = settings(name);
+        settings.camera.main_lens.field_curvature_per_mm = curvature;
+        settings.camera.main_lens.exit_pupil_mm = exit_pupil.into();
         let tracer = ideal(&settings.camera, 4.0);
         let board = PlacedTarget::new(&settings.target, &board, tracer.focal_length).unwrap();
         let sets = RaySets::new(16);
@@ -98,7 +102,7 @@ fn light_is_conserved_for_every_lens_type() {
             let sum: f64 = image.pixels.iter().map(|&p| f64::from(p)).sum();
             let flux = sum * tracer.reference_irradiance() * tracer.array.pixel_size.powi(2);
             let (pupil, stop) = (tracer.pupil.radius, tracer.array.opening_radius);
-            let distance = camera.mla.lens_to_mla_mm;
+            let distance = camera.pupil_to_mla_mm();
             let all = (std::f64::consts::PI * pupil * stop / distance).powi(2);
             // The slopes at the sensor are those of pupil and micro-lens, of the mean squares
             // R²/2D² and r²/2f²; cos⁴ takes off twice these.
@@ -112,9 +116,12 @@ fn light_is_conserved_for_every_lens_type() {
 }
 
 #[test]
-fn white_images_show_the_internal_parameters_of_the_paper() {
-    for name in ["mini", "keplerian", "r12-c", "lytro-like"] {
-        let camera = settings(name).camera;
+fn white_images_show_the_internal_parameters_of_the_model() {
+    let pupils = [[0.0; 3], [0.0, 0.0, -5.0], [0.3, -0.2, 7.0]];
+    let names = ["mini", "keplerian", "r12-c", "lytro-like"];
+    for (name, pupil) in names.into_iter().flat_map(|name| pupils.map(|pupil| (name, pupil))) {
+        let mut camera = settings(name).camera;
+        camera.main_lens.exit_pupil_mm = pupil.into();
         let (shown, paper) =
             (ideal(&camera, 8.0).internal_parameters(), optics::internal_parameters(&camera));
         assert!((shown.m_mm / paper.m_mm - 1.0).abs() < 1e-12, "{name}");
@@ -152,6 +159,17 @@ fn images_do_not_depend_on_threads() {
     assert!(
         one != tracer.render(&scene, 8, 6, &|| ()).unwrap(),
         "another seed gives another image"
+/// By hand for F/4 of 16.2 mm and a pupil 5 mm behind the lens: p = 1 − 5/16.2, the entrance pupil has
+/// the diameter 16.2/4.
+#[test]
+fn the_exit_pupil_is_the_image_of_the_entrance_pupil() {
+    let mut camera = settings("mini").camera;
+    camera.main_lens.exit_pupil_mm = Vector3::new(0.1, 0.2, -5.0);
+    let pupil = ideal(&camera, 4.0).pupil;
+    assert!((pupil.radius - (16.2 - 5.0) / 8.0).abs() < 1e-12);
+    assert_eq!(pupil.center, Point3::new(0.1, 0.2, -5.0));
+}
+
     );
 }
 

@@ -3,17 +3,19 @@
 //! Nothing here uses the projection model of the C++ core: lenses refract rays and openings block
 //! them; blur, vignetting, overlap and the sizes of micro-images follow.
 
+use nalgebra::Point3;
+
 use super::array::{MicroLens, MicroLenses};
 use super::imperfections::{Dust, Imperfections};
 use super::main_lens::{Ray, ThinMainLens};
 use super::scene::{PlacedTarget, Scene};
 use crate::error::{Error, Result};
-use crate::model::{InternalParameters, Lattice, PlenopticCamera, Sensor, positive};
+use crate::model::{InternalParameters, Lattice, MainLens, PlenopticCamera, Sensor, positive};
 
 /// A circular opening perpendicular to the optical axis.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Stop {
-    pub z: f64,
+    pub center: Point3<f64>,
     pub radius: f64,
 }
 
@@ -21,7 +23,8 @@ impl Stop {
     #[inline]
     fn passes(&self, ray: &Ray) -> bool {
         // Rounding must not block a ray drawn on the rim.
-        ray.at(self.z).norm_squared() <= self.radius * self.radius * (1.0 + 1e-9)
+        let off = ray.at(self.center.z) - self.center.xy().coords;
+        off.norm_squared() <= self.radius * self.radius * (1.0 + 1e-9)
     }
 }
 
@@ -47,6 +50,9 @@ const LARGEST_RADIUS: f64 = 1.0;
 const MAX_RAYS: u32 = 1 << 14;
 impl Tracer {
     /// The camera with its main lens at `f_number`; `seed` sets the random positions.
+/// Beyond this an exit pupil might as well be at infinity, mm.
+const FURTHEST_MM: f64 = 1e6;
+
     pub fn new(
         camera: &PlenopticCamera,
         f_number: f64,
@@ -63,19 +69,17 @@ impl Tracer {
             ));
         }
         let (focal_length, mla) = (camera.main_lens.focal_length_mm, &camera.mla);
-        let exit_z = imperfections.exit_pupil_mm;
-        // The cone of light on the axis stays that of a pupil F/N at the lens.
-        let cone = 1.0 + exit_z / mla.lens_to_mla_mm;
         let mut array = MicroLenses::new(camera, imperfections.fill_factor);
         imperfections.kill(&mut array.lenses, seed);
         let tracer = Self {
             sensor: camera.sensor,
             lens: ThinMainLens::new(&camera.main_lens),
             focal_length,
-            pupil: Stop { z: exit_z, radius: focal_length / f_number / 2.0 * cone },
-            second_stop: imperfections
-                .second_stop
-                .map(|stop| Stop { z: stop.z_mm, radius: stop.diameter_mm / 2.0 }),
+            pupil: exit_pupil(&camera.main_lens, f_number)?,
+            second_stop: imperfections.second_stop.map(|stop| Stop {
+                center: Point3::new(0.0, 0.0, stop.z_mm),
+                radius: stop.diameter_mm / 2.0,
+            }),
             dust: Dust::new(imperfections, &camera.sensor, seed),
             lattice: camera.lattice,
             types: camera.lens_types(),
@@ -98,9 +102,10 @@ impl Tracer {
                     self.array.sensor_z - lens.center.z
                 )));
             }
-            if lens.center.z >= self.pupil.z.min(0.0) {
+            if lens.center.z >= self.pupil.center.z.min(0.0) {
                 return Err(Error::invalid(format!(
-                    "micro-lens ({k}, {l}) does not lie behind the main lens and its exit pupil"
+                    "micro-lens ({k}, {l}) does not lie behind the main lens and its exit pupil: give \
+                     a smaller tilt, or a larger D"
                 )));
             }
         }
@@ -136,7 +141,7 @@ impl Tracer {
 
     /// Distance between neighbouring micro-image centres, as projected from the exit pupil, mm.
     fn micro_image_pitch_mm(&self) -> f64 {
-        let to_pupil = self.pupil.z + self.lens_to_mla;
+        let to_pupil = self.pupil.center.z + self.lens_to_mla;
         let to_sensor = -self.lens_to_mla - self.array.sensor_z;
         self.array.pitch * (1.0 + to_sensor / to_pupil)
     }
@@ -146,7 +151,7 @@ impl Tracer {
     /// onto the sensor, and grows with the pupil. For the ideal camera it agrees with the paper.
     #[must_use]
     pub fn internal_parameters(&self) -> InternalParameters {
-        let to_pupil = self.pupil.z + self.lens_to_mla;
+        let to_pupil = self.pupil.center.z + self.lens_to_mla;
         let to_sensor = -self.lens_to_mla - self.array.sensor_z;
         let pitch = self.micro_image_pitch_mm();
         let q_prime = |lens: &MicroLens| {
@@ -184,7 +189,7 @@ impl Tracer {
     /// rim of the pupil through the opposite rim of the micro-lens.
     pub(super) fn micro_image_radius_px(&self, lens: &MicroLens) -> f64 {
         let to_sensor = lens.center.z - self.array.sensor_z;
-        let to_pupil = self.pupil.z - lens.center.z;
+        let to_pupil = self.pupil.center.z - lens.center.z;
         let stop = lens.demagnification(to_sensor, to_pupil).abs() * self.array.opening_radius;
         (stop + self.pupil.radius) * to_sensor / to_pupil / self.array.pixel_size
     }
@@ -195,7 +200,7 @@ impl Tracer {
     pub fn reference_irradiance(&self) -> f64 {
         let middle = |lens: &MicroLens| {
             let to_sensor = lens.center.z - self.array.sensor_z;
-            let to_pupil = self.pupil.z - lens.center.z;
+            let to_pupil = self.pupil.center.z - lens.center.z;
             let demagnification = lens.demagnification(to_sensor, to_pupil).abs();
             let radius = (self.pupil.radius / demagnification).min(self.array.opening_radius);
             std::f64::consts::PI * (radius / to_sensor).powi(2)
@@ -228,6 +233,20 @@ impl Tracer {
 pub(super) fn check_rays(rays: u32) -> Result<()> {
     if (1..=MAX_RAYS).contains(&rays) {
         return Ok(());
+/// The exit pupil of the thin lens. The entrance pupil has the diameter F/N; the exit pupil is its
+/// image, p times as wide.
+fn exit_pupil(lens: &MainLens, f_number: f64) -> Result<Stop> {
+    let place = lens.exit_pupil_mm;
+    if let Some(far) = place.iter().find(|e| !(e.abs() <= FURTHEST_MM)) {
+        return Err(Error::invalid(format!(
+            "an exit pupil at {far} mm is not possible: it has to lie within {FURTHEST_MM} mm of the \
+             main lens"
+        )));
+    }
+    let radius = lens.focal_length_mm / f_number / 2.0 * lens.pupil_magnification();
+    Ok(Stop { center: Point3::from(place), radius })
+}
+
     }
     Err(Error::invalid(format!("{rays} rays per pixel cannot be traced; give 1 to {MAX_RAYS}")))
 }

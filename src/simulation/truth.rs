@@ -90,8 +90,7 @@ impl Tracer {
     /// Centre of a micro-image: the ray from the middle of the exit pupil through the middle of the
     /// micro-lens.
     fn micro_image_center(&self, lens: &MicroLens) -> Point2<f64> {
-        let pupil = Point3::new(0.0, 0.0, self.pupil.z);
-        self.array.to_pixel(&lens.center, &(pupil - lens.center))
+        self.array.to_pixel(&lens.center, &(self.pupil.center - lens.center))
     }
 
     /// The centre and type of every micro-image whose centre lies in the image, dead micro-lenses

@@ -68,8 +68,16 @@ fn traced_spots_lie_where_the_closed_form_projects_them() {
         if name == "lytro-like" {
             poses.truncate(1); // every corner is seen by a thousand micro-lenses
         }
-        for (tilt, pitch_ratio) in [(0.0, 1.0), (0.0, 1.01), (1.0, 1.0), (10.0, 0.99)] {
+        for (tilt, pitch_ratio, curvature) in [
+            (0.0, 1.0, 0.0),
+            (0.0, 1.01, 3e-3),
+            (1.0, 1.0, 0.0),
+            (1.0, 1.0, 3e-3),
+            (10.0, 0.99, 0.0),
+        ] {
             let mut camera = settings.camera.clone();
+            camera.main_lens.field_curvature_per_mm = curvature;
+            camera.main_lens.exit_pupil_mm.z = -1e3 * curvature;
             camera.mla.rotation_rad.x *= tilt;
             camera.mla.rotation_rad.y *= tilt;
             camera.mla.pitch_ratio = pitch_ratio;
@@ -213,8 +221,11 @@ fn rendered_spots_have_the_centre_and_radius_of_the_closed_form() {
 
 #[test]
 fn traced_centres_lie_where_the_closed_form_projects_them() {
-    for name in ["mini", "keplerian", "r12-b", "lytro-like"] {
-        let settings = preset(name, &[]);
+    let pupils = [[0.0; 3], [0.0, 0.0, -5.0], [0.3, -0.2, 7.0]];
+    let names = ["mini", "keplerian", "r12-b", "lytro-like"];
+    for (name, pupil) in names.into_iter().flat_map(|name| pupils.map(|pupil| (name, pupil))) {
+        let mut settings = preset(name, &[]);
+        settings.camera.main_lens.exit_pupil_mm = pupil.into();
         let camera = &settings.camera;
         let f_number = settings.board_f_number();
         let tracer = Tracer::new(camera, f_number, &Imperfections::default(), 0).unwrap();

@@ -197,16 +197,16 @@ fn the_exit_pupil_sets_the_pitch_of_the_micro_images() {
     let mla = preset("mini", &[]).camera.mla;
     let (d, lens) = (mla.mla_to_sensor_mm, mla.lens_to_mla_mm);
     // The distance between two columns.
-    let width = |imperfections: Imperfections| {
-        let centers = imperfect(imperfections).tracer(4.0).unwrap().centers();
+    let width = |exit_pupil: f64| {
+        let place = format!("camera.main_lens.exit_pupil_mm=[0, 0, {exit_pupil}]");
+        let centers = preset("mini", &[&place]).tracer(4.0).unwrap().centers();
         let [a, b] = [2, 40].map(|k| {
             let found = centers.iter().find(|c| (c.center.k, c.center.l) == (k, 18));
             found.unwrap().center.u_px
         });
         b - a
     };
-    let near = Imperfections { exit_pupil_mm: -lens / 2.0, ..Imperfections::default() };
-    let growth = width(near) / width(Imperfections::default());
+    let growth = width(-lens / 2.0) / width(0.0);
     let expected = (1.0 + 2.0 * d / lens) / (1.0 + d / lens);
     // The array is tilted by a milliradian.
     assert!((growth - expected).abs() < 1e-4, "{growth} for {expected}");
