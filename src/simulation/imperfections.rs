@@ -1,5 +1,6 @@
 //! Departures of real cameras from the model.
 
+use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use serde::{Deserialize, Serialize};
@@ -18,12 +19,28 @@ pub struct Imperfections {
     /// Diameter of the micro-lenses' openings over their pitch, above 0 and up to 1; the rest is
     /// opaque.
     pub fill_factor: f64,
+    /// How light falls off with its angle of incidence on the sensor.
+    pub fall_off: FallOff,
     /// Number of micro-lenses that let no light through.
     pub dead_micro_lenses: usize,
     /// Number of opaque specks on the sensor.
     pub dust_specks: usize,
     /// Diameter of the largest speck, px; the smallest has a quarter of this diameter.
     pub dust_diameter_px: f64,
+}
+
+/// How light falls off with its angle of incidence θ on the sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FallOff {
+    /// cos⁴θ: natural vignetting, of pixels that take light from all sides alike.
+    #[default]
+    Cos4,
+    /// None: a white target gives every ray the same weight per area of the micro-lens, that of light on
+    /// the axis.
+    None,
+    /// cos⁴θ · 2^−(tan θ/tan θ½)²: pixels whose response falls to one half at θ½, in degrees.
+    HalfResponseDeg(f64),
 }
 
 /// A circular opening perpendicular to the optical axis.
@@ -42,6 +59,7 @@ impl Default for Imperfections {
         Self {
             second_stop: None,
             fill_factor: 1.0,
+            fall_off: FallOff::Cos4,
             dead_micro_lenses: 0,
             dust_specks: 0,
             dust_diameter_px: 10.0,
@@ -53,9 +71,30 @@ impl Default for Imperfections {
 const MAX_SPECKS: usize = 100_000;
 /// Beyond this a stop might as well be at infinity.
 const FURTHEST_MM: f64 = 1e6;
+/// Pixels that respond to nothing but the axis would see nothing.
+const LEAST_ANGLE_DEG: f64 = 1.0;
 /// Seeds of random positions, separate so that one does not change the other.
 const DEAD: u64 = 0x6465_6164;
 const DUST: u64 = 0x6475_7374;
+
+impl FallOff {
+    /// Irradiance through a small area of the micro-lens, over that area, of light with a radiance.
+    /// `inner` is the vector from sensor to micro-lens, `distance` the one between their planes.
+    #[inline]
+    pub(super) fn light(self, radiance: f64, inner: &Vector3<f64>, distance: f64) -> f64 {
+        let z2 = inner.z * inner.z;
+        let cos2 = z2 / inner.norm_squared();
+        // Irradiance through a small area of a plane parallel to the sensor: L cos⁴/distance².
+        match self {
+            Self::Cos4 => radiance * cos2 * cos2 / z2,
+            Self::None => radiance / (distance * distance),
+            Self::HalfResponseDeg(half) => {
+                let tangents = inner.xy().norm_squared() / z2 / half.to_radians().tan().powi(2);
+                radiance * cos2 * cos2 / z2 * (-tangents).exp2()
+            }
+        }
+    }
+}
 
 impl Imperfections {
     pub(super) fn validate(&self, camera: &PlenopticCamera) -> Result<()> {
@@ -69,6 +108,14 @@ impl Imperfections {
         if let Some(stop) = self.second_stop {
             positive(stop.diameter_mm, "the diameter of the second stop (mm)")?;
             place("a second stop", stop.z_mm, distance)?;
+        }
+        if let FallOff::HalfResponseDeg(angle) = self.fall_off
+            && !(LEAST_ANGLE_DEG..90.0).contains(&angle)
+        {
+            return Err(Error::invalid(format!(
+                "a half response at {angle} degrees is not possible; give {LEAST_ANGLE_DEG} or more, \
+                 and less than 90"
+            )));
         }
         let micro_lenses = camera.lattice.nodes();
         if self.dead_micro_lenses > micro_lenses {
@@ -153,5 +200,26 @@ impl Dust {
 
     fn near(&self, row: usize, u: f64, v: f64, margin: f64) -> bool {
         self.rows[row].iter().any(|s| (u - s.u).hypot(v - s.v) <= s.radius + margin)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// At 45° cos⁴ is a quarter, at its angle a pixel has half the response, twice as far out (in
+    /// tangents) a sixteenth.
+    #[test]
+    fn light_falls_off_by_the_law() {
+        let at = |law: FallOff, tangent: f64| {
+            law.light(3.0, &Vector3::new(0.0, -0.5 * tangent, 0.5), 0.5) / 12.0
+        };
+        let close = |a: f64, b: f64| (a - b).abs() < 1e-12;
+        assert!(close(at(FallOff::Cos4, 1.0), 0.25) && close(at(FallOff::None, 1.0), 1.0));
+        let pixel = FallOff::HalfResponseDeg(20.0);
+        for (part, response) in [(0.0, 1.0), (1.0, 0.5), (2.0, 1.0 / 16.0)] {
+            let tangent = part * 20_f64.to_radians().tan();
+            assert!(close(at(pixel, tangent), response * at(FallOff::Cos4, tangent)), "{part}");
+        }
     }
 }

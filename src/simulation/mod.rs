@@ -25,7 +25,7 @@ mod truth;
 
 pub use data_set::{DataSet, Shot};
 pub use imaging::Imaging;
-pub use imperfections::{Imperfections, SecondStop};
+pub use imperfections::{FallOff, Imperfections, SecondStop};
 pub use presets::{PRESETS, Preset};
 pub use scene::{Scene, Target};
 pub use settings::{Boards, Settings, TranslationStage, WhiteImages};

@@ -205,10 +205,7 @@ impl Tracer {
             };
             bundle.local.as_ref().and_then(radiance).unwrap_or_else(|| board.background())
         });
-        // Irradiance through a small area of a plane parallel to the sensor: L cos⁴/distance².
-        let z2 = inner.z * inner.z;
-        let cos2 = z2 / inner.norm_squared();
-        radiance * cos2 * cos2 / z2
+        self.fall_off.light(radiance, &inner, self.mla_to_sensor)
     }
 }
 

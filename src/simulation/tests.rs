@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3
 
 use super::sampling::RaySets;
 use super::scene::PlacedTarget;
-use super::{Imperfections, Scene, Settings, Target, Tracer};
+use super::{FallOff, Imperfections, Scene, Settings, Target, Tracer};
 use crate::model::{PlenopticCamera, optics};
 
 fn settings(name: &str) -> Settings {
@@ -78,15 +78,38 @@ fn light_returns_along_the_rays() {
     }
 }
 
+/// Mean over all pairs of points of two discs of a function of the squared distance between them.
+fn mean_over_discs(one: f64, other: f64, of: &dyn Fn(f64) -> f64) -> f64 {
+    let points = |radius: f64| {
+        (0..256).map(move |i| {
+            // Fibonacci's lattice: the golden angle, equal areas.
+            let (angle, part) = (2.399_963_2 * f64::from(i), (f64::from(i) + 0.5) / 256.0);
+            Vector2::new(angle.cos(), angle.sin()) * (radius * part.sqrt())
+        })
+    };
+    let pairs = points(one).flat_map(|a| points(other).map(move |b| (a - b).norm_squared()));
+    pairs.map(of).sum::<f64>() / 65_536.0
+}
+
 /// All light that enters through pupil and micro-lens arrives, whatever the micro-lens does to
 /// it: π² R² r²/D² for a white target seen through two distant discs, less what oblique rays
-/// lose.
+/// lose by the law of the fall-off.
 #[test]
 fn light_is_conserved_for_every_lens_type() {
     // The noise of 1024 rays through a few hundred pixels.
     const NOISE: f64 = 2e-3;
-    for (name, f_number) in [("mini", 4.0), ("mini", 16.0), ("keplerian", 5.66)] {
+    let (natural, pixel) = (FallOff::Cos4, FallOff::HalfResponseDeg(25.0));
+    let half = 25_f64.to_radians().tan().powi(2);
+    for (name, f_number, pupil_z, fall_off) in [
+        ("mini", 4.0, 0.0, natural),
+        ("mini", 16.0, 0.0, natural),
+        ("keplerian", 5.66, 0.0, natural),
+        ("mini", 5.66, -5.0, natural),
+        ("mini", 4.0, 0.0, FallOff::None),
+        ("mini", 4.0, 3.0, pixel),
+    ] {
         let mut camera = settings(name).camera;
+        camera.main_lens.exit_pupil_mm.z = pupil_z;
         camera.mla.rotation_rad.fill(0.0);
         camera.mla.offset_mm.fill(0.0);
         // All neighbours of the micro-lens under test are dead.
@@ -94,7 +117,8 @@ fn light_is_conserved_for_every_lens_type() {
         (camera.sensor.width_px, camera.sensor.height_px) = (90, 40);
         camera.mla.principal_point_px = camera.sensor.center_px();
         for alive in 0..3 {
-            let mut tracer = ideal(&camera, f_number);
+            let imperfections = Imperfections { fall_off, ..Imperfections::default() };
+            let mut tracer = Tracer::new(&camera, f_number, &imperfections, 0).unwrap();
             for (i, lens) in tracer.array.lenses.iter_mut().enumerate() {
                 lens.alive = i == alive;
             }
@@ -104,13 +128,15 @@ fn light_is_conserved_for_every_lens_type() {
             let (pupil, stop) = (tracer.pupil.radius, tracer.array.opening_radius);
             let distance = camera.pupil_to_mla_mm();
             let all = (std::f64::consts::PI * pupil * stop / distance).powi(2);
-            // The slopes at the sensor are those of pupil and micro-lens, of the mean squares
-            // R²/2D² and r²/2f²; cos⁴ takes off twice these.
-            let power = tracer.array.lenses[alive].power;
-            let oblique = (pupil / distance).powi(2) + (stop * power).powi(2);
-            let part = flux / all / (1.0 - oblique);
-            let next_order = 3.0 * oblique * oblique;
-            assert!((part - 1.0).abs() < next_order + NOISE, "{name} f/{f_number}: {part}");
+            // The slope at the sensor is that towards the pupil and what the micro-lens adds.
+            let added = stop * (tracer.array.lenses[alive].power - 1.0 / distance);
+            let weight = mean_over_discs(pupil / distance, added, &|tan2| match fall_off {
+                FallOff::None => 1.0,
+                FallOff::Cos4 => (1.0 + tan2).powi(-2),
+                FallOff::HalfResponseDeg(_) => (1.0 + tan2).powi(-2) * (-tan2 / half).exp2(),
+            });
+            let part = flux / all / weight;
+            assert!((part - 1.0).abs() < NOISE, "{name} f/{f_number} {fall_off:?}: {part}");
         }
     }
 }
@@ -131,6 +157,17 @@ fn white_images_show_the_internal_parameters_of_the_model() {
         let pitches = [shown, paper].map(|p| p.micro_image_pitch_mm.unwrap());
         assert!((pitches[0] / pitches[1] - 1.0).abs() < 1e-12, "{name}");
     }
+}
+
+/// By hand for F/4 of 16.2 mm and a pupil 5 mm behind the lens: p = 1 − 5/16.2, the entrance pupil has
+/// the diameter 16.2/4.
+#[test]
+fn the_exit_pupil_is_the_image_of_the_entrance_pupil() {
+    let mut camera = settings("mini").camera;
+    camera.main_lens.exit_pupil_mm = Vector3::new(0.1, 0.2, -5.0);
+    let pupil = ideal(&camera, 4.0).pupil;
+    assert!((pupil.radius - (16.2 - 5.0) / 8.0).abs() < 1e-12);
+    assert_eq!(pupil.center, Point3::new(0.1, 0.2, -5.0));
 }
 
 #[test]
@@ -159,17 +196,6 @@ fn images_do_not_depend_on_threads() {
     assert!(
         one != tracer.render(&scene, 8, 6, &|| ()).unwrap(),
         "another seed gives another image"
-/// By hand for F/4 of 16.2 mm and a pupil 5 mm behind the lens: p = 1 − 5/16.2, the entrance pupil has
-/// the diameter 16.2/4.
-#[test]
-fn the_exit_pupil_is_the_image_of_the_entrance_pupil() {
-    let mut camera = settings("mini").camera;
-    camera.main_lens.exit_pupil_mm = Vector3::new(0.1, 0.2, -5.0);
-    let pupil = ideal(&camera, 4.0).pupil;
-    assert!((pupil.radius - (16.2 - 5.0) / 8.0).abs() < 1e-12);
-    assert_eq!(pupil.center, Point3::new(0.1, 0.2, -5.0));
-}
-
     );
 }
 

@@ -6,7 +6,7 @@
 use nalgebra::Point3;
 
 use super::array::{MicroLens, MicroLenses};
-use super::imperfections::{Dust, Imperfections};
+use super::imperfections::{Dust, FallOff, Imperfections};
 use super::main_lens::{Ray, ThinMainLens};
 use super::scene::{PlacedTarget, Scene};
 use crate::error::{Error, Result};
@@ -38,21 +38,23 @@ pub struct Tracer {
     pub(super) pupil: Stop,
     second_stop: Option<Stop>,
     pub(super) dust: Dust,
+    pub(super) fall_off: FallOff,
     lattice: Lattice,
     types: usize,
     f_number: f64,
     lens_to_mla: f64,
+    pub(super) mla_to_sensor: f64,
 }
 
 /// Micro-images wider than this many pitches cover their neighbours' centres.
 const LARGEST_RADIUS: f64 = 1.0;
 /// More rays would lower the noise below the resolution of a 16-bit sample.
 const MAX_RAYS: u32 = 1 << 14;
-impl Tracer {
-    /// The camera with its main lens at `f_number`; `seed` sets the random positions.
 /// Beyond this an exit pupil might as well be at infinity, mm.
 const FURTHEST_MM: f64 = 1e6;
 
+impl Tracer {
+    /// The camera with its main lens at `f_number`; `seed` sets the random positions.
     pub fn new(
         camera: &PlenopticCamera,
         f_number: f64,
@@ -81,10 +83,12 @@ const FURTHEST_MM: f64 = 1e6;
                 radius: stop.diameter_mm / 2.0,
             }),
             dust: Dust::new(imperfections, &camera.sensor, seed),
+            fall_off: imperfections.fall_off,
             lattice: camera.lattice,
             types: camera.lens_types(),
             f_number,
             lens_to_mla: mla.lens_to_mla_mm,
+            mla_to_sensor: mla.mla_to_sensor_mm,
             array,
         };
         tracer.check_geometry(f_number)?;
@@ -229,10 +233,6 @@ const FURTHEST_MM: f64 = 1e6;
     }
 }
 
-/// An error unless this number of rays per pixel can be traced.
-pub(super) fn check_rays(rays: u32) -> Result<()> {
-    if (1..=MAX_RAYS).contains(&rays) {
-        return Ok(());
 /// The exit pupil of the thin lens. The entrance pupil has the diameter F/N; the exit pupil is its
 /// image, p times as wide.
 fn exit_pupil(lens: &MainLens, f_number: f64) -> Result<Stop> {
@@ -247,6 +247,10 @@ fn exit_pupil(lens: &MainLens, f_number: f64) -> Result<Stop> {
     Ok(Stop { center: Point3::from(place), radius })
 }
 
+/// An error unless this number of rays per pixel can be traced.
+pub(super) fn check_rays(rays: u32) -> Result<()> {
+    if (1..=MAX_RAYS).contains(&rays) {
+        return Ok(());
     }
     Err(Error::invalid(format!("{rays} rays per pixel cannot be traced; give 1 to {MAX_RAYS}")))
 }
