@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use nalgebra::{Matrix2, Vector2};
 
+use super::bias::FeatureError;
 use crate::detection::{
     CornerLine, CornerObservation, DepthEstimator, Detection, MicroImages, Search, detect_frame,
 };
@@ -13,7 +14,7 @@ use crate::precalibration::{PrecalibrationOptions, White, precalibrate};
 use crate::simulation::{DataSet, Settings, Shot};
 
 /// Quality of detected features over the frames of a data set.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct DetectionScore {
     /// True features at least [`INSIDE_PX`] within the edge of a micro-image.
     pub sought: usize,
@@ -35,6 +36,8 @@ pub struct DetectionScore {
     pub frames: usize,
     /// Number of labelled frames.
     pub labelled: usize,
+    /// Errors of the true ones.
+    pub errors: Vec<FeatureError>,
 }
 
 /// True features nearer to the edge of the micro-image need not be found, px.
@@ -52,8 +55,12 @@ struct FrameTruth<'a> {
     outer_radius_px: &'a dyn Fn(i32, i32) -> f64,
     /// The board; it may have been labelled as if turned by 180 degrees.
     board: &'a Board,
-    /// λ = D/(D + d).
+    /// λ = (D + e_z)/(D + e_z + d).
     lambda: f64,
+    /// The middle of the image, px.
+    middle: Vector2<f64>,
+    /// Lens type of micro-image (k, l).
+    lens_type: &'a dyn Fn(i32, i32) -> usize,
 }
 
 impl DetectionScore {
@@ -79,7 +86,7 @@ impl DetectionScore {
         let tracer = settings.tracer(reference.f_number)?;
         let centers = tracer.centers().into_iter().map(|t| ((t.center.k, t.center.l), t.center));
         let centers: HashMap<(i32, i32), MicroImageCenter> = centers.collect();
-        let mla = &settings.camera.mla;
+        let (mla, to_pupil) = (&settings.camera.mla, settings.camera.pupil_to_mla_mm());
         let search =
             Search { micro_images: &micro_images, board: &board, sensor: &sheet.sensor, estimator };
         let mut score = Self::default();
@@ -101,7 +108,9 @@ impl DetectionScore {
                 centers: &centers,
                 outer_radius_px: &outer,
                 board: &board,
-                lambda: mla.lens_to_mla_mm / (mla.lens_to_mla_mm + mla.mla_to_sensor_mm),
+                lambda: to_pupil / (to_pupil + mla.mla_to_sensor_mm),
+                middle: sheet.sensor.center_px(),
+                lens_type: &|k, l| settings.camera.lens_type(k, l),
             };
             score.add(&detection, &truth);
         }
@@ -131,9 +140,20 @@ impl DetectionScore {
             found.insert(place, error.norm());
             self.right += 1;
             self.square += error.norm_squared() / 2.0;
-            let (found, truth) = (f.rho_px.unwrap_or(f64::NAN), t.rho_px.unwrap_or(f64::NAN));
-            self.rho_square += (found - truth).powi(2);
-            if truth.abs() <= SMALL_RHO_PX {
+            let radius = t.rho_px.unwrap_or(f64::NAN);
+            let rho_error_px = f.rho_px.unwrap_or(f64::NAN) - radius;
+            self.rho_square += rho_error_px.powi(2);
+            if let Some(c) = truth.centers.get(&(t.k, t.l)) {
+                let center = Vector2::new(c.u_px, c.v_px);
+                self.errors.push(FeatureError {
+                    from_middle_px: center - truth.middle,
+                    from_center_px: Vector2::new(t.u_px, t.v_px) - center,
+                    lens_type: (truth.lens_type)(t.k, t.l),
+                    error_px: error,
+                    rho_error_px,
+                });
+            }
+            if radius.abs() <= SMALL_RHO_PX {
                 self.small += 1;
                 self.small_square += error.norm_squared() / 2.0;
             }

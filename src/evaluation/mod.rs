@@ -1,6 +1,7 @@
 //! How good a calibration is: reprojection errors, the uncertainty of the parameters, known
 //! displacements, cross-validation, and cameras, poses and features against the truth.
 
+pub mod bias;
 mod cross_validation;
 mod detection;
 mod stage;
