@@ -13,8 +13,6 @@ using Eigen::VectorXd;
 // the weights claim.
 constexpr int kDirections = 4;
 constexpr double kStep = 1e-2;
-// The least curvature of a minimum, as a fraction of that of J'J.
-constexpr double kLeastCurvature = 0.05;
 
 // The state of a problem moved along a direction of the intrinsics, with the poses following.
 VectorXd moved(const CalibrationProblem& calibration, const VectorXd& state, const VectorXd& change,
@@ -35,15 +33,17 @@ MatrixXd with_second_order(const MatrixXd& information, const MatrixXd& second,
          dual * (0.5 * (within + within.transpose())) * dual.transpose();
 }
 
-// Whether the Hessian is positive along all directions, as it is at a minimum. Off it, J'J is the
-// better guess.
-bool is_minimum(const MatrixXd& directions, const std::vector<MatrixXd>& of_frames,
-                const std::vector<MatrixXd>& of_patches) {
-  MatrixXd within = MatrixXd::Identity(directions.cols(), directions.cols());
+// Whether the Hessian of the whole cost is positive along all directions, as it is at a minimum.
+// Off it, J'J is the better guess. That of the observations is the identity along the directions.
+bool is_minimum(const MatrixXd& directions, const MatrixXd& anchors,
+                const std::vector<MatrixXd>& of_frames, const std::vector<MatrixXd>& of_patches) {
+  MatrixXd within = directions.transpose() * anchors * directions;
+  within.diagonal().array() += 1.0;
+  within *= 1.0 - kLeastCurvature;
   for (const MatrixXd& second : of_frames) within += directions.transpose() * second;
   for (const MatrixXd& second : of_patches) within += directions.transpose() * second;
   const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(0.5 * (within + within.transpose()));
-  return eigen.eigenvalues().minCoeff() > kLeastCurvature;
+  return eigen.eigenvalues().minCoeff() > 0.0;
 }
 
 }  // namespace
@@ -52,6 +52,7 @@ Eliminated without_poses(const NormalEquations& equations) {
   const int p = equations.intrinsics;
   Eliminated result;
   result.patches = equations.patches;
+  result.anchors = equations.information[kAnchor].topLeftCorner(p, p);
   result.poses_by_intrinsics.resize(equations.size() - p, p);
   int first = 0;
   for (const Group& frame : equations.frames) {
@@ -101,7 +102,7 @@ Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
   }
   calibration->set_state(state);
 
-  if (known > 0 && !is_minimum(directions, of_frames, of_patches)) {
+  if (known > 0 && !is_minimum(directions, groups.anchors, of_frames, of_patches)) {
     for (MatrixXd& second : of_frames) second.setZero();
     for (MatrixXd& second : of_patches) second.setZero();
   }

@@ -8,11 +8,15 @@
 
 namespace plenocal {
 
+/// The least curvature of a minimum, as a fraction of that of J'J.
+constexpr double kLeastCurvature = 0.05;
+
 /// What frames and patches say about the intrinsics alone: gradients and information with the poses
 /// eliminated.
 struct Eliminated {
   std::vector<Group> frames;
   std::vector<Group> patches;
+  Eigen::MatrixXd anchors;              ///< their information
   Eigen::MatrixXd poses_by_intrinsics;  ///< how the poses follow: 6 rows for each frame
 };
 
@@ -26,7 +30,9 @@ struct Curvature {
 
 /// Gauss-Newton's J'J leaves out sum r r''. Where the model is not quite right, residuals have a
 /// pattern, and in the weak directions that sum is as large as J'J. It is measured there, by
-/// differences of the gradient; elsewhere it is negligible. `calibration` is left as it was.
+/// differences of the gradient; elsewhere it is negligible. The weak directions are those of the
+/// observations; whether they are at a minimum, anchors decide too. `calibration` is left as it
+/// was.
 Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration);
 
 }  // namespace plenocal

@@ -156,15 +156,16 @@ MatrixXd gradient_spread(const std::vector<Group>& groups) {
 }
 
 double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse,
-                       const MatrixXd& spread, const MatrixXd& information) {
+                       const MatrixXd& spread, const MatrixXd& information,
+                       const MatrixXd& gauss_newton) {
   double sum = 0.0;
   int count = 0;
   for (const auto& anchor : equations.anchors.rowwise()) {
     const VectorXd to =
         inverse.topLeftCorner(spread.rows(), equations.intrinsics) * anchor.transpose();
-    const double claimed = to.dot(information * to);
-    if (!(claimed > 0.0)) continue;
-    sum += to.dot(spread * to) / claimed;
+    const double claimed = to.dot(information * to), least = to.dot(gauss_newton * to);
+    if (!(least > 0.0)) continue;
+    sum += to.dot(spread * to) / (claimed > kLeastCurvature * least ? claimed : least);
     ++count;
   }
   return count > 0 ? sum / count : 1.0;
@@ -179,7 +180,7 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   MatrixXd observed = MatrixXd::Zero(p, p);
   for (const MatrixXd& hessian : curved.frames) observed += hessian;
   for (const MatrixXd& hessian : curved.patches) observed += hessian;
-  const MatrixXd hessian = observed + equations.information[kAnchor].topLeftCorner(p, p);
+  const MatrixXd hessian = observed + groups.anchors;
   const MatrixXd of_intrinsics = ScaledInverse(hessian).matrix();
 
   SharedErrors result;
@@ -192,17 +193,17 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
 
   const MatrixXd by_frames = gradient_spread(groups.frames);
   const MatrixXd by_patches = gradient_spread(groups.patches);
-  result.dispersion = mean_dispersion(equations, of_intrinsics, by_frames + by_patches, observed);
+  const MatrixXd boards = sum_of_information(groups.frames);
+  const MatrixXd centers = sum_of_information(groups.patches);
+  result.dispersion =
+      mean_dispersion(equations, of_intrinsics, by_frames + by_patches, observed, boards + centers);
   const MatrixXd camera = of_intrinsics * (by_frames + by_patches) * of_intrinsics;
   if (p > 0 && equations.count[kCenter] > 0) {
-    const MatrixXd boards = sum_of_information(groups.frames);
-    const MatrixXd centers = sum_of_information(groups.patches);
     VectorXd gradient = VectorXd::Zero(p);
     for (const Group& patch : groups.patches) gradient += patch.gradient;
     result.contradiction =
-        contradiction(boards + equations.information[kAnchor].topLeftCorner(p, p), centers,
-                      dispersion_of(by_frames, boards), dispersion_of(by_patches, centers),
-                      gradient, camera.diagonal());
+        contradiction(boards + groups.anchors, centers, dispersion_of(by_frames, boards),
+                      dispersion_of(by_patches, centers), gradient, camera.diagonal());
   }
   MatrixXd covariance(equations.size(), equations.size());
   covariance << camera, camera * follow.transpose(), follow * camera,

@@ -56,8 +56,11 @@ SharedErrors shared_errors(const NormalEquations& equations, const Eigen::Matrix
 /// How many times larger than the weights claim the variance of the anchored quantities is if the
 /// gradient has the covariance `spread` instead of `information` (of all parameters, or of the
 /// intrinsics with the poses eliminated); the mean over the anchors, and 1 without any.
+/// Where the observations have no minimum of their own along the way of an anchor, their J'J counts
+/// instead of their Hessian `information`.
 double mean_dispersion(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
-                       const Eigen::MatrixXd& spread, const Eigen::MatrixXd& information);
+                       const Eigen::MatrixXd& spread, const Eigen::MatrixXd& information,
+                       const Eigen::MatrixXd& gauss_newton);
 
 /// The information of every frame, matrix by matrix, row by row.
 std::vector<double> frame_by_frame(const Eliminated& groups);

@@ -104,7 +104,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
     result.freedom.assign(shared.freedom.begin(), shared.freedom.end());
   } else {
     result.dispersion =
-        kAssumedDispersion * mean_dispersion(equations, inverse, independent, observed);
+        kAssumedDispersion * mean_dispersion(equations, inverse, independent, observed, observed);
   }
   result.covariance = row_by_row(result.shared ? shared.covariance : covariance);
   add_weakest(scaled, result.shared ? shared.covariance : covariance, &result);

@@ -1,4 +1,5 @@
-// Errors that groups of residuals share, and anchors: by hand, and by their distribution.
+// Errors that groups of residuals share, curvature, and anchors: by hand, and by their
+// distribution.
 #include "shared_errors.hpp"
 
 #include <gtest/gtest.h>
@@ -18,6 +19,7 @@ using test::expect_names;
 using test::expect_near_relative;
 using test::one_pitch;
 using test::rejection;
+using test::residuals;
 using test::Scene;
 
 constexpr double kRounding = 1e-12;
@@ -92,6 +94,12 @@ int index_of(const std::string& name) {
   return static_cast<int>(std::find(names.begin(), names.end(), name) - names.begin());
 }
 
+// Its row among the free intrinsics.
+int row_of(const std::string& name, const Uncertainty& u) {
+  const auto& free = u.free_intrinsics;
+  return static_cast<int>(std::find(free.begin(), free.end(), index_of(name)) - free.begin());
+}
+
 TEST(Anchors, HoldAQuantity) {
   const Scene scene = noisy_scene();
   CostOptions options = one_pitch();
@@ -111,9 +119,7 @@ TEST(Anchors, GiveTheirOwnUncertaintyWhereObservationsHaveNone) {
     options.anchors = {{"F", 50.0, 1e-3}};
     options.anchor_weight = weight;
     const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, options);
-    const auto place =
-        std::find(u.free_intrinsics.begin(), u.free_intrinsics.end(), index_of("F")) -
-        u.free_intrinsics.begin();
+    const int place = row_of("F", u);
     expect_near_relative(std::sqrt(u.independent_covariance[place * (u.size + 1)]), 1e-3, 1e-3,
                          "F");
   }
@@ -149,6 +155,70 @@ TEST(Anchors, ThatAreImpossibleAreNamed) {
       "weight");
 }
 
+MatrixXd sum_of(const std::vector<MatrixXd>& matrices) {
+  MatrixXd sum = MatrixXd::Zero(matrices.front().rows(), matrices.front().cols());
+  for (const MatrixXd& matrix : matrices) sum += matrix;
+  return sum;
+}
+
+// The curvature of the observations' part of the cost along a direction of the intrinsics.
+double curvature_along(const VectorXd& direction, const Scene& scene, const CostOptions& options) {
+  CalibrationProblem problem(scene.camera, scene.poses, scene.observations, options);
+  const Curvature curved = curvature(without_poses(normal_equations(problem)), &problem);
+  return direction.dot((sum_of(curved.frames) + sum_of(curved.patches)) * direction);
+}
+
+// Residuals at some distance along a direction of the intrinsics, with the poses following.
+VectorXd residuals_at(const VectorXd& change, const Scene& scene) {
+  CalibrationProblem problem(scene.camera, scene.poses, scene.observations, one_pitch());
+  const MatrixXd follow = without_poses(normal_equations(problem)).poses_by_intrinsics;
+  VectorXd state = problem.state();
+  for (Eigen::Index i = 0; i < change.size(); ++i) {
+    state[problem.free_intrinsics()[i]] += change[i];
+  }
+  state.tail(follow.rows()) += follow * change;
+  problem.set_state(state);
+  return residuals({problem.camera(), problem.poses(), scene.observations}, one_pitch());
+}
+
+// Residuals -x r'' along the direction in which an anchor of u0 moves the camera: J'J is 1 there,
+// and the curvature 1 - x |r''|^2.
+TEST(Curvature, IsTheTrueOneWhereOnlyAnAnchorMakesItAMinimum) {
+  constexpr double kCurvature = -0.5, kStep = 0.1, kTolerance = 0.02;
+  Scene scene = test::make_scene(3);
+  const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, one_pitch());
+  CalibrationProblem problem(scene.camera, scene.poses, scene.observations, one_pitch());
+  const Eliminated groups = without_poses(normal_equations(problem));
+  MatrixXd information = groups.anchors;  // none
+  for (const Group& group : groups.frames) information += group.information;
+  for (const Group& group : groups.patches) information += group.information;
+  const VectorXd towards = ScaledInverse(information).matrix().col(row_of("u0", u));
+  const double std_dev = std::sqrt(towards[row_of("u0", u)]);
+  const VectorXd direction = towards / std_dev;
+
+  const VectorXd second =
+      (residuals_at(kStep * direction, scene) + residuals_at(-kStep * direction, scene)) /
+      (kStep * kStep);
+  const VectorXd pattern = (1.0 - kCurvature) / second.squaredNorm() * second;
+  const double* next = pattern.data();
+  for (FeatureObservation& o : scene.observations.features) {
+    for (double* value : {&o.observed.u, &o.observed.v, &o.observed.rho}) *value += *next++;
+  }
+  for (CenterObservation& o : scene.observations.centers) {
+    for (double* value : {&o.observed.u, &o.observed.v}) *value += *next++;
+  }
+  // No minimum: J'J instead.
+  EXPECT_NEAR(curvature_along(direction, scene, one_pitch()), 1.0, kTolerance);
+  CostOptions options = one_pitch();
+  options.anchors = {{"u0", scene.camera.mla.principal_point[0], std_dev / std::sqrt(2.0)}};
+  EXPECT_NEAR(curvature_along(direction, scene, options), kCurvature, kTolerance);
+  // What weighs the anchor does not come from a negative curvature: residuals are far below 1 px.
+  const double dispersion =
+      uncertainty(scene.camera, scene.poses, scene.observations, options).dispersion;
+  EXPECT_GT(dispersion, 0.0);
+  EXPECT_LT(dispersion, 0.1);
+}
+
 // A bend of the board in each frame, the same for all its corners.
 TEST(SharedErrors, AreSeenInWhatFramesContradictEachOther) {
   Scene scene = noisy_scene();
@@ -164,10 +234,7 @@ TEST(SharedErrors, AreSeenInWhatFramesContradictEachOther) {
   const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, one_pitch());
   ASSERT_TRUE(u.shared);
   for (const char* name : {"F", "D", "d", "P1"}) {
-    const auto place =
-        std::find(u.free_intrinsics.begin(), u.free_intrinsics.end(), index_of(name)) -
-        u.free_intrinsics.begin();
-    const auto at = place * (u.size + 1);
+    const int at = row_of(name, u) * (u.size + 1);
     EXPECT_GT(std::sqrt(u.covariance[at] / u.independent_covariance[at]), 1.5) << name;
   }
   for (double freedom : u.freedom) EXPECT_GT(freedom, 0.0);
