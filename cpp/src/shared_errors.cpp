@@ -116,15 +116,6 @@ std::vector<double> row_by_row(const MatrixXd& matrix) {
   return values;
 }
 
-std::vector<double> frame_by_frame(const Eliminated& groups) {
-  std::vector<double> all;
-  for (const Group& frame : groups.frames) {
-    const auto values = row_by_row(frame.information);
-    all.insert(all.end(), values.begin(), values.end());
-  }
-  return all;
-}
-
 MatrixXd gradient_spread(const std::vector<Group>& groups) {
   const MatrixXd information = sum_of_information(groups);
   const ScaledInverse sum(information);
@@ -184,7 +175,6 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   const MatrixXd of_intrinsics = ScaledInverse(hessian).matrix();
 
   SharedErrors result;
-  result.frame_information = frame_by_frame(groups);
   result.poses_by_intrinsics = follow;
   const MatrixXd claimed = claimed_variances(groups.frames, of_intrinsics);
   result.frame_shares = claimed_variances(groups.frames, inverse.topLeftCorner(p, p)) *
