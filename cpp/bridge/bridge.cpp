@@ -192,7 +192,6 @@ UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBl
   parts.freedom = from_core(u.freedom);
   parts.left_out_changes = from_core(u.left_out_changes);
   parts.frame_shares = from_core(u.frame_shares);
-  parts.frame_information = from_core(u.frame_information);
   parts.poses_by_intrinsics = from_core(u.poses_by_intrinsics);
   parts.dispersion = u.dispersion;
   parts.contradiction = u.contradiction;

@@ -35,14 +35,16 @@ MatrixXd with_second_order(const MatrixXd& information, const MatrixXd& second,
 }
 
 // Whether the Hessian of the whole cost is positive along all directions, as it is at a minimum.
-// Off it, J'J is the better guess. Along the directions J'J is the identity, anchors included.
-bool is_minimum(const MatrixXd& directions, const std::vector<MatrixXd>& of_frames,
-                const std::vector<MatrixXd>& of_patches) {
-  MatrixXd within = MatrixXd::Identity(directions.cols(), directions.cols());
+// Off it, J'J is the better guess. That of the observations is the identity along the directions.
+bool is_minimum(const MatrixXd& directions, const MatrixXd& anchors,
+                const std::vector<MatrixXd>& of_frames, const std::vector<MatrixXd>& of_patches) {
+  MatrixXd within = directions.transpose() * anchors * directions;
+  within.diagonal().array() += 1.0;
+  within *= 1.0 - kLeastCurvature;
   for (const MatrixXd& second : of_frames) within += directions.transpose() * second;
   for (const MatrixXd& second : of_patches) within += directions.transpose() * second;
   const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(0.5 * (within + within.transpose()));
-  return eigen.eigenvalues().minCoeff() > kLeastCurvature;
+  return eigen.eigenvalues().minCoeff() > 0.0;
 }
 
 }  // namespace
@@ -69,7 +71,7 @@ Eliminated without_poses(const NormalEquations& equations) {
 
 Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
   const int p = static_cast<int>(groups.poses_by_intrinsics.cols());
-  MatrixXd information = groups.anchors;
+  MatrixXd information = MatrixXd::Zero(p, p);
   for (const Group& group : groups.frames) information += group.information;
   for (const Group& group : groups.patches) information += group.information;
   const ScaledInverse inverse(information);
@@ -105,7 +107,7 @@ Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
   }
   calibration->set_state(state);
 
-  if (known > 0 && !is_minimum(directions, of_frames, of_patches)) {
+  if (known > 0 && !is_minimum(directions, groups.anchors, of_frames, of_patches)) {
     for (MatrixXd& second : of_frames) second.setZero();
     for (MatrixXd& second : of_patches) second.setZero();
   }

@@ -31,8 +31,8 @@ struct Curvature {
 /// Gauss-Newton's J'J leaves out sum r r''. Where the model is not quite right, residuals have a
 /// pattern, and in the weak directions that sum is as large as J'J. It is measured there, by
 /// differences of the gradient; elsewhere it is negligible. The weak directions are those of the
-/// whole cost, since a direction that anchors hold need not be a minimum of the observations alone.
-/// `calibration` is left as it was.
+/// observations; whether they are at a minimum, anchors decide too. `calibration` is left as it
+/// was.
 Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration);
 
 }  // namespace plenocal

@@ -49,7 +49,7 @@ double dispersion_of(const MatrixXd& spread, const MatrixXd& information) {
   return inverse.rank > 0 ? spread.cwiseProduct(inverse.matrix()).sum() / inverse.rank : 1.0;
 }
 
-// A direction counts as measured by both if either has this part of the information.
+// A direction counts as measured by both if each has this part of the information.
 constexpr double kMeasuredByBoth = 1e-3;
 // A contradiction of less than this many standard deviations is chance.
 constexpr double kChance = 3.0;
@@ -77,6 +77,22 @@ Contradiction contradiction(const MatrixXd& boards, const MatrixXd& centers, dou
     result = {apart, static_cast<int>(most)};
   }
   return result;
+}
+
+// A matrix over all parameters from that of the intrinsics, which the poses follow, and what each
+// pose has of its own.
+MatrixXd joined(const MatrixXd& of_intrinsics, const MatrixXd& follow,
+                const std::vector<MatrixXd>& of_poses) {
+  const auto p = of_intrinsics.rows(), size = p + follow.rows();
+  MatrixXd all(size, size);
+  all << of_intrinsics, of_intrinsics * follow.transpose(), follow * of_intrinsics,
+      follow * of_intrinsics * follow.transpose();
+  auto first = p;
+  for (const MatrixXd& own : of_poses) {
+    all.block<Pose::kSize, Pose::kSize>(first, first) += own;
+    first += Pose::kSize;
+  }
+  return all;
 }
 
 // Changes of the intrinsics if each frame were left out, to first order: (H - H_f)^-1 g_f.
@@ -114,15 +130,6 @@ std::vector<double> row_by_row(const MatrixXd& matrix) {
   values.reserve(matrix.size());
   for (const auto& row : matrix.rowwise()) values.insert(values.end(), row.begin(), row.end());
   return values;
-}
-
-std::vector<double> frame_by_frame(const Eliminated& groups) {
-  std::vector<double> all;
-  for (const Group& frame : groups.frames) {
-    const auto values = row_by_row(frame.information);
-    all.insert(all.end(), values.begin(), values.end());
-  }
-  return all;
 }
 
 MatrixXd gradient_spread(const std::vector<Group>& groups) {
@@ -184,7 +191,6 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   const MatrixXd of_intrinsics = ScaledInverse(hessian).matrix();
 
   SharedErrors result;
-  result.frame_information = frame_by_frame(groups);
   result.poses_by_intrinsics = follow;
   const MatrixXd claimed = claimed_variances(groups.frames, of_intrinsics);
   result.frame_shares = claimed_variances(groups.frames, inverse.topLeftCorner(p, p)) *
@@ -205,25 +211,15 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
         contradiction(boards + groups.anchors, centers, dispersion_of(by_frames, boards),
                       dispersion_of(by_patches, centers), gradient, camera.diagonal());
   }
-  MatrixXd covariance(equations.size(), equations.size());
-  covariance << camera, camera * follow.transpose(), follow * camera,
-      follow * camera * follow.transpose();
-  for (std::size_t f = 0; f < groups.frames.size(); ++f) {
-    const MatrixXd pose = ScaledInverse(sum_of_information(equations.corners[f])).matrix();
-    const int first = equations.pose(static_cast<int>(f));
-    covariance.block<Pose::kSize, Pose::kSize>(first, first) +=
-        pose * gradient_spread(equations.corners[f]) * pose;
+  std::vector<MatrixXd> of_poses, spread_of_poses;
+  for (const std::vector<Group>& corners : equations.corners) {
+    const MatrixXd pose = ScaledInverse(sum_of_information(corners)).matrix();
+    of_poses.push_back(pose);
+    spread_of_poses.push_back(pose * gradient_spread(corners) * pose);
   }
-  // The inverse of the Hessian of all parameters.
-  MatrixXd whole(equations.size(), equations.size());
-  whole << of_intrinsics, of_intrinsics * follow.transpose(), follow * of_intrinsics,
-      follow * of_intrinsics * follow.transpose();
-  for (std::size_t f = 0; f < groups.frames.size(); ++f) {
-    const int first = equations.pose(static_cast<int>(f));
-    whole.block<Pose::kSize, Pose::kSize>(first, first) +=
-        ScaledInverse(sum_of_information(equations.corners[f])).matrix();
-  }
-  result.covariance = symmetric(covariance + common_covariance(equations, whole, common));
+  const MatrixXd hessian_inverse = joined(of_intrinsics, follow, of_poses);
+  result.covariance = symmetric(joined(camera, follow, spread_of_poses) +
+                                common_covariance(equations, hessian_inverse, common));
 
   const VectorXd variance = result.covariance.diagonal().head(p);
   const auto part = [&](const MatrixXd& spread) -> VectorXd {

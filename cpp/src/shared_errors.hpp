@@ -45,7 +45,6 @@ struct SharedErrors {
   Eigen::MatrixXd poses_by_intrinsics;
   Eigen::MatrixXd frame_shares;
   Eigen::MatrixXd left_out_changes;
-  std::vector<double> frame_information;
 };
 
 /// `inverse` is H^+.
@@ -61,9 +60,6 @@ SharedErrors shared_errors(const NormalEquations& equations, const Eigen::Matrix
 double mean_dispersion(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
                        const Eigen::MatrixXd& spread, const Eigen::MatrixXd& information,
                        const Eigen::MatrixXd& gauss_newton);
-
-/// The information of every frame, matrix by matrix, row by row.
-std::vector<double> frame_by_frame(const Eliminated& groups);
 
 /// The values of a matrix, row by row.
 std::vector<double> row_by_row(const Eigen::MatrixXd& matrix);

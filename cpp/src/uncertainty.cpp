@@ -92,7 +92,6 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   result.independent_covariance = row_by_row(covariance);
   const MatrixXd observed = total - equations.information[kAnchor];
   const SharedErrors shared = shared_errors(equations, inverse, common, &calibration);
-  result.frame_information = shared.frame_information;
   result.poses_by_intrinsics = row_by_row(shared.poses_by_intrinsics);
   result.frame_shares = row_by_row(shared.frame_shares);
   result.left_out_changes = row_by_row(shared.left_out_changes);
@@ -116,7 +115,13 @@ std::vector<double> frame_information(const Camera& camera, const std::vector<Po
                                       const Observations& observations,
                                       const CostOptions& cost_options) {
   const CalibrationProblem calibration(camera, poses, observations, cost_options);
-  return frame_by_frame(without_poses(normal_equations(calibration)));
+  const Eliminated groups = without_poses(normal_equations(calibration));
+  std::vector<double> all;
+  for (const Group& frame : groups.frames) {
+    const auto values = row_by_row(frame.information);
+    all.insert(all.end(), values.begin(), values.end());
+  }
+  return all;
 }
 
 }  // namespace plenocal

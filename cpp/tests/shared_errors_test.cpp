@@ -241,5 +241,37 @@ TEST(SharedErrors, AreSeenInWhatFramesContradictEachOther) {
   for (double freedom : u.freedom) EXPECT_GT(freedom, 0.0);
 }
 
+// What boards and centres contradict each other in, and by how many standard deviations, if the
+// grid of the centres is larger by a fraction and turned by an angle.
+Contradiction contradiction_of(double larger, double turned) {
+  Scene scene = noisy_scene();
+  const double* middle = scene.camera.mla.principal_point;
+  for (CenterObservation& o : scene.observations.centers) {
+    const double u = o.observed.u - middle[0], v = o.observed.v - middle[1];
+    o.observed.u += larger * u - turned * v;
+    o.observed.v += larger * v + turned * u;
+  }
+  const Refinement r = refine(scene.camera, scene.poses, scene.observations, one_pitch(), {});
+  const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, one_pitch());
+  EXPECT_TRUE(u.shared);
+  return {u.contradiction, u.contradicted < 0 ? -1 : u.free_intrinsics[u.contradicted]};
+}
+
+TEST(Contradiction, IsNoneWhereBoardsAndCentresAgree) {
+  const Contradiction none = contradiction_of(0.0, 0.0);
+  EXPECT_EQ(none.parameter, -1);
+  EXPECT_EQ(none.std_devs, 0.0);
+}
+
+TEST(Contradiction, IsFoundAndNamed) {
+  // Boards of this scene know the pitch to some 0.1 %, and how the array is turned far better.
+  const Contradiction larger = contradiction_of(0.01, 0.0);
+  EXPECT_GT(larger.std_devs, 3.0);
+  EXPECT_EQ(larger.parameter, index_of("dC"));
+  const Contradiction turned = contradiction_of(0.0, 1e-3);
+  EXPECT_GT(turned.std_devs, 30.0);
+  EXPECT_EQ(turned.parameter, index_of("theta_z"));
+}
+
 }  // namespace
 }  // namespace plenocal

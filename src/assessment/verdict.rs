@@ -233,7 +233,9 @@ fn of_boards(calibration: &Calibration) -> Vec<Reason> {
         normal.z.abs().min(1.0).acos() >= TILTED_RAD
     };
     let tilted = (0..frames).filter(tilt).count();
-    if tilted < ENOUGH_TILTED {
+    // The warning says it already.
+    let warned = calibration.warnings.iter().any(|w| matches!(w, Warning::FrontoParallel { .. }));
+    if tilted < ENOUGH_TILTED && !warned {
         reasons.push(Reason::FewTilts { tilted, frames });
     }
     let distances = poses.iter().map(|p| p.camera_from_board.translation.z);
@@ -313,8 +315,8 @@ impl fmt::Display for Reason {
             }
             Self::FewFrames(frames) => write!(
                 f,
-                "{frames} frame(s) do not show what their errors share: σ takes all observations as \
-                 independent"
+                "with only {frames} frame(s), shared errors cannot be seen: σ takes all observations \
+                 as independent"
             ),
             Self::FewTilts { tilted, frames } => write!(
                 f,

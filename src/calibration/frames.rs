@@ -226,37 +226,13 @@ pub(super) fn feature_residuals(
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+    use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
     use super::*;
-    use crate::model::{
-        Lattice, MainLens, MicroLensArray, Noise, Packing, Parity, Sensor, intrinsic_parameters,
-    };
-    use crate::solver::{Loss, LossKind, synthesize};
+    use crate::model::{Noise, intrinsic_parameters};
+    use crate::solver::{Loss, LossKind, small_camera as camera, synthesize};
 
     const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
-
-    fn camera() -> PlenopticCamera {
-        PlenopticCamera {
-            sensor: Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 },
-            lattice: Lattice {
-                packing: Packing::HexagonalRows(Parity::Even),
-                columns: 43,
-                rows: 37,
-            },
-            main_lens: MainLens::thin(16.2),
-            mla: MicroLensArray {
-                principal_point_px: Vector2::new(499.5, 374.5),
-                mla_to_sensor_mm: 0.33,
-                rotation_rad: Vector3::zeros(),
-                offset_mm: Vector2::zeros(),
-                lens_to_mla_mm: 18.5,
-                pitch_mm: 0.126,
-                pitch_ratio: 1.0,
-                focal_lengths_mm: vec![0.578, 0.505, 0.552],
-            },
-        }
-    }
 
     /// The board in front of the camera, tilted about x through its middle.
     fn tilted(angle_rad: f64) -> Isometry3<f64> {

@@ -53,7 +53,9 @@ pub struct CalibrationOptions {
     pub mode: Mode,
     /// How observations are weighted.
     pub weights: Weights,
-    /// The cost. Its anchors are those that the user states; its weight of the anchors is a first guess.
+    /// The cost. Its anchors are those that the user states. Its `anchor_weight` is not used: with
+    /// anchors, the weight is measured ([`Calibration::cost`](crate::calibration::Calibration::cost)
+    /// has it); without, it has no effect.
     pub cost: CostOptions,
     /// Whether to use a robust loss where the observations state their σ, whatever `cost` says: without
     /// σ a loss has no scale.

@@ -37,7 +37,8 @@ pub(super) struct Settings<'a> {
     pub type_rho_std_dev_px: Vec<f64>,
 }
 
-/// The refinement, its uncertainty, and the cost with the weight that the anchors ended with.
+/// The refinement, its uncertainty, and the cost that it ended with: with the weight of the anchors, and
+/// without the loss if it was stopped before the loss took part.
 pub(super) struct Refined {
     pub refinement: Refinement,
     pub uncertainty: Uncertainty,
@@ -89,7 +90,7 @@ impl Settings<'_> {
                 || self.left(Some(&refinement)) == 0
                 || (!rough && (settled || attempt >= MAX_ATTEMPTS));
             if done {
-                return Ok(Refined { refinement, uncertainty, cost });
+                return Ok(Refined { refinement, uncertainty, cost: used });
             }
             if !cost.anchors.is_empty() {
                 cost.anchor_weight *= change;

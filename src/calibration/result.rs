@@ -46,7 +46,8 @@ pub struct Calibration {
     pub converged: bool,
     /// The options used.
     pub options: CalibrationOptions,
-    /// The cost used, with all anchors and their weight.
+    /// The cost used, with all anchors and their weight; without the loss if the solve ended before the
+    /// loss took part.
     pub cost: CostOptions,
     /// What became of the anchors.
     pub anchors: Vec<AnchorResult>,

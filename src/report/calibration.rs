@@ -82,8 +82,8 @@ fn std_dev_text(calibration: &Calibration) -> String {
     }
     let contradiction = uncertainty.contradiction.map_or(String::new(), |(index, std_devs)| {
         format!(
-            " It does not hold that boards and micro-image centres contradict each other by \
-             {std_devs:.0} σ, most in {}.",
+            " Boards and micro-image centres contradict each other by {std_devs:.0} σ, most in {}; \
+             σ does not contain that.",
             intrinsic_parameters(calibration.camera.lens_types())[index].name
         )
     });
@@ -96,6 +96,29 @@ fn std_dev_text(calibration: &Calibration) -> String {
         calibration.poses.len(),
         100.0 * known().fold(f64::INFINITY, f64::min),
         100.0 * known().fold(0.0, f64::max)
+    )
+}
+
+/// How observations count against anchors.
+fn anchor_weight_text(calibration: &Calibration) -> String {
+    let weight = calibration.cost.anchor_weight;
+    let (changed, factor, known) = if weight < 1.0 {
+        ("multiplied", 1.0 / weight, "better")
+    } else {
+        ("divided", weight, "worse")
+    };
+    let why = if calibration.uncertainty.shared {
+        format!(
+            "as the frames show, the observations know the anchored quantities about that much {known} \
+             (in variance) than their σ predict"
+        )
+    } else {
+        "so few frames do not show how well the observations know the anchored quantities, and ten \
+         times the variance of independent errors is assumed"
+            .to_owned()
+    };
+    format!(
+        "Against the anchors, the weight of every observation is {changed} by {factor:.3}: {why}."
     )
 }
 
@@ -184,12 +207,7 @@ pub(super) fn summary(calibration: &Calibration) -> String {
     let _ = writeln!(text, "{counts}");
     let _ = writeln!(text, "{}", std_dev_text(calibration));
     if !calibration.anchors.is_empty() {
-        let _ = writeln!(
-            text,
-            "Anchors weigh {:.3}: so many times larger is the variance of what the observations say \
-             than their weights claim.",
-            calibration.cost.anchor_weight
-        );
+        let _ = writeln!(text, "{}", anchor_weight_text(calibration));
     }
     let what = if calibration.cost.loss.kind == LossKind::None {
         "Measured noise per coordinate"

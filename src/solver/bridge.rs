@@ -201,7 +201,6 @@ mod ffi {
         freedom: Vec<f64>,
         left_out_changes: Vec<f64>,
         frame_shares: Vec<f64>,
-        frame_information: Vec<f64>,
         poses_by_intrinsics: Vec<f64>,
         dispersion: f64,
         contradiction: f64,

@@ -15,5 +15,7 @@ pub(crate) use bridge::{
 pub use options::{Anchor, BEYOND_THE_PAPER, CostOptions, Loss, LossKind, SolverOptions};
 pub(crate) use problem::{PointSensitivity, Problem, Projected, SolverCenter, SolverFeature};
 pub use refinement::{Iteration, Refinement, Termination};
+#[cfg(test)]
+pub(crate) use synthetic::small_camera;
 pub use synthetic::synthesize;
 pub use uncertainty::{Component, Uncertainty, WeakDirection};

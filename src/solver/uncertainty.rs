@@ -39,8 +39,6 @@ pub struct Uncertainty {
     /// The share of each frame (a row) in what the weights claim the variance of the free intrinsic
     /// parameters to be, 0 to 1.
     pub frame_shares: DMatrix<f64>,
-    /// The information of each frame on the free intrinsic parameters, with its pose unknown.
-    pub frame_information: Vec<DMatrix<f64>>,
     /// How the poses follow the free intrinsic parameters: six rows for each.
     pub poses_by_intrinsics: DMatrix<f64>,
     /// How many times larger the variance of the anchored quantities is than the weights claim, as far as

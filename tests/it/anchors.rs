@@ -4,7 +4,7 @@ use std::fs;
 
 use plenocal::calibration::{AnchorSource, Calibration, CalibrationOptions, Start, Warning};
 use plenocal::model::{Noise, Observations};
-use plenocal::solver::Anchor;
+use plenocal::solver::{Anchor, LossKind, Termination};
 use predicates::str::contains;
 use tempfile::TempDir;
 
@@ -86,6 +86,19 @@ fn observations_and_an_anchor_are_weighted_by_their_variances() {
     assert!((0.3..3.0).contains(&weight), "{weight}");
     let sigma = both.uncertainty.independent_std_devs(3)[0].unwrap();
     assert!(sigma < s && sigma > 0.5 * s, "{sigma} after {s}");
+}
+
+/// The way to the minimum begins without the loss: a result from there must not claim one.
+#[test]
+fn a_solve_that_ends_early_states_the_cost_that_it_used() {
+    let observations = honest_observations();
+    let mut options = anchored();
+    let whole = run(&datasheet_start(), &observations, &options);
+    assert_eq!(whole.cost.loss.kind, LossKind::Huber);
+    options.solver.max_iterations = 1;
+    let early = run(&datasheet_start(), &observations, &options);
+    assert_eq!(early.refinement.termination, Termination::IterationLimit);
+    assert_eq!(early.cost.loss.kind, LossKind::None);
 }
 
 #[test]

@@ -125,6 +125,26 @@ fn a_board_of_another_size_in_all_frames_is_not_called_good() {
     }
 }
 
+#[test]
+fn fronto_parallel_boards_are_a_reason_only_once() {
+    let poses: Vec<_> = (0_u8..5)
+        .map(|i| plenocal::model::FramePose {
+            frame: i.into(),
+            camera_from_board: nalgebra::Isometry3::translation(
+                -12.0,
+                -6.0,
+                76.0 + 5.0 * f64::from(i),
+            ),
+        })
+        .collect();
+    let observations = synthesize(&true_camera(), &board(), &poses, &NOISE, 3).unwrap();
+    let (_, assessment) = assessed(&observations);
+    let texts = texts(&assessment);
+    let tilts = texts.iter().filter(|text| text.contains("tilted")).count();
+    assert_eq!(tilts, 1, "{texts:?}");
+    assert!(texts.iter().any(|text| text.contains("with only 5 frame(s)")), "{texts:?}");
+}
+
 /// The board that is proposed lowers σ by what is promised.
 #[test]
 fn the_next_board_keeps_its_promise() {

@@ -117,11 +117,12 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
 ///
 /// Parameters: the free intrinsics, in the order of `for_each_parameter`, then 6 per pose.
 ///
-/// With H = J'J the information of the standardised residuals, every covariance here is
-/// H^+ S H^+, where S is the covariance of the gradient. The two kinds differ in S:
+/// Every covariance here is A^+ S A^+, with S the covariance of the gradient and A the Hessian of
+/// the cost. The two kinds differ in both. H = J'J is the information of the standardised
+/// residuals.
 ///
-/// *Independent errors.* S = sum_k s_k^2 H_k over the kinds of residuals (features' u and v;
-/// features' rho; centres), with the variance s_k^2 of each kind measured as
+/// *Independent errors.* A = H, and S = sum_k s_k^2 H_k over the kinds of residuals (features' u
+/// and v; features' rho; centres), with the variance s_k^2 of each kind measured as
 /// |r_k|^2 / (n_k - tr(H_k H^+)), so that it is valid whether or not the weights match the noise.
 /// (All rho of a corner come from one virtual depth; they count as one.)
 ///
@@ -129,7 +130,8 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
 /// is then the sum of g g' over frames, over patches of the image (for the centres), and, in the
 /// part of a pose that is its own, over the corners of the frame, g being the gradient of the
 /// group; each corrected for what the fit takes away from it (`gradient_spread` in
-/// src/shared_errors.hpp).
+/// src/shared_errors.hpp). A is H except in the weakest directions of the intrinsics: there it is
+/// the true Hessian, with the second derivatives that J'J leaves out (src/curvature.hpp).
 ///
 /// Both contain w^2 H_a of the anchors, with H_a their information at w = 1, and the errors of rho
 /// that all features of a lens type share.
@@ -152,9 +154,6 @@ struct Uncertainty {
   /// The share of each frame in what the weights claim the variance of the free intrinsics to be: a
   /// row for each frame, 0 to 1.
   std::vector<double> frame_shares;
-  /// The information of each frame on the free intrinsics, with its pose unknown: a square matrix
-  /// for each frame, row by row.
-  std::vector<double> frame_information;
   /// How the poses follow the free intrinsics: 6 rows for each frame.
   std::vector<double> poses_by_intrinsics;
   /// How many times larger the variance of the anchored quantities due to the observations is than
@@ -191,9 +190,8 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const Observations& observations, const CostOptions& cost_options,
                         const std::vector<double>& type_rho_std_dev = {});
 
-/// The information of each frame on the free intrinsics with its pose unknown, as in
-/// `Uncertainty::frame_information`, without the rest. Anchors and centres take no part. Throws
-/// like `refine`.
+/// The information of each frame on the free intrinsics, with its pose unknown: a square matrix for
+/// each frame, row by row. Anchors and centres take no part. Throws like `refine`.
 std::vector<double> frame_information(const Camera& camera, const std::vector<Pose>& poses,
                                       const Observations& observations,
                                       const CostOptions& cost_options);

@@ -209,7 +209,6 @@ impl From<(&ffi::UncertaintyParts, usize)> for Uncertainty {
             freedom: parts.freedom.clone(),
             left_out_changes: matrix(frames, free, &parts.left_out_changes),
             frame_shares: matrix(frames, free, &parts.frame_shares),
-            frame_information: square_matrices(free, &parts.frame_information),
             poses_by_intrinsics: matrix(size - free, free, &parts.poses_by_intrinsics),
             dispersion: parts.dispersion,
             contradiction: usize::try_from(parts.contradicted)
