@@ -3,8 +3,10 @@
 
 mod obliquity;
 mod overlap;
+mod points;
 mod visible_part;
 
 pub(crate) use obliquity::Obliquity;
 pub(crate) use overlap::{Overlap, overlap, overlap_area};
+pub(crate) use points::{POINTS, mean_square};
 pub(crate) use visible_part::Vignetting;

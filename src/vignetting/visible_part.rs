@@ -9,6 +9,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
+use super::points::{POINTS, in_overlap, of_disc};
 use crate::vignetting::{Overlap, overlap};
 
 /// Vignetting of the micro-lenses of one type as a function of the distance from the centre of the
@@ -16,6 +17,8 @@ use crate::vignetting::{Overlap, overlap};
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Vignetting {
     moments: Vec<Moments>,
+    /// Points of the visible part, less its mean, along and across the direction from the centre.
+    points: Vec<[Vector2<f32>; POINTS]>,
     sign: f64,
 }
 
@@ -31,6 +34,9 @@ struct Moments {
 
 /// Resolution, px.
 const STEP_PX: f64 = 0.1;
+
+/// Points are looked for where the discs overlap by at least this, in radii of the micro-lens.
+const LEAST: f64 = 0.02;
 
 /// At the very edge the light falls to zero and its logarithm is unbounded, so the shift is limited
 /// to this.
@@ -55,16 +61,27 @@ impl Vignetting {
             let fall = (moments[i - 2].part.area / moments[i + 2].part.area).ln() / (4.0 * STEP_PX);
             moments[i].inwards = (fall / 12.0).clamp(0.0, MOST_INWARDS_PX);
         }
-        Self { moments, sign: q_px.signum() }
+        let disc = of_disc();
+        let sign = q_px.signum();
+        #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+        let points_at = |(i, m): (usize, &Moments)| {
+            let (distance, radius) = (i as f64 * STEP_PX / q, pupil_px / q);
+            let points = in_overlap(&disc, distance.min(1.0 + radius - LEAST), radius, &m.part);
+            points.map(|p| Vector2::new((sign * (p.x - m.part.mean)) as f32, p.y as f32))
+        };
+        let points = moments.iter().enumerate().map(points_at).collect();
+        Self { moments, points, sign }
     }
 
     /// No vignetting: the whole micro-lens is visible.
     pub fn none() -> Self {
-        Self { moments: vec![Moments { part: Overlap::WHOLE, inwards: 0.0 }], sign: 1.0 }
+        #[allow(clippy::cast_possible_truncation)] // as above
+        let points = vec![of_disc().map(|p| p.map(|x| x as f32))];
+        Self { moments: vec![Moments { part: Overlap::WHOLE, inwards: 0.0 }], points, sign: 1.0 }
     }
 
     /// The part of the micro-lens through which the pixel at an offset from the centre, px, sees.
-    pub fn at(&self, offset: &Vector2<f64>) -> VisiblePart {
+    pub fn at(&self, offset: &Vector2<f64>) -> VisiblePart<'_> {
         let r = offset.norm();
         let outwards = if r > 1e-9 { offset / r } else { Vector2::x() };
         let steps = r / STEP_PX;
@@ -76,6 +93,8 @@ impl Vignetting {
         let mix = |of: fn(&Moments) -> f64| of(m) * (1.0 - part) + of(n) * part;
         let radial = outwards * outwards.transpose();
         VisiblePart {
+            outwards,
+            points: &self.points[if part < 0.5 { i } else { (i + 1).min(last) }],
             seen_at: offset - outwards * mix(|m| m.inwards),
             mean: outwards * (self.sign * mix(|m| m.part.mean)),
             squeeze: radial * mix(|m| m.part.along)
@@ -86,7 +105,12 @@ impl Vignetting {
 
 /// The visible part of a micro-lens.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct VisiblePart {
+pub(crate) struct VisiblePart<'a> {
+    /// Away from the centre of the micro-image.
+    pub outwards: Vector2<f64>,
+    /// Points that stand for equal shares of it, less its centroid, in radii of the micro-lens: along
+    /// `outwards` and across it.
+    pub points: &'a [Vector2<f32>; POINTS],
     /// Centroid of the pixel's light relative to the centre of the micro-image, px. The light falls off
     /// towards the edge, and a pixel has a variance of 1/12 px² along each axis.
     pub seen_at: Vector2<f64>,
