@@ -41,6 +41,7 @@ fn main() -> Result<()> {
         let mut replaced: Vec<String> = replaced.iter().map(ToString::to_string).collect();
         replaced.extend(own.iter().cloned());
         let settings = Settings::preset(preset, &replaced)?;
+        let frames = std::env::var("FRAMES").ok().and_then(|n| n.parse().ok()).unwrap_or(frames);
         let score = DetectionScore::of_simulation(&settings, frames, DepthEstimator::Line)?;
         let errors = &score.errors;
         let of_types: Vec<String> = (0..settings.camera.lens_types())

@@ -26,9 +26,8 @@ pub struct MicroImages {
     q_prime_px: Vec<f64>,
     /// The middle of the image, px.
     middle: Vector2<f64>,
-    /// The fall-off of light over the image, and inside micro-images.
+    /// The fall-off of light.
     fall_off: FallOff,
-    within_per_px2: f64,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
     /// Vignetting by lens type and by growth of d.
@@ -166,7 +165,6 @@ impl MicroImages {
             first_step: -last_step,
             q_prime_px,
             middle,
-            within_per_px2: fall_off.within_per_px2(lens_to_sensor_px / mla_to_sensor_px),
             fall_off,
             growth_per_px,
         })
@@ -231,7 +229,7 @@ impl MicroImages {
             half_pitch_px: self.grid.pitch_px / 2.0,
             obliquity: Obliquity {
                 gradient_per_px: self.fall_off.gradient(place),
-                within_per_px2: self.within_per_px2,
+                within_per_px2: self.fall_off.within_per_px2,
                 half_pitch_px: self.grid.pitch_px / 2.0,
             },
             growth,

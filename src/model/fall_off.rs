@@ -1,4 +1,4 @@
-//! How light falls off with its angle, inside micro-images and over the sensor.
+//! How light falls off with its angle, over the sensor and inside micro-images.
 
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 /// The fall-off of light as white images show it, whatever its law.
 ///
 /// Light that comes through the point M of a micro-lens to the point y of its micro-image, both from their
-/// middles, changes by exp(−g(c)·(y − M)) to first order, with the gradient g(c) = G (c − c₀) for the
-/// micro-image at c. A law cosⁿ of the angle of incidence has G = n/d(D + e_z + d): of two micro-images the
-/// one that lies further out is seen at a larger angle. c₀ is where light arrives at a right angle.
+/// middles, changes by exp(−g(c)·(y − M) − H |y − M|²/2), with the gradient g(c) = G (c − c₀) for the
+/// micro-image at c. A law cosⁿ of the angle of incidence has G = n/d(D + e_z + d) and H = n/d²: light is more
+/// oblique further out on the sensor, and inside a micro-image. c₀ is where it arrives at a right angle.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FallOff {
     /// G, px⁻².
@@ -17,6 +17,10 @@ pub struct FallOff {
     pub std_dev_per_px2: f64,
     /// c₀, px.
     pub middle_px: [f64; 2],
+    /// H, px⁻².
+    pub within_per_px2: f64,
+    /// Its σ, px⁻²; 0 where it is assumed to be G (D + d)/d.
+    pub within_std_dev_per_px2: f64,
 }
 
 impl FallOff {
@@ -28,14 +32,9 @@ impl FallOff {
             growth_per_px2: 4.0 / (mla_to_sensor_px * pupil_to_sensor_px),
             std_dev_per_px2: 0.0,
             middle_px: middle_px.into(),
+            within_per_px2: 4.0 / mla_to_sensor_px.powi(2),
+            within_std_dev_per_px2: 0.0,
         }
-    }
-
-    /// H = n/d², px⁻², by how much light falls off inside a micro-image, from G = n/d(D + e_z + d) and the
-    /// ratio (D + e_z + d)/d.
-    #[must_use]
-    pub fn within_per_px2(&self, pupil_to_sensor_over_d: f64) -> f64 {
-        self.growth_per_px2 * pupil_to_sensor_over_d
     }
 
     /// g of the micro-image at a place, px⁻¹.

@@ -28,6 +28,10 @@ const REACH: f64 = 0.46;
 const RING_PX: f64 = 0.25;
 /// Samples above this part of full scale may be clipped; so may the mean of a ring with one.
 const CLIPPED: f32 = 0.97;
+/// What a pixel, and a point spread, take from the plateau of a micro-image, px.
+const PLATEAU_MARGIN_PX: f64 = 1.2;
+/// The smallest plateau across which light falls off by enough to be seen, px.
+const LEAST_PLATEAU_PX: f64 = 1.5;
 /// Variance of a pixel without light, over that of the brightest.
 const READ_NOISE: f64 = 0.02;
 /// So many micro-images of the reference give G to about a per cent.
@@ -70,6 +74,14 @@ impl Discs {
         let mean = overlap(r / size, self.pupil_px / size).map_or(1.0, |part| part.mean);
         r + mean * q.signum() * self.half_pitch_px
     }
+
+    /// How far from the centre all pixels see the whole pupil, or the whole micro-lens, px, and |y − M|/|y|
+    /// there.
+    fn plateau(&self, lens_type: usize) -> (f64, f64) {
+        let (a, q) = (self.pupil_px, self.q_px[lens_type]);
+        let lever = if a < q.abs() { 1.0 + self.half_pitch_px / q } else { 1.0 };
+        ((a - q.abs()).abs() - PLATEAU_MARGIN_PX, lever)
+    }
 }
 
 /// How lopsided a micro-image is.
@@ -97,17 +109,23 @@ pub(super) fn known_fall_off(
     let discs = |f_number| Discs::new(internal, f_number, pitch_px, options.pixel_size_mm);
     let of_whites: Vec<Discs> = samples.whites.iter().map(|white| discs(white.f_number)).collect();
     let of_reference = (reference, &discs(reference.f_number));
-    let measured = measured_fall_off(found, samples, of_reference, &of_whites);
+    let lopsided = Lopsided::of_images(found, samples, of_reference, &of_whites);
     let (lens_to_sensor_px, mla_to_sensor_px) = options.distances_px(internal.m_mm);
     let (width, height) = (reference.image.width as f64, reference.image.height as f64);
     let middle = Vector2::new(width - 1.0, height - 1.0) / 2.0;
     let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, middle);
-    if let Some(measured) = measured {
+    if let Some(mut measured) = plane(&lopsided.gradients) {
+        let within = mean_within(&lopsided.within);
         debug!(
-            "light falls off by {:.3} ± {:.3} of cos⁴ over the image",
+            "light falls off by {:.3} ± {:.3} of cos⁴ over the image, and inside micro-images by {:.3?}",
             measured.growth_per_px2 / cos4.growth_per_px2,
-            measured.std_dev_per_px2 / cos4.growth_per_px2
+            measured.std_dev_per_px2 / cos4.growth_per_px2,
+            within.map(|(h, std_dev)| [h, std_dev].map(|x| x / cos4.within_per_px2)),
         );
+        let (within_per_px2, within_std_dev_per_px2) = within
+            .filter(|(_, std_dev)| *std_dev < KNOWN * cos4.within_per_px2)
+            .unwrap_or((measured.growth_per_px2 * lens_to_sensor_px / mla_to_sensor_px, 0.0));
+        measured = FallOff { within_per_px2, within_std_dev_per_px2, ..measured };
         if measured.std_dev_per_px2 < KNOWN * cos4.growth_per_px2 {
             return (measured, None);
         }
@@ -118,64 +136,115 @@ pub(super) fn known_fall_off(
     (cos4, Some(warning.to_owned()))
 }
 
-/// The fall-off that all white images show together; `None` if they show none, not even that there is
-/// none: too few micro-images with unclipped light.
-fn measured_fall_off(
-    found: &FoundArray,
-    samples: &Samples,
-    (reference, of_reference): (&White, &Discs),
-    of_whites: &[Discs],
-) -> Option<FallOff> {
-    let types = of_reference.q_px.len();
-    let lens_type = |blob: &Blob| {
-        let (k, l) = found.index(blob.node);
-        found.array.grid.lattice.lens_type(k, l, types)
-    };
-    let reach = REACH * found.pattern.pitch();
-    let of_image = |image: &Grey, blobs: &[Blob], discs: &Discs| {
-        let own: Vec<(Blob, usize)> = blobs.iter().map(|b| (*b, lens_type(b))).collect();
-        (0..types).flat_map(move |t| gradients(image, &own, t, discs, reach)).collect::<Vec<_>>()
-    };
-    let of_white = |((white, sample), discs): ((&White, &_), &Discs)| {
-        let sample: &super::samples::Sample = sample;
-        of_image(&white.image.grey(), &sample.blobs, discs)
-    };
-    let mut all: Vec<Gradient> = samples
-        .whites
-        .par_iter()
-        .zip(&samples.samples)
-        .zip(of_whites)
-        .flat_map_iter(of_white)
-        .collect();
-    let step = found.blobs.len().div_ceil(SAMPLE).max(1);
-    // Every third in a row would be of one lens type.
-    let step = if step.is_multiple_of(3) { step + 1 } else { step };
-    let sample: Vec<Blob> = found.blobs.iter().copied().step_by(step).collect();
-    all.extend(of_image(&reference.image.grey(), &sample, of_reference));
-    plane(&all)
+/// What micro-images show of the fall-off.
+#[derive(Default)]
+struct Lopsided {
+    gradients: Vec<Gradient>,
+    /// H with its variance, by image and type.
+    within: Vec<(f64, f64)>,
+}
+
+impl Lopsided {
+    /// What all white images show.
+    fn of_images(
+        found: &FoundArray,
+        samples: &Samples,
+        (reference, of_reference): (&White, &Discs),
+        of_whites: &[Discs],
+    ) -> Self {
+        let types = of_reference.q_px.len();
+        let reach = REACH * found.pattern.pitch();
+        let lens_type = |blob: &Blob| {
+            let (k, l) = found.index(blob.node);
+            found.array.grid.lattice.lens_type(k, l, types)
+        };
+        let of_image = |image: &Grey, blobs: &[Blob], discs: &Discs| -> Self {
+            let of_type = |own: usize| {
+                let blobs: Vec<Blob> =
+                    blobs.iter().copied().filter(|blob| lens_type(blob) == own).collect();
+                Self::of_type(image, &blobs, (discs, own), reach)
+            };
+            (0..types).map(of_type).fold(Self::default(), Self::and)
+        };
+        let step = found.blobs.len().div_ceil(SAMPLE).max(1);
+        // Every third in a row would be of one lens type.
+        let step = if step.is_multiple_of(3) { step + 1 } else { step };
+        let sample: Vec<Blob> = found.blobs.iter().copied().step_by(step).collect();
+        let whites = samples.whites.par_iter().zip(&samples.samples).zip(of_whites);
+        whites
+            .map(|((white, sample), discs)| of_image(&white.image.grey(), &sample.blobs, discs))
+            .reduce(Self::default, Self::and)
+            .and(of_image(&reference.image.grey(), &sample, of_reference))
+    }
+
+    /// What the micro-images of one type show in one image.
+    fn of_type(
+        image: &Grey,
+        blobs: &[Blob],
+        (discs, lens_type): (&Discs, usize),
+        reach: f64,
+    ) -> Self {
+        let light: Vec<Pixels> =
+            blobs.par_iter().map(|blob| pixels_of(image, &blob.center, reach)).collect();
+        let rings = Rings::new(&light, reach, |r| discs.from_lens(lens_type, r));
+        let gradients = blobs
+            .par_iter()
+            .zip(&light)
+            .filter_map(|(blob, pixels)| rings.gradient(&blob.center, pixels))
+            .collect();
+        let (plateau_px, lever) = discs.plateau(lens_type);
+        Self { gradients, within: within(&light, plateau_px, lever).into_iter().collect() }
+    }
+
+    fn and(mut self, other: Self) -> Self {
+        self.gradients.extend(other.gradients);
+        self.within.extend(other.within);
+        self
+    }
+}
+
+/// H with its variance, from how much darker the plateaus of micro-images become away from their centres;
+/// `None` if those are too small or clipped. Every micro-image is compared with its own mean.
+fn within(light: &[Pixels], plateau_px: f64, lever: f64) -> Option<(f64, f64)> {
+    if plateau_px < LEAST_PLATEAU_PX {
+        return None;
+    }
+    let (mut square, mut product, mut residual, mut count) = (0.0, 0.0, 0.0, 0.0);
+    for pixels in light {
+        let inside: Vec<(f64, f64)> = pixels
+            .iter()
+            .filter(|(offset, _)| offset.norm() < plateau_px)
+            .map(|(offset, value)| ((lever * offset.norm()).powi(2) / 2.0, *value))
+            .collect();
+        let clipped = inside.iter().any(|(_, value)| *value > f64::from(CLIPPED));
+        if clipped || inside.len() < 2 {
+            continue;
+        }
+        let n = inside.len() as f64;
+        let mean_x = inside.iter().map(|(x, _)| x).sum::<f64>() / n;
+        let mean = inside.iter().map(|(_, value)| value).sum::<f64>() / n;
+        for (x, value) in inside {
+            let (x, y) = (x - mean_x, value / mean - 1.0);
+            square += x * x;
+            product += x * y;
+            residual += y * y;
+            count += 1.0;
+        }
+    }
+    (count > FEWEST as f64).then(|| (-product / square, residual / count / square))
+}
+
+/// The mean of all H, and its σ by their scatter or their variances, whichever is larger.
+fn mean_within(all: &[(f64, f64)]) -> Option<(f64, f64)> {
+    let weights: f64 = all.iter().map(|(_, variance)| 1.0 / variance).sum();
+    let mean = all.iter().map(|(h, variance)| h / variance).sum::<f64>() / weights;
+    let scatter: f64 = all.iter().map(|(h, variance)| (h - mean).powi(2) / variance).sum();
+    let freedom = (all.len() as f64 - 1.0).max(1.0);
+    (!all.is_empty()).then(|| (mean, ((scatter / freedom).max(1.0) / weights).sqrt()))
 }
 
 /// Pixels of a micro-image: offsets from its centre, light.
 type Pixels = Vec<(Vector2<f64>, f64)>;
-
-/// g of the micro-images of one type in one image.
-fn gradients(
-    image: &Grey,
-    blobs: &[(Blob, usize)],
-    lens_type: usize,
-    discs: &Discs,
-    reach: f64,
-) -> Vec<Gradient> {
-    let own: Vec<&Blob> =
-        blobs.iter().filter(|(_, own)| *own == lens_type).map(|(blob, _)| blob).collect();
-    let light: Vec<Pixels> =
-        own.par_iter().map(|blob| pixels_of(image, &blob.center, reach)).collect();
-    let rings = Rings::new(&light, reach, |r| discs.from_lens(lens_type, r));
-    own.par_iter()
-        .zip(&light)
-        .filter_map(|(blob, pixels)| rings.gradient(&blob.center, pixels))
-        .collect()
-}
 
 fn pixels_of(image: &Grey, center: &Vector2<f64>, reach: f64) -> Pixels {
     let (part, corner) = part_with(image, std::iter::once(*center), reach + 1.0);
@@ -312,5 +381,7 @@ fn plane(gradients: &[Gradient]) -> Option<FallOff> {
         growth_per_px2: growth,
         std_dev_per_px2: std_dev,
         middle_px: (middle + off).into(),
+        within_per_px2: 0.0,
+        within_std_dev_per_px2: 0.0,
     })
 }

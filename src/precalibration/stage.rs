@@ -16,7 +16,7 @@ use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
 use crate::image::RawImage;
-use crate::model::{Configuration, Datasheet, FallOff, optics, positive};
+use crate::model::{Configuration, Datasheet, optics, positive};
 use crate::vignetting::Obliquity;
 
 /// A white image.
@@ -68,16 +68,6 @@ impl PrecalibrationOptions {
         let (lens_to_mla, mla_to_sensor) =
             optics::initial_distances(focal_length, focus_distance, m_mm, self.configuration, 0.0);
         ((lens_to_mla + mla_to_sensor) / self.pixel_size_mm, mla_to_sensor / self.pixel_size_mm)
-    }
-
-    /// The fall-off in the middle of the image, for a slope m of the radii.
-    fn obliquity(&self, m_mm: f64, micro_image_pitch_px: f64, fall_off: &FallOff) -> Obliquity {
-        let (lens_to_sensor_px, mla_to_sensor_px) = self.distances_px(m_mm);
-        Obliquity {
-            gradient_per_px: Vector2::zeros(),
-            within_per_px2: fall_off.within_per_px2(lens_to_sensor_px / mla_to_sensor_px),
-            half_pitch_px: micro_image_pitch_px / 2.0,
-        }
     }
 }
 
@@ -131,10 +121,14 @@ pub fn precalibrate(
     // The sizes of the discs decide how far centroids are shifted, whatever estimator is asked for.
     let seen_pitch_px = found.array.grid.pitch_px;
     let straight = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
-    let m_mm = straight.parameters.m_mm;
     let (fall_off, unknown_fall_off) =
         known_fall_off(&found, &samples, reference, &straight.parameters, options);
-    let obliquity = options.obliquity(m_mm, seen_pitch_px, &fall_off);
+    // In the middle of the image, where radii are measured.
+    let obliquity = Obliquity {
+        gradient_per_px: Vector2::zeros(),
+        within_per_px2: fall_off.within_per_px2,
+        half_pitch_px: seen_pitch_px / 2.0,
+    };
     let by_profile = samples.oblique(&by_profile, &straight.parameters, &obliquity);
     let oblique = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
     let moments = Moments {
