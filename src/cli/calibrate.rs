@@ -203,6 +203,13 @@ pub(super) fn stage_results(
         let grid = calibration.grid.as_ref().ok_or_else(|| {
             Error::invalid("COMPOTE's intrinsics.js needs the micro-image centres")
         })?;
+        let lens = &calibration.camera.main_lens;
+        if lens.exit_pupil_mm.norm() > 0.0 || lens.field_curvature_per_mm != 0.0 {
+            say(
+                "warning: COMPOTE's files have neither an exit pupil nor a field curvature: what reads \
+                 intrinsics.js gets another camera (--exit-pupil at-lens --field-curvature flat)",
+            );
+        }
         let folder = Path::new("compote");
         let intrinsics = compote::intrinsics_document(&calibration.camera, grid)?;
         output.stage_json(folder.join("intrinsics.js"), &intrinsics)?;

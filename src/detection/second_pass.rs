@@ -43,6 +43,36 @@ pub(super) struct BoardCorner {
     pub observations: Vec<(CornerObservation, Corner)>,
 }
 
+/// An observation of a corner, made with a blur radius that follows from the slope its line had before.
+struct Seen {
+    observation: CornerObservation,
+    corner: Corner,
+    /// By how much the observation moves if the slope grows, px. The blur radius then shrinks by Δc/2 for a unit
+    /// of the slope, and the corner lies by that times the centroid of the visible part of the micro-lens
+    /// elsewhere.
+    lever: Vector2<f64>,
+}
+
+impl Seen {
+    /// The observation as it enters the line: its place i + (γ − γ₀) lever = β + γ c is a line in γ as well, that
+    /// of i − γ₀ lever over c − lever. So the slope and the blur that follows from it are found together;
+    /// by turns, each round would leave half of an error.
+    fn on_line(&self, slope_before: f64) -> CornerObservation {
+        CornerObservation {
+            center: self.observation.center - self.lever,
+            position: self.observation.position - self.lever * slope_before,
+            ..self.observation
+        }
+    }
+
+    /// The observation with the blur radius of another slope.
+    fn with_slope(mut self, change: f64) -> (CornerObservation, Corner) {
+        self.observation.position += self.lever * change;
+        self.corner.place += self.lever * change;
+        (self.observation, self.corner)
+    }
+}
+
 /// What came of the search for a board corner, in numbers of micro-images that should show it.
 struct Outcome {
     found: Option<BoardCorner>,
@@ -146,12 +176,17 @@ impl SecondPass<'_> {
                 continue;
             };
             imbalances.extend(corner.imbalance(&patch, &blur));
-            observations.push((self.frame.observation(node, &corner), corner));
+            let visible = micro_images.vignetting(&optics).at(&corner.place);
+            observations.push(Seen {
+                observation: self.frame.observation(node, &corner),
+                lever: visible.mean * optics.half_pitch_px,
+                corner,
+            });
         }
         // The outer corners of the board look like corners in some micro-images, but not in most.
         let is_corner = median(imbalances).is_some_and(|median| median < IMBALANCE);
         let all = observations.len();
-        let found = if is_corner { self.on_line(sought.corner, observations) } else { None };
+        let found = if is_corner { self.on_line(sought, observations) } else { None };
         let kept = found.as_ref().map_or(0, |found| found.observations.len());
         let (misplaced, given_up) = if found.is_some() { (all - kept, 0) } else { (0, all) };
         Outcome { found, unclear, misplaced, given_up }
@@ -196,16 +231,27 @@ impl SecondPass<'_> {
     }
 
     /// A corner with those of its observations that are on one line.
-    fn on_line(
-        &self,
-        corner: i32,
-        mut observations: Vec<(CornerObservation, Corner)>,
-    ) -> Option<BoardCorner> {
-        let line = CornerLine::fit(observations.iter().map(|(o, _)| o))?;
+    fn on_line(&self, sought: &BoardCorner, mut observations: Vec<Seen>) -> Option<BoardCorner> {
+        let before = sought.line.slope;
+        let fit = |observations: &[Seen]| {
+            let all: Vec<CornerObservation> =
+                observations.iter().map(|seen| seen.on_line(before)).collect();
+            CornerLine::fit(all.iter())
+        };
+        let line = fit(&observations)?;
         let scale = line.rms_px.max(LEAST_RMS_PX);
-        observations.retain(|(o, _)| (o.position - line.at(&o.center)).norm() < OUTLIER * scale);
-        let line = CornerLine::fit(observations.iter().map(|(o, _)| o))?;
+        observations.retain(|seen| {
+            let o = seen.on_line(before);
+            (o.position - line.at(&o.center)).norm() < OUTLIER * scale
+        });
+        let line = fit(&observations)?;
+        let observations: Vec<(CornerObservation, Corner)> =
+            observations.into_iter().map(|seen| seen.with_slope(line.slope - before)).collect();
         let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);
-        (possible && observations.len() > 1).then_some(BoardCorner { corner, line, observations })
+        (possible && observations.len() > 1).then_some(BoardCorner {
+            corner: sought.corner,
+            line,
+            observations,
+        })
     }
 }

@@ -15,6 +15,7 @@ use tracing::debug;
 use super::array::FoundArray;
 use super::centers::part_with;
 use super::centroid::{Blob, pixels_about};
+use super::profile::PIXEL;
 use super::samples::Samples;
 use super::stage::{PrecalibrationOptions, White};
 use crate::image::Grey;
@@ -66,13 +67,24 @@ impl Discs {
         }
     }
 
-    /// |y − M| for a pixel at distance r, outwards: through which part of the micro-lens it sees the pupil.
+    /// |y − M|, outwards, the mean over the light of a pixel at distance r: through which part of the
+    /// micro-lens it sees the pupil.
     fn from_lens(&self, lens_type: usize, r: f64) -> f64 {
         let q = self.q_px[lens_type];
         let size = q.abs().max(1e-6);
-        // Where nothing is visible there is no light either.
-        let mean = overlap(r / size, self.pupil_px / size).map_or(1.0, |part| part.mean);
-        r + mean * q.signum() * self.half_pitch_px
+        let (mut light, mut sum) = (0.0, 0.0);
+        for (along, weight) in PIXEL {
+            // Across the direction to the middle a pixel has a mean square of 1/12.
+            let distance = ((r + along).powi(2) + 1.0 / 12.0).sqrt();
+            // Where nothing is visible there is no light either.
+            let Some(part) = overlap(distance / size, self.pupil_px / size) else { continue };
+            let outwards = (r + along) / distance;
+            light += weight * part.area;
+            sum += weight
+                * part.area
+                * (r + along + part.mean * q.signum() * self.half_pitch_px * outwards);
+        }
+        if light > 0.0 { sum / light } else { 0.0 }
     }
 
     /// How far from the centre all pixels see the whole pupil, or the whole micro-lens, px, and |y − M|/|y|

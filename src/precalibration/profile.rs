@@ -65,7 +65,7 @@ const STEP_PX: f64 = 1e-4;
 /// Starts that are followed down.
 const DESCENTS: usize = 2;
 /// Nodes and weights of Gauss' rule across a pixel.
-const PIXEL: [(f64, f64); 3] = [
+pub(super) const PIXEL: [(f64, f64); 3] = [
     (-0.387_298_334_620_741_7, 5.0 / 18.0),
     (0.0, 8.0 / 18.0),
     (0.387_298_334_620_741_7, 5.0 / 18.0),

@@ -4,7 +4,7 @@ use std::fs;
 
 use plenocal::calibration::{AnchorSource, Calibration, CalibrationOptions, Start, Warning};
 use plenocal::model::{Noise, Observations};
-use plenocal::solver::{Anchor, LossKind, Termination};
+use plenocal::solver::{Anchor, CostOptions, LossKind, Termination};
 use predicates::str::contains;
 use tempfile::TempDir;
 
@@ -121,7 +121,8 @@ fn the_proportion_does_not_depend_on_the_weights_of_observations() {
 
 #[test]
 fn the_default_anchors_are_what_the_project_states() {
-    let result = run(&datasheet_start(), &shipped_observations(), &anchored());
+    let of_the_paper = CalibrationOptions { cost: CostOptions::default(), ..anchored() };
+    let result = run(&datasheet_start(), &shipped_observations(), &of_the_paper);
     let Start::Datasheet(sheet, internal) = datasheet_start() else { unreachable!() };
     let middle = sheet.sensor.center_px();
     let mount = 0.5 / sheet.sensor.pixel_size_mm;

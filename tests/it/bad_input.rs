@@ -265,7 +265,7 @@ fn damaged_camera_files_are_rejected() {
     for (from, to, words) in [
         ("\"focal_length_mm\": 16.2", "\"focal_length_mm\": -16.2", &["F (mm)", "-16.2"][..]),
         ("\"pitch_mm\": 0.126", "\"pitch_mm\": 0.0", &["dC (mm)"]),
-        ("\"version\": 2", "\"version\": 7", &["version 7"]),
+        ("\"version\": 1", "\"version\": 7", &["version 7"]),
         ("\"f_number\": 2.8", "\"f_number\": 0.0", &["f-number"]),
         ("\"shifted\": \"even\"", "\"shifted\": \"both\"", &["camera.json", "both"]),
         ("\"shifted\": \"even\"", "\"shifted\": \"odd\"", &["different cameras"]),

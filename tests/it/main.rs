@@ -27,6 +27,7 @@ mod precalibrate;
 mod precalibration;
 mod prepared;
 mod r12a;
+mod real_lenses;
 mod recovery;
 mod report;
 mod run;

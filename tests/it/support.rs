@@ -9,7 +9,7 @@ use plenocal::model::{
     Board, FramePose, Noise, Observations, PlenopticCamera, intrinsic_parameters,
 };
 use plenocal::simulation::Settings;
-use plenocal::solver::{SolverOptions, synthesize};
+use plenocal::solver::{CostOptions, SolverOptions, synthesize};
 
 pub const NO_NOISE: Noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };
 
@@ -71,9 +71,14 @@ pub fn drawn(camera: &PlenopticCamera, noise: &Noise, seed: u64) -> Observations
 }
 
 /// One thread: the result does not depend on the machine. No anchors and no loss: the observations
-/// alone.
+/// alone, and of the parameters those of the paper.
 pub fn options() -> CalibrationOptions {
-    CalibrationOptions { default_anchors: false, automatic_loss: false, ..anchored() }
+    CalibrationOptions {
+        cost: CostOptions::default(),
+        default_anchors: false,
+        automatic_loss: false,
+        ..anchored()
+    }
 }
 
 /// The defaults, with one thread.

@@ -1,0 +1,146 @@
+//! What real main lenses have and the paper's does not: an exit pupil off the lens, a curved field, light that
+//! falls off by a law of its own.
+
+use nalgebra::Vector3;
+use plenocal::calibration::{CalibrationOptions, Start};
+use plenocal::io::{camera_document, read_camera};
+use plenocal::model::{Noise, PlenopticCamera, optics};
+use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
+use plenocal::simulation::DataSet;
+use predicates::str::contains;
+use tempfile::TempDir;
+
+use crate::support::{
+    NO_NOISE, anchored, datasheet_start, drawn, options, pairs, plenocal, preset, run,
+    synthetic_folder, true_camera,
+};
+
+/// As in the recovery tests.
+const NOISE_FREE: f64 = 1e-8;
+const FOUR_SIGMA: f64 = 4.0;
+
+fn real_camera(exit_pupil_mm: f64) -> PlenopticCamera {
+    let mut camera = true_camera();
+    camera.main_lens.exit_pupil_mm = Vector3::new(0.0, 0.0, exit_pupil_mm);
+    camera.main_lens.field_curvature_per_mm = 0.006;
+    camera
+}
+
+fn start(camera: &PlenopticCamera) -> Start {
+    let Start::Datasheet(sheet, _) = datasheet_start() else { unreachable!() };
+    Start::Datasheet(sheet, optics::internal_parameters(camera))
+}
+
+/// Exit pupil and field curvature free, without anchors and loss.
+fn free() -> CalibrationOptions {
+    CalibrationOptions { default_anchors: false, automatic_loss: false, ..anchored() }
+}
+
+#[test]
+fn without_noise_exit_pupil_and_field_curvature_are_recovered() {
+    for exit_pupil_mm in [-5.0, 4.0] {
+        let truth = real_camera(exit_pupil_mm);
+        let calibration = run(&start(&truth), &drawn(&truth, &NO_NOISE, 0), &free());
+        assert!(calibration.converged);
+        for (name, value, truth) in pairs(&calibration.camera, &truth) {
+            assert!(
+                (value - truth).abs() <= NOISE_FREE * truth.abs(),
+                "{name}: {value} for {truth}"
+            );
+        }
+    }
+}
+
+#[test]
+fn with_noise_they_lie_within_their_uncertainty_and_the_paper_is_wrong() {
+    let truth = real_camera(-5.0);
+    let noise = Noise { uv_px: 0.04, rho_px: 0.01, centers_px: 0.01 };
+    let observations = drawn(&truth, &noise, 3);
+    let calibration = run(&start(&truth), &observations, &free());
+    assert!(calibration.converged);
+    let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
+    for ((name, value, truth), std_dev) in pairs(&calibration.camera, &truth).iter().zip(std_devs) {
+        let Some(s) = std_dev else { continue };
+        assert!((value - truth).abs() < FOUR_SIGMA * s, "{name}: {value} ± {s} for {truth}");
+    }
+    let of_the_paper = run(&start(&truth), &observations, &options());
+    let std_dev = of_the_paper.uncertainty.intrinsic_std_devs(3)[0].unwrap();
+    let off = of_the_paper.camera.main_lens.focal_length_mm - truth.main_lens.focal_length_mm;
+    assert!(off.abs() > 10.0 * std_dev, "{off} ± {std_dev}");
+}
+
+#[test]
+fn the_exit_pupil_stays_where_it_is_put() {
+    let truth = real_camera(-5.0);
+    let mut at = free();
+    at.exit_pupil_mm = -5.0;
+    at.cost.fixed.push("e_z".to_owned());
+    let calibration = run(&start(&truth), &drawn(&truth, &NO_NOISE, 0), &at);
+    assert!((calibration.camera.main_lens.exit_pupil_mm.z + 5.0).abs() < 1e-12);
+    assert!((calibration.camera.main_lens.focal_length_mm - 16.2).abs() < 1e-6);
+}
+
+fn calibrated(place: &str) -> (TempDir, assert_cmd::assert::Assert) {
+    let out = TempDir::new().unwrap();
+    let mut command = plenocal();
+    command.arg("calibrate").arg(synthetic_folder().join("project.toml"));
+    let result = command.args(["--exit-pupil", place, "--out"]).arg(out.path()).assert();
+    (out, result)
+}
+
+#[test]
+fn the_place_of_the_exit_pupil_is_an_option() {
+    for (place, e_z) in [("at-lens", 0.0), ("-2.5", -2.5)] {
+        let (out, result) = calibrated(place);
+        result.success();
+        let camera = read_camera(&out.path().join("camera.json")).unwrap();
+        assert!((camera.main_lens.exit_pupil_mm.z - e_z).abs() < 1e-12);
+    }
+    let (out, result) = calibrated("estimated");
+    result.success();
+    let camera = read_camera(&out.path().join("camera.json")).unwrap();
+    assert!(camera.main_lens.exit_pupil_mm.z != 0.0);
+    calibrated("in-the-lens").1.failure().stderr(contains("negative towards the array"));
+    calibrated("-40").1.failure().stderr(contains("exit pupil"));
+}
+
+/// The shipped files are of version 1: without exit pupil and field curvature.
+#[test]
+fn cameras_of_version_1_are_read_and_version_2_has_everything() {
+    let old = true_camera();
+    assert_eq!(old.main_lens.exit_pupil_mm, Vector3::zeros());
+    assert!(old.main_lens.field_curvature_per_mm == 0.0);
+    let camera = real_camera(-5.0);
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("camera.json");
+    let document = camera_document(&camera, None);
+    assert_eq!(document["version"], 2);
+    std::fs::write(&path, document.to_string()).unwrap();
+    assert_eq!(read_camera(&path).unwrap(), camera);
+}
+
+/// n of the law cosⁿ that has the same gradient on the axis: 4, 0, and 4 + 2 ln 2/tan² 25°.
+#[test]
+fn the_fall_off_is_that_of_the_sensor() {
+    for (law, n) in [("cos4", 4.0), ("none", 0.0), ("{half_response_deg=25}", 10.375)] {
+        let law = format!("imperfections.fall_off={law}");
+        let settings = preset("mini", &[&law, "camera.main_lens.exit_pupil_mm=[0,0,-3]"]);
+        let plan = DataSet::plan(&settings, None).unwrap();
+        let white = |shot: &plenocal::simulation::Shot| White {
+            name: format!("f/{:.2}", shot.f_number),
+            f_number: shot.f_number,
+            image: shot.take(&settings, &|| ()).unwrap(),
+        };
+        let whites: Vec<White> = plan.whites.iter().map(white).collect();
+        let reference = white(&plan.devignetting);
+        let options = PrecalibrationOptions::of_datasheet(&settings.datasheet());
+        let measured = precalibrate(&whites, Some(&reference), &options, &|| ()).unwrap();
+        let fall_off = measured.internal.parameters.fall_off.unwrap();
+        let (s, d) = (settings.camera.sensor.pixel_size_mm, settings.camera.mla.mla_to_sensor_mm);
+        let unit = s * s / (d * (settings.camera.pupil_to_mla_mm() + d));
+        // A tenth of cos⁴ moves corners at the border by less than 0.01 px.
+        let found = fall_off.growth_per_px2 / unit;
+        println!("{law}: {found:.2} for {n:.2}");
+        assert!((found - n).abs() < 0.1 * n.max(4.0), "{law}: {found} for {n}");
+    }
+}
