@@ -110,12 +110,17 @@ pub fn simulate(arguments: &Arguments) -> Result<String> {
 }
 
 fn settings(arguments: &Arguments) -> Result<Settings> {
-    if let Some(path) = &arguments.file {
-        return Settings::from_toml(&io::read_text(path)?, &arguments.set)
-            .map_err(|e| e.in_file(path));
-    }
-    let name = arguments.preset.as_deref().unwrap_or(PRESETS[0].name);
-    Settings::preset(name, &arguments.set)
+    let Some(path) = &arguments.file else {
+        let name = arguments.preset.as_deref().unwrap_or(PRESETS[0].name);
+        return Settings::preset_and_files(name, &arguments.set, &|file| {
+            io::read_text(Path::new(file))
+        });
+    };
+    // A prescription lies where the simulation file says, from its folder.
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let read = |file: &str| io::read_text(&folder.join(file));
+    Settings::from_toml_and_files(&io::read_text(path)?, &arguments.set, &read)
+        .map_err(|e| e.in_file(path))
 }
 
 fn summary(data_set: &DataSet, folder: &str, time: Duration) -> String {

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::{
     OutputFolder, camera_document, poses_document, write_centers, write_features, write_png,
 };
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::model::{FramePose, InternalParameters, Subset};
 use crate::simulation::{
     Content, DataSet, Progress, Settings, Shot, Simulated, TrueCenter, TrueFeature, simulate,
@@ -18,7 +18,7 @@ use crate::simulation::{
 ///
 /// - `whites/`, `devignetting.png`, `calibration/`, `evaluation/`, `translation/`: the images;
 /// - `project.toml`: what a user would write about them; `simulation.toml`: the settings;
-/// - `truth/`: camera, internal parameters, centres with lens types, and for every subset poses and
+/// - `truth/`: camera, what a real main lens comes to, internal parameters, centres with lens types, and for every subset poses and
 ///   features with the fraction of their light that is `visible`;
 /// - `observed/`, if there are calibration boards: the observations with noise, and a project file
 ///   of its own for `calibrate`.
@@ -68,6 +68,15 @@ fn stage_truth(output: &mut OutputFolder, simulated: &Simulated) -> Result<()> {
     output.stage("truth/centers.csv", |out| write_true_centers(out, &truth.centers))?;
     let internal = internal_text(&truth.internal);
     output.stage("truth/internal_parameters.toml", |out| out.write_all(internal.as_bytes()))?;
+    if let Some(figures) = &truth.main_lens {
+        let figures = toml::to_string(figures).map_err(|e| {
+            Error::invalid(format!("the figures of the lens cannot be written: {e}"))
+        })?;
+        let text = format!(
+            "# The main lens by rays close to its axis; see docs/simulation.md.\n{figures}"
+        );
+        output.stage("truth/main_lens.toml", |out| out.write_all(text.as_bytes()))?;
+    }
     let boards = Subset::ALL.into_iter().zip(&data_set.subsets).zip(&truth.features);
     for ((subset, boards), features) in boards.filter(|((_, boards), _)| !boards.is_empty()) {
         let folder = PathBuf::from("truth").join(subset.name());

@@ -1,231 +1,230 @@
-//! The main lens as rays meet it: a thin lens at z = 0 with lateral distortion and a curved field.
+//! The main lens as the tracer uses it: a ray behind it goes in, a ray in front of it comes out or is
+//! blocked.
 
-use nalgebra::{Matrix2, Point3, Vector2};
+use nalgebra::{Point3, Vector3};
 
-use crate::model::MainLens;
+use super::prescription::Prescription;
+use super::ray::{Ray, Stop};
+use super::real_lens::{LensFigures, RealLens};
+use super::scene::PlacedTarget;
+use super::thin_lens::{ImageShift, LocalDistortion, ThinMainLens};
+use crate::error::{Error, Result};
+use crate::model::{MainLens, PlenopticCamera, Sensor};
 
-impl LocalDistortion {
-    /// How far image points near this one lie from the ideal ones.
-    pub fn shift(&self) -> ImageShift {
-        ImageShift {
-            across: self.distorted - self.undistorted,
-            along: self.nearer - self.gradient.dot(&self.undistorted),
-            gradient: self.gradient,
-        }
-    }
-}
-
-/// A straight ray by the point where it crosses z = 0 and its slopes dx/dz, dy/dz.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Ray {
-    pub at_lens: Vector2<f64>,
-    pub slope: Vector2<f64>,
-}
-
-impl Ray {
-    pub fn at(&self, z: f64) -> Vector2<f64> {
-        self.at_lens + self.slope * z
-    }
-}
-
-/// How far image points lie from those of an ideal lens: `across` to the side, and along z by `along` +
-/// `gradient` · x where the ideal point is x; mm.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ImageShift {
-    pub across: Vector2<f64>,
-    pub along: f64,
-    pub gradient: Vector2<f64>,
-}
-
-impl ImageShift {
-    /// That of an ideal lens.
-    pub fn none() -> Self {
-        Self { across: Vector2::zeros(), along: 0.0, gradient: Vector2::zeros() }
-    }
+/// A main lens at an f-number.
+#[derive(Debug, Clone)]
+pub(super) struct Lens {
+    optics: Optics,
+    /// The exit pupil for rays close to the axis, by which micro-images are reckoned.
+    pub pupil: Stop,
+    /// The opening that rays are drawn from: it contains all that pass.
+    pub drawn: Stop,
 }
 
 #[derive(Debug, Clone)]
-pub(super) struct ThinMainLens {
-    lens: MainLens,
-    distorts: bool,
-    /// Whether image points lie elsewhere than those of an ideal lens.
-    moves: bool,
+enum Optics {
+    Thin(ThinMainLens),
+    Real(RealLens),
 }
 
-/// Distortion near one ray of a narrow bundle: linearised about its image point. For other rays it is
-/// a start; one Newton step with this Jacobian then leaves an error of third order in the width of
-/// the bundle.
+/// What becomes of a ray from the sensor.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct LocalDistortion {
-    distorted: Vector2<f64>,
-    undistorted: Vector2<f64>,
-    inverse: Matrix2<f64>,
-    /// How much nearer to the lens the curvature of the field puts the image point, mm.
-    nearer: f64,
-    /// How that grows with the place of the image point.
-    gradient: Vector2<f64>,
+pub(super) enum Passage {
+    /// It is blocked.
+    Blocked,
+    /// It leads away from the board.
+    Away,
+    /// It goes on in front of the lens.
+    Seen(Ray),
 }
 
-/// Number of points checked from the axis to a corner of the image.
-const FOLD_STEPS: u32 = 32;
-/// Tolerance of an image point, far below a pixel, mm.
-const FOUND_MM: f64 = 1e-6;
-/// With a distortion small against its argument, Newton's method gains five digits a step.
-const NEWTON_STEPS: usize = 4;
+/// Beyond this an exit pupil might as well be at infinity, mm.
+const FURTHEST_MM: f64 = 1e6;
+/// Agreement of the camera's exit pupil with that of its prescription, relative to F.
+const SAME_PUPIL: f64 = 1e-6;
 
-impl ThinMainLens {
-    pub fn new(lens: &MainLens) -> Self {
-        let distorts = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
-        let moves = distorts || lens.field_curvature_per_mm != 0.0;
-        Self { lens: *lens, distorts, moves }
+impl Lens {
+    /// The thin lens of the camera, or a real one of its focal length.
+    pub fn new(
+        camera: &PlenopticCamera,
+        prescription: Option<&Prescription>,
+        f_number: f64,
+    ) -> Result<Self> {
+        let lens = &camera.main_lens;
+        let Some(prescription) = prescription else {
+            let pupil = exit_pupil(lens, f_number)?;
+            return Ok(Self { optics: Optics::Thin(ThinMainLens::new(lens)), pupil, drawn: pupil });
+        };
+        check_camera(camera, prescription)?;
+        let real = RealLens::new(prescription, lens.focal_length_mm, f_number)?;
+        let pupil = Stop { center: real.exit_pupil, radius: real.exit_pupil_radius };
+        let radius = real.reach(furthest_mm(camera), -camera.mla.lens_to_mla_mm);
+        Ok(Self { optics: Optics::Real(real), pupil, drawn: Stop { radius, ..pupil } })
     }
 
-    /// Where all rays of an object point meet behind the lens; `None` if the point is not beyond F.
-    pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
-        if point.z <= self.lens.focal_length_mm {
-            return None;
+    /// What a real lens comes to for objects at a distance.
+    pub fn figures(&self, object_mm: f64) -> Option<LensFigures> {
+        let Optics::Real(real) = &self.optics else { return None };
+        real.figures(object_mm)
+    }
+
+    /// z that no micro-lens may reach.
+    pub fn rear_z(&self) -> f64 {
+        let lens = match &self.optics {
+            Optics::Thin(_) => 0.0,
+            Optics::Real(real) => real.last_vertex_z(),
+        };
+        self.pupil.center.z.min(lens)
+    }
+
+    /// Distance at which a board lies in front of the lens, mm.
+    pub fn nearest_object(&self) -> f64 {
+        match &self.optics {
+            Optics::Thin(_) => 0.0,
+            Optics::Real(real) => real.nearest_object(),
         }
-        let magnification = -self.lens.focal_length_mm / (point.z - self.lens.focal_length_mm);
-        let ideal = point.xy().coords * magnification;
-        let z = point.z * magnification + self.nearer_mm(ideal);
-        Some(Point3::from((ideal + self.distortion_mm(ideal)).push(z)))
     }
 
-    /// How much nearer to the lens the image of a point lies than that of an ideal lens, which is at x:
-    /// κ|x|², both in mm.
-    #[inline]
-    fn nearer_mm(&self, x: Vector2<f64>) -> f64 {
-        self.lens.field_curvature_per_mm * x.norm_squared()
-    }
-
-    /// How far distortion moves an ideal image point, both in mm in the camera frame
-    /// (Brown-Conrady; paper, section 2.1). The tracer has its own, so that it can contradict the core's.
-    #[inline]
-    fn distortion_mm(&self, x: Vector2<f64>) -> Vector2<f64> {
-        let [q1, q2, q3] = self.lens.radial;
-        let [p1, p2] = self.lens.tangential;
-        let r2 = x.norm_squared();
-        let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
-        let across = p1 * x.x + p2 * x.y;
-        // P1 (r² + 2x²) + 2 P2 x y = P1 r² + 2x (P1 x + P2 y), and the same along y.
-        x * (radial + 2.0 * across) + Vector2::new(p1, p2) * r2
-    }
-
-    fn distortion_jacobian(&self, x: Vector2<f64>) -> Matrix2<f64> {
-        let [q1, q2, q3] = self.lens.radial;
-        let p = Vector2::from(self.lens.tangential);
-        let r2 = x.norm_squared();
-        let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
-        let growth = 2.0 * ((3.0 * q3 * r2 + 2.0 * q2) * r2 + q1);
-        Matrix2::identity() * (radial + 2.0 * p.dot(&x))
-            + x * x.transpose() * growth
-            + (x * p.transpose() + p * x.transpose()) * 2.0
-    }
-
-    /// The fraction (0 to 1) of the way from the axis to an image point at which distortion folds the
-    /// image, if it does.
-    pub fn first_fold(&self, distorted: &Vector2<f64>) -> Option<f64> {
-        (1..=FOLD_STEPS).map(|step| f64::from(step) / f64::from(FOLD_STEPS)).find(|&part| {
-            let local = self.about(distorted * part);
-            let ideal = local.undistorted;
-            let miss = ideal + self.distortion_mm(ideal) - local.distorted;
-            let jacobian = Matrix2::identity() + self.distortion_jacobian(ideal);
-            // A fold reverses one direction; the negated test counts NaN as a fold too.
-            !(miss.norm() < FOUND_MM && jacobian.determinant() > 0.0 && jacobian.trace() > 0.0)
-        })
-    }
-
-    /// The distortion about a point of image space.
-    pub fn about(&self, distorted: Vector2<f64>) -> LocalDistortion {
-        let mut undistorted = distorted;
-        let mut inverse = Matrix2::identity();
-        if self.distorts {
-            for _ in 0..NEWTON_STEPS {
-                let miss = undistorted + self.distortion_mm(undistorted) - distorted;
-                let jacobian = Matrix2::identity() + self.distortion_jacobian(undistorted);
-                inverse = jacobian.try_inverse().unwrap_or_else(Matrix2::identity);
-                undistorted -= inverse * miss;
+    /// An error if distortion folds the image within the corners of the sensor: no object point has its
+    /// image beyond the fold.
+    pub fn check_distortion(&self, corners: &[Point3<f64>]) -> Result<()> {
+        let Optics::Thin(thin) = &self.optics else { return Ok(()) };
+        for corner in corners.iter().map(|corner| corner.xy().coords) {
+            if let Some(part) = thin.first_fold(&corner) {
+                return Err(Error::invalid(format!(
+                    "the distortion folds the image {:.2} mm from the axis, within the sensor: the \
+                     coefficients are too large",
+                    part * corner.norm()
+                )));
             }
         }
-        let nearer = self.nearer_mm(undistorted);
-        let gradient = undistorted * (2.0 * self.lens.field_curvature_per_mm);
-        LocalDistortion { distorted, undistorted, inverse, nearer, gradient }
+        Ok(())
     }
 
-    /// The ray in front of the lens that belongs to `ray` behind it, for an object whose image lies at
-    /// `image_z`.
-    ///
-    /// A ray aims at an image point; with an ideal lens it would aim at the point that distortion and
-    /// the curvature of the field move there. The thin lens refracts that ray: it subtracts x/F from the
-    /// slope.
+    /// Whether a ray passes all openings of the lens.
     #[inline]
-    pub fn object_ray(&self, ray: &Ray, image_z: f64, local: &LocalDistortion) -> Ray {
-        let mut slope = ray.slope;
-        if self.moves {
-            let target = ray.at(image_z);
-            let near = local.undistorted + local.inverse * (target - local.distorted);
-            let ideal = near - local.inverse * (near + self.distortion_mm(near) - target);
-            slope = (ideal - ray.at_lens) / (image_z - self.nearer_mm(ideal));
+    pub fn passes(&self, ray: &Ray) -> bool {
+        match &self.optics {
+            Optics::Thin(_) => self.pupil.passes(ray),
+            Optics::Real(real) => real.passes(ray),
         }
-        Ray { at_lens: ray.at_lens, slope: slope - ray.at_lens / self.lens.focal_length_mm }
+    }
+
+    /// What a narrow bundle of rays about `ray` has in common, if the lens needs it.
+    pub fn prepare(&self, ray: &Ray, board: &PlacedTarget) -> Option<LocalDistortion> {
+        let Optics::Thin(thin) = &self.optics else { return None };
+        let about = |shift| Some(thin.about(ray.at(board.image_z(ray, shift)?)));
+        about(&about(&ImageShift::none())?.shift())
+    }
+
+    /// Follows a ray to a board, with what [`Lens::prepare`] returned for its bundle.
+    #[inline]
+    pub fn follow(
+        &self,
+        ray: &Ray,
+        local: Option<&LocalDistortion>,
+        board: &PlacedTarget,
+    ) -> Passage {
+        match &self.optics {
+            Optics::Thin(thin) => {
+                if !self.pupil.passes(ray) {
+                    return Passage::Blocked;
+                }
+                let outer = |local: &LocalDistortion| {
+                    let z = board.image_z(ray, &local.shift())?;
+                    Some(thin.object_ray(ray, z, local))
+                };
+                local.and_then(outer).map_or(Passage::Away, Passage::Seen)
+            }
+            Optics::Real(real) => match real.object_ray(ray) {
+                None => Passage::Blocked,
+                Some(outer) if board.depth(&outer) > 0.0 => Passage::Seen(outer),
+                Some(_) => Passage::Away,
+            },
+        }
+    }
+
+    /// The image of a point, about the middle of the pupil; `None` if it is not beyond the focal length.
+    pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
+        match &self.optics {
+            Optics::Thin(thin) => thin.image_of(point),
+            Optics::Real(real) => real.image_of(point),
+        }
+    }
+
+    /// The image of a point as the rays through `from` form it, a point behind the lens; `near` is
+    /// [`Lens::image_of`] the point. A thin lens has one image for all rays.
+    pub fn image_from(
+        &self,
+        point: &Point3<f64>,
+        near: &Point3<f64>,
+        from: &Point3<f64>,
+    ) -> Option<Point3<f64>> {
+        match &self.optics {
+            Optics::Thin(_) => Some(*near),
+            Optics::Real(real) => real.image_from(point, near, from),
+        }
+    }
+
+    /// The direction from a point behind the lens to the middle of its opening; `None` if no ray leads
+    /// there.
+    pub fn chief_direction(&self, from: &Point3<f64>) -> Option<Vector3<f64>> {
+        match &self.optics {
+            Optics::Thin(_) => Some(self.pupil.center - from),
+            Optics::Real(real) => real.chief_slope(from).map(|slope| slope.push(1.0)),
+        }
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn lens() -> ThinMainLens {
-        ThinMainLens::new(&MainLens {
-            radial: [-4e-5, 2e-7, 1e-10],
-            tangential: [3e-5, -2e-5],
-            field_curvature_per_mm: 6e-3,
-            ..MainLens::thin(50.0)
-        })
+/// An error if a camera with a prescription states what follows from its prescription.
+pub(super) fn check_camera(camera: &PlenopticCamera, prescription: &Prescription) -> Result<()> {
+    let lens = &camera.main_lens;
+    let corrected = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
+    if corrected || lens.field_curvature_per_mm != 0.0 {
+        return Err(Error::invalid(
+            "the distortion and field curvature of a lens with a prescription follow from its surfaces: \
+             give the camera 0 for all of them",
+        ));
     }
-
-    /// Rays from one object point through any point of the lens meet in its image, and those rays
-    /// lead back to the object point.
-    #[test]
-    fn rays_lead_back_to_their_object_point() {
-        let lens = lens();
-        let point = Point3::new(40.0, -25.0, 300.0);
-        let image = lens.image_of(&point).unwrap();
-        for (x, y) in [(0.0, 0.0), (6.0, 0.0), (-3.0, 5.0), (0.5, -6.0)] {
-            let at_lens = Vector2::new(x, y);
-            let ray = Ray { at_lens, slope: (image.xy().coords - at_lens) / image.z };
-            let local = lens.about(image.xy().coords);
-            let hit = lens.object_ray(&ray, image.z, &local).at(point.z);
-            assert!((hit - point.xy().coords).norm() < 1e-9, "{hit} through {at_lens}");
-        }
+    let z = prescription.exit_pupil_z(lens.focal_length_mm)?;
+    if (lens.exit_pupil_mm - Vector3::new(0.0, 0.0, z)).norm() > SAME_PUPIL * lens.focal_length_mm {
+        return Err(Error::invalid(format!(
+            "the camera's exit pupil is at {:?} mm, but that of its lens at z = {z} mm: leave it out",
+            lens.exit_pupil_mm.as_slice()
+        )));
     }
+    Ok(())
+}
 
-    /// The paper's formula, written out with numbers: r² = 5, x = 1, y = 2.
-    #[test]
-    fn distortion_is_that_of_the_paper() {
-        let lens = ThinMainLens::new(&MainLens {
-            radial: [1e-3, 1e-4, 1e-5],
-            tangential: [1e-2, 1e-3],
-            ..MainLens::thin(50.0)
-        });
-        let shift = lens.distortion_mm(Vector2::new(1.0, 2.0));
-        let radial = 5e-3 + 25e-4 + 125e-5;
-        let expected = Vector2::new(
-            radial + 1e-2 * (5.0 + 2.0) + 2.0 * 1e-3 * 2.0,
-            2.0 * radial + 1e-3 * (5.0 + 8.0) + 2.0 * 1e-2 * 2.0,
-        );
-        assert!((shift - expected).norm() < 1e-15);
-    }
+/// Distance of the furthest corner of the array or the sensor from the axis, mm.
+fn furthest_mm(camera: &PlenopticCamera) -> f64 {
+    let (mla, lattice) = (&camera.mla, &camera.lattice);
+    let Sensor { width_px, height_px, pixel_size_mm } = camera.sensor;
+    let [width, height] = [width_px, height_px].map(f64::from);
+    let corners = [(0.0, 0.0), (width, 0.0), (0.0, height), (width, height)];
+    let of_sensor = corners.map(|(u, v)| {
+        (mla.principal_point_px.x - u).hypot(mla.principal_point_px.y - v) * pixel_size_mm
+    });
+    let ends = [(0, 0), (lattice.columns, 0), (0, lattice.rows), (lattice.columns, lattice.rows)];
+    let of_array = ends.map(|(k, l)| {
+        let node = lattice.node(k, l);
+        (mla.offset_mm.x - mla.pitch_mm * node.x).hypot(mla.offset_mm.y - mla.pitch_mm * node.y)
+    });
+    // Micro-lenses that the sensor does not see do not matter.
+    let furthest = |distances: [f64; 4]| distances.into_iter().fold(0.0, f64::max);
+    furthest(of_sensor).min(furthest(of_array) + mla.pitch_mm)
+}
 
-    #[test]
-    fn jacobian_is_the_derivative() {
-        let (lens, x, step) = (lens(), Vector2::new(3.0, -7.0), 1e-6);
-        for (axis, column) in
-            [Vector2::x(), Vector2::y()].into_iter().zip(lens.distortion_jacobian(x).column_iter())
-        {
-            let difference =
-                lens.distortion_mm(x + axis * step) - lens.distortion_mm(x - axis * step);
-            assert!((difference / (2.0 * step) - column).norm() < 1e-9);
-        }
+/// The exit pupil of the thin lens. The entrance pupil has the diameter F/N; the exit pupil is its
+/// image, p times as wide.
+fn exit_pupil(lens: &MainLens, f_number: f64) -> Result<Stop> {
+    let place = lens.exit_pupil_mm;
+    if let Some(far) = place.iter().find(|e| !(e.abs() <= FURTHEST_MM)) {
+        return Err(Error::invalid(format!(
+            "an exit pupil at {far} mm is not possible: it has to lie within {FURTHEST_MM} mm of the \
+             main lens"
+        )));
     }
+    let radius = lens.focal_length_mm / f_number / 2.0 * lens.pupil_magnification();
+    Ok(Stop { center: Point3::from(place), radius })
 }

@@ -1,8 +1,9 @@
 //! Raw images of a simulated camera with complete ground truth.
 //!
 //! Rays run from points of the pixels through points of the micro-lenses and the main lens into the
-//! scene, and are refracted or blocked on the way. Lenses are thin, the main lens has the paper's
-//! lateral distortion, the array has all six degrees of freedom; see [`Tracer`]. Nothing here calls the
+//! scene, and are refracted or blocked on the way. Micro-lenses are thin; the main lens is thin with the
+//! paper's lateral distortion and a curved field, or a real one, given by its surfaces; the array has all
+//! six degrees of freedom; see [`Tracer`]. Nothing here calls the
 //! projection model of the C++ core, so each can be tested against the other.
 //!
 //! [`simulate`] makes a whole data set from [`Settings`].
@@ -12,7 +13,13 @@ mod data_set;
 mod imaging;
 mod imperfections;
 mod main_lens;
+mod paraxial;
+mod prescription;
 mod presets;
+mod ray;
+mod real_lens;
+#[cfg(test)]
+mod real_lens_tests;
 mod rendering;
 mod sampling;
 mod scene;
@@ -20,13 +27,16 @@ mod settings;
 mod stage;
 #[cfg(test)]
 mod tests;
+mod thin_lens;
 mod tracer;
 mod truth;
 
 pub use data_set::{DataSet, Shot};
 pub use imaging::Imaging;
 pub use imperfections::{FallOff, Imperfections, SecondStop};
+pub use prescription::{Prescription, Surface};
 pub use presets::{PRESETS, Preset};
+pub use real_lens::LensFigures;
 pub use scene::{Scene, Target};
 pub use settings::{Boards, Settings, TranslationStage, WhiteImages};
 pub use stage::{Content, Progress, Simulated, Truth, simulate};

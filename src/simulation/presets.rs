@@ -1,5 +1,6 @@
 //! The settings of a simulated data set as text (TOML), and the presets.
 
+use nalgebra::Vector3;
 use toml::{Table, Value};
 
 use super::settings::Settings;
@@ -24,24 +25,52 @@ macro_rules! presets {
 }
 
 /// The presets, files in `data/presets`.
-pub const PRESETS: [Preset; 6] =
-    presets!["mini", "r12-a", "r12-b", "r12-c", "lytro-like", "keplerian"];
+pub const PRESETS: [Preset; 10] = presets![
+    "mini",
+    "r12-a",
+    "r12-b",
+    "r12-c",
+    "lytro-like",
+    "keplerian",
+    "mini-double-gauss",
+    "mini-telephoto",
+    "r12-double-gauss",
+    "r12-telephoto"
+];
 
 impl Settings {
     /// The settings of a preset with some values replaced, see [`Settings::from_toml`].
     pub fn preset(name: &str, replaced: &[String]) -> Result<Self> {
+        Self::preset_and_files(name, replaced, &no_files)
+    }
+
+    /// The same; `read` returns the text of the file that a prescription names.
+    pub fn preset_and_files(
+        name: &str,
+        replaced: &[String],
+        read: &dyn Fn(&str) -> Result<String>,
+    ) -> Result<Self> {
         let Some(preset) = PRESETS.iter().find(|preset| preset.name == name) else {
             let names = PRESETS.map(|preset| preset.name).join(", ");
             return Err(Error::invalid(format!("there is no preset '{name}'; there are {names}")));
         };
-        Self::from_toml(preset.text, replaced)
+        Self::from_toml_and_files(preset.text, replaced, read)
             .map_err(|e| Error::invalid(format!("preset {name}: {e}")))
     }
 
     /// Settings from the text of a simulation file. `replaced` holds `key=value` pairs that take
     /// precedence over the file: keys with dots for tables, values in TOML (or plain strings).
     pub fn from_toml(text: &str, replaced: &[String]) -> Result<Self> {
-        settings_from(text, replaced)
+        settings_from(text, replaced, &no_files)
+    }
+
+    /// The same; `read` returns the text of the file that a prescription names.
+    pub fn from_toml_and_files(
+        text: &str,
+        replaced: &[String],
+        read: &dyn Fn(&str) -> Result<String>,
+    ) -> Result<Self> {
+        settings_from(text, replaced, read)
     }
 
     /// The settings as the text of a simulation file.
@@ -64,7 +93,17 @@ const LEFT_OUT: &str = "
 # Every setting is explained in docs/simulation.md.
 ";
 
-fn settings_from(text: &str, replaced: &[String]) -> Result<Settings> {
+fn no_files(file: &str) -> Result<String> {
+    Err(Error::invalid(format!(
+        "the prescription {file} is a file: read it, or give its surfaces in its place"
+    )))
+}
+
+fn settings_from(
+    text: &str,
+    replaced: &[String],
+    read: &dyn Fn(&str) -> Result<String>,
+) -> Result<Settings> {
     let wrong =
         |e: &dyn std::fmt::Display| Error::invalid(format!("not a valid simulation file: {e}"));
     let mut table: Table = text.parse().map_err(|e: toml::de::Error| wrong(&e))?;
@@ -78,10 +117,19 @@ fn settings_from(text: &str, replaced: &[String]) -> Result<Settings> {
              camera.main_lens.exit_pupil_mm = [0, 0, {z}]"
         )));
     }
+    let file = table.get("prescription").and_then(Value::as_str).filter(|s| s.ends_with(".toml"));
+    let prescription =
+        file.map(|file| read(file).map(|text| (file.to_owned(), text))).transpose()?;
+    if let Some((file, text)) = &prescription {
+        let surfaces: Table = text.parse().map_err(|e| {
+            Error::invalid(format!("{file} is not the prescription of a lens: {e}"))
+        })?;
+        table.insert("prescription".to_owned(), Value::Table(surfaces));
+    }
     // Without replaced values, errors can name the line.
     let mut unknown = Vec::new();
     let mut note = |path: serde_ignored::Path| unknown.push(path.to_string());
-    let settings: Settings = if replaced.is_empty() {
+    let mut settings: Settings = if replaced.is_empty() && prescription.is_none() {
         let document = toml::Deserializer::parse(text).map_err(|e| wrong(&e))?;
         serde_ignored::deserialize(document, &mut note).map_err(|e| wrong(&e))?
     } else {
@@ -89,6 +137,12 @@ fn settings_from(text: &str, replaced: &[String]) -> Result<Settings> {
     };
     if let Some(key) = unknown.first() {
         return Err(Error::invalid(format!("there is no setting '{key}' in a simulation file")));
+    }
+    if let Some(prescription) = &settings.prescription {
+        let lens = &mut settings.camera.main_lens;
+        if lens.exit_pupil_mm == Vector3::zeros() {
+            lens.exit_pupil_mm.z = prescription.exit_pupil_z(lens.focal_length_mm)?;
+        }
     }
     settings.validate()?;
     Ok(settings)

@@ -4,9 +4,11 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::array::MicroLens;
-use super::main_lens::{ImageShift, LocalDistortion, Ray};
+use super::main_lens::Passage;
+use super::ray::Ray;
 use super::sampling::{RayPoint, RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
+use super::thin_lens::LocalDistortion;
 use super::tracer::{Tracer, check_rays};
 use crate::error::Result;
 use crate::image::Image;
@@ -28,7 +30,7 @@ pub(super) struct Bundle {
     pub on_opening: bool,
     /// Area from which the rays are drawn, in the plane of the micro-lens.
     pub area: f64,
-    /// Distortion of the main lens for this bundle, if it leads to the board.
+    /// Distortion of a thin main lens for this bundle, if it leads to the board.
     pub local: Option<LocalDistortion>,
 }
 
@@ -67,7 +69,8 @@ impl Tracer {
 
     /// Centre and radius (px) of the disc that light through a micro-lens can reach.
     pub(super) fn outline(&self, lens: &MicroLens) -> (Vector2<f64>, f64) {
-        let center = self.array.to_pixel(&lens.center, &(self.pupil.center - lens.center)).coords;
+        let center =
+            self.array.to_pixel(&lens.center, &(self.lens.drawn.center - lens.center)).coords;
         (center, self.micro_image_radius_px(lens) * OUTLINE_MARGIN + HALF_DIAGONAL)
     }
 
@@ -120,29 +123,26 @@ impl Tracer {
     ) -> Option<Bundle> {
         let array = &self.array;
         let pixel = array.local(lens, &array.on_sensor(u as f64, v as f64));
-        let pupil = array.local(lens, &self.pupil.center);
+        let drawn = &self.lens.drawn;
+        let pupil = array.local(lens, &drawn.center);
         let (to_sensor, to_pupil) = (-pixel.z, pupil.z);
         let demagnification = lens.demagnification(to_sensor, to_pupil);
         // All in the plane of the micro-lens, times the demagnification, which may be 0.
         let place = pupil.xy() + pixel.xy() * (to_pupil / to_sensor);
         let stop = array.opening_radius * demagnification.abs();
         let pixel_reach = HALF_DIAGONAL * array.pixel_size * to_pupil / to_sensor;
-        if place.norm() > (stop + self.pupil.radius + pixel_reach) * OUTLINE_MARGIN {
+        if place.norm() > (stop + drawn.radius + pixel_reach) * OUTLINE_MARGIN {
             return None;
         }
-        let on_opening = stop <= self.pupil.radius;
-        let radius = if on_opening {
-            array.opening_radius
-        } else {
-            self.pupil.radius / demagnification.abs()
-        };
+        let on_opening = stop <= drawn.radius;
+        let radius =
+            if on_opening { array.opening_radius } else { drawn.radius / demagnification.abs() };
         let local = board.and_then(|board| {
             // The ray through the middle of the projected pupil, or the nearest point of the opening.
             let middle = if stop > 0.0 { place / demagnification } else { place };
             let within = (array.opening_radius / middle.norm()).min(1.0);
             let (ray, _) = self.through(lens, middle * within, &pixel);
-            let about = |shift| Some(self.lens.about(ray.at(board.image_z(&ray, shift)?)));
-            about(&about(&ImageShift::none())?.shift())
+            self.lens.prepare(&ray, board)
         });
         let step = array.pixel_size;
         Some(Bundle {
@@ -186,8 +186,9 @@ impl Tracer {
         let on_lens = if bundle.on_opening {
             on_disc * self.array.opening_radius
         } else {
-            let aim = on_disc * self.pupil.radius;
-            let aim = self.array.local(lens, &(self.pupil.center + aim.push(0.0)));
+            let drawn = &self.lens.drawn;
+            let aim = drawn.center + (on_disc * drawn.radius).push(0.0);
+            let aim = self.array.local(lens, &aim);
             (aim.xy() - pixel.xy() * (aim.z / pixel.z)) / lens.demagnification(-pixel.z, aim.z)
         };
         let stop = self.array.opening_radius;
@@ -195,16 +196,18 @@ impl Tracer {
             return 0.0;
         }
         let (ray, inner) = self.through(lens, on_lens, &pixel);
-        if !self.passes(&ray) {
+        if !self.passes_second(&ray) {
             return 0.0;
         }
-        let radiance = board.map_or(1.0, |board| {
-            let radiance = |local: &LocalDistortion| {
-                let z = board.image_z(&ray, &local.shift())?;
-                Some(board.radiance(&self.lens.object_ray(&ray, z, local)))
-            };
-            bundle.local.as_ref().and_then(radiance).unwrap_or_else(|| board.background())
-        });
+        let radiance = match board {
+            None if self.lens.passes(&ray) => 1.0,
+            None => return 0.0,
+            Some(board) => match self.lens.follow(&ray, bundle.local.as_ref(), board) {
+                Passage::Blocked => return 0.0,
+                Passage::Away => board.background(),
+                Passage::Seen(outer) => board.radiance(&outer),
+            },
+        };
         self.fall_off.light(radiance, &inner, self.mla_to_sensor)
     }
 }

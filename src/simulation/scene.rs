@@ -3,7 +3,8 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::main_lens::{ImageShift, Ray};
+use super::ray::Ray;
+use super::thin_lens::ImageShift;
 use crate::error::{Error, Result};
 use crate::model::{Board, positive};
 
@@ -90,6 +91,8 @@ pub(super) struct PlacedTarget {
     normal: Vector3<f64>,
     border: f64,
     focal_length: f64,
+    /// Depth of the nearest corner of the sheet.
+    nearest: f64,
     /// The plane of the board's image: points x with `image_normal · x = offset`.
     image_normal: Vector3<f64>,
     offset: f64,
@@ -128,9 +131,22 @@ impl PlacedTarget {
             normal,
             border: target.border_mm / target.square_mm,
             focal_length,
+            nearest,
             image_normal: normal - Vector3::z() * (offset / focal_length),
             offset,
         })
+    }
+
+    /// An error if the sheet comes nearer than the front of the lens.
+    pub fn check_in_front(&self, front: f64) -> Result<()> {
+        if self.nearest > front {
+            return Ok(());
+        }
+        Err(Error::invalid(format!(
+            "the board comes as near as {:.1} mm, and the front of the main lens is at {front:.1} mm: move \
+             it away",
+            self.nearest
+        )))
     }
 
     /// z where a ray behind the lens meets the image of the board, which distortion and the curvature of

@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::imaging::Imaging;
 use super::imperfections::Imperfections;
+use super::main_lens::check_camera;
+use super::prescription::Prescription;
 use super::scene::Target;
 use super::tracer::{Tracer, check_rays};
 use crate::error::{Error, Result};
@@ -23,6 +25,10 @@ pub struct Settings {
     pub engraved_focal_length_mm: f64,
     /// The true camera. The setting of its main lens is that of the images of boards.
     pub camera: PlenopticCamera,
+    /// The surfaces of a real main lens, which is scaled to the camera's F; without them it is the thin
+    /// lens of the model. The camera's exit pupil is that of the prescription.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prescription: Option<Prescription>,
     /// Departures from the ideal model.
     #[serde(default)]
     pub imperfections: Imperfections,
@@ -98,6 +104,10 @@ impl Settings {
     pub fn validate(&self) -> Result<()> {
         check_rays(self.rays)?;
         self.camera.validate()?;
+        if let Some(prescription) = &self.prescription {
+            prescription.validate()?;
+            check_camera(&self.camera, prescription)?;
+        }
         self.imperfections.validate(&self.camera)?;
         self.check_size()?;
         positive(self.engraved_focal_length_mm, "the engraved focal length (mm)")?;
@@ -217,6 +227,7 @@ impl Settings {
 
     /// The camera at an f-number.
     pub fn tracer(&self, f_number: f64) -> Result<Tracer> {
-        Tracer::new(&self.camera, f_number, &self.imperfections, self.seed)
+        let lens = self.prescription.as_ref();
+        Tracer::with_lens(&self.camera, lens, f_number, &self.imperfections, self.seed)
     }
 }

@@ -1,6 +1,7 @@
 //! The simulation as one stage: from settings to images, their truth, and observations drawn from it.
 
 use super::data_set::{DataSet, Shot};
+use super::real_lens::LensFigures;
 use super::settings::Settings;
 use super::tracer::Tracer;
 use super::truth::{TrueCenter, TrueFeature};
@@ -42,8 +43,11 @@ impl Progress for () {
 /// factor below 1 micro-images and blur are smaller than in the model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
-    /// The camera.
+    /// The camera. That of a real lens has F and the exit pupil for rays close to the axis, and neither
+    /// distortion nor a curved field: no value of these is its true one.
     pub camera: PlenopticCamera,
+    /// What a real lens comes to close to the axis.
+    pub main_lens: Option<LensFigures>,
     /// m and q'ᵢ.
     pub internal: InternalParameters,
     /// Centres of all micro-images, dead micro-lenses included.
@@ -92,6 +96,7 @@ pub fn simulate(
 
 fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Truth {
     let board = settings.target.board();
+    let [near, far] = settings.boards.depth_mm;
     let features = data_set.subsets.each_ref().map(|boards| {
         let of_board = |(pose, _): &(FramePose, Shot)| {
             tracer.features(pose.frame, &board, &pose.camera_from_board)
@@ -100,6 +105,7 @@ fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Truth {
     });
     Truth {
         camera: settings.camera.clone(),
+        main_lens: tracer.lens.figures(f64::midpoint(near, far)),
         internal: tracer.internal_parameters(),
         centers: tracer.centers(),
         features,

@@ -2,6 +2,7 @@
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
+use super::main_lens::Passage;
 use super::sampling::RaySets;
 use super::scene::PlacedTarget;
 use super::{FallOff, Imperfections, Scene, Settings, Target, Tracer};
@@ -58,12 +59,8 @@ fn light_returns_along_the_rays() {
                     bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
                 let on_lens = Vector2::from(point.disc) * tracer.array.opening_radius;
                 let ray = tracer.through(lens, on_lens, &pixel).0;
-                if !tracer.passes(&ray) {
-                    continue;
-                }
-                let local = bundle.local.as_ref().unwrap();
-                let z = board.image_z(&ray, &local.shift()).unwrap();
-                let outer = tracer.lens.object_ray(&ray, z, local);
+                let passage = tracer.lens.follow(&ray, bundle.local.as_ref(), &board);
+                let Passage::Seen(outer) = passage else { continue };
                 let depth = board.depth(&outer);
                 let hit = Point3::from(outer.at(depth).push(depth));
                 let image = tracer.lens.image_of(&hit).unwrap();
@@ -125,7 +122,7 @@ fn light_is_conserved_for_every_lens_type() {
             let image = tracer.render(&Scene::White, 1024, 0, &|| ()).unwrap();
             let sum: f64 = image.pixels.iter().map(|&p| f64::from(p)).sum();
             let flux = sum * tracer.reference_irradiance() * tracer.array.pixel_size.powi(2);
-            let (pupil, stop) = (tracer.pupil.radius, tracer.array.opening_radius);
+            let (pupil, stop) = (tracer.lens.pupil.radius, tracer.array.opening_radius);
             let distance = camera.pupil_to_mla_mm();
             let all = (std::f64::consts::PI * pupil * stop / distance).powi(2);
             // The slope at the sensor is that towards the pupil and what the micro-lens adds.
@@ -165,7 +162,7 @@ fn white_images_show_the_internal_parameters_of_the_model() {
 fn the_exit_pupil_is_the_image_of_the_entrance_pupil() {
     let mut camera = settings("mini").camera;
     camera.main_lens.exit_pupil_mm = Vector3::new(0.1, 0.2, -5.0);
-    let pupil = ideal(&camera, 4.0).pupil;
+    let pupil = ideal(&camera, 4.0).lens.pupil;
     assert!((pupil.radius - (16.2 - 5.0) / 8.0).abs() < 1e-12);
     assert_eq!(pupil.center, Point3::new(0.1, 0.2, -5.0));
 }

@@ -7,35 +7,20 @@ use nalgebra::Point3;
 
 use super::array::{MicroLens, MicroLenses};
 use super::imperfections::{Dust, FallOff, Imperfections};
-use super::main_lens::{Ray, ThinMainLens};
+use super::main_lens::Lens;
+use super::prescription::Prescription;
+use super::ray::{Ray, Stop};
 use super::scene::{PlacedTarget, Scene};
 use crate::error::{Error, Result};
-use crate::model::{InternalParameters, Lattice, MainLens, PlenopticCamera, Sensor, positive};
-
-/// A circular opening perpendicular to the optical axis.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Stop {
-    pub center: Point3<f64>,
-    pub radius: f64,
-}
-
-impl Stop {
-    #[inline]
-    fn passes(&self, ray: &Ray) -> bool {
-        // Rounding must not block a ray drawn on the rim.
-        let off = ray.at(self.center.z) - self.center.xy().coords;
-        off.norm_squared() <= self.radius * self.radius * (1.0 + 1e-9)
-    }
-}
+use crate::model::{InternalParameters, Lattice, PlenopticCamera, Sensor, positive};
 
 /// A camera at one f-number, ready to take images.
 #[derive(Debug)]
 pub struct Tracer {
     sensor: Sensor,
-    pub(super) lens: ThinMainLens,
+    pub(super) lens: Lens,
     pub(super) focal_length: f64,
     pub(super) array: MicroLenses,
-    pub(super) pupil: Stop,
     second_stop: Option<Stop>,
     pub(super) dust: Dust,
     pub(super) fall_off: FallOff,
@@ -50,13 +35,23 @@ pub struct Tracer {
 const LARGEST_RADIUS: f64 = 1.0;
 /// More rays would lower the noise below the resolution of a 16-bit sample.
 const MAX_RAYS: u32 = 1 << 14;
-/// Beyond this an exit pupil might as well be at infinity, mm.
-const FURTHEST_MM: f64 = 1e6;
 
 impl Tracer {
     /// The camera with its main lens at `f_number`; `seed` sets the random positions.
     pub fn new(
         camera: &PlenopticCamera,
+        f_number: f64,
+        imperfections: &Imperfections,
+        seed: u64,
+    ) -> Result<Self> {
+        Self::with_lens(camera, None, f_number, imperfections, seed)
+    }
+
+    /// The camera with a real main lens, if a prescription is given: it is scaled to the camera's F, and
+    /// the camera has its exit pupil, without distortion and field curvature.
+    pub fn with_lens(
+        camera: &PlenopticCamera,
+        prescription: Option<&Prescription>,
         f_number: f64,
         imperfections: &Imperfections,
         seed: u64,
@@ -75,9 +70,8 @@ impl Tracer {
         imperfections.kill(&mut array.lenses, seed);
         let tracer = Self {
             sensor: camera.sensor,
-            lens: ThinMainLens::new(&camera.main_lens),
+            lens: Lens::new(camera, prescription, f_number)?,
             focal_length,
-            pupil: exit_pupil(&camera.main_lens, f_number)?,
             second_stop: imperfections.second_stop.map(|stop| Stop {
                 center: Point3::new(0.0, 0.0, stop.z_mm),
                 radius: stop.diameter_mm / 2.0,
@@ -106,7 +100,7 @@ impl Tracer {
                     self.array.sensor_z - lens.center.z
                 )));
             }
-            if lens.center.z >= self.pupil.center.z.min(0.0) {
+            if lens.center.z >= self.lens.rear_z() {
                 return Err(Error::invalid(format!(
                     "micro-lens ({k}, {l}) does not lie behind the main lens and its exit pupil: give \
                      a smaller tilt, or a larger D"
@@ -126,26 +120,17 @@ impl Tracer {
         Ok(())
     }
 
-    /// An error if distortion folds the image within the corners of the sensor: no object point has
-    /// its image beyond the fold.
     fn check_distortion(&self) -> Result<()> {
         let (right, bottom) = (self.sensor.width_px - 1, self.sensor.height_px - 1);
-        for (u, v) in [(0, 0), (right, 0), (0, bottom), (right, bottom)] {
-            let corner = self.array.on_sensor(f64::from(u), f64::from(v)).xy().coords;
-            if let Some(part) = self.lens.first_fold(&corner) {
-                return Err(Error::invalid(format!(
-                    "the distortion folds the image {:.2} mm from the axis, within the sensor: the \
-                     coefficients are too large",
-                    part * corner.norm()
-                )));
-            }
-        }
-        Ok(())
+        let corners = [(0, 0), (right, 0), (0, bottom), (right, bottom)];
+        self.lens.check_distortion(
+            &corners.map(|(u, v)| self.array.on_sensor(f64::from(u), f64::from(v))),
+        )
     }
 
     /// Distance between neighbouring micro-image centres, as projected from the exit pupil, mm.
     fn micro_image_pitch_mm(&self) -> f64 {
-        let to_pupil = self.pupil.center.z + self.lens_to_mla;
+        let to_pupil = self.lens.pupil.center.z + self.lens_to_mla;
         let to_sensor = -self.lens_to_mla - self.array.sensor_z;
         self.array.pitch * (1.0 + to_sensor / to_pupil)
     }
@@ -155,7 +140,7 @@ impl Tracer {
     /// onto the sensor, and grows with the pupil. For the ideal camera it agrees with the paper.
     #[must_use]
     pub fn internal_parameters(&self) -> InternalParameters {
-        let to_pupil = self.pupil.center.z + self.lens_to_mla;
+        let to_pupil = self.lens.pupil.center.z + self.lens_to_mla;
         let to_sensor = -self.lens_to_mla - self.array.sensor_z;
         let pitch = self.micro_image_pitch_mm();
         let q_prime = |lens: &MicroLens| {
@@ -163,7 +148,7 @@ impl Tracer {
             pitch / 2.0 - stop * to_sensor / to_pupil
         };
         InternalParameters {
-            m_mm: self.pupil.radius * self.f_number * to_sensor / to_pupil,
+            m_mm: self.lens.pupil.radius * self.f_number * to_sensor / to_pupil,
             q_prime_mm: self.one_of_each_type().map(q_prime).collect(),
             micro_image_pitch_mm: Some(pitch),
             m_std_dev_mm: None,
@@ -193,9 +178,9 @@ impl Tracer {
     /// rim of the pupil through the opposite rim of the micro-lens.
     pub(super) fn micro_image_radius_px(&self, lens: &MicroLens) -> f64 {
         let to_sensor = lens.center.z - self.array.sensor_z;
-        let to_pupil = self.pupil.center.z - lens.center.z;
+        let to_pupil = self.lens.pupil.center.z - lens.center.z;
         let stop = lens.demagnification(to_sensor, to_pupil).abs() * self.array.opening_radius;
-        (stop + self.pupil.radius) * to_sensor / to_pupil / self.array.pixel_size
+        (stop + self.lens.drawn.radius) * to_sensor / to_pupil / self.array.pixel_size
     }
 
     /// Irradiance (relative to the radiance of white: a solid angle) in the middle of a micro-image of
@@ -204,9 +189,9 @@ impl Tracer {
     pub fn reference_irradiance(&self) -> f64 {
         let middle = |lens: &MicroLens| {
             let to_sensor = lens.center.z - self.array.sensor_z;
-            let to_pupil = self.pupil.center.z - lens.center.z;
+            let to_pupil = self.lens.pupil.center.z - lens.center.z;
             let demagnification = lens.demagnification(to_sensor, to_pupil).abs();
-            let radius = (self.pupil.radius / demagnification).min(self.array.opening_radius);
+            let radius = (self.lens.pupil.radius / demagnification).min(self.array.opening_radius);
             std::f64::consts::PI * (radius / to_sensor).powi(2)
         };
         self.one_of_each_type().map(middle).fold(0.0, f64::max)
@@ -216,7 +201,9 @@ impl Tracer {
         match scene {
             Scene::White => Ok(None),
             Scene::Board(target, pose) => {
-                PlacedTarget::new(target, pose, self.focal_length).map(Some)
+                let board = PlacedTarget::new(target, pose, self.focal_length)?;
+                board.check_in_front(self.lens.nearest_object())?;
+                Ok(Some(board))
             }
         }
     }
@@ -226,25 +213,16 @@ impl Tracer {
         self.place(scene).map(drop)
     }
 
-    /// Whether a ray passes the exit pupil and the second stop.
+    /// Whether a ray passes the main lens and the second stop.
     #[inline]
     pub(super) fn passes(&self, ray: &Ray) -> bool {
-        self.pupil.passes(ray) && self.second_stop.is_none_or(|stop| stop.passes(ray))
+        self.passes_second(ray) && self.lens.passes(ray)
     }
-}
 
-/// The exit pupil of the thin lens. The entrance pupil has the diameter F/N; the exit pupil is its
-/// image, p times as wide.
-fn exit_pupil(lens: &MainLens, f_number: f64) -> Result<Stop> {
-    let place = lens.exit_pupil_mm;
-    if let Some(far) = place.iter().find(|e| !(e.abs() <= FURTHEST_MM)) {
-        return Err(Error::invalid(format!(
-            "an exit pupil at {far} mm is not possible: it has to lie within {FURTHEST_MM} mm of the \
-             main lens"
-        )));
+    #[inline]
+    pub(super) fn passes_second(&self, ray: &Ray) -> bool {
+        self.second_stop.is_none_or(|stop| stop.passes(ray))
     }
-    let radius = lens.focal_length_mm / f_number / 2.0 * lens.pupil_magnification();
-    Ok(Stop { center: Point3::from(place), radius })
 }
 
 /// An error unless this number of rays per pixel can be traced.

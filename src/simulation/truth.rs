@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point2, Point3, Vector2};
 use rayon::prelude::*;
 
 use super::array::MicroLens;
-use super::main_lens::Ray;
+use super::ray::Ray;
 use super::tracer::Tracer;
 use crate::model::{BapFeature, Board, MicroImageCenter};
 
@@ -41,6 +41,9 @@ pub struct TrueFeature {
 
 /// Rays through the rim of a micro-lens; their mean is exact for any even number.
 const RIM_RAYS: u32 = 32;
+/// The image of a corner about the middle of the pupil shows it this far from where it is at most, in
+/// radii of the micro-image.
+const NEAR: f64 = 1.5;
 /// Rings of rays that measure how much is visible, with equal areas and equal numbers of rays.
 const RINGS: u32 = 8;
 
@@ -49,7 +52,9 @@ impl Tracer {
     /// not beyond the focal length, or there is no such micro-lens.
     #[must_use]
     pub fn spot(&self, point: &Point3<f64>, k: i32, l: i32) -> Option<Spot> {
-        Some(self.spot_of_image(&self.lens.image_of(point)?, self.micro_lens(k, l)?))
+        let lens = self.micro_lens(k, l)?;
+        let image = self.lens.image_from(point, &self.lens.image_of(point)?, &lens.center)?;
+        Some(self.spot_of_image(&image, lens))
     }
 
     fn spot_of_image(&self, image: &Point3<f64>, lens: &MicroLens) -> Spot {
@@ -81,16 +86,17 @@ impl Tracer {
             let start = self.array.of_lens(lens, on_lens * self.array.opening_radius);
             let towards = image - start;
             let slope = towards.xy() / towards.z;
-            self.passes(&Ray { at_lens: start.xy().coords - slope * start.z, slope })
+            self.passes(&Ray::from(&start, slope))
         };
         let all = (0..RINGS).flat_map(ring);
         all.filter(passes).count() as f64 / f64::from(RINGS * RIM_RAYS)
     }
 
-    /// Centre of a micro-image: the ray from the middle of the exit pupil through the middle of the
-    /// micro-lens.
-    fn micro_image_center(&self, lens: &MicroLens) -> Point2<f64> {
-        self.array.to_pixel(&lens.center, &(self.pupil.center - lens.center))
+    /// Centre of a micro-image: the ray from the middle of the exit pupil, or of the stop of a real lens,
+    /// through the middle of the micro-lens; `None` if no ray of the lens leads there.
+    fn micro_image_center(&self, lens: &MicroLens) -> Option<Point2<f64>> {
+        let direction = self.lens.chief_direction(&lens.center)?;
+        Some(self.array.to_pixel(&lens.center, &direction))
     }
 
     /// The centre and type of every micro-image whose centre lies in the image, dead micro-lenses
@@ -100,7 +106,7 @@ impl Tracer {
         self.array
             .lenses
             .iter()
-            .map(|lens| (lens, self.micro_image_center(lens)))
+            .filter_map(|lens| Some((lens, self.micro_image_center(lens)?)))
             .filter(|&(_, p)| self.sensor().contains(p.x, p.y))
             .map(|(lens, p)| TrueCenter {
                 center: MicroImageCenter {
@@ -130,15 +136,24 @@ impl Tracer {
             .lenses
             .iter()
             .filter(|lens| lens.alive)
-            .map(|lens| (lens, self.micro_image_center(lens), self.micro_image_radius_px(lens)))
+            .filter_map(|lens| {
+                Some((lens, self.micro_image_center(lens)?, self.micro_image_radius_px(lens)))
+            })
             .collect();
         (0..board.corners())
             .into_par_iter()
             .flat_map_iter(|corner| {
-                let image = self.lens.image_of(&(camera_from_board * board.point_mm(corner)));
+                let point = camera_from_board * board.point_mm(corner);
+                let near = self.lens.image_of(&point);
                 let seen = |&(lens, center, radius): &(&MicroLens, Point2<f64>, f64)| {
-                    let image = image?;
-                    let p = self.array.to_pixel(&lens.center, &(image - lens.center));
+                    let at = |image: Point3<f64>| {
+                        self.array.to_pixel(&lens.center, &(image - lens.center))
+                    };
+                    if (at(near?) - center).norm() > radius * NEAR {
+                        return None;
+                    }
+                    let image = self.lens.image_from(&point, &near?, &lens.center)?;
+                    let p = at(image);
                     if (p - center).norm() > radius || !self.sensor().contains(p.x, p.y) {
                         return None;
                     }

@@ -3,7 +3,9 @@
 use plenocal::calibration::{Calibration, Start, calibrate};
 use plenocal::image::Image;
 use plenocal::model::{BapFeature, FramePose, NoiseSource, Observations, optics};
-use plenocal::simulation::{DataSet, Imperfections, PRESETS, Scene, SecondStop, Settings};
+use plenocal::simulation::{
+    DataSet, FallOff, Imperfections, PRESETS, Scene, SecondStop, Settings, simulate,
+};
 
 use crate::support::{options, pairs, preset};
 
@@ -105,12 +107,40 @@ fn the_r12_c_is_recovered() {
 }
 
 #[test]
-fn every_preset_gives_a_data_set_without_imperfections() {
+fn every_preset_gives_a_data_set_without_imperfections_but_those_of_real_lenses() {
     for preset in PRESETS {
         let settings = Settings::preset(preset.name, &[]).unwrap();
         DataSet::plan(&settings, None).unwrap();
-        assert_eq!(settings.imperfections, Imperfections::default(), "{}", preset.name);
+        let mut imperfections = settings.imperfections;
+        if settings.prescription.is_some() {
+            assert_eq!(imperfections.fall_off, FallOff::HalfResponseDeg(25.0));
+            imperfections.fall_off = FallOff::Cos4;
+            let stated = settings.engraved_focal_length_mm;
+            let off = stated / settings.camera.main_lens.focal_length_mm - 1.0;
+            assert!((off.abs() - 0.02).abs() < 1e-3, "{}: {off}", preset.name);
+        }
+        assert_eq!(imperfections, Imperfections::default(), "{}", preset.name);
     }
+}
+
+/// The truth of a simulation with a real lens: F and its exit pupil in the camera, and what it comes to
+/// beside it.
+#[test]
+fn a_real_lens_has_its_own_truth() {
+    let few = ["rays=1", "boards.calibration=2", "boards.evaluation=0", "translation.images=0"];
+    let settings = preset("mini-double-gauss", &few);
+    let simulated = simulate(&settings, None, &(), &mut |_, _, _| Ok(())).unwrap();
+    let (camera, figures) = (simulated.truth.camera, simulated.truth.main_lens.unwrap());
+    let lens = camera.main_lens;
+    assert!((lens.pupil_magnification() - 1.1464).abs() < 1e-4);
+    assert_eq!((lens.radial, lens.field_curvature_per_mm), ([0.0; 3], 0.0));
+    assert_eq!(lens.exit_pupil_mm.z, figures.exit_pupil_mm);
+    assert!((figures.pupil_magnification - lens.pupil_magnification()).abs() < 1e-12);
+    assert!(figures.field_curvature_per_mm > 0.01, "{figures:?}");
+    // Corners are seen up to the border, where their light is still most of it.
+    let [calibration, ..] = &simulated.truth.features;
+    assert!(calibration.len() > 200 && simulated.truth.centers.len() > 1500);
+    assert!(calibration.iter().filter(|f| f.visible > HALF_VISIBLE).count() > 200);
 }
 
 #[test]

@@ -1,0 +1,177 @@
+//! The prescription of a real lens: its surfaces, as in a patent or a textbook.
+
+use std::fmt;
+
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::paraxial::Paraxial;
+use crate::error::{Error, Result};
+use crate::model::positive;
+
+/// The surfaces of a lens in air, the front one first. It is scaled to the focal length of the camera, so
+/// that the unit of length does not matter.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Prescription {
+    /// Refracting surfaces, and one that is the stop.
+    pub surfaces: Vec<Surface>,
+}
+
+/// A sphere or plane about the optical axis.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Surface {
+    /// Radius of curvature, mm: positive if the centre lies on the side of the image, `inf` for a plane.
+    #[serde(default = "flat")]
+    pub radius_mm: f64,
+    /// Distance to the next surface along the axis, mm; of no effect at the last one.
+    #[serde(default)]
+    pub thickness_mm: f64,
+    /// Refractive index of what follows; 1 for air.
+    #[serde(default = "air")]
+    pub index: f64,
+    /// Half the diameter of the clear opening, mm. Of the stop, that of the lens wide open.
+    pub semi_diameter_mm: f64,
+    /// Whether this is the stop, a plane of its own within one medium.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub stop: bool,
+}
+
+fn flat() -> f64 {
+    f64::INFINITY
+}
+
+fn air() -> f64 {
+    1.0
+}
+
+macro_rules! lenses {
+    ($($name:literal),*) => {
+        [$(($name, include_str!(concat!("../../data/lenses/", $name, ".toml")))),*]
+    };
+}
+
+/// Lenses that come with plenocal by name, files in `data/lenses`.
+const LENSES: [(&str, &str); 2] = lenses!["double-gauss", "telephoto"];
+/// Above that of any glass.
+const MAX_INDEX: f64 = 4.0;
+
+impl Prescription {
+    /// A lens that comes with plenocal.
+    pub fn named(name: &str) -> Result<Self> {
+        let Some((_, text)) = LENSES.iter().find(|(known, _)| *known == name) else {
+            let names = LENSES.map(|(name, _)| name).join(", ");
+            return Err(Error::invalid(format!(
+                "there is no lens '{name}'; there are {names}, or give a file that ends in .toml"
+            )));
+        };
+        Self::from_toml(text).map_err(|e| Error::invalid(format!("the lens {name}: {e}")))
+    }
+
+    /// A prescription from the text of its file: `surfaces`, each with `radius_mm`, `thickness_mm`,
+    /// `index`, `semi_diameter_mm`, or `stop = true`.
+    pub fn from_toml(text: &str) -> Result<Self> {
+        let prescription: Self = toml::from_str(text)
+            .map_err(|e| Error::invalid(format!("not the prescription of a lens: {e}")))?;
+        prescription.validate()?;
+        Ok(prescription)
+    }
+
+    /// e_z of the lens scaled to a focal length, mm: its exit pupil for rays close to the axis, as the
+    /// camera has it.
+    pub fn exit_pupil_z(&self, focal_length_mm: f64) -> Result<f64> {
+        let paraxial = Paraxial::of(self)?;
+        Ok(paraxial.z_mm(paraxial.exit_pupil, focal_length_mm))
+    }
+
+    /// Index of the stop.
+    pub(super) fn stop(&self) -> usize {
+        self.surfaces.iter().position(|surface| surface.stop).unwrap_or_default()
+    }
+
+    /// Refractive index in front of a surface.
+    pub(super) fn index_before(&self, surface: usize) -> f64 {
+        surface.checked_sub(1).map_or(1.0, |i| self.surfaces[i].index)
+    }
+
+    /// An error that names the impossible value.
+    pub fn validate(&self) -> Result<()> {
+        for (i, surface) in self.surfaces.iter().enumerate() {
+            self.validate_surface(i, surface)
+                .map_err(|e| Error::invalid(format!("surface {} of the lens: {e}", i + 1)))?;
+        }
+        let stops = self.surfaces.iter().filter(|surface| surface.stop).count();
+        if stops != 1 {
+            return Err(Error::invalid(format!(
+                "the lens has {stops} stops; give one of its surfaces stop = true"
+            )));
+        }
+        if self.surfaces.last().is_some_and(|last| last.index != 1.0) {
+            return Err(Error::invalid("the lens does not end in air: its last index has to be 1"));
+        }
+        Paraxial::of(self)?;
+        Ok(())
+    }
+
+    fn validate_surface(&self, i: usize, surface: &Surface) -> Result<()> {
+        positive(surface.semi_diameter_mm, "its semi-diameter (mm)")?;
+        if !(surface.radius_mm.abs() >= surface.semi_diameter_mm) {
+            return Err(Error::invalid(format!(
+                "a sphere of radius {} mm has no opening of {} mm",
+                surface.radius_mm, surface.semi_diameter_mm
+            )));
+        }
+        if !(0.0..f64::INFINITY).contains(&surface.thickness_mm) {
+            return Err(Error::invalid(format!(
+                "the next surface lies {} mm behind it; give 0 or more",
+                surface.thickness_mm
+            )));
+        }
+        if !(1.0..=MAX_INDEX).contains(&surface.index) {
+            return Err(Error::invalid(format!(
+                "a refractive index of {} is not possible; give 1 to {MAX_INDEX}",
+                surface.index
+            )));
+        }
+        if surface.stop && (surface.radius_mm.is_finite() || surface.index != self.index_before(i))
+        {
+            return Err(Error::invalid(
+                "the stop is a plane within one medium: leave out its radius, and give the index of the \
+                 surface before it",
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// As in a file: either a name, or surfaces.
+impl<'de> Deserialize<'de> for Prescription {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        deserializer.deserialize_any(NameOrSurfaces)
+    }
+}
+
+struct NameOrSurfaces;
+
+impl<'de> Visitor<'de> for NameOrSurfaces {
+    type Value = Prescription;
+
+    fn expecting(&self, out: &mut fmt::Formatter) -> fmt::Result {
+        write!(out, "the name of a lens, a file that ends in .toml, or a table with surfaces")
+    }
+
+    fn visit_str<E: serde::de::Error>(self, name: &str) -> std::result::Result<Prescription, E> {
+        Prescription::named(name).map_err(E::custom)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> std::result::Result<Prescription, A::Error> {
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Fields {
+            surfaces: Vec<Surface>,
+        }
+        let Fields { surfaces } = Fields::deserialize(MapAccessDeserializer::new(map))?;
+        Ok(Prescription { surfaces })
+    }
+}

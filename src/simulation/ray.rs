@@ -1,0 +1,40 @@
+//! Straight rays, and openings that they pass.
+
+use nalgebra::{Point3, Vector2};
+
+/// A straight ray by the point where it crosses z = 0 and its slopes dx/dz, dy/dz.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Ray {
+    pub at_lens: Vector2<f64>,
+    pub slope: Vector2<f64>,
+}
+
+impl Ray {
+    /// The ray through a point with a slope.
+    #[inline]
+    pub fn from(point: &Point3<f64>, slope: Vector2<f64>) -> Self {
+        Self { at_lens: point.xy().coords - slope * point.z, slope }
+    }
+
+    /// Where it crosses a plane across the axis.
+    #[inline]
+    pub fn at(&self, z: f64) -> Vector2<f64> {
+        self.at_lens + self.slope * z
+    }
+}
+
+/// A circular opening perpendicular to the optical axis.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Stop {
+    pub center: Point3<f64>,
+    pub radius: f64,
+}
+
+impl Stop {
+    #[inline]
+    pub fn passes(&self, ray: &Ray) -> bool {
+        // Rounding must not block a ray drawn on the rim.
+        let off = ray.at(self.center.z) - self.center.xy().coords;
+        off.norm_squared() <= self.radius * self.radius * (1.0 + 1e-9)
+    }
+}

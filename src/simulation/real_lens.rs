@@ -1,0 +1,320 @@
+//! A real lens: rays are traced through all its surfaces, from the sensor outwards.
+//!
+//! Distortion, curvature of the field, spherical aberration and coma, the pupil's place and its aberration,
+//! and vignetting by the rims of the lenses follow from refraction; nothing is taken from the model. The
+//! camera frame has its origin at the image-side principal point H', the sensor lies where it is, and
+//! objects are placed by their distance from the object-side principal plane H: as before a thin lens at
+//! H'.
+
+use nalgebra::{Matrix2, Point3, Vector2, Vector3};
+use serde::Serialize;
+
+use super::paraxial::Paraxial;
+use super::prescription::Prescription;
+use super::ray::Ray;
+use crate::error::{Error, Result};
+
+/// What a real lens comes to in terms of the model, for rays close to the axis or to the middle of the
+/// pupil: F and the pupil are those of the truth, the others are there to compare with.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct LensFigures {
+    /// F, mm.
+    pub focal_length_mm: f64,
+    /// z of the object-side principal plane, from the image-side one, mm: objects are placed by their
+    /// distance from it.
+    pub object_side_principal_mm: f64,
+    /// z of the entrance pupil, mm, in the frame of the poses: from the object-side principal plane.
+    pub entrance_pupil_mm: f64,
+    /// e_z, mm.
+    pub exit_pupil_mm: f64,
+    /// p = 1 + e_z/F.
+    pub pupil_magnification: f64,
+    /// Distance of the object that the following hold for, mm.
+    pub object_mm: f64,
+    /// κ close to the axis, 1/mm: the mean of both directions.
+    pub field_curvature_per_mm: f64,
+    /// Q₁ close to the axis, mm⁻².
+    pub q1_per_mm2: f64,
+}
+
+/// One surface as a ray from the sensor meets it.
+#[derive(Debug, Clone, Copy)]
+struct Interface {
+    /// z of the vertex, camera frame, mm.
+    z: f64,
+    /// Curvature, 1/mm: positive if the centre lies towards the scene.
+    curvature: f64,
+    /// Refractive index on the side of the sensor over that on the side of the scene.
+    ratio: f64,
+    /// Square of the radius of the opening, mm².
+    opening2: f64,
+}
+
+/// A lens at a focal length and an f-number.
+#[derive(Debug, Clone)]
+pub(super) struct RealLens {
+    /// The last surface first.
+    interfaces: Vec<Interface>,
+    /// Index of the stop in `interfaces`.
+    stop: usize,
+    focal_length: f64,
+    /// z of H.
+    object_side: f64,
+    /// z of the entrance pupil, from H.
+    entrance_pupil: f64,
+    /// The paraxial exit pupil.
+    pub exit_pupil: Point3<f64>,
+    pub exit_pupil_radius: f64,
+}
+
+/// A ray within the lens: a point and a unit vector.
+#[derive(Clone, Copy)]
+struct Inner {
+    at: Vector3<f64>,
+    towards: Vector3<f64>,
+}
+
+/// Steps of numerical derivatives: mm across the array, and of slopes.
+const STEP_MM: f64 = 1e-3;
+const STEP: f64 = 1e-4;
+/// Height of the image off the axis at which figures are taken, in focal lengths: enough above rounding,
+/// and little of the next order.
+const FIGURES_HEIGHT: f64 = 0.04;
+/// Newton's method ends here, mm at the stop or at the object.
+const FOUND_MM: f64 = 1e-9;
+const NEWTON_STEPS: usize = 20;
+
+impl RealLens {
+    /// The lens scaled to a focal length, with the entrance pupil F/N.
+    pub fn new(prescription: &Prescription, focal_length: f64, f_number: f64) -> Result<Self> {
+        let paraxial = Paraxial::of(prescription)?;
+        let scale = focal_length / paraxial.focal_length;
+        let entrance_radius = focal_length / f_number / 2.0;
+        let stop_radius = entrance_radius * paraxial.stop_magnification;
+        let stop = prescription.stop();
+        let widest = prescription.surfaces[stop].semi_diameter_mm * scale;
+        if stop_radius > widest * (1.0 + 1e-9) {
+            return Err(Error::invalid(format!(
+                "the lens opens to f/{:.2} and not to f/{f_number}: stop it down, or give its stop a \
+                 semi-diameter of {:.3} mm",
+                f_number * stop_radius / widest,
+                stop_radius / scale
+            )));
+        }
+        let mut behind_first = 0.0;
+        let mut interfaces = Vec::with_capacity(prescription.surfaces.len());
+        for (i, surface) in prescription.surfaces.iter().enumerate() {
+            let opening = if i == stop { stop_radius } else { surface.semi_diameter_mm * scale };
+            interfaces.push(Interface {
+                z: paraxial.z_mm(behind_first, focal_length),
+                curvature: -1.0 / (surface.radius_mm * scale),
+                ratio: surface.index / prescription.index_before(i),
+                opening2: opening * opening,
+            });
+            behind_first += surface.thickness_mm;
+        }
+        interfaces.reverse();
+        Ok(Self {
+            stop: interfaces.len() - 1 - stop,
+            interfaces,
+            focal_length,
+            object_side: paraxial.z_mm(paraxial.front_principal, focal_length),
+            entrance_pupil: (paraxial.front_principal - paraxial.entrance_pupil) * scale,
+            exit_pupil: Point3::new(0.0, 0.0, paraxial.z_mm(paraxial.exit_pupil, focal_length)),
+            exit_pupil_radius: entrance_radius * paraxial.pupil_magnification,
+        })
+    }
+
+    /// z of the last vertex, the one nearest to the array.
+    pub fn last_vertex_z(&self) -> f64 {
+        self.interfaces[0].z
+    }
+
+    /// Distance that an object needs from H to lie in front of the lens.
+    pub fn nearest_object(&self) -> f64 {
+        let front = self.interfaces.iter().map(|surface| surface.z).fold(f64::MIN, f64::max);
+        front - self.object_side
+    }
+
+    /// Traces a ray through some of the surfaces; `None` if it misses one, is totally reflected, or (with
+    /// `CLEAR`) is blocked by an opening.
+    ///
+    /// A sphere of curvature k with its vertex at the origin is k|x|² = 2z. Snell's law for unit vectors:
+    /// d' = μd + (cos t − μ cos i) n, with cos²t = 1 − μ²(1 − cos²i).
+    #[inline]
+    fn through<const CLEAR: bool>(&self, ray: &Ray, surfaces: &[Interface]) -> Option<Inner> {
+        let mut towards = ray.slope.push(1.0);
+        towards /= towards.norm();
+        let mut at = ray.at_lens.push(0.0);
+        for surface in surfaces {
+            let k = surface.curvature;
+            // The point where it meets the plane of the vertex, seen from the vertex.
+            let start = at + towards * ((surface.z - at.z) / towards.z);
+            let start = start.xy();
+            let towards_center = towards.z - k * start.dot(&towards.xy());
+            let square = start.norm_squared();
+            let cos2 = towards_center * towards_center - k * k * square;
+            if cos2 < 0.0 {
+                return None;
+            }
+            let cos = cos2.sqrt();
+            let hit = start.push(0.0) + towards * (k * square / (towards_center + cos));
+            if CLEAR && hit.xy().norm_squared() > surface.opening2 {
+                return None;
+            }
+            let normal = Vector3::new(-k * hit.x, -k * hit.y, 1.0 - k * hit.z);
+            let inside2 = 1.0 - surface.ratio * surface.ratio * (1.0 - cos2);
+            if inside2 < 0.0 {
+                return None;
+            }
+            towards = towards * surface.ratio + normal * (inside2.sqrt() - surface.ratio * cos);
+            at = Vector3::new(hit.x, hit.y, hit.z + surface.z);
+        }
+        Some(Inner { at, towards })
+    }
+
+    /// The ray in front of the lens, in the frame of the poses.
+    fn in_front(&self, inner: &Inner) -> Ray {
+        let slope = inner.towards.xy() / inner.towards.z;
+        Ray { at_lens: inner.at.xy() + slope * (self.object_side - inner.at.z), slope }
+    }
+
+    /// The ray in front of the lens that belongs to one behind it; `None` if it is blocked.
+    #[inline]
+    pub fn object_ray(&self, ray: &Ray) -> Option<Ray> {
+        self.through::<true>(ray, &self.interfaces).map(|inner| self.in_front(&inner))
+    }
+
+    /// Whether a ray passes all openings.
+    #[inline]
+    pub fn passes(&self, ray: &Ray) -> bool {
+        self.through::<true>(ray, &self.interfaces).is_some()
+    }
+
+    /// The slope of the ray from a point behind the lens through the middle of the stop.
+    pub fn chief_slope(&self, from: &Point3<f64>) -> Option<Vector2<f64>> {
+        let surfaces = &self.interfaces[..=self.stop];
+        let at_stop = |slope: Vector2<f64>| {
+            self.through::<false>(&Ray::from(from, slope), surfaces).map(|inner| inner.at.xy())
+        };
+        newton(slope_towards(from, &self.exit_pupil), &at_stop).map(|(slope, _)| slope)
+    }
+
+    /// Where the light of an object point that passes near `from`, a point behind the lens, is focused:
+    /// the mean of the foci in both directions, on the ray through `from`. `near` is a guess. `None` if the
+    /// point is not beyond F, or no ray leads there.
+    pub fn image_from(
+        &self,
+        point: &Point3<f64>,
+        near: &Point3<f64>,
+        from: &Point3<f64>,
+    ) -> Option<Point3<f64>> {
+        if point.z <= self.focal_length {
+            return None;
+        }
+        let miss = |start: &Point3<f64>, slope: Vector2<f64>| {
+            let inner = self.through::<false>(&Ray::from(start, slope), &self.interfaces)?;
+            Some(self.in_front(&inner).at(point.z) - point.xy().coords)
+        };
+        let (slope, by_slope) = newton(slope_towards(from, near), &|slope| miss(from, slope))?;
+        let by_place = jacobian(Vector2::zeros(), STEP_MM, &|off: Vector2<f64>| {
+            miss(&(from + off.push(0.0)), slope)
+        })?;
+        // Rays through `from` + δ that meet the point have slopes less by Tδ. With a focus w in front of
+        // `from`, T = 1/w in all directions.
+        let turn = by_slope.try_inverse()? * by_place;
+        let distance = 2.0 / turn.trace();
+        distance.is_finite().then(|| from + slope.push(1.0) * distance)
+    }
+
+    /// The image of an object point about the ray through the middle of the paraxial exit pupil.
+    pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
+        let magnification = self.focal_length / (self.focal_length - point.z);
+        let ideal = Point3::from(point.coords * magnification);
+        self.image_from(point, &ideal, &self.exit_pupil)
+    }
+
+    /// What the lens comes to for objects at a distance.
+    pub fn figures(&self, object_mm: f64) -> Option<LensFigures> {
+        let height = FIGURES_HEIGHT * self.focal_length;
+        let magnification = self.focal_length / (self.focal_length - object_mm);
+        let image =
+            |height: f64| self.image_of(&Point3::new(height / magnification, 0.0, object_mm));
+        let (axis, off) = (image(0.0)?, image(height)?);
+        Some(LensFigures {
+            focal_length_mm: self.focal_length,
+            object_side_principal_mm: self.object_side,
+            entrance_pupil_mm: self.entrance_pupil,
+            exit_pupil_mm: self.exit_pupil.z,
+            pupil_magnification: 1.0 + self.exit_pupil.z / self.focal_length,
+            object_mm,
+            field_curvature_per_mm: (off.z - axis.z) / height.powi(2),
+            q1_per_mm2: (off.x / height - 1.0) / height.powi(2),
+        })
+    }
+
+    /// Radius of a disc about the paraxial exit pupil that contains all rays which pass, from anywhere
+    /// within `radius` of the axis at `z`. Off the axis the pupil moves, grows and is cut.
+    pub fn reach(&self, radius: f64, z: f64) -> f64 {
+        let step = self.exit_pupil_radius * REACH_STEP;
+        let limit = 2.0 * self.exit_pupil_radius + REACH_FURTHER * self.focal_length;
+        let pupil = &self.exit_pupil;
+        let passes = |field: u32, turn: u32, distance: f64| {
+            let x = radius * f64::from(field) / f64::from(REACH_FIELDS - 1);
+            let from = Point3::new(x, 0.0, z);
+            // One half is enough by symmetry.
+            let (sin, cos) =
+                (std::f64::consts::PI * f64::from(turn) / f64::from(REACH_TURNS - 1)).sin_cos();
+            let aim = pupil + Vector3::new(cos, sin, 0.0) * distance;
+            self.passes(&Ray::from(&from, slope_towards(&from, &aim)))
+        };
+        let furthest = |field: u32, turn: u32| {
+            let outer = self.exit_pupil_radius.max(step);
+            let mut distance = limit;
+            while distance > outer && !passes(field, turn, distance) {
+                distance -= step;
+            }
+            distance
+        };
+        let all =
+            (0..REACH_FIELDS).flat_map(|field| (0..REACH_TURNS).map(move |turn| (field, turn)));
+        all.map(|(field, turn)| furthest(field, turn)).fold(0.0, f64::max) + REACH_MARGIN * step
+    }
+}
+
+/// Resolution of the search for the reach of the pupil, in radii of the exit pupil; its margin in steps;
+/// where it begins, beyond the pupil's diameter, in focal lengths; places and directions.
+const REACH_STEP: f64 = 0.02;
+const REACH_MARGIN: f64 = 2.0;
+const REACH_FURTHER: f64 = 0.05;
+const REACH_FIELDS: u32 = 9;
+const REACH_TURNS: u32 = 13;
+
+/// dx/dz, dy/dz from one point to another.
+fn slope_towards(from: &Point3<f64>, to: &Point3<f64>) -> Vector2<f64> {
+    let way = to - from;
+    way.xy() / way.z
+}
+
+type Map<'a> = &'a dyn Fn(Vector2<f64>) -> Option<Vector2<f64>>;
+
+/// Derivatives of a map of the plane by central differences.
+fn jacobian(at: Vector2<f64>, step: f64, map: Map) -> Option<Matrix2<f64>> {
+    let column =
+        |axis: Vector2<f64>| Some((map(at + axis * step)? - map(at - axis * step)?) / (2.0 * step));
+    Some(Matrix2::from_columns(&[column(Vector2::x())?, column(Vector2::y())?]))
+}
+
+/// The zero of a map of slopes to mm, and the derivatives there.
+fn newton(start: Vector2<f64>, map: Map) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+    let mut slope = start;
+    for _ in 0..NEWTON_STEPS {
+        let miss = map(slope)?;
+        let derivatives = jacobian(slope, STEP, map)?;
+        if miss.norm() < FOUND_MM {
+            return Some((slope, derivatives));
+        }
+        slope -= derivatives.try_inverse()? * miss;
+    }
+    None
+}

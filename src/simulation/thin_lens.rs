@@ -1,0 +1,219 @@
+//! The main lens as rays meet it: a thin lens at z = 0 with lateral distortion and a curved field.
+
+use nalgebra::{Matrix2, Point3, Vector2};
+
+use super::ray::Ray;
+use crate::model::MainLens;
+
+impl LocalDistortion {
+    /// How far image points near this one lie from the ideal ones.
+    pub fn shift(&self) -> ImageShift {
+        ImageShift {
+            across: self.distorted - self.undistorted,
+            along: self.nearer - self.gradient.dot(&self.undistorted),
+            gradient: self.gradient,
+        }
+    }
+}
+
+/// How far image points lie from those of an ideal lens: `across` to the side, and along z by `along` +
+/// `gradient` · x where the ideal point is x; mm.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ImageShift {
+    pub across: Vector2<f64>,
+    pub along: f64,
+    pub gradient: Vector2<f64>,
+}
+
+impl ImageShift {
+    /// That of an ideal lens.
+    pub fn none() -> Self {
+        Self { across: Vector2::zeros(), along: 0.0, gradient: Vector2::zeros() }
+    }
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct ThinMainLens {
+    lens: MainLens,
+    distorts: bool,
+    /// Whether image points lie elsewhere than those of an ideal lens.
+    moves: bool,
+}
+
+/// Distortion near one ray of a narrow bundle: linearised about its image point. For other rays it is
+/// a start; one Newton step with this Jacobian then leaves an error of third order in the width of
+/// the bundle.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LocalDistortion {
+    distorted: Vector2<f64>,
+    undistorted: Vector2<f64>,
+    inverse: Matrix2<f64>,
+    /// How much nearer to the lens the curvature of the field puts the image point, mm.
+    nearer: f64,
+    /// How that grows with the place of the image point.
+    gradient: Vector2<f64>,
+}
+
+/// Number of points checked from the axis to a corner of the image.
+const FOLD_STEPS: u32 = 32;
+/// Tolerance of an image point, far below a pixel, mm.
+const FOUND_MM: f64 = 1e-6;
+/// With a distortion small against its argument, Newton's method gains five digits a step.
+const NEWTON_STEPS: usize = 4;
+
+impl ThinMainLens {
+    pub fn new(lens: &MainLens) -> Self {
+        let distorts = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
+        let moves = distorts || lens.field_curvature_per_mm != 0.0;
+        Self { lens: *lens, distorts, moves }
+    }
+
+    /// Where all rays of an object point meet behind the lens; `None` if the point is not beyond F.
+    pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
+        if point.z <= self.lens.focal_length_mm {
+            return None;
+        }
+        let magnification = -self.lens.focal_length_mm / (point.z - self.lens.focal_length_mm);
+        let ideal = point.xy().coords * magnification;
+        let z = point.z * magnification + self.nearer_mm(ideal);
+        Some(Point3::from((ideal + self.distortion_mm(ideal)).push(z)))
+    }
+
+    /// How much nearer to the lens the image of a point lies than that of an ideal lens, which is at x:
+    /// κ|x|², both in mm.
+    #[inline]
+    fn nearer_mm(&self, x: Vector2<f64>) -> f64 {
+        self.lens.field_curvature_per_mm * x.norm_squared()
+    }
+
+    /// How far distortion moves an ideal image point, both in mm in the camera frame
+    /// (Brown-Conrady; paper, section 2.1). The tracer has its own, so that it can contradict the core's.
+    #[inline]
+    fn distortion_mm(&self, x: Vector2<f64>) -> Vector2<f64> {
+        let [q1, q2, q3] = self.lens.radial;
+        let [p1, p2] = self.lens.tangential;
+        let r2 = x.norm_squared();
+        let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
+        let across = p1 * x.x + p2 * x.y;
+        // P1 (r² + 2x²) + 2 P2 x y = P1 r² + 2x (P1 x + P2 y), and the same along y.
+        x * (radial + 2.0 * across) + Vector2::new(p1, p2) * r2
+    }
+
+    fn distortion_jacobian(&self, x: Vector2<f64>) -> Matrix2<f64> {
+        let [q1, q2, q3] = self.lens.radial;
+        let p = Vector2::from(self.lens.tangential);
+        let r2 = x.norm_squared();
+        let radial = ((q3 * r2 + q2) * r2 + q1) * r2;
+        let growth = 2.0 * ((3.0 * q3 * r2 + 2.0 * q2) * r2 + q1);
+        Matrix2::identity() * (radial + 2.0 * p.dot(&x))
+            + x * x.transpose() * growth
+            + (x * p.transpose() + p * x.transpose()) * 2.0
+    }
+
+    /// The fraction (0 to 1) of the way from the axis to an image point at which distortion folds the
+    /// image, if it does.
+    pub fn first_fold(&self, distorted: &Vector2<f64>) -> Option<f64> {
+        (1..=FOLD_STEPS).map(|step| f64::from(step) / f64::from(FOLD_STEPS)).find(|&part| {
+            let local = self.about(distorted * part);
+            let ideal = local.undistorted;
+            let miss = ideal + self.distortion_mm(ideal) - local.distorted;
+            let jacobian = Matrix2::identity() + self.distortion_jacobian(ideal);
+            // A fold reverses one direction; the negated test counts NaN as a fold too.
+            !(miss.norm() < FOUND_MM && jacobian.determinant() > 0.0 && jacobian.trace() > 0.0)
+        })
+    }
+
+    /// The distortion about a point of image space.
+    pub fn about(&self, distorted: Vector2<f64>) -> LocalDistortion {
+        let mut undistorted = distorted;
+        let mut inverse = Matrix2::identity();
+        if self.distorts {
+            for _ in 0..NEWTON_STEPS {
+                let miss = undistorted + self.distortion_mm(undistorted) - distorted;
+                let jacobian = Matrix2::identity() + self.distortion_jacobian(undistorted);
+                inverse = jacobian.try_inverse().unwrap_or_else(Matrix2::identity);
+                undistorted -= inverse * miss;
+            }
+        }
+        let nearer = self.nearer_mm(undistorted);
+        let gradient = undistorted * (2.0 * self.lens.field_curvature_per_mm);
+        LocalDistortion { distorted, undistorted, inverse, nearer, gradient }
+    }
+
+    /// The ray in front of the lens that belongs to `ray` behind it, for an object whose image lies at
+    /// `image_z`.
+    ///
+    /// A ray aims at an image point; with an ideal lens it would aim at the point that distortion and
+    /// the curvature of the field move there. The thin lens refracts that ray: it subtracts x/F from the
+    /// slope.
+    #[inline]
+    pub fn object_ray(&self, ray: &Ray, image_z: f64, local: &LocalDistortion) -> Ray {
+        let mut slope = ray.slope;
+        if self.moves {
+            let target = ray.at(image_z);
+            let near = local.undistorted + local.inverse * (target - local.distorted);
+            let ideal = near - local.inverse * (near + self.distortion_mm(near) - target);
+            slope = (ideal - ray.at_lens) / (image_z - self.nearer_mm(ideal));
+        }
+        Ray { at_lens: ray.at_lens, slope: slope - ray.at_lens / self.lens.focal_length_mm }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lens() -> ThinMainLens {
+        ThinMainLens::new(&MainLens {
+            radial: [-4e-5, 2e-7, 1e-10],
+            tangential: [3e-5, -2e-5],
+            field_curvature_per_mm: 6e-3,
+            ..MainLens::thin(50.0)
+        })
+    }
+
+    /// Rays from one object point through any point of the lens meet in its image, and those rays
+    /// lead back to the object point.
+    #[test]
+    fn rays_lead_back_to_their_object_point() {
+        let lens = lens();
+        let point = Point3::new(40.0, -25.0, 300.0);
+        let image = lens.image_of(&point).unwrap();
+        for (x, y) in [(0.0, 0.0), (6.0, 0.0), (-3.0, 5.0), (0.5, -6.0)] {
+            let at_lens = Vector2::new(x, y);
+            let ray = Ray { at_lens, slope: (image.xy().coords - at_lens) / image.z };
+            let local = lens.about(image.xy().coords);
+            let hit = lens.object_ray(&ray, image.z, &local).at(point.z);
+            assert!((hit - point.xy().coords).norm() < 1e-9, "{hit} through {at_lens}");
+        }
+    }
+
+    /// The paper's formula, written out with numbers: r² = 5, x = 1, y = 2.
+    #[test]
+    fn distortion_is_that_of_the_paper() {
+        let lens = ThinMainLens::new(&MainLens {
+            radial: [1e-3, 1e-4, 1e-5],
+            tangential: [1e-2, 1e-3],
+            ..MainLens::thin(50.0)
+        });
+        let shift = lens.distortion_mm(Vector2::new(1.0, 2.0));
+        let radial = 5e-3 + 25e-4 + 125e-5;
+        let expected = Vector2::new(
+            radial + 1e-2 * (5.0 + 2.0) + 2.0 * 1e-3 * 2.0,
+            2.0 * radial + 1e-3 * (5.0 + 8.0) + 2.0 * 1e-2 * 2.0,
+        );
+        assert!((shift - expected).norm() < 1e-15);
+    }
+
+    #[test]
+    fn jacobian_is_the_derivative() {
+        let (lens, x, step) = (lens(), Vector2::new(3.0, -7.0), 1e-6);
+        for (axis, column) in
+            [Vector2::x(), Vector2::y()].into_iter().zip(lens.distortion_jacobian(x).column_iter())
+        {
+            let difference =
+                lens.distortion_mm(x + axis * step) - lens.distortion_mm(x - axis * step);
+            assert!((difference / (2.0 * step) - column).norm() < 1e-9);
+        }
+    }
+}
