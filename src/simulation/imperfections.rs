@@ -82,17 +82,25 @@ impl FallOff {
     /// `inner` is the vector from sensor to micro-lens, `distance` the one between their planes.
     #[inline]
     pub(super) fn light(self, radiance: f64, inner: &Vector3<f64>, distance: f64) -> f64 {
+        if let Self::None = self {
+            return radiance / (distance * distance);
+        }
         let z2 = inner.z * inner.z;
         let cos2 = z2 / inner.norm_squared();
         // Irradiance through a small area of a plane parallel to the sensor: L cos⁴/distance².
-        match self {
-            Self::Cos4 => radiance * cos2 * cos2 / z2,
-            Self::None => radiance / (distance * distance),
-            Self::HalfResponseDeg(half) => {
-                let tangents = inner.xy().norm_squared() / z2 / half.to_radians().tan().powi(2);
-                radiance * cos2 * cos2 / z2 * (-tangents).exp2()
-            }
+        let natural = radiance * cos2 * cos2 / z2;
+        if let Self::HalfResponseDeg(half) = self {
+            return natural * Self::response(half, inner);
         }
+        natural
+    }
+
+    /// Response of a pixel whose response is half at an angle.
+    // Not inlined: it would slow down rays that do not need it.
+    #[inline(never)]
+    fn response(half_deg: f64, inner: &Vector3<f64>) -> f64 {
+        let tangents = inner.xy().norm() / inner.z / half_deg.to_radians().tan();
+        (-tangents * tangents).exp2()
     }
 }
 

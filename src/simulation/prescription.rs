@@ -96,6 +96,7 @@ impl Prescription {
     }
 
     /// An error that names the impossible value.
+    #[allow(clippy::float_cmp)] // an index is stated
     pub fn validate(&self) -> Result<()> {
         for (i, surface) in self.surfaces.iter().enumerate() {
             self.validate_surface(i, surface)
@@ -114,9 +115,10 @@ impl Prescription {
         Ok(())
     }
 
+    #[allow(clippy::float_cmp)] // indices are stated
     fn validate_surface(&self, i: usize, surface: &Surface) -> Result<()> {
         positive(surface.semi_diameter_mm, "its semi-diameter (mm)")?;
-        if !(surface.radius_mm.abs() >= surface.semi_diameter_mm) {
+        if surface.radius_mm.is_nan() || surface.radius_mm.abs() < surface.semi_diameter_mm {
             return Err(Error::invalid(format!(
                 "a sphere of radius {} mm has no opening of {} mm",
                 surface.radius_mm, surface.semi_diameter_mm

@@ -1,5 +1,7 @@
 //! The settings of a simulated data set as text (TOML), and the presets.
 
+use std::path::Path;
+
 use nalgebra::Vector3;
 use toml::{Table, Value};
 
@@ -93,6 +95,11 @@ const LEFT_OUT: &str = "
 # Every setting is explained in docs/simulation.md.
 ";
 
+/// Whether a prescription is the name of a file.
+fn is_file(name: &str) -> bool {
+    Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"))
+}
+
 fn no_files(file: &str) -> Result<String> {
     Err(Error::invalid(format!(
         "the prescription {file} is a file: read it, or give its surfaces in its place"
@@ -117,7 +124,7 @@ fn settings_from(
              camera.main_lens.exit_pupil_mm = [0, 0, {z}]"
         )));
     }
-    let file = table.get("prescription").and_then(Value::as_str).filter(|s| s.ends_with(".toml"));
+    let file = table.get("prescription").and_then(Value::as_str).filter(|name| is_file(name));
     let prescription =
         file.map(|file| read(file).map(|text| (file.to_owned(), text))).transpose()?;
     if let Some((file, text)) = &prescription {

@@ -28,13 +28,19 @@ impl Ray {
 pub(super) struct Stop {
     pub center: Point3<f64>,
     pub radius: f64,
+    /// Square of the distance from the middle up to which rays pass.
+    limit2: f64,
 }
 
 impl Stop {
+    pub fn new(center: Point3<f64>, radius: f64) -> Self {
+        // Rounding must not block a ray drawn on the rim.
+        Self { center, radius, limit2: radius * radius * (1.0 + 1e-9) }
+    }
+
     #[inline]
     pub fn passes(&self, ray: &Ray) -> bool {
-        // Rounding must not block a ray drawn on the rim.
         let off = ray.at(self.center.z) - self.center.xy().coords;
-        off.norm_squared() <= self.radius * self.radius * (1.0 + 1e-9)
+        off.norm_squared() <= self.limit2
     }
 }

@@ -9,9 +9,12 @@
 use nalgebra::{Matrix2, Point3, Vector2, Vector3};
 use serde::Serialize;
 
+use super::main_lens::{Passage, Refracts};
 use super::paraxial::Paraxial;
 use super::prescription::Prescription;
 use super::ray::Ray;
+use super::scene::PlacedTarget;
+use super::thin_lens::Aim;
 use crate::error::{Error, Result};
 
 /// What a real lens comes to in terms of the model, for rays close to the axis or to the middle of the
@@ -48,6 +51,8 @@ struct Interface {
     ratio: f64,
     /// Square of the radius of the opening, mm².
     opening2: f64,
+    /// The stop bends no ray.
+    is_stop: bool,
 }
 
 /// A lens at a focal length and an f-number.
@@ -110,6 +115,7 @@ impl RealLens {
                 curvature: -1.0 / (surface.radius_mm * scale),
                 ratio: surface.index / prescription.index_before(i),
                 opening2: opening * opening,
+                is_stop: i == stop,
             });
             behind_first += surface.thickness_mm;
         }
@@ -142,7 +148,7 @@ impl RealLens {
     /// A sphere of curvature k with its vertex at the origin is k|x|² = 2z. Snell's law for unit vectors:
     /// d' = μd + (cos t − μ cos i) n, with cos²t = 1 − μ²(1 − cos²i).
     #[inline]
-    fn through<const CLEAR: bool>(&self, ray: &Ray, surfaces: &[Interface]) -> Option<Inner> {
+    fn through<const CLEAR: bool>(ray: &Ray, surfaces: &[Interface]) -> Option<Inner> {
         let mut towards = ray.slope.push(1.0);
         towards /= towards.norm();
         let mut at = ray.at_lens.push(0.0);
@@ -153,6 +159,13 @@ impl RealLens {
             let start = start.xy();
             let towards_center = towards.z - k * start.dot(&towards.xy());
             let square = start.norm_squared();
+            if surface.is_stop {
+                if CLEAR && square > surface.opening2 {
+                    return None;
+                }
+                at = start.push(surface.z);
+                continue;
+            }
             let cos2 = towards_center * towards_center - k * k * square;
             if cos2 < 0.0 {
                 return None;
@@ -182,20 +195,14 @@ impl RealLens {
     /// The ray in front of the lens that belongs to one behind it; `None` if it is blocked.
     #[inline]
     pub fn object_ray(&self, ray: &Ray) -> Option<Ray> {
-        self.through::<true>(ray, &self.interfaces).map(|inner| self.in_front(&inner))
-    }
-
-    /// Whether a ray passes all openings.
-    #[inline]
-    pub fn passes(&self, ray: &Ray) -> bool {
-        self.through::<true>(ray, &self.interfaces).is_some()
+        Self::through::<true>(ray, &self.interfaces).map(|inner| self.in_front(&inner))
     }
 
     /// The slope of the ray from a point behind the lens through the middle of the stop.
     pub fn chief_slope(&self, from: &Point3<f64>) -> Option<Vector2<f64>> {
         let surfaces = &self.interfaces[..=self.stop];
         let at_stop = |slope: Vector2<f64>| {
-            self.through::<false>(&Ray::from(from, slope), surfaces).map(|inner| inner.at.xy())
+            Self::through::<false>(&Ray::from(from, slope), surfaces).map(|inner| inner.at.xy())
         };
         newton(slope_towards(from, &self.exit_pupil), &at_stop).map(|(slope, _)| slope)
     }
@@ -213,7 +220,7 @@ impl RealLens {
             return None;
         }
         let miss = |start: &Point3<f64>, slope: Vector2<f64>| {
-            let inner = self.through::<false>(&Ray::from(start, slope), &self.interfaces)?;
+            let inner = Self::through::<false>(&Ray::from(start, slope), &self.interfaces)?;
             Some(self.in_front(&inner).at(point.z) - point.xy().coords)
         };
         let (slope, by_slope) = newton(slope_towards(from, near), &|slope| miss(from, slope))?;
@@ -279,6 +286,22 @@ impl RealLens {
         let all =
             (0..REACH_FIELDS).flat_map(|field| (0..REACH_TURNS).map(move |turn| (field, turn)));
         all.map(|(field, turn)| furthest(field, turn)).fold(0.0, f64::max) + REACH_MARGIN * step
+    }
+}
+
+impl Refracts for RealLens {
+    #[inline]
+    fn passes(&self, ray: &Ray) -> bool {
+        Self::through::<true>(ray, &self.interfaces).is_some()
+    }
+
+    #[inline]
+    fn follow(&self, ray: &Ray, _: Option<&Aim>, board: &PlacedTarget) -> Passage {
+        match self.object_ray(ray) {
+            None => Passage::Blocked,
+            Some(outer) if board.depth(&outer) > 0.0 => Passage::Seen(outer),
+            Some(_) => Passage::Away,
+        }
     }
 }
 

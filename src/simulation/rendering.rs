@@ -4,11 +4,11 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::array::MicroLens;
-use super::main_lens::Passage;
+use super::main_lens::{Optics, Passage, Refracts};
 use super::ray::Ray;
 use super::sampling::{RayPoint, RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
-use super::thin_lens::LocalDistortion;
+use super::thin_lens::Aim;
 use super::tracer::{Tracer, check_rays};
 use crate::error::Result;
 use crate::image::Image;
@@ -30,8 +30,8 @@ pub(super) struct Bundle {
     pub on_opening: bool,
     /// Area from which the rays are drawn, in the plane of the micro-lens.
     pub area: f64,
-    /// Distortion of a thin main lens for this bundle, if it leads to the board.
-    pub local: Option<LocalDistortion>,
+    /// What its rays have in common behind a thin main lens, if they lead to the board.
+    pub aim: Option<Aim>,
 }
 
 impl Tracer {
@@ -103,13 +103,30 @@ impl Tracer {
         for u in pixels_between(center.x - half, center.x + half, sums.len()) {
             let Some(bundle) = self.bundle(lens, u, v, board) else { continue };
             let points = sets.set(hash([seed, i as u64, u as u64, v as u64]));
-            let light: f64 = if self.dust.touches(u, v) {
-                let clear = |p: &&RayPoint| !self.dust.covers(u, v, p.pixel);
-                points.iter().filter(clear).map(|p| self.light(lens, &bundle, p, board)).sum()
-            } else {
-                points.iter().map(|p| self.light(lens, &bundle, p, board)).sum()
+            let light = match &self.lens.optics {
+                Optics::Thin(thin) => self.gather(thin, lens, &bundle, points, [u, v], board),
+                Optics::Real(real) => self.gather(real, lens, &bundle, points, [u, v], board),
             };
             sums[u] += light * bundle.area / points.len() as f64;
+        }
+    }
+
+    /// The light along all rays of a bundle, but those that dust on pixel (u, v) stops.
+    fn gather<L: Refracts>(
+        &self,
+        optics: &L,
+        lens: &MicroLens,
+        bundle: &Bundle,
+        points: &[RayPoint],
+        [u, v]: [usize; 2],
+        board: Option<&PlacedTarget>,
+    ) -> f64 {
+        let light = |p: &RayPoint| self.light(optics, lens, bundle, p, board);
+        if self.dust.touches(u, v) {
+            let clear = |p: &&RayPoint| !self.dust.covers(u, v, p.pixel);
+            points.iter().filter(clear).map(light).sum()
+        } else {
+            points.iter().map(light).sum()
         }
     }
 
@@ -137,12 +154,12 @@ impl Tracer {
         let on_opening = stop <= drawn.radius;
         let radius =
             if on_opening { array.opening_radius } else { drawn.radius / demagnification.abs() };
-        let local = board.and_then(|board| {
+        let aim = board.and_then(|board| {
             // The ray through the middle of the projected pupil, or the nearest point of the opening.
             let middle = if stop > 0.0 { place / demagnification } else { place };
             let within = (array.opening_radius / middle.norm()).min(1.0);
             let (ray, _) = self.through(lens, middle * within, &pixel);
-            self.lens.prepare(&ray, board)
+            self.lens.aim(&ray, board)
         });
         let step = array.pixel_size;
         Some(Bundle {
@@ -151,7 +168,7 @@ impl Tracer {
             down: -array.axes.row(1).transpose() * step,
             on_opening,
             area: std::f64::consts::PI * radius * radius,
-            local,
+            aim,
         })
     }
 
@@ -174,8 +191,9 @@ impl Tracer {
 
     /// Light along one ray of a bundle, per unit area of the micro-lens.
     #[inline]
-    fn light(
+    fn light<L: Refracts>(
         &self,
+        optics: &L,
         lens: &MicroLens,
         bundle: &Bundle,
         point: &RayPoint,
@@ -200,9 +218,9 @@ impl Tracer {
             return 0.0;
         }
         let radiance = match board {
-            None if self.lens.passes(&ray) => 1.0,
+            None if optics.passes(&ray) => 1.0,
             None => return 0.0,
-            Some(board) => match self.lens.follow(&ray, bundle.local.as_ref(), board) {
+            Some(board) => match optics.follow(&ray, bundle.aim.as_ref(), board) {
                 Passage::Blocked => return 0.0,
                 Passage::Away => board.background(),
                 Passage::Seen(outer) => board.radiance(&outer),

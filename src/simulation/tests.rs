@@ -59,7 +59,7 @@ fn light_returns_along_the_rays() {
                     bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
                 let on_lens = Vector2::from(point.disc) * tracer.array.opening_radius;
                 let ray = tracer.through(lens, on_lens, &pixel).0;
-                let passage = tracer.lens.follow(&ray, bundle.local.as_ref(), &board);
+                let passage = tracer.lens.follow(&ray, bundle.aim.as_ref(), &board);
                 let Passage::Seen(outer) = passage else { continue };
                 let depth = board.depth(&outer);
                 let hit = Point3::from(outer.at(depth).push(depth));

@@ -2,33 +2,25 @@
 
 use nalgebra::{Matrix2, Point3, Vector2};
 
-use super::ray::Ray;
+use super::main_lens::{Passage, Refracts};
+use super::ray::{Ray, Stop};
+use super::scene::{ImagePlane, PlacedTarget};
 use crate::model::MainLens;
 
-impl LocalDistortion {
-    /// How far image points near this one lie from the ideal ones.
-    pub fn shift(&self) -> ImageShift {
-        ImageShift {
-            across: self.distorted - self.undistorted,
-            along: self.nearer - self.gradient.dot(&self.undistorted),
-            gradient: self.gradient,
-        }
-    }
-}
-
 /// How far image points lie from those of an ideal lens: `across` to the side, and along z by `along` +
-/// `gradient` · x where the ideal point is x; mm.
+/// `gradient` · x where the ideal point is x, which comes to `nearer` for this one; mm.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ImageShift {
     pub across: Vector2<f64>,
     pub along: f64,
     pub gradient: Vector2<f64>,
+    pub nearer: f64,
 }
 
 impl ImageShift {
     /// That of an ideal lens.
     pub fn none() -> Self {
-        Self { across: Vector2::zeros(), along: 0.0, gradient: Vector2::zeros() }
+        Self { across: Vector2::zeros(), along: 0.0, gradient: Vector2::zeros(), nearer: 0.0 }
     }
 }
 
@@ -38,20 +30,26 @@ pub(super) struct ThinMainLens {
     distorts: bool,
     /// Whether image points lie elsewhere than those of an ideal lens.
     moves: bool,
+    pupil: Stop,
 }
 
 /// Distortion near one ray of a narrow bundle: linearised about its image point. For other rays it is
 /// a start; one Newton step with this Jacobian then leaves an error of third order in the width of
 /// the bundle.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct LocalDistortion {
+struct LocalDistortion {
     distorted: Vector2<f64>,
     undistorted: Vector2<f64>,
     inverse: Matrix2<f64>,
-    /// How much nearer to the lens the curvature of the field puts the image point, mm.
-    nearer: f64,
-    /// How that grows with the place of the image point.
-    gradient: Vector2<f64>,
+    /// How far image points near this one lie from the ideal ones.
+    shift: ImageShift,
+}
+
+/// What the rays of a narrow bundle have in common that lead to the board.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Aim {
+    local: LocalDistortion,
+    plane: ImagePlane,
 }
 
 /// Number of points checked from the axis to a corner of the image.
@@ -62,10 +60,10 @@ const FOUND_MM: f64 = 1e-6;
 const NEWTON_STEPS: usize = 4;
 
 impl ThinMainLens {
-    pub fn new(lens: &MainLens) -> Self {
+    pub fn new(lens: &MainLens, pupil: Stop) -> Self {
         let distorts = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
         let moves = distorts || lens.field_curvature_per_mm != 0.0;
-        Self { lens: *lens, distorts, moves }
+        Self { lens: *lens, distorts, moves, pupil }
     }
 
     /// Where all rays of an object point meet behind the lens; `None` if the point is not beyond F.
@@ -124,7 +122,7 @@ impl ThinMainLens {
     }
 
     /// The distortion about a point of image space.
-    pub fn about(&self, distorted: Vector2<f64>) -> LocalDistortion {
+    fn about(&self, distorted: Vector2<f64>) -> LocalDistortion {
         let mut undistorted = distorted;
         let mut inverse = Matrix2::identity();
         if self.distorts {
@@ -137,7 +135,20 @@ impl ThinMainLens {
         }
         let nearer = self.nearer_mm(undistorted);
         let gradient = undistorted * (2.0 * self.lens.field_curvature_per_mm);
-        LocalDistortion { distorted, undistorted, inverse, nearer, gradient }
+        let shift = ImageShift {
+            across: distorted - undistorted,
+            along: nearer - gradient.dot(&undistorted),
+            gradient,
+            nearer,
+        };
+        LocalDistortion { distorted, undistorted, inverse, shift }
+    }
+
+    /// What the rays about `ray` have in common; `None` if it leads away from the board.
+    pub fn aim(&self, ray: &Ray, board: &PlacedTarget) -> Option<Aim> {
+        let about = |shift| Some(self.about(ray.at(board.image_plane(shift).z(ray)?)));
+        let local = about(&about(&ImageShift::none())?.shift)?;
+        Some(Aim { local, plane: board.image_plane(&local.shift) })
     }
 
     /// The ray in front of the lens that belongs to `ray` behind it, for an object whose image lies at
@@ -147,7 +158,7 @@ impl ThinMainLens {
     /// the curvature of the field move there. The thin lens refracts that ray: it subtracts x/F from the
     /// slope.
     #[inline]
-    pub fn object_ray(&self, ray: &Ray, image_z: f64, local: &LocalDistortion) -> Ray {
+    fn object_ray(&self, ray: &Ray, image_z: f64, local: &LocalDistortion) -> Ray {
         let mut slope = ray.slope;
         if self.moves {
             let target = ray.at(image_z);
@@ -159,12 +170,32 @@ impl ThinMainLens {
     }
 }
 
+impl Refracts for ThinMainLens {
+    #[inline]
+    fn passes(&self, ray: &Ray) -> bool {
+        self.pupil.passes(ray)
+    }
+
+    #[inline]
+    fn follow(&self, ray: &Ray, aim: Option<&Aim>, _: &PlacedTarget) -> Passage {
+        if !self.pupil.passes(ray) {
+            return Passage::Blocked;
+        }
+        let outer = |aim: &Aim| Some(self.object_ray(ray, aim.plane.z(ray)?, &aim.local));
+        aim.and_then(outer).map_or(Passage::Away, Passage::Seen)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn thin(lens: &MainLens) -> ThinMainLens {
+        ThinMainLens::new(lens, Stop::new(Point3::origin(), 5.0))
+    }
+
     fn lens() -> ThinMainLens {
-        ThinMainLens::new(&MainLens {
+        thin(&MainLens {
             radial: [-4e-5, 2e-7, 1e-10],
             tangential: [3e-5, -2e-5],
             field_curvature_per_mm: 6e-3,
@@ -191,7 +222,7 @@ mod tests {
     /// The paper's formula, written out with numbers: r² = 5, x = 1, y = 2.
     #[test]
     fn distortion_is_that_of_the_paper() {
-        let lens = ThinMainLens::new(&MainLens {
+        let lens = thin(&MainLens {
             radial: [1e-3, 1e-4, 1e-5],
             tangential: [1e-2, 1e-3],
             ..MainLens::thin(50.0)

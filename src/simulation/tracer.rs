@@ -72,10 +72,9 @@ impl Tracer {
             sensor: camera.sensor,
             lens: Lens::new(camera, prescription, f_number)?,
             focal_length,
-            second_stop: imperfections.second_stop.map(|stop| Stop {
-                center: Point3::new(0.0, 0.0, stop.z_mm),
-                radius: stop.diameter_mm / 2.0,
-            }),
+            second_stop: imperfections
+                .second_stop
+                .map(|stop| Stop::new(Point3::new(0.0, 0.0, stop.z_mm), stop.diameter_mm / 2.0)),
             dust: Dust::new(imperfections, &camera.sensor, seed),
             fall_off: imperfections.fall_off,
             lattice: camera.lattice,
