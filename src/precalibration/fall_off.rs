@@ -69,7 +69,7 @@ impl Discs {
 
     /// |y − M|, outwards, the mean over the light of a pixel at distance r: through which part of the
     /// micro-lens it sees the pupil.
-    fn from_lens(&self, lens_type: usize, r: f64) -> f64 {
+    fn lens_to_pixel(&self, lens_type: usize, r: f64) -> f64 {
         let q = self.q_px[lens_type];
         let size = q.abs().max(1e-6);
         let (mut light, mut sum) = (0.0, 0.0);
@@ -198,7 +198,7 @@ impl Lopsided {
     ) -> Self {
         let light: Vec<Pixels> =
             blobs.par_iter().map(|blob| pixels_of(image, &blob.center, reach)).collect();
-        let rings = Rings::new(&light, reach, |r| discs.from_lens(lens_type, r));
+        let rings = Rings::new(&light, reach, |r| discs.lens_to_pixel(lens_type, r));
         let gradients = blobs
             .par_iter()
             .zip(&light)
@@ -280,7 +280,7 @@ struct Ring {
 struct Rings(Vec<Ring>);
 
 impl Rings {
-    fn new(all: &[Pixels], reach: f64, from_lens: impl Fn(f64) -> f64) -> Self {
+    fn new(all: &[Pixels], reach: f64, lens_to_pixel: impl Fn(f64) -> f64) -> Self {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
         let count = (reach / RING_PX).ceil() as usize + 1;
         let mut sums = vec![(0.0, 0.0, false); count];
@@ -299,7 +299,7 @@ impl Rings {
             Some(Ring {
                 light: here,
                 slope: (after - before) / (2.0 * RING_PX),
-                lever: here * from_lens((i as f64 + 0.5) * RING_PX),
+                lever: here * lens_to_pixel((i as f64 + 0.5) * RING_PX),
                 usable: true,
             })
         };

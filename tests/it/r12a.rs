@@ -57,7 +57,7 @@ pub fn run(data: &Data, options: &CalibrationOptions) -> Calibration {
 
 fn two_pitches() -> CalibrationOptions {
     let mut options = options();
-    options.cost.fixed.clear();
+    options.cost.fixed.retain(|name| name != "dC_ratio");
     options
 }
 

@@ -136,7 +136,8 @@ fn the_evaluation_of_a_run_agrees_with_the_truth() {
     }
     assert_eq!(evaluation["cross_validation"]["folds"].as_array().unwrap().len(), 3);
     let along = evaluation["poses_against_truth"][0]["along_mm"].as_f64().unwrap();
-    assert!(along < 0.4, "{along}");
+    // Where the exit pupil is estimated, F and all distances are known to half a per cent on so small a set.
+    assert!(along < 1.2, "{along}");
 }
 
 #[test]
