@@ -171,7 +171,7 @@ double curvature_along(const VectorXd& direction, const Scene& scene, const Cost
 
 // Residuals at some distance along a direction of the intrinsics, with the poses following.
 VectorXd residuals_at(const VectorXd& change, const Scene& scene) {
-  CalibrationProblem problem(scene.camera, scene.poses, scene.observations, one_pitch());
+  CalibrationProblem problem(scene.camera, scene.poses, scene.observations, paper());
   const MatrixXd follow = without_poses(normal_equations(problem)).poses_by_intrinsics;
   VectorXd state = problem.state();
   for (Eigen::Index i = 0; i < change.size(); ++i) {
@@ -179,7 +179,7 @@ VectorXd residuals_at(const VectorXd& change, const Scene& scene) {
   }
   state.tail(follow.rows()) += follow * change;
   problem.set_state(state);
-  return residuals({problem.camera(), problem.poses(), scene.observations}, one_pitch());
+  return residuals({problem.camera(), problem.poses(), scene.observations}, paper());
 }
 
 // Residuals -x r'' along the direction in which an anchor of u0 moves the camera: J'J is 1 there,
@@ -187,8 +187,8 @@ VectorXd residuals_at(const VectorXd& change, const Scene& scene) {
 TEST(Curvature, IsTheTrueOneWhereOnlyAnAnchorMakesItAMinimum) {
   constexpr double kCurvature = -0.5, kStep = 0.1, kTolerance = 0.02;
   Scene scene = test::make_scene(3);
-  const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, one_pitch());
-  CalibrationProblem problem(scene.camera, scene.poses, scene.observations, one_pitch());
+  const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, paper());
+  CalibrationProblem problem(scene.camera, scene.poses, scene.observations, paper());
   const Eliminated groups = without_poses(normal_equations(problem));
   MatrixXd information = groups.anchors;  // none
   for (const Group& group : groups.frames) information += group.information;
@@ -209,8 +209,8 @@ TEST(Curvature, IsTheTrueOneWhereOnlyAnAnchorMakesItAMinimum) {
     for (double* value : {&o.observed.u, &o.observed.v}) *value += *next++;
   }
   // No minimum: J'J instead.
-  EXPECT_NEAR(curvature_along(direction, scene, one_pitch()), 1.0, kTolerance);
-  CostOptions options = one_pitch();
+  EXPECT_NEAR(curvature_along(direction, scene, paper()), 1.0, kTolerance);
+  CostOptions options = paper();
   options.anchors = {{"u0", scene.camera.mla.principal_point[0], std_dev / std::sqrt(2.0)}};
   EXPECT_NEAR(curvature_along(direction, scene, options), kCurvature, kTolerance);
   // What weighs the anchor does not come from a negative curvature: residuals are far below 1 px.
@@ -251,8 +251,8 @@ Contradiction contradiction_of(double larger, double turned) {
     o.observed.u += larger * u - turned * v;
     o.observed.v += larger * v + turned * u;
   }
-  const Refinement r = refine(scene.camera, scene.poses, scene.observations, one_pitch(), {});
-  const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, one_pitch());
+  const Refinement r = refine(scene.camera, scene.poses, scene.observations, paper(), {});
+  const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, paper());
   EXPECT_TRUE(u.shared);
   return {u.contradiction, u.contradicted < 0 ? -1 : u.free_intrinsics[u.contradicted]};
 }
