@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <stdexcept>
 
 namespace plenocal {
 namespace {
@@ -91,7 +92,16 @@ Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
           moved(*calibration, state, step * direction, groups.poses_by_intrinsics));
       return group_gradients(*calibration);
     };
-    const GroupGradients ahead = gradients_at(kStep), behind = gradients_at(-kStep);
+    // Where the model ends within such a step, hardly anything determines this direction.
+    GroupGradients ahead, behind;
+    try {
+      ahead = gradients_at(kStep);
+      behind = gradients_at(-kStep);
+    } catch (const std::invalid_argument&) {
+      for (MatrixXd& second : of_frames) second.col(i).setZero();
+      for (MatrixXd& second : of_patches) second.col(i).setZero();
+      continue;
+    }
     const auto second = [&](const VectorXd& change, const Group& group) -> VectorXd {
       return change / (2.0 * kStep) - group.information * direction;
     };
