@@ -20,7 +20,7 @@ pub struct Imperfections {
     /// opaque.
     pub fill_factor: f64,
     /// How light falls off with its angle of incidence on the sensor.
-    pub fall_off: FallOff,
+    pub fall_off: FallOffLaw,
     /// Number of micro-lenses that let no light through.
     pub dead_micro_lenses: usize,
     /// Number of opaque specks on the sensor.
@@ -32,7 +32,7 @@ pub struct Imperfections {
 /// How light falls off with its angle of incidence θ on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum FallOff {
+pub enum FallOffLaw {
     /// cos⁴θ: natural vignetting, of pixels that take light from all sides alike.
     #[default]
     Cos4,
@@ -59,7 +59,7 @@ impl Default for Imperfections {
         Self {
             second_stop: None,
             fill_factor: 1.0,
-            fall_off: FallOff::Cos4,
+            fall_off: FallOffLaw::Cos4,
             dead_micro_lenses: 0,
             dust_specks: 0,
             dust_diameter_px: 10.0,
@@ -77,7 +77,7 @@ const LEAST_ANGLE_DEG: f64 = 1.0;
 const DEAD: u64 = 0x6465_6164;
 const DUST: u64 = 0x6475_7374;
 
-impl FallOff {
+impl FallOffLaw {
     /// Irradiance through a small area of the micro-lens, over that area, of light with a radiance.
     /// `inner` is the vector from sensor to micro-lens, `distance` the one between their planes.
     #[inline]
@@ -117,7 +117,7 @@ impl Imperfections {
             positive(stop.diameter_mm, "the diameter of the second stop (mm)")?;
             place("a second stop", stop.z_mm, distance)?;
         }
-        if let FallOff::HalfResponseDeg(angle) = self.fall_off
+        if let FallOffLaw::HalfResponseDeg(angle) = self.fall_off
             && !(LEAST_ANGLE_DEG..90.0).contains(&angle)
         {
             return Err(Error::invalid(format!(
@@ -219,15 +219,15 @@ mod tests {
     /// tangents) a sixteenth.
     #[test]
     fn light_falls_off_by_the_law() {
-        let at = |law: FallOff, tangent: f64| {
+        let at = |law: FallOffLaw, tangent: f64| {
             law.light(3.0, &Vector3::new(0.0, -0.5 * tangent, 0.5), 0.5) / 12.0
         };
         let close = |a: f64, b: f64| (a - b).abs() < 1e-12;
-        assert!(close(at(FallOff::Cos4, 1.0), 0.25) && close(at(FallOff::None, 1.0), 1.0));
-        let pixel = FallOff::HalfResponseDeg(20.0);
+        assert!(close(at(FallOffLaw::Cos4, 1.0), 0.25) && close(at(FallOffLaw::None, 1.0), 1.0));
+        let pixel = FallOffLaw::HalfResponseDeg(20.0);
         for (part, response) in [(0.0, 1.0), (1.0, 0.5), (2.0, 1.0 / 16.0)] {
             let tangent = part * 20_f64.to_radians().tan();
-            assert!(close(at(pixel, tangent), response * at(FallOff::Cos4, tangent)), "{part}");
+            assert!(close(at(pixel, tangent), response * at(FallOffLaw::Cos4, tangent)), "{part}");
         }
     }
 }

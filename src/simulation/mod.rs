@@ -33,7 +33,7 @@ mod truth;
 
 pub use data_set::{DataSet, Shot};
 pub use imaging::Imaging;
-pub use imperfections::{FallOff, Imperfections, SecondStop};
+pub use imperfections::{FallOffLaw, Imperfections, SecondStop};
 pub use prescription::{Prescription, Surface};
 pub use presets::{PRESETS, Preset};
 pub use real_lens::LensFigures;

@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3
 use super::main_lens::Passage;
 use super::sampling::RaySets;
 use super::scene::PlacedTarget;
-use super::{FallOff, Imperfections, Scene, Settings, Target, Tracer};
+use super::{FallOffLaw, Imperfections, Scene, Settings, Target, Tracer};
 use crate::model::{PlenopticCamera, optics};
 
 fn settings(name: &str) -> Settings {
@@ -95,14 +95,14 @@ fn mean_over_discs(one: f64, other: f64, of: &dyn Fn(f64) -> f64) -> f64 {
 fn light_is_conserved_for_every_lens_type() {
     // The noise of 1024 rays through a few hundred pixels.
     const NOISE: f64 = 2e-3;
-    let (natural, pixel) = (FallOff::Cos4, FallOff::HalfResponseDeg(25.0));
+    let (natural, pixel) = (FallOffLaw::Cos4, FallOffLaw::HalfResponseDeg(25.0));
     let half = 25_f64.to_radians().tan().powi(2);
     for (name, f_number, pupil_z, fall_off) in [
         ("mini", 4.0, 0.0, natural),
         ("mini", 16.0, 0.0, natural),
         ("keplerian", 5.66, 0.0, natural),
         ("mini", 5.66, -5.0, natural),
-        ("mini", 4.0, 0.0, FallOff::None),
+        ("mini", 4.0, 0.0, FallOffLaw::None),
         ("mini", 4.0, 3.0, pixel),
     ] {
         let mut camera = settings(name).camera;
@@ -128,9 +128,9 @@ fn light_is_conserved_for_every_lens_type() {
             // The slope at the sensor is that towards the pupil and what the micro-lens adds.
             let added = stop * (tracer.array.lenses[alive].power - 1.0 / distance);
             let weight = mean_over_discs(pupil / distance, added, &|tan2| match fall_off {
-                FallOff::None => 1.0,
-                FallOff::Cos4 => (1.0 + tan2).powi(-2),
-                FallOff::HalfResponseDeg(_) => (1.0 + tan2).powi(-2) * (-tan2 / half).exp2(),
+                FallOffLaw::None => 1.0,
+                FallOffLaw::Cos4 => (1.0 + tan2).powi(-2),
+                FallOffLaw::HalfResponseDeg(_) => (1.0 + tan2).powi(-2) * (-tan2 / half).exp2(),
             });
             let part = flux / all / weight;
             assert!((part - 1.0).abs() < NOISE, "{name} f/{f_number} {fall_off:?}: {part}");

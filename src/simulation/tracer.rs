@@ -6,7 +6,7 @@
 use nalgebra::Point3;
 
 use super::array::{MicroLens, MicroLenses};
-use super::imperfections::{Dust, FallOff, Imperfections};
+use super::imperfections::{Dust, FallOffLaw, Imperfections};
 use super::main_lens::Lens;
 use super::prescription::Prescription;
 use super::ray::{Ray, Stop};
@@ -23,7 +23,7 @@ pub struct Tracer {
     pub(super) array: MicroLenses,
     second_stop: Option<Stop>,
     pub(super) dust: Dust,
-    pub(super) fall_off: FallOff,
+    pub(super) fall_off: FallOffLaw,
     lattice: Lattice,
     types: usize,
     f_number: f64,

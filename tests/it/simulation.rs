@@ -4,7 +4,7 @@ use plenocal::calibration::{Calibration, Start, calibrate};
 use plenocal::image::Image;
 use plenocal::model::{BapFeature, FramePose, NoiseSource, Observations, optics};
 use plenocal::simulation::{
-    DataSet, FallOff, Imperfections, PRESETS, Scene, SecondStop, Settings, simulate,
+    DataSet, FallOffLaw, Imperfections, PRESETS, Scene, SecondStop, Settings, simulate,
 };
 
 use crate::support::{options, pairs, preset};
@@ -113,8 +113,8 @@ fn every_preset_gives_a_data_set_without_imperfections_but_those_of_real_lenses(
         DataSet::plan(&settings, None).unwrap();
         let mut imperfections = settings.imperfections;
         if settings.prescription.is_some() {
-            assert_eq!(imperfections.fall_off, FallOff::HalfResponseDeg(25.0));
-            imperfections.fall_off = FallOff::Cos4;
+            assert_eq!(imperfections.fall_off, FallOffLaw::HalfResponseDeg(25.0));
+            imperfections.fall_off = FallOffLaw::Cos4;
             let stated = settings.engraved_focal_length_mm;
             let off = stated / settings.camera.main_lens.focal_length_mm - 1.0;
             assert!((off.abs() - 0.02).abs() < 1e-3, "{}: {off}", preset.name);
