@@ -64,9 +64,10 @@ pub struct CalibrationOptions {
     pub default_anchors: bool,
     /// Quantities without a default anchor.
     pub not_anchored: Vec<String>,
-    /// e_z to begin with, or to keep if `cost` fixes it, mm: where a calibration from a datasheet takes the
-    /// exit pupil to be.
-    pub exit_pupil_mm: f64,
+    /// e_z to begin with, or to keep if `cost` fixes it, mm; if not given, that of the start (0 of a datasheet).
+    pub exit_pupil_mm: Option<f64>,
+    /// κ to begin with, or to keep, mm⁻¹, likewise.
+    pub field_curvature_per_mm: Option<f64>,
     /// Its minimisation.
     pub solver: SolverOptions,
     /// Frames that are not used.
@@ -85,7 +86,8 @@ impl Default for CalibrationOptions {
             automatic_loss: true,
             default_anchors: true,
             not_anchored: Vec::new(),
-            exit_pupil_mm: 0.0,
+            exit_pupil_mm: None,
+            field_curvature_per_mm: None,
             solver: SolverOptions::default(),
             exclude_frames: Vec::new(),
         }
@@ -161,6 +163,8 @@ impl CalibrationOptions {
             weights: Weights::Unit,
             automatic_loss: false,
             default_anchors: false,
+            exit_pupil_mm: Some(0.0),
+            field_curvature_per_mm: Some(0.0),
             cost: CostOptions::default(),
             ..Self::default()
         }
@@ -170,6 +174,13 @@ impl CalibrationOptions {
     pub(super) fn validate(&self, start: &Start) -> Result<()> {
         if self.mode == Mode::PosesOnly && matches!(start, Start::Datasheet(..)) {
             return Err(Error::NotCalibrated);
+        }
+        let places = [self.exit_pupil_mm, self.field_curvature_per_mm];
+        if self.mode == Mode::PosesOnly && places.iter().any(Option::is_some) {
+            return Err(Error::invalid(
+                "the camera is fixed where only poses are estimated: leave out where its exit pupil is and \
+                 whether its field is flat",
+            ));
         }
         positive(self.cost.uv_std_dev_px, "the standard deviation of (u, v) (px)")?;
         positive(self.cost.rho_std_dev_px, "the standard deviation of rho (px)")?;

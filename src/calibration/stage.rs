@@ -55,7 +55,7 @@ pub fn calibrate(
         observations.forget_std_devs();
     }
     check_observations(&start, board, &observations, options.mode)?;
-    let (initial, grid) = initial_and_grid(&start, &observations, options.exit_pupil_mm)?;
+    let (initial, grid) = initial_and_grid(&start, &observations, options)?;
     let mut frames = frames_with_poses(&initial, board, &observations, options)?;
     frames.left_out.extend(excluded);
 
@@ -103,8 +103,12 @@ pub fn calibrate(
 }
 
 /// The camera that a calibration of these observations starts from.
-pub fn initial_from(start: &Start, observations: &Observations) -> Result<PlenopticCamera> {
-    start_camera(start, fitted_grid(start, observations)?.as_ref(), 0.0)
+pub fn initial_from(
+    start: &Start,
+    observations: &Observations,
+    options: &CalibrationOptions,
+) -> Result<PlenopticCamera> {
+    start_camera(start, fitted_grid(start, observations)?.as_ref(), options)
 }
 
 /// The camera to start from and the grid of the centres, if there are any; an error unless they
@@ -112,13 +116,13 @@ pub fn initial_from(start: &Start, observations: &Observations) -> Result<Plenop
 fn initial_and_grid(
     start: &Start,
     observations: &Observations,
-    exit_pupil_mm: f64,
+    options: &CalibrationOptions,
 ) -> Result<(PlenopticCamera, Option<MicroImageArray>)> {
     let grid = fitted_grid(start, observations)?;
     if let (Some(grid), Start::Datasheet(sheet, internal)) = (&grid, start) {
         check_stated_pitch(sheet, internal, grid)?;
     }
-    let initial = start_camera(start, grid.as_ref(), exit_pupil_mm)?;
+    let initial = start_camera(start, grid.as_ref(), options)?;
     check_indices(&initial, grid.as_ref(), observations)?;
     Ok((initial, grid))
 }
@@ -132,21 +136,27 @@ fn fitted_grid(start: &Start, observations: &Observations) -> Result<Option<Micr
 fn start_camera(
     start: &Start,
     grid: Option<&MicroImageArray>,
-    exit_pupil_mm: f64,
+    options: &CalibrationOptions,
 ) -> Result<PlenopticCamera> {
-    match (start, grid) {
+    let mut camera = match (start, grid) {
         (Start::Datasheet(datasheet, internal), Some(grid)) => {
-            initial_camera(datasheet, internal, grid, exit_pupil_mm)
+            initial_camera(datasheet, internal, grid, options.exit_pupil_mm.unwrap_or(0.0))?
         }
-        (Start::Datasheet(..), None) => Err(Error::NoCenters),
+        (Start::Datasheet(..), None) => return Err(Error::NoCenters),
         (Start::Camera(camera), Some(grid)) if camera.lattice != grid.lattice => {
-            Err(Error::invalid(format!(
+            return Err(Error::invalid(format!(
                 "the camera has {}, but the centres lie on {}: they belong to different cameras",
                 camera.lattice, grid.lattice
-            )))
+            )));
         }
-        (Start::Camera(camera), _) => Ok(camera.clone()),
-    }
+        (Start::Camera(camera), _) => camera.clone(),
+    };
+    let lens = &mut camera.main_lens;
+    lens.exit_pupil_mm.z = options.exit_pupil_mm.unwrap_or(lens.exit_pupil_mm.z);
+    lens.field_curvature_per_mm =
+        options.field_curvature_per_mm.unwrap_or(lens.field_curvature_per_mm);
+    camera.validate()?;
+    Ok(camera)
 }
 
 fn center_residuals(

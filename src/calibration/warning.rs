@@ -123,12 +123,12 @@ impl fmt::Display for Warning {
 fn meaning(quantity: &str) -> &'static str {
     match quantity {
         "F" | "D" => {
-            "Check the focal length and the size of the squares; the exit pupil of the lens may lie \
-             elsewhere than in the lens, as the model has it"
+            "Check the focal length and the size of the squares, and where the exit pupil of the lens is if you \
+             have stated that"
         }
         SLOPE => {
-            "Check the f-numbers of the white images, the size of a pixel and of the squares; the exit \
-             pupil of the lens may lie elsewhere than in the lens, as the model has it"
+            "Check the f-numbers of the white images, the size of a pixel and of the squares, and where the \
+             exit pupil of the lens is if you have stated that"
         }
         "u0" | "v0" => {
             "Check whether the images are cropped; with few tilted boards, or corners that are biased \

@@ -90,6 +90,11 @@ impl AnchorsSection {
         }
     }
 
+    /// Whether a value is stated for a quantity.
+    fn knows(&self, quantity: &str) -> bool {
+        matches!(self.quantities.get(quantity), Some(AnchorEntry::Known(_)))
+    }
+
     fn add_to(&self, options: &mut CalibrationOptions) {
         options.default_anchors = self.default.unwrap_or(true);
         for (quantity, entry) in &self.quantities {
@@ -245,12 +250,16 @@ impl CalibrationSection {
             fixed.retain(|name| name != "dC_ratio");
         }
         if let Some(ExitPupil::At(place)) = self.exit_pupil {
-            options.exit_pupil_mm = place;
+            options.exit_pupil_mm = Some(place);
             fixed.push("e_z".to_owned());
         }
         if self.field_curvature == Some(FieldCurvature::Flat) {
+            options.field_curvature_per_mm = Some(0.0);
             fixed.push("kappa".to_owned());
         }
+        // What is known of them makes them parameters: images alone hardly determine them.
+        let anchored = |name: &str| self.anchors.as_ref().is_some_and(|a| a.knows(name));
+        options.cost.fixed.retain(|name| !(["e_x", "e_y"].contains(&&**name) && anchored(name)));
         options.cost.fixed.extend(self.fix.iter().flatten().cloned());
         options.weights = self.weights.unwrap_or_default();
         options.automatic_loss = self.loss.is_none();

@@ -110,6 +110,9 @@ impl InternalParameters {
                 )));
             }
         }
+        if let Some(fall_off) = &self.fall_off {
+            fall_off.validate()?;
+        }
         let given = self.q_prime_std_dev_mm.len();
         if given != 0 && given != self.q_prime_mm.len() {
             return Err(Error::invalid(format!(

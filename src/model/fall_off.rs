@@ -3,6 +3,8 @@
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
+use crate::error::{Error, Result};
+
 /// The fall-off of light as white images show it, whatever its law.
 ///
 /// Light that comes through the point M of a micro-lens to the point y of its micro-image, both from their
@@ -23,6 +25,9 @@ pub struct FallOff {
     pub within_std_dev_per_px2: f64,
 }
 
+/// H of cos⁴ with an array only 10 px from the sensor, px⁻².
+const MOST_WITHIN: f64 = 0.04;
+
 impl FallOff {
     /// The cos⁴ law of a sensor without any other: for d, from array to sensor, and for D + e_z + d, from
     /// pupil to sensor, px.
@@ -34,6 +39,28 @@ impl FallOff {
             middle_px: middle_px.into(),
             within_per_px2: 4.0 / mla_to_sensor_px.powi(2),
             within_std_dev_per_px2: 0.0,
+        }
+    }
+
+    /// An error that names a value that no sensor has.
+    pub(crate) fn validate(&self) -> Result<()> {
+        let values = [
+            ("growth_per_px2", self.growth_per_px2),
+            ("std_dev_per_px2", self.std_dev_per_px2),
+            ("middle_px", self.middle_px[0]),
+            ("middle_px", self.middle_px[1]),
+            ("within_per_px2", self.within_per_px2),
+            ("within_std_dev_per_px2", self.within_std_dev_per_px2),
+        ];
+        match values.iter().find(|(_, value)| !value.is_finite()) {
+            Some((name, value)) => {
+                Err(Error::invalid(format!("the {name} of the fall-off of light is {value}")))
+            }
+            None if self.within_per_px2.abs() > MOST_WITHIN => Err(Error::invalid(format!(
+                "within_per_px2 of the fall-off of light is {}: that of cos⁴ is about 0.001",
+                self.within_per_px2
+            ))),
+            None => Ok(()),
         }
     }
 

@@ -30,7 +30,7 @@ pub struct Loss {
 /// What is known of a camera beforehand: one more residual in the cost, (quantity − value)/σ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Anchor {
-    /// Name of an intrinsic parameter, or `m` for |m| = dF/2D (mm).
+    /// Name of an intrinsic parameter, or `m` for |m| = dpF/2(D + e_z) (mm).
     pub quantity: String,
     /// Its value, in the unit of the parameter.
     pub value: f64,

@@ -2,11 +2,11 @@
 //! falls off by a law of its own.
 
 use nalgebra::Vector3;
-use plenocal::calibration::{CalibrationOptions, Start};
+use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::io::{camera_document, read_camera};
 use plenocal::model::{Noise, PlenopticCamera, optics};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
-use plenocal::simulation::DataSet;
+use plenocal::simulation::{DataSet, simulate};
 use predicates::str::contains;
 use tempfile::TempDir;
 
@@ -73,7 +73,7 @@ fn with_noise_they_lie_within_their_uncertainty_and_the_paper_is_wrong() {
 fn the_exit_pupil_stays_where_it_is_put() {
     let truth = real_camera(-5.0);
     let mut at = free();
-    at.exit_pupil_mm = -5.0;
+    at.exit_pupil_mm = Some(-5.0);
     at.cost.fixed.push("e_z".to_owned());
     let calibration = run(&start(&truth), &drawn(&truth, &NO_NOISE, 0), &at);
     assert!((calibration.camera.main_lens.exit_pupil_mm.z + 5.0).abs() < 1e-12);
@@ -102,6 +102,60 @@ fn the_place_of_the_exit_pupil_is_an_option() {
     assert!(camera.main_lens.exit_pupil_mm.z != 0.0);
     calibrated("in-the-lens").1.failure().stderr(contains("negative towards the array"));
     calibrated("-40").1.failure().stderr(contains("exit pupil"));
+}
+
+/// A start from a calibrated camera does not overrule what is asked for.
+#[test]
+fn the_camera_of_the_paper_can_start_from_a_real_one() {
+    let folder = TempDir::new().unwrap();
+    let real = folder.path().join("camera.json");
+    std::fs::write(&real, camera_document(&real_camera(-5.0), None).to_string()).unwrap();
+    let calibrated = |options: &[&str]| {
+        let mut command = plenocal();
+        command.arg("calibrate").arg(synthetic_folder().join("project.toml"));
+        command
+            .arg("--camera")
+            .arg(&real)
+            .args(options)
+            .arg("--out")
+            .arg(folder.path().join("out"));
+        command.assert()
+    };
+    calibrated(&["--exit-pupil", "at-lens", "--field-curvature", "flat"]).success();
+    let lens = read_camera(&folder.path().join("out/camera.json")).unwrap().main_lens;
+    assert_eq!(lens.exit_pupil_mm, Vector3::zeros());
+    assert!(lens.field_curvature_per_mm == 0.0);
+    calibrated(&["--fix", "e_z,kappa"]).success();
+    let lens = read_camera(&folder.path().join("out/camera.json")).unwrap().main_lens;
+    assert!((lens.exit_pupil_mm.z + 5.0).abs() < 1e-12);
+    assert!((lens.field_curvature_per_mm - 0.006).abs() < 1e-12);
+    calibrated(&["--mode", "poses-only", "--exit-pupil", "-2"])
+        .failure()
+        .stderr(contains("exit pupil"));
+}
+
+/// A pupil beside the axis is a parameter if something is known of it.
+#[test]
+fn an_anchor_frees_the_place_of_the_pupil_across_the_axis() {
+    let out = TempDir::new().unwrap();
+    let mut command = plenocal();
+    command.arg("calibrate").arg(synthetic_folder().join("project.toml"));
+    command.args(["--anchor", "e_x=0:0.1", "--out"]).arg(out.path()).assert().success();
+    let lens = read_camera(&out.path().join("camera.json")).unwrap().main_lens;
+    assert!(lens.exit_pupil_mm.x != 0.0 && lens.exit_pupil_mm.y == 0.0, "{:?}", lens.exit_pupil_mm);
+}
+
+/// Noise of 0.2 px and no anchor: F and D run away together with the pupil.
+#[test]
+fn a_camera_that_runs_away_has_not_converged() {
+    let settings = preset("keplerian", &["rays=1"]);
+    let few = simulate(&settings, None, &(), &mut |_, _, _| Ok(())).unwrap();
+    let start = Start::Datasheet(settings.datasheet(), few.truth.internal);
+    let board = settings.target.board();
+    let result = calibrate(&start, &board, &few.observed, &free(), &mut |_| true);
+    assert!(!result.unwrap().converged);
+    let result = calibrate(&start, &board, &few.observed, &anchored(), &mut |_| true);
+    assert!(result.unwrap().converged);
 }
 
 /// The shipped files are of version 1: without exit pupil and field curvature.

@@ -101,8 +101,7 @@ struct MainLens {
   T focal_length;     ///< F, mm
   T radial[3];        ///< Q1, Q2, Q3 in mm^-2, mm^-4, mm^-6
   T tangential[2];    ///< P1, P2 in mm^-1
-  T field_curvature;  ///< kappa, mm^-1: off the axis by r, images are nearer to the lens by kappa
-                      ///< r^2
+  T field_curvature;  ///< kappa, mm^-1: images at r off the axis are kappa r^2 nearer to the lens
 
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>
