@@ -280,7 +280,10 @@ mod tests {
     }
 
     fn calibrated(camera: PlenopticCamera, observations: &Observations, mode: Mode) -> Calibration {
-        let options = CalibrationOptions { mode, ..CalibrationOptions::paper() };
+        let options = match mode {
+            Mode::PosesOnly => CalibrationOptions { mode, ..CalibrationOptions::default() },
+            _ => CalibrationOptions { mode, ..CalibrationOptions::paper() },
+        };
         calibrate(&Start::Camera(camera), &BOARD, observations, &options, &mut |_| true).unwrap()
     }
 
