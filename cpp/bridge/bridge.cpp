@@ -47,7 +47,8 @@ Observations to_core(rust::Slice<const FeatureRow> features, rust::Slice<const C
                                      f.k,
                                      f.l,
                                      {f.u_px, f.v_px, f.rho_px},
-                                     {f.std_dev_px[0], f.std_dev_px[1], f.std_dev_px[2]}});
+                                     {f.std_dev_px[0], f.std_dev_px[1], f.std_dev_px[2]},
+                                     f.level_rho});
   }
   observations.centers.reserve(centers.size());
   for (const CenterRow& c : centers) {
@@ -131,6 +132,9 @@ rust::Vec<ProjectionRow> project(const CameraParts& parts, rust::Slice<const Pos
     Feature<double> feature{};
     const bool defined =
         plenocal::project(camera, poses.at(f.frame), to_core(f.board_point_mm), f.k, f.l, &feature);
+    if (defined && f.level_rho && camera.lens_types() > 0) {
+      feature.rho -= blur_by_lean(camera, f.k, f.l);
+    }
     rows.push_back({defined, feature.u, feature.v, feature.rho});
   }
   return rows;
@@ -223,7 +227,8 @@ rust::Vec<FeatureRow> visible_features(const CameraParts& parts, rust::Slice<con
       for (const auto& [k, l] : micro_lenses_seeing(camera, point, margin_px)) {
         Feature<double> seen{};
         if (project(camera, pose_from_block(pose.block), to_core(row.point_mm), k, l, &seen)) {
-          rows.push_back({frame, row.point_mm, k, l, seen.u, seen.v, seen.rho, {1.0, 1.0, 1.0}});
+          rows.push_back(
+              {frame, row.point_mm, k, l, seen.u, seen.v, seen.rho, {1.0, 1.0, 1.0}, false});
         }
       }
     }

@@ -4,6 +4,9 @@
 #include <cmath>
 #include <stdexcept>
 #include <string>
+#include <vector>
+
+#include "plenocal/refine.hpp"
 
 namespace plenocal {
 
@@ -16,5 +19,10 @@ inline void require_std_dev(double value, const std::string& name) {
     reject("the standard deviation of " + name + " has to be positive and finite");
   }
 }
+
+/// All that a problem is made of. Ceres checks its input with CHECK, which aborts the process, so
+/// everything is checked before it is handed over.
+void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
+                      const Observations& observations, const CostOptions& options);
 
 }  // namespace plenocal

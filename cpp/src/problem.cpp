@@ -17,106 +17,6 @@ namespace {
 constexpr std::size_t kFeaturesPerBlock = 256;
 constexpr std::size_t kCentersPerBlock = 256;
 
-std::string micro_lens_text(int k, int l) {
-  return "micro-lens (" + std::to_string(k) + ", " + std::to_string(l) + ")";
-}
-
-void require_inside(const Lattice& lattice, int k, int l) {
-  if (!lattice.contains(k, l)) {
-    reject(micro_lens_text(k, l) + " is outside the array of " + std::to_string(lattice.columns) +
-           " x " + std::to_string(lattice.rows));
-  }
-}
-
-void require_loss(const Loss& loss) {
-  if (!is_positive(loss.scale)) {
-    reject("the scale of the robust loss has to be positive and finite");
-  }
-}
-
-std::string feature_text(const FeatureObservation& o) {
-  return "the feature of " + micro_lens_text(o.k, o.l) + " in frame " + std::to_string(o.frame);
-}
-
-void require_feature(const FeatureObservation& o, const Lattice& lattice, bool has_rho,
-                     std::size_t poses) {
-  require_inside(lattice, o.k, o.l);
-  if (o.frame < 0 || o.frame >= static_cast<int>(poses)) {
-    reject("a feature belongs to frame " + std::to_string(o.frame) + ", which has no pose");
-  }
-  const auto& [x, y, z] = o.board_point;
-  if (!std::isfinite(x) || !std::isfinite(y) || !std::isfinite(z)) {
-    reject("a board point is not finite");
-  }
-  const auto& [u, v, rho] = o.observed;
-  if (!std::isfinite(u) || !std::isfinite(v) || (has_rho && !std::isfinite(rho))) {
-    reject(feature_text(o) + " is not finite");
-  }
-  if (!is_positive(o.std_dev.u) || !is_positive(o.std_dev.v) ||
-      (has_rho && !is_positive(o.std_dev.rho))) {
-    require_std_dev(0.0, feature_text(o));
-  }
-}
-
-void require_center(const CenterObservation& o, const Lattice& lattice) {
-  require_inside(lattice, o.k, o.l);
-  const std::string text = "the centre of " + micro_lens_text(o.k, o.l);
-  if (!std::isfinite(o.observed.u) || !std::isfinite(o.observed.v)) {
-    reject(text + " is not finite");
-  }
-  require_std_dev(o.std_dev, text);
-}
-
-void require_anchor(const Anchor& anchor, const std::vector<std::string>& names,
-                    const std::vector<std::string>& fixed) {
-  const std::string text = "the anchor of " + anchor.quantity;
-  if (!std::isfinite(anchor.value)) reject(text + " is not finite");
-  require_std_dev(anchor.std_dev, text);
-  const auto is_fixed = [&fixed](const std::string& name) {
-    return std::find(fixed.begin(), fixed.end(), name) != fixed.end();
-  };
-  if (anchor.quantity == kSlopeName) {
-    if (is_fixed("F") && is_fixed("d") && is_fixed("D") && is_fixed("e_z")) {
-      reject(text + " has no effect: F, d, D and e_z are fixed");
-    }
-    return;
-  }
-  if (std::find(names.begin(), names.end(), anchor.quantity) == names.end()) {
-    reject("there is no parameter " + anchor.quantity + " to anchor");
-  }
-  if (is_fixed(anchor.quantity)) reject(text + " has no effect: the parameter is fixed");
-}
-
-// Ceres checks its input with CHECK, which aborts the process, so everything is checked first.
-void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
-                      const Observations& observations, const CostOptions& options) {
-  validate(camera);
-  require_std_dev(options.uv_std_dev, "(u, v)");
-  require_std_dev(options.rho_std_dev, "rho");
-  require_std_dev(options.centers_std_dev, "the centres");
-  require_loss(options.features_loss);
-  require_loss(options.centers_loss);
-  if (!is_positive(options.anchor_weight)) reject("the weight of the anchors has to be positive");
-  const auto names = intrinsic_names(camera.lens_types());
-  for (const Anchor& anchor : options.anchors) require_anchor(anchor, names, options.fixed);
-  if (poses.empty()) reject("there are no frames");
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    for (double value : pose_block(poses[i])) {
-      if (!std::isfinite(value)) reject("pose " + std::to_string(i) + " is not finite");
-    }
-  }
-  std::vector<char> seen(poses.size(), 0);
-  for (const FeatureObservation& o : observations.features) {
-    require_feature(o, camera.lattice, camera.lens_types() > 0, poses.size());
-    seen[o.frame] = 1;
-  }
-  const auto unseen = std::find(seen.begin(), seen.end(), 0);
-  if (unseen != seen.end()) {
-    reject("pose " + std::to_string(unseen - seen.begin()) + " has no feature");
-  }
-  for (const CenterObservation& o : observations.centers) require_center(o, camera.lattice);
-}
-
 // Divides the area of the centres into equal patches.
 class Patches {
  public:
@@ -216,7 +116,8 @@ void CalibrationProblem::add_features(const Observations& observations,
       weighted.push_back({o.board_point,
                           {frame_.lattice.node(o.k, o.l), lens_type},
                           o.observed,
-                          {1.0 / std_dev.u, 1.0 / std_dev.v, 1.0 / std_dev.rho}});
+                          {1.0 / std_dev.u, 1.0 / std_dev.v, 1.0 / std_dev.rho},
+                          o.level_rho});
       rows_.push_back({kUv, frame, corner, lens_type, std_dev.u});
       rows_.push_back({kUv, frame, corner, lens_type, std_dev.v});
       if (I > 0) rows_.push_back({kRho, frame, corner, lens_type, std_dev.rho});

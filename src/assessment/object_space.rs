@@ -280,10 +280,8 @@ mod tests {
     }
 
     fn calibrated(camera: PlenopticCamera, observations: &Observations, mode: Mode) -> Calibration {
-        let options = match mode {
-            Mode::PosesOnly => CalibrationOptions { mode, ..CalibrationOptions::default() },
-            _ => CalibrationOptions { mode, ..CalibrationOptions::paper() },
-        };
+        let paper = CalibrationOptions::paper();
+        let options = if mode == Mode::PosesOnly { paper.of_poses_only() } else { paper };
         calibrate(&Start::Camera(camera), &BOARD, observations, &options, &mut |_| true).unwrap()
     }
 

@@ -14,7 +14,7 @@ mod words;
 
 pub use anchors::{AnchorResult, AnchorSource, SLOPE};
 pub use initial::initial_camera;
-pub use options::{CalibrationOptions, Mode, Start, Weights};
+pub use options::{CalibrationOptions, Mode, RhoLean, Start, Weights};
 pub use poses::initial_poses;
 pub use result::{Calibration, LeftOut};
 pub use stage::{calibrate, initial_from};

@@ -34,6 +34,18 @@ pub enum Weights {
     Unit,
 }
 
+/// What ρ says of the tilt of the array, where the part of it that comes from the lean is known apart
+/// ([`BapFeature::rho_lean_px`](crate::model::BapFeature::rho_lean_px)).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RhoLean {
+    /// Nothing: that part is left out.
+    #[default]
+    LeftOut,
+    /// It is taken for measured: the paper.
+    Kept,
+}
+
 /// What a calibration starts from.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Start {
@@ -53,6 +65,8 @@ pub struct CalibrationOptions {
     pub mode: Mode,
     /// How observations are weighted.
     pub weights: Weights,
+    /// What ρ says of the tilt of the array.
+    pub rho_lean: RhoLean,
     /// The cost. Its anchors are those that the user states. Its `anchor_weight` is not used: with
     /// anchors, the weight is measured ([`Calibration::cost`](crate::calibration::Calibration::cost)
     /// has it); without, it has no effect.
@@ -79,6 +93,7 @@ impl Default for CalibrationOptions {
         Self {
             mode: Mode::default(),
             weights: Weights::default(),
+            rho_lean: RhoLean::default(),
             cost: CostOptions {
                 fixed: FIXED.map(str::to_owned).to_vec(),
                 ..CostOptions::default()
@@ -156,17 +171,31 @@ impl Start {
 
 impl CalibrationOptions {
     /// The calibration of the paper: every observation has the same weight, no loss, no anchors, the exit
-    /// pupil in the lens, a flat field.
+    /// pupil in the lens, a flat field, ρ as it is given.
     #[must_use]
     pub fn paper() -> Self {
         Self {
             weights: Weights::Unit,
+            rho_lean: RhoLean::Kept,
             automatic_loss: false,
             default_anchors: false,
             exit_pupil_mm: Some(0.0),
             field_curvature_per_mm: Some(0.0),
             cost: CostOptions::default(),
             ..Self::default()
+        }
+    }
+
+    /// These options for poses alone: without what they say of the camera, which is then fixed.
+    #[must_use]
+    pub fn of_poses_only(&self) -> Self {
+        Self {
+            mode: Mode::PosesOnly,
+            exit_pupil_mm: None,
+            field_curvature_per_mm: None,
+            not_anchored: Vec::new(),
+            cost: CostOptions { anchors: Vec::new(), ..self.cost.clone() },
+            ..self.clone()
         }
     }
 

@@ -13,7 +13,8 @@ use crate::calibration::frames::{
 };
 use crate::calibration::refine::{Refined, Settings};
 use crate::calibration::{
-    AnchorSource, Calibration, CalibrationOptions, Mode, Start, Warning, Weights, initial_camera,
+    AnchorSource, Calibration, CalibrationOptions, Mode, RhoLean, Start, Warning, Weights,
+    initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::model::{
@@ -53,6 +54,9 @@ pub fn calibrate(
     let (mut observations, excluded) = without_frames(observations, &options.exclude_frames)?;
     if options.weights == Weights::Unit {
         observations.forget_std_devs();
+    }
+    if options.rho_lean == RhoLean::Kept {
+        observations.keep_lean();
     }
     check_observations(&start, board, &observations, options.mode)?;
     let (initial, grid) = initial_and_grid(&start, &observations, options)?;

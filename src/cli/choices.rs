@@ -1,7 +1,7 @@
 //! The values that an option can take, with their descriptions in the help.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use plenocal::calibration::{Mode, Weights};
+use plenocal::calibration::{Mode, RhoLean, Weights};
 use plenocal::detection::DepthEstimator;
 use plenocal::image::Color;
 use plenocal::io::{FieldCurvature, Pitches};
@@ -46,6 +46,11 @@ pub const ANCHORS: &[Choice<bool>] = &[
 pub const WEIGHTS: &[Choice<Weights>] = &[
     ("own", "Each observation by its own standard deviation, where the file has it", Weights::Own),
     ("unit", "The same for all of a kind (the paper)", Weights::Unit),
+];
+
+pub const RHO_LEANS: &[Choice<RhoLean>] = &[
+    ("left-out", "Nothing: the white images do not measure it", RhoLean::LeftOut),
+    ("kept", "What the features state is taken for measured (the paper)", RhoLean::Kept),
 ];
 
 pub const SUBSETS: &[Choice<Subset>] = &[
@@ -111,6 +116,7 @@ mod tests {
         are_named_as_in_files(MODES);
         are_named_as_in_files(LOSSES);
         are_named_as_in_files(WEIGHTS);
+        are_named_as_in_files(RHO_LEANS);
         are_named_as_in_files(SUBSETS);
         are_named_as_in_files(DEPTH_ESTIMATORS);
         are_named_as_in_files(RADIUS_ESTIMATORS);

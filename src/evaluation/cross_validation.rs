@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
-use crate::calibration::{Calibration, CalibrationOptions, Mode, Start, calibrate};
+use crate::calibration::{Calibration, CalibrationOptions, Start, calibrate};
 use crate::error::{Error, Result};
 use crate::model::{Board, FeatureResidual, Observations, PlenopticCamera, Rmse};
 
@@ -72,7 +72,6 @@ pub fn cross_validate(
         without.exclude_frames.extend(&held_out);
         let calibration = calibrate(start, board, observations, &without, &mut |_| true)?;
         let Calibration { camera, converged, .. } = calibration;
-        let poses_only = CalibrationOptions { mode: Mode::PosesOnly, ..options.clone() };
         let seen = Observations {
             centers: Vec::new(),
             features: observations
@@ -82,8 +81,8 @@ pub fn cross_validate(
                 .copied()
                 .collect(),
         };
-        let mut poses_only = CalibrationOptions { exclude_frames: Vec::new(), ..poses_only };
-        poses_only.cost.anchors.clear();
+        let poses_only =
+            CalibrationOptions { exclude_frames: Vec::new(), ..options.of_poses_only() };
         let known = Start::Camera(camera.clone());
         let posed = calibrate(&known, board, &seen, &poses_only, &mut |_| true)?;
         let residuals = posed.reprojection.features;

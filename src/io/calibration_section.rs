@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::Deserialize;
 
-use crate::calibration::{CalibrationOptions, Mode, Weights};
+use crate::calibration::{CalibrationOptions, Mode, RhoLean, Weights};
 use crate::error::{Error, Result};
 use crate::solver::{Anchor, Loss, LossKind};
 
@@ -196,6 +196,8 @@ pub struct CalibrationSection {
     pub anchors: Option<AnchorsSection>,
     /// Weights of observations.
     pub weights: Option<Weights>,
+    /// What ρ says of the tilt of the array.
+    pub rho_lean: Option<RhoLean>,
     /// Frames that are not used.
     pub exclude_frames: Option<Vec<u32>>,
     /// σ of u and v, px.
@@ -229,6 +231,7 @@ impl CalibrationSection {
                 (own, other) => own.or(other),
             },
             weights: self.weights.or(other.weights),
+            rho_lean: self.rho_lean.or(other.rho_lean),
             exclude_frames: self.exclude_frames.or(other.exclude_frames),
             uv_std_dev_px: self.uv_std_dev_px.or(other.uv_std_dev_px),
             rho_std_dev_px: self.rho_std_dev_px.or(other.rho_std_dev_px),
@@ -262,6 +265,7 @@ impl CalibrationSection {
         options.cost.fixed.retain(|name| !(["e_x", "e_y"].contains(&&**name) && anchored(name)));
         options.cost.fixed.extend(self.fix.iter().flatten().cloned());
         options.weights = self.weights.unwrap_or_default();
+        options.rho_lean = self.rho_lean.unwrap_or_default();
         options.automatic_loss = self.loss.is_none();
         if let Some(anchors) = &self.anchors {
             anchors.add_to(&mut options);

@@ -109,6 +109,7 @@ mod ffi {
         rho_px: f64,
         /// Standard deviations of u, v and ρ.
         std_dev_px: [f64; 3],
+        level_rho: bool,
     }
 
     struct CenterRow {
@@ -137,7 +138,8 @@ mod ffi {
         l: i32,
     }
 
-    /// A projected feature; meaningless unless `defined`. ρ is not a number for an array of pinholes.
+    /// A projected feature; meaningless unless `defined`. ρ is not a number for an array of pinholes, and
+    /// without lean if that of the feature is.
     struct ProjectionRow {
         defined: bool,
         u_px: f64,

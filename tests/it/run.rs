@@ -228,7 +228,8 @@ fn a_single_fold_is_rejected() {
 #[test]
 fn folds_work_with_fixed_parameters_and_excluded_frames() {
     let run = Run::copy();
-    let options = "\n[calibration]\nfix = [\"f_1\"]\nexclude_frames = [5]\n";
+    let options = "\n[calibration]\nfix = [\"f_1\"]\nexclude_frames = [5]\nexit_pupil = \"at-lens\"\n\
+                   field_curvature = \"flat\"\n";
     run.edit("set/project.toml", |text| format!("{text}{options}"));
     run.again(&[])
         .success()

@@ -164,6 +164,12 @@ class ArrayOptics {
     return half_diameter_px_ * ((center.z - sensor_z_) * inverse_focal_length + scale - 1.0);
   }
 
+  /// The part of rho that comes from the lean of the array: dC/(2s) (delta - d)/f, as the
+  /// micro-lens is further from the sensor or nearer to it than the middle of the array.
+  T blur_by_lean(const Vector3<T>& center, const T& inverse_focal_length) const {
+    return half_diameter_px_ * (center.z + mla_.lens_to_mla) * inverse_focal_length;
+  }
+
   /// Centre of the micro-image of a micro-lens: where the ray from the middle P of the exit pupil
   /// through C meets the sensor. It is finite where the micro-lens lies behind the pupil.
   Pixel<T> micro_image_center(const ExitPupil<T>& pupil, const Node& node) const {
@@ -264,6 +270,10 @@ bool project(const Optics<T>& optics, const Vector3<T>& point, const MicroLens& 
 /// Feature of a board point (mm) seen through micro-lens (k, l), in one call. False as above.
 bool project(const Camera& camera, const Pose& camera_from_board,
              const Vector3<double>& board_point, int k, int l, Feature<double>* feature);
+
+/// The part of rho of any point seen through micro-lens (k, l) that comes from the lean of the
+/// array, see `ArrayOptics::blur_by_lean`, px. The camera has lens types.
+double blur_by_lean(const Camera& camera, int k, int l);
 
 /// Micro-image centre of micro-lens (k, l).
 Pixel<double> project_center(const Camera& camera, int k, int l);

@@ -12,12 +12,17 @@ namespace plenocal {
 
 /// A BAP feature of a board point, observed in a frame through micro-lens (k, l). rho and its
 /// standard deviation are not used for a pinhole array.
+///
+/// rho is measured as q'_i - gamma dc/2, with the slope gamma of the corner over the micro-image
+/// centres. If q'_i is that of the middle of the array, nothing in it depends on the tilt of the
+/// array, and `level_rho` says so: it is then compared with rho less `blur_by_lean`.
 struct FeatureObservation {
   int frame;                    ///< index into the poses
   Vector3<double> board_point;  ///< mm, board frame
   int k, l;
   Feature<double> observed;                ///< px
   Feature<double> std_dev{1.0, 1.0, 1.0};  ///< px, times that of `CostOptions`
+  bool level_rho = false;                  ///< rho is that of an array parallel to the sensor
 };
 
 /// An observed micro-image centre.

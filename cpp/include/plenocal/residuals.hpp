@@ -57,6 +57,7 @@ struct WeightedFeature {
   MicroLens micro_lens;
   Feature<double> observed;  ///< px
   Feature<double> weight;    ///< 1 / sigma of each, 1/px
+  bool level_rho;            ///< see `FeatureObservation`
 };
 
 /// Residuals (u, v, rho) / sigma of features of one frame: 3 each, or 2 for a pinhole array
@@ -89,7 +90,10 @@ class FeatureResiduals {
       if (!project_image(optics, image, f.micro_lens, &projected)) return false;
       residuals[0] = (projected.u - f.observed.u) * f.weight.u;
       residuals[1] = (projected.v - f.observed.v) * f.weight.v;
-      if constexpr (I > 0) residuals[2] = (projected.rho - f.observed.rho) * f.weight.rho;
+      if constexpr (I > 0) {
+        if (f.level_rho) projected.rho -= lean(optics, f.micro_lens);
+        residuals[2] = (projected.rho - f.observed.rho) * f.weight.rho;
+      }
       apply_loss(loss_, kResiduals, residuals);
       residuals += kResiduals;
     }
@@ -121,6 +125,12 @@ class FeatureResiduals {
   }
 
  private:
+  template <typename T>
+  static T lean(const Optics<T>& optics, const MicroLens& micro_lens) {
+    return optics.array.blur_by_lean(optics.array.micro_lens_center(micro_lens.node),
+                                     optics.inverse_focal_lengths[micro_lens.lens_type]);
+  }
+
   static bool same(const Vector3<double>& a, const Vector3<double>& b) {
     return a.x == b.x && a.y == b.y && a.z == b.z;
   }

@@ -33,6 +33,7 @@ impl Problem<'_> {
             // NaN stands for no value in the core.
             rho_px: f.rho_px.unwrap_or(f64::NAN),
             std_dev_px: f.std_dev_px,
+            level_rho: f.level_rho,
         };
         self.features.iter().map(row).collect()
     }
@@ -175,6 +176,7 @@ impl From<&ffi::FeatureRow> for SolverFeature {
             // NaN stands for no value in the core.
             rho_px: (!row.rho_px.is_nan()).then_some(row.rho_px),
             std_dev_px: row.std_dev_px,
+            level_rho: row.level_rho,
         }
     }
 }
