@@ -47,8 +47,7 @@ Observations to_core(rust::Slice<const FeatureRow> features, rust::Slice<const C
                                      f.k,
                                      f.l,
                                      {f.u_px, f.v_px, f.rho_px},
-                                     {f.std_dev_px[0], f.std_dev_px[1], f.std_dev_px[2]},
-                                     f.level_rho});
+                                     {f.std_dev_px[0], f.std_dev_px[1], f.std_dev_px[2]}});
   }
   observations.centers.reserve(centers.size());
   for (const CenterRow& c : centers) {
@@ -62,6 +61,7 @@ CostOptions to_core(const CostParts& parts) {
   options.uv_std_dev = parts.uv_std_dev_px;
   options.rho_std_dev = parts.rho_std_dev_px;
   options.centers_std_dev = parts.centers_std_dev_px;
+  options.rho = parts.rho;
   options.features_loss = {parts.loss_kind, parts.loss_scale};
   options.centers_loss = options.features_loss;
   options.fixed.clear();
@@ -132,9 +132,6 @@ rust::Vec<ProjectionRow> project(const CameraParts& parts, rust::Slice<const Pos
     Feature<double> feature{};
     const bool defined =
         plenocal::project(camera, poses.at(f.frame), to_core(f.board_point_mm), f.k, f.l, &feature);
-    if (defined && f.level_rho && camera.lens_types() > 0) {
-      feature.rho -= blur_by_lean(camera, f.k, f.l);
-    }
     rows.push_back({defined, feature.u, feature.v, feature.rho});
   }
   return rows;
@@ -227,8 +224,7 @@ rust::Vec<FeatureRow> visible_features(const CameraParts& parts, rust::Slice<con
       for (const auto& [k, l] : micro_lenses_seeing(camera, point, margin_px)) {
         Feature<double> seen{};
         if (project(camera, pose_from_block(pose.block), to_core(row.point_mm), k, l, &seen)) {
-          rows.push_back(
-              {frame, row.point_mm, k, l, seen.u, seen.v, seen.rho, {1.0, 1.0, 1.0}, false});
+          rows.push_back({frame, row.point_mm, k, l, seen.u, seen.v, seen.rho, {1.0, 1.0, 1.0}});
         }
       }
     }

@@ -56,13 +56,6 @@ bool project(const Camera& camera, const Pose& camera_from_board,
   return project(optics_of(camera), motion(board_point), micro_lens_of(camera, k, l), feature);
 }
 
-double blur_by_lean(const Camera& camera, int k, int l) {
-  const Optics<double> optics = optics_of(camera);
-  const MicroLens micro_lens = micro_lens_of(camera, k, l);
-  return optics.array.blur_by_lean(optics.array.micro_lens_center(micro_lens.node),
-                                   optics.inverse_focal_lengths[micro_lens.lens_type]);
-}
-
 Pixel<double> project_center(const Camera& camera, int k, int l) {
   const ArrayOptics<double> optics(camera.mla, camera.pixel_size);
   return optics.micro_image_center(camera.exit_pupil, camera.lattice.node(k, l));

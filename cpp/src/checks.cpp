@@ -55,8 +55,8 @@ void require_center(const CenterObservation& o, const Lattice& lattice) {
   require_std_dev(o.std_dev, text);
 }
 
-void require_anchor(const Anchor& anchor, const std::vector<std::string>& names,
-                    const std::vector<std::string>& fixed) {
+void require_anchor(const Anchor& anchor, int lens_types, const std::vector<std::string>& fixed) {
+  const auto names = intrinsic_names(lens_types);
   const std::string text = "the anchor of " + anchor.quantity;
   if (!std::isfinite(anchor.value)) reject(text + " is not finite");
   require_std_dev(anchor.std_dev, text);
@@ -66,6 +66,13 @@ void require_anchor(const Anchor& anchor, const std::vector<std::string>& names,
   if (anchor.quantity == kSlopeName) {
     if (is_fixed("F") && is_fixed("d") && is_fixed("D") && is_fixed("e_z")) {
       reject(text + " has no effect: F, d, D and e_z are fixed");
+    }
+    return;
+  }
+  for (int type = 0; type < lens_types; ++type) {
+    if (anchor.quantity != intercept_name(type)) continue;
+    if (is_fixed("f_" + std::to_string(type + 1)) && is_fixed("d") && is_fixed("dC")) {
+      reject(text + " has no effect: the focal length, d and dC are fixed");
     }
     return;
   }
@@ -86,8 +93,9 @@ void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
   require_loss(options.features_loss);
   require_loss(options.centers_loss);
   if (!is_positive(options.anchor_weight)) reject("the weight of the anchors has to be positive");
-  const auto names = intrinsic_names(camera.lens_types());
-  for (const Anchor& anchor : options.anchors) require_anchor(anchor, names, options.fixed);
+  for (const Anchor& anchor : options.anchors) {
+    require_anchor(anchor, camera.lens_types(), options.fixed);
+  }
   if (poses.empty()) reject("there are no frames");
   for (std::size_t i = 0; i < poses.size(); ++i) {
     for (double value : pose_block(poses[i])) {
@@ -96,7 +104,7 @@ void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
   }
   std::vector<char> seen(poses.size(), 0);
   for (const FeatureObservation& o : observations.features) {
-    require_feature(o, camera.lattice, camera.lens_types() > 0, poses.size());
+    require_feature(o, camera.lattice, options.rho && camera.lens_types() > 0, poses.size());
     seen[o.frame] = 1;
   }
   const auto unseen = std::find(seen.begin(), seen.end(), 0);

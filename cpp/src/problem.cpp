@@ -58,7 +58,7 @@ CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<P
     for (int place = 0; place < size; ++place) places_.push_back({block, size, place});
   }
   for (auto& pose : poses_) problem_->AddParameterBlock(pose.data(), Pose::kSize);
-  switch (camera.lens_types()) {
+  switch (options.rho ? camera.lens_types() : 0) {
     case 0:
       add_features<0>(observations, options);
       break;
@@ -109,15 +109,14 @@ void CalibrationProblem::add_features(const Observations& observations,
         ++corner;
       }
       const FeatureObservation& o = features[order[begin]];
-      const int lens_type = frame_.lattice.lens_type(o.k, o.l, I);
+      const int lens_type = frame_.lattice.lens_type(o.k, o.l, frame_.lens_types());
       const Feature<double> std_dev{o.std_dev.u * options.uv_std_dev,
                                     o.std_dev.v * options.uv_std_dev,
                                     o.std_dev.rho * options.rho_std_dev};
       weighted.push_back({o.board_point,
                           {frame_.lattice.node(o.k, o.l), lens_type},
                           o.observed,
-                          {1.0 / std_dev.u, 1.0 / std_dev.v, 1.0 / std_dev.rho},
-                          o.level_rho});
+                          {1.0 / std_dev.u, 1.0 / std_dev.v, 1.0 / std_dev.rho}});
       rows_.push_back({kUv, frame, corner, lens_type, std_dev.u});
       rows_.push_back({kUv, frame, corner, lens_type, std_dev.v});
       if (I > 0) rows_.push_back({kRho, frame, corner, lens_type, std_dev.rho});
@@ -185,6 +184,17 @@ CalibrationProblem::Linearised CalibrationProblem::linearised(const Block& block
   return result;
 }
 
+bool CalibrationProblem::add_intercept(const Anchor& anchor, double weight) {
+  for (int type = 0; type < frame_.lens_types(); ++type) {
+    if (anchor.quantity != intercept_name(type)) continue;
+    add_block(frame_.lens_types() == 1 ? InterceptResidual<1>::create(type, anchor.value, weight)
+                                       : InterceptResidual<3>::create(type, anchor.value, weight),
+              {array_.data(), focal_lengths_.data()});
+    return true;
+  }
+  return false;
+}
+
 void CalibrationProblem::add_anchors(const CostOptions& options) {
   const double root = std::sqrt(options.anchor_weight);
   const auto names = intrinsic_names(frame_.lens_types());
@@ -197,6 +207,7 @@ void CalibrationProblem::add_anchors(const CostOptions& options) {
                 {lens_.data(), exit_pupil_.data(), array_.data()});
       continue;
     }
+    if (add_intercept(anchor, weight)) continue;
     const auto found = std::find(names.begin(), names.end(), anchor.quantity);
     const auto [block, size, place] = places_[found - names.begin()];
     ceres::Matrix row = ceres::Matrix::Zero(1, size);

@@ -162,6 +162,9 @@ MatrixXd gradient_spread(const std::vector<Group>& groups) {
   return back * spread * back.transpose();
 }
 
+// Least part of the information on an anchored quantity that observations have, to count here.
+constexpr double kLeastShare = 1e-6;
+
 double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse,
                        const MatrixXd& spread, const MatrixXd& information,
                        const MatrixXd& gauss_newton) {
@@ -171,7 +174,8 @@ double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse
     const VectorXd to =
         inverse.topLeftCorner(spread.rows(), equations.intrinsics) * anchor.transpose();
     const double claimed = to.dot(information * to), least = to.dot(gauss_newton * to);
-    if (!(least > 0.0)) continue;
+    // An anchor alone says what q'_i is: no observation tells of its proportion.
+    if (!(least > kLeastShare * std::abs(anchor.dot(to)))) continue;
     sum += to.dot(spread * to) / (claimed > kLeastCurvature * least ? claimed : least);
     ++count;
   }

@@ -296,9 +296,9 @@ TEST(Refine, RobustLossResistsOutliers) {
   Scene scene = truth;
   test::add_noise(0.1, 0.1, 0.1, 11, &scene.observations);
   const Uncertainty clean = uncertainty(truth.camera, truth.poses, scene.observations, options);
-  // Every 20th feature is a wrong corner: up to 10 px off, more often to one side.
+  // Every 20th feature is a wrong corner: up to 20 px off, more often to one side.
   std::mt19937 generator(12);
-  std::uniform_real_distribution<double> gross(-5.0, 10.0);
+  std::uniform_real_distribution<double> gross(-10.0, 20.0);
   for (std::size_t i = 0; i < scene.observations.features.size(); i += 20) {
     scene.observations.features[i].observed.u += gross(generator);
     scene.observations.features[i].observed.v += gross(generator);
@@ -311,7 +311,7 @@ TEST(Refine, RobustLossResistsOutliers) {
   };
   // Once outliers no longer count, none of 19 parameters is off by more than 4 standard deviations.
   constexpr double kShrugged = 4.0;
-  EXPECT_GT(worst(LossKind::kNone), 2.0 * kShrugged);
+  EXPECT_GT(worst(LossKind::kNone), 3.0 * kShrugged);
   EXPECT_LT(worst(LossKind::kHuber), kShrugged);
   EXPECT_LT(worst(LossKind::kCauchy), kShrugged);
 }

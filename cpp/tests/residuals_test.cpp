@@ -85,8 +85,7 @@ WeightedFeature simple_feature(const Camera& camera, double du, double dv, doubl
   return {kSimplePoint,
           micro_lens_of(camera, 1, 0),
           {kSimpleU + du, kSimpleV + dv, kSimpleRho[types] + drho},
-          weight,
-          false};
+          weight};
 }
 
 template <int I>
@@ -112,25 +111,6 @@ void expect_features_by_hand() {
 TEST(FeatureResiduals, PinholesByHand) { expect_features_by_hand<0>(); }
 TEST(FeatureResiduals, OneTypeByHand) { expect_features_by_hand<1>(); }
 TEST(FeatureResiduals, ThreeTypesByHand) { expect_features_by_hand<3>(); }
-
-// Turned by asin(0.6) about y, the array has its micro-lens (1, 0) 0.6 * 0.15 mm further from the
-// sensor or nearer to it; of that, rho has dC/2s/f = 10/0.8 px per mm.
-TEST(FeatureResiduals, LevelRhoIsWithoutTheLean) {
-  Camera camera = simple_camera(3);
-  camera.mla.rotation.y = std::asin(0.6);
-  const Node node = camera.lattice.node(1, 0);
-  const double lean = 12.5 * 0.6 * node.x * camera.mla.pitch;
-  ASSERT_GT(std::abs(lean), 0.1);
-  EXPECT_NEAR(blur_by_lean(camera, 1, 0), lean, kRounding);
-
-  const auto drho = [&camera](bool level) {
-    WeightedFeature feature = simple_feature(camera, 0, 0, 0);
-    feature.level_rho = level;
-    const auto cost = FeatureResiduals<3>::create({feature}, 0.01, {});
-    return evaluate(*cost, Blocks(camera, kSimplePose).pointers())[2];
-  };
-  EXPECT_NEAR(drho(false) - drho(true), lean, kRounding);
-}
 
 TEST(FeatureResiduals, LossScalesTheWholeFeature) {
   // |(-2, 6, -3)| = 7, Huber at 1: the norm becomes sqrt(2*7 - 1), the direction stays.
@@ -247,8 +227,7 @@ class RandomObservations {
       seen.u += offset(i);
       seen.v += offset(i);
       seen.rho += offset(i);
-      const bool level_rho = i % 3 == 0;
-      features.push_back({corner, micro_lens_of(camera, k, l), seen, {1.0, 1.0, 1.1}, level_rho});
+      features.push_back({corner, micro_lens_of(camera, k, l), seen, {1.0, 1.0, 1.1}});
     }
     return features;
   }

@@ -110,6 +110,38 @@ TEST(Anchors, HoldAQuantity) {
               1e-7);
 }
 
+// Without rho, the q'_i determine the focal lengths, and whatever rho is does not matter.
+TEST(Anchors, OnTheInterceptsTakeThePlaceOfRho) {
+  for (int types : {1, 3}) {
+    Scene scene = test::make_scene(types);
+    const Camera& truth = scene.camera;
+    CostOptions options = paper();
+    options.rho = false;
+    for (auto& feature : scene.observations.features) feature.observed.rho = 1e3;
+    for (int i = 0; i < types; ++i) {
+      const double q = blur_intercept(truth.mla, truth.micro_lens_focal_lengths[i]);
+      options.anchors.push_back({intercept_name(i), q, 1e-5});
+    }
+    Camera start = truth;
+    start.mla.mla_to_sensor *= 1.02;
+    for (double& f : start.micro_lens_focal_lengths) f *= 1.05;
+    const Refinement r = refine(start, scene.poses, scene.observations, options, {});
+    for (int i = 0; i < types; ++i) {
+      expect_near_relative(r.camera.micro_lens_focal_lengths[i], truth.micro_lens_focal_lengths[i],
+                           1e-8, "f_" + std::to_string(i + 1));
+    }
+    const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, options);
+    EXPECT_EQ(u.rank, u.size);
+    EXPECT_TRUE(std::isnan(u.residual_std_dev[1]));
+  }
+  // By hand: 0.126 * 0.33 / (2 * 0.578).
+  MicroLensArray<double> mla{};
+  mla.pitch = 0.126;
+  mla.pitch_ratio = 1.0;
+  mla.mla_to_sensor = 0.33;
+  EXPECT_NEAR(blur_intercept(mla, 0.578), 0.035968858, 1e-9);
+}
+
 TEST(Anchors, GiveTheirOwnUncertaintyWhereObservationsHaveNone) {
   // Observations so bad that the anchor decides: its sigma is that of the result, whatever its
   // weight.

@@ -18,6 +18,8 @@ use crate::solver::Anchor;
 pub const SLOPE: &str = "m";
 /// Engraved focal lengths are rounded: a "50 mm" lens is often one of 51.6 mm.
 const ENGRAVED: f64 = 0.03;
+/// What q'ᵢ are worth if nothing is said of them.
+const INTERCEPTS: f64 = 0.005;
 /// What f-numbers are worth, and with them m.
 const F_NUMBERS: f64 = 0.02;
 /// How far from the middle of the sensor a mount may put the axis, mm.
@@ -72,6 +74,12 @@ impl fmt::Display for AnchorSource {
     }
 }
 
+/// Name of q'ᵢ among the quantities of anchors: `q'_1` for the first lens type, from 0.
+#[must_use]
+pub fn intercept_name(lens_type: usize) -> String {
+    format!("q'_{}", lens_type + 1)
+}
+
 fn unit(quantity: &str) -> &'static str {
     let all = intrinsic_parameters(crate::model::MAX_LENS_TYPES);
     all.iter().find(|parameter| parameter.name == quantity).map_or("mm", |parameter| parameter.unit)
@@ -90,8 +98,27 @@ pub(super) fn anchors(start: &Start, options: &CalibrationOptions) -> Vec<(Ancho
         let free = is_free(quantity, &options.cost.fixed);
         !replaced && free && !options.not_anchored.contains(quantity)
     };
-    let defaults = if options.default_anchors { default_anchors(start) } else { Vec::new() };
+    let mut defaults = if options.default_anchors { default_anchors(start) } else { Vec::new() };
+    if !options.cost.rho {
+        defaults.extend(intercepts(start));
+    }
     stated.chain(defaults.into_iter().filter(|(anchor, _)| wanted(anchor))).collect()
+}
+
+/// q'ᵢ of the white images, or of the camera that is started from. They are observations that all features share:
+/// without ρ, and without them, nothing is said of the fᵢ.
+fn intercepts(start: &Start) -> Vec<(Anchor, AnchorSource)> {
+    let internal = match start {
+        Start::Datasheet(_, internal) => internal.clone(),
+        Start::Camera(camera) => optics::internal_parameters(camera),
+    };
+    let anchor = |lens_type: usize| {
+        let value = internal.q_prime_mm[lens_type];
+        let std_dev = internal.q_prime_std_dev_mm.get(lens_type).copied();
+        let std_dev = std_dev.unwrap_or(INTERCEPTS * value);
+        Anchor { quantity: intercept_name(lens_type), value, std_dev }
+    };
+    (0..start.lens_types()).map(|i| (anchor(i), AnchorSource::WhiteImages)).collect()
 }
 
 fn default_anchors(start: &Start) -> Vec<(Anchor, AnchorSource)> {
@@ -119,6 +146,8 @@ fn is_free(quantity: &str, fixed: &[String]) -> bool {
     let is_fixed = |name: &str| fixed.iter().any(|fixed| fixed == name);
     if quantity == SLOPE {
         !["F", "d", "D", "e_z"].into_iter().all(is_fixed)
+    } else if let Some(lens_type) = quantity.strip_prefix("q'_") {
+        !["d", "dC", &format!("f_{lens_type}")].into_iter().all(is_fixed)
     } else {
         !is_fixed(quantity)
     }
@@ -127,7 +156,10 @@ fn is_free(quantity: &str, fixed: &[String]) -> bool {
 /// An error that names an anchor that is not possible.
 pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> Result<()> {
     let known = intrinsic_parameters(lens_types);
-    let names = || -> Vec<&str> { known.iter().map(|p| p.name).chain([SLOPE]).collect() };
+    let names = || -> Vec<String> {
+        let parameters = known.iter().map(|p| p.name.to_owned());
+        parameters.chain([SLOPE.to_owned()]).chain((0..lens_types).map(intercept_name)).collect()
+    };
     let unknown = |quantity: &str| {
         Error::invalid(format!(
             "there is no quantity '{quantity}' to anchor; this camera has {}",
@@ -141,7 +173,7 @@ pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> 
         ));
     }
     let quantities = stated.iter().map(|anchor| &anchor.quantity).chain(&options.not_anchored);
-    if let Some(quantity) = quantities.into_iter().find(|q| !names().contains(&q.as_str())) {
+    if let Some(quantity) = quantities.into_iter().find(|q| !names().contains(q)) {
         return Err(unknown(quantity));
     }
     for (i, anchor) in stated.iter().enumerate() {
@@ -184,6 +216,9 @@ pub(super) fn results(
     let value = |quantity: &str| {
         if quantity == SLOPE {
             return optics::internal_parameters(camera).m_mm;
+        }
+        if let Some(lens_type) = (0..camera.lens_types()).find(|&i| intercept_name(i) == quantity) {
+            return optics::internal_parameters(camera).q_prime_mm[lens_type];
         }
         let parameters = intrinsic_parameters(camera.lens_types());
         parameters.iter().find(|p| p.name == quantity).map_or(f64::NAN, |p| p.value(camera))

@@ -1,7 +1,7 @@
 //! Checks before and after the refinement: whether camera and observations belong together, and
 //! warnings about the result.
 
-use crate::calibration::{LeftOut, Mode, NoPose, Start, Warning};
+use crate::calibration::{CalibrationOptions, LeftOut, Mode, NoPose, Start, Warning};
 use crate::error::{Error, Result};
 use crate::model::{
     BapFeature, Board, FramePose, Observations, PlenopticCamera, Reprojection, intrinsic_parameters,
@@ -45,15 +45,16 @@ pub(super) fn check_observations(
     start: &Start,
     board: &Board,
     observations: &Observations,
-    mode: Mode,
+    options: &CalibrationOptions,
 ) -> Result<()> {
     board.validate()?;
     let (_, columns, rows) = start.array();
-    observations.validate(start.sensor(), (columns, rows), board, start.lens_types() > 0)?;
+    let needs_rho = options.cost.rho && start.lens_types() > 0;
+    observations.validate(start.sensor(), (columns, rows), board, needs_rho)?;
     if observations.features.is_empty() {
         return Err(Error::invalid("there are no features"));
     }
-    if observations.centers.is_empty() && mode != Mode::PosesOnly {
+    if observations.centers.is_empty() && options.mode != Mode::PosesOnly {
         return Err(Error::NoCenters);
     }
     Ok(())

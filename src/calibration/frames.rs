@@ -180,8 +180,7 @@ pub(super) fn solver_features(
         l: f.l,
         u_px: f.u_px,
         v_px: f.v_px,
-        rho_px: f.level_rho_px(),
-        level_rho: f.rho_lean_px.is_some(),
+        rho_px: f.rho_px,
         std_dev_px: {
             let [u, v] = f.std_dev_px.unwrap_or([NO_OWN_STD_DEV; 2]);
             [u, v, rho_std_dev(f).unwrap_or(NO_OWN_STD_DEV)]
@@ -219,9 +218,7 @@ pub(super) fn feature_residuals(
             lens_type: problem.camera.lens_type(feature.k, feature.l),
             du_px: feature.u_px - u_px,
             dv_px: feature.v_px - v_px,
-            drho_px: rho_px
-                .zip(feature.level_rho_px())
-                .map(|(projected, measured)| measured - projected),
+            drho_px: rho_px.zip(feature.rho_px).map(|(projected, measured)| measured - projected),
         })
     };
     features.iter().zip(solver::project(problem)?).map(residual).collect()

@@ -12,9 +12,9 @@ mod stage;
 mod warning;
 mod words;
 
-pub use anchors::{AnchorResult, AnchorSource, SLOPE};
+pub use anchors::{AnchorResult, AnchorSource, SLOPE, intercept_name};
 pub use initial::initial_camera;
-pub use options::{CalibrationOptions, Mode, RhoLean, Start, Weights};
+pub use options::{CalibrationOptions, Mode, Start, Weights};
 pub use poses::initial_poses;
 pub use result::{Calibration, LeftOut};
 pub use stage::{calibrate, initial_from};

@@ -34,18 +34,6 @@ pub enum Weights {
     Unit,
 }
 
-/// What ρ says of the tilt of the array, where the part of it that comes from the lean is known apart
-/// ([`BapFeature::rho_lean_px`](crate::model::BapFeature::rho_lean_px)).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum RhoLean {
-    /// Nothing: that part is left out.
-    #[default]
-    LeftOut,
-    /// It is taken for measured: the paper.
-    Kept,
-}
-
 /// What a calibration starts from.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Start {
@@ -65,9 +53,8 @@ pub struct CalibrationOptions {
     pub mode: Mode,
     /// How observations are weighted.
     pub weights: Weights,
-    /// What ρ says of the tilt of the array.
-    pub rho_lean: RhoLean,
-    /// The cost. Its anchors are those that the user states. Its `anchor_weight` is not used: with
+    /// The cost. Without ρ in it, the white images' q'ᵢ are in it, and with them the fᵢ. Its anchors are those that
+    /// the user states. Its `anchor_weight` is not used: with
     /// anchors, the weight is measured ([`Calibration::cost`](crate::calibration::Calibration::cost)
     /// has it); without, it has no effect.
     pub cost: CostOptions,
@@ -93,8 +80,8 @@ impl Default for CalibrationOptions {
         Self {
             mode: Mode::default(),
             weights: Weights::default(),
-            rho_lean: RhoLean::default(),
             cost: CostOptions {
+                rho: false,
                 fixed: FIXED.map(str::to_owned).to_vec(),
                 ..CostOptions::default()
             },
@@ -171,12 +158,11 @@ impl Start {
 
 impl CalibrationOptions {
     /// The calibration of the paper: every observation has the same weight, no loss, no anchors, the exit
-    /// pupil in the lens, a flat field, ρ as it is given.
+    /// pupil in the lens, a flat field, f from ρ.
     #[must_use]
     pub fn paper() -> Self {
         Self {
             weights: Weights::Unit,
-            rho_lean: RhoLean::Kept,
             automatic_loss: false,
             default_anchors: false,
             exit_pupil_mm: Some(0.0),

@@ -13,8 +13,7 @@ use crate::calibration::frames::{
 };
 use crate::calibration::refine::{Refined, Settings};
 use crate::calibration::{
-    AnchorSource, Calibration, CalibrationOptions, Mode, RhoLean, Start, Warning, Weights,
-    initial_camera,
+    AnchorSource, Calibration, CalibrationOptions, Mode, Start, Warning, Weights, initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::model::{
@@ -55,10 +54,7 @@ pub fn calibrate(
     if options.weights == Weights::Unit {
         observations.forget_std_devs();
     }
-    if options.rho_lean == RhoLean::Kept {
-        observations.keep_lean();
-    }
-    check_observations(&start, board, &observations, options.mode)?;
+    check_observations(&start, board, &observations, options)?;
     let (initial, grid) = initial_and_grid(&start, &observations, options)?;
     let mut frames = frames_with_poses(&initial, board, &observations, options)?;
     frames.left_out.extend(excluded);
@@ -70,7 +66,7 @@ pub fn calibrate(
         Problem { camera: &initial, poses: &poses, features: &features, centers: &centers };
     let anchors = anchors(&start, options);
     let cost = cost_for(options, &initial, &observations, &anchors);
-    let type_rho_std_dev_px = type_rho_std_dev_px(&start, options.mode);
+    let type_rho_std_dev_px = type_rho_std_dev_px(&start, options);
     let settings = Settings { board, frames: &frames, options, type_rho_std_dev_px };
     let Refined { refinement, uncertainty, cost } = settings.refine(&problem, cost, progress)?;
 
@@ -215,10 +211,10 @@ fn cost_for(
 }
 
 /// σ of ρ, px, that all features of a lens type have in common: that of q'ᵢ, since ρ = q'ᵢ − Δc/2ν.
-fn type_rho_std_dev_px(start: &Start, mode: Mode) -> Vec<f64> {
+fn type_rho_std_dev_px(start: &Start, options: &CalibrationOptions) -> Vec<f64> {
     let pixel_mm = start.sensor().pixel_size_mm;
     match start.internal() {
-        Some(internal) if mode == Mode::Full => {
+        Some(internal) if options.mode == Mode::Full && options.cost.rho => {
             internal.q_prime_std_dev_mm.iter().map(|std_dev| std_dev / pixel_mm).collect()
         }
         _ => Vec::new(),

@@ -6,17 +6,15 @@ use std::time::Instant;
 
 use clap::Args;
 use plenocal::assessment::assess;
-use plenocal::calibration::{Calibration, Mode, RhoLean, Weights, calibrate, termination_text};
+use plenocal::calibration::{Calibration, Mode, Weights, calibrate, termination_text};
 use plenocal::io::{
-    self, AnchorsSection, CalibrationSection, ExitPupil, FieldCurvature, OutputFolder, Pitches,
-    compote,
+    self, AnchorsSection, Blur, CalibrationSection, ExitPupil, FieldCurvature, OutputFolder,
+    Pitches, compote,
 };
 use plenocal::solver::{LossKind, Termination};
 use plenocal::{Error, Result, report};
 
-use super::choices::{
-    ANCHORS, FIELD_CURVATURES, LOSSES, MODES, PITCHES, RHO_LEANS, WEIGHTS, choice,
-};
+use super::choices::{ANCHORS, BLURS, FIELD_CURVATURES, LOSSES, MODES, PITCHES, WEIGHTS, choice};
 use super::input::{Files, Input};
 use super::progress;
 use super::talk::{print_result, say, warn, warn_of_calibration, warn_of_frames};
@@ -99,9 +97,9 @@ pub struct Arguments {
     /// Weights of observations [default: own].
     #[arg(long, value_parser = choice(WEIGHTS), help_heading = "Estimation")]
     weights: Option<Weights>,
-    /// What rho says of the tilt of the array [default: left-out].
-    #[arg(long, value_parser = choice(RHO_LEANS), help_heading = "Estimation")]
-    rho_lean: Option<RhoLean>,
+    /// Where the focal lengths of the micro-lenses come from [default: white-images].
+    #[arg(long, value_parser = choice(BLURS), help_heading = "Estimation")]
+    blur: Option<Blur>,
     /// Standard deviation of u and v of a feature, px [default: 1]. Where the file states one for
     /// each feature, this multiplies it; so do the next two.
     #[arg(long, value_name = "PX", help_heading = "Estimation")]
@@ -143,7 +141,7 @@ Examples:
   plenocal calibrate project.toml --fix Q3,P1,P2 --exclude 3,7 --out results
   plenocal calibrate project.toml --anchor F=51.6:0.2,u0=none --out results
   plenocal calibrate project.toml --exit-pupil at-lens --field-curvature flat --anchors none \\
-      --weights unit --loss none --rho-lean kept --out paper
+      --weights unit --loss none --blur features --out paper
   plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
 
@@ -248,11 +246,11 @@ impl Arguments {
             pitches: self.pitches,
             exit_pupil: self.exit_pupil,
             field_curvature: self.field_curvature,
+            blur: self.blur,
             fix: self.fix.clone(),
             exclude_frames: self.exclude.clone(),
             anchors: anchors_section(self.anchors, self.anchor.as_deref())?,
             weights: self.weights,
-            rho_lean: self.rho_lean,
             uv_std_dev_px: self.uv_std_dev,
             rho_std_dev_px: self.rho_std_dev,
             centers_std_dev_px: self.centers_std_dev,

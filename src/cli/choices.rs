@@ -1,10 +1,10 @@
 //! The values that an option can take, with their descriptions in the help.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use plenocal::calibration::{Mode, RhoLean, Weights};
+use plenocal::calibration::{Mode, Weights};
 use plenocal::detection::DepthEstimator;
 use plenocal::image::Color;
-use plenocal::io::{FieldCurvature, Pitches};
+use plenocal::io::{Blur, FieldCurvature, Pitches};
 use plenocal::model::Subset;
 use plenocal::precalibration::RadiusEstimator;
 use plenocal::solver::LossKind;
@@ -32,6 +32,11 @@ pub const FIELD_CURVATURES: &[Choice<FieldCurvature>] = &[
     ("flat", "None (the paper)", FieldCurvature::Flat),
 ];
 
+pub const BLURS: &[Choice<Blur>] = &[
+    ("white-images", "From q' of the white images", Blur::WhiteImages),
+    ("features", "From rho of every feature (the paper)", Blur::Features),
+];
+
 pub const LOSSES: &[Choice<LossKind>] = &[
     ("none", "Least squares (the paper)", LossKind::None),
     ("huber", "Linear beyond the scale", LossKind::Huber),
@@ -46,11 +51,6 @@ pub const ANCHORS: &[Choice<bool>] = &[
 pub const WEIGHTS: &[Choice<Weights>] = &[
     ("own", "Each observation by its own standard deviation, where the file has it", Weights::Own),
     ("unit", "The same for all of a kind (the paper)", Weights::Unit),
-];
-
-pub const RHO_LEANS: &[Choice<RhoLean>] = &[
-    ("left-out", "Nothing: the white images do not measure it", RhoLean::LeftOut),
-    ("kept", "What the features state is taken for measured (the paper)", RhoLean::Kept),
 ];
 
 pub const SUBSETS: &[Choice<Subset>] = &[
@@ -116,7 +116,6 @@ mod tests {
         are_named_as_in_files(MODES);
         are_named_as_in_files(LOSSES);
         are_named_as_in_files(WEIGHTS);
-        are_named_as_in_files(RHO_LEANS);
         are_named_as_in_files(SUBSETS);
         are_named_as_in_files(DEPTH_ESTIMATORS);
         are_named_as_in_files(RADIUS_ESTIMATORS);

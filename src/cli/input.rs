@@ -47,7 +47,7 @@ impl Input {
             (None, Some(board)) => board,
             (None, None) => return Err(missing(Part::Board)),
         };
-        let rho = options.mode != Mode::CornersOnly && start.lens_types() > 0;
+        let rho = options.cost.rho && options.mode != Mode::CornersOnly && start.lens_types() > 0;
         let observations = observations(files, project.as_ref(), rho)?;
         Ok(Self { start, board, observations, options })
     }

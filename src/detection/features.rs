@@ -76,7 +76,6 @@ impl Frame<'_> {
                     u_px: observation.position.x,
                     v_px: observation.position.y,
                     rho_px: Some(rho_px),
-                    rho_lean_px: Some(micro_images.blur_by_lean_px(&optics)),
                     std_dev_px: Some([0, 1].map(|i| corner.covariance[(i, i)].sqrt())),
                     // By that of the slope of the corner's line, also where ρ is from the median
                     // over pairs. The uncertainty of q'ᵢ, which all features of a lens type share,

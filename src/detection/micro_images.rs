@@ -219,13 +219,6 @@ impl MicroImages {
         (0..self.q_prime_px.len()).map(|lens_type| self.optics_at(place, lens_type))
     }
 
-    /// By how much q'ᵢ is larger there than in the middle of the array, px: the part of ρ that comes from the lean.
-    #[must_use]
-    pub fn blur_by_lean_px(&self, optics: &MicroOptics) -> f64 {
-        let of_middle = self.optics_at(&self.grid.center_px, optics.lens_type);
-        optics.q_prime_px - of_middle.q_prime_px
-    }
-
     fn optics_at(&self, place: &Vector2<f64>, lens_type: usize) -> MicroOptics {
         let from_middle = place - self.middle;
         let growth = self.growth_per_px.dot(&from_middle);

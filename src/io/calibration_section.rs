@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::Deserialize;
 
-use crate::calibration::{CalibrationOptions, Mode, RhoLean, Weights};
+use crate::calibration::{CalibrationOptions, Mode, Weights};
 use crate::error::{Error, Result};
 use crate::solver::{Anchor, Loss, LossKind};
 
@@ -168,6 +168,16 @@ impl FromStr for ExitPupil {
     }
 }
 
+/// Where the focal lengths of the micro-lenses come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Blur {
+    /// From q'ᵢ of the white images.
+    WhiteImages,
+    /// From ρ of every feature: the paper.
+    Features,
+}
+
 /// The curvature of the field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -190,14 +200,14 @@ pub struct CalibrationSection {
     pub exit_pupil: Option<ExitPupil>,
     /// The curvature of the field.
     pub field_curvature: Option<FieldCurvature>,
+    /// Where the focal lengths of the micro-lenses come from.
+    pub blur: Option<Blur>,
     /// Parameters that keep their value.
     pub fix: Option<Vec<String>>,
     /// What is known beforehand.
     pub anchors: Option<AnchorsSection>,
     /// Weights of observations.
     pub weights: Option<Weights>,
-    /// What ρ says of the tilt of the array.
-    pub rho_lean: Option<RhoLean>,
     /// Frames that are not used.
     pub exclude_frames: Option<Vec<u32>>,
     /// σ of u and v, px.
@@ -225,13 +235,13 @@ impl CalibrationSection {
             pitches: self.pitches.or(other.pitches),
             exit_pupil: self.exit_pupil.or(other.exit_pupil),
             field_curvature: self.field_curvature.or(other.field_curvature),
+            blur: self.blur.or(other.blur),
             fix: self.fix.or(other.fix),
             anchors: match (self.anchors, other.anchors) {
                 (Some(own), Some(other)) => Some(own.or(other)),
                 (own, other) => own.or(other),
             },
             weights: self.weights.or(other.weights),
-            rho_lean: self.rho_lean.or(other.rho_lean),
             exclude_frames: self.exclude_frames.or(other.exclude_frames),
             uv_std_dev_px: self.uv_std_dev_px.or(other.uv_std_dev_px),
             rho_std_dev_px: self.rho_std_dev_px.or(other.rho_std_dev_px),
@@ -264,8 +274,8 @@ impl CalibrationSection {
         let anchored = |name: &str| self.anchors.as_ref().is_some_and(|a| a.knows(name));
         options.cost.fixed.retain(|name| !(["e_x", "e_y"].contains(&&**name) && anchored(name)));
         options.cost.fixed.extend(self.fix.iter().flatten().cloned());
+        options.cost.rho = self.blur == Some(Blur::Features);
         options.weights = self.weights.unwrap_or_default();
-        options.rho_lean = self.rho_lean.unwrap_or_default();
         options.automatic_loss = self.loss.is_none();
         if let Some(anchors) = &self.anchors {
             anchors.add_to(&mut options);

@@ -28,7 +28,7 @@ use std::time::Instant;
 
 pub use calibration_file::{calibrated_camera_document, calibration_document};
 pub use calibration_section::{
-    AnchorEntry, AnchorValue, AnchorsSection, CalibrationSection, ExitPupil, FieldCurvature,
+    AnchorEntry, AnchorValue, AnchorsSection, Blur, CalibrationSection, ExitPupil, FieldCurvature,
     NoAnchor, Pitches,
 };
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera, read_std_devs};

@@ -1,7 +1,6 @@
 //! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP
 //! features, u, v and ρ in px; the same columns as COMPOTE's. Standard deviations, px, may follow:
-//! `std_dev` of centres, `std_u`, `std_v` and `std_rho` of features; and `rho_lean`, see
-//! [`BapFeature::rho_lean_px`]. Columns are found by their names
+//! `std_dev` of centres, `std_u`, `std_v` and `std_rho` of features. Columns are found by their names
 //! in the first line; others are ignored. Gzip-compressed files are COMPOTE's binary form.
 
 use std::io::{self, Write};
@@ -32,7 +31,7 @@ pub fn read_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
 
 /// Reads BAP features from CSV, or features and centres from COMPOTE's binary form.
 ///
-/// With `rho` false the column `rho` may be missing and is not read.
+/// With `rho` false the column `rho` may be missing.
 pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
     let bytes = read_bytes(path)?;
     if compote::is_linked_observations(&bytes) {
@@ -40,25 +39,23 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
     }
     let mut required = vec!["k", "l", "u", "v", "cluster", "frame"];
     required.extend(rho.then_some("rho"));
-    let features =
-        rows(path, &bytes, &required, &["rho_lean", "std_u", "std_v", "std_rho"], |row| {
-            Ok(BapFeature {
-                k: row.integer("k")?,
-                l: row.integer("l")?,
-                u_px: row.number("u")?,
-                v_px: row.number("v")?,
-                corner: row.integer("cluster")?,
-                frame: row.integer("frame")?,
-                rho_px: if rho { row.measured("rho")? } else { None },
-                rho_lean_px: if rho { row.measured("rho_lean")? } else { None },
-                std_dev_px: match (row.std_dev("std_u")?, row.std_dev("std_v")?) {
-                    (Some(u), Some(v)) => Some([u, v]),
-                    (None, None) => None,
-                    _ => return Err(row.error("std_u and std_v go together, but one is missing")),
-                },
-                rho_std_dev_px: row.std_dev("std_rho")?,
-            })
-        })?;
+    let features = rows(path, &bytes, &required, &["rho", "std_u", "std_v", "std_rho"], |row| {
+        Ok(BapFeature {
+            k: row.integer("k")?,
+            l: row.integer("l")?,
+            u_px: row.number("u")?,
+            v_px: row.number("v")?,
+            corner: row.integer("cluster")?,
+            frame: row.integer("frame")?,
+            rho_px: row.measured("rho")?,
+            std_dev_px: match (row.std_dev("std_u")?, row.std_dev("std_v")?) {
+                (Some(u), Some(v)) => Some([u, v]),
+                (None, None) => None,
+                _ => return Err(row.error("std_u and std_v go together, but one is missing")),
+            },
+            rho_std_dev_px: row.std_dev("std_rho")?,
+        })
+    })?;
     Ok(Observations { centers: Vec::new(), features })
 }
 
@@ -77,16 +74,10 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
     let measured = |f: &BapFeature| f.std_dev_px.is_some() || f.rho_std_dev_px.is_some();
     let measured = features.iter().any(measured);
     let std_devs = if measured { ",std_u,std_v,std_rho" } else { "" };
-    let leans = features.iter().any(|f| f.rho_lean_px.is_some());
-    let lean = if leans { ",rho_lean" } else { "" };
-    writeln!(out, "k,l,u,v,rho,cluster,frame{lean}{std_devs}")?;
+    writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}")?;
     features.iter().try_for_each(|f| {
         let rho = f.rho_px.map(|rho| rho.to_string()).unwrap_or_default();
         write!(out, "{},{},{},{},{rho},{},{}", f.k, f.l, f.u_px, f.v_px, f.corner, f.frame)?;
-        if leans {
-            let lean = f.rho_lean_px.map(|lean| lean.to_string()).unwrap_or_default();
-            write!(out, ",{lean}")?;
-        }
         if measured {
             let [u, v] = [0, 1].map(|i| std_dev_text(f.std_dev_px.map(|std_devs| std_devs[i])));
             write!(out, ",{u},{v},{}", std_dev_text(f.rho_std_dev_px))?;

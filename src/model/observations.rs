@@ -37,11 +37,6 @@ pub struct BapFeature {
     pub v_px: f64,
     /// Signed blur radius ρ, px, where it was measured.
     pub rho_px: Option<f64>,
-    /// The part of ρ that comes from the lean of the array, which is nearer to the sensor here than in its
-    /// middle, or further from it: q'ᵢ (δ − d)/d, px. It was not measured but taken from elsewhere; the
-    /// calibration leaves it out, and compares the rest with a ρ without lean. `None` if ρ was measured as it
-    /// is here, lean and all.
-    pub rho_lean_px: Option<f64>,
     /// Standard deviations of u and v, px, where they were measured.
     pub std_dev_px: Option<[f64; 2]>,
     /// Standard deviation of ρ, px, where it was measured.
@@ -60,22 +55,7 @@ pub struct Observations {
 /// The smallest number of board corners that gives a pose.
 pub const MIN_CORNERS: usize = 4;
 
-impl BapFeature {
-    /// ρ without the lean of the array, if that is known apart; else ρ itself, px.
-    #[must_use]
-    pub fn level_rho_px(&self) -> Option<f64> {
-        self.rho_px.map(|rho| rho - self.rho_lean_px.unwrap_or(0.0))
-    }
-}
-
 impl Observations {
-    /// Takes ρ for measured with the lean of the array in it.
-    pub(crate) fn keep_lean(&mut self) {
-        for feature in &mut self.features {
-            feature.rho_lean_px = None;
-        }
-    }
-
     /// Removes the standard deviations of all observations.
     pub(crate) fn forget_std_devs(&mut self) {
         for feature in &mut self.features {

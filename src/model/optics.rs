@@ -70,7 +70,8 @@ pub fn f_number_of_stop(stop: f64) -> f64 {
 pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
     let (lens, mla) = (&camera.main_lens, &camera.mla);
     let exit_pupil_over_n = lens.pupil_magnification() * lens.focal_length_mm;
-    let q_prime = |f: &f64| mla.mla_to_sensor_mm * mla.pitch_mm / (2.0 * f);
+    let pitch_mm = mla.pitch_mm * mla.pitch_ratio.sqrt();
+    let q_prime = |f: &f64| mla.mla_to_sensor_mm * pitch_mm / (2.0 * f);
     InternalParameters {
         m_mm: mla.mla_to_sensor_mm * exit_pupil_over_n / (2.0 * camera.pupil_to_mla_mm()),
         q_prime_mm: mla.focal_lengths_mm.iter().map(q_prime).collect(),

@@ -115,7 +115,6 @@ mod tests {
             v_px: 0.0,
             rho_px: None,
             std_dev_px: None,
-            rho_lean_px: None,
             rho_std_dev_px: None,
         };
         FeatureResidual { feature, lens_type: 0, du_px, dv_px, drho_px }

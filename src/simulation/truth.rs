@@ -167,7 +167,6 @@ impl Tracer {
                         v_px: spot.center_px.y,
                         rho_px: Some(spot.radius_px),
                         std_dev_px: None,
-                        rho_lean_px: None,
                         rho_std_dev_px: None,
                     };
                     Some(TrueFeature { feature, visible: spot.visible })

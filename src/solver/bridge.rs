@@ -109,7 +109,6 @@ mod ffi {
         rho_px: f64,
         /// Standard deviations of u, v and ρ.
         std_dev_px: [f64; 3],
-        level_rho: bool,
     }
 
     struct CenterRow {
@@ -138,8 +137,7 @@ mod ffi {
         l: i32,
     }
 
-    /// A projected feature; meaningless unless `defined`. ρ is not a number for an array of pinholes, and
-    /// without lean if that of the feature is.
+    /// A projected feature; meaningless unless `defined`. ρ is not a number for an array of pinholes.
     struct ProjectionRow {
         defined: bool,
         u_px: f64,
@@ -157,6 +155,7 @@ mod ffi {
         uv_std_dev_px: f64,
         rho_std_dev_px: f64,
         centers_std_dev_px: f64,
+        rho: bool,
         loss_kind: LossKind,
         loss_scale: f64,
         fixed: Vec<String>,

@@ -48,6 +48,9 @@ pub struct CostOptions {
     pub rho_std_dev_px: f64,
     /// Factor on σ of u and v of a micro-image centre, likewise.
     pub centers_std_dev_px: f64,
+    /// Whether the ρ of features counts, as in the paper. It is made of q'ᵢ and of the same u and v: with anchors
+    /// on the q'ᵢ, which determine the fᵢ, it says nothing more.
+    pub rho: bool,
     /// Loss on features and on centres.
     pub loss: Loss,
     /// Names of the intrinsic parameters that keep their value.
@@ -66,6 +69,7 @@ impl Default for CostOptions {
             uv_std_dev_px: 1.0,
             rho_std_dev_px: 1.0,
             centers_std_dev_px: 1.0,
+            rho: true,
             loss: Loss { kind: LossKind::None, scale: 1.0 },
             fixed: BEYOND_THE_PAPER.map(str::to_owned).to_vec(),
             anchors: Vec::new(),

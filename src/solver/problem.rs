@@ -17,10 +17,6 @@ pub(crate) struct SolverFeature {
     pub rho_px: Option<f64>,
     /// Standard deviations of u, v and ρ; those of `CostOptions` are factors on them.
     pub std_dev_px: [f64; 3],
-    /// Whether ρ is that of an array parallel to the sensor, see [`BapFeature::rho_lean_px`].
-    ///
-    /// [`BapFeature::rho_lean_px`]: crate::model::BapFeature::rho_lean_px
-    pub level_rho: bool,
 }
 
 /// A micro-image centre as the solver takes it.
@@ -39,7 +35,7 @@ pub(crate) struct SolverCenter {
 pub(crate) struct Projected {
     pub u_px: f64,
     pub v_px: f64,
-    /// `None` for an array of pinholes, which has no blur; without the lean if that of the feature is.
+    /// `None` for an array of pinholes, which has no blur.
     pub rho_px: Option<f64>,
 }
 

@@ -47,7 +47,6 @@ pub fn synthesize(
                         v_px,
                         rho_px,
                         std_dev_px: None,
-                        rho_lean_px: None,
                         rho_std_dev_px: None,
                     }));
                 }
@@ -93,7 +92,6 @@ fn project_corner(
             u_px: 0.0,
             v_px: 0.0,
             rho_px: None,
-            level_rho: false,
             std_dev_px: [1.0; 3],
         })
         .collect();

@@ -164,8 +164,13 @@ fn anchors_are_replaced_removed_and_left_out_where_a_parameter_is_fixed() {
     options.cost.anchors.push(anchor("v0", 360.0, 4.0));
     options.not_anchored.push("m".to_owned());
     options.cost.fixed.push("F".to_owned());
-    assert_eq!(quantities(&options), ["v0", "u0"]);
-    assert!(quantities(&CalibrationOptions { default_anchors: false, ..anchored() }).is_empty());
+    assert_eq!(quantities(&options), ["v0", "u0", "q'_1", "q'_2", "q'_3"]);
+    // Without them nothing would be said of the focal lengths.
+    let none = CalibrationOptions { default_anchors: false, ..anchored() };
+    assert_eq!(quantities(&none), ["q'_1", "q'_2", "q'_3"]);
+    options.not_anchored.push("q'_2".to_owned());
+    options.cost.anchors.push(anchor("q'_3", 0.0377, 1e-4));
+    assert_eq!(quantities(&options), ["v0", "q'_3", "u0", "q'_1"]);
 }
 
 #[test]
@@ -241,12 +246,14 @@ fn anchors_of_the_project_and_of_the_command_line_are_combined() {
         found.iter().map(|(name, _)| name.clone()).collect()
     };
     let found = anchors(&[]);
-    assert_eq!(names(&found), ["F", "u0", "v0"]);
+    assert_eq!(names(&found), ["F", "u0", "v0", "q'_1", "q'_2", "q'_3"]);
     assert!((found[0].1 - 0.1).abs() < 1e-12);
     // The command line comes first; a relative σ.
     let found = anchors(&["--anchor", "F=16.2:1%,v0=none"]);
-    assert_eq!(names(&found), ["F", "u0"]);
+    assert_eq!(names(&found[..2]), ["F", "u0"]);
+    assert_eq!(found.len(), 5);
     assert!((found[0].1 - 0.162).abs() < 1e-12);
-    assert!(anchors(&["--anchors", "none"]).is_empty());
-    assert_eq!(names(&anchors(&["--anchors", "none", "--anchor", "D=18.5:1"])), ["D"]);
+    assert!(anchors(&["--anchors", "none", "--blur", "features"]).is_empty());
+    let found = anchors(&["--anchors", "none", "--anchor", "D=18.5:1"]);
+    assert_eq!(names(&found), ["D", "q'_1", "q'_2", "q'_3"]);
 }

@@ -25,7 +25,10 @@ fn observations(seed: u64) -> Observations {
 }
 
 fn assessed(observations: &Observations) -> (Calibration, Assessment) {
-    let calibration = run(&datasheet_start(), observations, &anchored());
+    // Here ρ is a measurement of its own.
+    let mut options = anchored();
+    options.cost.rho = true;
+    let calibration = run(&datasheet_start(), observations, &options);
     let assessment = assess(&calibration, &board()).unwrap();
     (calibration, assessment)
 }

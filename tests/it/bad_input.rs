@@ -140,11 +140,9 @@ fn damaged_gzip_files_are_rejected() {
 
 #[test]
 fn wrong_columns_are_rejected() {
-    Spoiled::new().replace("features.csv", "rho", "radius").is_rejected(&[
-        "features.csv",
-        "'rho'",
-        "column",
-    ]);
+    Spoiled::new()
+        .replace("features.csv", "rho", "radius")
+        .is_rejected_with(&["--blur", "features"], &["features.csv", "'rho'", "column"]);
     Spoiled::new()
         .replace("centers.csv", "k,l,u,v", "a,b,c,d")
         .is_rejected(&["centers.csv", "'k', 'l'"]);
@@ -314,7 +312,7 @@ fn centres_of_a_single_row_are_rejected() {
 fn a_diverging_refinement_is_an_error() {
     Spoiled::new()
         .replace("project.toml", "square_mm = 3.0", "square_mm = 300.0")
-        .is_rejected_with(&["--anchors", "none"], &["fit"]);
+        .is_rejected_with(&["--anchors", "none", "--blur", "features"], &["fit"]);
 }
 
 #[test]

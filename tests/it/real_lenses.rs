@@ -2,7 +2,7 @@
 //! falls off by a law of its own.
 
 use nalgebra::Vector3;
-use plenocal::calibration::{CalibrationOptions, RhoLean, Start, calibrate};
+use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::io::{camera_document, read_camera};
 use plenocal::model::{Noise, PlenopticCamera, optics};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
@@ -67,41 +67,6 @@ fn with_noise_they_lie_within_their_uncertainty_and_the_paper_is_wrong() {
     let std_dev = of_the_paper.uncertainty.intrinsic_std_devs(3)[0].unwrap();
     let off = of_the_paper.camera.main_lens.focal_length_mm - truth.main_lens.focal_length_mm;
     assert!(off.abs() > 10.0 * std_dev, "{off} ± {std_dev}");
-}
-
-/// The part of ρ that comes from the lean of the array, px, by hand: d has grown by −(z + D) there.
-fn lean_px(camera: &PlenopticCamera, k: i32, l: i32) -> f64 {
-    let (mla, node) = (&camera.mla, camera.lattice.node(k, l) * -camera.mla.pitch_mm);
-    let (x, y) = (mla.rotation_rad.x, mla.rotation_rad.y);
-    let further_mm = -y.sin() * node.x + y.cos() * x.sin() * node.y * mla.pitch_ratio;
-    let half_pitch_px = mla.pitch_mm / 2.0 / camera.sensor.pixel_size_mm;
-    half_pitch_px * further_mm / mla.focal_lengths_mm[camera.lens_type(k, l)]
-}
-
-/// A detection cannot know the lean; what it takes for it does not reach the camera.
-#[test]
-fn a_wrong_lean_in_rho_is_left_out() {
-    let truth = real_camera(-5.0);
-    let mut observations = drawn(&truth, &NO_NOISE, 0);
-    let mut largest: f64 = 0.0;
-    for feature in &mut observations.features {
-        let (lean, taken_for_it) =
-            (lean_px(&truth, feature.k, feature.l), 0.001 * f64::from(feature.k));
-        largest = largest.max(lean.abs());
-        feature.rho_px = feature.rho_px.map(|rho| rho - lean + taken_for_it);
-        feature.rho_lean_px = Some(taken_for_it);
-    }
-    assert!(largest > 0.02, "{largest}");
-    let calibration = run(&start(&truth), &observations, &free());
-    for (name, value, truth) in pairs(&calibration.camera, &truth) {
-        assert!((value - truth).abs() <= NOISE_FREE * truth.abs(), "{name}: {value} for {truth}");
-    }
-    let rho = calibration.reprojection.rmse().rho_px.unwrap();
-    assert!(rho < 1e-6, "{rho}");
-    let kept = CalibrationOptions { rho_lean: RhoLean::Kept, ..free() };
-    let off = run(&start(&truth), &observations, &kept).camera.main_lens.focal_length_mm
-        - truth.main_lens.focal_length_mm;
-    assert!(off.abs() > 0.01, "{off}");
 }
 
 #[test]

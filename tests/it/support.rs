@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use assert_cmd::Command;
-use plenocal::calibration::{Calibration, CalibrationOptions, RhoLean, Start, calibrate};
+use plenocal::calibration::{Calibration, CalibrationOptions, Start, calibrate};
 use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
 use plenocal::model::{
     Board, FramePose, Noise, Observations, PlenopticCamera, intrinsic_parameters,
@@ -77,7 +77,6 @@ pub fn options() -> CalibrationOptions {
         cost: CostOptions::default(),
         default_anchors: false,
         automatic_loss: false,
-        rho_lean: RhoLean::Kept,
         ..anchored()
     }
 }

@@ -39,8 +39,9 @@ struct PointSensitivity {
 
 /// Sensitivity of a point of the camera frame (mm), seen without error by all of
 /// `micro_lenses_seeing`. `std_dev` is the noise of its features, px; that of rho is not used for
-/// an array of pinholes. The n values of rho come from a single measurement: each counts with
-/// sqrt(n) times its noise, so that together they weigh as one.
+/// an array of pinholes, and infinite where rho does not place the point. The n values of rho come
+/// from a single measurement: each counts with sqrt(n) times its noise, so that together they weigh
+/// as one.
 ///
 /// Throws std::invalid_argument like `micro_lenses_seeing`, and if the noise is not positive and
 /// finite.

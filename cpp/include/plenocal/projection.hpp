@@ -115,6 +115,14 @@ T micro_image_slope(const MainLens<T>& lens, const ExitPupil<T>& pupil,
          (mla.lens_to_mla + pupil.z);
 }
 
+/// q'_i = dC d / 2 f_i, mm: the blur radius, less the part due to the virtual depth, that white
+/// images show of a lens type, Eq. (radiusfinal). If the pitches differ, their geometric mean.
+template <typename T>
+T blur_intercept(const MicroLensArray<T>& mla, const T& focal_length) {
+  using std::sqrt;
+  return 0.5 * mla.pitch * sqrt(mla.pitch_ratio) * mla.mla_to_sensor / focal_length;
+}
+
 /// The geometry of micro-lenses and sensor, without the main lens. What does not depend on the
 /// observation is computed once.
 template <typename T>
@@ -162,12 +170,6 @@ class ArrayOptics {
   /// rho = dC/(2s) delta (1/f - 1/a - 1/delta) = dC/(2s) (delta/f - delta/a - 1).
   T blur_radius(const Vector3<T>& center, const T& scale, const T& inverse_focal_length) const {
     return half_diameter_px_ * ((center.z - sensor_z_) * inverse_focal_length + scale - 1.0);
-  }
-
-  /// The part of rho that comes from the lean of the array: dC/(2s) (delta - d)/f, as the
-  /// micro-lens is further from the sensor or nearer to it than the middle of the array.
-  T blur_by_lean(const Vector3<T>& center, const T& inverse_focal_length) const {
-    return half_diameter_px_ * (center.z + mla_.lens_to_mla) * inverse_focal_length;
   }
 
   /// Centre of the micro-image of a micro-lens: where the ray from the middle P of the exit pupil
@@ -270,10 +272,6 @@ bool project(const Optics<T>& optics, const Vector3<T>& point, const MicroLens& 
 /// Feature of a board point (mm) seen through micro-lens (k, l), in one call. False as above.
 bool project(const Camera& camera, const Pose& camera_from_board,
              const Vector3<double>& board_point, int k, int l, Feature<double>* feature);
-
-/// The part of rho of any point seen through micro-lens (k, l) that comes from the lean of the
-/// array, see `ArrayOptics::blur_by_lean`, px. The camera has lens types.
-double blur_by_lean(const Camera& camera, int k, int l);
 
 /// Micro-image centre of micro-lens (k, l).
 Pixel<double> project_center(const Camera& camera, int k, int l);

@@ -12,17 +12,12 @@ namespace plenocal {
 
 /// A BAP feature of a board point, observed in a frame through micro-lens (k, l). rho and its
 /// standard deviation are not used for a pinhole array.
-///
-/// rho is measured as q'_i - gamma dc/2, with the slope gamma of the corner over the micro-image
-/// centres. If q'_i is that of the middle of the array, nothing in it depends on the tilt of the
-/// array, and `level_rho` says so: it is then compared with rho less `blur_by_lean`.
 struct FeatureObservation {
   int frame;                    ///< index into the poses
   Vector3<double> board_point;  ///< mm, board frame
   int k, l;
   Feature<double> observed;                ///< px
   Feature<double> std_dev{1.0, 1.0, 1.0};  ///< px, times that of `CostOptions`
-  bool level_rho = false;                  ///< rho is that of an array parallel to the sensor
 };
 
 /// An observed micro-image centre.
@@ -41,11 +36,15 @@ struct Observations {
 /// Name of |m|, mm (`micro_image_slope`), among the quantities of anchors.
 constexpr char kSlopeName[] = "m";
 
+/// Name of q'_i, mm (`blur_intercept`), of the first lens type, from 0: "q'_1".
+inline std::string intercept_name(int lens_type) { return "q'_" + std::to_string(lens_type + 1); }
+
 /// What is known of a camera beforehand: one more residual, (quantity - value) / std_dev.
 struct Anchor {
-  std::string quantity;  ///< a free intrinsic parameter, see `intrinsic_names`, or `kSlopeName`
-  double value;          ///< in the unit of the quantity
-  double std_dev;        ///< likewise
+  /// A free intrinsic parameter, see `intrinsic_names`, `kSlopeName` or an `intercept_name`.
+  std::string quantity;
+  double value;    ///< in the unit of the quantity
+  double std_dev;  ///< likewise
 };
 
 /// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations + w/2 sum r_a^2 over the
@@ -55,8 +54,11 @@ struct CostOptions {
   double uv_std_dev = 1.0;       ///< of a feature's u and v
   double rho_std_dev = 1.0;      ///< of a feature's rho
   double centers_std_dev = 1.0;  ///< of a centre's u and v
-  Loss features_loss;            ///< on |(u, v, rho)| of a feature
-  Loss centers_loss;             ///< on |(u, v)| of a centre
+  /// Whether the rho of features counts, as in the paper. It is made of q'_i and of the same u and
+  /// v: with anchors on the q'_i, which determine the focal lengths, it says nothing more.
+  bool rho = true;
+  Loss features_loss;  ///< on |(u, v, rho)| of a feature
+  Loss centers_loss;   ///< on |(u, v)| of a centre
   /// Names of intrinsic parameters that keep their value, see `intrinsic_names`; by default the
   /// camera is the paper's: the exit pupil in the lens, a flat field, one pitch of the array.
   std::vector<std::string> fixed = {"kappa", "e_x", "e_y", "e_z", "dC_ratio"};

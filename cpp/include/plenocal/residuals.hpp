@@ -57,7 +57,6 @@ struct WeightedFeature {
   MicroLens micro_lens;
   Feature<double> observed;  ///< px
   Feature<double> weight;    ///< 1 / sigma of each, 1/px
-  bool level_rho;            ///< see `FeatureObservation`
 };
 
 /// Residuals (u, v, rho) / sigma of features of one frame: 3 each, or 2 for a pinhole array
@@ -90,10 +89,7 @@ class FeatureResiduals {
       if (!project_image(optics, image, f.micro_lens, &projected)) return false;
       residuals[0] = (projected.u - f.observed.u) * f.weight.u;
       residuals[1] = (projected.v - f.observed.v) * f.weight.v;
-      if constexpr (I > 0) {
-        if (f.level_rho) projected.rho -= lean(optics, f.micro_lens);
-        residuals[2] = (projected.rho - f.observed.rho) * f.weight.rho;
-      }
+      if constexpr (I > 0) residuals[2] = (projected.rho - f.observed.rho) * f.weight.rho;
       apply_loss(loss_, kResiduals, residuals);
       residuals += kResiduals;
     }
@@ -125,12 +121,6 @@ class FeatureResiduals {
   }
 
  private:
-  template <typename T>
-  static T lean(const Optics<T>& optics, const MicroLens& micro_lens) {
-    return optics.array.blur_by_lean(optics.array.micro_lens_center(micro_lens.node),
-                                     optics.inverse_focal_lengths[micro_lens.lens_type]);
-  }
-
   static bool same(const Vector3<double>& a, const Vector3<double>& b) {
     return a.x == b.x && a.y == b.y && a.z == b.z;
   }
@@ -208,6 +198,33 @@ class SlopeResidual {
   }
 
  private:
+  double value_;
+  double weight_;
+};
+
+/// Residual of an anchor on q'_i of one of I lens types. Parameter blocks: array, focal lengths.
+template <int I>
+class InterceptResidual {
+ public:
+  /// `value` in mm; `weight` is 1 / sigma, 1/mm.
+  InterceptResidual(int lens_type, double value, double weight)
+      : lens_type_(lens_type), value_(value), weight_(weight) {}
+
+  template <typename T>
+  bool operator()(const T* array, const T* focal_lengths, T* residual) const {
+    const T q = blur_intercept(from_block<MicroLensArray>(array), focal_lengths[lens_type_]);
+    residual[0] = (q - value_) * weight_;
+    return true;
+  }
+
+  /// A cost function of it.
+  static std::unique_ptr<ceres::CostFunction> create(int lens_type, double value, double weight) {
+    return std::make_unique<ceres::AutoDiffCostFunction<InterceptResidual, 1, kArrayParameters, I>>(
+        new InterceptResidual(lens_type, value, weight));
+  }
+
+ private:
+  int lens_type_;
   double value_;
   double weight_;
 };

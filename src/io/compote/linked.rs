@@ -51,8 +51,6 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
             v_px: f64_at(r, 16),
             rho_px: Some(f64_at(r, 24)),
             std_dev_px: None,
-            // Its q'ᵢ are those of the middle everywhere.
-            rho_lean_px: Some(0.0),
             rho_std_dev_px: None,
             corner: i32_at(r, 32),
             frame: u32::try_from(frame)

@@ -29,6 +29,9 @@ pub(super) fn residual_histograms(calibration: &Calibration) -> Result<Option<Fi
     let (features, centers) =
         (&calibration.reprojection.features, &calibration.reprojection.centers);
     let [uv, rho, of_centers] = calibration.uncertainty.residual_std_dev_px;
+    // Not measured where ρ does not count.
+    let rms = calibration.reprojection.rmse().rho_px.unwrap_or(f64::NAN);
+    let rho = if rho.is_nan() { rms } else { rho };
     let panel = |name, values: Vec<f64>, std_dev| Panel {
         name,
         values: values.into_iter().filter(|v| v.is_finite()).collect(),

@@ -33,7 +33,6 @@ impl Problem<'_> {
             // NaN stands for no value in the core.
             rho_px: f.rho_px.unwrap_or(f64::NAN),
             std_dev_px: f.std_dev_px,
-            level_rho: f.level_rho,
         };
         self.features.iter().map(row).collect()
     }
@@ -138,6 +137,7 @@ impl From<&CostOptions> for ffi::CostParts {
             uv_std_dev_px: cost.uv_std_dev_px,
             rho_std_dev_px: cost.rho_std_dev_px,
             centers_std_dev_px: cost.centers_std_dev_px,
+            rho: cost.rho,
             loss_kind: cost.loss.kind.into(),
             loss_scale: cost.loss.scale,
             fixed: cost.fixed.clone(),
@@ -176,7 +176,6 @@ impl From<&ffi::FeatureRow> for SolverFeature {
             // NaN stands for no value in the core.
             rho_px: (!row.rho_px.is_nan()).then_some(row.rho_px),
             std_dev_px: row.std_dev_px,
-            level_rho: row.level_rho,
         }
     }
 }

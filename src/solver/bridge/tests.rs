@@ -83,7 +83,6 @@ fn a_pinhole_array_has_no_blur() {
         v_px: 0.0,
         rho_px: Some(0.0),
         std_dev_px: [1.0; 3],
-        level_rho: false,
     };
     let features = [feature(0.0), feature(-280.0)];
     let seen = |camera: &PlenopticCamera| {
@@ -130,7 +129,6 @@ fn a_panic_in_the_progress_function_comes_back_as_a_panic() {
         v_px: 40.0,
         rho_px: Some(0.0),
         std_dev_px: [1.0; 3],
-        level_rho: false,
     };
     let features: Vec<_> = (0..8).map(|i| feature(i, 7 - i, 10.0 * f64::from(i))).collect();
     let problem = Problem { camera: &camera, poses: &[pose], features: &features, centers: &[] };
