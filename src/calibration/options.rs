@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mode {
-    /// Camera and poses from (u, v, ρ) and the centres: the paper.
+    /// Camera and poses from (u, v), the centres, and q'ᵢ or (in the paper) ρ.
     #[default]
     Full,
     /// Camera (an array of pinholes, I = 0) and poses from (u, v) and the centres: Noury et al.

@@ -13,7 +13,7 @@ use plenocal::solver::LossKind;
 type Choice<T> = (&'static str, &'static str, T);
 
 pub const MODES: &[Choice<Mode>] = &[
-    ("full", "Camera and poses, from (u, v, rho) and the centres", Mode::Full),
+    ("full", "Camera and poses, from (u, v), the centres, and q' or rho (--blur)", Mode::Full),
     (
         "corners-only",
         "Camera with pinholes, and poses, from (u, v) and the centres",
