@@ -13,8 +13,11 @@ use crate::model::{Board, PlenopticCamera, Reprojection, intrinsic_parameters};
 
 /// With fewer frames, the scatter of their differences says too little.
 const MIN_FRAMES: usize = 6;
-/// A mean difference by more standard errors than this is no accident.
-const CLEAR: f64 = 2.0;
+/// A mean growth by more standard errors than this is no accident. With four groups and ten frames, chance gets
+/// beyond 2 in every fourth calibration, beyond 3 in every seventeenth.
+const CLEAR: f64 = 3.0;
+/// Errors |r/σ|² below this are rounding.
+const NOTHING: f64 = 1e-9;
 /// A focal length that moves by more σ than this depends on the model.
 const MOVED: f64 = 3.0;
 
@@ -93,7 +96,7 @@ pub struct WithoutGroup {
     pub reprojection: Reprojection,
     /// [`Patterns::image`](crate::assessment::Patterns::image) of these.
     pub pattern: f64,
-    /// By how much the error of each frame grows that is left out ([`ModelComparison::errors`]), by frame.
+    /// By what fraction the error of each frame grows that is left out ([`ModelComparison::errors`]), by frame.
     pub growth: Vec<(u32, f64)>,
     /// By how much twice the cost grows, divided by the weight of the anchors: the parts of features,
     /// centres and anchors. A likelihood ratio, χ² if the group is not needed.
@@ -105,19 +108,27 @@ pub struct WithoutGroup {
 }
 
 impl WithoutGroup {
-    /// Mean growth of the error over the frames, and its standard error from their scatter.
+    /// By what fraction the error of a left-out frame grows in the (geometric) mean over the frames, and the
+    /// standard error of that from their scatter.
     #[must_use]
     pub fn mean_growth(&self) -> (f64, f64) {
+        let (mean, std_error) = self.log_growth();
+        (mean.exp_m1(), mean.exp() * std_error)
+    }
+
+    /// Of logarithms, so that a frame with larger errors than the others does not decide alone.
+    fn log_growth(&self) -> (f64, f64) {
         let count = self.growth.len() as f64;
-        let mean = self.growth.iter().map(|g| g.1).sum::<f64>() / count;
-        let square: f64 = self.growth.iter().map(|g| (g.1 - mean).powi(2)).sum();
+        let logarithms = || self.growth.iter().map(|(_, growth)| growth.ln_1p());
+        let mean = logarithms().sum::<f64>() / count;
+        let square: f64 = logarithms().map(|log| (log - mean).powi(2)).sum();
         (mean, (square / (count - 1.0) / count).sqrt())
     }
 
-    /// The verdict: a mean growth by more than two standard errors is no accident.
+    /// The verdict: a mean growth by more than three standard errors is no accident.
     #[must_use]
     pub fn worth(&self) -> Worth {
-        let (mean, std_error) = self.mean_growth();
+        let (mean, std_error) = self.log_growth();
         if mean > CLEAR * std_error {
             Worth::EarnsItsKeep
         } else if mean < -CLEAR * std_error {
@@ -214,13 +225,13 @@ pub fn compare_models(
             Ok(found) => {
                 if !found.converged {
                     problems.push(format!(
-                        "without {group} the calibration has not converged; its numbers are those where it \
+                        "without the {group} the calibration has not converged; its numbers are those where it \
                          stopped"
                     ));
                 }
                 compared.push(found);
             }
-            Err(error) => problems.push(format!("without {group}: {error}")),
+            Err(error) => problems.push(format!("without the {group}: {error}")),
         }
     }
     let sensor = &calibration.camera.sensor;
@@ -264,13 +275,15 @@ impl Comparison<'_> {
         let longer =
             minimum.camera.main_lens.focal_length_mm - calibration.camera.main_lens.focal_length_mm;
         let reprojection = self.refit.reprojection(minimum)?;
-        let by_frame = model.errors.iter().zip(&all.errors);
+        let by_frame = model.errors.iter().zip(&all.errors).map(|((frame, without), (_, with))| {
+            (*frame, (without + NOTHING) / (with + NOTHING) - 1.0)
+        });
         Ok(WithoutGroup {
             group,
             parameters,
             pattern: image_pattern(&minimum.camera.sensor, &reprojection.features),
             reprojection,
-            growth: by_frame.map(|((frame, error), (_, with))| (*frame, error - with)).collect(),
+            growth: by_frame.collect(),
             cost_growth: [growth(0), growth(1), growth(2)],
             focal_length_change: (longer, std_dev.map(|std_dev| longer / std_dev)),
             camera: minimum.camera.clone(),

@@ -28,8 +28,14 @@ pub fn models_document(comparison: &ModelComparison) -> Value {
             "converged": without.converged,
         })
     };
+    let errors: Vec<Value> = comparison
+        .errors
+        .iter()
+        .map(|(frame, error)| json!({ "frame": frame, "error": error }))
+        .collect();
     json!({
         "folds": comparison.folds,
+        "frames": errors,
         "error": comparison.mean_error(),
         "pattern": comparison.pattern,
         "groups": comparison.groups.iter().map(of_group).collect::<Vec<_>>(),

@@ -9,7 +9,7 @@ use crate::model::{signed, with_std_dev};
 
 /// Caption of the table of models.
 pub const MODELS: &str = "What each group of parameters is worth: the calibration without it, and how much \
-     larger the squared error of left-out frames then is";
+     larger the squared error of frames then is that took no part";
 
 /// The table of models, with what follows from it.
 #[must_use]
@@ -29,7 +29,7 @@ pub fn models_parts(
     parts.extend(sentences(calibration, comparison).into_iter().map(Part::Text));
     for (without, figures) in comparison.groups.iter().zip(figures) {
         parts.push(Part::Details {
-            summary: format!("Residuals with {0} and without", without.group),
+            summary: format!("Residuals with the {} and without", without.group),
             parts: figures.into_iter().map(Part::Figure).collect(),
         });
     }
@@ -64,13 +64,12 @@ fn models_table(calibration: &Calibration, comparison: &ModelComparison) -> Tabl
     table.add_row(all);
     for without in &comparison.groups {
         let (mean, std_error) = without.mean_growth();
-        let part = 100.0 / comparison.mean_error();
         let (longer, std_devs) = without.focal_length_change;
         let mut row = vec![
-            format!("{} ({})", without.group, without.parameters.join(", ")),
+            without.group.to_string(),
             without.worth().to_string(),
-            signed(mean * part),
-            two_digits(std_error * part),
+            signed(100.0 * mean),
+            two_digits(100.0 * std_error),
             in_mm(focal_length + longer),
             format!("{:+.2}", 100.0 * longer / focal_length),
             std_devs.map_or("-".to_owned(), |std_devs| format!("{std_devs:+.1}")),
@@ -84,10 +83,10 @@ fn models_table(calibration: &Calibration, comparison: &ModelComparison) -> Tabl
 
 fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<String> {
     let mut sentences = vec![format!(
-        "Error: the mean of |r/σ|² over the features of a frame that took no part in the calibration, {:.3} \
-         with everything ({} folds of {} frames); σ is the scatter of its growth from frame to frame. A group \
-         earns its keep if the error grows without it by more than 2 σ, and harms if it shrinks by more. χ²: \
-         by how much twice the cost grows, in parts, divided by the weight of the anchors.",
+        "Error: |r/σ|² of a feature in a frame that took no part in the calibration; with everything its mean is \
+         {:.3} ({} folds of {} frames). Given is by how much it grows, in the mean over the frames, with σ from \
+         their scatter. A group earns its keep if that is more than 3 σ, and harms if it is less than −3 σ. χ²: \
+         by how much twice the cost grows, in its parts, divided by the weight of the anchors.",
         comparison.mean_error(),
         comparison.folds,
         comparison.errors.len()
@@ -102,9 +101,10 @@ fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Str
 fn unasked_text(calibration: &Calibration, without: &WithoutGroup) -> String {
     let (longer, std_devs) = without.focal_length_change;
     format!(
-        "Without {} F would be {:+.2} % off, {:+.1} σ, although left-out frames fit no worse: they do not say \
-         which is right. State F or {} if you know it, or fix it at 0 if you know that it is.",
+        "Without the {} F would be {:.3} mm ({:+.2} %, {:+.1} σ), and the left-out frames do not say which is \
+         right: state what you know of F or of {}.",
         without.group,
+        without.camera.main_lens.focal_length_mm,
         100.0 * longer / calibration.camera.main_lens.focal_length_mm,
         std_devs.unwrap_or(f64::NAN),
         without.parameters.join(", ")

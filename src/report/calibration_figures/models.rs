@@ -39,7 +39,7 @@ fn name(without: &WithoutGroup, what: &str) -> String {
 }
 
 fn titles(without: &WithoutGroup) -> [String; 2] {
-    [format!("With {}", without.group), format!("Without {}", without.group)]
+    [format!("With the {}", without.group), format!("Without the {}", without.group)]
 }
 
 fn arrows(calibration: &Calibration, without: &WithoutGroup) -> Result<Figure> {
@@ -47,8 +47,8 @@ fn arrows(calibration: &Calibration, without: &WithoutGroup) -> Result<Figure> {
     let [with, gone] = titles(without);
     let (svg, how) = means_side_by_side(&calibration.camera.sensor, residuals, [&with, &gone])?;
     let caption = format!(
-        "Observed minus projected (u, v) of features with {0} and without: {how}. Arrows that line up only \
-         on the right are what {0} explains.",
+        "Observed minus projected (u, v) of features with the {0} and without: {how}. Arrows that line up only \
+         on the right are what the {0} explains.",
         without.group
     );
     Ok(figure(&name(without, "residuals"), caption, svg))
@@ -145,8 +145,8 @@ fn rings(calibration: &Calibration, without: &WithoutGroup) -> Result<Figure> {
     let caption = format!(
         "The same residuals against the distance from the axis, as means over the corners in rings with \
          their standard errors: how far corners lie away from where they are projected, and by how much the \
-         micro-images show a corner too far apart, which is a wrong depth. Both should be 0 with {0}; what is \
-         not without it is what {0} explains and the poses of the boards cannot.",
+         micro-images show a corner too far apart, which is a wrong depth. Both should be 0 with the {0}; what is \
+         not without it is what the {0} explains and the poses of the boards cannot.",
         without.group
     );
     Ok(figure(&name(without, "over-radius"), caption, svg))
