@@ -13,9 +13,11 @@ use crate::model::{Board, PlenopticCamera, Reprojection, intrinsic_parameters};
 
 /// With fewer frames, the scatter of their differences says too little.
 const MIN_FRAMES: usize = 6;
-/// A mean growth by more standard errors than this is no accident. With four groups and ten frames, chance gets
-/// beyond 2 in every fourth calibration, beyond 3 in every seventeenth.
-const CLEAR: f64 = 3.0;
+/// A mean growth by more standard errors than this is hardly an accident,
+const CLEAR: f64 = 2.0;
+/// and one by less than this fraction of the squared error makes no difference in practice. A group that is not
+/// needed changes it by some tenths of a per cent, and by 2 standard errors in every tenth case.
+const NOTICEABLE: f64 = 0.01;
 /// Errors |r/σ|² below this are rounding.
 const NOTHING: f64 = 1e-9;
 /// A focal length that moves by more σ than this depends on the model.
@@ -125,16 +127,17 @@ impl WithoutGroup {
         (mean, (square / (count - 1.0) / count).sqrt())
     }
 
-    /// The verdict: a mean growth by more than three standard errors is no accident.
+    /// The verdict: a mean growth by more than one per cent and two standard errors earns its keep, a mean loss
+    /// by as much harms.
     #[must_use]
     pub fn worth(&self) -> Worth {
         let (mean, std_error) = self.log_growth();
-        if mean > CLEAR * std_error {
-            Worth::EarnsItsKeep
-        } else if mean < -CLEAR * std_error {
-            Worth::Harms
-        } else {
+        if mean.abs() < NOTICEABLE.max(CLEAR * std_error) {
             Worth::NoDifference
+        } else if mean > 0.0 {
+            Worth::EarnsItsKeep
+        } else {
+            Worth::Harms
         }
     }
 

@@ -85,8 +85,8 @@ fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Str
     let mut sentences = vec![format!(
         "Error: |r/σ|² of a feature in a frame that took no part in the calibration; with everything its mean is \
          {:.3} ({} folds of {} frames). Given is by how much it grows, in the mean over the frames, with σ from \
-         their scatter. A group earns its keep if that is more than 3 σ, and harms if it is less than −3 σ. χ²: \
-         by how much twice the cost grows, in its parts, divided by the weight of the anchors.",
+         their scatter. A group earns its keep if that is more than 1 % and more than 2 σ, and harms if it is as \
+         much less. χ²: by how much twice the cost grows, in its parts, divided by the weight of the anchors.",
         comparison.mean_error(),
         comparison.folds,
         comparison.errors.len()
