@@ -10,6 +10,6 @@ mod verdict;
 pub use next_board::NextBoard;
 pub use object_space::{Distance, ObjectSpace, PointTrust};
 pub use outliers::{Influence, Outliers, OutlyingFeature, OutlyingFrame};
-pub use patterns::Patterns;
+pub use patterns::{Patterns, image_pattern};
 pub use stage::{Assessment, assess};
 pub use verdict::{Reason, Verdict};

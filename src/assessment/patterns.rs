@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 
 use crate::calibration::Calibration;
 use crate::error::Result;
-use crate::model::FeatureResidual;
+use crate::model::{FeatureResidual, Sensor};
 use crate::solver;
 
 /// Cells of the image along u and along v.
@@ -31,9 +31,7 @@ pub struct Patterns {
 }
 
 pub(super) fn patterns(calibration: &Calibration) -> Result<Patterns> {
-    let residuals = &calibration.reprojection.features;
-    let total: f64 = residuals.iter().map(|r| r.du_px.powi(2) + r.dv_px.powi(2)).sum();
-    let rms = (total / residuals.len().max(1) as f64).sqrt();
+    let rms = rms_px(&calibration.reprojection.features);
     let by_type: Vec<f64> = (0..calibration.camera.lens_types())
         .map(|i| calibration.reprojection.lens_type_rmse(i).uv_px)
         .filter(|rmse| *rmse > 0.0)
@@ -41,15 +39,19 @@ pub(super) fn patterns(calibration: &Calibration) -> Result<Patterns> {
     let lens_types = by_type.iter().copied().fold(0.0, f64::max)
         / by_type.iter().copied().fold(f64::INFINITY, f64::min);
     Ok(Patterns {
-        image: over_image(calibration) / rms,
+        image: image_pattern(&calibration.camera.sensor, &calibration.reprojection.features),
         micro_image: over_micro_images(calibration)? / rms,
         lens_types: if by_type.is_empty() { 1.0 } else { lens_types },
         coverage: coverage(calibration),
     })
 }
 
-fn cell(calibration: &Calibration, u_px: f64, v_px: f64) -> (u32, u32) {
-    let sensor = &calibration.camera.sensor;
+fn rms_px(residuals: &[FeatureResidual]) -> f64 {
+    let total: f64 = residuals.iter().map(|r| r.du_px.powi(2) + r.dv_px.powi(2)).sum();
+    (total / residuals.len().max(1) as f64).sqrt()
+}
+
+fn cell(sensor: &Sensor, u_px: f64, v_px: f64) -> (u32, u32) {
     let part = |value: f64, size: u32, cells: u32| {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within 0 to cells
         let cell = (value / f64::from(size) * f64::from(cells)).max(0.0) as u32;
@@ -58,10 +60,12 @@ fn cell(calibration: &Calibration, u_px: f64, v_px: f64) -> (u32, u32) {
     (part(u_px, sensor.width_px, CELLS.0), part(v_px, sensor.height_px, CELLS.1))
 }
 
-fn over_image(calibration: &Calibration) -> f64 {
+/// [`Patterns::image`] of some residuals.
+#[must_use]
+pub fn image_pattern(sensor: &Sensor, residuals: &[FeatureResidual]) -> f64 {
     let mut cells: BTreeMap<(u32, u32), Vec<Vector2<f64>>> = BTreeMap::new();
-    for r in &calibration.reprojection.features {
-        let place = cell(calibration, r.feature.u_px, r.feature.v_px);
+    for r in residuals {
+        let place = cell(sensor, r.feature.u_px, r.feature.v_px);
         cells.entry(place).or_default().push(Vector2::new(r.du_px, r.dv_px));
     }
     let (mut systematic, mut count) = (0.0, 0.0);
@@ -72,7 +76,7 @@ fn over_image(calibration: &Calibration) -> f64 {
         systematic += n * (mean.norm_squared() - scatter / n);
         count += n;
     }
-    (systematic.max(0.0) / f64::max(count, 1.0)).sqrt()
+    (systematic.max(0.0) / f64::max(count, 1.0)).sqrt() / rms_px(residuals)
 }
 
 /// A shift in proportion to the distance from the centre of the micro-image is what a detector makes
@@ -101,12 +105,13 @@ fn over_micro_images(calibration: &Calibration) -> Result<f64> {
 }
 
 fn coverage(calibration: &Calibration) -> f64 {
+    let sensor = &calibration.camera.sensor;
     let mut seen = BTreeMap::new();
     for r in &calibration.reprojection.centers {
-        seen.entry(cell(calibration, r.center.u_px, r.center.v_px)).or_insert(false);
+        seen.entry(cell(sensor, r.center.u_px, r.center.v_px)).or_insert(false);
     }
     for r in &calibration.reprojection.features {
-        seen.insert(cell(calibration, r.feature.u_px, r.feature.v_px), true);
+        seen.insert(cell(sensor, r.feature.u_px, r.feature.v_px), true);
     }
     seen.values().filter(|seen| **seen).count() as f64 / seen.len().max(1) as f64
 }

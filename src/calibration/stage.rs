@@ -159,7 +159,7 @@ fn start_camera(
     Ok(camera)
 }
 
-fn center_residuals(
+pub(super) fn center_residuals(
     camera: &PlenopticCamera,
     centers: &[MicroImageCenter],
 ) -> Result<Vec<CenterResidual>> {

@@ -7,10 +7,12 @@ use std::time::Instant;
 use clap::Args;
 use plenocal::assessment::assess;
 use plenocal::calibration::{Calibration, Mode, Weights, calibrate, termination_text};
+use plenocal::evaluation::{ModelComparison, compare_models, comparison_steps};
 use plenocal::io::{
     self, AnchorsSection, Blur, CalibrationSection, ExitPupil, FieldCurvature, OutputFolder,
     Pitches, compote,
 };
+use plenocal::model::Board;
 use plenocal::solver::{LossKind, Termination};
 use plenocal::{Error, Result, report};
 
@@ -125,6 +127,10 @@ pub struct Arguments {
     #[arg(long, value_name = "N", help_heading = "Estimation")]
     threads: Option<usize>,
 
+    /// Say what exit pupil, field curvature and distortion are worth: calibrate without each, and compare by
+    /// frames that took no part.
+    #[arg(long, help_heading = "Output")]
+    compare_models: bool,
     /// Print the result as one JSON object instead of tables.
     #[arg(long, help_heading = "Output")]
     json: bool,
@@ -139,11 +145,15 @@ Examples:
   plenocal calibrate --camera camera.js --params params.js --scene scene.js \\
       --centers centers.csv --features features.csv --out results
   plenocal calibrate project.toml --fix Q3,P1,P2 --exclude 3,7 --out results
+  plenocal calibrate project.toml --compare-models --out results
   plenocal calibrate project.toml --anchor F=51.6:0.2,u0=none --out results
   plenocal calibrate project.toml --exit-pupil at-lens --field-curvature flat --anchors none \\
       --weights unit --loss none --blur features --out paper
   plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
+
+/// Folds in which models are compared.
+const FOLDS: usize = 5;
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
@@ -169,6 +179,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     bar.finish_and_clear();
     let calibration = calibration?;
     let assessment = assess(&calibration, &input.board)?;
+    let compared =
+        arguments.compare_models.then(|| compared(&calibration, &input.board, FOLDS, json));
 
     stage_results(&mut output, &calibration, with_compote)?;
     let paths = output.commit()?;
@@ -176,12 +188,39 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     warn_of_calibration(&calibration.warnings);
     warn_of_frames(&assessment);
     let time_s = begun.elapsed().as_secs_f64();
-    let document = io::calibration_document(&calibration, &assessment, time_s);
-    print_result(json, &document, &report::calibration_text(&calibration, &assessment), &paths);
+    let mut document = io::calibration_document(&calibration, &assessment, time_s);
+    let mut text = report::calibration_text(&calibration, &assessment);
+    match compared {
+        Some(Ok(comparison)) => {
+            document["models"] = io::models_document(&comparison);
+            text = format!(
+                "{}\n\n{}",
+                text.trim_end(),
+                report::models_text(&calibration, &comparison)
+            );
+        }
+        Some(Err(error)) => warn(&[error]),
+        None => {}
+    }
+    print_result(json, &document, &text, &paths);
     if calibration.converged {
         return Ok(ExitCode::SUCCESS);
     }
     Ok(not_converged(&calibration))
+}
+
+/// Compares models in at most so many folds, with a progress bar.
+pub(super) fn compared(
+    calibration: &Calibration,
+    board: &Board,
+    folds: usize,
+    quiet: bool,
+) -> Result<ModelComparison> {
+    let folds = folds.min(calibration.poses.len());
+    let bar = progress::steps(quiet, comparison_steps(calibration, folds), "comparing models");
+    let comparison = compare_models(calibration, board, folds, &|| bar.inc(1));
+    bar.finish_and_clear();
+    comparison
 }
 
 /// Reports that a calibration has not converged, and returns the exit status.

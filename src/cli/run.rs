@@ -40,7 +40,7 @@ pub struct Arguments {
     /// Frames of the calibration to leave out, e.g. 3,7; in place of those of the project.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub exclude: Option<Vec<u32>>,
-    /// Folds of the cross-validation; 0 for none.
+    /// Folds of the cross-validation, of models too; 0 for none.
     #[arg(long, value_name = "K", default_value_t = 5)]
     pub folds: usize,
     /// Write no pictures of frames.
@@ -130,7 +130,11 @@ fn print_results(arguments: &Arguments, ledger: &Ledger, report: &Path) -> Resul
         },
     });
     let mut tables = tables_of(&read_section(&folder.join(CALIBRATION))?);
-    tables.truncate(1);
+    let mut number = 0;
+    tables.retain(|table| {
+        number += 1;
+        number == 1 || table.caption == report::MODELS
+    });
     if ledger.has(EVALUATION) {
         tables.extend(tables_of(&read_section(&folder.join(EVALUATION))?));
     }

@@ -5,20 +5,22 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use plenocal::assessment::assess;
-use plenocal::calibration::{CalibrationOptions, Mode, Start, calibrate, initial_from};
+use plenocal::calibration::{
+    Calibration, CalibrationOptions, Mode, Start, calibrate, initial_from,
+};
 use plenocal::detection::DepthEstimator;
 use plenocal::evaluation::{Candidate, EvaluationInput, Folds, PosePairs};
 use plenocal::image::Color;
 use plenocal::io::{self, OutputFolder, Project, TruthSection, WhiteImage};
 use plenocal::model::{BapFeature, Board, Datasheet, Observations, Subset};
 use plenocal::precalibration::PrecalibrationOptions;
-use plenocal::report::{Figure, Section};
+use plenocal::report::{Figure, Part, Section};
 use plenocal::{Error, Result, report};
 use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::boards::{self, Options, Shoot, images_of};
-use super::calibrate::stage_results;
+use super::calibrate::{compared, stage_results};
 use super::evaluate::{calibrated, clouds, evaluated, read_candidate};
 use super::ledger::{InputFile, Ledger};
 use super::precalibrate;
@@ -90,6 +92,8 @@ struct CalibrationInput<'a> {
     precalibration: Vec<InputFile>,
     features: InputFile,
     options: CalibrationOptions,
+    /// Folds in which models are compared; 0 for no comparison.
+    model_folds: usize,
 }
 
 #[derive(Serialize)]
@@ -203,6 +207,7 @@ impl Stages<'_> {
             precalibration: self.measured(ledger),
             features: ledger.file(self.features(Subset::Calibration)),
             options,
+            model_folds: 0,
         }
     }
 
@@ -236,7 +241,8 @@ impl Stages<'_> {
             options.cost.anchors.retain(|anchor| known(&anchor.quantity));
             options.not_anchored.retain(known);
         }
-        let input = self.calibration_input(ledger, options);
+        let mut input = self.calibration_input(ledger, options);
+        input.model_folds = if stage == CALIBRATION { self.folds } else { 0 };
         ledger.stage(stage, &input, |input, output| {
             let begun = Instant::now();
             let (start, observations) = (self.start()?, self.observations()?);
@@ -254,13 +260,39 @@ impl Stages<'_> {
             }
             stage_results(output, &result, false)?;
             let time_s = begun.elapsed().as_secs_f64();
-            let document = io::calibration_document(&result, &assessment, time_s);
+            let mut document = io::calibration_document(&result, &assessment, time_s);
+            let mut models = Vec::new();
+            if input.model_folds > 0 {
+                (document["models"], models) =
+                    self.models(&result, board, input.model_folds, output)?;
+            }
             output.stage_json("calibration.json", &document)?;
             let figures = report::calibration_figures(&result, &assessment, board)?;
             stage_figures(output, &figures)?;
             output.stage_json(VERDICT, &json!(report::verdict_section(&assessment)))?;
-            Ok(report::calibration_section(title, &result, &assessment, figures))
+            let mut section = report::calibration_section(title, &result, &assessment, figures);
+            section.parts.extend(models);
+            Ok(section)
         })
+    }
+
+    /// What groups of parameters are worth, for the document and for the report. With too few frames there is
+    /// a sentence instead.
+    fn models(
+        &self,
+        calibration: &Calibration,
+        board: &Board,
+        folds: usize,
+        output: &mut OutputFolder,
+    ) -> Result<(Value, Vec<Part>)> {
+        let comparison = match compared(calibration, board, folds, self.quiet) {
+            Ok(comparison) => comparison,
+            Err(error) => return Ok((Value::Null, vec![Part::Text(format!("{error}."))])),
+        };
+        let figures = report::model_figures(calibration, &comparison)?;
+        stage_figures(output, &figures.concat())?;
+        let parts = report::models_parts(calibration, &comparison, figures);
+        Ok((io::models_document(&comparison), parts))
     }
 
     /// Cameras of this run and their names.

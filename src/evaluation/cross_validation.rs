@@ -67,7 +67,7 @@ pub fn cross_validate(
     options.solver.threads = 1;
     let options = &options;
     let fold = |number: usize| -> Result<(Fold, Vec<FeatureResidual>)> {
-        let held_out: Vec<u32> = frames.iter().copied().skip(number).step_by(folds).collect();
+        let held_out = frames_of_fold(&frames, number, folds);
         let mut without = options.clone();
         without.exclude_frames.extend(&held_out);
         let calibration = calibrate(start, board, observations, &without, &mut |_| true)?;
@@ -97,6 +97,11 @@ pub fn cross_validate(
     let done = (0..folds).into_par_iter().map(named).collect::<Result<Vec<_>>>()?;
     let rmse = Rmse::of(done.iter().flat_map(|(_, residuals)| residuals));
     Ok(CrossValidation { folds: done.into_iter().map(|(fold, _)| fold).collect(), rmse })
+}
+
+/// The frames that a fold leaves out, of all of them.
+pub(super) fn frames_of_fold(frames: &[u32], number: usize, folds: usize) -> Vec<u32> {
+    frames.iter().copied().skip(number).step_by(folds).collect()
 }
 
 /// The frames to be divided into folds; an error if there are fewer frames than folds, or fewer than

@@ -1,15 +1,17 @@
 //! How good a calibration is: reprojection errors, the uncertainty of the parameters, known
-//! displacements, cross-validation, and cameras, poses and features against the truth.
+//! displacements, cross-validation, what groups of parameters are worth, and cameras, poses and features against the truth.
 
 pub mod bias;
 mod cross_validation;
 mod detection;
+mod models;
 mod stage;
 mod translation;
 mod truth;
 
 pub use cross_validation::{CrossValidation, Fold, cross_validate, foldable_frames};
 pub use detection::{DetectionScore, INSIDE_PX, SMALL_RHO_PX, TRUE_PX};
+pub use models::{Group, ModelComparison, WithoutGroup, Worth, compare_models, comparison_steps};
 pub use stage::{
     Candidate, CandidateResult, Evaluation, EvaluationInput, Folds, PosePairs, Posed, evaluate,
     pose_boards,

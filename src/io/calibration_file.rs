@@ -205,6 +205,7 @@ pub fn calibration_document(
         "standard_deviations": std_devs_document(calibration),
         "weakest_directions": weakest_directions_text(calibration),
         "warnings": warnings,
+        "models": null,
         "initial_camera": camera_document(&calibration.initial, None),
         "camera": calibrated_camera_document(calibration),
         "poses": poses_document(&calibration.poses, uncertainty)["poses"],

@@ -12,6 +12,7 @@ mod image_file;
 mod image_folder;
 mod input;
 mod manifest;
+mod models_file;
 mod observations_file;
 mod output;
 mod point_cloud;
@@ -41,6 +42,7 @@ pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
 };
 pub use manifest::{MANIFEST, Manifest, StageRecord, hash_file, hash_text};
+pub use models_file::models_document;
 pub use observations_file::{read_centers, read_features, write_centers, write_features};
 pub use output::{OutputFolder, abandon_output};
 pub use point_cloud::read_point_cloud_distance;

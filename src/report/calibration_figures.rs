@@ -4,10 +4,12 @@ mod charts;
 mod correlations;
 mod distortion;
 mod histograms;
+mod models;
 mod object_space;
 mod scene;
 mod vectors;
 
+pub use models::model_figures;
 pub use vectors::array_residuals_figure;
 
 use super::html::Figure;

@@ -21,6 +21,7 @@ mod init;
 mod interrupt;
 mod manners;
 mod micro_images;
+mod models;
 mod modes;
 mod oracle;
 mod precalibrate;

@@ -52,7 +52,7 @@ fn names(figures: &[Figure]) -> Vec<&str> {
 }
 
 /// Checks that a figure is well-formed, has marks, and has only numbers where numbers belong.
-fn check(figure: &Figure) {
+pub fn check(figure: &Figure) {
     let name = &figure.name;
     let document = Document::parse(&figure.svg).unwrap_or_else(|e| panic!("{name}: {e}"));
     let marks = document.descendants().filter(|node| {

@@ -8,11 +8,11 @@ use plotters::prelude::*;
 use super::figure;
 use crate::calibration::Calibration;
 use crate::error::Result;
-use crate::model::Sensor;
+use crate::model::{FeatureResidual, Sensor};
 use crate::precalibration::ArrayMeasurement;
 use crate::report::drawing::{
-    Anchor, BLUE, INK, Overlay, Plane, TYPE_COLORS, axis_number, drawing, font, picture, quantile,
-    round_below,
+    Anchor, Area, BLUE, INK, Overlay, Plane, TYPE_COLORS, axis_number, drawing, font, picture,
+    quantile, round_below,
 };
 use crate::report::html::Figure;
 
@@ -27,6 +27,9 @@ const MOST_ENLARGED: f64 = 1e6;
 /// Largest width and height of the sensor in a picture, and the smallest, px.
 const LARGEST: (f64, f64) = (820.0, 640.0);
 const SMALLEST: f64 = 120.0;
+/// The largest, where two are side by side, and how much wider their cells are.
+const HALF: (f64, f64) = (430.0, 430.0);
+const WIDER: f64 = 1.4;
 /// Room around it: left, top, right, below.
 const ROOM: [u32; 4] = [66, 40, 18, 50];
 /// Greatest length of the arrow in the key, px.
@@ -47,43 +50,85 @@ pub(super) fn sensor_picture(
     title: &str,
     draw: impl FnOnce(&Plane, &mut Overlay),
 ) -> Result<String> {
+    let (width, height) = shown(image_px, LARGEST);
+    picture((width + scale_width, height), |root, overlay| {
+        draw_sensor(root, image_px, scale_width, title, overlay, draw)
+    })
+}
+
+/// Size of a picture of the sensor with the room around it, px.
+fn shown(image_px: Vector2<f64>, largest: (f64, f64)) -> (u32, u32) {
     let [left, top, right, below] = ROOM;
-    let scale = (LARGEST.0 / image_px.x).min(LARGEST.1 / image_px.y);
+    let scale = (largest.0 / image_px.x).min(largest.1 / image_px.y);
     let shown = (image_px * scale).map(|edge| edge.max(SMALLEST).round());
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // of a picture
     let (width, height) = (shown.x as u32, shown.y as u32);
-    let right = right + scale_width;
-    picture((left + width + right, top + height + below), |root, overlay| {
-        let area = root.margin(top, 8, 8, right);
-        let mut chart = ChartBuilder::on(&area)
-            .x_label_area_size(below - 8)
-            .y_label_area_size(left - 8)
-            // The outer edges of the pixels; v grows downwards.
-            .build_cartesian_2d(-0.5..image_px.x - 0.5, image_px.y - 0.5..-0.5)
-            .map_err(drawing)?;
-        chart
-            .configure_mesh()
-            .disable_mesh()
-            .axis_style(INK)
-            .x_labels(8)
-            .y_labels(8)
-            .x_label_formatter(&|x| axis_number(*x))
-            .y_label_formatter(&|y| axis_number(*y))
-            .x_desc("u, px")
-            .y_desc("v, px")
-            .label_style(font(13))
-            .draw()
-            .map_err(drawing)?;
-        let plane = Plane::of_chart(
-            chart.plotting_area().get_pixel_range(),
-            Vector2::new(-0.5, image_px.y - 0.5),
-            Vector2::new(image_px.x - 0.5, -0.5),
-        );
-        let title_at = Vector2::new(f64::from(left), f64::from(top) / 2.0);
-        overlay.text(title_at, Anchor::Start, 16.0, title);
-        draw(&plane, overlay);
+    (left + width + right, top + height + below)
+}
+
+fn draw_sensor(
+    area: &Area,
+    image_px: Vector2<f64>,
+    scale_width: u32,
+    title: &str,
+    overlay: &mut Overlay,
+    draw: impl FnOnce(&Plane, &mut Overlay),
+) -> Result<()> {
+    let [left, top, right, below] = ROOM;
+    let area = area.margin(top, 8, 8, right + scale_width);
+    let mut chart = ChartBuilder::on(&area)
+        .x_label_area_size(below - 8)
+        .y_label_area_size(left - 8)
+        // The outer edges of the pixels; v grows downwards.
+        .build_cartesian_2d(-0.5..image_px.x - 0.5, image_px.y - 0.5..-0.5)
+        .map_err(drawing)?;
+    chart
+        .configure_mesh()
+        .disable_mesh()
+        .axis_style(INK)
+        .x_labels(8)
+        .y_labels(8)
+        .x_label_formatter(&|x| axis_number(*x))
+        .y_label_formatter(&|y| axis_number(*y))
+        .x_desc("u, px")
+        .y_desc("v, px")
+        .label_style(font(13))
+        .draw()
+        .map_err(drawing)?;
+    let plane = Plane::of_chart(
+        chart.plotting_area().get_pixel_range(),
+        Vector2::new(-0.5, image_px.y - 0.5),
+        Vector2::new(image_px.x - 0.5, -0.5),
+    );
+    let title_at = Vector2::new(plane.place(-0.5, 0.0).x, f64::from(top) / 2.0);
+    overlay.text(title_at, Anchor::Start, 16.0, title);
+    draw(&plane, overlay);
+    Ok(())
+}
+
+/// Mean residuals of features over cells, of two cameras side by side and equally enlarged; and how.
+pub(super) fn means_side_by_side(
+    sensor: &Sensor,
+    residuals: [&[FeatureResidual]; 2],
+    titles: [&str; 2],
+) -> Result<(String, String)> {
+    let image_px = size_of(sensor);
+    let cell = (WIDER * cell_of(image_px)).ceil();
+    let [with, without] = residuals.map(|of| cell_means(&feature_arrows(of), cell).0);
+    let both: Vec<Arrow> = with.iter().chain(&without).map(|a| Arrow { ..*a }).collect();
+    let factor = enlargement(&both, 1.3 * cell);
+    let (width, height) = shown(image_px, HALF);
+    let svg = picture((2 * width, height), |root, overlay| {
+        let (left, right) = root.split_horizontally(width);
+        for ((area, means), title) in [(&left, &with), (&right, &without)].into_iter().zip(titles) {
+            draw_sensor(area, image_px, 0, title, overlay, |plane, overlay| {
+                draw_arrows(means, BLUE, factor, plane, overlay);
+                key(plane, image_px, factor, overlay);
+            })?;
+        }
         Ok(())
-    })
+    })?;
+    Ok((svg, format!("means over cells of {cell} px, {}", enlarged(factor))))
 }
 
 /// The factor by which arrows are enlarged so that few are longer than `longest_px`.
@@ -182,18 +227,17 @@ fn size_of(sensor: &Sensor) -> Vector2<f64> {
     Vector2::new(f64::from(sensor.width_px), f64::from(sensor.height_px))
 }
 
+fn feature_arrows(residuals: &[FeatureResidual]) -> Vec<Arrow> {
+    let arrow = |f: &FeatureResidual| Arrow {
+        at: Vector2::new(f.feature.u_px, f.feature.v_px),
+        along: Vector2::new(f.du_px, f.dv_px),
+        lens_type: f.lens_type,
+    };
+    residuals.iter().map(arrow).filter(finite).collect()
+}
+
 pub(super) fn residual_vectors(calibration: &Calibration) -> Result<Option<Figure>> {
-    let arrows: Vec<Arrow> = calibration
-        .reprojection
-        .features
-        .iter()
-        .map(|f| Arrow {
-            at: Vector2::new(f.feature.u_px, f.feature.v_px),
-            along: Vector2::new(f.du_px, f.dv_px),
-            lens_type: f.lens_type,
-        })
-        .filter(finite)
-        .collect();
+    let arrows = feature_arrows(&calibration.reprojection.features);
     if arrows.is_empty() {
         return Ok(None);
     }

@@ -1,0 +1,212 @@
+//! A calibration refined again from its minimum, without some parameters or without some frames.
+//!
+//! All the rest stays: the observations, their weights, the loss, the anchors and their weight. So costs can be
+//! compared, and the way to the new minimum is short.
+
+use nalgebra::Isometry3;
+
+use crate::calibration::anchors::results;
+use crate::calibration::checks::check_refined;
+use crate::calibration::frames::{feature_residuals, solver_centers, solver_features};
+use crate::calibration::stage::center_residuals;
+use crate::calibration::{AnchorSource, Calibration};
+use crate::error::Result;
+use crate::model::{
+    BapFeature, Board, FramePose, MicroImageCenter, PlenopticCamera, Reprojection,
+    intrinsic_parameters,
+};
+use crate::solver::{
+    self, Anchor, CostOptions, Loss, LossKind, Problem, Refinement, SolverCenter, SolverOptions,
+    Termination,
+};
+
+/// Where a parameter is taken away, the residuals are large at first. A few steps without loss lead back to
+/// where it can act.
+const ROUGH_ITERATIONS: usize = 4;
+
+/// A minimum of the cost.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Minimum {
+    /// The camera.
+    pub camera: PlenopticCamera,
+    /// The poses of the boards.
+    pub poses: Vec<FramePose>,
+    /// What features, centres and anchors contribute to the cost.
+    pub cost_parts: [f64; 3],
+    /// Whether the solver reached it, by its tolerances.
+    pub converged: bool,
+}
+
+/// A calibration with what is needed to refine it again.
+#[derive(Debug)]
+pub struct Refit<'a> {
+    calibration: &'a Calibration,
+    board: &'a Board,
+    features: Vec<BapFeature>,
+    centers: Vec<MicroImageCenter>,
+    solver_centers: Vec<SolverCenter>,
+}
+
+impl<'a> Refit<'a> {
+    /// Of a calibration that was made with this board.
+    #[must_use]
+    pub fn new(calibration: &'a Calibration, board: &'a Board) -> Self {
+        let reprojection = &calibration.reprojection;
+        let centers: Vec<MicroImageCenter> =
+            reprojection.centers.iter().map(|c| c.center).collect();
+        Self {
+            calibration,
+            board,
+            features: reprojection.features.iter().map(|f| f.feature).collect(),
+            solver_centers: solver_centers(&centers),
+            centers,
+        }
+    }
+
+    /// The minimum that the calibration has found.
+    #[must_use]
+    pub fn minimum(&self) -> Minimum {
+        let Calibration { refinement, poses, converged, .. } = self.calibration;
+        self.minimum_of(refinement, &self.calibration.cost, poses.clone(), *converged)
+    }
+
+    /// The minimum with some parameters held at 0.
+    pub fn without(&self, parameters: &[&str]) -> Result<Minimum> {
+        let mut start = self.minimum();
+        for parameter in intrinsic_parameters(start.camera.lens_types()) {
+            if parameters.contains(&parameter.name) {
+                parameter.set(&mut start.camera, 0.0);
+            }
+        }
+        let cost = self.cost_without(parameters);
+        if cost.loss.kind != LossKind::None {
+            let loss = Loss { kind: LossKind::None, ..cost.loss };
+            let plain = CostOptions { loss, ..cost.clone() };
+            start = self.refined(&start, &plain, ROUGH_ITERATIONS)?;
+        }
+        self.refined(&start, &cost, self.max_iterations())
+    }
+
+    /// The errors of frames that take no part: the camera is refined from a minimum without them, and then
+    /// their poses with this camera. By frame, the mean over its features of |r/σ|², with the weights and the
+    /// loss of the calibration. The parameters keep their value in the minimum.
+    pub fn held_out(
+        &self,
+        minimum: &Minimum,
+        parameters: &[&str],
+        frames: &[u32],
+    ) -> Result<Vec<(u32, f64)>> {
+        let with_poses = |held_out: bool| Minimum {
+            poses: minimum
+                .poses
+                .iter()
+                .filter(|pose| frames.contains(&pose.frame) == held_out)
+                .copied()
+                .collect(),
+            ..minimum.clone()
+        };
+        let cost = self.cost_without(parameters);
+        let rest = self.refined(&with_poses(false), &cost, self.max_iterations())?;
+        let all = intrinsic_parameters(minimum.camera.lens_types());
+        let fixed = all.iter().map(|parameter| parameter.name.to_owned()).collect();
+        let poses_only = CostOptions { fixed, anchors: Vec::new(), ..cost };
+        let left_out = Minimum { camera: rest.camera, ..with_poses(true) };
+        let solved = self.solve(&left_out, &poses_only, &[], self.max_iterations())?;
+        let squares = |(pose, cost): (&FramePose, &f64)| {
+            let count = self.features.iter().filter(|f| f.frame == pose.frame).count();
+            (pose.frame, 2.0 * cost / count.max(1) as f64)
+        };
+        Ok(left_out.poses.iter().zip(&solved.frame_costs).map(squares).collect())
+    }
+
+    /// The residuals at a minimum.
+    pub fn reprojection(&self, minimum: &Minimum) -> Result<Reprojection> {
+        let rows = solver_features(&self.features, &minimum.poses, self.board);
+        let poses = transforms(&minimum.poses);
+        let problem =
+            Problem { camera: &minimum.camera, poses: &poses, features: &rows, centers: &[] };
+        Ok(Reprojection {
+            features: feature_residuals(&problem, &self.features)?,
+            centers: center_residuals(&minimum.camera, &self.centers)?,
+        })
+    }
+
+    fn max_iterations(&self) -> usize {
+        self.calibration.options.solver.max_iterations
+    }
+
+    fn cost_without(&self, parameters: &[&str]) -> CostOptions {
+        let mut cost = self.calibration.cost.clone();
+        cost.fixed.extend(parameters.iter().map(ToString::to_string));
+        // What is known of a parameter says nothing where there is none.
+        cost.anchors.retain(|anchor| !parameters.contains(&anchor.quantity.as_str()));
+        cost
+    }
+
+    fn refined(
+        &self,
+        start: &Minimum,
+        cost: &CostOptions,
+        max_iterations: usize,
+    ) -> Result<Minimum> {
+        let solved = self.solve(start, cost, &self.solver_centers, max_iterations)?;
+        let of = |(pose, &camera_from_board): (&FramePose, &Isometry3<f64>)| FramePose {
+            frame: pose.frame,
+            camera_from_board,
+        };
+        let poses = start.poses.iter().zip(&solved.poses).map(of).collect();
+        let converged = solved.termination == Termination::Converged;
+        Ok(self.minimum_of(&solved, cost, poses, converged))
+    }
+
+    fn solve(
+        &self,
+        start: &Minimum,
+        cost: &CostOptions,
+        centers: &[SolverCenter],
+        max_iterations: usize,
+    ) -> Result<Refinement> {
+        let seen: Vec<BapFeature> = self
+            .features
+            .iter()
+            .filter(|f| start.poses.iter().any(|pose| pose.frame == f.frame))
+            .copied()
+            .collect();
+        let features = solver_features(&seen, &start.poses, self.board);
+        let poses = transforms(&start.poses);
+        let problem =
+            Problem { camera: &start.camera, poses: &poses, features: &features, centers };
+        // Several are solved at a time.
+        let solver =
+            SolverOptions { max_iterations, threads: 1, ..self.calibration.options.solver };
+        let refinement = solver::refine(&problem, cost, &solver, &mut |_| true)?;
+        check_refined(&refinement)?;
+        Ok(refinement)
+    }
+
+    fn minimum_of(
+        &self,
+        refinement: &Refinement,
+        cost: &CostOptions,
+        poses: Vec<FramePose>,
+        converged: bool,
+    ) -> Minimum {
+        let camera = refinement.camera.clone();
+        let known: Vec<(Anchor, AnchorSource)> = self
+            .calibration
+            .anchors
+            .iter()
+            .filter(|known| cost.anchors.contains(&known.anchor))
+            .map(|known| (known.anchor.clone(), known.source))
+            .collect();
+        let pulls: f64 = results(known, &camera).iter().map(|known| known.pull().powi(2)).sum();
+        let anchors = cost.anchor_weight / 2.0 * pulls;
+        let features: f64 = refinement.frame_costs.iter().sum();
+        let cost_parts = [features, refinement.cost - features - anchors, anchors];
+        Minimum { camera, poses, cost_parts, converged }
+    }
+}
+
+fn transforms(poses: &[FramePose]) -> Vec<Isometry3<f64>> {
+    poses.iter().map(|pose| pose.camera_from_board).collect()
+}

@@ -1,0 +1,201 @@
+//! Residual patterns with and without a group of parameters.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector2;
+use plotters::prelude::*;
+
+use super::figure;
+use super::vectors::means_side_by_side;
+use crate::calibration::Calibration;
+use crate::error::Result;
+use crate::evaluation::{ModelComparison, WithoutGroup};
+use crate::model::{FeatureResidual, PlenopticCamera};
+use crate::report::drawing::{
+    Anchor, Area, BLUE, INK, ORANGE, Overlay, Plane, axis_number, drawing, font, picture,
+};
+use crate::report::html::Figure;
+
+/// Rings around the axis.
+const RINGS: usize = 12;
+/// A ring with fewer corners says nothing about its mean.
+const MIN_CORNERS: usize = 5;
+/// A parallax needs so many micro-images.
+const MIN_MICRO_IMAGES: usize = 3;
+
+/// Residual patterns with and without each group, two figures for each, in the order of the comparison.
+pub fn model_figures(
+    calibration: &Calibration,
+    comparison: &ModelComparison,
+) -> Result<Vec<Vec<Figure>>> {
+    let of_group = |without: &WithoutGroup| {
+        Ok(vec![arrows(calibration, without)?, rings(calibration, without)?])
+    };
+    comparison.groups.iter().map(of_group).collect()
+}
+
+fn name(without: &WithoutGroup, what: &str) -> String {
+    format!("without-{}-{what}", without.group.to_string().replace(' ', "-"))
+}
+
+fn titles(without: &WithoutGroup) -> [String; 2] {
+    [format!("With the {}", without.group), format!("Without the {}", without.group)]
+}
+
+fn arrows(calibration: &Calibration, without: &WithoutGroup) -> Result<Figure> {
+    let residuals = [&calibration.reprojection, &without.reprojection].map(|r| &r.features[..]);
+    let [with, gone] = titles(without);
+    let (svg, how) = means_side_by_side(&calibration.camera.sensor, residuals, [&with, &gone])?;
+    let caption = format!(
+        "Observed minus projected (u, v) of features with the {0} and without: {how}. Arrows that line up only \
+         on the right are what the {0} explains.",
+        without.group
+    );
+    Ok(figure(&name(without, "residuals"), caption, svg))
+}
+
+/// What the micro-images that show a corner have in common, and where it is.
+struct Corner {
+    /// Its distance from the axis, px.
+    radius_px: f64,
+    /// The mean residual away from the axis, px.
+    outward_px: f64,
+    /// By what fraction its places in the micro-images lie too far apart; `None` with too few of them.
+    parallax: Option<f64>,
+}
+
+fn corners(camera: &PlenopticCamera, residuals: &[FeatureResidual]) -> Vec<Corner> {
+    let mut by_corner: BTreeMap<(u32, i32), Vec<&FeatureResidual>> = BTreeMap::new();
+    for r in residuals {
+        by_corner.entry((r.feature.frame, r.feature.corner)).or_default().push(r);
+    }
+    let axis = Vector2::from(<[f64; 2]>::from(camera.mla.principal_point_px));
+    let at = |r: &FeatureResidual| Vector2::new(r.feature.u_px, r.feature.v_px);
+    let off = |r: &FeatureResidual| Vector2::new(r.du_px, r.dv_px);
+    let corner = |seen: Vec<&FeatureResidual>| {
+        let count = seen.len() as f64;
+        let middle = seen.iter().map(|r| at(r)).sum::<Vector2<f64>>() / count;
+        let mean = seen.iter().map(|r| off(r)).sum::<Vector2<f64>>() / count;
+        let from_axis = middle - axis;
+        let square: f64 = seen.iter().map(|r| (at(r) - middle).norm_squared()).sum();
+        let product: f64 = seen.iter().map(|r| (at(r) - middle).dot(&off(r))).sum();
+        Corner {
+            radius_px: from_axis.norm(),
+            outward_px: mean.dot(&from_axis) / from_axis.norm().max(f64::MIN_POSITIVE),
+            parallax: (seen.len() >= MIN_MICRO_IMAGES && square > 0.0).then(|| product / square),
+        }
+    };
+    by_corner.into_values().map(corner).collect()
+}
+
+/// Mean and its standard error in a ring, at its middle.
+struct Ring {
+    radius_px: f64,
+    mean: f64,
+    std_error: f64,
+}
+
+fn ring_means(
+    corners: &[Corner],
+    farthest_px: f64,
+    of: impl Fn(&Corner) -> Option<f64>,
+) -> Vec<Ring> {
+    let width = farthest_px / RINGS as f64;
+    let ring = |i: usize| {
+        let inner = i as f64 * width;
+        let values: Vec<f64> = corners
+            .iter()
+            .filter(|c| (inner..inner + width).contains(&c.radius_px))
+            .filter_map(&of)
+            .collect();
+        let count = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / count;
+        let square: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+        let std_error = (square / (count - 1.0) / count).sqrt();
+        (values.len() >= MIN_CORNERS).then_some(Ring {
+            radius_px: inner + width / 2.0,
+            mean,
+            std_error,
+        })
+    };
+    (0..RINGS).filter_map(ring).collect()
+}
+
+fn rings(calibration: &Calibration, without: &WithoutGroup) -> Result<Figure> {
+    let both = [
+        corners(&calibration.camera, &calibration.reprojection.features),
+        corners(&without.camera, &without.reprojection.features),
+    ];
+    let farthest = both.iter().flatten().map(|c| c.radius_px).fold(1.0, f64::max) * 1.001;
+    let outward = both.each_ref().map(|of| ring_means(of, farthest, |c| Some(c.outward_px)));
+    let parallax =
+        both.each_ref().map(|of| ring_means(of, farthest, |c| c.parallax.map(|p| 1e3 * p)));
+    let svg = picture((900, 340), |root, overlay| {
+        let (left, right) = root.split_horizontally(450);
+        panel(&left, &outward, farthest, "away from the axis, px", overlay)?;
+        panel(&right, &parallax, farthest, "parallax too large, ‰", overlay)?;
+        let mut at = Vector2::new(76.0, 18.0);
+        for (words, color) in titles(without).iter().zip([BLUE, ORANGE]) {
+            overlay.rectangle(at - Vector2::new(0.0, 6.0), Vector2::new(12.0, 12.0), color, 1.0);
+            overlay.text(at + Vector2::new(18.0, 0.0), Anchor::Start, 14.0, words);
+            at.x += 250.0;
+        }
+        Ok(())
+    })?;
+    let caption = format!(
+        "The same residuals against the distance from the axis, as means over the corners in rings with \
+         their standard errors: how far corners lie away from where they are projected, and by how much the \
+         micro-images show a corner too far apart, which is a wrong depth. Both should be 0 with the {0}; what is \
+         not without it is what the {0} explains and the poses of the boards cannot.",
+        without.group
+    );
+    Ok(figure(&name(without, "over-radius"), caption, svg))
+}
+
+fn panel(
+    area: &Area,
+    series: &[Vec<Ring>; 2],
+    farthest: f64,
+    what: &str,
+    overlay: &mut Overlay,
+) -> Result<()> {
+    let ends = series.iter().flatten().flat_map(|r| [r.mean - r.std_error, r.mean + r.std_error]);
+    let largest = ends.filter(|v| v.is_finite()).map(f64::abs).fold(1e-9, f64::max) * 1.1;
+    let area = area.margin(36, 6, 8, 16);
+    let mut chart = ChartBuilder::on(&area)
+        .x_label_area_size(44)
+        .y_label_area_size(68)
+        .build_cartesian_2d(0.0..farthest, -largest..largest)
+        .map_err(drawing)?;
+    chart
+        .configure_mesh()
+        .disable_x_mesh()
+        .light_line_style(TRANSPARENT)
+        .axis_style(INK)
+        .x_labels(6)
+        .y_labels(7)
+        .x_label_formatter(&|x| axis_number(*x))
+        .y_label_formatter(&|y| axis_number(*y))
+        .x_desc("distance from the axis, px")
+        .y_desc(what)
+        .label_style(font(13))
+        .draw()
+        .map_err(drawing)?;
+    let plane = Plane::of_chart(
+        chart.plotting_area().get_pixel_range(),
+        Vector2::new(0.0, -largest),
+        Vector2::new(farthest, largest),
+    );
+    overlay.line(&[plane.place(0.0, 0.0), plane.place(farthest, 0.0)], INK, 0.6);
+    for (rings, color) in series.iter().zip([BLUE, ORANGE]) {
+        let places: Vec<Vector2<f64>> =
+            rings.iter().map(|r| plane.place(r.radius_px, r.mean)).collect();
+        overlay.line(&places, color, 1.6);
+        overlay.discs(&places, 3.0, color);
+        for r in rings {
+            let end = |sign: f64| plane.place(r.radius_px, r.mean + sign * r.std_error);
+            overlay.line(&[end(-1.0), end(1.0)], color, 1.0);
+        }
+    }
+    Ok(())
+}
