@@ -11,7 +11,7 @@ use super::checks::{
 use super::correction::{Moments, corrected_array};
 use super::fall_off::known_fall_off;
 use super::internal::{InternalFit, RadiusMeasurement};
-use super::radii::{RadiusEstimator, profile_at};
+use super::radii::{RadiusEstimator, TypeRadius, profile_at};
 use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
@@ -121,16 +121,28 @@ pub fn precalibrate(
     // The sizes of the discs decide how far centroids are shifted, whatever estimator is asked for.
     let seen_pitch_px = found.array.grid.pitch_px;
     let straight = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
-    let (fall_off, unknown_fall_off) =
+    let (mut fall_off, unknown_fall_off) =
         known_fall_off(&found, &samples, reference, &straight.parameters, options);
+    let discs =
+        samples.discs(&by_profile, &straight.parameters, fall_off.within_per_px2, seen_pitch_px);
+    if let Some(discs) = &discs {
+        debug!("{discs:?}");
+        (fall_off.within_per_px2, fall_off.within_std_dev_per_px2) = discs.within_per_px2;
+    }
     // In the middle of the image, where radii are measured.
     let obliquity = Obliquity {
         gradient_per_px: Vector2::zeros(),
         within_per_px2: fall_off.within_per_px2,
         half_pitch_px: seen_pitch_px / 2.0,
     };
-    let by_profile = samples.oblique(&by_profile, &straight.parameters, &obliquity);
-    let oblique = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
+    let internal_of =
+        |radii: &mut [RadiusMeasurement], by_type: &[Vec<TypeRadius>], pitch_px| match &discs {
+            Some(discs) => Ok(samples.internal_of_discs(discs, radii, by_type, pitch_px)),
+            None => samples.fit_internal(radii, pitch_px),
+        };
+    let first = internal_of(&mut samples.measurements(&by_profile), &by_profile, seen_pitch_px)?;
+    let by_profile = samples.oblique(&by_profile, &first.parameters, &obliquity);
+    let oblique = internal_of(&mut samples.measurements(&by_profile), &by_profile, seen_pitch_px)?;
     let moments = Moments {
         internal: &oblique.parameters,
         obliquity: &obliquity,
@@ -147,7 +159,10 @@ pub fn precalibrate(
         RadiusEstimator::Profile => samples.measurements(&by_profile),
         RadiusEstimator::Moments => samples.measurements(&samples.radii(RadiusEstimator::Moments)?),
     };
-    let mut internal = samples.fit_internal(&mut radii, array.grid.pitch_px)?;
+    let mut internal = match options.estimator {
+        RadiusEstimator::Profile => internal_of(&mut radii, &by_profile, array.grid.pitch_px)?,
+        RadiusEstimator::Moments => samples.fit_internal(&mut radii, array.grid.pitch_px)?,
+    };
     internal.parameters.fall_off = Some(fall_off);
     let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
