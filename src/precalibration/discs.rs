@@ -19,10 +19,10 @@ use super::profile::Profile;
 const SINE: (f64, f64) = (0.7, 0.7);
 /// What is known of H beforehand: the standard deviation, relative.
 const WITHIN: f64 = 0.5;
-/// The relative error that f-numbers are taken to have without measurements, which counts like so many of
-/// them: errors of nought by chance are not believed.
-const F_NUMBERS: (f64, f64) = (0.002, 1.0);
-/// Rounds of the descent, and in how many of them the error of the f-numbers follows.
+/// The relative error that f-numbers are taken to have unless white images show another, and how much that
+/// counts: with five of them hardly at all, with two it is all there is.
+const F_NUMBERS: (f64, f64) = (0.02, 0.05);
+/// Rounds of the descent; the error of the f-numbers follows in each.
 const ROUNDS: usize = 16;
 /// Steps of the numerical derivatives, px; of H, relative.
 const STEP: f64 = 1e-4;
@@ -269,5 +269,113 @@ impl<'a> Fit<'a> {
             f_number_error: self.f_number_error,
         };
         (discs.m_px.0 > 0.0 && self.at.iter().all(|x| x.is_finite())).then_some(discs)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::profile::{Bin, seen};
+    use super::*;
+    use crate::vignetting::Obliquity;
+
+    const STOPS: [f64; 5] = [4.0, 5.657, 8.0, 11.314, 16.0];
+    const M_PX: f64 = 26.7;
+    const BLUR_PX: [f64; 3] = [5.1, 4.15, 4.8];
+    const D_PX: f64 = 60.0;
+    const PITCH_PX: f64 = 23.3;
+    const WITHIN: f64 = 2.5e-3;
+
+    /// The light of discs of radii a and b through a Galilean micro-lens, up to where it is clipped.
+    fn light(a: f64, b: f64, clipped: f64) -> Profile {
+        let bin = |i: u32| Bin {
+            radius: 0.125 * (f64::from(i) + 0.5),
+            std_dev: 1e-4,
+            fall_off: 1.0,
+            ..Bin::default()
+        };
+        let mut profile = Profile { bins: (0..96).map(bin).collect(), bright: Vec::new() };
+        profile.set_angles(a, -b, PITCH_PX / 2.0);
+        for bin in &mut profile.bins {
+            let fall_off = Obliquity::light_of_square(bin.square, WITHIN);
+            bin.light = 0.02 + 0.8 * seen(bin.radius, a + b, (a - b).abs()) * fall_off;
+        }
+        profile.bins.retain(|bin| bin.light < clipped);
+        profile
+    }
+
+    /// Of a lens with this c, at the stops times 1 + `errors`, which are not known.
+    fn found(stops: &[f64], sine: f64, errors: &[f64], clipped: f64) -> Discs {
+        let whites: Vec<Vec<Profile>> = stops
+            .iter()
+            .zip(errors)
+            .map(|(stop, error)| {
+                let paraxial = M_PX / (stop * (1.0 + error));
+                let a = paraxial * (1.0 + sine / 2.0 * (paraxial / D_PX).powi(2));
+                BLUR_PX.iter().map(|b| light(a, *b, clipped)).collect()
+            })
+            .collect();
+        // As straight lines begin, which took the larger pupil for a larger slope.
+        let known = Known {
+            f_numbers: stops.to_vec(),
+            m_px: 1.01 * M_PX,
+            q_px: BLUR_PX.iter().map(|b| 0.02 - b).collect(),
+            mla_to_sensor_px: D_PX,
+            pitch_px: PITCH_PX,
+            within_per_px2: 2e-3,
+        };
+        let profiles: Vec<Vec<&Profile>> = whites.iter().map(|of| of.iter().collect()).collect();
+        fit_discs(&profiles, &known).unwrap()
+    }
+
+    /// The largest error of |qᵢ|, px, and the largest of m and all of them over its σ.
+    fn errors(discs: &Discs) -> (f64, f64) {
+        let blurs =
+            || discs.blur_px.iter().zip(BLUR_PX).map(|(b, truth)| ((b.0 - truth).abs(), b.1));
+        let of_m = ((discs.m_px.0 - M_PX).abs(), discs.m_px.1);
+        let over = blurs().chain([of_m]).map(|(error, std_dev)| error / std_dev);
+        (blurs().map(|(error, _)| error).fold(0.0, f64::max), over.fold(0.0, f64::max))
+    }
+
+    #[test]
+    fn the_pupil_of_any_lens_is_found() {
+        for sine in [0.0, 1.0, 1.4] {
+            let discs = found(&STOPS, sine, &[0.0; 5], 1.0);
+            let (of_blur, worst) = errors(&discs);
+            assert!(
+                of_blur < 1e-3 && worst < 2.0,
+                "c = {sine}: {of_blur} px, {worst} σ, {discs:?}"
+            );
+            assert!((discs.sine.0 - sine).abs() < 0.35, "{discs:?}");
+            assert!((discs.m_px.0 / M_PX - 1.0).abs() < 1e-3, "{discs:?}");
+            assert!((discs.within_per_px2.0 / WITHIN - 1.0).abs() < 0.02, "{discs:?}");
+        }
+    }
+
+    #[test]
+    fn wrong_f_numbers_do_not_reach_the_blur() {
+        let discs = found(&STOPS, 1.0, &[0.02, -0.015, 0.01, -0.02, 0.005], 1.0);
+        let (of_blur, worst) = errors(&discs);
+        assert!(of_blur < 1e-3 && worst < 3.0, "{of_blur} px, {worst} σ, {discs:?}");
+        assert!((0.005..0.03).contains(&discs.f_number_error), "{discs:?}");
+    }
+
+    #[test]
+    fn two_f_numbers_leave_the_law_to_what_is_known_of_lenses() {
+        for (sine, of_stops) in [(0.0, [0.0; 2]), (1.4, [0.0; 2]), (1.0, [0.02, -0.02])] {
+            let discs = found(&[4.0, 8.0], sine, &of_stops, 1.0);
+            let (of_blur, worst) = errors(&discs);
+            assert!(of_blur < 2e-3 && worst < 3.0, "{of_blur} px, {worst} σ, {discs:?}");
+        }
+    }
+
+    /// Without plateaus |qᵢ| rests on the f-numbers, and its σ says so.
+    #[test]
+    fn clipped_light_says_less() {
+        let clipped = found(&STOPS, 1.0, &[0.0; 5], 0.2);
+        let (of_blur, worst) = errors(&clipped);
+        assert!(of_blur < 0.02 && worst < 2.0, "{of_blur} px, {worst} σ, {clipped:?}");
+        let two = found(&[4.0, 8.0], 1.0, &[0.02, -0.02], 0.2);
+        assert!(errors(&two).1 < 3.0, "{two:?}");
+        assert!(two.blur_px[0].1 > 3.0 * clipped.blur_px[0].1, "{two:?} {clipped:?}");
     }
 }

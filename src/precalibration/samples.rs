@@ -176,14 +176,16 @@ impl<'a> Samples<'a> {
         Ok(fitted)
     }
 
-    /// The internal parameters by the discs, for the radii of these groups of micro-images.
-    pub fn internal_of_discs(
+    /// The internal parameters by the discs, or else by straight lines through the radii of these groups of
+    /// micro-images; residuals are filled in.
+    pub fn internal(
         &self,
-        discs: &Discs,
+        discs: Option<&Discs>,
         radii: &mut [RadiusMeasurement],
         by_type: &[Vec<TypeRadius>],
         micro_image_pitch_px: f64,
-    ) -> InternalFit {
+    ) -> Result<InternalFit> {
+        let Some(discs) = discs else { return self.fit_internal(radii, micro_image_pitch_px) };
         let PrecalibrationOptions { pixel_size_mm, configuration, .. } = *self.options;
         // All white images show the same micro-lenses; where radii scatter least there is least noise.
         let of_lenses = |lens_type: usize| {
@@ -191,7 +193,7 @@ impl<'a> Samples<'a> {
         };
         let of_lenses: Vec<f64> = (0..discs.blur_px.len()).map(of_lenses).collect();
         let pitch = micro_image_pitch_px;
-        internal_of_discs(discs, &of_lenses, radii, pixel_size_mm, pitch, configuration)
+        Ok(internal_of_discs(discs, &of_lenses, radii, pixel_size_mm, pitch, configuration))
     }
 
     /// The middle of an image, where radii are measured, and the pattern there.

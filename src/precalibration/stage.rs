@@ -135,14 +135,14 @@ pub fn precalibrate(
         within_per_px2: fall_off.within_per_px2,
         half_pitch_px: seen_pitch_px / 2.0,
     };
-    let internal_of =
-        |radii: &mut [RadiusMeasurement], by_type: &[Vec<TypeRadius>], pitch_px| match &discs {
-            Some(discs) => Ok(samples.internal_of_discs(discs, radii, by_type, pitch_px)),
-            None => samples.fit_internal(radii, pitch_px),
-        };
-    let first = internal_of(&mut samples.measurements(&by_profile), &by_profile, seen_pitch_px)?;
-    let by_profile = samples.oblique(&by_profile, &first.parameters, &obliquity);
-    let oblique = internal_of(&mut samples.measurements(&by_profile), &by_profile, seen_pitch_px)?;
+    let discs = discs.as_ref();
+    let internal_of = |by_type: &[Vec<TypeRadius>]| {
+        let mut radii = samples.measurements(by_type);
+        samples.internal(discs, &mut radii, by_type, seen_pitch_px)
+    };
+    let by_profile =
+        samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
+    let oblique = internal_of(&by_profile)?;
     let moments = Moments {
         internal: &oblique.parameters,
         obliquity: &obliquity,
@@ -155,14 +155,13 @@ pub fn precalibrate(
     let (array, pitch_correction) =
         corrected_array(&found, &fall_off, &moments, (reference.f_number, &profiles))?;
 
-    let mut radii = match options.estimator {
-        RadiusEstimator::Profile => samples.measurements(&by_profile),
-        RadiusEstimator::Moments => samples.measurements(&samples.radii(RadiusEstimator::Moments)?),
+    let (by_type, discs) = match options.estimator {
+        RadiusEstimator::Profile => (by_profile, discs),
+        // The paper's radii are not those of the discs.
+        RadiusEstimator::Moments => (samples.radii(RadiusEstimator::Moments)?, None),
     };
-    let mut internal = match options.estimator {
-        RadiusEstimator::Profile => internal_of(&mut radii, &by_profile, array.grid.pitch_px)?,
-        RadiusEstimator::Moments => samples.fit_internal(&mut radii, array.grid.pitch_px)?,
-    };
+    let mut radii = samples.measurements(&by_type);
+    let mut internal = samples.internal(discs, &mut radii, &by_type, array.grid.pitch_px)?;
     internal.parameters.fall_off = Some(fall_off);
     let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
