@@ -112,7 +112,7 @@ impl MicroImages {
             ));
         }
         let place = |c: &MicroImageCenter| ((c.k, c.l), Vector2::new(c.u_px, c.v_px));
-        let pupil_px = internal.m_mm.abs() / sheet.f_number / pixel_size_mm;
+        let pupil_px = internal.pupil_radius_mm(sheet.f_number) / pixel_size_mm;
         let sizes = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm);
         for size in sizes.chain(std::iter::once(pupil_px)) {
             if size.is_nan() || size.abs() > MOST_PITCHES * grid.pitch_px {

@@ -197,6 +197,7 @@ mod tests {
             micro_image_pitch_mm: None,
             m_std_dev_mm: None,
             q_prime_std_dev_mm: Vec::new(),
+            pupil_growth: 0.0,
             fall_off: None,
         };
         let grid = MicroImageArray {

@@ -99,6 +99,7 @@ pub(super) fn internal_parameters_from(
         micro_image_pitch_mm: file.dc.map(|dc| dc.0),
         m_std_dev_mm: None,
         q_prime_std_dev_mm: Vec::new(),
+        pupil_growth: 0.0,
         fall_off: None,
     })
 }

@@ -28,6 +28,8 @@ struct InternalFile {
     q_prime_mm: Vec<f64>,
     micro_image_pitch_mm: Option<f64>,
     standard_deviations: Option<InternalStdDevs>,
+    #[serde(default)]
+    pupil_growth: f64,
     fall_off: Option<FallOff>,
 }
 
@@ -107,6 +109,7 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
                 "m_mm": internal.parameters.m_std_dev_mm,
                 "q_prime_mm": internal.parameters.q_prime_std_dev_mm,
             },
+            "pupil_growth": internal.parameters.pupil_growth,
             "fall_off": internal.parameters.fall_off,
             "rms_px": internal.rms_px,
         }),
@@ -140,6 +143,7 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
         micro_image_pitch_mm: internal.micro_image_pitch_mm,
         m_std_dev_mm: std_devs.as_ref().map(|s| s.m_mm),
         q_prime_std_dev_mm: std_devs.map(|s| s.q_prime_mm).unwrap_or_default(),
+        pupil_growth: internal.pupil_growth,
         fall_off: internal.fall_off,
     })
 }

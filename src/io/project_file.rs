@@ -95,6 +95,9 @@ pub struct InternalSection {
     /// σ of each q'ᵢ, mm.
     #[serde(default)]
     pub q_prime_std_dev_mm: Vec<f64>,
+    /// Growth of the pupil's picture beyond 1/N, times N².
+    #[serde(default)]
+    pub pupil_growth: f64,
     /// The fall-off of light.
     pub fall_off: Option<FallOff>,
 }
@@ -241,6 +244,7 @@ impl Project {
             micro_image_pitch_mm: section.micro_image_pitch_mm,
             m_std_dev_mm: section.m_std_dev_mm,
             q_prime_std_dev_mm: section.q_prime_std_dev_mm.clone(),
+            pupil_growth: section.pupil_growth,
             fall_off: section.fall_off,
         })
     }

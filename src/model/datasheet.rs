@@ -49,7 +49,7 @@ pub struct Datasheet {
 /// Internal parameters Ω = {m, q'₁ … q'_I} (paper, section 3.2), measured on white images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InternalParameters {
-    /// |m|, mm: growth of the micro-image radius with 1/N.
+    /// |m|, mm: growth of the micro-image radius with 1/N, for small pupils.
     pub m_mm: f64,
     /// q'ᵢ, mm, by lens type.
     pub q_prime_mm: Vec<f64>,
@@ -59,6 +59,9 @@ pub struct InternalParameters {
     pub m_std_dev_mm: Option<f64>,
     /// σ of each q'ᵢ, mm; empty where they are not known.
     pub q_prime_std_dev_mm: Vec<f64>,
+    /// How much more than 1/N the pupil's picture grows, times N²: 0 for a thin lens, see
+    /// [`Self::pupil_radius_mm`].
+    pub pupil_growth: f64,
     /// The fall-off of light, where it was measured.
     pub fall_off: Option<FallOff>,
 }
@@ -87,6 +90,13 @@ impl Datasheet {
 }
 
 impl InternalParameters {
+    /// Radius of the main lens's pupil on the sensor, seen through the middle of a micro-lens, at f-number N, mm:
+    /// |m|/N · (1 + g/N²). By Abbe's sine condition a real lens has g = (m/d)²/2.
+    #[must_use]
+    pub fn pupil_radius_mm(&self, f_number: f64) -> f64 {
+        self.m_mm.abs() / f_number * (1.0 + self.pupil_growth / f_number.powi(2))
+    }
+
     /// Checks all values; an error names the one that is not possible, or a wrong number of q'.
     pub fn validate(&self, lens_types: usize) -> Result<()> {
         positive(self.m_mm, "the internal parameter |m| (mm)")?;
@@ -109,6 +119,12 @@ impl InternalParameters {
                     "a standard deviation of the internal parameters is {std_dev}"
                 )));
             }
+        }
+        if !self.pupil_growth.is_finite() {
+            return Err(Error::invalid(format!(
+                "pupil_growth of the internal parameters is {}",
+                self.pupil_growth
+            )));
         }
         if let Some(fall_off) = &self.fall_off {
             fall_off.validate()?;

@@ -78,6 +78,7 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
         micro_image_pitch_mm: Some(camera.micro_image_pitch_px() * camera.sensor.pixel_size_mm),
         m_std_dev_mm: None,
         q_prime_std_dev_mm: Vec::new(),
+        pupil_growth: 0.0,
         fall_off: None,
     }
 }

@@ -24,7 +24,7 @@ impl Moments<'_> {
     pub fn disc_radii(&self, f_number: f64, q_prime_mm: f64) -> (f64, f64) {
         let pixel = self.options.pixel_size_mm;
         let blur = q_prime_mm / pixel - self.grid.pitch_px / 2.0;
-        (self.internal.m_mm / f_number / pixel, blur.abs())
+        (self.internal.pupil_radius_mm(f_number) / pixel, blur.abs())
     }
 
     /// X by lens type, px².

@@ -61,7 +61,7 @@ impl Discs {
     /// Of an image at this f-number.
     fn new(internal: &InternalParameters, f_number: f64, pitch_px: f64, pixel_mm: f64) -> Self {
         Self {
-            pupil_px: internal.m_mm / f_number / pixel_mm,
+            pupil_px: internal.pupil_radius_mm(f_number) / pixel_mm,
             q_px: internal.q_prime_mm.iter().map(|q| q / pixel_mm - pitch_px / 2.0).collect(),
             half_pitch_px: pitch_px / 2.0,
         }

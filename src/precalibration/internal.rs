@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::discs::Discs;
 use crate::model::{Configuration, InternalParameters};
 
 /// The radius of the micro-images of one lens type at one f-number.
@@ -79,8 +80,42 @@ pub(super) fn fit_internal(
             micro_image_pitch_mm: Some(2.0 * half_pitch),
             m_std_dev_mm: Some(std_dev(0)),
             q_prime_std_dev_mm: (0..types).map(|i| std_dev(1 + i)).collect(),
+            pupil_growth: 0.0,
             fall_off: None,
         },
         rms_px: (sum / rows as f64).sqrt(),
     })
+}
+
+/// The internal parameters of discs that were fitted to the light. `of_lenses_px` is how much the mean of
+/// |qᵢ| is uncertain because micro-lenses differ, by lens type. Residuals are filled in.
+pub(super) fn internal_of_discs(
+    discs: &Discs,
+    of_lenses_px: &[f64],
+    measurements: &mut [RadiusMeasurement],
+    pixel_size_mm: f64,
+    micro_image_pitch_px: f64,
+    configuration: Configuration,
+) -> InternalFit {
+    let half_pitch = micro_image_pitch_px * pixel_size_mm / 2.0;
+    let side = if configuration == Configuration::Keplerian { 1.0 } else { -1.0 };
+    let blurs = discs.blur_px.iter();
+    let parameters = InternalParameters {
+        m_mm: discs.m_px.0 * pixel_size_mm,
+        q_prime_mm: blurs.clone().map(|b| half_pitch + side * b.0 * pixel_size_mm).collect(),
+        micro_image_pitch_mm: Some(2.0 * half_pitch),
+        m_std_dev_mm: Some(discs.m_px.1 * pixel_size_mm),
+        q_prime_std_dev_mm: blurs
+            .zip(of_lenses_px)
+            .map(|(b, of_lenses)| b.1.hypot(*of_lenses) * pixel_size_mm)
+            .collect(),
+        pupil_growth: discs.pupil_growth,
+        fall_off: None,
+    };
+    for m in measurements.iter_mut() {
+        let pupil = parameters.pupil_radius_mm(m.f_number) / pixel_size_mm;
+        m.residual_px = m.radius_px - pupil - discs.blur_px[m.lens_type].0;
+    }
+    let sum: f64 = measurements.iter().map(|m| m.residual_px.powi(2)).sum();
+    InternalFit { parameters, rms_px: (sum / measurements.len().max(1) as f64).sqrt() }
 }

@@ -90,8 +90,9 @@ const FOLD: usize = 12;
 /// One row in so many shows enough of a cell.
 const FOLDED_ROWS: usize = 5;
 /// Lens types repeat on a lattice of three times the area, which explains more of the image. The lattice
-/// of all micro-images explains at least this part of that.
-const FUNDAMENTAL: f64 = 0.5;
+/// of all micro-images explains at least this part of that, and a finer one less: 0.6 where micro-images
+/// just fill their cells, which leaves the fundamental frequency dark.
+const FUNDAMENTAL: f64 = 0.75;
 
 /// The pattern of the part of an image about `middle`; `None` where nothing repeats on a known
 /// lattice.

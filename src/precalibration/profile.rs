@@ -13,7 +13,10 @@ use crate::vignetting::{Obliquity, Overlap, overlap, overlap_area};
 /// Mean light at distances from the middle of micro-images of one type.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Profile {
+    /// The outer half of the light.
     pub bins: Vec<Bin>,
+    /// The brighter rest, where it is not clipped.
+    pub bright: Vec<Bin>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -25,6 +28,8 @@ pub(super) struct Bin {
     pub std_dev: f64,
     /// Light over what it would be at normal incidence.
     pub fall_off: f64,
+    /// Mean square of the vectors from the micro-lens to here, px².
+    pub square: f64,
 }
 
 /// The overlap of pupil and blur fitted to a profile.
@@ -107,13 +112,15 @@ impl Stack {
                 light: mean,
                 std_dev: (variance / count).sqrt(),
                 fall_off: 1.0,
+                square: 0.0,
             })
         };
         let bins: Vec<Bin> = self.bins.iter().filter_map(bin).collect();
         let clipped = self.bins.iter().any(|bin| bin[4] > 0.0);
         let brightest = bins.iter().map(|bin| bin.light).fold(0.0, f64::max);
         let limit = OUTER_LIGHT * if clipped { 1.0 } else { brightest };
-        Profile { bins: bins.into_iter().filter(|bin| bin.light <= limit).collect() }
+        let (bins, bright) = bins.into_iter().partition(|bin| bin.light <= limit);
+        Profile { bins, bright }
     }
 }
 
@@ -135,15 +142,40 @@ impl Profile {
     /// Where f < d the far side of the micro-lens lights the edge of the micro-image, at a steep angle;
     /// where f > d the near side does.
     pub fn oblique(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity) -> Self {
+        let mut profile = self.clone();
+        profile.set_angles(pupil_px, q_px, obliquity.half_pitch_px);
+        for bin in &mut profile.bins {
+            bin.fall_off = Obliquity::light_of_square(bin.square, obliquity.within_per_px2);
+        }
+        profile
+    }
+
+    /// Sets the angles at which light arrives, for discs as above.
+    pub fn set_angles(&mut self, pupil_px: f64, q_px: f64, half_pitch_px: f64) {
         let q = q_px.abs().max(1e-6);
-        let of_bin = |bin: &Bin| {
+        for bin in &mut self.bins {
             let part = overlap(bin.radius / q, pupil_px / q);
             let part = part.unwrap_or(Overlap { mean: 1.0, along: 0.0, across: 0.0, area: 0.0 });
-            let from_lens = bin.radius + part.mean * q_px.signum() * obliquity.half_pitch_px;
-            let from_lens = Vector2::new(from_lens, 0.0);
-            Bin { fall_off: obliquity.light(&from_lens, part.along, part.across), ..*bin }
-        };
-        Self { bins: self.bins.iter().map(of_bin).collect() }
+            let from_lens = bin.radius + part.mean * q_px.signum() * half_pitch_px;
+            let spread = part.along.powi(2) + part.across.powi(2);
+            bin.square = from_lens * from_lens + (half_pitch_px / 2.0).powi(2) * spread;
+        }
+    }
+
+    /// All of the light that is not clipped, up to a distance from the centre, px.
+    pub fn whole(&self, reach_px: f64) -> Self {
+        let bins = self.bins.iter().chain(&self.bright);
+        Self {
+            bins: bins.copied().filter(|bin| bin.radius < reach_px).collect(),
+            bright: Vec::new(),
+        }
+    }
+
+    /// Weighted residuals for discs of radii a and b, px, with the fall-off H, px⁻², at the angles that were
+    /// set.
+    pub fn residuals_of_discs(&self, a: f64, b: f64, within_per_px2: f64) -> Option<Vec<f64>> {
+        let fall_off = |bin: &Bin| Obliquity::light_of_square(bin.square, within_per_px2);
+        self.residuals_with(a + b, (a - b).abs(), fall_off).map(|(_, residuals)| residuals)
     }
 
     /// Fits the radii of the discs, the outer one up to 1.4 times `largest`, px; `None` if the profile
@@ -151,7 +183,8 @@ impl Profile {
     pub fn fit(&self, largest: f64) -> Option<Edge> {
         // Where much is clipped the sum of squares has several valleys: try starts all over first, on
         // some of the bins.
-        let coarse = Self { bins: self.bins.iter().step_by(COARSE).copied().collect() };
+        let coarse =
+            Self { bins: self.bins.iter().step_by(COARSE).copied().collect(), bright: Vec::new() };
         let mut starts: Vec<(f64, f64, f64)> = (9..=22)
             .map(|i| f64::from(i) * 0.05 * largest)
             .flat_map(|outer| [0.05, 0.25, 0.5, 0.75].map(|inner| (outer, inner * outer)))
@@ -172,9 +205,18 @@ impl Profile {
 
     /// Amplitude and background that fit best, and the weighted residuals.
     fn residuals(&self, outer: f64, inner: f64) -> Option<(Vector2<f64>, Vec<f64>)> {
+        self.residuals_with(outer, inner, |bin| bin.fall_off)
+    }
+
+    fn residuals_with(
+        &self,
+        outer: f64,
+        inner: f64,
+        fall_off: impl Fn(&Bin) -> f64,
+    ) -> Option<(Vector2<f64>, Vec<f64>)> {
         let brightest = self.bins.iter().map(|b| b.light).fold(0.0, f64::max);
         let weight = |bin: &Bin| 1.0 / bin.std_dev.hypot(MODEL_ERROR * brightest);
-        let shape = |b: &Bin| seen(b.radius, outer, inner) * b.fall_off;
+        let shape = |b: &Bin| seen(b.radius, outer, inner) * fall_off(b);
         let shape: Vec<f64> = self.bins.iter().map(shape).collect();
         let mut equations = NormalEquations::<f64, 2, 1>::new();
         for (bin, &shape) in self.bins.iter().zip(&shape) {

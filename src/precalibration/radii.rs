@@ -27,6 +27,8 @@ pub enum RadiusEstimator {
 pub(super) struct TypeRadius {
     pub radius_px: f64,
     pub std_dev_px: f64,
+    /// Standard deviation of the mean radius of micro-images that differ as these do, px.
+    pub of_lenses_px: f64,
     /// Of single micro-images.
     pub single_px: Vec<f64>,
     /// Their light.
@@ -39,9 +41,11 @@ impl TypeRadius {
     pub fn oblique(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity) -> Self {
         let mut again = self.clone();
         let largest = REACH * 2.0 * obliquity.half_pitch_px;
-        if let Some(edge) = self.profile.oblique(pupil_px, q_px, obliquity).fit(largest) {
+        let whole = self.profile.whole(f64::INFINITY);
+        if let Some(edge) = whole.oblique(pupil_px, q_px, obliquity).fit(largest) {
             let change = edge.outer - self.radius_px;
             again.radius_px += change;
+            again.std_dev_px = edge.std_dev.hypot(self.of_lenses_px);
             again.single_px.iter_mut().for_each(|radius| *radius += change);
         }
         again
@@ -131,7 +135,7 @@ fn moments_radius(
     let single_px: Vec<f64> = blobs.iter().filter_map(single).collect();
     let (radius_px, scatter) = mean_and_scatter(&single_px)?;
     let std_dev_px = scatter / (single_px.len() as f64).sqrt();
-    Some(TypeRadius { radius_px, std_dev_px, single_px, profile })
+    Some(TypeRadius { radius_px, std_dev_px, of_lenses_px: std_dev_px, single_px, profile })
 }
 
 fn profile_radius(
@@ -147,8 +151,9 @@ fn profile_radius(
         blobs.iter().filter_map(|blob| template.single(image, blob)).collect();
     let (_, scatter) = mean_and_scatter(&single_px)?;
     // Micro-images differ by more than the noise of their sum.
-    let std_dev_px = edge.std_dev.hypot(scatter / (single_px.len() as f64).sqrt());
-    Some(TypeRadius { radius_px: edge.outer, std_dev_px, single_px, profile })
+    let of_lenses_px = scatter / (single_px.len() as f64).sqrt();
+    let std_dev_px = edge.std_dev.hypot(of_lenses_px);
+    Some(TypeRadius { radius_px: edge.outer, std_dev_px, of_lenses_px, single_px, profile })
 }
 
 /// Outliers among the radii of single micro-images: dust, scratches, faulty micro-lenses.

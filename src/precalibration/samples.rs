@@ -6,7 +6,8 @@ use tracing::trace;
 use super::array::FoundArray;
 use super::centers::{measure_sample, part_with};
 use super::centroid::Blob;
-use super::internal::{InternalFit, RadiusMeasurement, fit_internal};
+use super::discs::{Discs, Known, fit_discs};
+use super::internal::{InternalFit, RadiusMeasurement, fit_internal, internal_of_discs};
 use super::pattern::Pattern;
 use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
 use super::stage::{PrecalibrationOptions, White};
@@ -99,13 +100,40 @@ impl<'a> Samples<'a> {
         let half_pitch_px = obliquity.half_pitch_px;
         let pixel = self.options.pixel_size_mm;
         let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
-            let pupil_px = internal.m_mm / white.f_number / pixel;
+            let pupil_px = internal.pupil_radius_mm(white.f_number) / pixel;
             let again = |(radius, q_prime): (&TypeRadius, &f64)| {
                 radius.oblique(pupil_px, q_prime / pixel - half_pitch_px, obliquity)
             };
             radii.iter().zip(&internal.q_prime_mm).map(again).collect()
         };
         self.whites.par_iter().zip(radii).map(of_white).collect()
+    }
+
+    /// The discs fitted to the light of all white images, from what straight lines give for them and for H;
+    /// `None` if the light does not determine them.
+    pub fn discs(
+        &self,
+        radii: &[Vec<TypeRadius>],
+        internal: &InternalParameters,
+        within_per_px2: f64,
+        micro_image_pitch_px: f64,
+    ) -> Option<Discs> {
+        let pixel = self.options.pixel_size_mm;
+        let known = Known {
+            f_numbers: self.whites.iter().map(|white| white.f_number).collect(),
+            m_px: internal.m_mm / pixel,
+            q_px: internal
+                .q_prime_mm
+                .iter()
+                .map(|q_prime| q_prime / pixel - micro_image_pitch_px / 2.0)
+                .collect(),
+            mla_to_sensor_px: self.options.distances_px(internal.m_mm).1,
+            pitch_px: micro_image_pitch_px,
+            within_per_px2,
+        };
+        let profiles: Vec<Vec<_>> =
+            radii.iter().map(|radii| radii.iter().map(|r| &r.profile).collect()).collect();
+        fit_discs(&profiles, &known)
     }
 
     /// The radii as a list, by white image and then by lens type.
@@ -146,6 +174,26 @@ impl<'a> Samples<'a> {
             ));
         }
         Ok(fitted)
+    }
+
+    /// The internal parameters by the discs, or else by straight lines through the radii of these groups of
+    /// micro-images; residuals are filled in.
+    pub fn internal(
+        &self,
+        discs: Option<&Discs>,
+        radii: &mut [RadiusMeasurement],
+        by_type: &[Vec<TypeRadius>],
+        micro_image_pitch_px: f64,
+    ) -> Result<InternalFit> {
+        let Some(discs) = discs else { return self.fit_internal(radii, micro_image_pitch_px) };
+        let PrecalibrationOptions { pixel_size_mm, configuration, .. } = *self.options;
+        // All white images show the same micro-lenses; where radii scatter least there is least noise.
+        let of_lenses = |lens_type: usize| {
+            by_type.iter().map(|radii| radii[lens_type].of_lenses_px).fold(f64::INFINITY, f64::min)
+        };
+        let of_lenses: Vec<f64> = (0..discs.blur_px.len()).map(of_lenses).collect();
+        let pitch = micro_image_pitch_px;
+        Ok(internal_of_discs(discs, &of_lenses, radii, pixel_size_mm, pitch, configuration))
     }
 
     /// The middle of an image, where radii are measured, and the pattern there.

@@ -4,19 +4,20 @@ use nalgebra::Vector2;
 use rayon::prelude::*;
 use tracing::{debug, info};
 
-use super::array::{ArrayMeasurement, found_array};
+use super::array::{ArrayMeasurement, FoundArray, found_array};
 use super::checks::{
     contradictions, different_aperture, disagreeing_types, doubtful_colors, named, reference_of,
 };
 use super::correction::{Moments, corrected_array};
+use super::discs::Discs;
 use super::fall_off::known_fall_off;
 use super::internal::{InternalFit, RadiusMeasurement};
-use super::radii::{RadiusEstimator, profile_at};
+use super::radii::{RadiusEstimator, TypeRadius, profile_at};
 use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
 use crate::image::RawImage;
-use crate::model::{Configuration, Datasheet, optics, positive};
+use crate::model::{Configuration, Datasheet, FallOff, optics, positive};
 use crate::vignetting::Obliquity;
 
 /// A white image.
@@ -120,17 +121,22 @@ pub fn precalibrate(
 
     // The sizes of the discs decide how far centroids are shifted, whatever estimator is asked for.
     let seen_pitch_px = found.array.grid.pitch_px;
-    let straight = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
-    let (fall_off, unknown_fall_off) =
-        known_fall_off(&found, &samples, reference, &straight.parameters, options);
+    let (discs, fall_off, unknown_fall_off) =
+        discs_and_fall_off(&found, &samples, &by_profile, reference, options)?;
     // In the middle of the image, where radii are measured.
     let obliquity = Obliquity {
         gradient_per_px: Vector2::zeros(),
         within_per_px2: fall_off.within_per_px2,
         half_pitch_px: seen_pitch_px / 2.0,
     };
-    let by_profile = samples.oblique(&by_profile, &straight.parameters, &obliquity);
-    let oblique = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
+    let discs = discs.as_ref();
+    let internal_of = |by_type: &[Vec<TypeRadius>]| {
+        let mut radii = samples.measurements(by_type);
+        samples.internal(discs, &mut radii, by_type, seen_pitch_px)
+    };
+    let by_profile =
+        samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
+    let oblique = internal_of(&by_profile)?;
     let moments = Moments {
         internal: &oblique.parameters,
         obliquity: &obliquity,
@@ -143,11 +149,13 @@ pub fn precalibrate(
     let (array, pitch_correction) =
         corrected_array(&found, &fall_off, &moments, (reference.f_number, &profiles))?;
 
-    let mut radii = match options.estimator {
-        RadiusEstimator::Profile => samples.measurements(&by_profile),
-        RadiusEstimator::Moments => samples.measurements(&samples.radii(RadiusEstimator::Moments)?),
+    let (by_type, discs) = match options.estimator {
+        RadiusEstimator::Profile => (by_profile, discs),
+        // The paper's radii are not those of the discs.
+        RadiusEstimator::Moments => (samples.radii(RadiusEstimator::Moments)?, None),
     };
-    let mut internal = samples.fit_internal(&mut radii, array.grid.pitch_px)?;
+    let mut radii = samples.measurements(&by_type);
+    let mut internal = samples.internal(discs, &mut radii, &by_type, array.grid.pitch_px)?;
     internal.parameters.fall_off = Some(fall_off);
     let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
@@ -155,14 +163,10 @@ pub fn precalibrate(
         Some(_) => None,
         None => different_aperture(reference, &moments, &profiles),
     };
-    let warnings = doubtful_colors(whites)
-        .into_iter()
-        .chain(
-            [wrong_f_number, wrong_aperture, disagreeing_types(&lens_types), unknown_fall_off]
-                .into_iter()
-                .flatten(),
-        )
-        .collect();
+    let warnings =
+        [wrong_f_number, wrong_aperture, disagreeing_types(&lens_types), unknown_fall_off];
+    let warnings =
+        doubtful_colors(whites).into_iter().chain(warnings.into_iter().flatten()).collect();
     let measured =
         Precalibration { array, lens_types, radii, internal, pitch_correction, warnings };
     if let Some(sheet) = &options.stated {
@@ -170,6 +174,26 @@ pub fn precalibrate(
     }
     measured.log();
     Ok(measured)
+}
+
+/// The discs of pupil and blur as far as the light determines them, and its fall-off with a warning where that
+/// is not known. Straight lines are near enough to begin with.
+fn discs_and_fall_off(
+    found: &FoundArray,
+    samples: &Samples,
+    by_profile: &[Vec<TypeRadius>],
+    reference: &White,
+    options: &PrecalibrationOptions,
+) -> Result<(Option<Discs>, FallOff, Option<String>)> {
+    let pitch_px = found.array.grid.pitch_px;
+    let lines = samples.fit_internal(&mut samples.measurements(by_profile), pitch_px)?.parameters;
+    let (mut fall_off, warning) = known_fall_off(found, samples, reference, &lines, options);
+    let discs = samples.discs(by_profile, &lines, fall_off.within_per_px2, pitch_px);
+    if let Some(discs) = &discs {
+        debug!("{discs:?}");
+        (fall_off.within_per_px2, fall_off.within_std_dev_per_px2) = discs.within_per_px2;
+    }
+    Ok((discs, fall_off, warning))
 }
 
 impl Precalibration {

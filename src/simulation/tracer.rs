@@ -152,6 +152,7 @@ impl Tracer {
             micro_image_pitch_mm: Some(pitch),
             m_std_dev_mm: None,
             q_prime_std_dev_mm: Vec::new(),
+            pupil_growth: 0.0,
             fall_off: None,
         }
     }

@@ -32,8 +32,13 @@ impl Obliquity {
     pub(crate) fn light(&self, from_lens: &Vector2<f64>, along: f64, across: f64) -> f64 {
         let extent = self.half_pitch_px / 2.0;
         let square = from_lens.norm_squared() + extent.powi(2) * (along.powi(2) + across.powi(2));
+        Self::light_of_square(square, self.within_per_px2)
+    }
+
+    /// The same by the mean square of the vectors from the micro-lens to the pixel, px², and H, px⁻².
+    pub(crate) fn light_of_square(square: f64, within_per_px2: f64) -> f64 {
         // Exact for cos⁴; other laws differ from it in the fourth order of the angle.
-        (1.0 + (self.within_per_px2 * square / 4.0).max(-0.5)).powi(-2)
+        (1.0 + (within_per_px2 * square / 4.0).max(-0.5)).powi(-2)
     }
 }
 
