@@ -219,7 +219,9 @@ impl<'a> Fit<'a> {
         for (residual, row) in self.expectations() {
             for &(i, own) in &row {
                 right[i] -= own * residual;
-                row.iter().for_each(|&(j, other)| normal[(i, j)] += own * other);
+                for &(j, other) in &row {
+                    normal[(i, j)] += own * other;
+                }
             }
         }
         Some((normal, right))

@@ -160,7 +160,8 @@ impl Small {
 /// 0.023 px in q'.
 #[test]
 fn a_traced_lens_is_measured_from_its_white_images() {
-    let replaced = ["rays=32", "white_images.f_numbers=[4.0, 8.0, 16.0]"].map(str::to_owned);
+    let replaced =
+        ["rays=24", "white_images.f_numbers=[4.0, 5.657, 8.0, 11.314]"].map(str::to_owned);
     let settings = Settings::preset("mini-double-gauss", &replaced).unwrap();
     let plan = DataSet::plan(&settings, None).unwrap();
     let whites: Vec<White> = plan.whites.iter().map(|shot| white(&settings, shot)).collect();
@@ -168,7 +169,7 @@ fn a_traced_lens_is_measured_from_its_white_images() {
     let (found, truth) = (found.internal.parameters, optics::internal_parameters(&settings.camera));
     let of_m = found.m_mm / truth.m_mm - 1.0;
     println!("m {of_m:+.2e}");
-    assert!(of_m.abs() < 3e-3, "{of_m}");
+    assert!(of_m.abs() < 4e-3, "{of_m}");
     let errors = found.q_prime_mm.iter().zip(&truth.q_prime_mm).zip(&found.q_prime_std_dev_mm);
     for ((q, truth), std_dev) in errors {
         let error_px = (q - truth) / settings.camera.sensor.pixel_size_mm;
