@@ -186,11 +186,6 @@ impl Profile {
         Some((linear, self.bins.iter().zip(&shape).map(residual).collect()))
     }
 
-    /// Light in the middle above the background, over what clips it, for discs of known size.
-    pub fn peak(&self, outer: f64, inner: f64) -> Option<f64> {
-        self.residuals(outer, inner).map(|(linear, _)| linear.x)
-    }
-
     /// The edge that a descent from one start ends at, and its sum of squares.
     fn descend(&self, outer: f64, inner: f64, largest: f64) -> Option<(Edge, f64)> {
         let mut squares =

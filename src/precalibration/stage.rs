@@ -1,17 +1,17 @@
 //! The pre-calibration as one stage: from white images to the array and the internal parameters.
 
 use nalgebra::Vector2;
-use rayon::prelude::*;
 use tracing::{debug, info};
 
 use super::array::{ArrayMeasurement, found_array};
 use super::checks::{
     contradictions, different_aperture, disagreeing_types, doubtful_colors, named, reference_of,
 };
-use super::correction::{Moments, corrected_array};
-use super::fall_off::known_fall_off;
+use super::correction::{corrected_array, shift_moments};
+use super::discs::Discs;
+use super::fall_off::{Light, Measured};
 use super::internal::{InternalFit, RadiusMeasurement};
-use super::radii::{RadiusEstimator, profile_at};
+use super::radii::RadiusEstimator;
 use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
@@ -121,27 +121,22 @@ pub fn precalibrate(
     // The sizes of the discs decide how far centroids are shifted, whatever estimator is asked for.
     let seen_pitch_px = found.array.grid.pitch_px;
     let straight = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
-    let (fall_off, unknown_fall_off) =
-        known_fall_off(&found, &samples, reference, &straight.parameters, options);
+    let light = Light::read(&found, &samples, reference);
+    let first = light.fall_off(&straight.parameters, options, 1.0);
     // In the middle of the image, where radii are measured.
     let obliquity = Obliquity {
         gradient_per_px: Vector2::zeros(),
-        within_per_px2: fall_off.within_per_px2,
+        within_per_px2: first.fall_off.within_per_px2,
         half_pitch_px: seen_pitch_px / 2.0,
     };
     let by_profile = samples.oblique(&by_profile, &straight.parameters, &obliquity);
     let oblique = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
-    let moments = Moments {
-        internal: &oblique.parameters,
-        obliquity: &obliquity,
-        grid: &found.array.grid,
-        options,
-    };
-    let (middle, pattern) = samples.middle_of(&grey, &found.pattern);
-    let profiles: Vec<_> =
-        samples.nodes.par_iter().map(|nodes| profile_at(&middle, &pattern, nodes)).collect();
-    let (array, pitch_correction) =
-        corrected_array(&found, &fall_off, &moments, (reference.f_number, &profiles))?;
+    // Again with the discs as they are.
+    let Measured { fall_off, strength, warning: unknown_fall_off } =
+        light.fall_off(&oblique.parameters, options, first.strength);
+    let discs = Discs::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
+    let moments = shift_moments(light.of_reference(), &discs, seen_pitch_px, strength);
+    let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments)?;
 
     let mut radii = match options.estimator {
         RadiusEstimator::Profile => samples.measurements(&by_profile),
@@ -153,7 +148,7 @@ pub fn precalibrate(
     // Lines through a wrong f-number say nothing about the aperture of the reference.
     let wrong_aperture = match wrong_f_number {
         Some(_) => None,
-        None => different_aperture(reference, &moments, &profiles),
+        None => different_aperture(reference, &discs, &samples, &found.pattern),
     };
     let warnings = doubtful_colors(whites)
         .into_iter()
