@@ -56,11 +56,12 @@ mod tests {
         (0..80).map(ring).collect()
     }
 
-    /// A disc of radius a whose light changes by −g·y has the centroid −g a²/4.
+    /// A disc of radius a whose light changes by −g·y has the centroid −g a²/4; here a is 5 to 7, in equal
+    /// parts by light of the edge, and ⟨a⁴⟩/4⟨a²⟩ = 1368.2/145.3.
     #[test]
     fn an_open_window_sees_the_whole_moment() {
         let x = shift_moment(&disc(6.0, 0.0), |_| 1.0, |r| r);
-        assert!((x - 9.0).abs() < 0.15, "{x}");
+        assert!((x - 9.415).abs() < 0.05, "{x}");
     }
 
     /// In a window that ends inside the light nothing holds the centroid but the fall of the window itself.

@@ -9,6 +9,7 @@ use super::samples::Samples;
 use super::stage::{Precalibration, PrecalibrationOptions, White};
 use super::types::LensTypes;
 use crate::error::{Error, Result};
+use crate::image::Grey;
 use crate::model::{Configuration, Datasheet, InternalParameters, Sensor, positive};
 
 /// A radius this part away from where the other f-numbers put it is the sign of a wrong f-number: half a
@@ -149,12 +150,12 @@ impl Precalibration {
 
 /// A warning if the micro-images of the reference do not have the size of its f-number.
 pub(super) fn different_aperture(
-    reference: &White,
+    (reference, grey): (&White, &Grey),
     discs: &Discs,
     samples: &Samples,
     pattern: &Pattern,
 ) -> Option<String> {
-    let (middle, pattern) = samples.middle_of(&reference.image.grey(), pattern);
+    let (middle, pattern) = samples.middle_of(grey, pattern);
     let profile = profile_at(&middle, &pattern, samples.nodes.first()?);
     let (a, b) = discs.radii(0);
     let radius = profile.fit(REACH * pattern.pitch())?.outer;

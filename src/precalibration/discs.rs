@@ -20,6 +20,8 @@ pub(super) struct Discs {
     lens_px: f64,
     /// d, px.
     distance_px: f64,
+    /// D/d.
+    distances: f64,
 }
 
 impl Discs {
@@ -39,6 +41,7 @@ impl Discs {
             // a large blur nearly cancel in how far light shifts a centroid, the 2 % show.
             lens_px: pitch_px / 2.0 * (1.0 - distance_px / lens_to_sensor_px),
             distance_px,
+            distances: lens_to_sensor_px / distance_px - 1.0,
         }
     }
 
@@ -72,6 +75,14 @@ impl Discs {
             sum += weight * part.area * lever * (r + along) / distance;
         }
         if light > 0.0 { sum / light } else { 0.0 }
+    }
+
+    /// How fast the moment X of whole discs, (a² + qᵢ² + qᵢ ΔC/2)/4, grows along a perspective of the centres,
+    /// c = p (1 + t · p), over t, px². That is a tilt of the array by t D: d grows by its part t D/d, and with it
+    /// a, qᵢ + ΔC/2 and their moment. X is often a small difference of them and grows ten times as fast.
+    pub fn moment_growth(&self, lens_type: usize) -> f64 {
+        let (a, q, lens) = (self.pupil_px, self.q_px[lens_type], self.lens_px);
+        (2.0 * a * a + (2.0 * q + lens) * (q + lens)) / 4.0 * self.distances
     }
 
     /// How far from the centre all pixels see the whole pupil, or the whole micro-lens, px, and |y − M|/|y|

@@ -13,7 +13,7 @@ use super::centroid::{Blob, WINDOW};
 use super::discs::Discs;
 use super::rings::{Alike, Gradient};
 use super::samples::Samples;
-use super::stage::{PrecalibrationOptions, White};
+use super::stage::PrecalibrationOptions;
 use crate::image::Grey;
 use crate::model::{FallOff, InternalParameters};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
@@ -55,8 +55,8 @@ pub(super) struct Light {
 }
 
 impl Light {
-    /// Reads the samples of all white images, and more of the reference.
-    pub fn read(found: &FoundArray, samples: &Samples, reference: &White) -> Self {
+    /// Reads the samples of all white images, and more of the reference, which has this f-number.
+    pub fn read(found: &FoundArray, samples: &Samples, reference: (f64, &Grey)) -> Self {
         let types = samples.nodes.len();
         let pitch = found.pattern.pitch();
         let of_image = |image: &Grey, blobs: &[Blob]| -> Vec<Alike> {
@@ -73,19 +73,21 @@ impl Light {
         // Every third in a row would be of one lens type.
         let step = if step.is_multiple_of(3) { step + 1 } else { step };
         let sample: Vec<Blob> = found.blobs.iter().copied().step_by(step).collect();
-        let images = samples.whites.iter().zip(samples.samples.iter().map(|s| s.blobs.as_slice()));
-        let images: Vec<(&White, &[Blob])> =
-            images.chain([(reference, sample.as_slice())]).collect();
+        let whites = samples.whites.iter().zip(&samples.samples);
+        let images: Vec<(f64, &Grey, &[Blob])> = whites
+            .map(|(white, of)| (white.f_number, &of.grey, of.blobs.as_slice()))
+            .chain([(reference.0, reference.1, sample.as_slice())])
+            .collect();
         let of_images = images
             .par_iter()
-            .map(|(white, blobs)| (white.f_number, of_image(&white.image.grey(), blobs)))
+            .map(|(f_number, grey, blobs)| (*f_number, of_image(grey, blobs)))
             .collect();
-        let (width, height) = (reference.image.width as f64, reference.image.height as f64);
+        let (width, height) = reference.1.size();
         Self {
             of_images,
             reach_px: REACH * pitch,
             seen_pitch_px: found.array.grid.pitch_px,
-            middle: Vector2::new(width - 1.0, height - 1.0) / 2.0,
+            middle: Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0,
         }
     }
 

@@ -117,7 +117,7 @@ pub(super) struct Ring {
     /// Ī′, px⁻¹.
     pub slope: f64,
     /// Whether nothing is clipped nearby.
-    whole: bool,
+    pub whole: bool,
 }
 
 /// How lopsided a micro-image is.

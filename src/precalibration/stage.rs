@@ -121,7 +121,7 @@ pub fn precalibrate(
     // The sizes of the discs decide how far centroids are shifted, whatever estimator is asked for.
     let seen_pitch_px = found.array.grid.pitch_px;
     let straight = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
-    let light = Light::read(&found, &samples, reference);
+    let light = Light::read(&found, &samples, (reference.f_number, &grey));
     let first = light.fall_off(&straight.parameters, options, 1.0);
     // In the middle of the image, where radii are measured.
     let obliquity = Obliquity {
@@ -148,7 +148,7 @@ pub fn precalibrate(
     // Lines through a wrong f-number say nothing about the aperture of the reference.
     let wrong_aperture = match wrong_f_number {
         Some(_) => None,
-        None => different_aperture(reference, &discs, &samples, &found.pattern),
+        None => different_aperture((reference, &grey), &discs, &samples, &found.pattern),
     };
     let warnings = doubtful_colors(whites)
         .into_iter()
