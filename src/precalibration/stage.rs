@@ -16,7 +16,7 @@ use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
 use crate::image::RawImage;
-use crate::model::{Configuration, Datasheet, optics, positive};
+use crate::model::{Configuration, Datasheet, FallOff, InternalParameters, optics, positive};
 use crate::vignetting::Obliquity;
 
 /// A white image.
@@ -123,12 +123,7 @@ pub fn precalibrate(
     let straight = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
     let light = Light::read(&found, &samples, (reference.f_number, &grey));
     let first = light.fall_off(&straight.parameters, options, 1.0);
-    // In the middle of the image, where radii are measured.
-    let obliquity = Obliquity {
-        gradient_per_px: Vector2::zeros(),
-        within_per_px2: first.fall_off.within_per_px2,
-        half_pitch_px: seen_pitch_px / 2.0,
-    };
+    let obliquity = in_the_middle(&first.fall_off, &straight.parameters, seen_pitch_px, options);
     let by_profile = samples.oblique(&by_profile, &straight.parameters, &obliquity);
     let oblique = samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?;
     // Again with the discs as they are.
@@ -165,6 +160,23 @@ pub fn precalibrate(
     }
     measured.log();
     Ok(measured)
+}
+
+/// The fall-off in the middle of the image, where radii are measured.
+fn in_the_middle(
+    fall_off: &FallOff,
+    internal: &InternalParameters,
+    pitch_px: f64,
+    options: &PrecalibrationOptions,
+) -> Obliquity {
+    let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
+    let cos4 = 4.0 / mla_to_sensor_px.powi(2);
+    Obliquity {
+        gradient_per_px: Vector2::zeros(),
+        within_per_px2: fall_off.within_per_px2,
+        of_pixels_per_px2: (fall_off.within_per_px2 - cos4).max(0.0),
+        half_pitch_px: pitch_px / 2.0,
+    }
 }
 
 impl Precalibration {

@@ -10,6 +10,8 @@ pub struct Obliquity {
     pub gradient_per_px: Vector2<f64>,
     /// H, px⁻²: light is more oblique off the middle of the micro-image, n/d² for a law cosⁿ.
     pub within_per_px2: f64,
+    /// The part of H that pixels add to cos⁴, px⁻²: their light is exponential in |y − M|². From 0 to H.
+    pub of_pixels_per_px2: f64,
     /// Δc/2, half the micro-image pitch, px. It stands for the radius ΔC/2 of the micro-lens, which is
     /// smaller by the factor D/(D + d).
     pub half_pitch_px: f64,
@@ -32,8 +34,9 @@ impl Obliquity {
     pub(crate) fn light(&self, from_lens: &Vector2<f64>, along: f64, across: f64) -> f64 {
         let extent = self.half_pitch_px / 2.0;
         let square = from_lens.norm_squared() + extent.powi(2) * (along.powi(2) + across.powi(2));
-        // Exact for cos⁴; other laws differ from it in the fourth order of the angle.
-        (1.0 + (self.within_per_px2 * square / 4.0).max(-0.5)).powi(-2)
+        let natural = (self.within_per_px2 - self.of_pixels_per_px2) * square / 4.0;
+        // To the fourth order of the angle, in which the two laws differ.
+        (1.0 + natural.max(-0.5)).powi(-2) * (-self.of_pixels_per_px2 * square / 2.0).exp()
     }
 }
 
@@ -49,6 +52,7 @@ mod tests {
         let obliquity = Obliquity {
             gradient_per_px: chief * (4.0 / distance),
             within_per_px2: 4.0 / (distance * distance),
+            of_pixels_per_px2: 0.0,
             half_pitch_px: 11.5,
         };
         let pixel = Vector2::new(4.0, 3.0);
