@@ -231,6 +231,7 @@ impl MicroImages {
                 gradient_per_px: self.fall_off.gradient(place),
                 within_per_px2: self.fall_off.within_per_px2,
                 half_pitch_px: self.grid.pitch_px / 2.0,
+                ..Obliquity::default()
             },
             growth,
         }

@@ -1,13 +1,15 @@
 //! Whether white images belong together and to the camera that is stated, and what the user should know.
 
-use super::correction::Moments;
 use super::grid::MicroImageArray;
 use super::internal::{RadiusMeasurement, fit_internal};
-use super::profile::Profile;
-use super::radii::REACH;
+use super::levers::Levers;
+use super::pattern::Pattern;
+use super::radii::{REACH, profile_at};
+use super::samples::Samples;
 use super::stage::{Precalibration, PrecalibrationOptions, White};
 use super::types::LensTypes;
 use crate::error::{Error, Result};
+use crate::image::Grey;
 use crate::model::{Configuration, Datasheet, InternalParameters, Sensor, positive};
 
 /// A radius this part away from where the other f-numbers put it is the sign of a wrong f-number: half a
@@ -148,13 +150,15 @@ impl Precalibration {
 
 /// A warning if the micro-images of the reference do not have the size of its f-number.
 pub(super) fn different_aperture(
-    reference: &White,
-    moments: &Moments,
-    profiles: &[Profile],
+    (reference, grey): (&White, &Grey),
+    levers: &Levers,
+    samples: &Samples,
+    pattern: &Pattern,
 ) -> Option<String> {
-    let (profile, q_prime) = (profiles.first()?, moments.internal.q_prime_mm.first()?);
-    let (a, b) = moments.disc_radii(reference.f_number, *q_prime);
-    let radius = profile.fit(REACH * moments.grid.pitch_px)?.outer;
+    let (middle, pattern) = samples.middle_of(grey, pattern);
+    let profile = profile_at(&middle, &pattern, samples.nodes.first()?);
+    let (a, b) = levers.radii(0);
+    let radius = profile.fit(REACH * pattern.pitch())?.outer;
     ((radius / (a + b) - 1.0).abs() > CONTRADICTION).then(|| {
         format!(
             "{}: at f/{:.2} micro-images of type 1 should have a radius of {:.2} px, but have \

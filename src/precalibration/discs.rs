@@ -300,7 +300,7 @@ mod tests {
         let mut profile = Profile { bins: (0..96).map(bin).collect(), bright: Vec::new() };
         profile.set_angles(a, -b, PITCH_PX / 2.0);
         for bin in &mut profile.bins {
-            let fall_off = Obliquity::light_of_square(bin.square, WITHIN);
+            let fall_off = Obliquity::natural_light(bin.square, WITHIN);
             bin.light = 0.02 + 0.8 * seen(bin.radius, a + b, (a - b).abs()) * fall_off;
         }
         profile.bins.retain(|bin| bin.light < clipped);

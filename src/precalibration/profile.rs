@@ -145,7 +145,7 @@ impl Profile {
         let mut profile = self.clone();
         profile.set_angles(pupil_px, q_px, obliquity.half_pitch_px);
         for bin in &mut profile.bins {
-            bin.fall_off = Obliquity::light_of_square(bin.square, obliquity.within_per_px2);
+            bin.fall_off = obliquity.light(bin.square);
         }
         profile
     }
@@ -174,7 +174,7 @@ impl Profile {
     /// Weighted residuals for discs of radii a and b, px, with the fall-off H, px⁻², at the angles that were
     /// set.
     pub fn residuals_of_discs(&self, a: f64, b: f64, within_per_px2: f64) -> Option<Vec<f64>> {
-        let fall_off = |bin: &Bin| Obliquity::light_of_square(bin.square, within_per_px2);
+        let fall_off = |bin: &Bin| Obliquity::natural_light(bin.square, within_per_px2);
         self.residuals_with(a + b, (a - b).abs(), fall_off).map(|(_, residuals)| residuals)
     }
 
@@ -226,11 +226,6 @@ impl Profile {
         let residual =
             |(bin, shape): (&Bin, &f64)| (bin.light - linear.x * shape - linear.y) * weight(bin);
         Some((linear, self.bins.iter().zip(&shape).map(residual).collect()))
-    }
-
-    /// Light in the middle above the background, over what clips it, for discs of known size.
-    pub fn peak(&self, outer: f64, inner: f64) -> Option<f64> {
-        self.residuals(outer, inner).map(|(linear, _)| linear.x)
     }
 
     /// The edge that a descent from one start ends at, and its sum of squares.

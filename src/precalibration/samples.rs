@@ -24,7 +24,7 @@ const SAME_PLACE: f64 = 0.25;
 /// White images with a sample of each.
 pub(super) struct Samples<'a> {
     pub whites: &'a [White],
-    pub samples: Vec<Sample>,
+    pub samples: Vec<Sample<'a>>,
     /// Nodes in the middle of the images, by lens type, or by colour of the lattice while the types are
     /// not known.
     pub nodes: Vec<Vec<(i32, i32)>>,
@@ -32,7 +32,8 @@ pub(super) struct Samples<'a> {
 }
 
 /// What is measured of one white image.
-pub(super) struct Sample {
+pub(super) struct Sample<'a> {
+    pub grey: Grey<'a>,
     /// Micro-images from all over it.
     pub blobs: Vec<Blob>,
     /// Its middle, where radii are measured, and the pattern there.
@@ -53,8 +54,9 @@ impl<'a> Samples<'a> {
         let colors = if found.pattern.kind == LatticeKind::Orthogonal { 1 } else { 3 };
         let size = (reference.image.width, reference.image.height);
         let nodes = middle_nodes(found, size, colors);
-        let of_white = |white| sample(white, reference, found, &nodes).inspect(|_| progress());
-        let samples = whites.par_iter().map(of_white).collect::<Result<Vec<Sample>>>()?;
+        let of_white =
+            |white: &'a White| sample(white, reference, found, &nodes).inspect(|_| progress());
+        let samples = whites.par_iter().map(of_white).collect::<Result<Vec<Sample<'a>>>>()?;
         Ok(Self { whites, samples, nodes, options })
     }
 
@@ -75,7 +77,7 @@ impl<'a> Samples<'a> {
 
     /// Radii by white image and by group of nodes.
     pub fn radii(&self, estimator: RadiusEstimator) -> Result<Vec<Vec<TypeRadius>>> {
-        let of_white = |(white, sample): (&White, &Sample)| {
+        let of_white = |(white, sample): (&White, &Sample<'_>)| {
             let radius = |nodes: &Vec<(i32, i32)>| {
                 radius_at(&sample.middle, &sample.pattern, nodes, estimator).ok_or_else(|| {
                     Error::invalid(format!(
@@ -204,12 +206,12 @@ impl<'a> Samples<'a> {
 
 /// Measures a sample of a white image where the reference has micro-images; an error if it has them
 /// elsewhere. `nodes` are those of the middle.
-fn sample(
-    white: &White,
+fn sample<'a>(
+    white: &'a White,
     reference: &White,
     found: &FoundArray,
     nodes: &[Vec<(i32, i32)>],
-) -> Result<Sample> {
+) -> Result<Sample<'a>> {
     let grey = white.image.grey();
     let pattern = &found.pattern;
     let of_array: Vec<(i32, i32)> = found.blobs.iter().map(|blob| blob.node).collect();
@@ -232,7 +234,7 @@ fn sample(
     }
     trace!("{}: pitch {:.5} px, {} micro-images", white.name, followed.pitch(), blobs.len());
     let (middle, pattern) = middle_of(&grey, &followed, nodes);
-    Ok(Sample { blobs, middle, pattern })
+    Ok(Sample { grey, blobs, middle, pattern })
 }
 
 /// The part of an image that shows some nodes, and the pattern there.

@@ -1,23 +1,23 @@
 //! The pre-calibration as one stage: from white images to the array and the internal parameters.
 
 use nalgebra::Vector2;
-use rayon::prelude::*;
 use tracing::{debug, info};
 
-use super::array::{ArrayMeasurement, FoundArray, found_array};
+use super::array::{ArrayMeasurement, found_array};
 use super::checks::{
     contradictions, different_aperture, disagreeing_types, doubtful_colors, named, reference_of,
 };
-use super::correction::{Moments, corrected_array};
+use super::correction::{corrected_array, shift_moments};
 use super::discs::Discs;
-use super::fall_off::known_fall_off;
+use super::fall_off::{Light, Measured};
 use super::internal::{InternalFit, RadiusMeasurement};
-use super::radii::{RadiusEstimator, TypeRadius, profile_at};
+use super::levers::Levers;
+use super::radii::{RadiusEstimator, TypeRadius};
 use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
 use crate::image::RawImage;
-use crate::model::{Configuration, Datasheet, FallOff, optics, positive};
+use crate::model::{Configuration, Datasheet, FallOff, InternalParameters, optics, positive};
 use crate::vignetting::Obliquity;
 
 /// A white image.
@@ -121,15 +121,16 @@ pub fn precalibrate(
 
     // The sizes of the discs decide how far centroids are shifted, whatever estimator is asked for.
     let seen_pitch_px = found.array.grid.pitch_px;
-    let (discs, fall_off, unknown_fall_off) =
-        discs_and_fall_off(&found, &samples, &by_profile, reference, options)?;
-    // In the middle of the image, where radii are measured.
-    let obliquity = Obliquity {
-        gradient_per_px: Vector2::zeros(),
-        within_per_px2: fall_off.within_per_px2,
-        half_pitch_px: seen_pitch_px / 2.0,
-    };
+    let lines =
+        samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?.parameters;
+    let light = Light::read(&found, &samples, (reference.f_number, &grey));
+    let mut first = light.fall_off(&lines, options, 1.0);
+    // Straight lines are near enough to begin with.
+    let within = first.fall_off.within_per_px2;
+    let discs = samples.discs(&by_profile, &lines, within, seen_pitch_px);
     let discs = discs.as_ref();
+    take_within(&mut first.fall_off, discs);
+    let obliquity = in_the_middle(&first.fall_off, &lines, seen_pitch_px, options);
     let internal_of = |by_type: &[Vec<TypeRadius>]| {
         let mut radii = samples.measurements(by_type);
         samples.internal(discs, &mut radii, by_type, seen_pitch_px)
@@ -137,17 +138,13 @@ pub fn precalibrate(
     let by_profile =
         samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
     let oblique = internal_of(&by_profile)?;
-    let moments = Moments {
-        internal: &oblique.parameters,
-        obliquity: &obliquity,
-        grid: &found.array.grid,
-        options,
-    };
-    let (middle, pattern) = samples.middle_of(&grey, &found.pattern);
-    let profiles: Vec<_> =
-        samples.nodes.par_iter().map(|nodes| profile_at(&middle, &pattern, nodes)).collect();
-    let (array, pitch_correction) =
-        corrected_array(&found, &fall_off, &moments, (reference.f_number, &profiles))?;
+    // Again with the discs as they are.
+    let Measured { mut fall_off, strength, warning: unknown_fall_off } =
+        light.fall_off(&oblique.parameters, options, first.strength);
+    take_within(&mut fall_off, discs);
+    let levers = Levers::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
+    let moments = shift_moments(light.of_reference(), &levers, seen_pitch_px, strength);
+    let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments)?;
 
     let (by_type, discs) = match options.estimator {
         RadiusEstimator::Profile => (by_profile, discs),
@@ -161,7 +158,7 @@ pub fn precalibrate(
     // Lines through a wrong f-number say nothing about the aperture of the reference.
     let wrong_aperture = match wrong_f_number {
         Some(_) => None,
-        None => different_aperture(reference, &moments, &profiles),
+        None => different_aperture((reference, &grey), &levers, &samples, &found.pattern),
     };
     let warnings =
         [wrong_f_number, wrong_aperture, disagreeing_types(&lens_types), unknown_fall_off];
@@ -176,24 +173,29 @@ pub fn precalibrate(
     Ok(measured)
 }
 
-/// The discs of pupil and blur as far as the light determines them, and its fall-off with a warning where that
-/// is not known. Straight lines are near enough to begin with.
-fn discs_and_fall_off(
-    found: &FoundArray,
-    samples: &Samples,
-    by_profile: &[Vec<TypeRadius>],
-    reference: &White,
-    options: &PrecalibrationOptions,
-) -> Result<(Option<Discs>, FallOff, Option<String>)> {
-    let pitch_px = found.array.grid.pitch_px;
-    let lines = samples.fit_internal(&mut samples.measurements(by_profile), pitch_px)?.parameters;
-    let (mut fall_off, warning) = known_fall_off(found, samples, reference, &lines, options);
-    let discs = samples.discs(by_profile, &lines, fall_off.within_per_px2, pitch_px);
-    if let Some(discs) = &discs {
+/// H as the discs show it, if they do.
+fn take_within(fall_off: &mut FallOff, discs: Option<&Discs>) {
+    if let Some(discs) = discs {
         debug!("{discs:?}");
         (fall_off.within_per_px2, fall_off.within_std_dev_per_px2) = discs.within_per_px2;
     }
-    Ok((discs, fall_off, warning))
+}
+
+/// The fall-off in the middle of the image, where radii are measured.
+fn in_the_middle(
+    fall_off: &FallOff,
+    internal: &InternalParameters,
+    pitch_px: f64,
+    options: &PrecalibrationOptions,
+) -> Obliquity {
+    let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
+    let cos4 = 4.0 / mla_to_sensor_px.powi(2);
+    Obliquity {
+        gradient_per_px: Vector2::zeros(),
+        within_per_px2: fall_off.within_per_px2,
+        of_pixels_per_px2: (fall_off.within_per_px2 - cos4).max(0.0),
+        half_pitch_px: pitch_px / 2.0,
+    }
 }
 
 impl Precalibration {

@@ -10,6 +10,8 @@ pub struct Obliquity {
     pub gradient_per_px: Vector2<f64>,
     /// H, px⁻²: light is more oblique off the middle of the micro-image, n/d² for a law cosⁿ.
     pub within_per_px2: f64,
+    /// The part of H that pixels add to cos⁴, px⁻²: their light is exponential in |y − M|². From 0 to H.
+    pub of_pixels_per_px2: f64,
     /// Δc/2, half the micro-image pitch, px. It stands for the radius ΔC/2 of the micro-lens, which is
     /// smaller by the factor D/(D + d).
     pub half_pitch_px: f64,
@@ -27,17 +29,16 @@ impl Obliquity {
         spread * (spread * gradient) * (self.half_pitch_px / 4.0)
     }
 
-    /// Light through a part of the micro-lens over that at normal incidence, in the middle of the image.
-    /// `from_lens` as above; `along` and `across` are the standard deviations in units of half a radius.
-    pub(crate) fn light(&self, from_lens: &Vector2<f64>, along: f64, across: f64) -> f64 {
-        let extent = self.half_pitch_px / 2.0;
-        let square = from_lens.norm_squared() + extent.powi(2) * (along.powi(2) + across.powi(2));
-        Self::light_of_square(square, self.within_per_px2)
+    /// Light over that at normal incidence, in the middle of the image, from the mean square of the vectors from
+    /// the part of the micro-lens that it comes through to the pixel, px².
+    pub(crate) fn light(&self, square: f64) -> f64 {
+        // To the fourth order of the angle, in which the two laws differ.
+        Self::natural_light(square, self.within_per_px2 - self.of_pixels_per_px2)
+            * (-self.of_pixels_per_px2 * square / 2.0).exp()
     }
 
-    /// The same by the mean square of the vectors from the micro-lens to the pixel, px², and H, px⁻².
-    pub(crate) fn light_of_square(square: f64, within_per_px2: f64) -> f64 {
-        // Exact for cos⁴; other laws differ from it in the fourth order of the angle.
+    /// The same by cos⁴ alone, which H, px⁻², is as strong as.
+    pub(crate) fn natural_light(square: f64, within_per_px2: f64) -> f64 {
         (1.0 + (within_per_px2 * square / 4.0).max(-0.5)).powi(-2)
     }
 }
@@ -54,6 +55,7 @@ mod tests {
         let obliquity = Obliquity {
             gradient_per_px: chief * (4.0 / distance),
             within_per_px2: 4.0 / (distance * distance),
+            of_pixels_per_px2: 0.0,
             half_pitch_px: 11.5,
         };
         let pixel = Vector2::new(4.0, 3.0);
@@ -74,7 +76,7 @@ mod tests {
         let shift = obliquity.shift(&pixel, &Matrix2::identity());
         let (_, expected) = sums(chief);
         assert!((shift - expected).norm() < 0.1 * shift.norm(), "{shift} {expected}");
-        let seen = obliquity.light(&pixel, 1.0, 1.0);
+        let seen = obliquity.light(pixel.norm_squared() + obliquity.half_pitch_px.powi(2) / 2.0);
         let (expected, _) = sums(Vector2::zeros());
         assert!((seen - expected).abs() < 4e-3, "{seen} for {expected}");
     }

@@ -17,7 +17,7 @@ use crate::support::preset;
 /// Limits for the pre-calibration: centres, px RMS; pitch, relative; rotation, rad; m and q',
 /// relative.
 const CENTERS_PX: f64 = 0.05;
-const PITCH: f64 = 1.5e-5;
+const PITCH: f64 = 1e-5;
 const ROTATION: f64 = 1e-5;
 const INTERNAL: f64 = 0.01;
 /// Limit in Keplerian configuration. Rays meet the sensor at angles up to 20 degrees larger, and the

@@ -1,0 +1,253 @@
+//! The light of micro-images by ring about their centres, and how lopsided each of them is.
+//!
+//! A micro-image off the axis is brighter on one side. Its light is the mean light of all micro-images of
+//! its type at the distance r from its centre, Ī(r), times 1 − g·(y − M), where the pixel y sees the pupil
+//! through the part of the micro-lens about M. A centre that is off by δ makes it lopsided too, by −δ·Ī′ along
+//! the radius. The two differ in how they change with r, so both are fitted, and no other centre is needed:
+//! g is the same whatever window and centroid were used, whether part of the light is clipped or not.
+//!
+//! All that is asked of a pixel depends on its ring and its direction. So the pixels of a ring come down to a
+//! few sums, and an image is read once.
+
+use nalgebra::{Matrix3, Matrix5, SMatrix, Vector2, Vector3, Vector5};
+use rayon::prelude::*;
+
+use super::centers::part_with;
+use crate::image::Grey;
+
+/// Width of the rings, px.
+const RING_PX: f64 = 0.25;
+/// Samples above this part of full scale may be clipped; so may the mean of a ring with one.
+const CLIPPED: f32 = 0.97;
+/// The smallest plateau across which light falls off by enough to be seen, px.
+const LEAST_PLATEAU_PX: f64 = 1.5;
+/// Variance of a pixel without light, over that of the brightest.
+const READ_NOISE: f64 = 0.02;
+/// Fewest pixels that determine the five numbers of a micro-image.
+const FEWEST: f64 = 30.0;
+
+/// Sums over the pixels of a ring: their number, and those of light, by direction (x, y) from the centre.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    count: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    light: f64,
+    light_x: f64,
+    light_y: f64,
+    square: f64,
+    /// Light that is not clipped, and the number of pixels where it may be.
+    unclipped: f64,
+    clipped: f64,
+}
+
+impl Sums {
+    #[inline]
+    fn add(&mut self, x: f64, y: f64, value: f32) {
+        let light = f64::from(value);
+        self.count += 1.0;
+        self.x += x;
+        self.y += y;
+        self.xx += x * x;
+        self.xy += x * y;
+        self.light += light;
+        self.light_x += light * x;
+        self.light_y += light * y;
+        self.square += light * light;
+        if value > CLIPPED {
+            self.clipped += 1.0;
+        } else {
+            self.unclipped += light;
+        }
+    }
+
+    /// Sums of products of (1, x, y).
+    fn directions(&self) -> Matrix3<f64> {
+        let yy = self.count - self.xx;
+        Matrix3::new(self.count, self.x, self.y, self.x, self.xx, self.xy, self.y, self.xy, yy)
+    }
+}
+
+/// One micro-image by ring.
+#[derive(Debug)]
+struct MicroImage {
+    center: Vector2<f64>,
+    rings: Vec<Sums>,
+}
+
+impl MicroImage {
+    fn read(image: &Grey, center: Vector2<f64>, reach: f64) -> Self {
+        let (part, corner) = part_with(image, std::iter::once(center), reach + 1.0);
+        let from = center - corner;
+        let mut rings = vec![Sums::default(); count_of(reach)];
+        let columns: Vec<f64> = (0..part.width).map(|u| u as f64 - from.x).collect();
+        for (v, row) in part.pixels.chunks_exact(part.width.max(1)).enumerate() {
+            let y = v as f64 - from.y;
+            let rest = reach * reach - y * y;
+            for (&x, value) in columns.iter().zip(row).filter(|(x, _)| x.powi(2) <= rest) {
+                let r = (x * x + y * y).sqrt();
+                #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a distance
+                let ring = (r / RING_PX) as usize;
+                let inverse = 1.0 / r.max(1e-9);
+                rings[ring].add(x * inverse, y * inverse, *value);
+            }
+        }
+        Self { center, rings }
+    }
+}
+
+/// Number of rings up to a distance.
+fn count_of(reach: f64) -> usize {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
+    let count = (reach / RING_PX).floor() as usize + 1;
+    count
+}
+
+/// A ring of the mean micro-image.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Ring {
+    /// Its middle, px.
+    pub radius: f64,
+    /// Ī.
+    pub light: f64,
+    /// The part of Ī that is not clipped.
+    pub unclipped: f64,
+    /// Ī′, px⁻¹.
+    pub slope: f64,
+    /// Whether nothing is clipped nearby.
+    pub whole: bool,
+}
+
+/// How lopsided a micro-image is.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Gradient {
+    pub place: Vector2<f64>,
+    /// g, px⁻¹, and one over its variance per axis.
+    pub value: Vector2<f64>,
+    pub weight: f64,
+}
+
+/// Micro-images of one lens type in one image.
+#[derive(Debug)]
+pub(super) struct Alike {
+    images: Vec<MicroImage>,
+    /// Their mean light.
+    pub mean: Vec<Ring>,
+}
+
+impl Alike {
+    /// The light of the micro-images with these centres, up to a distance.
+    pub fn read(image: &Grey, centers: &[Vector2<f64>], reach: f64) -> Self {
+        let images: Vec<MicroImage> =
+            centers.par_iter().map(|center| MicroImage::read(image, *center, reach)).collect();
+        let mut sums = vec![(0.0, 0.0, 0.0, 0.0); count_of(reach)];
+        for of_image in &images {
+            for (sum, ring) in sums.iter_mut().zip(&of_image.rings) {
+                sum.0 += ring.count;
+                sum.1 += ring.light;
+                sum.2 += ring.unclipped;
+                sum.3 += ring.clipped;
+            }
+        }
+        let ring = |i: usize| {
+            let (before, here, after) = (sums.get(i.checked_sub(1)?)?, sums[i], sums.get(i + 1)?);
+            let near = [*before, here, *after];
+            let [before, light, after] = near.map(|(count, light, ..)| light / count);
+            near.iter().all(|(count, ..)| *count > 0.0).then(|| Ring {
+                radius: (i as f64 + 0.5) * RING_PX,
+                light,
+                unclipped: here.2 / here.0,
+                slope: (after - before) / (2.0 * RING_PX),
+                whole: near.iter().all(|(.., clipped)| *clipped == 0.0),
+            })
+        };
+        let mean = (0..sums.len()).map(|i| ring(i).unwrap_or_default()).collect();
+        Self { images, mean }
+    }
+
+    /// g of every micro-image that shows it, by its light up to a distance; see [`Levers::lever`].
+    ///
+    /// [`Levers::lever`]: super::levers::Levers::lever
+    pub fn gradients(&self, reach: f64, lever: impl Fn(f64) -> f64) -> Vec<Gradient> {
+        let brightest = self.mean.iter().map(|ring| ring.light).fold(0.0, f64::max);
+        let design = |ring: &Ring| {
+            let lever = -ring.light * lever(ring.radius);
+            let slope = -ring.slope;
+            let weight = 1.0 / (ring.light + READ_NOISE * brightest);
+            // From a pixel's (1, x, y) to its light by scale, g and δ.
+            #[rustfmt::skip]
+            let columns = SMatrix::<f64, 5, 3>::new(
+                ring.light, 0.0, 0.0,
+                0.0, lever, 0.0,
+                0.0, 0.0, lever,
+                0.0, slope, 0.0,
+                0.0, 0.0, slope,
+            );
+            (ring.whole && ring.radius < reach).then_some((columns, weight))
+        };
+        let design: Vec<Option<Design>> = self.mean.iter().map(design).collect();
+        self.images.par_iter().filter_map(|image| gradient(image, &design)).collect()
+    }
+
+    /// H with its variance, from how much darker the plateaus of micro-images become away from their
+    /// centres; `None` if those are too small or clipped. Every micro-image is compared with its own mean.
+    pub fn within(&self, (plateau_px, lever): (f64, f64)) -> Option<(f64, f64)> {
+        if plateau_px < LEAST_PLATEAU_PX {
+            return None;
+        }
+        let inside = count_of(plateau_px) - 1;
+        let x = |i: usize| (lever * (i as f64 + 0.5) * RING_PX).powi(2) / 2.0;
+        let (mut square, mut product, mut residual, mut count) = (0.0, 0.0, 0.0, 0.0);
+        for image in &self.images {
+            let rings = &image.rings[..inside.min(image.rings.len())];
+            let n: f64 = rings.iter().map(|ring| ring.count).sum();
+            if n < 2.0 || rings.iter().any(|ring| ring.clipped > 0.0) {
+                continue;
+            }
+            let mean = rings.iter().map(|ring| ring.light).sum::<f64>() / n;
+            let mean_x =
+                rings.iter().enumerate().map(|(i, ring)| x(i) * ring.count).sum::<f64>() / n;
+            for (i, ring) in rings.iter().enumerate() {
+                let x = x(i) - mean_x;
+                square += x * x * ring.count;
+                product += x * ring.light / mean;
+                residual += ring.square / (mean * mean);
+            }
+            residual -= n;
+            count += n;
+        }
+        (count > FEWEST).then(|| (-product / square, residual / count / square))
+    }
+}
+
+/// What the light of a ring changes with, and its weight.
+type Design = (SMatrix<f64, 5, 3>, f64);
+
+/// g of a micro-image; `None` if too little of its light is usable.
+fn gradient(image: &MicroImage, design: &[Option<Design>]) -> Option<Gradient> {
+    let (mut normal, mut right) = (Matrix5::<f64>::zeros(), Vector5::<f64>::zeros());
+    let (mut squares, mut count) = (0.0, 0.0);
+    let usable = design.iter().zip(&image.rings).filter_map(|(d, ring)| Some((d.as_ref()?, ring)));
+    for ((columns, weight), ring) in usable {
+        let columns_by_weight = columns * *weight;
+        normal += columns_by_weight * ring.directions() * columns.transpose();
+        right += columns_by_weight * Vector3::new(ring.light, ring.light_x, ring.light_y);
+        squares += weight * ring.square;
+        count += ring.count;
+    }
+    if count < FEWEST {
+        return None;
+    }
+    let inverse = normal.cholesky()?.inverse();
+    let solution = inverse * right;
+    let variance = (squares - right.dot(&solution)) / (count - 5.0);
+    let of_axes = variance * f64::midpoint(inverse[(1, 1)], inverse[(2, 2)]);
+    let scale = solution[0];
+    (scale > 0.0 && of_axes > 0.0).then(|| Gradient {
+        place: image.center,
+        value: Vector2::new(solution[1], solution[2]) / scale,
+        weight: scale * scale / of_axes,
+    })
+}
