@@ -243,7 +243,8 @@ PointSensitivity point_sensitivity(const Camera& camera, const Vector3<double>& 
                                    const Feature<double>& std_dev, double margin) {
   require_std_dev(std_dev.u, "u");
   require_std_dev(std_dev.v, "v");
-  if (camera.lens_types() > 0 && !std::isinf(std_dev.rho)) require_std_dev(std_dev.rho, "rho");
+  const bool uses_rho = camera.lens_types() > 0 && std_dev.rho != HUGE_VAL;
+  if (uses_rho) require_std_dev(std_dev.rho, "rho");
   const std::vector<MicroLensIndex> micro_lenses = micro_lenses_seeing(camera, point, margin);
 
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
