@@ -142,6 +142,25 @@ TEST(Anchors, OnTheInterceptsTakeThePlaceOfRho) {
   EXPECT_NEAR(blur_intercept(mla, 0.578), 0.035968858, 1e-9);
 }
 
+// The weight of anchors comes from quantities that observations tell of, not from the q'_i.
+TEST(Anchors, OnTheInterceptsDoNotChangeTheDispersion) {
+  const Scene scene = noisy_scene();
+  CostOptions without = paper();
+  without.rho = false;
+  without.anchors = {{"F", 50.0, 0.5}};
+  CostOptions with = without;
+  for (int i = 0; i < 3; ++i) {
+    without.fixed.push_back("f_" + std::to_string(i + 1));
+    const double f = scene.camera.micro_lens_focal_lengths[i];
+    with.anchors.push_back({intercept_name(i), blur_intercept(scene.camera.mla, f), 1e-5});
+  }
+  const auto dispersion = [&](const CostOptions& options) {
+    const Refinement r = refine(scene.camera, scene.poses, scene.observations, options, {});
+    return uncertainty(r.camera, r.poses, scene.observations, options).dispersion;
+  };
+  expect_near_relative(dispersion(with), dispersion(without), 1e-6, "dispersion");
+}
+
 TEST(Anchors, GiveTheirOwnUncertaintyWhereObservationsHaveNone) {
   // Observations so bad that the anchor decides: its sigma is that of the result, whatever its
   // weight.

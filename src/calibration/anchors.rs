@@ -30,8 +30,10 @@ const MOUNT_MM: f64 = 0.5;
 pub enum AnchorSource {
     /// The focal length in the datasheet.
     Datasheet,
-    /// m of the white images.
+    /// m and q'ᵢ of the white images.
     WhiteImages,
+    /// The camera that the calibration starts from.
+    Start,
     /// The middle of the sensor.
     SensorMiddle,
     /// The user.
@@ -68,6 +70,7 @@ impl fmt::Display for AnchorSource {
         f.write_str(match self {
             Self::Datasheet => "datasheet",
             Self::WhiteImages => "white images",
+            Self::Start => "starting camera",
             Self::SensorMiddle => "middle of the sensor",
             Self::Stated => "stated",
         })
@@ -108,9 +111,9 @@ pub(super) fn anchors(start: &Start, options: &CalibrationOptions) -> Vec<(Ancho
 /// q'ᵢ of the white images, or of the camera that is started from. They are observations that all features share:
 /// without ρ, and without them, nothing is said of the fᵢ.
 fn intercepts(start: &Start) -> Vec<(Anchor, AnchorSource)> {
-    let internal = match start {
-        Start::Datasheet(_, internal) => internal.clone(),
-        Start::Camera(camera) => optics::internal_parameters(camera),
+    let (internal, source) = match start {
+        Start::Datasheet(_, internal) => (internal.clone(), AnchorSource::WhiteImages),
+        Start::Camera(camera) => (optics::internal_parameters(camera), AnchorSource::Start),
     };
     let anchor = |lens_type: usize| {
         let value = internal.q_prime_mm[lens_type];
@@ -118,7 +121,7 @@ fn intercepts(start: &Start) -> Vec<(Anchor, AnchorSource)> {
         let std_dev = std_dev.unwrap_or(INTERCEPTS * value);
         Anchor { quantity: intercept_name(lens_type), value, std_dev }
     };
-    (0..start.lens_types()).map(|i| (anchor(i), AnchorSource::WhiteImages)).collect()
+    (0..start.lens_types()).map(|i| (anchor(i), source)).collect()
 }
 
 fn default_anchors(start: &Start) -> Vec<(Anchor, AnchorSource)> {

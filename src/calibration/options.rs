@@ -199,6 +199,13 @@ impl CalibrationOptions {
         }
         positive(self.cost.uv_std_dev_px, "the standard deviation of (u, v) (px)")?;
         positive(self.cost.rho_std_dev_px, "the standard deviation of rho (px)")?;
+        if self.mode == Mode::Full && !self.cost.rho && (self.cost.rho_std_dev_px - 1.0).abs() > 0.0
+        {
+            return Err(Error::invalid(
+                "a standard deviation of rho is given, but rho does not count: let it count (blur = \
+                 \"features\"), or leave the standard deviation out",
+            ));
+        }
         positive(self.cost.centers_std_dev_px, "the standard deviation of the centres (px)")?;
         positive(self.cost.loss.scale, "the scale of the loss")?;
         if self.solver.max_iterations == 0 || self.solver.threads == 0 {

@@ -36,7 +36,7 @@ struct Observations {
 /// Name of |m|, mm (`micro_image_slope`), among the quantities of anchors.
 constexpr char kSlopeName[] = "m";
 
-/// Name of q'_i, mm (`blur_intercept`), of the first lens type, from 0: "q'_1".
+/// Name of q'_i, mm (`blur_intercept`), among the quantities of anchors: "q'_1" for lens type 0.
 inline std::string intercept_name(int lens_type) { return "q'_" + std::to_string(lens_type + 1); }
 
 /// What is known of a camera beforehand: one more residual, (quantity - value) / std_dev.
