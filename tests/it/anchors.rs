@@ -110,7 +110,6 @@ fn the_proportion_does_not_depend_on_the_weights_of_observations() {
     for factor in [0.01, 100.0] {
         let cost = &mut options.cost;
         cost.uv_std_dev_px = factor;
-        cost.rho_std_dev_px = factor;
         cost.centers_std_dev_px = factor;
         let other = run(&datasheet_start(), &observations, &options);
         let (a, b) = (one.camera.main_lens.focal_length_mm, other.camera.main_lens.focal_length_mm);
