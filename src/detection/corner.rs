@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Vector1, Vector2, Vector4};
 
-use super::blur::Blur;
+use super::blur::Rays;
 use super::patch::Patch;
 use crate::numerics::NormalEquations;
 
@@ -36,16 +36,15 @@ impl Corner {
     /// over that across both. 0 for a corner of a checkerboard, 1 where only one quarter is dark, as at
     /// the outer corners of the board; `None` if the light does not determine it.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    pub fn imbalance(&self, patch: &Patch, blur: &Blur) -> Option<f64> {
+    pub fn imbalance(&self, patch: &Patch, rays: &Rays) -> Option<f64> {
         let mut equations = NormalEquations::<f32, 4, 1>::new();
         let inverse = (1.0 / self.width) as f32;
         let place = self.place.map(|x| x as f32);
         let normals = self.angles.map(|angle| [-angle.sin() as f32, angle.cos() as f32]);
-        let origins = blur.origins(patch);
-        let share = 1.0 / origins.len() as f32;
+        let share = 1.0 / rays.points.len() as f32;
         for i in 0..patch.x.len() {
             let mut row = Vector4::new(1.0, 0.0, 0.0, 0.0);
-            for [origin_x, origin_y] in &origins {
+            for [origin_x, origin_y, ..] in &rays.points {
                 let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
                 let [s, t] = normals.map(|n| {
                     let t = (n[0] * x + n[1] * y).clamp(-1.0, 1.0);

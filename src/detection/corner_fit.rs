@@ -6,7 +6,7 @@
 use nalgebra::{SMatrix, SVector, Vector2};
 use pulp::{Arch, NullaryFnOnce};
 
-use super::blur::Blur;
+use super::blur::Rays;
 use super::corner::Corner;
 use super::patch::Patch;
 use crate::numerics::{Descent, LeastSquares};
@@ -40,20 +40,19 @@ const FURTHEST_PX: f64 = 30.0;
 
 impl Corner {
     /// Fits the corner to the light; `None` if that leads nowhere.
-    pub fn fitted(&self, patch: &Patch, blur: &Blur, free: Free) -> Option<Self> {
+    pub fn fitted(&self, patch: &Patch, rays: &Rays, free: Free) -> Option<Self> {
         match free {
-            Free::All => fit::<ALL>(*self, patch, blur),
-            Free::Place => fit::<PLACE>(Self { width: blur.width, ..*self }, patch, blur),
+            Free::All => fit::<ALL>(*self, patch, rays),
+            Free::Place => fit::<PLACE>(Self { width: rays.width, ..*self }, patch, rays),
         }
     }
 }
 
-fn fit<const P: usize>(start: Corner, patch: &Patch, blur: &Blur) -> Option<Corner> {
-    let origins = blur.origins(patch);
+fn fit<const P: usize>(start: Corner, patch: &Patch, rays: &Rays) -> Option<Corner> {
     let pixels = patch.x.len();
     let mut squares = Squares::<P> {
         patch,
-        origins: &origins,
+        rays,
         trial: Model::new(pixels),
         taken: Model::new(pixels),
         weighted: vec![0.0; pixels],
@@ -71,8 +70,7 @@ fn fit<const P: usize>(start: Corner, patch: &Patch, blur: &Blur) -> Option<Corn
 /// The weighted sum of squares of the light less that of a corner, over the first P parameters.
 struct Squares<'a, const P: usize> {
     patch: &'a Patch,
-    /// See [`Blur::origins`].
-    origins: &'a [[Vec<f32>; 2]],
+    rays: &'a Rays,
     trial: Model,
     taken: Model,
     weighted: Vec<f32>,
@@ -83,9 +81,9 @@ impl<const P: usize> LeastSquares<P> for Squares<'_, P> {
 
     fn evaluate(&mut self, at: &Corner) -> Option<f64> {
         // The same operations in the widest registers that the processor has.
-        let Self { trial, patch, origins, .. } = self;
+        let Self { trial, patch, rays, .. } = self;
         trial.place = at.place;
-        Some(Arch::new().dispatch(Evaluation { model: trial, corner: at, patch, origins }))
+        Some(Arch::new().dispatch(Evaluation { model: trial, corner: at, patch, rays }))
     }
 
     fn accept(&mut self) {
@@ -198,7 +196,7 @@ struct Evaluation<'a> {
     model: &'a mut Model,
     corner: &'a Corner,
     patch: &'a Patch,
-    origins: &'a [[Vec<f32>; 2]],
+    rays: &'a Rays,
 }
 
 impl NullaryFnOnce for Evaluation<'_> {
@@ -207,7 +205,7 @@ impl NullaryFnOnce for Evaluation<'_> {
     #[inline(always)]
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn call(self) -> f64 {
-        let Self { model, corner, patch, origins } = self;
+        let Self { model, corner, patch, rays } = self;
         let n = patch.x.len();
         for row in &mut model.rows {
             row.fill(0.0);
@@ -218,10 +216,10 @@ impl NullaryFnOnce for Evaluation<'_> {
             let (s, c) = angle.sin_cos();
             (s as f32, c as f32)
         });
-        let share = 1.0 / origins.len() as f32;
+        let share = 1.0 / rays.points.len() as f32;
         let rows = model.rows.each_mut().map(|row| &mut row[..n]);
         let [by_u, by_v, level, shape, by_1, by_2, by_width] = rows;
-        for [origin_x, origin_y] in origins {
+        for [origin_x, origin_y, ..] in &rays.points {
             let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
             for i in 0..n {
                 let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);

@@ -136,18 +136,19 @@ fn corner_alone(
     contrast: f64,
 ) -> Option<Corner> {
     let reach = optics.outer_radius_px() - EDGE_PX;
+    let rays = unknown.rays(patch);
     let clear = |corner: &Corner| {
         corner.place.norm() < reach
             && corner.explained > EXPLAINED
             && (LEAST_CONTRAST..MOST_CONTRAST).contains(&(corner.contrast.abs() / contrast))
             && corner.opening() > OPENING
             && corner.std_dev_px() < UNCERTAIN_PX
-            && corner.imbalance(patch, unknown).is_some_and(|part| part < IMBALANCE)
+            && corner.imbalance(patch, &rays).is_some_and(|part| part < IMBALANCE)
     };
     saddles(patch, LEAST_CONTRAST * contrast)
         .iter()
         .filter(|corner| corner.place.norm() < reach)
         .take(STARTS)
-        .filter_map(|corner| corner.fitted(patch, unknown, Free::All))
+        .filter_map(|corner| corner.fitted(patch, &rays, Free::All))
         .find(clear)
 }

@@ -155,10 +155,10 @@ pub(super) fn groups_on_lines(
             continue;
         };
         // The line that fits all of them may gain members, and lose some.
-        let fitted = CornerLine::fit(best.iter().map(|&i| &observations[i]));
+        let fitted = CornerLine::fit(best.iter().map(|&i| observations[i]));
         let members =
             fitted.map_or_else(Vec::new, |line| search.members(&line, observations, &left));
-        let line = CornerLine::fit(members.iter().map(|&i| &observations[i]));
+        let line = CornerLine::fit(members.iter().map(|&i| observations[i]));
         let line = line.filter(|line| search.is_enough(members.len(), line.slope));
         if let Some(line) = line {
             left.retain(|i| !members.contains(i));

@@ -89,6 +89,10 @@ impl MicroOptics {
 const MOST_PITCHES: f64 = 10.0;
 /// Step of the growth of d at which the vignetting is tabulated: the blur changes by 0.02 px.
 const GROWTH_STEP: f64 = 0.005;
+/// σ of the distance of the exit pupil from the sensor before it is known, relative.
+const PUPIL: f64 = 0.25;
+/// σ of a growth of d that is nearly 0, px⁻¹.
+const LEAST_GROWTH: f64 = 1e-7;
 /// d changes less than this across an array that was meant to be parallel to the sensor.
 const MOST_GROWTH: f64 = 0.3;
 
@@ -136,7 +140,11 @@ impl MicroImages {
         let fall_off = internal
             .fall_off
             .unwrap_or_else(|| FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, middle));
+        // The perspective tells the lean as well as it is known how far the exit pupil is from the lens.
         let growth_per_px = grid.perspective_per_px * (lens_to_sensor_px / mla_to_sensor_px);
+        let growth_per_px = internal.lean.map_or(growth_per_px, |lean| {
+            lean.with(&growth_per_px, &growth_per_px.abs().map(|x| (x * PUPIL).max(LEAST_GROWTH)))
+        });
         let most = growth_per_px.abs().dot(&middle);
         if most.is_nan() || most > MOST_GROWTH {
             return Err(Error::invalid(format!(
@@ -198,6 +206,11 @@ impl MicroImages {
         internal.validate(sheet.lens_types)?;
         check_stated_pitch(sheet, internal, &grid)?;
         Self::new(&grid, centers, internal, sheet)
+    }
+
+    /// a in the middle of the image, px.
+    pub(super) fn pupil_px(&self) -> f64 {
+        self.pupil_px
     }
 
     /// How the micro-lens of a micro-image blurs.

@@ -4,6 +4,7 @@
 //! a line, and the pinhole images of all lines on the lattice of the board, which labels them. In the
 //! second pass every corner of the board is searched for in the micro-images that should show it.
 
+mod aberration;
 mod blur;
 mod board;
 mod cells;
@@ -15,6 +16,7 @@ mod features;
 mod first_pass;
 mod frame;
 mod grouping;
+mod levers;
 mod line;
 mod micro_images;
 mod observation;
@@ -22,6 +24,7 @@ mod patch;
 mod rejection;
 mod saddle;
 mod second_pass;
+mod seen;
 mod slope_field;
 mod stage;
 #[cfg(test)]

@@ -199,6 +199,7 @@ mod tests {
             q_prime_std_dev_mm: Vec::new(),
             pupil_growth: 0.0,
             fall_off: None,
+            lean: None,
         };
         let grid = MicroImageArray {
             lattice: Lattice { packing: Packing::Orthogonal, columns: 3, rows: 3 },

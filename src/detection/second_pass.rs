@@ -1,9 +1,11 @@
 //! The second pass: every corner of the board where its line, or that of its neighbours, expects it.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use rayon::prelude::*;
+use tracing::trace;
 
-use super::blur::Blur;
+use super::aberration::Aberration;
+use super::blur::{Blur, Rays};
 use super::board::LabelledBoard;
 use super::corner::Corner;
 use super::corner_fit::Free;
@@ -12,6 +14,7 @@ use super::frame::{Frame, FrameCounts, MARGIN};
 use super::grouping::Group;
 use super::line::possible_slope;
 use super::patch::{Pair, Patch};
+use super::seen::Seen;
 use super::slope_field::SlopeField;
 use super::{CornerLine, CornerObservation, MicroOptics};
 use crate::numerics::median;
@@ -43,39 +46,26 @@ pub(super) struct BoardCorner {
     pub observations: Vec<(CornerObservation, Corner)>,
 }
 
-/// An observation of a corner, made with a blur radius that follows from the slope its line had before.
-struct Seen {
-    observation: CornerObservation,
-    corner: Corner,
-    /// By how much the observation moves if the slope grows, px. The blur radius then shrinks by Δc/2 for a unit
-    /// of the slope, and the corner lies by that times the centroid of the visible part of the micro-lens
-    /// elsewhere.
-    lever: Vector2<f64>,
-}
-
-impl Seen {
-    /// The observation as it enters the line: its place i + (γ − γ₀) lever = β + γ c is a line in γ as well, that
-    /// of i − γ₀ lever over c − lever. So the slope and the blur that follows from it are found together;
-    /// by turns, each round would leave half of an error.
-    fn on_line(&self, slope_before: f64) -> CornerObservation {
-        CornerObservation {
-            center: self.observation.center - self.lever,
-            position: self.observation.position - self.lever * slope_before,
-            ..self.observation
+impl BoardCorner {
+    /// With its observations where they are seen, not straightened.
+    fn as_seen(&mut self, aberration: &Aberration) {
+        for (observation, corner) in &mut self.observations {
+            let seen = aberration.bend(&observation.center, self.line.slope).seen(&corner.place);
+            observation.position = observation.center + seen;
+            corner.place = seen;
         }
     }
+}
 
-    /// The observation with the blur radius of another slope.
-    fn with_slope(mut self, change: f64) -> (CornerObservation, Corner) {
-        self.observation.position += self.lever * change;
-        self.corner.place += self.lever * change;
-        (self.observation, self.corner)
-    }
+/// A corner of the board that was searched for: what was seen of it, without what is off its line.
+struct Sought {
+    corner: i32,
+    seen: Vec<Seen>,
 }
 
 /// What came of the search for a board corner, in numbers of micro-images that should show it.
 struct Outcome {
-    found: Option<BoardCorner>,
+    found: Option<Sought>,
     unclear: usize,
     misplaced: usize,
     given_up: usize,
@@ -96,21 +86,40 @@ impl Frame<'_> {
         let mut corners: Vec<BoardCorner> =
             groups.iter().zip(&labelled.corners).filter_map(of_group).collect();
         let at_first: Vec<i32> = corners.iter().map(|c| c.corner).collect();
+        let mut aberration = Aberration::none(
+            if std::env::var("MID").is_ok() {
+                nalgebra::Vector2::new(520.0, 362.0)
+            } else {
+                self.search.sensor.center_px()
+            },
+            self.search.micro_images.pupil_px(),
+            std::env::var("ZONE2").map_or(0.5, |x| x.parse().unwrap()),
+        );
+        if let Ok(s) = std::env::var("FIX_S") {
+            aberration = aberration.changed(&Vector3::new(s.parse().unwrap(), 0.0, 0.0));
+        }
         for _ in 0..ROUNDS {
             let lines: Vec<CornerLine> = corners.iter().map(|c| c.line).collect();
             let Some(field) = SlopeField::fit(&lines) else { break };
             corners.extend(self.missing(&corners, labelled, &field));
-            let pass = SecondPass { frame: self, labelled, field: &field, contrast };
+            let pass = SecondPass { frame: self, labelled, field: &field, contrast, aberration };
             let outcomes: Vec<Outcome> = corners.par_iter().map(|c| pass.search(c)).collect();
             // Those of the last round count.
             counts.unclear = outcomes.iter().map(|o| o.unclear).sum();
             counts.misplaced = outcomes.iter().map(|o| o.misplaced).sum();
             counts.given_up = outcomes.iter().map(|o| o.given_up).sum();
-            corners = outcomes.into_iter().filter_map(|o| o.found).collect();
-            corners.sort_by_key(|c| c.corner);
+            let mut found: Vec<Sought> = outcomes.into_iter().filter_map(|o| o.found).collect();
+            found.sort_by_key(|c| c.corner);
+            let all = found.iter().map(|sought| sought.seen.as_slice());
+            let change = Aberration::change(all).unwrap_or_default();
+            aberration = aberration.changed(&change);
+            trace!("frame {}: {aberration:?}", self.frame);
+            corners = found.into_iter().filter_map(|s| pass.on_line(s, &change)).collect();
         }
+        trace!("frame {}: {aberration:?}", self.frame);
         // There are none if there was no round.
         corners.retain(|c| !c.observations.is_empty());
+
         let is_lost = |corner: &&i32| corners.iter().all(|c| c.corner != **corner);
         counts.lost = at_first.iter().filter(is_lost).count();
         counts.board_corners = corners.len();
@@ -144,6 +153,8 @@ struct SecondPass<'a> {
     field: &'a SlopeField,
     /// Of the frame.
     contrast: f64,
+    /// As far as it is known.
+    aberration: Aberration,
 }
 
 impl SecondPass<'_> {
@@ -166,28 +177,33 @@ impl SecondPass<'_> {
             if expected.norm() > optics.lit_px(rho) - EDGE_PX {
                 continue;
             }
-            let blur = Blur::new(rho, micro_images.vignetting(&optics), optics.obliquity);
+            let vignetting = micro_images.vignetting(&optics);
+            let bend = self.aberration.bend(&center, slope);
+            let blur = Blur::new(&optics, slope, bend, vignetting);
             let fitted = pair.patch(micro_images, node).ok().and_then(|patch| {
                 let start = self.expected_corner(sought, &center, patch.mean());
-                self.fitted(&start, &patch, &blur).map(|fitted| (fitted, patch))
+                let rays = blur.rays(&patch);
+                let corner = self.fitted(&start, &patch, &rays)?;
+                let levers = corner.levers(&patch, &rays, slope, &bend)?;
+                Some((corner, levers, corner.imbalance(&patch, &rays)))
             });
-            let Some((corner, patch)) = fitted else {
+            let Some((corner, levers, imbalance)) = fitted else {
                 unclear += 1;
                 continue;
             };
-            imbalances.extend(corner.imbalance(&patch, &blur));
-            let visible = micro_images.vignetting(&optics).at(&corner.place);
+            imbalances.extend(imbalance);
             observations.push(Seen {
                 observation: self.frame.observation(node, &corner),
-                lever: visible.mean * optics.half_pitch_px,
+                slope_before: slope,
+                levers,
                 corner,
             });
         }
         // The outer corners of the board look like corners in some micro-images, but not in most.
         let is_corner = median(imbalances).is_some_and(|median| median < IMBALANCE);
         let all = observations.len();
-        let found = if is_corner { self.on_line(sought, observations) } else { None };
-        let kept = found.as_ref().map_or(0, |found| found.observations.len());
+        let found = if is_corner { self.near_line(sought, observations) } else { None };
+        let kept = found.as_ref().map_or(0, |found| found.seen.len());
         let (misplaced, given_up) = if found.is_some() { (all - kept, 0) } else { (0, all) };
         Outcome { found, unclear, misplaced, given_up }
     }
@@ -220,8 +236,8 @@ impl SecondPass<'_> {
     }
 
     /// The corner where it is expected; `None` if it does not clearly show there.
-    fn fitted(&self, expected: &Corner, patch: &Patch, blur: &Blur) -> Option<Corner> {
-        expected.fitted(patch, blur, Free::Place).filter(|corner| {
+    fn fitted(&self, expected: &Corner, patch: &Patch, rays: &Rays) -> Option<Corner> {
+        expected.fitted(patch, rays, Free::Place).filter(|corner| {
             (corner.place - expected.place).norm() < EXPECTED_PX
                 && corner.explained > EXPLAINED
                 && (corner.contrast > 0.0) == (expected.contrast > 0.0)
@@ -230,28 +246,25 @@ impl SecondPass<'_> {
         })
     }
 
-    /// A corner with those of its observations that are on one line.
-    fn on_line(&self, sought: &BoardCorner, mut observations: Vec<Seen>) -> Option<BoardCorner> {
-        let before = sought.line.slope;
-        let fit = |observations: &[Seen]| {
-            let all: Vec<CornerObservation> =
-                observations.iter().map(|seen| seen.on_line(before)).collect();
-            CornerLine::fit(all.iter())
-        };
-        let line = fit(&observations)?;
+    /// What was seen of a corner, without what is off its line.
+    fn near_line(&self, sought: &BoardCorner, mut seen: Vec<Seen>) -> Option<Sought> {
+        let line = CornerLine::fit(seen.iter().map(Seen::on_line))?;
         let scale = line.rms_px.max(LEAST_RMS_PX);
-        observations.retain(|seen| {
-            let o = seen.on_line(before);
+        seen.retain(|seen| {
+            let o = seen.on_line();
             (o.position - line.at(&o.center)).norm() < OUTLIER * scale
         });
-        let line = fit(&observations)?;
-        let observations: Vec<(CornerObservation, Corner)> =
-            observations.into_iter().map(|seen| seen.with_slope(line.slope - before)).collect();
+        (seen.len() > 1).then_some(Sought { corner: sought.corner, seen })
+    }
+
+    /// A corner with its line, once the aberrations are known better.
+    fn on_line(&self, found: Sought, change: &Vector3<f64>) -> Option<BoardCorner> {
+        let Sought { corner, mut seen } = found;
+        seen.iter_mut().for_each(|seen| seen.with_aberration(change));
+        let line = CornerLine::fit(seen.iter().map(Seen::on_line))?;
+        seen.iter_mut().for_each(|seen| seen.with_slope(line.slope));
+        let observations = seen.into_iter().map(|seen| (seen.observation, seen.corner)).collect();
         let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);
-        (possible && observations.len() > 1).then_some(BoardCorner {
-            corner: sought.corner,
-            line,
-            observations,
-        })
+        possible.then_some(BoardCorner { corner, line, observations })
     }
 }

@@ -183,7 +183,7 @@ impl DetectionScore {
                     })
                 })
                 .collect();
-            if let Some(line) = CornerLine::fit(observations.iter()) {
+            if let Some(line) = CornerLine::fit(observations.iter().copied()) {
                 // Both with the true λ, so that they can be compared.
                 let of = |slope: f64| 1.0 - slope / truth.lambda;
                 let off = |slope: f64| (of(slope) / of(line.slope) - 1.0).powi(2);

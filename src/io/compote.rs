@@ -101,6 +101,7 @@ pub(super) fn internal_parameters_from(
         q_prime_std_dev_mm: Vec::new(),
         pupil_growth: 0.0,
         fall_off: None,
+        lean: None,
     })
 }
 

@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use super::observations_file::std_dev_text;
 use crate::error::{Error, Result};
-use crate::model::{FallOff, InternalParameters, MicroImageCenter};
+use crate::model::{FallOff, InternalParameters, Lean, MicroImageCenter};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// `format` of the file.
@@ -31,6 +31,7 @@ struct InternalFile {
     #[serde(default)]
     pupil_growth: f64,
     fall_off: Option<FallOff>,
+    lean: Option<Lean>,
 }
 
 #[derive(Deserialize)]
@@ -111,6 +112,7 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
             },
             "pupil_growth": internal.parameters.pupil_growth,
             "fall_off": internal.parameters.fall_off,
+            "lean": internal.parameters.lean,
             "rms_px": internal.rms_px,
         }),
     );
@@ -145,6 +147,7 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
         q_prime_std_dev_mm: std_devs.map(|s| s.q_prime_mm).unwrap_or_default(),
         pupil_growth: internal.pupil_growth,
         fall_off: internal.fall_off,
+        lean: internal.lean,
     })
 }
 

@@ -10,7 +10,7 @@ use super::read_text;
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
-    Board, Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Sensor, optics,
+    Board, Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, Sensor, optics,
 };
 
 /// A project file. Every table may be left out where a command gets its content another way.
@@ -100,6 +100,8 @@ pub struct InternalSection {
     pub pupil_growth: f64,
     /// The fall-off of light.
     pub fall_off: Option<FallOff>,
+    /// The lean of the array.
+    pub lean: Option<Lean>,
 }
 
 /// `[images]`
@@ -246,6 +248,7 @@ impl Project {
             q_prime_std_dev_mm: section.q_prime_std_dev_mm.clone(),
             pupil_growth: section.pupil_growth,
             fall_off: section.fall_off,
+            lean: section.lean,
         })
     }
 }

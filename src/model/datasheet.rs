@@ -7,6 +7,7 @@ use super::camera::{Sensor, check_array_size, check_lens_types};
 use super::checks::positive;
 use super::fall_off::FallOff;
 use super::lattice::LatticeKind;
+use super::lean::Lean;
 use crate::error::{Error, Result};
 
 /// Where the main lens focuses with respect to the micro-lens array.
@@ -64,6 +65,8 @@ pub struct InternalParameters {
     pub pupil_growth: f64,
     /// The fall-off of light, where it was measured.
     pub fall_off: Option<FallOff>,
+    /// The lean of the array, where it was measured.
+    pub lean: Option<Lean>,
 }
 
 impl Datasheet {
@@ -128,6 +131,9 @@ impl InternalParameters {
         }
         if let Some(fall_off) = &self.fall_off {
             fall_off.validate()?;
+        }
+        if let Some(lean) = &self.lean {
+            lean.validate()?;
         }
         let given = self.q_prime_std_dev_mm.len();
         if given != 0 && given != self.q_prime_mm.len() {

@@ -80,6 +80,7 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
         q_prime_std_dev_mm: Vec::new(),
         pupil_growth: 0.0,
         fall_off: None,
+        lean: None,
     }
 }
 

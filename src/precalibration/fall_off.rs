@@ -10,12 +10,13 @@ use tracing::debug;
 
 use super::array::FoundArray;
 use super::centroid::{Blob, WINDOW};
+use super::lean::{Growth, lean};
 use super::levers::Levers;
 use super::rings::{Alike, Gradient};
 use super::samples::Samples;
 use super::stage::PrecalibrationOptions;
 use crate::image::Grey;
-use crate::model::{FallOff, InternalParameters};
+use crate::model::{FallOff, InternalParameters, Lean};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
 
 /// g follows from light up to this distance from the centre, in pitches: beyond, neighbours may begin.
@@ -40,7 +41,9 @@ pub(super) struct Measured {
     pub fall_off: FallOff,
     /// G over that of cos⁴.
     pub strength: f64,
-    /// That it was not measured.
+    /// The lean of the array, where it shows.
+    pub lean: Option<Lean>,
+    /// That the fall-off was not measured.
     pub warning: Option<String>,
 }
 
@@ -107,12 +110,19 @@ impl Light {
         let (lens_to_sensor_px, mla_to_sensor_px) = options.distances_px(internal.m_mm);
         let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, self.middle);
         let known = |fall_off: &FallOff| fall_off.std_dev_per_px2 < KNOWN * cos4.growth_per_px2;
-        let (gradients, within) = self.measured(internal, options, strength);
+        let (gradients, within, growths) = self.measured(internal, options, strength);
+        let lean = lean(&growths, &self.middle);
+        debug!("{lean:?}");
         let Some(measured) = plane(&gradients).filter(known) else {
             let warning = "how light falls off with its angle does not show in the white images: it is taken \
                            to be cos⁴, and corners far from the axis may be off by 0.1 px; take white images \
                            that are not clipped";
-            return Measured { fall_off: cos4, strength: 1.0, warning: Some(warning.to_owned()) };
+            return Measured {
+                fall_off: cos4,
+                strength: 1.0,
+                lean,
+                warning: Some(warning.to_owned()),
+            };
         };
         let within = mean_within(&within);
         let [growth, std_dev] =
@@ -129,27 +139,32 @@ impl Light {
         Measured {
             fall_off: FallOff { within_per_px2, within_std_dev_per_px2, ..measured },
             strength: growth.clamp(STRENGTHS.0, STRENGTHS.1),
+            lean,
             warning: None,
         }
     }
 
-    /// The gradients of all micro-images, and H with its variance by image and type.
+    /// The gradients of all micro-images, H with its variance by image and type, and the growths by image and
+    /// type.
     fn measured(
         &self,
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
         strength: f64,
-    ) -> (Vec<Gradient>, Vec<(f64, f64)>) {
-        let (mut gradients, mut within) = (Vec::new(), Vec::new());
+    ) -> (Vec<Gradient>, Vec<(f64, f64)>, Vec<Vec<Growth>>) {
+        let (mut gradients, mut within, mut growths) = (Vec::new(), Vec::new(), Vec::new());
         for (f_number, types) in &self.of_images {
             let levers = Levers::new(internal, *f_number, self.seen_pitch_px, options);
             for (lens_type, alike) in types.iter().enumerate() {
                 let lever = |r| levers.lever(lens_type, r, strength);
-                gradients.extend(alike.gradients(self.reach_px, lever));
+                let by_growth = |r| levers.by_growth(lens_type, r, strength);
+                let own = alike.gradients(self.reach_px, lever, by_growth);
+                growths.push(own.iter().map(|gradient| gradient.growth).collect());
+                gradients.extend(own);
                 within.extend(alike.within(levers.plateau(lens_type)));
             }
         }
-        (gradients, within)
+        (gradients, within, growths)
     }
 }
 

@@ -82,6 +82,7 @@ pub(super) fn fit_internal(
             q_prime_std_dev_mm: (0..types).map(|i| std_dev(1 + i)).collect(),
             pupil_growth: 0.0,
             fall_off: None,
+            lean: None,
         },
         rms_px: (sum / rows as f64).sqrt(),
     })
@@ -111,6 +112,7 @@ pub(super) fn internal_of_discs(
             .collect(),
         pupil_growth: discs.pupil_growth,
         fall_off: None,
+        lean: None,
     };
     for m in measurements.iter_mut() {
         let pupil = parameters.pupil_radius_mm(m.f_number) / pixel_size_mm;

@@ -9,6 +9,9 @@ use crate::vignetting::overlap;
 /// What a pixel, and a point spread, take from the plateau of a micro-image, px.
 const PLATEAU_MARGIN_PX: f64 = 1.2;
 
+/// Step of the derivative by the growth of d.
+const GROWTH: f64 = 1e-3;
+
 /// The discs of pupil and blur in a white image.
 #[derive(Debug)]
 pub(super) struct Levers {
@@ -83,6 +86,27 @@ impl Levers {
     pub fn moment_growth(&self, lens_type: usize) -> f64 {
         let (a, q, lens) = (self.pupil_px, self.q_px[lens_type], self.lens_px);
         (2.0 * a * a + (2.0 * q + lens) * (q + lens)) / 4.0 * self.distances
+    }
+
+    /// How the light at distance r changes where d grows, over its relative growth and over the light in the
+    /// middle: a and qᵢ + ΔC/2 grow in proportion, the micro-lens stays, and light arrives less obliquely.
+    pub fn by_growth(&self, lens_type: usize, r: f64, strength: f64) -> f64 {
+        let light = |r: f64, growth: f64| {
+            let (a, q) = (self.pupil_px, self.q_px[lens_type]);
+            let (a, q) = (a * (1.0 + growth), q + (q + self.lens_px) * growth);
+            let size = q.abs().max(1e-6);
+            let of_pixel = |(along, weight): (f64, f64)| {
+                let distance = ((r + along).powi(2) + 1.0 / 12.0).sqrt();
+                let Some(part) = overlap(distance / size, a / size) else { return 0.0 };
+                let s = distance + part.mean * q.signum() * self.lens_px;
+                let variances = part.along.powi(2) + part.across.powi(2);
+                let square = s * s + variances * (self.lens_px / 2.0).powi(2);
+                let distance = self.distance_px * (1.0 + growth);
+                weight * part.area * (1.0 + square / distance.powi(2)).powf(-2.0 * strength)
+            };
+            PIXEL.into_iter().map(of_pixel).sum::<f64>()
+        };
+        (light(r, GROWTH) - light(r, -GROWTH)) / (2.0 * GROWTH * light(0.0, 0.0))
     }
 
     /// How far from the centre all pixels see the whole pupil, or the whole micro-lens, px, and |y − M|/|y|

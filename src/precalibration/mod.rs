@@ -12,6 +12,7 @@ mod fall_off;
 mod grid;
 mod indexing;
 mod internal;
+mod lean;
 mod levers;
 mod nodes;
 mod pattern;

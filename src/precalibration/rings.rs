@@ -9,10 +9,11 @@
 //! All that is asked of a pixel depends on its ring and its direction. So the pixels of a ring come down to a
 //! few sums, and an image is read once.
 
-use nalgebra::{Matrix3, Matrix5, SMatrix, Vector2, Vector3, Vector5};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector2, Vector3, Vector6};
 use rayon::prelude::*;
 
 use super::centers::part_with;
+use super::lean::Growth;
 use crate::image::Grey;
 
 /// Width of the rings, px.
@@ -23,7 +24,7 @@ const CLIPPED: f32 = 0.97;
 const LEAST_PLATEAU_PX: f64 = 1.5;
 /// Variance of a pixel without light, over that of the brightest.
 const READ_NOISE: f64 = 0.02;
-/// Fewest pixels that determine the five numbers of a micro-image.
+/// Fewest pixels that determine the six numbers of a micro-image.
 const FEWEST: f64 = 30.0;
 
 /// Sums over the pixels of a ring: their number, and those of light, by direction (x, y) from the centre.
@@ -127,6 +128,8 @@ pub(super) struct Gradient {
     /// g, px⁻¹, and one over its variance per axis.
     pub value: Vector2<f64>,
     pub weight: f64,
+    /// By how much its discs are larger than those of the others.
+    pub growth: Growth,
 }
 
 /// Micro-images of one lens type in one image.
@@ -167,23 +170,32 @@ impl Alike {
         Self { images, mean }
     }
 
-    /// g of every micro-image that shows it, by its light up to a distance; see [`Levers::lever`].
+    /// g and the growth of every micro-image that shows them, by its light up to a distance; see
+    /// [`Levers::lever`] and [`Levers::by_growth`].
     ///
     /// [`Levers::lever`]: super::levers::Levers::lever
-    pub fn gradients(&self, reach: f64, lever: impl Fn(f64) -> f64) -> Vec<Gradient> {
+    /// [`Levers::by_growth`]: super::levers::Levers::by_growth
+    pub fn gradients(
+        &self,
+        reach: f64,
+        lever: impl Fn(f64) -> f64,
+        by_growth: impl Fn(f64) -> f64,
+    ) -> Vec<Gradient> {
         let brightest = self.mean.iter().map(|ring| ring.light).fold(0.0, f64::max);
         let design = |ring: &Ring| {
             let lever = -ring.light * lever(ring.radius);
             let slope = -ring.slope;
             let weight = 1.0 / (ring.light + READ_NOISE * brightest);
-            // From a pixel's (1, x, y) to its light by scale, g and δ.
+            let growth = brightest * by_growth(ring.radius);
+            // From a pixel's (1, x, y) to its light by scale, g, δ and growth.
             #[rustfmt::skip]
-            let columns = SMatrix::<f64, 5, 3>::new(
+            let columns = SMatrix::<f64, 6, 3>::new(
                 ring.light, 0.0, 0.0,
                 0.0, lever, 0.0,
                 0.0, 0.0, lever,
                 0.0, slope, 0.0,
                 0.0, 0.0, slope,
+                growth, 0.0, 0.0,
             );
             (ring.whole && ring.radius < reach).then_some((columns, weight))
         };
@@ -223,11 +235,11 @@ impl Alike {
 }
 
 /// What the light of a ring changes with, and its weight.
-type Design = (SMatrix<f64, 5, 3>, f64);
+type Design = (SMatrix<f64, 6, 3>, f64);
 
 /// g of a micro-image; `None` if too little of its light is usable.
 fn gradient(image: &MicroImage, design: &[Option<Design>]) -> Option<Gradient> {
-    let (mut normal, mut right) = (Matrix5::<f64>::zeros(), Vector5::<f64>::zeros());
+    let (mut normal, mut right) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
     let (mut squares, mut count) = (0.0, 0.0);
     let usable = design.iter().zip(&image.rings).filter_map(|(d, ring)| Some((d.as_ref()?, ring)));
     for ((columns, weight), ring) in usable {
@@ -242,12 +254,17 @@ fn gradient(image: &MicroImage, design: &[Option<Design>]) -> Option<Gradient> {
     }
     let inverse = normal.cholesky()?.inverse();
     let solution = inverse * right;
-    let variance = (squares - right.dot(&solution)) / (count - 5.0);
+    let variance = (squares - right.dot(&solution)) / (count - 6.0);
     let of_axes = variance * f64::midpoint(inverse[(1, 1)], inverse[(2, 2)]);
     let scale = solution[0];
     (scale > 0.0 && of_axes > 0.0).then(|| Gradient {
         place: image.center,
         value: Vector2::new(solution[1], solution[2]) / scale,
         weight: scale * scale / of_axes,
+        growth: Growth {
+            place: image.center,
+            value: solution[5] / scale,
+            weight: scale * scale / (variance * inverse[(5, 5)]),
+        },
     })
 }

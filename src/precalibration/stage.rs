@@ -139,7 +139,7 @@ pub fn precalibrate(
         samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
     let oblique = internal_of(&by_profile)?;
     // Again with the discs as they are.
-    let Measured { mut fall_off, strength, warning: unknown_fall_off } =
+    let Measured { mut fall_off, strength, lean, warning: unknown_fall_off } =
         light.fall_off(&oblique.parameters, options, first.strength);
     take_within(&mut fall_off, discs);
     let levers = Levers::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
@@ -154,6 +154,7 @@ pub fn precalibrate(
     let mut radii = samples.measurements(&by_type);
     let mut internal = samples.internal(discs, &mut radii, &by_type, array.grid.pitch_px)?;
     internal.parameters.fall_off = Some(fall_off);
+    internal.parameters.lean = lean;
     let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
     let wrong_aperture = match wrong_f_number {

@@ -154,6 +154,7 @@ impl Tracer {
             q_prime_std_dev_mm: Vec::new(),
             pupil_growth: 0.0,
             fall_off: None,
+            lean: None,
         }
     }
 

@@ -1,0 +1,110 @@
+//! How the place of a corner depends on what its fit takes for granted: the slope of its line, from which the
+//! blur follows, and the aberrations of the main lens.
+//!
+//! A fit has ∂cost/∂place = 0. If the light of the model is moved, the place follows as by one more step of
+//! Gauss and Newton: all pixels along both edges have their say, each with the rays that it receives.
+
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
+use nalgebra::{Matrix2x3, RowVector4, Vector2, Vector4};
+use pulp::{Arch, NullaryFnOnce};
+
+use super::aberration::Bend;
+use super::blur::Rays;
+use super::corner::Corner;
+use super::patch::Patch;
+use crate::numerics::NormalEquations;
+
+/// Derivatives of the straightened place of a corner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Levers {
+    /// By the slope, px.
+    pub by_slope: Vector2<f64>,
+    /// By S, C and T, px³.
+    pub by_aberration: Matrix2x3<f64>,
+}
+
+/// What is taken for granted: γ, S, C and T.
+const GIVEN: usize = 4;
+/// Columns: derivatives of the light by u and v, its shape, and by what is given.
+const COLUMNS: usize = 3 + GIVEN;
+
+impl Corner {
+    /// The levers of a corner that was fitted; `None` if the light does not determine its place.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn levers(&self, patch: &Patch, rays: &Rays, slope: f64, bend: &Bend) -> Option<Levers> {
+        let pixels = patch.x.len();
+        let mut columns = [const { Vec::new() }; COLUMNS].map(|_: Vec<f32>| vec![0.0; pixels]);
+        let bend = bend.in_single();
+        let nearness = (slope - 1.0) as f32;
+        Arch::new().dispatch(Sums { columns: &mut columns, corner: self, rays, bend, nearness });
+        let share = 1.0 / rays.points.len() as f32;
+        let per_px = (self.contrast / self.width) as f32 * share;
+        let [by_u, by_v, shape, given @ ..] = &columns;
+        let mut equations = NormalEquations::<f32, 4, GIVEN>::new();
+        for i in 0..pixels {
+            let row = Vector4::new(by_u[i] * per_px, by_v[i] * per_px, 1.0, shape[i] * share);
+            let moved = RowVector4::from_fn(|_, k| given[k][i] * per_px);
+            equations.add(&row, &moved, patch.weight[i]);
+        }
+        let levers = equations.solve()?.map(f64::from);
+        let place = levers.fixed_rows::<2>(0);
+        levers.iter().all(|x| x.is_finite()).then(|| Levers {
+            by_slope: place.column(0).into_owned(),
+            by_aberration: place.fixed_columns::<3>(1).into_owned(),
+        })
+    }
+}
+
+/// The sums over points of the micro-lens, pixel by pixel.
+struct Sums<'a> {
+    columns: &'a mut [Vec<f32>; COLUMNS],
+    corner: &'a Corner,
+    rays: &'a Rays,
+    bend: Bend<f32>,
+    /// γ − 1.
+    nearness: f32,
+}
+
+impl NullaryFnOnce for Sums<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn call(self) {
+        let Self { columns, corner, rays, bend, nearness } = self;
+        let n = columns[0].len();
+        let inverse = (1.0 / corner.width) as f32;
+        let place = corner.place.map(|x| x as f32);
+        let [(s1, c1), (s2, c2)] = corner.angles.map(|angle| {
+            let (s, c) = angle.sin_cos();
+            (s as f32, c as f32)
+        });
+        let columns = columns.each_mut().map(|column| &mut column[..n]);
+        let [by_u, by_v, shape, by_slope, by_s, by_c, by_t] = columns;
+        for [origin_x, origin_y, pupil_x, pupil_y] in &rays.points {
+            let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
+            let (pupil_x, pupil_y) = (&pupil_x[..n], &pupil_y[..n]);
+            for i in 0..n {
+                let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
+                let (d1, d2) = (c1 * y - s1 * x, c2 * y - s2 * x);
+                let (a, b) = (d1.clamp(-1.0, 1.0), d2.clamp(-1.0, 1.0));
+                let (t1, t2) = (a * (1.5 - 0.5 * a * a), b * (1.5 - 0.5 * b * b));
+                let (g1, g2) = ((1.5 - 1.5 * a * a) * t2, t1 * (1.5 - 1.5 * b * b));
+                let (u, v) = (g1 * s1 + g2 * s2, -(g1 * c1 + g2 * c2));
+                by_u[i] += u;
+                by_v[i] += v;
+                shape[i] += t1 * t2;
+                let pupil = Vector2::new(pupil_x[i], pupil_y[i]);
+                // The origin is w + (γ − 1) (what the point of the micro-lens and E make of it).
+                let (along_x, along_y) = (origin_x[i] - pupil.x, origin_y[i] - pupil.y);
+                by_slope[i] += (u * along_x + v * along_y) / nearness;
+                let terms = bend.terms(&pupil);
+                by_s[i] += (u * terms[(0, 0)] + v * terms[(1, 0)]) * nearness;
+                by_c[i] += (u * terms[(0, 1)] + v * terms[(1, 1)]) * nearness;
+                by_t[i] += (u * terms[(0, 2)] + v * terms[(1, 2)]) * nearness;
+            }
+        }
+    }
+}

@@ -1,0 +1,47 @@
+//! A corner as it was seen in a micro-image, and how that depends on what was taken for granted.
+
+use nalgebra::{Vector2, Vector3};
+
+use super::CornerObservation;
+use super::corner::Corner;
+use super::levers::Levers;
+
+/// An observation of a corner, made with the slope and the aberration that were known before. Places are
+/// straightened, see [`super::aberration`].
+pub(super) struct Seen {
+    pub observation: CornerObservation,
+    pub corner: Corner,
+    /// γ₀, the slope that its line had before.
+    pub slope_before: f64,
+    /// By how much the observation moves with that slope and the aberration.
+    pub levers: Levers,
+}
+
+impl Seen {
+    /// The observation as it enters the line: its place i + (γ − γ₀) lever = β + γ c is a line in γ as well, that
+    /// of i − γ₀ lever over c − lever. So the slope and the blur that follows from it are found together;
+    /// by turns, each round would leave half of an error.
+    pub fn on_line(&self) -> CornerObservation {
+        CornerObservation {
+            center: self.observation.center - self.levers.by_slope,
+            position: self.observation.position - self.levers.by_slope * self.slope_before,
+            ..self.observation
+        }
+    }
+
+    /// The observation with another aberration.
+    pub fn with_aberration(&mut self, change: &Vector3<f64>) {
+        self.moved(&(self.levers.by_aberration * change));
+    }
+
+    /// The observation with the blur radius of another slope.
+    pub fn with_slope(&mut self, slope: f64) {
+        self.moved(&(self.levers.by_slope * (slope - self.slope_before)));
+        self.slope_before = slope;
+    }
+
+    fn moved(&mut self, by: &Vector2<f64>) {
+        self.observation.position += by;
+        self.corner.place += by;
+    }
+}

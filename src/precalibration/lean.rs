@@ -1,0 +1,117 @@
+//! How the array leans against the sensor, from the discs of micro-images all over white images.
+//!
+//! Both discs grow with the distance d of the array from the sensor: a and q' are d times an angle. Where the
+//! array leans, d grows across the image, and every micro-image tells by how much. That needs no main lens;
+//! the perspective of the centres is ∇d/(D + e_z + d), and needs to know where the exit pupil is.
+//!
+//! Vignetting by the main lens cuts discs too, but equally on both sides of the axis: the part of the growth
+//! that is even in the place is fitted along.
+
+use nalgebra::{SMatrix, SVector, Vector1, Vector2, Vector6};
+
+use crate::model::Lean;
+use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
+
+/// By how much the discs of a micro-image are larger than those of its type in the mean.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Growth {
+    /// Its place, px.
+    pub place: Vector2<f64>,
+    /// d over its mean, less 1.
+    pub value: f64,
+    /// One over its variance.
+    pub weight: f64,
+}
+
+/// Fewest micro-images of a type in an image.
+const FEWEST: usize = 30;
+/// Micro-images this many times further than the typical one from the surface are dust and faults.
+const OUTLIERS: Outliers =
+    Outliers { weight: Weight::Cut, scale: Scale::Median, scales: 5.0, least: 1e-9, slack: 0.0 };
+/// Rounds of the fit, and when it is settled, px⁻¹.
+const ROUNDS: usize = 6;
+const SETTLED: f64 = 1e-12;
+/// Squares of the place are taken in this unit, px, which keeps the equations in scale.
+const UNIT_PX: f64 = 1000.0;
+
+/// The lean that all groups show, each of one lens type in one white image, about `middle`; `None` without
+/// two groups that do. Groups differ by more than their noise where discs are not what they are taken for,
+/// and their scatter is in σ.
+pub(super) fn lean(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<Lean> {
+    let of_groups: Vec<(Vector2<f64>, Vector2<f64>)> =
+        groups.iter().filter_map(|growths| slope(growths, middle)).collect();
+    if of_groups.len() < 2 {
+        return None;
+    }
+    let axis = |i: usize| {
+        let weight = |group: &(Vector2<f64>, Vector2<f64>)| 1.0 / group.1[i];
+        let weights: f64 = of_groups.iter().map(weight).sum();
+        let mean = of_groups.iter().map(|g| weight(g) * g.0[i]).sum::<f64>() / weights;
+        let scatter: f64 = of_groups.iter().map(|g| weight(g) * (g.0[i] - mean).powi(2)).sum();
+        let excess = (scatter / (of_groups.len() as f64 - 1.0)).max(1.0);
+        (mean, (excess / weights).sqrt())
+    };
+    let (along_u, along_v) = (axis(0), axis(1));
+    Some(Lean { growth_per_px: [along_u.0, along_v.0], std_dev_per_px: [along_u.1, along_v.1] })
+}
+
+/// The linear part of the growth over the image, and its variances.
+fn slope(growths: &[Growth], middle: &Vector2<f64>) -> Option<(Vector2<f64>, Vector2<f64>)> {
+    if growths.len() < FEWEST {
+        return None;
+    }
+    let surface = Surface { growths, middle: *middle };
+    let fitted = numerics::fit(&surface, None, ROUNDS, &OUTLIERS)?;
+    let (solution, inverse) = fitted.model;
+    let used = || growths.iter().zip(&fitted.weights).filter(|(_, weight)| **weight > 0.0);
+    let freedom = (used().count() as f64 - 6.0).max(1.0);
+    let square = |growth: &Growth| surface.residual(&solution, growth).powi(2) * growth.weight;
+    let variance = used().map(|(growth, _)| square(growth)).sum::<f64>() / freedom;
+    let linear = |x: f64, power: i32| x / UNIT_PX.powi(power);
+    Some((
+        Vector2::new(linear(solution[1], 1), linear(solution[2], 1)),
+        Vector2::new(inverse[(1, 1)], inverse[(2, 2)]).map(|x| linear(x * variance, 2)),
+    ))
+}
+
+/// A surface of the second order through the growths.
+struct Surface<'a> {
+    growths: &'a [Growth],
+    middle: Vector2<f64>,
+}
+
+impl Surface<'_> {
+    fn row(&self, growth: &Growth) -> Vector6<f64> {
+        let p = (growth.place - self.middle) / UNIT_PX;
+        Vector6::new(1.0, p.x, p.y, p.x * p.x, p.x * p.y, p.y * p.y)
+    }
+
+    fn residual(&self, solution: &Vector6<f64>, growth: &Growth) -> f64 {
+        growth.value - self.row(growth).dot(solution)
+    }
+}
+
+impl Reweighted for Surface<'_> {
+    /// With the inverse of its normal matrix.
+    type Model = (SVector<f64, 6>, SMatrix<f64, 6, 6>);
+
+    fn count(&self) -> usize {
+        self.growths.len()
+    }
+
+    fn solve(&self, weights: &[f64], _: Option<&Self::Model>) -> Option<Self::Model> {
+        let mut equations = NormalEquations::<f64, 6, 1>::new();
+        for (growth, weight) in self.growths.iter().zip(weights) {
+            equations.add(&self.row(growth), &Vector1::new(growth.value), weight * growth.weight);
+        }
+        Some((equations.solve()?, equations.normal().try_inverse()?))
+    }
+
+    fn length(&self, (solution, _): &Self::Model, datum: usize) -> f64 {
+        self.residual(solution, &self.growths[datum]).abs()
+    }
+
+    fn settled(&self, (last, _): &Self::Model, (next, _): &Self::Model) -> bool {
+        (last - next).norm() < SETTLED
+    }
+}
