@@ -76,6 +76,12 @@ void require_anchor(const Anchor& anchor, int lens_types, const std::vector<std:
     }
     return;
   }
+  if (std::find(kLeanNames.begin(), kLeanNames.end(), anchor.quantity) != kLeanNames.end()) {
+    if (is_fixed("theta_x") && is_fixed("theta_y") && is_fixed("d")) {
+      reject(text + " has no effect: theta_x, theta_y and d are fixed");
+    }
+    return;
+  }
   if (std::find(names.begin(), names.end(), anchor.quantity) == names.end()) {
     reject("there is no parameter " + anchor.quantity + " to anchor");
   }

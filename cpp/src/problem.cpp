@@ -195,6 +195,14 @@ bool CalibrationProblem::add_intercept(const Anchor& anchor, double weight) {
   return false;
 }
 
+bool CalibrationProblem::add_lean(const Anchor& anchor, double weight) {
+  const auto name = std::find(kLeanNames.begin(), kLeanNames.end(), anchor.quantity);
+  if (name == kLeanNames.end()) return false;
+  const int axis = static_cast<int>(name - kLeanNames.begin());
+  add_block(LeanResidual::create(axis, anchor.value, weight), {exit_pupil_.data(), array_.data()});
+  return true;
+}
+
 void CalibrationProblem::add_anchors(const CostOptions& options) {
   const double root = std::sqrt(options.anchor_weight);
   const auto names = intrinsic_names(frame_.lens_types());
@@ -207,7 +215,7 @@ void CalibrationProblem::add_anchors(const CostOptions& options) {
                 {lens_.data(), exit_pupil_.data(), array_.data()});
       continue;
     }
-    if (add_intercept(anchor, weight)) continue;
+    if (add_intercept(anchor, weight) || add_lean(anchor, weight)) continue;
     const auto found = std::find(names.begin(), names.end(), anchor.quantity);
     const auto [block, size, place] = places_[found - names.begin()];
     ceres::Matrix row = ceres::Matrix::Zero(1, size);

@@ -91,6 +91,8 @@ class CalibrationProblem {
   void add_anchors(const CostOptions& options);
   /// Adds an anchor on a q'_i; false if it is on something else.
   bool add_intercept(const Anchor& anchor, double weight);
+  /// The same of the lean of the array.
+  bool add_lean(const Anchor& anchor, double weight);
   void fix(const CostOptions& options);
   std::vector<std::pair<double*, int>> intrinsic_blocks();
   struct Place {

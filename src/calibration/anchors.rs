@@ -16,6 +16,8 @@ use crate::solver::Anchor;
 
 /// Name of |m| among the quantities of anchors.
 pub const SLOPE: &str = "m";
+/// Names of the lean of the array along u and v among them.
+pub const LEAN: [&str; 2] = ["lean_u", "lean_v"];
 /// Engraved focal lengths are rounded: a "50 mm" lens is often one of 51.6 mm.
 const ENGRAVED: f64 = 0.03;
 /// What q'ᵢ are worth if nothing is said of them.
@@ -84,6 +86,9 @@ pub fn intercept_name(lens_type: usize) -> String {
 }
 
 fn unit(quantity: &str) -> &'static str {
+    if LEAN.contains(&quantity) {
+        return "mm^-1";
+    }
     let all = intrinsic_parameters(crate::model::MAX_LENS_TYPES);
     all.iter().find(|parameter| parameter.name == quantity).map_or("mm", |parameter| parameter.unit)
 }
@@ -138,6 +143,12 @@ fn default_anchors(start: &Start) -> Vec<(Anchor, AnchorSource)> {
         let of_m = internal.m_std_dev_mm.unwrap_or(0.0).hypot(F_NUMBERS * m);
         anchors.push((anchor("F", f, ENGRAVED * f), AnchorSource::Datasheet));
         anchors.push((anchor(SLOPE, m, of_m), AnchorSource::WhiteImages));
+        for (axis, quantity) in LEAN.into_iter().enumerate() {
+            let Some(lean) = &internal.lean else { break };
+            let per_mm = |per_px: [f64; 2]| per_px[axis] / sensor.pixel_size_mm;
+            let lean = anchor(quantity, per_mm(lean.growth_per_px), per_mm(lean.std_dev_per_px));
+            anchors.push((lean, AnchorSource::WhiteImages));
+        }
     }
     anchors.push((anchor("u0", middle.x, mount), AnchorSource::SensorMiddle));
     anchors.push((anchor("v0", middle.y, mount), AnchorSource::SensorMiddle));
@@ -149,6 +160,8 @@ fn is_free(quantity: &str, fixed: &[String]) -> bool {
     let is_fixed = |name: &str| fixed.iter().any(|fixed| fixed == name);
     if quantity == SLOPE {
         !["F", "d", "D", "e_z"].into_iter().all(is_fixed)
+    } else if LEAN.contains(&quantity) {
+        !["theta_x", "theta_y", "d"].into_iter().all(is_fixed)
     } else if let Some(lens_type) = quantity.strip_prefix("q'_") {
         !["d", "dC", &format!("f_{lens_type}")].into_iter().all(is_fixed)
     } else {
@@ -161,7 +174,8 @@ pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> 
     let known = intrinsic_parameters(lens_types);
     let names = || -> Vec<String> {
         let parameters = known.iter().map(|p| p.name.to_owned());
-        parameters.chain([SLOPE.to_owned()]).chain((0..lens_types).map(intercept_name)).collect()
+        let of_white_images = [SLOPE].into_iter().chain(LEAN).map(str::to_owned);
+        parameters.chain(of_white_images).chain((0..lens_types).map(intercept_name)).collect()
     };
     let unknown = |quantity: &str| {
         Error::invalid(format!(
@@ -222,6 +236,9 @@ pub(super) fn results(
         }
         if let Some(lens_type) = (0..camera.lens_types()).find(|&i| intercept_name(i) == quantity) {
             return optics::internal_parameters(camera).q_prime_mm[lens_type];
+        }
+        if let Some(axis) = LEAN.iter().position(|name| *name == quantity) {
+            return optics::lean_per_mm(camera)[axis];
         }
         let parameters = intrinsic_parameters(camera.lens_types());
         parameters.iter().find(|p| p.name == quantity).map_or(f64::NAN, |p| p.value(camera))

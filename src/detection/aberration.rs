@@ -5,15 +5,19 @@
 //! c − p = A w, with A = 1/(γ − 1) for a line of the slope γ. A real one moves each ray where it meets the
 //! array, by E(w):
 //!
-//!   c − p = A w + E(w),  E(w) = S w|w|² + C (2 w (h·w) + h |w|²) + T h (h·w),
+//!   c − p = A w + E(w),  E(w) = S w (|w|² − z²) + C (2 w (h·w) + h |w|²) + T h (h·w),
 //!
 //! spherical aberration, coma and astigmatism of the third order (Seidel) at the place h from the middle of the
 //! image. E does not depend on the distance of the point: what turns a ray at the pupil by an angle moves it
 //! at the array by D times that angle. Field curvature and distortion change A and p of each corner, which are
 //! free anyway.
 //!
-//! Straightened places w + E(w)/A lie on the line of a corner. In the blur each ray is moved by E at its own
-//! place in the pupil: with one blur radius for all, three quarters of the aberration would be hidden.
+//! Straightened places w + E(w)/A lie on the line of a corner, which so is that of rays near the middle of the
+//! pupil, focused as those through the zone z are. Which zone is a choice: an S with another z is the same with
+//! another A. With z² = 2a²/3, the best focus, S and A are hardly correlated, and S is often not known well.
+//!
+//! Each ray of the blur is moved by E at its own place in the pupil. A blur that is the same for all hides three
+//! quarters of the aberration, and turns them into errors of the places.
 
 use nalgebra::{
     Matrix2x3, Matrix3, Matrix3x2, RealField, RowVector4, Scalar, Vector1, Vector2, Vector3,
@@ -22,15 +26,15 @@ use nalgebra::{
 use super::seen::Seen;
 use crate::numerics::NormalEquations;
 
-/// Aberrations of the third order.
+/// Aberrations of the third order, on the scale of micro-images.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Aberration {
+pub struct Aberration {
     /// Where h is 0, px.
-    middle: Vector2<f64>,
+    pub middle_px: Vector2<f64>,
     /// z², px².
-    zone2: f64,
+    pub zone_px2: f64,
     /// S, C and T, px⁻².
-    coefficients: Vector3<f64>,
+    pub coefficients_per_px2: Vector3<f64>,
 }
 
 /// E(w)/A: how far the aberrations bend the line of a corner in one micro-image.
@@ -44,80 +48,76 @@ pub(super) struct Bend<T: Scalar = f64> {
     coefficients: Vector3<T>,
 }
 
+/// z² over the square of the pupil's radius.
+const ZONE: f64 = 2.0 / 3.0;
 /// Before a frame was looked at, its aberrations move nothing by more than about this, px. It holds them down
 /// where a few corners say nothing about them.
-const ZONE2: f64 = 2.0 / 3.0;
 const MOST_PX: f64 = 1.0;
-/// Rounds in which the place that is seen is found from the straightened one.
-const ROUNDS: usize = 5;
 
 impl Aberration {
-    /// None, about the middle of the image.
-    pub fn none(middle: Vector2<f64>, pupil_px: f64, zone: f64) -> Self {
-        Self { middle, zone2: zone * pupil_px * pupil_px, coefficients: Vector3::zeros() }
+    /// None, about the middle of the image, for a pupil of this radius.
+    pub(super) fn none(middle_px: Vector2<f64>, pupil_px: f64) -> Self {
+        let zone_px2 = ZONE * pupil_px.powi(2);
+        Self { middle_px, zone_px2, coefficients_per_px2: Vector3::zeros() }
     }
 
     /// What it does in the micro-image about `center` to a corner whose line has a slope.
-    pub fn bend(&self, center: &Vector2<f64>, slope: f64) -> Bend {
+    pub(super) fn bend(&self, center: &Vector2<f64>, slope: f64) -> Bend {
         Bend {
-            field: center - self.middle,
-            zone2: self.zone2,
-            coefficients: self.coefficients * (slope - 1.0),
+            field: center - self.middle_px,
+            zone2: self.zone_px2,
+            coefficients: self.coefficients_per_px2 * (slope - 1.0),
         }
     }
 
-    /// By how much its coefficients have to change for the observations of every corner to lie on a line; `None`
-    /// if nothing is seen.
-    pub fn change<'a>(corners: impl Iterator<Item = &'a [Seen]> + Clone) -> Option<Vector3<f64>> {
+    /// By how much S, C and T have to change for the observations of every corner to lie on a line; `None` if
+    /// nothing is seen.
+    pub(super) fn change<'a>(corners: impl Iterator<Item = &'a [Seen]>) -> Option<Vector3<f64>> {
         let mut equations = NormalEquations::<f64, 3, 1>::new();
-        let mut most = Vector3::<f64>::zeros();
+        let mut largest = Vector3::<f64>::zeros();
         for corner in corners {
-            // What the line itself cannot explain, by Frisch, Waugh and Lovell.
-            let rows = |seen: &Seen| {
-                let on_line = seen.on_line();
-                let c = on_line.center;
-                let rows = Matrix3x2::new(1.0, 0.0, 0.0, 1.0, c.x, c.y);
-                let weight = on_line.std_dev_px.powi(-2);
-                [0, 1].map(|axis| {
-                    let by = seen.levers.by_aberration.row(axis);
-                    let measured = RowVector4::new(by[0], by[1], by[2], on_line.position[axis]);
-                    (rows.column(axis).into_owned(), measured, weight)
-                })
-            };
+            let rows: Vec<_> = corner.iter().flat_map(rows).collect();
             let mut line = NormalEquations::<f64, 3, 4>::new();
-            for (row, measured, weight) in corner.iter().flat_map(rows) {
-                line.add(&row, &measured, weight);
+            for (row, measured, weight) in &rows {
+                line.add(row, measured, *weight);
             }
+            // What no line explains of the places must be explained by what no line explains of the levers (Frisch,
+            // Waugh and Lovell).
             let Some(explained) = line.solve() else { continue };
-            for (row, measured, weight) in corner.iter().flat_map(rows) {
-                let left = measured - row.transpose() * explained;
-                equations.add(
-                    &-left.fixed_columns::<3>(0).transpose(),
-                    &Vector1::new(left[3]),
-                    weight,
-                );
-                most = most.sup(&measured.fixed_columns::<3>(0).transpose().abs());
+            for (row, measured, weight) in &rows {
+                let left = (measured - row.transpose() * explained).transpose();
+                equations.add(&-left.xyz(), &Vector1::new(left.w), *weight);
+                largest = largest.sup(&measured.fixed_columns::<3>(0).transpose().abs());
             }
         }
-        for (size, held) in most.iter().zip(Matrix3::identity().column_iter()) {
-            let f = if held[0] == 1.0 {
-                std::env::var("HOLD_S").map_or(1.0, |x| x.parse().unwrap())
-            } else {
-                1.0
-            };
-            equations.add(&(held * *size * f), &Vector1::zeros(), MOST_PX.powi(-2));
+        for (i, unit) in Matrix3::identity().column_iter().enumerate() {
+            equations.add(&(unit * largest[i]), &Vector1::zeros(), MOST_PX.powi(-2));
         }
         equations.solve()
     }
 
-    /// With coefficients that differ by so much.
-    pub fn changed(self, change: &Vector3<f64>) -> Self {
-        Self { coefficients: self.coefficients + change, ..self }
+    /// With S, C and T changed.
+    pub(super) fn changed(self, change: &Vector3<f64>) -> Self {
+        Self { coefficients_per_px2: self.coefficients_per_px2 + change, ..self }
     }
+}
+
+/// The equations of an observation by axis: of the line in its β and γ, with the levers of S, C and T and the
+/// straightened place on their right, and the weight.
+fn rows(seen: &Seen) -> [(Vector3<f64>, RowVector4<f64>, f64); 2] {
+    let observation = seen.on_line();
+    let c = observation.center;
+    let design = Matrix3x2::new(1.0, 0.0, 0.0, 1.0, c.x, c.y);
+    [0, 1].map(|axis| {
+        let by = seen.levers.by_aberration.row(axis);
+        let measured = RowVector4::new(by[0], by[1], by[2], observation.position[axis]);
+        (design.column(axis).into_owned(), measured, observation.std_dev_px.powi(-2))
+    })
 }
 
 impl<T: RealField + Copy> Bend<T> {
     /// What one unit of S/A, C/A and T/A does at a place w of the pupil, px³.
+    #[inline]
     pub fn terms(&self, pupil: &Vector2<T>) -> Matrix2x3<T> {
         let square = pupil.norm_squared();
         let along = self.field.dot(pupil);
@@ -129,6 +129,7 @@ impl<T: RealField + Copy> Bend<T> {
     }
 
     /// E(w)/A, px.
+    #[inline]
     pub fn at(&self, pupil: &Vector2<T>) -> Vector2<T> {
         self.terms(pupil) * self.coefficients
     }
@@ -138,11 +139,6 @@ impl Bend {
     /// An ideal main lens.
     pub fn none() -> Self {
         Self { field: Vector2::zeros(), zone2: 0.0, coefficients: Vector3::zeros() }
-    }
-
-    /// Where a straightened place is seen, from the centre of the micro-image, px.
-    pub fn seen(&self, straight: &Vector2<f64>) -> Vector2<f64> {
-        (0..ROUNDS).fold(*straight, |seen, _| straight - self.at(&seen))
     }
 
     /// In single precision, as the light.

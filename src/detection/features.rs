@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use super::frame::Frame;
 use super::line::median_inverse_virtual_depth;
 use super::second_pass::BoardCorner;
-use super::{CornerLine, CornerObservation, DepthEstimator};
+use super::{Aberration, CornerLine, CornerObservation, DepthEstimator};
 use crate::model::BapFeature;
 
 /// A corner of the board as a whole.
@@ -30,6 +30,8 @@ pub struct Detection {
     pub corners: Vec<DetectedCorner>,
     /// From (column, row, 1) of a corner to its pinhole image, px.
     pub homography: Matrix3<f64>,
+    /// What was taken out of the places: they are where a main lens without it would show the corners.
+    pub aberration: Aberration,
 }
 
 impl Detection {
@@ -47,6 +49,7 @@ impl Frame<'_> {
         &self,
         board_corners: &[BoardCorner],
         homography: Matrix3<f64>,
+        aberration: Aberration,
     ) -> Detection {
         let micro_images = self.search.micro_images;
         let half_pitch = micro_images.grid.pitch_px / 2.0;
@@ -84,6 +87,6 @@ impl Frame<'_> {
                 });
             }
         }
-        Detection { features, corners, homography }
+        Detection { features, corners, homography, aberration }
     }
 }

@@ -30,6 +30,7 @@ mod stage;
 #[cfg(test)]
 mod tests;
 
+pub use aberration::Aberration;
 pub use board::check_board_size;
 pub use features::{DetectedCorner, Detection};
 pub use frame::{FrameCounts, Search, detect_frame};

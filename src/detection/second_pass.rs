@@ -2,7 +2,6 @@
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 use rayon::prelude::*;
-use tracing::trace;
 
 use super::aberration::Aberration;
 use super::blur::{Blur, Rays};
@@ -46,17 +45,6 @@ pub(super) struct BoardCorner {
     pub observations: Vec<(CornerObservation, Corner)>,
 }
 
-impl BoardCorner {
-    /// With its observations where they are seen, not straightened.
-    fn as_seen(&mut self, aberration: &Aberration) {
-        for (observation, corner) in &mut self.observations {
-            let seen = aberration.bend(&observation.center, self.line.slope).seen(&corner.place);
-            observation.position = observation.center + seen;
-            corner.place = seen;
-        }
-    }
-}
-
 /// A corner of the board that was searched for: what was seen of it, without what is off its line.
 struct Sought {
     corner: i32,
@@ -72,32 +60,22 @@ struct Outcome {
 }
 
 impl Frame<'_> {
-    /// The corners of the board with all their observations.
+    /// The corners of the board with all their observations, and the aberrations that were taken out of them.
     pub(super) fn second_pass(
         &self,
         groups: &[Group],
         labelled: &LabelledBoard,
         contrast: f64,
         counts: &mut FrameCounts,
-    ) -> Vec<BoardCorner> {
+    ) -> (Vec<BoardCorner>, Aberration) {
         let of_group = |(group, corner): (&Group, &Option<i32>)| {
             Some(BoardCorner { corner: (*corner)?, line: group.line, observations: Vec::new() })
         };
         let mut corners: Vec<BoardCorner> =
             groups.iter().zip(&labelled.corners).filter_map(of_group).collect();
         let at_first: Vec<i32> = corners.iter().map(|c| c.corner).collect();
-        let mut aberration = Aberration::none(
-            if std::env::var("MID").is_ok() {
-                nalgebra::Vector2::new(520.0, 362.0)
-            } else {
-                self.search.sensor.center_px()
-            },
-            self.search.micro_images.pupil_px(),
-            std::env::var("ZONE2").map_or(0.5, |x| x.parse().unwrap()),
-        );
-        if let Ok(s) = std::env::var("FIX_S") {
-            aberration = aberration.changed(&Vector3::new(s.parse().unwrap(), 0.0, 0.0));
-        }
+        let (middle, pupil) = (self.search.sensor.center_px(), self.search.micro_images.pupil_px());
+        let mut aberration = Aberration::none(middle, pupil);
         for _ in 0..ROUNDS {
             let lines: Vec<CornerLine> = corners.iter().map(|c| c.line).collect();
             let Some(field) = SlopeField::fit(&lines) else { break };
@@ -113,17 +91,15 @@ impl Frame<'_> {
             let all = found.iter().map(|sought| sought.seen.as_slice());
             let change = Aberration::change(all).unwrap_or_default();
             aberration = aberration.changed(&change);
-            trace!("frame {}: {aberration:?}", self.frame);
             corners = found.into_iter().filter_map(|s| pass.on_line(s, &change)).collect();
         }
-        trace!("frame {}: {aberration:?}", self.frame);
         // There are none if there was no round.
         corners.retain(|c| !c.observations.is_empty());
 
         let is_lost = |corner: &&i32| corners.iter().all(|c| c.corner != **corner);
         counts.lost = at_first.iter().filter(is_lost).count();
         counts.board_corners = corners.len();
-        corners
+        (corners, aberration)
     }
 
     /// Corners in view that are not among some, on the lines that these lead to expect.

@@ -1,5 +1,7 @@
 //! Scalar relations of thin lenses, each with its equation of the paper.
 
+use nalgebra::{Rotation3, Vector2, Vector3};
+
 use crate::model::{Configuration, InternalParameters, PlenopticCamera};
 
 /// H: image distance of a thin lens of focal length F whose object and image are h apart (paper,
@@ -62,6 +64,19 @@ pub fn micro_lens_focal_length(q_prime: f64, micro_lens_pitch: f64, mla_to_senso
 pub fn f_number_of_stop(stop: f64) -> f64 {
     let thirds = (2.0 * stop.log2() * 3.0).round();
     (thirds / 3.0 / 2.0).exp2()
+}
+
+/// The lean of the array of a known camera, ∇ ln d along u and v, 1/mm of the sensor: see [`Lean`].
+///
+/// [`Lean`]: crate::model::Lean
+#[must_use]
+pub fn lean_per_mm(camera: &PlenopticCamera) -> Vector2<f64> {
+    let angles = camera.mla.rotation_rad;
+    let normal = Rotation3::from_euler_angles(angles.x, angles.y, angles.z) * Vector3::z();
+    // Micro-images lie further apart than their lenses.
+    let to_pupil = camera.pupil_to_mla_mm();
+    let scale = to_pupil / (to_pupil + camera.mla.mla_to_sensor_mm);
+    normal.xy() * (scale / (normal.z * camera.mla.mla_to_sensor_mm))
 }
 
 /// Ω of a known camera: |m| = dpF/2(D + e_z), which is dF/2D with the pupil in the lens, and

@@ -123,6 +123,21 @@ T blur_intercept(const MicroLensArray<T>& mla, const T& focal_length) {
   return 0.5 * mla.pitch * sqrt(mla.pitch_ratio) * mla.mla_to_sensor / focal_length;
 }
 
+/// The lean of the array against the sensor as micro-images show it: the gradient of ln d along u and
+/// v, 1/mm of the sensor. The normal of the array is Rz Ry Rx e_z, u and v run against x and y, and
+/// micro-images lie further apart than their lenses.
+template <typename T>
+Vector2<T> lean(const ExitPupil<T>& pupil, const MicroLensArray<T>& mla) {
+  using std::cos;
+  using std::sin;
+  const Vector3<T>& angle = mla.rotation;
+  const T cx = cos(angle.x), cy = cos(angle.y), cz = cos(angle.z);
+  const T sx = sin(angle.x), sy = sin(angle.y), sz = sin(angle.z);
+  const T to_pupil = mla.lens_to_mla + pupil.z;
+  const T scale = to_pupil / ((to_pupil + mla.mla_to_sensor) * mla.mla_to_sensor * cy * cx);
+  return {scale * (cz * sy * cx + sz * sx), scale * (sz * sy * cx - cz * sx)};
+}
+
 /// The geometry of micro-lenses and sensor, without the main lens. What does not depend on the
 /// observation is computed once.
 template <typename T>

@@ -1,6 +1,7 @@
 // Refinement of camera and poses by non-linear least squares, and the uncertainty of the result.
 #pragma once
 
+#include <array>
 #include <functional>
 #include <string>
 #include <vector>
@@ -39,9 +40,13 @@ constexpr char kSlopeName[] = "m";
 /// Name of q'_i, mm (`blur_intercept`), among the quantities of anchors: "q'_1" for lens type 0.
 inline std::string intercept_name(int lens_type) { return "q'_" + std::to_string(lens_type + 1); }
 
+/// Names of the lean of the array along u and v, 1/mm (`lean`), among the quantities of anchors.
+constexpr std::array<const char*, 2> kLeanNames = {"lean_u", "lean_v"};
+
 /// What is known of a camera beforehand: one more residual, (quantity - value) / std_dev.
 struct Anchor {
-  /// A free intrinsic parameter, see `intrinsic_names`, `kSlopeName` or an `intercept_name`.
+  /// A free intrinsic parameter, see `intrinsic_names`, `kSlopeName`, an `intercept_name` or one of
+  /// `kLeanNames`.
   std::string quantity;
   double value;    ///< in the unit of the quantity
   double std_dev;  ///< likewise
