@@ -108,25 +108,34 @@ pub(super) fn anchors(start: &Start, options: &CalibrationOptions) -> Vec<(Ancho
     };
     let mut defaults = if options.default_anchors { default_anchors(start) } else { Vec::new() };
     if !options.cost.rho {
-        defaults.extend(intercepts(start));
+        defaults.extend(of_white_images(start));
     }
     stated.chain(defaults.into_iter().filter(|(anchor, _)| wanted(anchor))).collect()
 }
 
-/// q'ᵢ of the white images, or of the camera that is started from. They are observations that all features share:
-/// without ρ, and without them, nothing is said of the fᵢ.
-fn intercepts(start: &Start) -> Vec<(Anchor, AnchorSource)> {
+/// What white images measure: q'ᵢ, or those of the camera that is started from, and the lean of the array. They are
+/// observations that all features share: without ρ, and without q'ᵢ, nothing is said of the fᵢ.
+fn of_white_images(start: &Start) -> Vec<(Anchor, AnchorSource)> {
     let (internal, source) = match start {
         Start::Datasheet(_, internal) => (internal.clone(), AnchorSource::WhiteImages),
         Start::Camera(camera) => (optics::internal_parameters(camera), AnchorSource::Start),
     };
-    let anchor = |lens_type: usize| {
+    let intercept = |lens_type: usize| {
         let value = internal.q_prime_mm[lens_type];
         let std_dev = internal.q_prime_std_dev_mm.get(lens_type).copied();
         let std_dev = std_dev.unwrap_or(INTERCEPTS * value);
         Anchor { quantity: intercept_name(lens_type), value, std_dev }
     };
-    (0..start.lens_types()).map(|i| (anchor(i), source)).collect()
+    let mut anchors: Vec<Anchor> = (0..start.lens_types()).map(intercept).collect();
+    if let Some(lean) = &internal.lean {
+        let pixel_size_mm = start.sensor().pixel_size_mm;
+        anchors.extend(LEAN.iter().enumerate().map(|(axis, quantity)| Anchor {
+            quantity: (*quantity).to_owned(),
+            value: lean.growth_per_px[axis] / pixel_size_mm,
+            std_dev: lean.std_dev_per_px[axis] / pixel_size_mm,
+        }));
+    }
+    anchors.into_iter().map(|anchor| (anchor, source)).collect()
 }
 
 fn default_anchors(start: &Start) -> Vec<(Anchor, AnchorSource)> {
@@ -143,12 +152,6 @@ fn default_anchors(start: &Start) -> Vec<(Anchor, AnchorSource)> {
         let of_m = internal.m_std_dev_mm.unwrap_or(0.0).hypot(F_NUMBERS * m);
         anchors.push((anchor("F", f, ENGRAVED * f), AnchorSource::Datasheet));
         anchors.push((anchor(SLOPE, m, of_m), AnchorSource::WhiteImages));
-        for (axis, quantity) in LEAN.into_iter().enumerate() {
-            let Some(lean) = &internal.lean else { break };
-            let per_mm = |per_px: [f64; 2]| per_px[axis] / sensor.pixel_size_mm;
-            let lean = anchor(quantity, per_mm(lean.growth_per_px), per_mm(lean.std_dev_per_px));
-            anchors.push((lean, AnchorSource::WhiteImages));
-        }
     }
     anchors.push((anchor("u0", middle.x, mount), AnchorSource::SensorMiddle));
     anchors.push((anchor("v0", middle.y, mount), AnchorSource::SensorMiddle));

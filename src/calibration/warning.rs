@@ -134,6 +134,10 @@ fn meaning(quantity: &str) -> &'static str {
             "Check whether the images are cropped; with few tilted boards, or corners that are biased \
              towards the border, the axis drifts off"
         }
+        "lean_u" | "lean_v" => {
+            "Check that the white images are of this camera, and where the exit pupil of the lens is if you have \
+             stated that; else the corners are biased towards one side of the image"
+        }
         _ => "Check the value, its unit, and whether it is of this camera and setting",
     }
 }

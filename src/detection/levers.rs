@@ -108,3 +108,101 @@ impl NullaryFnOnce for Sums<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix2;
+
+    use super::super::aberration::Aberration;
+    use super::super::blur::Blur;
+    use super::super::corner_fit::Free;
+    use super::super::patch::tests::micro_images;
+    use super::*;
+
+    const SLOPE: f64 = 0.75;
+
+    fn corner(place: Vector2<f64>, width: f64) -> Corner {
+        Corner {
+            place,
+            angles: [0.2, 1.6],
+            level: 0.5,
+            contrast: 0.4,
+            width,
+            covariance: Matrix2::zeros(),
+            explained: 0.0,
+        }
+    }
+
+    /// The light of a corner in a micro-image with these rays.
+    fn light(patch: &mut Patch, corner: &Corner, rays: &Rays) {
+        let step = |distance: f64| {
+            let t = (distance / corner.width).clamp(-1.0, 1.0);
+            t * (1.5 - 0.5 * t * t)
+        };
+        for i in 0..patch.x.len() {
+            let of_point = |point: &[Vec<f32>; 4]| {
+                let from =
+                    Vector2::new(f64::from(point[0][i]), f64::from(point[1][i])) - corner.place;
+                let [a, b] =
+                    corner.angles.map(|angle| step(angle.cos() * from.y - angle.sin() * from.x));
+                a * b
+            };
+            let mean = rays.points.iter().map(of_point).sum::<f64>() / rays.points.len() as f64;
+            patch.light[i] = (corner.level + corner.contrast * mean) as f32;
+        }
+    }
+
+    /// The place follows what is taken for granted, as fits with other values show.
+    #[test]
+    fn levers_are_the_changes_of_fits() {
+        let micro_images = micro_images(23.0);
+        let optics = micro_images.optics(1, 1);
+        let vignetting = micro_images.vignetting(&optics);
+        // Far off the middle of the image, where all three aberrations show.
+        let center = Vector2::new(400.0, -300.0);
+        let place = Vector2::new(4.0, -2.5);
+        let rays = |slope: f64, coefficients: [f64; 3], patch: &Patch| {
+            let none = Aberration::none(Vector2::zeros(), optics.pupil_px);
+            let bend = none.changed(&coefficients.into()).bend(&center, slope);
+            (Blur::new(&optics, slope, bend, vignetting).rays(patch), bend)
+        };
+        let mut patch = Patch::default();
+        for (x, y) in (-10..=10).flat_map(|y| (-10..=10).map(move |x| (x as f32, y as f32))) {
+            if x * x + y * y < 100.0 {
+                patch.x.push(x + 0.3);
+                patch.y.push(y - 0.2);
+                patch.light.push(0.0);
+                patch.weight.push(1.0);
+            }
+        }
+        let (known, bend) = rays(SLOPE, [0.0; 3], &patch);
+        let truth = corner(place, known.width);
+        light(&mut patch, &truth, &known);
+        let levers = truth.levers(&patch, &known, SLOPE, &bend).unwrap();
+        let place_with = |slope: f64, coefficients: [f64; 3]| {
+            let (rays, _) = rays(slope, coefficients, &patch);
+            truth.fitted(&patch, &rays, Free::Place).unwrap().place
+        };
+        assert!((place_with(SLOPE, [0.0; 3]) - place).norm() < 2e-3);
+        let close = |change: Vector2<f64>, lever: Vector2<f64>, step: f64| {
+            let expected = lever * step;
+            assert!(
+                (change - expected).norm() < 0.15 * expected.norm() + 3e-3,
+                "{change} {expected}"
+            );
+        };
+        let by_slope = place_with(SLOPE + 0.01, [0.0; 3]) - place_with(SLOPE - 0.01, [0.0; 3]);
+        close(by_slope, levers.by_slope, 0.02);
+        for i in 0..3 {
+            let lever = levers.by_aberration.column(i).into_owned();
+            // That moves the place by a fiftieth of a pixel.
+            let step = 0.02 / lever.norm();
+            let with = |sign: f64| {
+                let mut coefficients = [0.0; 3];
+                coefficients[i] = sign * step;
+                place_with(SLOPE, coefficients)
+            };
+            close(with(1.0) - with(-1.0), lever, 2.0 * step);
+        }
+    }
+}

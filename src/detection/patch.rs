@@ -170,7 +170,7 @@ impl Pair {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::model::{
         Configuration, Datasheet, InternalParameters, Lattice, LatticeKind, Packing, Sensor,
@@ -178,7 +178,7 @@ mod tests {
     use crate::precalibration::MicroImageArray;
 
     /// Three by three micro-images about the middle of an image of 61 x 61 px.
-    fn micro_images(pitch_px: f64) -> MicroImages {
+    pub fn micro_images(pitch_px: f64) -> MicroImages {
         let sheet = Datasheet {
             sensor: Sensor { width_px: 61, height_px: 61, pixel_size_mm: 0.0055 },
             focal_length_mm: 16.0,

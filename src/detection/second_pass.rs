@@ -89,7 +89,7 @@ impl Frame<'_> {
             let mut found: Vec<Sought> = outcomes.into_iter().filter_map(|o| o.found).collect();
             found.sort_by_key(|c| c.corner);
             let all = found.iter().map(|sought| sought.seen.as_slice());
-            let change = Aberration::change(all).unwrap_or_default();
+            let change = aberration.change(all).unwrap_or_default();
             aberration = aberration.changed(&change);
             corners = found.into_iter().filter_map(|s| pass.on_line(s, &change)).collect();
         }

@@ -2,12 +2,23 @@
 
 use serde_json::{Value, json};
 
-use crate::detection::DetectedFrame;
+use crate::detection::{DetectedFrame, Detection};
 use crate::model::Board;
 
 /// The content of `detection.json`.
 #[must_use]
 pub fn detection_document(frames: &[DetectedFrame], board: &Board) -> Value {
+    let aberration = |found: &Detection| {
+        let a = &found.aberration;
+        let [spherical, coma, astigmatism]: [f64; 3] = a.coefficients_per_px2.into();
+        json!({
+            "spherical_per_px2": spherical,
+            "coma_per_px2": coma,
+            "astigmatism_per_px2": astigmatism,
+            "middle_px": [a.middle_px.x, a.middle_px.y],
+            "zone_px": a.zone_px2.sqrt(),
+        })
+    };
     let of_frame = |frame: &DetectedFrame| {
         let c = &frame.counts;
         json!({
@@ -16,6 +27,7 @@ pub fn detection_document(frames: &[DetectedFrame], board: &Board) -> Value {
             "rejected": frame.result.as_ref().err().map(ToString::to_string),
             "features": frame.result.as_ref().map_or(0, |d| d.features.len()),
             "board_corners": c.board_corners,
+            "aberration": frame.result.as_ref().ok().map(aberration),
             "micro_images": { "looked_at": c.looked_at, "unusable": c.unusable },
             "corners": c.corners,
             "clusters": c.clusters,

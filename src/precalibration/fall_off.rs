@@ -157,8 +157,8 @@ impl Light {
             let levers = Levers::new(internal, *f_number, self.seen_pitch_px, options);
             for (lens_type, alike) in types.iter().enumerate() {
                 let lever = |r| levers.lever(lens_type, r, strength);
-                let by_growth = |r| levers.by_growth(lens_type, r, strength);
-                let own = alike.gradients(self.reach_px, lever, by_growth);
+                let light = |r| levers.light_and_growth(lens_type, r, strength);
+                let own = alike.gradients(self.reach_px, lever, light);
                 growths.push(own.iter().map(|gradient| gradient.growth).collect());
                 gradients.extend(own);
                 within.extend(alike.within(levers.plateau(lens_type)));

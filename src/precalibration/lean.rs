@@ -23,6 +23,8 @@ pub(super) struct Growth {
     pub weight: f64,
 }
 
+/// How well discs of even light describe how it changes with d, relative: on simulated cameras to this.
+const MODEL: f64 = 0.01;
 /// Fewest micro-images of a type in an image.
 const FEWEST: usize = 30;
 /// Micro-images this many times further than the typical one from the surface are dust and faults.
@@ -36,7 +38,7 @@ const UNIT_PX: f64 = 1000.0;
 
 /// The lean that all groups show, each of one lens type in one white image, about `middle`; `None` without
 /// two groups that do. Groups differ by more than their noise where discs are not what they are taken for,
-/// and their scatter is in σ.
+/// and their scatter is in σ, with what is known of the model.
 pub(super) fn lean(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<Lean> {
     let of_groups: Vec<(Vector2<f64>, Vector2<f64>)> =
         groups.iter().filter_map(|growths| slope(growths, middle)).collect();
@@ -49,7 +51,7 @@ pub(super) fn lean(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<Lean
         let mean = of_groups.iter().map(|g| weight(g) * g.0[i]).sum::<f64>() / weights;
         let scatter: f64 = of_groups.iter().map(|g| weight(g) * (g.0[i] - mean).powi(2)).sum();
         let excess = (scatter / (of_groups.len() as f64 - 1.0)).max(1.0);
-        (mean, (excess / weights).sqrt())
+        (mean, (excess / weights).sqrt().hypot(MODEL * mean))
     };
     let (along_u, along_v) = (axis(0), axis(1));
     Some(Lean { growth_per_px: [along_u.0, along_v.0], std_dev_per_px: [along_u.1, along_v.1] })
@@ -113,5 +115,59 @@ impl Reweighted for Surface<'_> {
 
     fn settled(&self, (last, _): &Self::Model, (next, _): &Self::Model) -> bool {
         (last - next).norm() < SETTLED
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LEAN: [f64; 2] = [-1.0e-5, 1.4e-5];
+    const NOISE: f64 = 3e-3;
+    const MIDDLE: [f64; 2] = [500.0, 400.0];
+
+    /// Micro-images all over an image, vignetted towards its border, with noise of its own; every fortieth shows
+    /// dust. `bias` is what a group takes for lean.
+    fn group(seed: u32, bias: f64) -> Vec<Growth> {
+        let mut noise = seed;
+        let mut error = || {
+            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            NOISE * (f64::from(noise >> 8) / f64::from(1 << 23) - 1.0) * 3.0_f64.sqrt()
+        };
+        let middle = Vector2::from(MIDDLE);
+        (0..400)
+            .map(|i| {
+                let place = Vector2::new(f64::from(i % 20), f64::from(i / 20))
+                    .component_mul(&Vector2::new(50.0, 40.0));
+                let p = place - middle;
+                let dust = if i % 40 == 7 { 0.3 } else { 0.0 };
+                let lean = Vector2::from(LEAN) * (1.0 + bias);
+                let value = lean.dot(&p) - 2e-8 * p.norm_squared() + error() + dust;
+                Growth { place, value, weight: NOISE.powi(-2) }
+            })
+            .collect()
+    }
+
+    fn found(groups: &[Vec<Growth>]) -> Lean {
+        lean(groups, &Vector2::from(MIDDLE)).unwrap()
+    }
+
+    #[test]
+    fn the_lean_is_found_through_vignetting_and_dust() {
+        let found = found(&[group(1, 0.0), group(2, 0.0), group(3, 0.0), group(4, 0.0)]);
+        for i in 0..2 {
+            let (error, std_dev) = (found.growth_per_px[i] - LEAN[i], found.std_dev_per_px[i]);
+            assert!(error.abs() < 3.0 * std_dev, "{found:?}");
+            assert!((1e-7..5e-7).contains(&std_dev), "{found:?}");
+        }
+    }
+
+    #[test]
+    fn groups_that_disagree_are_less_certain() {
+        let agree = found(&[group(1, 0.0), group(2, 0.0)]);
+        let disagree = found(&[group(1, -0.5), group(2, 0.5)]);
+        assert!(disagree.std_dev_per_px[0] > 4.0 * agree.std_dev_per_px[0], "{disagree:?}");
+        assert!(lean(&[group(1, 0.0)], &Vector2::from(MIDDLE)).is_none());
+        assert!(lean(&[group(1, 0.0)[..20].to_vec(), group(2, 0.0)], &Vector2::zeros()).is_none());
     }
 }

@@ -4,13 +4,13 @@
 use super::profile::PIXEL;
 use super::stage::PrecalibrationOptions;
 use crate::model::InternalParameters;
-use crate::vignetting::overlap;
+use crate::vignetting::{overlap, overlap_area};
 
 /// What a pixel, and a point spread, take from the plateau of a micro-image, px.
 const PLATEAU_MARGIN_PX: f64 = 1.2;
 
 /// Step of the derivative by the growth of d.
-const GROWTH: f64 = 1e-3;
+const GROWTH: f64 = 1e-2;
 
 /// The discs of pupil and blur in a white image.
 #[derive(Debug)]
@@ -88,25 +88,29 @@ impl Levers {
         (2.0 * a * a + (2.0 * q + lens) * (q + lens)) / 4.0 * self.distances
     }
 
-    /// How the light at distance r changes where d grows, over its relative growth and over the light in the
-    /// middle: a and qᵢ + ΔC/2 grow in proportion, the micro-lens stays, and light arrives less obliquely.
-    pub fn by_growth(&self, lens_type: usize, r: f64, strength: f64) -> f64 {
+    /// The light at distance r, and how it changes where d grows, over its relative growth; both over the light in
+    /// the middle. a and qᵢ + ΔC/2 grow in proportion, the micro-lens stays, and light arrives less obliquely.
+    pub fn light_and_growth(&self, lens_type: usize, r: f64, strength: f64) -> (f64, f64) {
         let light = |r: f64, growth: f64| {
             let (a, q) = (self.pupil_px, self.q_px[lens_type]);
             let (a, q) = (a * (1.0 + growth), q + (q + self.lens_px) * growth);
             let size = q.abs().max(1e-6);
             let of_pixel = |(along, weight): (f64, f64)| {
-                let distance = ((r + along).powi(2) + 1.0 / 12.0).sqrt();
-                let Some(part) = overlap(distance / size, a / size) else { return 0.0 };
-                let s = distance + part.mean * q.signum() * self.lens_px;
+                let distance_px = ((r + along).powi(2) + 1.0 / 12.0).sqrt();
+                let Some(part) = overlap(distance_px / size, a / size) else { return 0.0 };
+                let s = distance_px + part.mean * q.signum() * self.lens_px;
                 let variances = part.along.powi(2) + part.across.powi(2);
                 let square = s * s + variances * (self.lens_px / 2.0).powi(2);
                 let distance = self.distance_px * (1.0 + growth);
-                weight * part.area * (1.0 + square / distance.powi(2)).powf(-2.0 * strength)
+                let (outer, inner) = (a + size, (a - size).abs());
+                let area = overlap_area(distance_px, outer, inner) * (a.min(size) / size).powi(2);
+                weight * area * (1.0 + square / distance.powi(2)).powf(-2.0 * strength)
             };
             PIXEL.into_iter().map(of_pixel).sum::<f64>()
         };
-        (light(r, GROWTH) - light(r, -GROWTH)) / (2.0 * GROWTH * light(0.0, 0.0))
+        let middle = light(0.0, 0.0);
+        let growth = (light(r, GROWTH) - light(r, -GROWTH)) / (2.0 * GROWTH * middle);
+        (light(r, 0.0) / middle, growth)
     }
 
     /// How far from the centre all pixels see the whole pupil, or the whole micro-lens, px, and |y − M|/|y|

@@ -171,22 +171,29 @@ impl Alike {
     }
 
     /// g and the growth of every micro-image that shows them, by its light up to a distance; see
-    /// [`Levers::lever`] and [`Levers::by_growth`].
+    /// [`Levers::lever`] and [`Levers::light_and_growth`].
     ///
     /// [`Levers::lever`]: super::levers::Levers::lever
-    /// [`Levers::by_growth`]: super::levers::Levers::by_growth
+    /// [`Levers::light_and_growth`]: super::levers::Levers::light_and_growth
     pub fn gradients(
         &self,
         reach: f64,
         lever: impl Fn(f64) -> f64,
-        by_growth: impl Fn(f64) -> f64,
+        light_and_growth: impl Fn(f64) -> (f64, f64),
     ) -> Vec<Gradient> {
         let brightest = self.mean.iter().map(|ring| ring.light).fold(0.0, f64::max);
-        let design = |ring: &Ring| {
+        let of_rings: Vec<(&Ring, (f64, f64))> =
+            self.mean.iter().map(|ring| (ring, light_and_growth(ring.radius))).collect();
+        // Where the middle is clipped, its light follows from the edge.
+        let whole = || of_rings.iter().filter(|(ring, _)| ring.whole && ring.radius < reach);
+        let products = whole().map(|(ring, (light, _))| ring.light * light).sum::<f64>();
+        let squares = whole().map(|(_, (light, _))| light * light).sum::<f64>();
+        let middle = products / squares.max(f64::MIN_POSITIVE);
+        let design = |(ring, (_, growth)): &(&Ring, (f64, f64))| {
             let lever = -ring.light * lever(ring.radius);
             let slope = -ring.slope;
             let weight = 1.0 / (ring.light + READ_NOISE * brightest);
-            let growth = brightest * by_growth(ring.radius);
+            let growth = middle * growth;
             // From a pixel's (1, x, y) to its light by scale, g, δ and growth.
             #[rustfmt::skip]
             let columns = SMatrix::<f64, 6, 3>::new(
@@ -199,7 +206,7 @@ impl Alike {
             );
             (ring.whole && ring.radius < reach).then_some((columns, weight))
         };
-        let design: Vec<Option<Design>> = self.mean.iter().map(design).collect();
+        let design: Vec<Option<Design>> = of_rings.iter().map(design).collect();
         self.images.par_iter().filter_map(|image| gradient(image, &design)).collect()
     }
 

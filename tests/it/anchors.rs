@@ -3,7 +3,7 @@
 use std::fs;
 
 use plenocal::calibration::{AnchorSource, Calibration, CalibrationOptions, Start, Warning};
-use plenocal::model::{Noise, Observations};
+use plenocal::model::{Lean, Noise, Observations};
 use plenocal::solver::{Anchor, CostOptions, LossKind, Termination};
 use predicates::str::contains;
 use tempfile::TempDir;
@@ -48,6 +48,37 @@ fn honest_observations() -> Observations {
         c.std_dev_px = Some(NOISE.centers_px);
     }
     observations
+}
+
+/// The value is that of the formula in Rust, the residual that of C++.
+#[test]
+fn the_lean_is_anchored_as_it_is_computed() {
+    let observations = shipped_observations();
+    for (quantity, value) in [("lean_u", -1.9e-3), ("lean_v", -2.4e-3)] {
+        let result = run(&datasheet_start(), &observations, &with_anchor(quantity, value, 1e-9));
+        let found = named(&result, quantity);
+        assert!((found.result - value).abs() < 1e-8, "{quantity}: {}", found.result);
+        assert_eq!(found.unit(), "mm^-1");
+    }
+}
+
+/// White images say how the array leans, without what is assumed of the lens.
+#[test]
+fn the_lean_of_white_images_counts_also_without_anchors() {
+    let Start::Datasheet(sheet, mut internal) = datasheet_start() else { unreachable!() };
+    let lean = Lean { growth_per_px: [-9.8e-6, -1.3e-5], std_dev_per_px: [2e-7, 3e-7] };
+    internal.lean = Some(lean);
+    let mut options = anchored();
+    options.default_anchors = false;
+    let result = run(&Start::Datasheet(sheet, internal), &shipped_observations(), &options);
+    for (axis, quantity) in ["lean_u", "lean_v"].into_iter().enumerate() {
+        let found = named(&result, quantity);
+        assert_eq!(found.source, AnchorSource::WhiteImages);
+        let per_px = found.anchor.value * sheet.sensor.pixel_size_mm;
+        assert!((per_px - lean.growth_per_px[axis]).abs() < 1e-15);
+        assert!(found.pull().abs() < 3.0, "{quantity}: {}", found.pull());
+    }
+    assert!(result.anchors.iter().all(|a| a.anchor.quantity != "F"));
 }
 
 #[test]

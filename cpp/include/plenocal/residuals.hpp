@@ -229,7 +229,8 @@ class InterceptResidual {
   double weight_;
 };
 
-/// Residual of an anchor on the lean along one axis of the image. Parameter blocks: exit pupil, array.
+/// Residual of an anchor on the lean along one axis of the image. Parameter blocks: exit pupil,
+/// array.
 class LeanResidual {
  public:
   /// `axis` is 0 for u and 1 for v; `value` in 1/mm; `weight` is 1 / sigma, mm.
