@@ -7,7 +7,6 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <tuple>
@@ -228,30 +227,6 @@ TEST(Projection, MicroImageCentreLiesOnTheRayFromTheExitPupil) {
   EXPECT_TRUE(project(camera, at_distance(300), {3, 1.5, 0}, 2, 2, &feature));
   EXPECT_TRUE(project(simple_camera(), at_distance(300), {3, 1.5, 0}, 2, 2, &at_lens));
   expect_feature(feature, at_lens.u, at_lens.v, at_lens.rho);
-}
-
-TEST(Projection, LeanIsHowTheDistanceGrowsOverTheImage) {
-  // Lenses about the middle, by their centres and where their micro-images are.
-  Camera camera = simple_camera();
-  camera.exit_pupil = {0.0, 0.0, -9.0};
-  camera.mla.rotation = {2e-3, -1e-3, 0.3};
-  const ArrayOptics<double> optics(camera.mla, camera.pixel_size);
-  const double sensor_z = -(camera.mla.lens_to_mla + camera.mla.mla_to_sensor);
-  const auto place = [&](int k, int l) {
-    const Pixel<double> c = project_center(camera, k, l);
-    const double z = optics.micro_lens_center(camera.lattice.node(k, l)).z;
-    return std::array<double, 3>{c.u * camera.pixel_size, c.v * camera.pixel_size,
-                                 std::log(z - sensor_z)};
-  };
-  // Central differences along both axes of the array.
-  const auto [lu, lv, ln] = place(1, 2);
-  const auto [ru, rv, rn] = place(3, 2);
-  const auto [au, av, an] = place(2, 1);
-  const auto [bu, bv, bn] = place(2, 3);
-  const Vector2<double> found = lean(camera.exit_pupil, camera.mla);
-  EXPECT_NEAR(found.x * (ru - lu) + found.y * (rv - lv), rn - ln, 1e-6);
-  EXPECT_NEAR(found.x * (bu - au) + found.y * (bv - av), bn - an, 1e-6);
-  EXPECT_GT(std::abs(rn - ln) + std::abs(bn - an), 1e-3);
 }
 
 TEST(Projection, CurvedFieldMovesImagesTowardsTheLens) {

@@ -5,9 +5,11 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <array>
 #include <random>
 
 #include "rejection.hpp"
+#include "simple_camera.hpp"
 #include "synthetic_scene.hpp"
 
 namespace plenocal {
@@ -98,6 +100,30 @@ int index_of(const std::string& name) {
 int row_of(const std::string& name, const Uncertainty& u) {
   const auto& free = u.free_intrinsics;
   return static_cast<int>(std::find(free.begin(), free.end(), index_of(name)) - free.begin());
+}
+
+TEST(Lean, IsHowTheDistanceGrowsOverTheImage) {
+  // Lenses about the middle, by their centres and where their micro-images are.
+  Camera camera = test::simple_camera();
+  camera.exit_pupil = {0.0, 0.0, -9.0};
+  camera.mla.rotation = {2e-3, -1e-3, 0.3};
+  const ArrayOptics<double> optics(camera.mla, camera.pixel_size);
+  const double sensor_z = -(camera.mla.lens_to_mla + camera.mla.mla_to_sensor);
+  const auto place = [&](int k, int l) {
+    const Pixel<double> c = project_center(camera, k, l);
+    const double z = optics.micro_lens_center(camera.lattice.node(k, l)).z;
+    return std::array<double, 3>{c.u * camera.pixel_size, c.v * camera.pixel_size,
+                                 std::log(z - sensor_z)};
+  };
+  // Central differences along both axes of the array.
+  const auto [lu, lv, ln] = place(1, 2);
+  const auto [ru, rv, rn] = place(3, 2);
+  const auto [au, av, an] = place(2, 1);
+  const auto [bu, bv, bn] = place(2, 3);
+  const Vector2<double> found = lean(camera.exit_pupil, camera.mla);
+  EXPECT_NEAR(found.x * (ru - lu) + found.y * (rv - lv), rn - ln, 1e-6);
+  EXPECT_NEAR(found.x * (bu - au) + found.y * (bv - av), bn - an, 1e-6);
+  EXPECT_GT(std::abs(rn - ln) + std::abs(bn - an), 1e-3);
 }
 
 TEST(Anchors, HoldAQuantity) {

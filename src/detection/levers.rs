@@ -134,6 +134,7 @@ mod tests {
     }
 
     /// The light of a corner in a micro-image with these rays.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn light(patch: &mut Patch, corner: &Corner, rays: &Rays) {
         let step = |distance: f64| {
             let t = (distance / corner.width).clamp(-1.0, 1.0);

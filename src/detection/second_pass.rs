@@ -91,11 +91,17 @@ impl Frame<'_> {
             let all = found.iter().map(|sought| sought.seen.as_slice());
             let change = aberration.change(all).unwrap_or_default();
             aberration = aberration.changed(&change);
-            corners = found.into_iter().filter_map(|s| pass.on_line(s, &change)).collect();
+            corners.clear();
+            for sought in found {
+                let seen = sought.seen.len();
+                match pass.on_line(sought, &change) {
+                    Some(corner) => corners.push(corner),
+                    None => counts.given_up += seen,
+                }
+            }
         }
         // There are none if there was no round.
         corners.retain(|c| !c.observations.is_empty());
-
         let is_lost = |corner: &&i32| corners.iter().all(|c| c.corner != **corner);
         counts.lost = at_first.iter().filter(is_lost).count();
         counts.board_corners = corners.len();
@@ -178,7 +184,7 @@ impl SecondPass<'_> {
         // The outer corners of the board look like corners in some micro-images, but not in most.
         let is_corner = median(imbalances).is_some_and(|median| median < IMBALANCE);
         let all = observations.len();
-        let found = if is_corner { self.near_line(sought, observations) } else { None };
+        let found = if is_corner { Sought::near_line(sought, observations) } else { None };
         let kept = found.as_ref().map_or(0, |found| found.seen.len());
         let (misplaced, given_up) = if found.is_some() { (all - kept, 0) } else { (0, all) };
         Outcome { found, unclear, misplaced, given_up }
@@ -222,25 +228,31 @@ impl SecondPass<'_> {
         })
     }
 
+    /// A corner with its line, once the aberrations are known better.
+    fn on_line(&self, found: Sought, change: &Vector3<f64>) -> Option<BoardCorner> {
+        let Sought { corner, mut seen } = found;
+        for seen in &mut seen {
+            seen.change_aberration(change);
+        }
+        let line = CornerLine::fit(seen.iter().map(Seen::on_line))?;
+        for seen in &mut seen {
+            seen.change_slope(line.slope);
+        }
+        let observations = seen.into_iter().map(|seen| (seen.observation, seen.corner)).collect();
+        let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);
+        possible.then_some(BoardCorner { corner, line, observations })
+    }
+}
+
+impl Sought {
     /// What was seen of a corner, without what is off its line.
-    fn near_line(&self, sought: &BoardCorner, mut seen: Vec<Seen>) -> Option<Sought> {
+    fn near_line(sought: &BoardCorner, mut seen: Vec<Seen>) -> Option<Self> {
         let line = CornerLine::fit(seen.iter().map(Seen::on_line))?;
         let scale = line.rms_px.max(LEAST_RMS_PX);
         seen.retain(|seen| {
             let o = seen.on_line();
             (o.position - line.at(&o.center)).norm() < OUTLIER * scale
         });
-        (seen.len() > 1).then_some(Sought { corner: sought.corner, seen })
-    }
-
-    /// A corner with its line, once the aberrations are known better.
-    fn on_line(&self, found: Sought, change: &Vector3<f64>) -> Option<BoardCorner> {
-        let Sought { corner, mut seen } = found;
-        seen.iter_mut().for_each(|seen| seen.with_aberration(change));
-        let line = CornerLine::fit(seen.iter().map(Seen::on_line))?;
-        seen.iter_mut().for_each(|seen| seen.with_slope(line.slope));
-        let observations = seen.into_iter().map(|seen| (seen.observation, seen.corner)).collect();
-        let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);
-        possible.then_some(BoardCorner { corner, line, observations })
+        (seen.len() > 1).then_some(Self { corner: sought.corner, seen })
     }
 }

@@ -29,13 +29,13 @@ impl Seen {
         }
     }
 
-    /// The observation with another aberration.
-    pub fn with_aberration(&mut self, change: &Vector3<f64>) {
+    /// Moves the observation to where another aberration puts it.
+    pub fn change_aberration(&mut self, change: &Vector3<f64>) {
         self.moved(&(self.levers.by_aberration * change));
     }
 
-    /// The observation with the blur radius of another slope.
-    pub fn with_slope(&mut self, slope: f64) {
+    /// Moves the observation to where the blur radius of another slope puts it.
+    pub fn change_slope(&mut self, slope: f64) {
         self.moved(&(self.levers.by_slope * (slope - self.slope_before)));
         self.slope_before = slope;
     }

@@ -110,10 +110,12 @@ impl Light {
         let (lens_to_sensor_px, mla_to_sensor_px) = options.distances_px(internal.m_mm);
         let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, self.middle);
         let known = |fall_off: &FallOff| fall_off.std_dev_per_px2 < KNOWN * cos4.growth_per_px2;
-        let (gradients, within, growths) = self.measured(internal, options, strength);
+        let (gradients, within) = self.measured(internal, options, strength);
+        let growths = |group: &Vec<Gradient>| group.iter().map(|g| g.growth).collect();
+        let growths: Vec<Vec<Growth>> = gradients.iter().map(growths).collect();
         let lean = lean(&growths, &self.middle);
         debug!("{lean:?}");
-        let Some(measured) = plane(&gradients).filter(known) else {
+        let Some(measured) = plane(&gradients.concat()).filter(known) else {
             let warning = "how light falls off with its angle does not show in the white images: it is taken \
                            to be cos⁴, and corners far from the axis may be off by 0.1 px; take white images \
                            that are not clipped";
@@ -144,27 +146,24 @@ impl Light {
         }
     }
 
-    /// The gradients of all micro-images, H with its variance by image and type, and the growths by image and
-    /// type.
+    /// The gradients of all micro-images by image and type, and H with its variance.
     fn measured(
         &self,
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
         strength: f64,
-    ) -> (Vec<Gradient>, Vec<(f64, f64)>, Vec<Vec<Growth>>) {
-        let (mut gradients, mut within, mut growths) = (Vec::new(), Vec::new(), Vec::new());
+    ) -> (Vec<Vec<Gradient>>, Vec<(f64, f64)>) {
+        let (mut gradients, mut within) = (Vec::new(), Vec::new());
         for (f_number, types) in &self.of_images {
             let levers = Levers::new(internal, *f_number, self.seen_pitch_px, options);
             for (lens_type, alike) in types.iter().enumerate() {
                 let lever = |r| levers.lever(lens_type, r, strength);
                 let light = |r| levers.light_and_growth(lens_type, r, strength);
-                let own = alike.gradients(self.reach_px, lever, light);
-                growths.push(own.iter().map(|gradient| gradient.growth).collect());
-                gradients.extend(own);
+                gradients.push(alike.gradients(self.reach_px, lever, light));
                 within.extend(alike.within(levers.plateau(lens_type)));
             }
         }
-        (gradients, within, growths)
+        (gradients, within)
     }
 }
 

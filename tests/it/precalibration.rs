@@ -186,7 +186,7 @@ fn a_traced_lens_is_measured_from_its_white_images() {
             100.0 * error / truth,
             error / lean.std_dev_per_px[axis]
         );
-        assert!(error.abs() < 0.06 * truth.abs(), "{lean:?}, {truth}");
+        assert!(error.abs() < 0.08 * truth.abs(), "{lean:?}, {truth}");
         assert!(error.abs() < 3.0 * lean.std_dev_per_px[axis], "{lean:?}, {truth}");
     }
     // Boards are seen through the pupil as it is, 0.057 px larger at f/4 (by an independent trace).
