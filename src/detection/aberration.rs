@@ -178,7 +178,7 @@ mod tests {
     const PUPIL_PX: f64 = 6.0;
     const STD_DEV_PX: f64 = 0.05;
 
-    /// Corners all over an image of 1000 x 800 px, each in 19 micro-images, as sharp images show them: every
+    /// Corners all over an image of 1000 x 800 px, each in 25 micro-images, as sharp images show them: every
     /// observation has one ray. Errors of the given size follow no pattern.
     fn seen(aberration: &Aberration, error_px: f64) -> Vec<Vec<Seen>> {
         let mut noise = 1_u32;

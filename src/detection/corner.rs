@@ -17,7 +17,7 @@ pub(super) struct Corner {
     pub level: f64,
     /// h.
     pub contrast: f64,
-    /// Half the width over which a step rises, px.
+    /// Half the width over which a step rises, over that of the rays.
     pub width: f64,
     /// Covariance of the place, px².
     pub covariance: Matrix2<f64>,
@@ -38,13 +38,14 @@ impl Corner {
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn imbalance(&self, patch: &Patch, rays: &Rays) -> Option<f64> {
         let mut equations = NormalEquations::<f32, 4, 1>::new();
-        let inverse = (1.0 / self.width) as f32;
+        let narrower = (1.0 / self.width) as f32;
         let place = self.place.map(|x| x as f32);
         let normals = self.angles.map(|angle| [-angle.sin() as f32, angle.cos() as f32]);
         let share = 1.0 / rays.points.len() as f32;
         for i in 0..patch.x.len() {
             let mut row = Vector4::new(1.0, 0.0, 0.0, 0.0);
-            for [origin_x, origin_y, ..] in &rays.points {
+            for [origin_x, origin_y, _, _, inverse_width] in &rays.points {
+                let inverse = inverse_width[i] * narrower;
                 let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
                 let [s, t] = normals.map(|n| {
                     let t = (n[0] * x + n[1] * y).clamp(-1.0, 1.0);

@@ -43,7 +43,7 @@ impl Corner {
     pub fn fitted(&self, patch: &Patch, rays: &Rays, free: Free) -> Option<Self> {
         match free {
             Free::All => fit::<ALL>(*self, patch, rays),
-            Free::Place => fit::<PLACE>(Self { width: rays.width, ..*self }, patch, rays),
+            Free::Place => fit::<PLACE>(Self { width: 1.0, ..*self }, patch, rays),
         }
     }
 }
@@ -210,7 +210,7 @@ impl NullaryFnOnce for Evaluation<'_> {
         for row in &mut model.rows {
             row.fill(0.0);
         }
-        let inverse = (1.0 / corner.width) as f32;
+        let narrower = (1.0 / corner.width) as f32;
         let place = corner.place.map(|x| x as f32);
         let [(s1, c1), (s2, c2)] = corner.angles.map(|angle| {
             let (s, c) = angle.sin_cos();
@@ -219,9 +219,11 @@ impl NullaryFnOnce for Evaluation<'_> {
         let share = 1.0 / rays.points.len() as f32;
         let rows = model.rows.each_mut().map(|row| &mut row[..n]);
         let [by_u, by_v, level, shape, by_1, by_2, by_width] = rows;
-        for [origin_x, origin_y, ..] in &rays.points {
+        for [origin_x, origin_y, _, _, inverse_width] in &rays.points {
             let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
+            let inverse_width = &inverse_width[..n];
             for i in 0..n {
+                let inverse = inverse_width[i] * narrower;
                 let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
                 let (d1, d2) = (c1 * y - s1 * x, c2 * y - s2 * x);
                 let (a, b) = (d1.clamp(-1.0, 1.0), d2.clamp(-1.0, 1.0));
@@ -229,26 +231,26 @@ impl NullaryFnOnce for Evaluation<'_> {
                 let (e1, e2) = (1.5 - 1.5 * a * a, 1.5 - 1.5 * b * b);
                 let (g1, g2) = (e1 * t2, t1 * e2);
                 shape[i] += t1 * t2;
-                by_u[i] += g1 * s1 + g2 * s2;
-                by_v[i] -= g1 * c1 + g2 * c2;
+                by_u[i] += (g1 * s1 + g2 * s2) * inverse;
+                by_v[i] -= (g1 * c1 + g2 * c2) * inverse;
                 by_1[i] -= g1 * (c1 * x + s1 * y);
                 by_2[i] -= g2 * (c2 * x + s2 * y);
                 by_width[i] -= g1 * d1 + g2 * d2;
             }
         }
         let (m, h) = (corner.level as f32, corner.contrast as f32);
-        let (per_angle, per_px) = (h * share, h * share * inverse);
+        let per_point = h * share;
         let (light, weight, residuals) =
             (&patch.light[..n], &patch.weight[..n], &mut model.residual[..n]);
         for i in 0..n {
             shape[i] *= share;
             residuals[i] = light[i] - m - h * shape[i];
             level[i] = 1.0;
-            by_u[i] *= per_px;
-            by_v[i] *= per_px;
-            by_1[i] *= per_angle;
-            by_2[i] *= per_angle;
-            by_width[i] *= per_px;
+            by_u[i] *= per_point;
+            by_v[i] *= per_point;
+            by_1[i] *= per_point;
+            by_2[i] *= per_point;
+            by_width[i] *= per_point * narrower;
         }
         let mut cost = 0.0_f32;
         for i in 0..n {

@@ -40,12 +40,12 @@ impl Corner {
         let nearness = (slope - 1.0) as f32;
         Arch::new().dispatch(Sums { columns: &mut columns, corner: self, rays, bend, nearness });
         let share = 1.0 / rays.points.len() as f32;
-        let per_px = (self.contrast / self.width) as f32 * share;
+        let per_point = self.contrast as f32 * share;
         let [by_u, by_v, shape, given @ ..] = &columns;
         let mut equations = NormalEquations::<f32, 4, GIVEN>::new();
         for i in 0..pixels {
-            let row = Vector4::new(by_u[i] * per_px, by_v[i] * per_px, 1.0, shape[i] * share);
-            let moved = RowVector4::from_fn(|_, k| given[k][i] * per_px);
+            let row = Vector4::new(by_u[i] * per_point, by_v[i] * per_point, 1.0, shape[i] * share);
+            let moved = RowVector4::from_fn(|_, k| given[k][i] * per_point);
             equations.add(&row, &moved, patch.weight[i]);
         }
         let levers = equations.solve()?.map(f64::from);
@@ -75,7 +75,7 @@ impl NullaryFnOnce for Sums<'_> {
     fn call(self) {
         let Self { columns, corner, rays, bend, nearness } = self;
         let n = columns[0].len();
-        let inverse = (1.0 / corner.width) as f32;
+        let narrower = (1.0 / corner.width) as f32;
         let place = corner.place.map(|x| x as f32);
         let [(s1, c1), (s2, c2)] = corner.angles.map(|angle| {
             let (s, c) = angle.sin_cos();
@@ -83,16 +83,19 @@ impl NullaryFnOnce for Sums<'_> {
         });
         let columns = columns.each_mut().map(|column| &mut column[..n]);
         let [by_u, by_v, shape, by_slope, by_s, by_c, by_t] = columns;
-        for [origin_x, origin_y, pupil_x, pupil_y] in &rays.points {
+        for [origin_x, origin_y, pupil_x, pupil_y, inverse_width] in &rays.points {
             let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
             let (pupil_x, pupil_y) = (&pupil_x[..n], &pupil_y[..n]);
+            let inverse_width = &inverse_width[..n];
             for i in 0..n {
+                let inverse = inverse_width[i] * narrower;
                 let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
                 let (d1, d2) = (c1 * y - s1 * x, c2 * y - s2 * x);
                 let (a, b) = (d1.clamp(-1.0, 1.0), d2.clamp(-1.0, 1.0));
                 let (t1, t2) = (a * (1.5 - 0.5 * a * a), b * (1.5 - 0.5 * b * b));
                 let (g1, g2) = ((1.5 - 1.5 * a * a) * t2, t1 * (1.5 - 1.5 * b * b));
-                let (u, v) = (g1 * s1 + g2 * s2, -(g1 * c1 + g2 * c2));
+                let u = (g1 * s1 + g2 * s2) * inverse;
+                let v = -(g1 * c1 + g2 * c2) * inverse;
                 by_u[i] += u;
                 by_v[i] += v;
                 shape[i] += t1 * t2;
@@ -121,13 +124,13 @@ mod tests {
 
     const SLOPE: f64 = 0.75;
 
-    fn corner(place: Vector2<f64>, width: f64) -> Corner {
+    fn corner(place: Vector2<f64>) -> Corner {
         Corner {
             place,
             angles: [0.2, 1.6],
             level: 0.5,
             contrast: 0.4,
-            width,
+            width: 1.0,
             covariance: Matrix2::zeros(),
             explained: 0.0,
         }
@@ -136,12 +139,12 @@ mod tests {
     /// The light of a corner in a micro-image with these rays.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn light(patch: &mut Patch, corner: &Corner, rays: &Rays) {
-        let step = |distance: f64| {
-            let t = (distance / corner.width).clamp(-1.0, 1.0);
-            t * (1.5 - 0.5 * t * t)
-        };
         for i in 0..patch.x.len() {
-            let of_point = |point: &[Vec<f32>; 4]| {
+            let of_point = |point: &[Vec<f32>; 5]| {
+                let step = |distance: f64| {
+                    let t = (distance * f64::from(point[4][i])).clamp(-1.0, 1.0);
+                    t * (1.5 - 0.5 * t * t)
+                };
                 let from =
                     Vector2::new(f64::from(point[0][i]), f64::from(point[1][i])) - corner.place;
                 let [a, b] =
@@ -177,7 +180,7 @@ mod tests {
             }
         }
         let (known, bend) = rays(SLOPE, [0.0; 3], &patch);
-        let truth = corner(place, known.width);
+        let truth = corner(place);
         light(&mut patch, &truth, &known);
         let levers = truth.levers(&patch, &known, SLOPE, &bend).unwrap();
         let place_with = |slope: f64, coefficients: [f64; 3]| {

@@ -30,8 +30,6 @@ const IMBALANCE: f64 = 0.5;
 const UNCERTAIN_PX: f64 = 0.35;
 /// Corners are not searched for nearer than this, px, to where none of their light arrives.
 const EDGE_PX: f64 = 0.15;
-/// Half the width of steps before that of the blur is taken, px.
-const START_WIDTH_PX: f64 = 1.0;
 /// Observations further than this many root mean square distances from their line are misplaced; the
 /// distance is not taken below the second number, px.
 const OUTLIER: f64 = 4.0;
@@ -205,7 +203,7 @@ impl SecondPass<'_> {
             angles: [right.y.atan2(right.x), down.y.atan2(down.x)],
             level,
             contrast: if self.is_even(sought.corner) { self.contrast } else { -self.contrast },
-            width: START_WIDTH_PX,
+            width: 1.0,
             covariance: Matrix2::zeros(),
             explained: 0.0,
         }

@@ -8,5 +8,5 @@ mod visible_part;
 
 pub(crate) use obliquity::Obliquity;
 pub(crate) use overlap::{Overlap, overlap, overlap_area};
-pub(crate) use points::{POINTS, mean_square};
-pub(crate) use visible_part::Vignetting;
+pub(crate) use points::{POINTS, mean_square, of_disc};
+pub(crate) use visible_part::{PartPoint, Vignetting};

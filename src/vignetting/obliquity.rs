@@ -1,6 +1,6 @@
 //! How obliquely light reaches a micro-image, and the effect: natural vignetting, and what pixels add.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
 
 /// The fall-off of light inside a micro-image. Light from the point M of the micro-lens to the point y, both
 /// from their middles, changes by exp(−g·(y − M) − H |y − M|²/2).
@@ -18,15 +18,26 @@ pub struct Obliquity {
 }
 
 impl Obliquity {
-    /// How far the fall-off moves the centroid of the light that a pixel receives through a part of the
-    /// micro-lens, in radii of the micro-lens: more oblique light counts for less. `from_lens` is the
-    /// vector from the centroid of that part to the pixel, px; `spread` is its standard deviations in
-    /// units of half a radius.
-    ///
-    /// To first order a weight with the gradient G moves the centroid of a part with covariance C by C G.
-    pub(crate) fn shift(&self, from_lens: &Vector2<f64>, spread: &Matrix2<f64>) -> Vector2<f64> {
-        let gradient = self.gradient_per_px + from_lens * self.within_per_px2;
-        spread * (spread * gradient) * (self.half_pitch_px / 4.0)
+    /// How the light changes over the part of a micro-lens that a pixel sees. `from_lens` is the vector from the
+    /// centroid of that part to the pixel, px; `spread` is its standard deviations, in units of half a radius,
+    /// along `outwards` and across it.
+    pub(crate) fn over_part(
+        &self,
+        from_lens: &Vector2<f64>,
+        outwards: &Vector2<f64>,
+        [along, across]: [f64; 2],
+    ) -> Slant {
+        let (hp, pixels) = (self.half_pitch_px, self.of_pixels_per_px2);
+        let natural = self.within_per_px2 - pixels;
+        // The gradient of the law of light() at the mean square of y − M.
+        let square = from_lens.norm_squared() + hp * hp * (along * along + across * across) / 4.0;
+        let within = natural / (1.0 + (natural * square / 4.0).max(-0.5)) + pixels;
+        let gradient = (self.gradient_per_px + from_lens * within) * hp;
+        let perpendicular = Vector2::new(-outwards.y, outwards.x);
+        Slant {
+            gradient: [along * gradient.dot(outwards), across * gradient.dot(&perpendicular)],
+            curvature: within * hp * hp / 2.0 * along * across,
+        }
     }
 
     /// Light over that at normal incidence, in the middle of the image, from the mean square of the vectors from
@@ -40,6 +51,33 @@ impl Obliquity {
     /// The same by cos⁴ alone, which H, px⁻², is as strong as.
     pub(crate) fn natural_light(square: f64, within_per_px2: f64) -> f64 {
         (1.0 + (within_per_px2 * square / 4.0).max(-0.5)).powi(-2)
+    }
+}
+
+/// The light through the points w of a disc of radius 1, which falls by exp(−g·w − h |w|²).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Slant {
+    /// g, along the two axes of the disc.
+    pub gradient: [f64; 2],
+    /// h.
+    pub curvature: f64,
+}
+
+impl Slant {
+    /// Where points that stand for equal areas go in order to stand for equal light: the gradient field u with
+    /// div u = g·w + h (|w|² − ½) that does not cross the rim. To the first order of g and h.
+    ///
+    /// The mean moves by −g/4: `mean_square` is that of the points along an axis, which is less than the ¼ of
+    /// the disc.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn field(&self, mean_square: f64) -> impl Fn(&Vector2<f32>) -> Vector2<f32> {
+        let whole = 0.25 / (0.375 - mean_square / 2.0);
+        let g = Vector2::from(self.gradient.map(|g| (g * whole) as f32));
+        let h = self.curvature as f32;
+        move |w| {
+            let (square, along) = (w.norm_squared(), g.dot(w));
+            g * ((square - 3.0) / 8.0) + w * (along / 4.0 + h * (square - 1.0) / 4.0)
+        }
     }
 }
 
@@ -73,7 +111,8 @@ mod tests {
             }
             (light / count, first / light)
         };
-        let shift = obliquity.shift(&pixel, &Matrix2::identity());
+        let slant = obliquity.over_part(&pixel, &Vector2::x(), [1.0; 2]);
+        let shift = -Vector2::from(slant.gradient) / 4.0;
         let (_, expected) = sums(chief);
         assert!((shift - expected).norm() < 0.1 * shift.norm(), "{shift} {expected}");
         let seen = obliquity.light(pixel.norm_squared() + obliquity.half_pitch_px.powi(2) / 2.0);

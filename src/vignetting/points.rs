@@ -1,4 +1,4 @@
-//! A few points that stand for equal shares of the visible part of a micro-lens.
+//! A few points that stand for cells of equal area of the visible part of a micro-lens.
 
 use nalgebra::Vector2;
 
@@ -9,17 +9,20 @@ const RINGS: [usize; 3] = [1, 6, 12];
 /// Number of all points.
 pub(crate) const POINTS: usize = RINGS[0] + RINGS[1] + RINGS[2];
 
-/// Points of the unit disc that stand for equal shares of it.
+/// The centroids of cells of equal area that the unit disc is cut into: rings, and equal sectors of them.
 pub(crate) fn of_disc() -> [Vector2<f64>; POINTS] {
     let all = POINTS as f64;
     let mut points = [Vector2::zeros(); POINTS];
     let mut inside = 0;
     for count in RINGS {
-        // The root mean square radius of the ring's share of the area.
-        let radius =
-            if count == 1 { 0.0 } else { ((inside as f64 + count as f64 / 2.0) / all).sqrt() };
+        let sector = std::f64::consts::TAU / count as f64;
+        // The centroid of a sector of a ring: 2/3 (r₂³ − r₁³)/(r₂² − r₁²), by sin(θ/2)/(θ/2).
+        let (inner, outer) = ((inside as f64 / all).sqrt(), ((inside + count) as f64 / all).sqrt());
+        let radius = 2.0 / 3.0 * (outer.powi(3) - inner.powi(3)) / (count as f64 / all)
+            * (sector / 2.0).sin()
+            / (sector / 2.0);
         for i in 0..count {
-            let angle = std::f64::consts::TAU * (i as f64 + 0.25) / count as f64;
+            let angle = sector * (i as f64 + 0.25);
             points[inside + i] = Vector2::new(angle.cos(), angle.sin()) * radius;
         }
         inside += count;
@@ -27,7 +30,8 @@ pub(crate) fn of_disc() -> [Vector2<f64>; POINTS] {
     points
 }
 
-/// Mean square of the points of the disc along an axis; that of the whole disc is a quarter.
+/// Mean square of the points of the disc along an axis; that of the whole disc is a quarter, and the rest is
+/// inside the cells.
 pub(crate) fn mean_square() -> f64 {
     of_disc().iter().map(|p| p.norm_squared() / 2.0).sum::<f64>() / POINTS as f64
 }

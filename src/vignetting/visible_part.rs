@@ -7,7 +7,7 @@
 //! Points of the micro-lens have the sign that they have in p − ρ w: they are rotated by half a turn
 //! from their true positions.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
 
 use super::points::{POINTS, in_overlap, of_disc};
 use crate::vignetting::{Overlap, overlap};
@@ -17,8 +17,7 @@ use crate::vignetting::{Overlap, overlap};
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Vignetting {
     moments: Vec<Moments>,
-    /// Points of the visible part, less its mean, along and across the direction from the centre.
-    points: Vec<[Vector2<f32>; POINTS]>,
+    points: Vec<[PartPoint; POINTS]>,
     sign: f64,
 }
 
@@ -30,10 +29,34 @@ struct Moments {
     /// Distance by which the centroid of a pixel's light is nearer to the centre than the pixel's
     /// middle, px.
     inwards: f64,
+    /// The centroid of the visible part, weighted with the light over the pixel.
+    mean: f64,
+}
+
+/// A point that stands for a cell of the visible part, all cells having equal area.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct PartPoint {
+    /// Its place w less the centroid of the part, in radii of the micro-lens, along the direction from the centre
+    /// and across it.
+    pub place: Vector2<f32>,
+    /// How it moves with the pixel: the trace of ∂w/∂p, px⁻¹, and that of its product with its transpose, px⁻².
+    drift: [f32; 2],
+}
+
+impl PartPoint {
+    /// Variance along an axis, the mean of both, of where the light that comes through this point comes from
+    /// because of the extent of the pixel, for the blur radius ρ, px². Across a pixel the visible part moves, and
+    /// what is seen, p − ρ w, changes by 1 − ρ ∂w/∂p as p does.
+    pub fn pixel(&self, rho: f32) -> f32 {
+        let [trace, squares] = self.drift;
+        (1.0 - rho * trace + rho * rho * squares / 2.0) / 12.0
+    }
 }
 
 /// Resolution, px.
 const STEP_PX: f64 = 0.1;
+/// Steps to either side that slopes are taken from.
+const REACH: usize = 2;
 
 /// Points are looked for where the discs overlap by at least this, in radii of the micro-lens.
 const LEAST: f64 = 0.02;
@@ -41,6 +64,13 @@ const LEAST: f64 = 0.02;
 /// At the very edge the light falls to zero and its logarithm is unbounded, so the shift is limited
 /// to this.
 const MOST_INWARDS_PX: f64 = 0.3;
+
+/// Gauss' places and weights for means over a pixel of width 1.
+const OVER_PIXEL: [(f64, f64); 3] = [
+    (-0.387_298_334_620_741_7, 5.0 / 18.0),
+    (0.0, 8.0 / 18.0),
+    (0.387_298_334_620_741_7, 5.0 / 18.0),
+];
 
 impl Vignetting {
     /// Vignetting for a pupil of radius a and the intercept qᵢ, px.
@@ -50,57 +80,120 @@ impl Vignetting {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
         let count = (outer / STEP_PX).ceil() as usize + 2;
         let mut part = Overlap::WHOLE;
-        let mut moments: Vec<Moments> = (0..count)
+        let parts: Vec<Overlap> = (0..count)
             .map(|i| {
                 // Where almost nothing is visible, use the last part that was.
                 part = overlap(i as f64 * STEP_PX / q, pupil_px / q).unwrap_or(part);
-                Moments { part, inwards: 0.0 }
+                part
             })
             .collect();
-        for i in 2..count.saturating_sub(2) {
-            let fall = (moments[i - 2].part.area / moments[i + 2].part.area).ln() / (4.0 * STEP_PX);
-            moments[i].inwards = (fall / 12.0).clamp(0.0, MOST_INWARDS_PX);
-        }
-        let disc = of_disc();
-        let sign = q_px.signum();
-        #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-        let points_at = |(i, m): (usize, &Moments)| {
-            let (distance, radius) = (i as f64 * STEP_PX / q, pupil_px / q);
-            let points = in_overlap(&disc, distance.min(1.0 + radius - LEAST), radius, &m.part);
-            points.map(|p| Vector2::new((sign * (p.x - m.part.mean)) as f32, p.y as f32))
+        let moments_at = |i: usize| {
+            let mut moments = Moments { part: parts[i], inwards: 0.0, mean: parts[i].mean };
+            if (REACH..count.saturating_sub(REACH)).contains(&i) {
+                let fall = (parts[i - REACH].area / parts[i + REACH].area).ln();
+                let per_px = fall / (2.0 * REACH as f64 * STEP_PX);
+                moments.inwards = (per_px / 12.0).clamp(0.0, MOST_INWARDS_PX);
+                moments.mean = mean_over_pixel(&parts, i as f64 * STEP_PX);
+            }
+            moments
         };
-        let points = moments.iter().enumerate().map(points_at).collect();
+        let moments = (0..count).map(moments_at).collect();
+        let disc = of_disc();
+        let places: Vec<[Vector2<f64>; POINTS]> = (0..count)
+            .map(|i| {
+                let (distance, radius) = (i as f64 * STEP_PX / q, pupil_px / q);
+                in_overlap(&disc, distance.min(1.0 + radius - LEAST), radius, &parts[i])
+            })
+            .collect();
+        let sign = q_px.signum();
+        let points = (0..count).map(|i| part_points(&places, &parts[i], &disc, i, sign)).collect();
         Self { moments, points, sign }
     }
 
     /// No vignetting: the whole micro-lens is visible.
     pub fn none() -> Self {
-        #[allow(clippy::cast_possible_truncation)] // as above
-        let points = vec![of_disc().map(|p| p.map(|x| x as f32))];
-        Self { moments: vec![Moments { part: Overlap::WHOLE, inwards: 0.0 }], points, sign: 1.0 }
+        let (disc, whole) = (of_disc(), Overlap::WHOLE);
+        let points = vec![part_points(&[disc], &whole, &disc, 0, 1.0)];
+        Self { moments: vec![Moments { part: whole, inwards: 0.0, mean: 0.0 }], points, sign: 1.0 }
     }
 
     /// The part of the micro-lens through which the pixel at an offset from the centre, px, sees.
     pub fn at(&self, offset: &Vector2<f64>) -> VisiblePart<'_> {
         let r = offset.norm();
         let outwards = if r > 1e-9 { offset / r } else { Vector2::x() };
+        let inwards = self.mixed(r, |m| m.inwards);
+        // What is seen changes across a pixel; the centroid of its light stands for all of it.
+        let lit = (r - inwards).max(0.0);
+        let steps = (lit / STEP_PX).round();
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
+        let nearest = (steps as usize).min(self.points.len() - 1);
+        VisiblePart {
+            outwards,
+            sign: self.sign,
+            points: &self.points[nearest],
+            seen_at: offset - outwards * inwards,
+            mean: outwards * (self.sign * self.mixed(r, |m| m.mean)),
+            spread: [self.mixed(lit, |m| m.part.along), self.mixed(lit, |m| m.part.across)],
+        }
+    }
+
+    /// A quantity at a distance from the centre, px, between its tabulated values.
+    fn mixed(&self, r: f64, of: fn(&Moments) -> f64) -> f64 {
         let steps = r / STEP_PX;
         let last = self.moments.len() - 1;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
         let i = (steps as usize).min(last);
-        let (m, n) = (&self.moments[i], &self.moments[(i + 1).min(last)]);
         let part = (steps - i as f64).min(1.0);
-        let mix = |of: fn(&Moments) -> f64| of(m) * (1.0 - part) + of(n) * part;
-        let radial = outwards * outwards.transpose();
-        VisiblePart {
-            outwards,
-            points: &self.points[if part < 0.5 { i } else { (i + 1).min(last) }],
-            seen_at: offset - outwards * mix(|m| m.inwards),
-            mean: outwards * (self.sign * mix(|m| m.part.mean)),
-            squeeze: radial * mix(|m| m.part.along)
-                + (Matrix2::identity() - radial) * mix(|m| m.part.across),
+        of(&self.moments[i]) * (1.0 - part) + of(&self.moments[(i + 1).min(last)]) * part
+    }
+}
+
+/// Mean of the centroids of the parts that a pixel sees, by their light; its middle is r from the centre, px.
+fn mean_over_pixel(parts: &[Overlap], r: f64) -> f64 {
+    let (mut first, mut light) = (0.0, 0.0);
+    for (x, along) in OVER_PIXEL {
+        for (y, across) in OVER_PIXEL {
+            let place = Vector2::new(r + x, y);
+            let distance = place.norm();
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
+            let nearest = ((distance / STEP_PX).round() as usize).min(parts.len() - 1);
+            let part = &parts[nearest];
+            let weight = along * across * part.area;
+            light += weight;
+            first += weight * part.mean * place.x / distance.max(1e-9);
         }
     }
+    first / light
+}
+
+/// The points of the part at step `i`, from those at all steps, less centroids, and with how they move.
+///
+/// A point w of the disc is seen at m + S w, with the mean m of the part and its spread S along and across the
+/// direction from the centre. Both change along that direction, and turn with it; the w themselves do not.
+#[allow(clippy::cast_possible_truncation)] // single precision, as the light
+fn part_points(
+    places: &[[Vector2<f64>; POINTS]],
+    part: &Overlap,
+    disc: &[Vector2<f64>; POINTS],
+    i: usize,
+    sign: f64,
+) -> [PartPoint; POINTS] {
+    let (before, after) = (i.saturating_sub(REACH), (i + REACH).min(places.len() - 1));
+    let distance = ((after - before) as f64 * STEP_PX).max(STEP_PX);
+    let r = i.max(1) as f64 * STEP_PX;
+    std::array::from_fn(|j| {
+        let place = places[i][j];
+        let radial = (places[after][j] - places[before][j]) / distance;
+        let shear = (part.along - part.across) / r;
+        let across = Vector2::new(shear * disc[j].y, part.mean / r + shear * disc[j].x);
+        PartPoint {
+            place: Vector2::new((sign * (place.x - part.mean)) as f32, place.y as f32),
+            drift: [
+                (sign * (radial.x + across.y)) as f32,
+                (radial.norm_squared() + across.norm_squared()) as f32,
+            ],
+        }
+    })
 }
 
 /// The visible part of a micro-lens.
@@ -108,16 +201,17 @@ impl Vignetting {
 pub(crate) struct VisiblePart<'a> {
     /// Away from the centre of the micro-image.
     pub outwards: Vector2<f64>,
-    /// Points that stand for equal shares of it, less its centroid, in radii of the micro-lens: along
-    /// `outwards` and across it.
-    pub points: &'a [Vector2<f32>; POINTS],
+    /// That of qᵢ: the side from which x counts in the points of the disc that `points` come from.
+    pub sign: f64,
+    /// The points that stand for it.
+    pub points: &'a [PartPoint; POINTS],
     /// Centroid of the pixel's light relative to the centre of the micro-image, px. The light falls off
     /// towards the edge, and a pixel has a variance of 1/12 px² along each axis.
     pub seen_at: Vector2<f64>,
     /// Centroid of the visible part, in radii of the micro-lens.
     pub mean: Vector2<f64>,
-    /// Maps the disc of the micro-lens to one of the size of the visible part.
-    pub squeeze: Matrix2<f64>,
+    /// Standard deviations of the part over those of the whole disc, along `outwards` and across it.
+    pub spread: [f64; 2],
 }
 
 #[cfg(test)]
@@ -130,9 +224,10 @@ mod tests {
             let vignetting = Vignetting::new(6.0, q);
             let part = vignetting.at(&Vector2::new(9.0, 0.0));
             assert!(part.mean.x * side > 0.5 && part.mean.y.abs() < 1e-9);
-            assert!(part.squeeze[(0, 0)] < part.squeeze[(1, 1)] && part.seen_at.x < 9.0);
+            assert!(part.spread[0] < part.spread[1] && part.seen_at.x < 9.0);
             let part = vignetting.at(&Vector2::new(0.5, 0.0));
-            assert!(part.mean.norm() < 1e-9 && (part.squeeze[(0, 0)] - 1.0).abs() < 1e-3);
+            assert!(part.mean.norm() < 1e-9 && (part.spread[0] - 1.0).abs() < 1e-3);
+            assert!(part.points.iter().all(|p| (p.pixel(3.0) - 1.0 / 12.0).abs() < 1e-4));
         }
     }
 }
