@@ -30,6 +30,7 @@ mod tests;
 mod thin_lens;
 mod tracer;
 mod truth;
+mod window;
 
 pub use data_set::{DataSet, Shot};
 pub use imaging::Imaging;

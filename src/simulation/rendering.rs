@@ -10,6 +10,7 @@ use super::sampling::{RayPoint, RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
 use super::thin_lens::Aim;
 use super::tracer::{Tracer, check_rays};
+use super::window::Window;
 use crate::error::Result;
 use crate::image::Image;
 
@@ -28,7 +29,9 @@ pub(super) struct Bundle {
     /// Whether rays are drawn on the opening of the micro-lens, or else on the pupil: on whichever is
     /// smaller, projected onto the plane of the micro-lens.
     pub on_opening: bool,
-    /// Area from which the rays are drawn, in the plane of the micro-lens.
+    /// Which part of it.
+    pub window: Window,
+    /// Area of that part, in the plane of the micro-lens.
     pub area: f64,
     /// What its rays have in common behind a thin main lens, if they lead to the board.
     pub aim: Option<Aim>,
@@ -154,6 +157,15 @@ impl Tracer {
         let on_opening = stop <= drawn.radius;
         let radius =
             if on_opening { array.opening_radius } else { drawn.radius / demagnification.abs() };
+        // The other disc, in units of the one that rays are drawn from.
+        let window = if on_opening {
+            let reach = (drawn.radius + pixel_reach) * OUTLINE_MARGIN;
+            Window::about(place / (demagnification * array.opening_radius), reach / stop)
+        } else {
+            let reach = (stop + pixel_reach) * OUTLINE_MARGIN;
+            let place = (array.axes * place.push(0.0)).xy();
+            Window::about(-place / drawn.radius, reach / drawn.radius)
+        };
         let aim = board.and_then(|board| {
             // The ray through the middle of the projected pupil, or the nearest point of the opening.
             let middle = if stop > 0.0 { place / demagnification } else { place };
@@ -167,7 +179,8 @@ impl Tracer {
             right: -array.axes.row(0).transpose() * step,
             down: -array.axes.row(1).transpose() * step,
             on_opening,
-            area: std::f64::consts::PI * radius * radius,
+            area: window.area() * radius * radius,
+            window,
             aim,
         })
     }
@@ -200,7 +213,7 @@ impl Tracer {
         board: Option<&PlacedTarget>,
     ) -> f64 {
         let pixel = bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
-        let on_disc = Vector2::from(point.disc);
+        let Some(on_disc) = bundle.window.place(point) else { return 0.0 };
         let on_lens = if bundle.on_opening {
             on_disc * self.array.opening_radius
         } else {

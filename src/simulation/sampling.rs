@@ -2,10 +2,11 @@
 
 use sobol_burley::sample;
 
-/// One ray: position in the pixel (±½ px) and in the unit disc.
+/// One ray: position in the pixel (±½ px), and in the unit square, which is also mapped onto the unit disc.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RayPoint {
     pub pixel: [f64; 2],
+    pub square: [f64; 2],
     pub disc: [f64; 2],
 }
 
@@ -27,7 +28,7 @@ impl RaySets {
     pub fn new(rays: u32) -> Self {
         let point = |set: u32, ray: u32| {
             let [x, y, a, b] = [0, 1, 2, 3].map(|d| f64::from(sample(ray, d, set)));
-            RayPoint { pixel: [x - 0.5, y - 0.5], disc: disc(a, b) }
+            RayPoint { pixel: [x - 0.5, y - 0.5], square: [a, b], disc: disc(a, b) }
         };
         let set = |set: u32| (0..rays).map(|ray| point(set, ray)).collect();
         let sets = (POINTS / rays).clamp(FEWEST_SETS, SETS);

@@ -1,0 +1,85 @@
+//! Which part of a disc rays are drawn from.
+
+use nalgebra::Vector2;
+
+use super::sampling::RayPoint;
+
+/// A window is used where it is smaller than this part of the disc.
+const WORTH: f64 = 0.8;
+
+/// The part of the unit disc that rays are drawn from: all of it, or a rectangle that contains what another
+/// disc covers of it. At the rim of a micro-image that is little: of rays all over the disc few would arrive,
+/// and their number would have far more noise than a sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Window {
+    /// The whole disc.
+    Disc,
+    /// From `low` to `high` along a direction, and to `half` on both sides of it.
+    Rectangle { along: Vector2<f64>, low: f64, high: f64, half: f64 },
+}
+
+impl Window {
+    /// For another disc with this middle and radius.
+    pub fn about(middle: Vector2<f64>, radius: f64) -> Self {
+        let distance = middle.norm();
+        let (low, high) = ((distance - radius).max(-1.0), (distance + radius).min(1.0));
+        let widest = if low > 0.0 { (1.0 - low * low).max(0.0).sqrt() } else { 1.0 };
+        let half = widest.min(radius);
+        let window = Self::Rectangle { along: middle / distance, low, high, half };
+        let worth = distance > 1e-9 && low < high && window.area() < WORTH * Self::Disc.area();
+        if worth { window } else { Self::Disc }
+    }
+
+    /// Its area.
+    pub fn area(&self) -> f64 {
+        match self {
+            Self::Disc => std::f64::consts::PI,
+            Self::Rectangle { low, high, half, .. } => (high - low) * 2.0 * half,
+        }
+    }
+
+    /// Where on the unit disc a ray is drawn; `None` if that is beside it.
+    #[inline]
+    pub fn place(&self, point: &RayPoint) -> Option<Vector2<f64>> {
+        match self {
+            Self::Disc => Some(Vector2::from(point.disc)),
+            Self::Rectangle { along, low, high, half } => {
+                let [a, b] = point.square;
+                let (x, y) = (low + (high - low) * a, half * (2.0 * b - 1.0));
+                let place = along * x + Vector2::new(-along.y, along.x) * y;
+                (x * x + y * y <= 1.0).then_some(place)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sampling::RaySets;
+    use super::*;
+    use crate::vignetting::overlap_area;
+
+    /// The area that another disc covers, from the rays that lie in it, with and without a window.
+    #[test]
+    fn windows_contain_what_the_other_disc_covers() {
+        let sets = RaySets::new(4096);
+        let cases = [(0.0, 2.0), (1.2, 1.3), (1.0, 0.5), (2.0, 1.3), (2.2, 1.3), (3.4, 3.0)];
+        for (distance, radius) in cases {
+            let middle = Vector2::new(0.6, -0.8) * distance;
+            let window = Window::about(middle, radius);
+            let covered = |p: &RayPoint| {
+                window.place(p).is_some_and(|place| (place - middle).norm() < radius)
+            };
+            let points = sets.set(0);
+            let share = points.iter().filter(|p| covered(p)).count() as f64 / points.len() as f64;
+            let smaller = radius.min(1.0);
+            let expected = overlap_area(distance, 1.0 + radius, (1.0 - radius).abs())
+                * std::f64::consts::PI
+                * smaller
+                * smaller;
+            let area = share * window.area();
+            assert!((area - expected).abs() < 0.01 * expected, "{area} for {expected}");
+            assert_eq!(window == Window::Disc, distance < 0.5, "{distance} {radius}");
+        }
+    }
+}
