@@ -123,3 +123,77 @@ fn inverse_width(variance: f32) -> f32 {
 fn of_disc_in_single() -> [Vector2<f32>; POINTS] {
     of_disc().map(|p| p.map(|x| x as f32))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The lens of an R12 whose micro-images are most vignetted, px, with cos⁴.
+    const RHO: f64 = -3.4;
+    const Q: f64 = -4.19;
+    const PUPIL: f64 = 6.48;
+    const HALF_PITCH: f64 = 11.65;
+    const WITHIN: f64 = 4.0 / (59.0 * 59.0);
+
+    /// Mean and variances of where the light of the pixel at (x, 0) comes from, from sums over the pixel and the
+    /// micro-lens.
+    fn summed(x: f64) -> [f64; 3] {
+        let (mut light, mut mean, mut along, mut across) = (0.0, 0.0, 0.0, 0.0);
+        let steps = |count: i32, half: f64| {
+            (0..count).map(move |i| half * ((f64::from(i) + 0.5) * 2.0 / f64::from(count) - 1.0))
+        };
+        for (dx, dy) in steps(8, 0.5).flat_map(|dx| steps(8, 0.5).map(move |dy| (dx, dy))) {
+            for (a, b) in steps(80, 1.0).flat_map(|a| steps(80, 1.0).map(move |b| (a, b))) {
+                let (w, p) = (Vector2::new(a, b), Vector2::new(x + dx, dy));
+                if w.norm() > 1.0 || (p - w * Q).norm() > PUPIL {
+                    continue;
+                }
+                let oblique = (p + w * HALF_PITCH).norm_squared();
+                let weight = (1.0 + WITHIN * oblique / 4.0).powi(-2);
+                let origin = p - w * RHO;
+                light += weight;
+                mean += weight * origin.x;
+                along += weight * origin.x * origin.x;
+                across += weight * origin.y * origin.y;
+            }
+        }
+        mean /= light;
+        [mean, along / light - mean * mean, across / light]
+    }
+
+    #[test]
+    fn rays_come_from_where_the_light_does() {
+        let vignetting = Vignetting::new(PUPIL, Q);
+        let obliquity =
+            Obliquity { within_per_px2: WITHIN, half_pitch_px: HALF_PITCH, ..Obliquity::default() };
+        let blur = Blur {
+            rho: RHO,
+            q: Q,
+            bend: Bend::none(),
+            vignetting: &vignetting,
+            obliquity,
+            blurs: true,
+            disc: of_disc_in_single(),
+        };
+        let places = [0.5_f32, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0];
+        let patch = Patch { x: places.into(), y: vec![0.0; places.len()], ..Patch::default() };
+        let rays = blur.rays(&patch);
+        for (i, x) in places.into_iter().enumerate() {
+            let mean_of = |of: &dyn Fn(&[Vec<f32>; 5]) -> f64| {
+                rays.points.iter().map(of).sum::<f64>() / POINTS as f64
+            };
+            let mean = mean_of(&|p| f64::from(p[0][i]));
+            let left_out = mean_of(&|p| f64::from(p[4][i]).powi(-2) / 5.0);
+            let along = mean_of(&|p| (f64::from(p[0][i]) - mean).powi(2)) + left_out;
+            let across = mean_of(&|p| f64::from(p[1][i]).powi(2)) + left_out;
+            let [expected, expected_along, expected_across] = summed(f64::from(x));
+            assert!((mean - expected).abs() < 0.005, "{x}: {mean} for {expected}");
+            let spread = |variance: f64| variance.sqrt();
+            assert!(
+                (spread(along) - spread(expected_along)).abs() < 0.04
+                    && (spread(across) - spread(expected_across)).abs() < 0.04,
+                "{x}: {along} {across} for {expected_along} {expected_across}"
+            );
+        }
+    }
+}

@@ -97,26 +97,41 @@ mod tests {
             half_pitch_px: 11.5,
         };
         let pixel = Vector2::new(4.0, 3.0);
-        let sums = |chief: Vector2<f64>| {
-            let (mut light, mut first, mut count) = (0.0, Vector2::zeros(), 0.0);
+        let slant = obliquity.over_part(&pixel, &Vector2::x(), [1.0; 2]);
+        // Light, mean and mean square by weights, and mean and mean square of the points that were moved.
+        let sums = |chief: Vector2<f64>, slant: &Slant| {
+            let field = slant.field(0.25);
+            let (mut light, mut first, mut second, mut count) = (0.0, Vector2::zeros(), 0.0, 0.0);
+            let (mut moved_first, mut moved_second) = (Vector2::zeros(), 0.0);
             for (i, j) in (-100..=100).flat_map(|i| (-100..=100).map(move |j| (i, j))) {
                 let w = Vector2::new(f64::from(i), f64::from(j)) / 100.0;
                 if w.norm() < 1.0 {
-                    let angle = chief + (pixel - w * obliquity.half_pitch_px) / distance;
+                    // Points are half a turn away from where they lie.
+                    let angle = chief + (pixel + w * obliquity.half_pitch_px) / distance;
                     let weight = angle.norm().atan().cos().powi(4);
                     light += weight;
                     first += w * weight;
+                    second += w.norm_squared() * weight;
                     count += 1.0;
+                    let moved = w + field(&w.map(|x| x as f32)).map(f64::from);
+                    moved_first += moved;
+                    moved_second += moved.norm_squared();
                 }
             }
-            (light / count, first / light)
+            (
+                light / count,
+                first / light,
+                second / light,
+                moved_first / count,
+                moved_second / count,
+            )
         };
-        let slant = obliquity.over_part(&pixel, &Vector2::x(), [1.0; 2]);
-        let shift = -Vector2::from(slant.gradient) / 4.0;
-        let (_, expected) = sums(chief);
-        assert!((shift - expected).norm() < 0.1 * shift.norm(), "{shift} {expected}");
+        let (_, mean, square, moved_mean, moved_square) = sums(chief, &slant);
+        assert!((moved_mean - mean).norm() < 0.08 * mean.norm(), "{moved_mean} {mean}");
+        // Light falls off from the middle: it comes from a smaller disc.
+        assert!(square < 0.495 && (moved_square - square).abs() < 3e-3, "{moved_square} {square}");
         let seen = obliquity.light(pixel.norm_squared() + obliquity.half_pitch_px.powi(2) / 2.0);
-        let (expected, _) = sums(Vector2::zeros());
+        let (expected, ..) = sums(Vector2::zeros(), &slant);
         assert!((seen - expected).abs() < 4e-3, "{seen} for {expected}");
     }
 }
