@@ -88,6 +88,7 @@ mod tests {
     /// Against sums over points of the disc of a sensor 60 px away, with cos⁴; both are to second order in
     /// angles of 0.2.
     #[test]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn oblique_light_agrees_with_sums() {
         let (chief, distance) = (Vector2::new(0.1, -0.05), 60.0);
         let obliquity = Obliquity {
