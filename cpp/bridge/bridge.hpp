@@ -10,6 +10,7 @@ namespace plenocal::bridge {
 
 struct AnchorRow;
 struct CameraParts;
+struct CommonErrorParts;
 struct CostParts;
 struct FeatureRow;
 struct CenterRow;

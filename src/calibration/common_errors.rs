@@ -32,7 +32,8 @@ pub(super) fn common_errors(
     let levers = |f: &BapFeature| f.levers_px.unwrap_or([[0.0; 2]; TAKEN]);
     let mut errors = Vec::new();
     let mut add = |source: &str, anchors: Vec<f64>, by: &dyn Fn(usize, &BapFeature) -> [f64; 3]| {
-        let features_px: Vec<[f64; 3]> = features.iter().enumerate().map(|(i, f)| by(i, f)).collect();
+        let features_px: Vec<[f64; 3]> =
+            features.iter().enumerate().map(|(i, f)| by(i, f)).collect();
         if features_px.iter().flatten().any(|by| *by != 0.0) {
             errors.push(CommonError { source: source.to_owned(), features_px, anchors });
         }
@@ -69,11 +70,9 @@ pub(super) fn common_errors(
         }
     }
     add("blur", Vec::new(), &|i, f| match f.levers_px {
-        Some(_) => [
-            (f.u_px - centers[i][0]) * BLUR_MODEL,
-            (f.v_px - centers[i][1]) * BLUR_MODEL,
-            0.0,
-        ],
+        Some(_) => {
+            [(f.u_px - centers[i][0]) * BLUR_MODEL, (f.v_px - centers[i][1]) * BLUR_MODEL, 0.0]
+        }
         None => [0.0; 3],
     });
     Ok(errors)

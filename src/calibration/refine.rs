@@ -9,8 +9,8 @@ use crate::calibration::frames::{Frames, reconsidered_poses};
 use crate::error::Result;
 use crate::model::Board;
 use crate::solver::{
-    self, CommonError, CostOptions, Iteration, Loss, LossKind, Problem, Refinement, SolverOptions, Termination,
-    Uncertainty,
+    self, CommonError, CostOptions, Iteration, Loss, LossKind, Problem, Refinement, SolverOptions,
+    Termination, Uncertainty,
 };
 
 /// Limit of repetitions: correcting one mirrored board may reveal others.

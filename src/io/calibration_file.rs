@@ -115,9 +115,8 @@ fn common_errors_document(calibration: &Calibration) -> Vec<Value> {
     let uncertainty = &calibration.uncertainty;
     let names = intrinsic_parameters(calibration.camera.lens_types());
     let of = |(source, changes): &(String, Vec<f64>)| {
-        let change = |(&index, change): (&usize, &f64)| {
-            (names[index].name.to_owned(), Value::from(*change))
-        };
+        let change =
+            |(&index, change): (&usize, &f64)| (names[index].name.to_owned(), Value::from(*change));
         let changes: Map<String, Value> =
             uncertainty.free_intrinsics.iter().zip(changes).map(change).collect();
         json!({ "source": source, "changes": changes })
