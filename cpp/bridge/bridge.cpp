@@ -195,8 +195,7 @@ UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBl
                              rust::Slice<const CenterRow> centers, const CostParts& cost,
                              rust::Slice<const CommonErrorParts> common) {
   const Uncertainty u = plenocal::uncertainty(
-      to_core(camera), to_core(poses), to_core(features, centers), to_core(cost),
-      to_core(common));
+      to_core(camera), to_core(poses), to_core(features, centers), to_core(cost), to_core(common));
   UncertaintyParts parts{};
   for (int index : u.free_intrinsics) parts.free_intrinsics.push_back(index);
   parts.size = u.size;

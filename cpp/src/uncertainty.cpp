@@ -60,8 +60,8 @@ void require_common(const std::vector<CommonError>& common, std::size_t features
         (!error.anchors.empty() && error.anchors.size() != anchors)) {
       throw std::invalid_argument("a common error is not of these features and anchors");
     }
-    const bool features_finite = std::all_of(
-        error.features.begin(), error.features.end(), [](const Feature<double>& by) {
+    const bool features_finite =
+        std::all_of(error.features.begin(), error.features.end(), [](const Feature<double>& by) {
           return std::isfinite(by.u) && std::isfinite(by.v) && std::isfinite(by.rho);
         });
     const bool anchors_finite = std::all_of(error.anchors.begin(), error.anchors.end(),

@@ -246,9 +246,9 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
     error.features.push_back({kStep * (o.k - 20), kStep * o.frame, kStep});
   }
   error.anchors = {kStep};
-  const Uncertainty without =
-      uncertainty(scene.camera, scene.poses, scene.observations, options);
-  const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, options, {error});
+  const Uncertainty without = uncertainty(scene.camera, scene.poses, scene.observations, options);
+  const Uncertainty u =
+      uncertainty(scene.camera, scene.poses, scene.observations, options, {error});
 
   Scene moved = scene;
   for (std::size_t i = 0; i < error.features.size(); ++i) {
@@ -259,8 +259,7 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
   }
   CostOptions moved_options = options;
   moved_options.anchors[0].value += error.anchors[0] * options.anchors[0].std_dev;
-  const Refinement r =
-      refine(moved.camera, moved.poses, moved.observations, moved_options, {});
+  const Refinement r = refine(moved.camera, moved.poses, moved.observations, moved_options, {});
   const auto before = test::intrinsics(scene.camera), after = test::intrinsics(r.camera);
   for (std::size_t i = 0; i < u.free_intrinsics.size(); ++i) {
     const int index = u.free_intrinsics[i];
