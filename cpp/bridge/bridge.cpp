@@ -56,6 +56,20 @@ Observations to_core(rust::Slice<const FeatureRow> features, rust::Slice<const C
   return observations;
 }
 
+std::vector<CommonError> to_core(rust::Slice<const CommonErrorParts> parts) {
+  std::vector<CommonError> errors;
+  for (const CommonErrorParts& part : parts) {
+    CommonError error;
+    for (std::size_t i = 0; i + 2 < part.features_px.size(); i += 3) {
+      const double* by = &part.features_px[i];
+      error.features.push_back({by[0], by[1], by[2]});
+    }
+    error.anchors.assign(part.anchors.begin(), part.anchors.end());
+    errors.push_back(std::move(error));
+  }
+  return errors;
+}
+
 CostOptions to_core(const CostParts& parts) {
   CostOptions options;
   options.uv_std_dev = parts.uv_std_dev_px;
@@ -179,10 +193,9 @@ RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> p
 UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
                              rust::Slice<const FeatureRow> features,
                              rust::Slice<const CenterRow> centers, const CostParts& cost,
-                             rust::Slice<const double> type_rho_std_dev_px) {
+                             rust::Slice<const CommonErrorParts> common) {
   const Uncertainty u = plenocal::uncertainty(
-      to_core(camera), to_core(poses), to_core(features, centers), to_core(cost),
-      {type_rho_std_dev_px.begin(), type_rho_std_dev_px.end()});
+      to_core(camera), to_core(poses), to_core(features, centers), to_core(cost), to_core(common));
   UncertaintyParts parts{};
   for (int index : u.free_intrinsics) parts.free_intrinsics.push_back(index);
   parts.size = u.size;
@@ -192,6 +205,7 @@ UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBl
   parts.independent_covariance = from_core(u.independent_covariance);
   parts.freedom = from_core(u.freedom);
   parts.left_out_changes = from_core(u.left_out_changes);
+  parts.common_changes = from_core(u.common_changes);
   parts.frame_shares = from_core(u.frame_shares);
   parts.poses_by_intrinsics = from_core(u.poses_by_intrinsics);
   parts.dispersion = u.dispersion;

@@ -10,6 +10,7 @@ namespace plenocal::bridge {
 
 struct AnchorRow;
 struct CameraParts;
+struct CommonErrorParts;
 struct CostParts;
 struct FeatureRow;
 struct CenterRow;
@@ -40,7 +41,7 @@ RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> p
 UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
                              rust::Slice<const FeatureRow> features,
                              rust::Slice<const CenterRow> centers, const CostParts& cost,
-                             rust::Slice<const double> type_rho_std_dev_px);
+                             rust::Slice<const CommonErrorParts> common);
 
 rust::Vec<double> frame_information(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
                                     rust::Slice<const FeatureRow> features, const CostParts& cost);

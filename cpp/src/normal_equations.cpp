@@ -27,8 +27,10 @@ void mirror(Eigen::MatrixXd* lower) {
 
 class Accumulator {
  public:
-  Accumulator(int intrinsics, int frames, int types, int corners, int anchors)
-      : by_kind_(frames,
+  Accumulator(int intrinsics, int frames, int corners, int anchors,
+              const std::vector<CommonError>& common)
+      : common_(common),
+        by_kind_(frames,
                  {zero_group(intrinsics + Pose::kSize), zero_group(intrinsics + Pose::kSize)}),
         corners_(corners, zero_group(Pose::kSize)),
         frame_of_corner_(corners, 0),
@@ -40,7 +42,8 @@ class Accumulator {
     equations_.gradient.setZero(size);
     equations_.patches.assign(kPatches, zero_group(intrinsics));
     equations_.corners.resize(frames);
-    equations_.by_type_rho.setZero(size, types);
+    equations_.by_common_features.setZero(size, static_cast<Eigen::Index>(common.size()));
+    equations_.by_common_anchors = equations_.by_common_features;
     equations_.anchors.setZero(anchors, intrinsics);
   }
 
@@ -54,7 +57,7 @@ class Accumulator {
         const RowOrigin& row = rows[block.first_row + i];
         add_rows(block.jacobian.row(i), block.residuals.segment<1>(i),
                  row.kind == kCenter ? &equations_.patches[row.group] : &anchors_);
-        if (row.kind == kAnchor) equations_.anchors.row(row.group) = block.jacobian.row(i);
+        if (row.kind == kAnchor) add_anchor(block.jacobian.row(i), row);
       }
     }
     for (int i = 0; i < n; ++i) {
@@ -135,16 +138,33 @@ class Accumulator {
                block.residuals.segment(begin, i - begin), &corners_[corner]);
       frame_of_corner_[corner] = frame;
     }
-    for (int i = 0; i < n; ++i) {
-      const RowOrigin& row = rows[block.first_row + i];
-      if (row.kind != kRho) continue;
-      auto sum = equations_.by_type_rho.col(row.lens_type);
-      sum.head(p) += block.jacobian.row(i).head(p).transpose() / row.std_dev;
-      sum.segment<Pose::kSize>(pose) +=
-          block.jacobian.row(i).tail<Pose::kSize>().transpose() / row.std_dev;
+    for (std::size_t k = 0; k < common_.size(); ++k) {
+      Eigen::VectorXd moved(n);
+      for (int i = 0; i < n; ++i) {
+        const RowOrigin& row = rows[block.first_row + i];
+        const Feature<double>& by = common_[k].features[row.feature];
+        // u comes before v.
+        const bool is_u = i == 0 || rows[block.first_row + i - 1].feature != row.feature;
+        moved[i] = (row.kind == kRho ? by.rho : is_u ? by.u : by.v) / row.std_dev;
+      }
+      const Eigen::VectorXd change = block.jacobian.transpose() * moved;
+      auto sum = equations_.by_common_features.col(static_cast<Eigen::Index>(k));
+      sum.head(p) += change.head(p);
+      sum.segment<Pose::kSize>(pose) += change.tail<Pose::kSize>();
     }
   }
 
+  void add_anchor(const Eigen::RowVectorXd& jacobian, const RowOrigin& row) {
+    equations_.anchors.row(row.group) = jacobian;
+    for (std::size_t k = 0; k < common_.size(); ++k) {
+      const std::vector<double>& moved = common_[k].anchors;
+      if (moved.empty()) continue;
+      equations_.by_common_anchors.col(static_cast<Eigen::Index>(k)).head(equations_.intrinsics) +=
+          moved[row.group] * jacobian.transpose();
+    }
+  }
+
+  const std::vector<CommonError>& common_;
   NormalEquations equations_;
   std::vector<std::array<Group, 2>> by_kind_;  // of frames: kUv, kRho
   std::vector<Group> corners_;
@@ -178,17 +198,17 @@ GroupGradients group_gradients(const CalibrationProblem& calibration) {
   return gradients;
 }
 
-NormalEquations normal_equations(const CalibrationProblem& calibration) {
-  int frames = 0, types = 0, corners = 0, anchors = 0;
+NormalEquations normal_equations(const CalibrationProblem& calibration,
+                                 const std::vector<CommonError>& common) {
+  int frames = 0, corners = 0, anchors = 0;
   for (const RowOrigin& row : calibration.rows()) {
     anchors += row.kind == kAnchor ? 1 : 0;
     if (row.corner < 0) continue;
     frames = std::max(frames, row.group + 1);
-    types = std::max(types, row.lens_type + 1);
     corners = std::max(corners, row.corner + 1);
   }
-  Accumulator sum(static_cast<int>(calibration.free_intrinsics().size()), frames, types, corners,
-                  anchors);
+  Accumulator sum(static_cast<int>(calibration.free_intrinsics().size()), frames, corners, anchors,
+                  common);
   calibration.linearise(
       [&](const CalibrationProblem::Linearised& block) { sum.add(block, calibration.rows()); });
   return sum.finish();

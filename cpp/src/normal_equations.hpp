@@ -30,9 +30,9 @@ struct NormalEquations {
   std::vector<Group> frames;                ///< on the free intrinsics and the pose of the frame
   std::vector<Group> patches;               ///< of the centres, on the free intrinsics
   std::vector<std::vector<Group>> corners;  ///< of every frame, on its pose
-  /// By how much the gradient changes if rho of all features of a lens type is 1 px smaller: a
-  /// column for each type.
-  Eigen::MatrixXd by_type_rho;
+  /// By how much common errors change the gradient, negative, a column for each: those of features,
+  /// and those of anchors.
+  Eigen::MatrixXd by_common_features, by_common_anchors;
 
   /// Derivatives of the anchored quantities, in arbitrary units: a row for each anchor, a column
   /// for each free intrinsic.
@@ -44,7 +44,8 @@ struct NormalEquations {
 };
 
 /// Throws std::invalid_argument where the model is not defined.
-NormalEquations normal_equations(const CalibrationProblem& calibration);
+NormalEquations normal_equations(const CalibrationProblem& calibration,
+                                 const std::vector<CommonError>& common = {});
 
 /// Gradients of frames (on the free intrinsics and the pose of the frame) and of patches (on the
 /// free intrinsics), as in `NormalEquations`.

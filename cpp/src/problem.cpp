@@ -117,9 +117,10 @@ void CalibrationProblem::add_features(const Observations& observations,
                           {frame_.lattice.node(o.k, o.l), lens_type},
                           o.observed,
                           {1.0 / std_dev.u, 1.0 / std_dev.v, 1.0 / std_dev.rho}});
-      rows_.push_back({kUv, frame, corner, lens_type, std_dev.u});
-      rows_.push_back({kUv, frame, corner, lens_type, std_dev.v});
-      if (I > 0) rows_.push_back({kRho, frame, corner, lens_type, std_dev.rho});
+      const int index = static_cast<int>(order[begin]);
+      rows_.push_back({kUv, frame, corner, std_dev.u, index});
+      rows_.push_back({kUv, frame, corner, std_dev.v, index});
+      if (I > 0) rows_.push_back({kRho, frame, corner, std_dev.rho, index});
     }
     auto cost =
         FeatureResiduals<I>::create(std::move(weighted), frame_.pixel_size, options.features_loss);
@@ -140,7 +141,7 @@ void CalibrationProblem::add_centers(const Observations& observations, const Cos
       const CenterObservation& o = centers[i];
       const double std_dev = o.std_dev * options.centers_std_dev;
       weighted.push_back({frame_.lattice.node(o.k, o.l), o.observed, 1.0 / std_dev});
-      rows_.insert(rows_.end(), 2, {kCenter, patches.of(o.observed), -1, -1, std_dev});
+      rows_.insert(rows_.end(), 2, {kCenter, patches.of(o.observed), -1, std_dev});
     }
     auto cost =
         CenterResiduals::create(std::move(weighted), frame_.pixel_size, options.centers_loss);
@@ -208,7 +209,7 @@ void CalibrationProblem::add_anchors(const CostOptions& options) {
   const auto names = intrinsic_names(frame_.lens_types());
   for (const Anchor& anchor : options.anchors) {
     const int index = static_cast<int>(&anchor - options.anchors.data());
-    rows_.push_back({kAnchor, index, -1, -1, anchor.std_dev});
+    rows_.push_back({kAnchor, index, -1, anchor.std_dev});
     const double weight = root / anchor.std_dev;
     if (anchor.quantity == kSlopeName) {
       add_block(SlopeResidual::create(anchor.value, weight),

@@ -110,17 +110,19 @@ MatrixXd left_out_changes(const std::vector<Group>& frames, const Curvature& cur
 
 }  // namespace
 
+MatrixXd common_changes(const NormalEquations& equations, const MatrixXd& inverse,
+                        double anchor_weight) {
+  return inverse *
+         (equations.by_common_features + std::sqrt(anchor_weight) * equations.by_common_anchors);
+}
+
 MatrixXd common_covariance(const NormalEquations& equations, const MatrixXd& inverse,
-                           const Common& common) {
-  MatrixXd covariance = common.anchor_weight * (inverse * equations.information[kAnchor] * inverse);
-  const auto types = std::min<Eigen::Index>(
-      equations.by_type_rho.cols(), static_cast<Eigen::Index>(common.type_rho_std_dev.size()));
-  for (Eigen::Index type = 0; type < types; ++type) {
-    const VectorXd change =
-        common.type_rho_std_dev[type] * (inverse * equations.by_type_rho.col(type));
-    covariance += change * change.transpose();
-  }
-  return covariance;
+                           double anchor_weight) {
+  const MatrixXd changes = common_changes(equations, inverse, anchor_weight);
+  // Anchors contain their own errors already.
+  const MatrixXd of_anchors = std::sqrt(anchor_weight) * inverse * equations.by_common_anchors;
+  return anchor_weight * (inverse * equations.information[kAnchor] * inverse) +
+         changes * changes.transpose() - of_anchors * of_anchors.transpose();
 }
 
 MatrixXd symmetric(const MatrixXd& matrix) { return 0.5 * (matrix + matrix.transpose()); }
@@ -183,7 +185,7 @@ double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse
 }
 
 SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inverse,
-                           const Common& common, CalibrationProblem* calibration) {
+                           double anchor_weight, CalibrationProblem* calibration) {
   const int p = equations.intrinsics;
   const Eliminated groups = without_poses(equations);
   const MatrixXd& follow = groups.poses_by_intrinsics;
@@ -223,7 +225,8 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   }
   const MatrixXd hessian_inverse = joined(of_intrinsics, follow, of_poses);
   result.covariance = symmetric(joined(camera, follow, spread_of_poses) +
-                                common_covariance(equations, hessian_inverse, common));
+                                common_covariance(equations, hessian_inverse, anchor_weight));
+  result.common_changes = common_changes(equations, hessian_inverse, anchor_weight);
 
   const VectorXd variance = result.covariance.diagonal().head(p);
   const auto part = [&](const MatrixXd& spread) -> VectorXd {

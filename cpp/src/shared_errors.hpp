@@ -20,15 +20,14 @@ namespace plenocal {
 /// others.
 Eigen::MatrixXd gradient_spread(const std::vector<Group>& groups);
 
-/// Errors that are not those of single observations.
-struct Common {
-  double anchor_weight;
-  const std::vector<double>& type_rho_std_dev;  ///< see `uncertainty`
-};
+/// Changes of the parameters by each common error: a column for each.
+Eigen::MatrixXd common_changes(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
+                               double anchor_weight);
 
-/// Their part of the covariance: of anchors, and of what all features of a lens type share.
+/// The part of the covariance that is not due to single observations: of anchors, and of common
+/// errors.
 Eigen::MatrixXd common_covariance(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
-                                  const Common& common);
+                                  double anchor_weight);
 
 /// Two measurements of one thing that differ.
 struct Contradiction {
@@ -45,12 +44,13 @@ struct SharedErrors {
   Eigen::MatrixXd poses_by_intrinsics;
   Eigen::MatrixXd frame_shares;
   Eigen::MatrixXd left_out_changes;
+  Eigen::MatrixXd common_changes;
 };
 
 /// `inverse` is H^+.
 /// Evaluates `calibration` at other values nearby, and leaves it as it was.
 SharedErrors shared_errors(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
-                           const Common& common, CalibrationProblem* calibration);
+                           double anchor_weight, CalibrationProblem* calibration);
 
 /// How many times larger than the weights claim the variance of the anchored quantities is if the
 /// gradient has the covariance `spread` instead of `information` (of all parameters, or of the

@@ -53,10 +53,21 @@ void add_weakest(const ScaledInverse& inverse, const MatrixXd& covariance, Uncer
   }
 }
 
-void require_std_devs(const std::vector<double>& std_devs) {
-  for (double value : std_devs) {
-    if (!std::isfinite(value) || value < 0.0) {
-      throw std::invalid_argument("the standard deviation of rho of a lens type is not possible");
+void require_common(const std::vector<CommonError>& common, std::size_t features,
+                    std::size_t anchors) {
+  for (const CommonError& error : common) {
+    if (error.features.size() != features ||
+        (!error.anchors.empty() && error.anchors.size() != anchors)) {
+      throw std::invalid_argument("a common error is not of these features and anchors");
+    }
+    const bool features_finite =
+        std::all_of(error.features.begin(), error.features.end(), [](const Feature<double>& by) {
+          return std::isfinite(by.u) && std::isfinite(by.v) && std::isfinite(by.rho);
+        });
+    const bool anchors_finite = std::all_of(error.anchors.begin(), error.anchors.end(),
+                                            [](double by) { return std::isfinite(by); });
+    if (!features_finite || !anchors_finite) {
+      throw std::invalid_argument("a common error is not finite");
     }
   }
 }
@@ -65,10 +76,10 @@ void require_std_devs(const std::vector<double>& std_devs) {
 
 Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const Observations& observations, const CostOptions& cost_options,
-                        const std::vector<double>& type_rho_std_dev) {
-  require_std_devs(type_rho_std_dev);
+                        const std::vector<CommonError>& common) {
+  require_common(common, observations.features.size(), cost_options.anchors.size());
   CalibrationProblem calibration(camera, poses, observations, cost_options);
-  const NormalEquations equations = normal_equations(calibration);
+  const NormalEquations equations = normal_equations(calibration, common);
 
   Uncertainty result;
   result.free_intrinsics = calibration.free_intrinsics();
@@ -86,12 +97,12 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   }
   const MatrixXd inverse = scaled.matrix();
   const MatrixXd independent = independent_spread(equations, inverse, &result);
-  const Common common{cost_options.anchor_weight, type_rho_std_dev};
+  const double weight = cost_options.anchor_weight;
   const MatrixXd covariance =
-      symmetric(inverse * independent * inverse + common_covariance(equations, inverse, common));
+      symmetric(inverse * independent * inverse + common_covariance(equations, inverse, weight));
   result.independent_covariance = row_by_row(covariance);
   const MatrixXd observed = total - equations.information[kAnchor];
-  const SharedErrors shared = shared_errors(equations, inverse, common, &calibration);
+  const SharedErrors shared = shared_errors(equations, inverse, weight, &calibration);
   result.poses_by_intrinsics = row_by_row(shared.poses_by_intrinsics);
   result.frame_shares = row_by_row(shared.frame_shares);
   result.left_out_changes = row_by_row(shared.left_out_changes);
@@ -105,6 +116,9 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
     result.dispersion =
         kAssumedDispersion * mean_dispersion(equations, inverse, independent, observed, observed);
   }
+  const MatrixXd changes =
+      result.shared ? shared.common_changes : common_changes(equations, inverse, weight);
+  result.common_changes = row_by_row(changes.topRows(equations.intrinsics).transpose());
   result.covariance = row_by_row(result.shared ? shared.covariance : covariance);
   add_weakest(scaled, result.shared ? shared.covariance : covariance, &result);
   result.expected_decrease = 0.5 * equations.gradient.dot(inverse * equations.gradient);

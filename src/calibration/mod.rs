@@ -2,6 +2,7 @@
 
 mod anchors;
 mod checks;
+mod common_errors;
 mod frames;
 mod initial;
 mod options;

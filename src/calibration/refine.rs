@@ -9,8 +9,8 @@ use crate::calibration::frames::{Frames, reconsidered_poses};
 use crate::error::Result;
 use crate::model::Board;
 use crate::solver::{
-    self, CostOptions, Iteration, Loss, LossKind, Problem, Refinement, SolverOptions, Termination,
-    Uncertainty,
+    self, CommonError, CostOptions, Iteration, Loss, LossKind, Problem, Refinement, SolverOptions,
+    Termination, Uncertainty,
 };
 
 /// Limit of repetitions: correcting one mirrored board may reveal others.
@@ -33,8 +33,8 @@ pub(super) struct Settings<'a> {
     pub board: &'a Board,
     pub frames: &'a Frames,
     pub options: &'a CalibrationOptions,
-    /// σ of ρ that features of a lens type have in common, px.
-    pub type_rho_std_dev_px: Vec<f64>,
+    /// Errors that observations have in common.
+    pub common: Vec<CommonError>,
 }
 
 /// The refinement, its uncertainty, and the cost that it ended with: with the weight of the anchors, and
@@ -83,7 +83,7 @@ impl Settings<'_> {
             let stopped = next.termination == Termination::Stopped;
             let refinement = followed(so_far.take(), next);
             let refined = at_end(problem, Some(&refinement));
-            let uncertainty = solver::uncertainty(&refined, &used, &self.type_rho_std_dev_px)?;
+            let uncertainty = solver::uncertainty(&refined, &used, &self.common)?;
             let change = uncertainty.dispersion.max(LEAST_WEIGHT) / cost.anchor_weight;
             let settled = cost.anchors.is_empty() || (1.0 / ALIKE..ALIKE).contains(&change);
             let done = stopped

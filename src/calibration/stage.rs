@@ -8,6 +8,7 @@ use crate::calibration::checks::{
     array_beyond_image, bad_fit, check_indices, check_observations, fronto_parallel,
     outlying_centers, undetermined, without_frames,
 };
+use crate::calibration::common_errors::common_errors;
 use crate::calibration::frames::{
     Frames, feature_residuals, initial_frames, solver_centers, solver_features,
 };
@@ -66,8 +67,8 @@ pub fn calibrate(
         Problem { camera: &initial, poses: &poses, features: &features, centers: &centers };
     let anchors = anchors(&start, options);
     let cost = cost_for(options, &initial, &observations, &anchors);
-    let type_rho_std_dev_px = type_rho_std_dev_px(&start, options);
-    let settings = Settings { board, frames: &frames, options, type_rho_std_dev_px };
+    let common = common_errors(&start, &initial, &frames.features, &cost, options)?;
+    let settings = Settings { board, frames: &frames, options, common };
     let Refined { refinement, uncertainty, cost } = settings.refine(&problem, cost, progress)?;
 
     let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
@@ -208,17 +209,6 @@ fn cost_for(
         cost.fixed = all.iter().map(|parameter| parameter.name.to_owned()).collect();
     }
     cost
-}
-
-/// σ of ρ, px, that all features of a lens type have in common: that of q'ᵢ, since ρ = q'ᵢ − Δc/2ν.
-fn type_rho_std_dev_px(start: &Start, options: &CalibrationOptions) -> Vec<f64> {
-    let pixel_mm = start.sensor().pixel_size_mm;
-    match start.internal() {
-        Some(internal) if options.mode == Mode::Full && options.cost.rho => {
-            internal.q_prime_std_dev_mm.iter().map(|std_dev| std_dev / pixel_mm).collect()
-        }
-        _ => Vec::new(),
-    }
 }
 
 fn initial_centers_rmse(

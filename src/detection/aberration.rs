@@ -222,6 +222,7 @@ mod tests {
                             slope_before: slope,
                             levers: Levers {
                                 by_slope: Vector2::zeros(),
+                                by_taken: Matrix2x3::zeros(),
                                 by_aberration: bend.terms(&w) * (slope - 1.0),
                             },
                         }

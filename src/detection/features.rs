@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::frame::Frame;
 use super::line::median_inverse_virtual_depth;
-use super::second_pass::BoardCorner;
+use super::second_pass::{BoardCorner, Found};
 use super::{Aberration, CornerLine, CornerObservation, DepthEstimator};
 use crate::model::BapFeature;
 
@@ -56,7 +56,7 @@ impl Frame<'_> {
         let (mut features, mut corners) = (Vec::new(), Vec::new());
         for found in board_corners {
             let observations: Vec<CornerObservation> =
-                found.observations.iter().map(|(observation, _)| *observation).collect();
+                found.observations.iter().map(|found| found.observation).collect();
             // There are at least two.
             let median = median_inverse_virtual_depth(&observations).unwrap_or(f64::NAN);
             corners.push(DetectedCorner {
@@ -65,7 +65,7 @@ impl Frame<'_> {
                 median_inverse_virtual_depth: median,
                 features: observations.len(),
             });
-            for (observation, corner) in &found.observations {
+            for Found { observation, corner, by_taken } in &found.observations {
                 let optics = micro_images.optics(observation.k, observation.l);
                 let rho_px = match self.search.estimator {
                     DepthEstimator::Median => optics.blur_radius_of_depth_px(median),
@@ -84,6 +84,7 @@ impl Frame<'_> {
                     // over pairs. The uncertainty of q'ᵢ, which all features of a lens type share,
                     // is not in it.
                     rho_std_dev_px: Some(half_pitch * found.line.slope_std_dev),
+                    levers_px: Some((*by_taken).into()),
                 });
             }
         }

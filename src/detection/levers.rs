@@ -7,13 +7,15 @@
 // Only what is inlined into a dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
 
-use nalgebra::{Matrix2x3, RowVector4, Vector2, Vector4};
+use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector4};
 use pulp::{Arch, NullaryFnOnce};
 
 use super::aberration::Bend;
 use super::blur::Rays;
 use super::corner::Corner;
+use super::micro_images::OTHERWISE;
 use super::patch::Patch;
+use crate::model::TAKEN;
 use crate::numerics::NormalEquations;
 
 /// Derivatives of the straightened place of a corner.
@@ -23,17 +25,27 @@ pub(super) struct Levers {
     pub by_slope: Vector2<f64>,
     /// By S, C and T, px³.
     pub by_aberration: Matrix2x3<f64>,
+    /// By what is taken from white images, px: see [`crate::model::TAKEN_FROM_WHITES`]. 0 where it was not asked for.
+    pub by_taken: Matrix2x3<f64>,
 }
 
-/// What is taken for granted: γ, S, C and T.
-const GIVEN: usize = 4;
-/// Columns: derivatives of the light by u and v, its shape, and by what is given.
-const COLUMNS: usize = 3 + GIVEN;
+/// What is taken for granted: γ, S, C and T, and what is taken from white images.
+const GIVEN: usize = 4 + TAKEN;
+/// Columns: derivatives of the light by u and v, its shape, and by γ, S, C and T.
+const COLUMNS: usize = 7;
 
 impl Corner {
-    /// The levers of a corner that was fitted; `None` if the light does not determine its place.
+    /// The levers of a corner that was fitted; `None` if the light does not determine its place. `others` are its
+    /// rays if what is taken from white images is larger by the part [`OTHERWISE`] of it, or none.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    pub fn levers(&self, patch: &Patch, rays: &Rays, slope: f64, bend: &Bend) -> Option<Levers> {
+    pub fn levers(
+        &self,
+        patch: &Patch,
+        rays: &Rays,
+        slope: f64,
+        bend: &Bend,
+        others: &[Rays],
+    ) -> Option<Levers> {
         let pixels = patch.x.len();
         let mut columns = [const { Vec::new() }; COLUMNS].map(|_: Vec<f32>| vec![0.0; pixels]);
         let bend = bend.in_single();
@@ -41,11 +53,18 @@ impl Corner {
         Arch::new().dispatch(Sums { columns: &mut columns, corner: self, rays, bend, nearness });
         let share = 1.0 / rays.points.len() as f32;
         let per_point = self.contrast as f32 * share;
+        let shapes: Vec<Vec<f32>> = others.iter().map(|rays| self.shape(pixels, rays)).collect();
         let [by_u, by_v, shape, given @ ..] = &columns;
         let mut equations = NormalEquations::<f32, 4, GIVEN>::new();
         for i in 0..pixels {
             let row = Vector4::new(by_u[i] * per_point, by_v[i] * per_point, 1.0, shape[i] * share);
-            let moved = RowVector4::from_fn(|_, k| given[k][i] * per_point);
+            let moved =
+                SMatrix::<f32, 1, GIVEN>::from_fn(|_, k| match k.checked_sub(given.len()) {
+                    None => given[k][i] * per_point,
+                    Some(k) => shapes
+                        .get(k)
+                        .map_or(0.0, |other| (shape[i] - other[i]) * per_point / OTHERWISE as f32),
+                });
             equations.add(&row, &moved, patch.weight[i]);
         }
         let levers = equations.solve()?.map(f64::from);
@@ -53,7 +72,49 @@ impl Corner {
         levers.iter().all(|x| x.is_finite()).then(|| Levers {
             by_slope: place.column(0).into_owned(),
             by_aberration: place.fixed_columns::<3>(1).into_owned(),
+            by_taken: place.fixed_columns::<3>(4).into_owned(),
         })
+    }
+
+    /// The sum of the shapes of all rays, pixel by pixel.
+    fn shape(&self, pixels: usize, rays: &Rays) -> Vec<f32> {
+        let mut shape = vec![0.0; pixels];
+        Arch::new().dispatch(Shape { shape: &mut shape, corner: self, rays });
+        shape
+    }
+}
+
+/// See [`Corner::shape`].
+struct Shape<'a> {
+    shape: &'a mut [f32],
+    corner: &'a Corner,
+    rays: &'a Rays,
+}
+
+impl NullaryFnOnce for Shape<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn call(self) {
+        let Self { shape, corner, rays } = self;
+        let (n, narrower) = (shape.len(), (1.0 / corner.width) as f32);
+        let place = corner.place.map(|x| x as f32);
+        let [(s1, c1), (s2, c2)] = corner.angles.map(|angle| {
+            let (s, c) = angle.sin_cos();
+            (s as f32, c as f32)
+        });
+        for [origin_x, origin_y, _, _, inverse_width] in &rays.points {
+            let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
+            let inverse_width = &inverse_width[..n];
+            for i in 0..n {
+                let inverse = inverse_width[i] * narrower;
+                let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
+                let a = (c1 * y - s1 * x).clamp(-1.0, 1.0);
+                let b = (c2 * y - s2 * x).clamp(-1.0, 1.0);
+                shape[i] += a * (1.5 - 0.5 * a * a) * b * (1.5 - 0.5 * b * b);
+            }
+        }
     }
 }
 
@@ -182,7 +243,7 @@ mod tests {
         let (known, bend) = rays(SLOPE, [0.0; 3], &patch);
         let truth = corner(place);
         light(&mut patch, &truth, &known);
-        let levers = truth.levers(&patch, &known, SLOPE, &bend).unwrap();
+        let levers = truth.levers(&patch, &known, SLOPE, &bend, &[]).unwrap();
         let place_with = |slope: f64, coefficients: [f64; 3]| {
             let (rays, _) = rays(slope, coefficients, &patch);
             truth.fitted(&patch, &rays, Free::Place).unwrap().place

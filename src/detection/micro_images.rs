@@ -30,8 +30,8 @@ pub struct MicroImages {
     fall_off: FallOff,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
-    /// Vignetting by lens type and by growth of d.
-    vignetting: Vec<Vec<Vignetting>>,
+    /// Vignetting by lens type and by growth of d: as it is, with another pupil, and with another q'ᵢ.
+    vignetting: [Vec<Vec<Vignetting>>; 3],
     /// First step of that growth.
     first_step: i32,
 }
@@ -89,6 +89,8 @@ impl MicroOptics {
 const MOST_PITCHES: f64 = 10.0;
 /// Step of the growth of d at which the vignetting is tabulated: the blur changes by 0.02 px.
 const GROWTH_STEP: f64 = 0.005;
+/// By which part of itself what is taken from white images is changed to see what depends on it.
+pub(super) const OTHERWISE: f64 = 0.01;
 /// σ of the distance of the exit pupil from the sensor before it is known, relative.
 const PUPIL: f64 = 0.25;
 /// σ of a growth of d that is nearly 0, px⁻¹.
@@ -157,19 +159,24 @@ impl MicroImages {
         #[allow(clippy::cast_possible_truncation)] // bounded above
         let last_step = (most / GROWTH_STEP).ceil() as i32;
         let q_prime_px: Vec<f64> = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect();
-        let vignetting = |q_prime: &f64| {
-            let of_step = |step: i32| {
-                let scale = 1.0 + f64::from(step) * GROWTH_STEP;
-                Vignetting::new(pupil_px * scale, q_prime * scale - grid.pitch_px / 2.0)
+        let vignetting = |[pupil, intercept]: [f64; 2]| -> Vec<Vec<Vignetting>> {
+            let of_type = |q_prime: &f64| {
+                let of_step = |step: i32| {
+                    let scale = 1.0 + f64::from(step) * GROWTH_STEP;
+                    let q = q_prime * intercept * scale - grid.pitch_px / 2.0;
+                    Vignetting::new(pupil_px * pupil * scale, q)
+                };
+                (-last_step..=last_step).map(of_step).collect()
             };
-            (-last_step..=last_step).map(of_step).collect()
+            q_prime_px.iter().map(of_type).collect()
         };
+        let other = 1.0 + OTHERWISE;
         Ok(Self {
             grid: *grid,
             configuration: sheet.configuration,
             centers: centers.iter().map(place).collect(),
             pupil_px,
-            vignetting: q_prime_px.iter().map(vignetting).collect(),
+            vignetting: [[1.0, 1.0], [other, 1.0], [1.0, other]].map(vignetting),
             first_step: -last_step,
             q_prime_px,
             middle,
@@ -251,7 +258,27 @@ impl MicroImages {
     }
 
     pub(super) fn vignetting(&self, optics: &MicroOptics) -> &Vignetting {
-        let vignetting = &self.vignetting[optics.lens_type];
+        self.vignetting_with(0, optics)
+    }
+
+    /// The optics and the vignetting if one of [`TAKEN_FROM_WHITES`](crate::model::TAKEN_FROM_WHITES), by its
+    /// index, is larger by the part [`OTHERWISE`] of it.
+    pub(super) fn otherwise(
+        &self,
+        optics: &MicroOptics,
+        taken: usize,
+    ) -> (MicroOptics, &Vignetting) {
+        let (mut other, factor) = (*optics, 1.0 + OTHERWISE);
+        match taken {
+            0 => other.pupil_px *= factor,
+            1 => other.q_prime_px *= factor,
+            _ => other.obliquity.within_per_px2 *= factor,
+        }
+        (other, self.vignetting_with(if taken < 2 { taken + 1 } else { 0 }, optics))
+    }
+
+    fn vignetting_with(&self, which: usize, optics: &MicroOptics) -> &Vignetting {
+        let vignetting = &self.vignetting[which][optics.lens_type];
         #[allow(clippy::cast_possible_truncation)] // bounded by the constructor
         let step = (optics.growth / GROWTH_STEP).round() as i32 - self.first_step;
         &vignetting[usize::try_from(step).unwrap_or(0).min(vignetting.len() - 1)]

@@ -1,6 +1,6 @@
 //! The second pass: every corner of the board where its line, or that of its neighbours, expects it.
 
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::aberration::Aberration;
@@ -12,10 +12,14 @@ use super::first_pass::{LEAST_CONTRAST, REACH};
 use super::frame::{Frame, FrameCounts, MARGIN};
 use super::grouping::Group;
 use super::line::possible_slope;
+use super::micro_images::OTHERWISE;
 use super::patch::{Pair, Patch};
 use super::seen::Seen;
 use super::slope_field::SlopeField;
 use super::{CornerLine, CornerObservation, MicroOptics};
+#[cfg(doc)]
+use crate::model::BapFeature;
+use crate::model::TAKEN;
 use crate::numerics::median;
 
 /// Rounds in which every corner is searched for; in the second one its line is that of the first.
@@ -40,7 +44,16 @@ const LEAST_RMS_PX: f64 = 0.08;
 pub(super) struct BoardCorner {
     pub corner: i32,
     pub line: CornerLine,
-    pub observations: Vec<(CornerObservation, Corner)>,
+    pub observations: Vec<Found>,
+}
+
+/// What was found of it in a micro-image.
+#[derive(Clone)]
+pub(super) struct Found {
+    pub observation: CornerObservation,
+    pub corner: Corner,
+    /// How the place changes with what is taken from white images, px: see [`BapFeature::levers_px`].
+    pub by_taken: Matrix2x3<f64>,
 }
 
 /// A corner of the board that was searched for: what was seen of it, without what is off its line.
@@ -74,11 +87,13 @@ impl Frame<'_> {
         let at_first: Vec<i32> = corners.iter().map(|c| c.corner).collect();
         let (middle, pupil) = (self.search.sensor.center_px(), self.search.micro_images.pupil_px());
         let mut aberration = Aberration::none(middle, pupil);
-        for _ in 0..ROUNDS {
+        for round in 1..=ROUNDS {
             let lines: Vec<CornerLine> = corners.iter().map(|c| c.line).collect();
             let Some(field) = SlopeField::fit(&lines) else { break };
             corners.extend(self.missing(&corners, labelled, &field));
-            let pass = SecondPass { frame: self, labelled, field: &field, contrast, aberration };
+            let last = round == ROUNDS;
+            let pass =
+                SecondPass { frame: self, labelled, field: &field, contrast, aberration, last };
             let outcomes: Vec<Outcome> = corners.par_iter().map(|c| pass.search(c)).collect();
             // Those of the last round count.
             counts.unclear = outcomes.iter().map(|o| o.unclear).sum();
@@ -135,6 +150,8 @@ struct SecondPass<'a> {
     contrast: f64,
     /// As far as it is known.
     aberration: Aberration,
+    /// Whether this is the last round.
+    last: bool,
 }
 
 impl SecondPass<'_> {
@@ -164,7 +181,13 @@ impl SecondPass<'_> {
                 let start = self.expected_corner(sought, &center, patch.mean());
                 let rays = blur.rays(&patch);
                 let corner = self.fitted(&start, &patch, &rays)?;
-                let levers = corner.levers(&patch, &rays, slope, &bend)?;
+                let others: Vec<Rays> = (0..if self.last { TAKEN } else { 0 })
+                    .map(|taken| {
+                        let (optics, vignetting) = micro_images.otherwise(&optics, taken);
+                        Blur::new(&optics, slope, bend, vignetting).rays(&patch)
+                    })
+                    .collect();
+                let levers = corner.levers(&patch, &rays, slope, &bend, &others)?;
                 Some((corner, levers, corner.imbalance(&patch, &rays)))
             });
             let Some((corner, levers, imbalance)) = fitted else {
@@ -233,10 +256,27 @@ impl SecondPass<'_> {
             seen.change_aberration(change);
         }
         let line = CornerLine::fit(seen.iter().map(Seen::on_line))?;
+        if self.last {
+            // With other places the line has another slope, and that blurs otherwise.
+            for taken in 0..TAKEN {
+                let other = CornerLine::fit(seen.iter().map(|seen| seen.on_line_with(taken)))?;
+                let slope = (other.slope - line.slope) / OTHERWISE;
+                for seen in &mut seen {
+                    seen.take_slope(taken, slope);
+                }
+            }
+        }
         for seen in &mut seen {
             seen.change_slope(line.slope);
         }
-        let observations = seen.into_iter().map(|seen| (seen.observation, seen.corner)).collect();
+        let observations = seen
+            .into_iter()
+            .map(|seen| Found {
+                observation: seen.observation,
+                corner: seen.corner,
+                by_taken: seen.levers.by_taken,
+            })
+            .collect();
         let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);
         possible.then_some(BoardCorner { corner, line, observations })
     }

@@ -5,6 +5,7 @@ use nalgebra::{Vector2, Vector3};
 use super::CornerObservation;
 use super::corner::Corner;
 use super::levers::Levers;
+use super::micro_images::OTHERWISE;
 
 /// An observation of a corner, made with the slope and the aberration that were known before. Places are
 /// straightened, see [`super::aberration`].
@@ -27,6 +28,20 @@ impl Seen {
             position: self.observation.position - self.levers.by_slope * self.slope_before,
             ..self.observation
         }
+    }
+
+    /// [`Seen::on_line`] if one of what is taken from white images is larger by the part [`OTHERWISE`] of it.
+    pub fn on_line_with(&self, taken: usize) -> CornerObservation {
+        let on_line = self.on_line();
+        let moved = self.levers.by_taken.column(taken) * OTHERWISE;
+        CornerObservation { position: on_line.position + moved, ..on_line }
+    }
+
+    /// Adds to a lever what follows from how the slope of the line changes with it.
+    pub fn take_slope(&mut self, taken: usize, slope: f64) {
+        let by_slope = self.levers.by_slope * slope;
+        let mut lever = self.levers.by_taken.column_mut(taken);
+        lever += by_slope;
     }
 
     /// Moves the observation to where another aberration puts it.

@@ -110,6 +110,20 @@ fn anchors_document(calibration: &Calibration) -> Value {
     })
 }
 
+/// What each error that all features share changes, by parameter.
+fn common_errors_document(calibration: &Calibration) -> Vec<Value> {
+    let uncertainty = &calibration.uncertainty;
+    let names = intrinsic_parameters(calibration.camera.lens_types());
+    let of = |(source, changes): &(String, Vec<f64>)| {
+        let change =
+            |(&index, change): (&usize, &f64)| (names[index].name.to_owned(), Value::from(*change));
+        let changes: Map<String, Value> =
+            uncertainty.free_intrinsics.iter().zip(changes).map(change).collect();
+        json!({ "source": source, "changes": changes })
+    };
+    uncertainty.common_changes.iter().map(of).collect()
+}
+
 /// Both σ of every free parameter, and how uncertain the first is.
 fn std_devs_document(calibration: &Calibration) -> Value {
     let lens_types = calibration.camera.lens_types();
@@ -203,6 +217,7 @@ pub fn calibration_document(
         "solver_time_s": refinement.time_s,
         "anchors": anchors_document(calibration),
         "standard_deviations": std_devs_document(calibration),
+        "common_errors": common_errors_document(calibration),
         "weakest_directions": weakest_directions_text(calibration),
         "warnings": warnings,
         "models": null,

@@ -1,7 +1,8 @@
 //! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP
 //! features, u, v and ρ in px; the same columns as COMPOTE's. Standard deviations, px, may follow:
 //! `std_dev` of centres, `std_u`, `std_v` and `std_rho` of features. Columns are found by their names
-//! in the first line; others are ignored. Gzip-compressed files are COMPOTE's binary form.
+//! in the first line; others are ignored. `du_pupil`, `dv_pupil`, `du_intercept`, `dv_intercept`, `du_fall_off` and
+//! `dv_fall_off` of features are their [`BapFeature::levers_px`]. Gzip-compressed files are COMPOTE's binary form.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -10,7 +11,7 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 
 use super::{compote, read_bytes};
 use crate::error::{Error, Result};
-use crate::model::{BapFeature, MicroImageCenter, Observations};
+use crate::model::{BapFeature, MicroImageCenter, Observations, TAKEN};
 
 /// Reads micro-image centres from CSV.
 pub fn read_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
@@ -39,7 +40,11 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
     }
     let mut required = vec!["k", "l", "u", "v", "cluster", "frame"];
     required.extend(rho.then_some("rho"));
-    let features = rows(path, &bytes, &required, &["rho", "std_u", "std_v", "std_rho"], |row| {
+    let optional: Vec<&str> = ["rho", "std_u", "std_v", "std_rho"]
+        .into_iter()
+        .chain(LEVERS.into_iter().flatten())
+        .collect();
+    let features = rows(path, &bytes, &required, &optional, |row| {
         Ok(BapFeature {
             k: row.integer("k")?,
             l: row.integer("l")?,
@@ -54,6 +59,7 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
                 _ => return Err(row.error("std_u and std_v go together, but one is missing")),
             },
             rho_std_dev_px: row.std_dev("std_rho")?,
+            levers_px: row.levers()?,
         })
     })?;
     Ok(Observations { centers: Vec::new(), features })
@@ -69,18 +75,29 @@ pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::R
     })
 }
 
-/// Writes BAP features as CSV, with their standard deviations if they have any.
+/// Columns of [`BapFeature::levers_px`], u and v.
+const LEVERS: [[&str; 2]; TAKEN] =
+    [["du_pupil", "dv_pupil"], ["du_intercept", "dv_intercept"], ["du_fall_off", "dv_fall_off"]];
+
+/// Writes BAP features as CSV, with their standard deviations and levers if they have any.
 pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Result<()> {
     let measured = |f: &BapFeature| f.std_dev_px.is_some() || f.rho_std_dev_px.is_some();
     let measured = features.iter().any(measured);
     let std_devs = if measured { ",std_u,std_v,std_rho" } else { "" };
-    writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}")?;
+    let with_levers = features.iter().any(|f| f.levers_px.is_some());
+    let levers =
+        if with_levers { format!(",{}", LEVERS.as_flattened().join(",")) } else { String::new() };
+    writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}{levers}")?;
     features.iter().try_for_each(|f| {
         let rho = f.rho_px.map(|rho| rho.to_string()).unwrap_or_default();
         write!(out, "{},{},{},{},{rho},{},{}", f.k, f.l, f.u_px, f.v_px, f.corner, f.frame)?;
         if measured {
             let [u, v] = [0, 1].map(|i| std_dev_text(f.std_dev_px.map(|std_devs| std_devs[i])));
             write!(out, ",{u},{v},{}", std_dev_text(f.rho_std_dev_px))?;
+        }
+        for lever in f.levers_px.unwrap_or_default().as_flattened().iter().filter(|_| with_levers) {
+            let text = f.levers_px.map(|_| format!("{lever:.4}")).unwrap_or_default();
+            write!(out, ",{text}")?;
         }
         writeln!(out)
     })
@@ -132,6 +149,26 @@ impl Row<'_> {
     /// A number, or `None` where nothing was measured.
     fn measured(&self, name: &str) -> Result<Option<f64>> {
         self.text(name).map(|_| self.number(name)).transpose()
+    }
+
+    /// All levers, or `None` where there are none.
+    fn levers(&self) -> Result<Option<[[f64; 2]; TAKEN]>> {
+        let mut levers = [[0.0; 2]; TAKEN];
+        let mut missing = 0;
+        for (lever, name) in levers.as_flattened_mut().iter_mut().zip(LEVERS.as_flattened()) {
+            match self.measured(name)? {
+                Some(value) => *lever = value,
+                None => missing += 1,
+            }
+        }
+        match missing {
+            0 => Ok(Some(levers)),
+            6 => Ok(None),
+            _ => Err(self.error(&format!(
+                "{} go together, but some are missing",
+                LEVERS.as_flattened().join(", ")
+            ))),
+        }
     }
 
     fn std_dev(&self, name: &str) -> Result<Option<f64>> {

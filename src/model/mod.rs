@@ -30,6 +30,8 @@ pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};
 pub use lean::Lean;
 pub use noise::{Noise, NoiseSource};
 pub(crate) use observations::check_centers;
-pub use observations::{BapFeature, MIN_CORNERS, MicroImageCenter, Observations};
+pub use observations::{
+    BapFeature, MIN_CORNERS, MicroImageCenter, Observations, TAKEN, TAKEN_FROM_WHITES,
+};
 pub use parameters::{MAX_LENS_TYPES, Parameter, intrinsic_parameters};
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};

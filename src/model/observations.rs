@@ -41,7 +41,16 @@ pub struct BapFeature {
     pub std_dev_px: Option<[f64; 2]>,
     /// Standard deviation of ρ, px, where it was measured.
     pub rho_std_dev_px: Option<f64>,
+    /// How far u and v move if what the detection takes from the white images is wrong, where that is known: px
+    /// per relative change of each of [`TAKEN_FROM_WHITES`].
+    pub levers_px: Option<[[f64; 2]; TAKEN]>,
 }
+
+/// Number of the quantities of white images that a corner's place depends on.
+pub const TAKEN: usize = 3;
+/// Their names: a, the radius of the main lens's pupil seen through the middle of a micro-lens; q'ᵢ; and H, how light
+/// falls off inside a micro-image.
+pub const TAKEN_FROM_WHITES: [&str; TAKEN] = ["pupil", "intercept", "fall_off"];
 
 /// The observations of a calibration.
 #[derive(Debug, Clone, Default, PartialEq)]

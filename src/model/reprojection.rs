@@ -116,6 +116,7 @@ mod tests {
             rho_px: None,
             std_dev_px: None,
             rho_std_dev_px: None,
+            levers_px: None,
         };
         FeatureResidual { feature, lens_type: 0, du_px, dv_px, drho_px }
     }

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use super::assessment::{
     OBJECT_SPACE, anchors_table, object_space_table, outliers_text, verdict_lines,
 };
+use super::common_errors::{COMMON_ERRORS, common_errors_table};
 use super::table::{Table, table};
 use crate::assessment::Assessment;
 use crate::calibration::{Calibration, termination_text, weakest_directions_text};
@@ -22,6 +23,9 @@ pub fn calibration_text(calibration: &Calibration, assessment: &Assessment) -> S
         if is_fixed { poses_table(calibration) } else { parameters_table(calibration) }.to_string(),
     ];
     parts.extend(anchors_table(calibration).map(|table| table.to_string()));
+    parts.extend(
+        common_errors_table(calibration).map(|table| table.captioned(COMMON_ERRORS).to_string()),
+    );
     let space = assessment.object_space.as_ref();
     parts.extend(space.map(|space| object_space_table(space).captioned(OBJECT_SPACE).to_string()));
     parts.extend([errors_table(calibration).to_string(), summary(calibration)]);

@@ -3,6 +3,7 @@
 mod assessment;
 mod calibration;
 mod calibration_figures;
+mod common_errors;
 mod detection;
 mod drawing;
 mod evaluation;

@@ -168,6 +168,7 @@ impl Tracer {
                         rho_px: Some(spot.radius_px),
                         std_dev_px: None,
                         rho_std_dev_px: None,
+                        levers_px: None,
                     };
                     Some(TrueFeature { feature, visible: spot.visible })
                 };

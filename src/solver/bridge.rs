@@ -17,7 +17,7 @@ pub(crate) use points::{
     frame_information, point_sensitivities, project, project_centers, visible_features,
 };
 
-use super::uncertainty::Uncertainty;
+use super::uncertainty::{CommonError, Uncertainty};
 use crate::error::{Error, Result};
 
 // cxx needs explicit lifetimes.
@@ -192,6 +192,11 @@ mod ffi {
         iterations: Vec<IterationRow>,
     }
 
+    struct CommonErrorParts {
+        features_px: Vec<f64>,
+        anchors: Vec<f64>,
+    }
+
     struct UncertaintyParts {
         free_intrinsics: Vec<i32>,
         size: i32,
@@ -201,6 +206,7 @@ mod ffi {
         independent_covariance: Vec<f64>,
         freedom: Vec<f64>,
         left_out_changes: Vec<f64>,
+        common_changes: Vec<f64>,
         frame_shares: Vec<f64>,
         poses_by_intrinsics: Vec<f64>,
         dispersion: f64,
@@ -259,7 +265,7 @@ mod ffi {
             features: &[FeatureRow],
             centers: &[CenterRow],
             cost: &CostParts,
-            type_rho_std_dev_px: &[f64],
+            common: &[CommonErrorParts],
         ) -> Result<UncertaintyParts>;
         fn frame_information(
             camera: &CameraParts,
@@ -348,23 +354,23 @@ pub(crate) fn refine(
     })
 }
 
-/// Uncertainty of the parameters at a minimum. `type_rho_std_dev_px` is the standard deviation of the
-/// error that ρ has in common in all features of a lens type; empty for none.
+/// Uncertainty of the parameters at a minimum, with errors that observations have in common.
 pub(crate) fn uncertainty(
     problem: &Problem,
     cost: &CostOptions,
-    type_rho_std_dev_px: &[f64],
+    common: &[CommonError],
 ) -> Result<Uncertainty> {
+    let common_parts: Vec<ffi::CommonErrorParts> = common.iter().map(Into::into).collect();
     let parts = ffi::uncertainty(
         &problem.camera.into(),
         &problem.pose_blocks(),
         &problem.feature_rows(),
         &problem.center_rows(),
         &cost.into(),
-        type_rho_std_dev_px,
+        &common_parts,
     )
     .map_err(solver_error)?;
-    Ok(Uncertainty::from((&parts, problem.poses.len())))
+    Ok(Uncertainty::from((&parts, problem.poses.len(), common)))
 }
 
 // `map_err` passes the error by value.

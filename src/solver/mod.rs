@@ -18,4 +18,4 @@ pub use refinement::{Iteration, Refinement, Termination};
 #[cfg(test)]
 pub(crate) use synthetic::small_camera;
 pub use synthetic::synthesize;
-pub use uncertainty::{Component, Uncertainty, WeakDirection};
+pub use uncertainty::{CommonError, Component, Uncertainty, WeakDirection};

@@ -48,6 +48,7 @@ pub fn synthesize(
                         rho_px,
                         std_dev_px: None,
                         rho_std_dev_px: None,
+                        levers_px: None,
                     }));
                 }
             }

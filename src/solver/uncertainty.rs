@@ -39,6 +39,8 @@ pub struct Uncertainty {
     /// The share of each frame (a row) in what the weights claim the variance of the free intrinsic
     /// parameters to be, 0 to 1.
     pub frame_shares: DMatrix<f64>,
+    /// What each common error changes: its source, and the change of each free intrinsic parameter.
+    pub common_changes: Vec<(String, Vec<f64>)>,
     /// How the poses follow the free intrinsic parameters: six rows for each.
     pub poses_by_intrinsics: DMatrix<f64>,
     /// How many times larger the variance of the anchored quantities is than the weights claim, as far as
@@ -64,6 +66,17 @@ pub struct Uncertainty {
     pub std_dev_factors: [f64; 3],
     /// How much a further Gauss-Newton step would lower the cost; almost 0 at a true minimum.
     pub expected_decrease: f64,
+}
+
+/// An error that observations have in common: one standard deviation of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CommonError {
+    /// Of what.
+    pub source: String,
+    /// By how much it moves u, v and ρ of each feature, px.
+    pub features_px: Vec<[f64; 3]>,
+    /// By how much it moves the value of each anchor, in its σ; empty for none.
+    pub anchors: Vec<f64>,
 }
 
 /// A parameter's component of a weak direction.

@@ -191,16 +191,24 @@ struct Uncertainty {
   std::array<double, 3> residual_std_dev{};
   /// s_k: by how much the errors are larger than their sigma in the cost says; 1 if it is right.
   std::array<double, 3> std_dev_factors{};
+  /// Change of the free intrinsics by each common error, row by row: a row for each error.
+  std::vector<double> common_changes;
   /// How much a further Gauss-Newton step would lower the cost: 0 at a true minimum.
   double expected_decrease = 0.0;
 };
 
-/// `type_rho_std_dev` is, for each lens type, the standard deviation (px) of an error that rho has
-/// in common in all features of the type, as those of q' from white images are; empty for none.
-/// Throws std::invalid_argument like `refine`.
+/// An error that observations have in common, such as that of q' from white images: one standard
+/// deviation of it.
+struct CommonError {
+  std::vector<Feature<double>> features;  ///< by how much each feature moves, px
+  /// By how much the value of each anchor moves, in its sigma; empty for none.
+  std::vector<double> anchors;
+};
+
+/// Throws std::invalid_argument like `refine`, and if common errors are not of these observations.
 Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const Observations& observations, const CostOptions& cost_options,
-                        const std::vector<double>& type_rho_std_dev = {});
+                        const std::vector<CommonError>& common = {});
 
 /// The information of each frame on the free intrinsics, with its pose unknown: a square matrix for
 /// each frame, row by row. Anchors and centres take no part. Throws like `refine`.

@@ -7,7 +7,7 @@ use crate::model::{Packing, Parity, PlenopticCamera};
 use crate::solver::options::{Anchor, CostOptions, LossKind, SolverOptions};
 use crate::solver::problem::{PointSensitivity, Problem, SolverCenter, SolverFeature};
 use crate::solver::refinement::{Iteration, Termination};
-use crate::solver::uncertainty::Uncertainty;
+use crate::solver::uncertainty::{CommonError, Uncertainty};
 
 fn index(i: i32) -> usize {
     usize::try_from(i).unwrap_or(0)
@@ -194,9 +194,18 @@ impl From<&ffi::SensitivityRow> for PointSensitivity {
     }
 }
 
-/// The result for so many frames.
-impl From<(&ffi::UncertaintyParts, usize)> for Uncertainty {
-    fn from((parts, frames): (&ffi::UncertaintyParts, usize)) -> Self {
+impl From<&CommonError> for ffi::CommonErrorParts {
+    fn from(error: &CommonError) -> Self {
+        Self {
+            features_px: error.features_px.as_flattened().to_vec(),
+            anchors: error.anchors.clone(),
+        }
+    }
+}
+
+/// The result for so many frames and these common errors.
+impl From<(&ffi::UncertaintyParts, usize, &[CommonError])> for Uncertainty {
+    fn from((parts, frames, common): (&ffi::UncertaintyParts, usize, &[CommonError])) -> Self {
         let (size, free) = (index(parts.size), parts.free_intrinsics.len());
         let matrix = |rows: usize, columns: usize, values: &[f64]| {
             DMatrix::from_row_slice(rows, columns, values)
@@ -210,6 +219,11 @@ impl From<(&ffi::UncertaintyParts, usize)> for Uncertainty {
             freedom: parts.freedom.clone(),
             left_out_changes: matrix(frames, free, &parts.left_out_changes),
             frame_shares: matrix(frames, free, &parts.frame_shares),
+            common_changes: common
+                .iter()
+                .zip(parts.common_changes.chunks(free.max(1)))
+                .map(|(error, changes)| (error.source.clone(), changes.to_vec()))
+                .collect(),
             poses_by_intrinsics: matrix(size - free, free, &parts.poses_by_intrinsics),
             dispersion: parts.dispersion,
             contradiction: usize::try_from(parts.contradicted)

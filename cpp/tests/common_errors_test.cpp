@@ -1,0 +1,66 @@
+// Errors that many features share with anchors, in the covariance.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+#include "rejection.hpp"
+#include "synthetic_scene.hpp"
+
+namespace plenocal {
+namespace {
+
+using test::expect_names;
+using test::paper;
+using test::rejection;
+using test::Scene;
+
+// The change that uncertainty() foresees is that of a refinement with the observations, and the
+// anchor, moved.
+TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
+  constexpr double kStep = 1e-5, kTolerance = 0.02;
+  const Scene scene = test::make_scene(3);
+  CostOptions options = paper();
+  options.anchors = {{"F", scene.camera.main_lens.focal_length, 0.05}};
+  options.anchor_weight = 4.0;
+  CommonError error;
+  for (const FeatureObservation& o : scene.observations.features) {
+    error.features.push_back({kStep * (o.k - 20), kStep * o.frame, kStep});
+  }
+  error.anchors = {kStep};
+  const Uncertainty without = uncertainty(scene.camera, scene.poses, scene.observations, options);
+  const Uncertainty u =
+      uncertainty(scene.camera, scene.poses, scene.observations, options, {error});
+
+  Scene moved = scene;
+  for (std::size_t i = 0; i < error.features.size(); ++i) {
+    auto& observed = moved.observations.features[i].observed;
+    observed.u += error.features[i].u;
+    observed.v += error.features[i].v;
+    observed.rho += error.features[i].rho;
+  }
+  CostOptions moved_options = options;
+  moved_options.anchors[0].value += error.anchors[0] * options.anchors[0].std_dev;
+  const Refinement r = refine(moved.camera, moved.poses, moved.observations, moved_options, {});
+  const auto before = test::intrinsics(scene.camera), after = test::intrinsics(r.camera);
+  for (std::size_t i = 0; i < u.free_intrinsics.size(); ++i) {
+    const int index = u.free_intrinsics[i];
+    const double change = after[index] - before[index];
+    const std::size_t at = i * (u.size + 1);
+    const double std_dev = std::sqrt(without.independent_covariance[at]);
+    EXPECT_NEAR(u.common_changes[i], change, kTolerance * std::abs(change) + 1e-3 * std_dev)
+        << index;
+    EXPECT_GE(u.independent_covariance[at],
+              without.independent_covariance[at] + 0.9 * change * change - 1e-6 * std_dev * std_dev)
+        << index;
+  }
+  error.features.pop_back();
+  expect_names(rejection([&] {
+                 uncertainty(scene.camera, scene.poses, scene.observations, options, {error});
+               }),
+               "common error");
+}
+
+}  // namespace
+}  // namespace plenocal

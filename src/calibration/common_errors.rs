@@ -1,0 +1,88 @@
+//! Errors that features have in common, because the detection took something from the white images.
+//!
+//! Where a corner is found depends a little on the pupil of the main lens, on q'ᵢ, on how light falls off inside a
+//! micro-image, and on how the array leans. All features share the errors of these, and no scatter shows them.
+
+use crate::calibration::anchors::{LEAN, intercept_name};
+use crate::calibration::{CalibrationOptions, Mode, Start};
+use crate::error::Result;
+use crate::model::{BapFeature, InternalParameters, PlenopticCamera, TAKEN};
+use crate::solver::{self, CommonError, CostOptions};
+
+/// How well the model of a blurred corner keeps its distance from the centre of the micro-image, relative: it was
+/// compared with rays through pixels and micro-lenses (docs/detection.md).
+const BLUR_MODEL: f64 = 1e-3;
+
+/// The common errors of features, and of the anchors that have them too.
+pub(super) fn common_errors(
+    start: &Start,
+    camera: &PlenopticCamera,
+    features: &[BapFeature],
+    cost: &CostOptions,
+    options: &CalibrationOptions,
+) -> Result<Vec<CommonError>> {
+    let Some(internal) = start.internal().filter(|_| options.mode != Mode::PosesOnly) else {
+        return Ok(Vec::new());
+    };
+    let anchored = |quantity: &str| {
+        cost.anchors.iter().map(|a| if a.quantity == quantity { 1.0 } else { 0.0 }).collect()
+    };
+    let types: Vec<usize> = features.iter().map(|f| camera.lens_type(f.k, f.l)).collect();
+    let pixel_mm = camera.sensor.pixel_size_mm;
+    let levers = |f: &BapFeature| f.levers_px.unwrap_or([[0.0; 2]; TAKEN]);
+    let mut errors = Vec::new();
+    let mut add = |source: &str, anchors: Vec<f64>, by: &dyn Fn(usize, &BapFeature) -> [f64; 3]| {
+        let features_px: Vec<[f64; 3]> =
+            features.iter().enumerate().map(|(i, f)| by(i, f)).collect();
+        if features_px.iter().flatten().any(|by| *by != 0.0) {
+            errors.push(CommonError { source: source.to_owned(), features_px, anchors });
+        }
+    };
+    let [pupil, within] = relative_std_devs(internal);
+    add("pupil", Vec::new(), &|_, f| {
+        let [u, v] = levers(f)[0];
+        [u * pupil, v * pupil, 0.0]
+    });
+    for (lens_type, std_dev_mm) in internal.q_prime_std_dev_mm.iter().enumerate() {
+        let name = intercept_name(lens_type);
+        let relative = std_dev_mm / internal.q_prime_mm[lens_type];
+        // ρ = q'ᵢ − Δc/2ν.
+        let rho = if cost.rho { std_dev_mm / pixel_mm } else { 0.0 };
+        add(&name, anchored(&name), &|i, f| {
+            let [u, v] = levers(f)[1];
+            if types[i] == lens_type { [u * relative, v * relative, rho] } else { [0.0; 3] }
+        });
+    }
+    add("fall-off", Vec::new(), &|_, f| {
+        let [u, v] = levers(f)[2];
+        [u * within, v * within, 0.0]
+    });
+    let centers = solver::project_centers(camera, features.iter().map(|f| (f.k, f.l)))?;
+    if let Some(lean) = &internal.lean {
+        let middle = camera.sensor.center_px();
+        for (axis, name) in LEAN.into_iter().enumerate() {
+            // Both discs grow with d.
+            add(name, anchored(name), &|i, f| {
+                let growth = lean.std_dev_per_px[axis] * (centers[i][axis] - middle[axis]);
+                let [pupil, intercept, _] = levers(f);
+                [0, 1, 2].map(|c| if c < 2 { (pupil[c] + intercept[c]) * growth } else { 0.0 })
+            });
+        }
+    }
+    add("blur", Vec::new(), &|i, f| match f.levers_px {
+        Some(_) => {
+            [(f.u_px - centers[i][0]) * BLUR_MODEL, (f.v_px - centers[i][1]) * BLUR_MODEL, 0.0]
+        }
+        None => [0.0; 3],
+    });
+    Ok(errors)
+}
+
+/// σ of the pupil's radius and of the fall-off inside micro-images, relative.
+fn relative_std_devs(internal: &InternalParameters) -> [f64; 2] {
+    let pupil = internal.m_std_dev_mm.map_or(0.0, |std_dev| std_dev / internal.m_mm.abs());
+    let within = internal.fall_off.map_or(0.0, |fall_off| {
+        fall_off.within_std_dev_per_px2 / fall_off.within_per_px2.abs().max(f64::MIN_POSITIVE)
+    });
+    [pupil, within]
+}
