@@ -11,6 +11,7 @@ mod cells;
 mod corner;
 mod corner_fit;
 mod dbscan;
+mod distortion;
 mod exposure;
 mod features;
 mod first_pass;

@@ -8,6 +8,7 @@ use super::blur::{Blur, Rays};
 use super::board::LabelledBoard;
 use super::corner::Corner;
 use super::corner_fit::Free;
+use super::distortion::Distortion;
 use super::first_pass::{LEAST_CONTRAST, REACH};
 use super::frame::{Frame, FrameCounts, MARGIN};
 use super::grouping::Group;
@@ -90,10 +91,14 @@ impl Frame<'_> {
         for round in 1..=ROUNDS {
             let lines: Vec<CornerLine> = corners.iter().map(|c| c.line).collect();
             let Some(field) = SlopeField::fit(&lines) else { break };
+            let pinholes =
+                |c: &BoardCorner| (labelled.pinhole(self.search.board, c.corner), c.line.pinhole());
+            let pinholes: Vec<_> = corners.iter().map(pinholes).collect();
+            let distortion = &Distortion::fit(&pinholes, middle);
             corners.extend(self.missing(&corners, labelled, &field));
-            let last = round == ROUNDS;
+            let (field, last) = (&field, round == ROUNDS);
             let pass =
-                SecondPass { frame: self, labelled, field: &field, contrast, aberration, last };
+                SecondPass { frame: self, labelled, field, distortion, contrast, aberration, last };
             let outcomes: Vec<Outcome> = corners.par_iter().map(|c| pass.search(c)).collect();
             // Those of the last round count.
             counts.unclear = outcomes.iter().map(|o| o.unclear).sum();
@@ -146,6 +151,7 @@ struct SecondPass<'a> {
     frame: &'a Frame<'a>,
     labelled: &'a LabelledBoard,
     field: &'a SlopeField,
+    distortion: &'a Distortion,
     /// Of the frame.
     contrast: f64,
     /// As far as it is known.
@@ -219,8 +225,10 @@ impl SecondPass<'_> {
             step * nearness - (pinhole - center) * self.field.gradient().dot(step)
         };
         // Rows and columns of the board in the pinhole image.
-        let (right, down) = self.labelled.steps(self.frame.search.board, sought.corner);
-        let (right, down) = (seen(&right), seen(&down));
+        let board = self.frame.search.board;
+        let (right, down) = self.labelled.steps(board, sought.corner);
+        let sheared = self.distortion.jacobian(&self.labelled.pinhole(board, sought.corner));
+        let (right, down) = (seen(&(sheared * right)), seen(&(sheared * down)));
         Corner {
             place: sought.line.at(center) - center,
             angles: [right.y.atan2(right.x), down.y.atan2(down.x)],

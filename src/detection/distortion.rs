@@ -1,0 +1,177 @@
+//! How distortion shears the squares of a board: by the homography alone the edges of a corner would have
+//! directions that they do not have in the image, and its place would move along them.
+
+use nalgebra::{Matrix2, SVector, Vector1, Vector2};
+
+use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
+
+/// Terms: radial distortion of the third and fifth order and tangential distortion (Brown, Conrady), and what they
+/// change in the homography, which was fitted without them.
+const TERMS: usize = 12;
+
+/// Where a homography puts the pinhole image of a corner, and where it is, px.
+pub(super) type Pinholes = (Vector2<f64>, Vector2<f64>);
+
+/// How far pinhole images lie from where a homography puts them.
+pub(super) struct Distortion {
+    scale: Normalised,
+    /// Of each term, px.
+    coefficients: SVector<f64, TERMS>,
+}
+
+/// Places as multiples of `size_px` from the middle of the image.
+#[derive(Clone, Copy)]
+struct Normalised {
+    middle_px: Vector2<f64>,
+    size_px: f64,
+}
+
+/// As for the slopes of corners: some may be labelled wrongly. Pinhole images are not known better than the least, px.
+const OUTLIERS: Outliers =
+    Outliers { weight: Weight::Smooth, scale: Scale::Median, scales: 4.5, least: 0.02, slack: 0.0 };
+const ROUNDS: usize = 10;
+/// Terms are held at nothing by so much of the weight of a corner: where there are few, the smallest terms will do.
+const HELD: f64 = 1e-4;
+/// Step of a derivative, in sizes of the image.
+const STEP: f64 = 1e-3;
+
+impl Distortion {
+    /// Of the corners of a board, robustly; none if there are no corners.
+    pub fn fit(corners: &[Pinholes], middle_px: Vector2<f64>) -> Self {
+        let scale = Normalised { middle_px, size_px: middle_px.norm() };
+        let none = Self { scale, coefficients: SVector::zeros() };
+        numerics::fit(&Corners { corners, scale }, None, ROUNDS, &OUTLIERS)
+            .map_or(none, |fitted| fitted.model)
+    }
+
+    /// How a small step from a place in the image of the homography shows.
+    pub fn jacobian(&self, place: &Vector2<f64>) -> Matrix2<f64> {
+        let step = STEP * self.scale.size_px;
+        let columns = [Vector2::x(), Vector2::y()].map(|axis| {
+            let side = |sign: f64| self.at(&(place + axis * (sign * step)));
+            axis + (side(0.5) - side(-0.5)) / step
+        });
+        Matrix2::from_columns(&columns)
+    }
+
+    /// How far a pinhole image lies from where the homography puts it, px.
+    fn at(&self, place: &Vector2<f64>) -> Vector2<f64> {
+        self.scale.terms(place).map(|terms| terms.dot(&self.coefficients)).into()
+    }
+}
+
+impl Normalised {
+    /// The terms at a place, along u and v.
+    fn terms(&self, place: &Vector2<f64>) -> [SVector<f64, TERMS>; 2] {
+        let p = (place - self.middle_px) / self.size_px;
+        let (r2, xy) = (p.norm_squared(), p.x * p.y);
+        let (x2, y2) = (p.x * p.x, p.y * p.y);
+        let along_u = [
+            p.x * r2,
+            p.x * r2 * r2,
+            r2 + 2.0 * x2,
+            2.0 * xy,
+            1.0,
+            p.x,
+            p.y,
+            0.0,
+            0.0,
+            0.0,
+            x2,
+            xy,
+        ];
+        let along_v = [
+            p.y * r2,
+            p.y * r2 * r2,
+            2.0 * xy,
+            r2 + 2.0 * y2,
+            0.0,
+            0.0,
+            0.0,
+            1.0,
+            p.x,
+            p.y,
+            xy,
+            y2,
+        ];
+        [along_u, along_v].map(SVector::from)
+    }
+}
+
+struct Corners<'a> {
+    corners: &'a [Pinholes],
+    scale: Normalised,
+}
+
+impl Reweighted for Corners<'_> {
+    type Model = Distortion;
+
+    fn count(&self) -> usize {
+        self.corners.len()
+    }
+
+    fn solve(&self, weights: &[f64], _: Option<&Distortion>) -> Option<Distortion> {
+        let mut equations = NormalEquations::<f64, TERMS, 1>::new();
+        for i in 0..TERMS {
+            equations.add(&SVector::ith(i, 1.0), &Vector1::zeros(), HELD);
+        }
+        for ((homography, seen), weight) in self.corners.iter().zip(weights) {
+            let terms = self.scale.terms(homography);
+            for (terms, off) in terms.iter().zip((seen - homography).iter()) {
+                equations.add(terms, &Vector1::new(*off), *weight);
+            }
+        }
+        let coefficients = equations.solve()?;
+        Some(Distortion { scale: self.scale, coefficients })
+    }
+
+    fn length(&self, model: &Distortion, datum: usize) -> f64 {
+        let (homography, seen) = &self.corners[datum];
+        (seen - homography - model.at(homography)).norm()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MIDDLE: Vector2<f64> = Vector2::new(500.0, 375.0);
+
+    /// A distorting lens: 3 % at the corner of the image.
+    fn distorted(place: &Vector2<f64>) -> Vector2<f64> {
+        let p = (place - MIDDLE) / MIDDLE.norm();
+        place - p * (0.03 * p.norm_squared() * MIDDLE.norm()) + Vector2::new(p.x * p.y, 0.0) * 2.0
+    }
+
+    fn board(count: i32) -> Vec<Pinholes> {
+        (0..count)
+            .map(|i| {
+                Vector2::new(f64::from(i % 8), f64::from(i / 8)) * 95.0 + Vector2::new(140.0, 160.0)
+            })
+            .map(|place| (place, distorted(&place)))
+            .collect()
+    }
+
+    #[test]
+    fn squares_are_sheared_as_they_show() {
+        let mut corners = board(40);
+        // One that is labelled wrongly.
+        corners[13].1.x += 30.0;
+        let found = Distortion::fit(&corners, MIDDLE);
+        for place in [Vector2::new(180.0, 200.0), Vector2::new(700.0, 460.0), MIDDLE] {
+            let step = |axis: Vector2<f64>| distorted(&(place + axis)) - distorted(&(place - axis));
+            let expected = Matrix2::from_columns(&[step(Vector2::x()), step(Vector2::y())]) / 2.0;
+            let off = (found.jacobian(&place) - expected).amax();
+            assert!(off < 1e-3, "{off} at {place}");
+            assert!((expected - Matrix2::identity()).amax() > 3e-3, "{expected}");
+        }
+    }
+
+    #[test]
+    fn few_corners_shear_nothing() {
+        let found = Distortion::fit(&board(2), MIDDLE);
+        assert!((found.jacobian(&MIDDLE) - Matrix2::identity()).amax() < 0.03);
+        let none = Distortion::fit(&[], MIDDLE);
+        assert_eq!(none.jacobian(&MIDDLE), Matrix2::identity());
+    }
+}
