@@ -239,6 +239,10 @@ TEST(Projection, CurvedFieldMovesImagesTowardsTheLens) {
   EXPECT_NEAR(image.x, -0.6, kRounding);
   EXPECT_NEAR(image.y, -0.3, kRounding);
   EXPECT_NEAR(image.z, -59.82, kRounding);
+  // |m| is 0.2: 0.4 + 0.5 * 0.2 = 0.5.
+  lens.field_curvature_growth = 0.5;
+  ASSERT_TRUE(main_lens_image(lens, {3.0, 1.5, 300.0}, &image));
+  EXPECT_NEAR(image.z, -59.775, kRounding);
 }
 
 TEST(Projection, IndicesGrowWithThePixels) {

@@ -185,10 +185,11 @@ TEST(Refine, ExitPupilAndFieldCurvatureAreRecovered) {
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
   expect_recovered(free, truth);
   // A pupil in the lens cannot fit this, nor can a flat field.
-  for (auto* at_zero : {"e_z", "kappa"}) {
+  for (const std::string at_zero : {"e_z", "kappa", "kappa_m"}) {
     Scene other = truth;
-    (at_zero == std::string("e_z") ? other.camera.exit_pupil.z
-                                   : other.camera.main_lens.field_curvature) = 0.0;
+    for_each_parameter(other.camera, [&](const std::string& name, double& parameter) {
+      if (name == at_zero) parameter = 0.0;
+    });
     const Refinement paper =
         refine(other.camera, other.poses, other.observations, test::paper(), {});
     EXPECT_GT(paper.cost, 1e-3) << at_zero;

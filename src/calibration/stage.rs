@@ -156,6 +156,8 @@ fn start_camera(
     lens.exit_pupil_mm.z = options.exit_pupil_mm.unwrap_or(lens.exit_pupil_mm.z);
     lens.field_curvature_per_mm =
         options.field_curvature_per_mm.unwrap_or(lens.field_curvature_per_mm);
+    lens.field_curvature_growth_per_mm =
+        options.field_curvature_growth_per_mm.unwrap_or(lens.field_curvature_growth_per_mm);
     camera.validate()?;
     Ok(camera)
 }

@@ -28,6 +28,8 @@ pub struct MicroImages {
     middle: Vector2<f64>,
     /// The fall-off of light.
     fall_off: FallOff,
+    /// The part of H that pixels add to cos⁴, px⁻².
+    of_pixels_per_px2: f64,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
     /// Vignetting by lens type and by growth of d: as it is, with another pupil, and with another q'ᵢ.
@@ -180,6 +182,7 @@ impl MicroImages {
             first_step: -last_step,
             q_prime_px,
             middle,
+            of_pixels_per_px2: (fall_off.within_per_px2 - 4.0 / mla_to_sensor_px.powi(2)).max(0.0),
             fall_off,
             growth_per_px,
         })
@@ -250,8 +253,8 @@ impl MicroImages {
             obliquity: Obliquity {
                 gradient_per_px: self.fall_off.gradient(place),
                 within_per_px2: self.fall_off.within_per_px2,
+                of_pixels_per_px2: self.of_pixels_per_px2,
                 half_pitch_px: self.grid.pitch_px / 2.0,
-                ..Obliquity::default()
             },
             growth,
         }

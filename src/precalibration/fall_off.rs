@@ -18,6 +18,7 @@ use super::stage::PrecalibrationOptions;
 use crate::image::Grey;
 use crate::model::{FallOff, InternalParameters, Lean};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
+use crate::vignetting::Obliquity;
 
 /// g follows from light up to this distance from the centre, in pitches: beyond, neighbours may begin.
 const REACH: f64 = 0.46;
@@ -100,17 +101,19 @@ impl Light {
     }
 
     /// The fall-off that the images show, or else that of cos⁴ with a warning. Light changes by what depends a
-    /// little on its `strength`, how it falls off over cos⁴, as far as that is known.
+    /// little on its `strength`, how it falls off over cos⁴, and on the `law` inside micro-images, as far as they are
+    /// known.
     pub fn fall_off(
         &self,
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
         strength: f64,
+        law: &Obliquity,
     ) -> Measured {
         let (lens_to_sensor_px, mla_to_sensor_px) = options.distances_px(internal.m_mm);
         let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, self.middle);
         let known = |fall_off: &FallOff| fall_off.std_dev_per_px2 < KNOWN * cos4.growth_per_px2;
-        let (gradients, within) = self.measured(internal, options, strength);
+        let (gradients, within) = self.measured(internal, options, strength, law);
         let growths = |group: &Vec<Gradient>| group.iter().map(|g| g.growth).collect();
         let growths: Vec<Vec<Growth>> = gradients.iter().map(growths).collect();
         let lean = lean(&growths, &self.middle);
@@ -152,13 +155,14 @@ impl Light {
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
         strength: f64,
+        law: &Obliquity,
     ) -> (Vec<Vec<Gradient>>, Vec<(f64, f64)>) {
         let (mut gradients, mut within) = (Vec::new(), Vec::new());
         for (f_number, types) in &self.of_images {
             let levers = Levers::new(internal, *f_number, self.seen_pitch_px, options);
             for (lens_type, alike) in types.iter().enumerate() {
                 let lever = |r| levers.lever(lens_type, r, strength);
-                let light = |r| levers.light_and_growth(lens_type, r, strength);
+                let light = |r| levers.light_and_growth(lens_type, r, law);
                 gradients.push(alike.gradients(self.reach_px, lever, light));
                 within.extend(alike.within(levers.plateau(lens_type)));
             }

@@ -4,7 +4,7 @@
 use super::profile::PIXEL;
 use super::stage::PrecalibrationOptions;
 use crate::model::InternalParameters;
-use crate::vignetting::{overlap, overlap_area};
+use crate::vignetting::{Obliquity, overlap, overlap_area};
 
 /// What a pixel, and a point spread, take from the plateau of a micro-image, px.
 const PLATEAU_MARGIN_PX: f64 = 1.2;
@@ -90,7 +90,8 @@ impl Levers {
 
     /// The light at distance r, and how it changes where d grows, over its relative growth; both over the light in
     /// the middle. a and qᵢ + ΔC/2 grow in proportion, the micro-lens stays, and light arrives less obliquely.
-    pub fn light_and_growth(&self, lens_type: usize, r: f64, strength: f64) -> (f64, f64) {
+    /// `law` is how light falls off inside a micro-image.
+    pub fn light_and_growth(&self, lens_type: usize, r: f64, law: &Obliquity) -> (f64, f64) {
         let light = |r: f64, growth: f64| {
             let (a, q) = (self.pupil_px, self.q_px[lens_type]);
             let (a, q) = (a * (1.0 + growth), q + (q + self.lens_px) * growth);
@@ -101,10 +102,9 @@ impl Levers {
                 let s = distance_px + part.mean * q.signum() * self.lens_px;
                 let variances = part.along.powi(2) + part.across.powi(2);
                 let square = s * s + variances * (self.lens_px / 2.0).powi(2);
-                let distance = self.distance_px * (1.0 + growth);
                 let (outer, inner) = (a + size, (a - size).abs());
                 let area = overlap_area(distance_px, outer, inner) * (a.min(size) / size).powi(2);
-                weight * area * (1.0 + square / distance.powi(2)).powf(-2.0 * strength)
+                weight * area * law.light(square / (1.0 + growth).powi(2))
             };
             PIXEL.into_iter().map(of_pixel).sum::<f64>()
         };

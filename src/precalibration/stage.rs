@@ -124,7 +124,10 @@ pub fn precalibrate(
     let lines =
         samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?.parameters;
     let light = Light::read(&found, &samples, (reference.f_number, &grey));
-    let mut first = light.fall_off(&lines, options, 1.0);
+    let (lens_to_sensor_px, mla_to_sensor_px) = options.distances_px(lines.m_mm);
+    let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, Vector2::zeros());
+    let law = in_the_middle(&cos4, &lines, seen_pitch_px, options);
+    let mut first = light.fall_off(&lines, options, 1.0, &law);
     // Straight lines are near enough to begin with.
     let within = first.fall_off.within_per_px2;
     let discs = samples.discs(&by_profile, &lines, within, seen_pitch_px);
@@ -140,7 +143,7 @@ pub fn precalibrate(
     let oblique = internal_of(&by_profile)?;
     // Again with the discs as they are.
     let Measured { mut fall_off, strength, lean, warning: unknown_fall_off } =
-        light.fall_off(&oblique.parameters, options, first.strength);
+        light.fall_off(&oblique.parameters, options, first.strength, &obliquity);
     take_within(&mut fall_off, discs);
     let levers = Levers::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
     let moments = shift_moments(light.of_reference(), &levers, seen_pitch_px, strength);

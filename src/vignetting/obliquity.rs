@@ -67,11 +67,13 @@ impl Slant {
     /// Where points that stand for equal areas go in order to stand for equal light: the gradient field u with
     /// div u = g·w + h (|w|² − ½) that does not cross the rim. To the first order of g and h.
     ///
-    /// The mean moves by −g/4: `mean_square` is that of the points along an axis, which is less than the ¼ of
+    /// The mean moves by −g/4 (1 − h/6): `mean_square` is that of the points along an axis, which is less than the ¼ of
     /// the disc.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn field(&self, mean_square: f64) -> impl Fn(&Vector2<f32>) -> Vector2<f32> {
-        let whole = 0.25 / (0.375 - mean_square / 2.0);
+        // The light that the curvature leaves comes from a smaller disc.
+        let smaller = 1.0 - self.curvature / 6.0;
+        let whole = 0.25 / (0.375 - mean_square / 2.0) * smaller;
         let g = Vector2::from(self.gradient.map(|g| (g * whole) as f32));
         let h = self.curvature as f32;
         move |w| {
