@@ -67,7 +67,8 @@ pub fn calibrate(
         Problem { camera: &initial, poses: &poses, features: &features, centers: &centers };
     let anchors = anchors(&start, options);
     let cost = cost_for(options, &initial, &observations, &anchors);
-    let common = common_errors(&start, &initial, &frames.features, &cost, options)?;
+    let all = (frames.features.as_slice(), observations.centers.as_slice());
+    let common = common_errors(&start, &initial, all, &cost, options)?;
     let settings = Settings { board, frames: &frames, options, common };
     let Refined { refinement, uncertainty, cost } = settings.refine(&problem, cost, progress)?;
 

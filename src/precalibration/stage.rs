@@ -17,7 +17,9 @@ use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
 use crate::image::RawImage;
-use crate::model::{Configuration, Datasheet, FallOff, InternalParameters, optics, positive};
+use crate::model::{
+    Configuration, Datasheet, FallOff, InternalParameters, growth_per_px, optics, positive,
+};
 use crate::vignetting::Obliquity;
 
 /// A white image.
@@ -127,7 +129,7 @@ pub fn precalibrate(
     let (lens_to_sensor_px, mla_to_sensor_px) = options.distances_px(lines.m_mm);
     let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, Vector2::zeros());
     let law = in_the_middle(&cos4, &lines, seen_pitch_px, options);
-    let mut first = light.fall_off(&lines, options, 1.0, &law);
+    let mut first = light.fall_off(&lines, options, &law);
     // Straight lines are near enough to begin with.
     let within = first.fall_off.within_per_px2;
     let discs = samples.discs(&by_profile, &lines, within, seen_pitch_px);
@@ -142,12 +144,14 @@ pub fn precalibrate(
         samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
     let oblique = internal_of(&by_profile)?;
     // Again with the discs as they are.
-    let Measured { mut fall_off, strength, lean, warning: unknown_fall_off } =
-        light.fall_off(&oblique.parameters, options, first.strength, &obliquity);
+    let Measured { mut fall_off, lean, warning: unknown_fall_off } =
+        light.fall_off(&oblique.parameters, options, &obliquity);
     take_within(&mut fall_off, discs);
     let levers = Levers::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
-    let moments = shift_moments(light.of_reference(), &levers, seen_pitch_px, strength);
-    let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments)?;
+    let moments = shift_moments(light.of_reference(), &levers, seen_pitch_px, &obliquity);
+    let perspective = found.array.grid.perspective_per_px;
+    let growth = growth_per_px(lean.as_ref(), &perspective, levers.lens_to_sensor);
+    let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments, &growth)?;
 
     let (by_type, discs) = match options.estimator {
         RadiusEstimator::Profile => (by_profile, discs),
@@ -193,13 +197,7 @@ fn in_the_middle(
     options: &PrecalibrationOptions,
 ) -> Obliquity {
     let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
-    let cos4 = 4.0 / mla_to_sensor_px.powi(2);
-    Obliquity {
-        gradient_per_px: Vector2::zeros(),
-        within_per_px2: fall_off.within_per_px2,
-        of_pixels_per_px2: (fall_off.within_per_px2 - cos4).max(0.0),
-        half_pitch_px: pitch_px / 2.0,
-    }
+    Obliquity::in_the_middle(fall_off.within_per_px2, mla_to_sensor_px, pitch_px / 2.0)
 }
 
 impl Precalibration {

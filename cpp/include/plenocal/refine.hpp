@@ -201,6 +201,7 @@ struct Uncertainty {
 /// deviation of it.
 struct CommonError {
   std::vector<Feature<double>> features;  ///< by how much each feature moves, px
+  std::vector<Pixel<double>> centers;     ///< by how much each centre moves, px; empty for none
   /// By how much the value of each anchor moves, in its sigma; empty for none.
   std::vector<double> anchors;
 };
