@@ -168,7 +168,7 @@ impl MicroImages {
             };
             q_prime_px.iter().map(of_type).collect()
         };
-        let other = 1.0 + OTHERWISE;
+        let (other, within) = (1.0 + OTHERWISE, fall_off.within_per_px2);
         Ok(Self {
             grid: *grid,
             configuration: sheet.configuration,
@@ -178,11 +178,7 @@ impl MicroImages {
             first_step: -last_step,
             q_prime_px,
             middle,
-            in_the_middle: Obliquity::in_the_middle(
-                fall_off.within_per_px2,
-                mla_to_sensor_px,
-                grid.pitch_px / 2.0,
-            ),
+            in_the_middle: Obliquity::in_the_middle(within, mla_to_sensor_px, grid.pitch_px / 2.0),
             fall_off,
             growth_per_px,
         })

@@ -3,9 +3,10 @@
 
 use nalgebra::Vector2;
 
+use super::grid::MicroImageArray;
 use super::profile::PIXEL;
 use super::stage::PrecalibrationOptions;
-use crate::model::InternalParameters;
+use crate::model::{InternalParameters, Lean, growth_per_px};
 use crate::vignetting::Obliquity;
 
 /// What a pixel, and a point spread, take from the plateau of a micro-image, px.
@@ -27,7 +28,7 @@ pub(super) struct Levers {
     /// ΔC/2, the radius of a micro-lens, px.
     lens_px: f64,
     /// (D + d)/d.
-    pub lens_to_sensor: f64,
+    lens_to_sensor: f64,
 }
 
 impl Levers {
@@ -48,6 +49,11 @@ impl Levers {
             lens_px: pitch_px / 2.0 * (1.0 - distance_px / lens_to_sensor_px),
             lens_to_sensor: lens_to_sensor_px / distance_px,
         }
+    }
+
+    /// How d grows over the image, px⁻¹.
+    pub fn growth_per_px(&self, lean: Option<&Lean>, grid: &MicroImageArray) -> Vector2<f64> {
+        growth_per_px(lean, &grid.perspective_per_px, self.lens_to_sensor)
     }
 
     /// Radii a and b of the discs of pupil and blur, px.

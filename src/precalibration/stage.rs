@@ -1,6 +1,5 @@
 //! The pre-calibration as one stage: from white images to the array and the internal parameters.
 
-use nalgebra::Vector2;
 use tracing::{debug, info};
 
 use super::array::{ArrayMeasurement, found_array};
@@ -17,9 +16,7 @@ use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
 use crate::image::RawImage;
-use crate::model::{
-    Configuration, Datasheet, FallOff, InternalParameters, growth_per_px, optics, positive,
-};
+use crate::model::{Configuration, Datasheet, FallOff, InternalParameters, optics, positive};
 use crate::vignetting::Obliquity;
 
 /// A white image.
@@ -126,16 +123,14 @@ pub fn precalibrate(
     let lines =
         samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?.parameters;
     let light = Light::read(&found, &samples, (reference.f_number, &grey));
-    let (lens_to_sensor_px, mla_to_sensor_px) = options.distances_px(lines.m_mm);
-    let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, Vector2::zeros());
-    let law = in_the_middle(&cos4, &lines, seen_pitch_px, options);
-    let mut first = light.fall_off(&lines, options, &law);
+    let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
+    let mut first = light.fall_off(&lines, options, &cos4);
     // Straight lines are near enough to begin with.
     let within = first.fall_off.within_per_px2;
     let discs = samples.discs(&by_profile, &lines, within, seen_pitch_px);
     let discs = discs.as_ref();
     take_within(&mut first.fall_off, discs);
-    let obliquity = in_the_middle(&first.fall_off, &lines, seen_pitch_px, options);
+    let obliquity = in_the_middle(Some(&first.fall_off), &lines, seen_pitch_px, options);
     let internal_of = |by_type: &[Vec<TypeRadius>]| {
         let mut radii = samples.measurements(by_type);
         samples.internal(discs, &mut radii, by_type, seen_pitch_px)
@@ -149,8 +144,7 @@ pub fn precalibrate(
     take_within(&mut fall_off, discs);
     let levers = Levers::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
     let moments = shift_moments(light.of_reference(), &levers, seen_pitch_px, &obliquity);
-    let perspective = found.array.grid.perspective_per_px;
-    let growth = growth_per_px(lean.as_ref(), &perspective, levers.lens_to_sensor);
+    let growth = levers.growth_per_px(lean.as_ref(), &found.array.grid);
     let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments, &growth)?;
 
     let (by_type, discs) = match options.estimator {
@@ -189,15 +183,17 @@ fn take_within(fall_off: &mut FallOff, discs: Option<&Discs>) {
     }
 }
 
-/// The fall-off in the middle of the image, where radii are measured.
+/// The fall-off in the middle of the image, where radii are measured; that of cos⁴ if it is not known.
 fn in_the_middle(
-    fall_off: &FallOff,
+    fall_off: Option<&FallOff>,
     internal: &InternalParameters,
     pitch_px: f64,
     options: &PrecalibrationOptions,
 ) -> Obliquity {
     let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
-    Obliquity::in_the_middle(fall_off.within_per_px2, mla_to_sensor_px, pitch_px / 2.0)
+    let cos4 = 4.0 / mla_to_sensor_px.powi(2);
+    let within = fall_off.map_or(cos4, |fall_off| fall_off.within_per_px2);
+    Obliquity::in_the_middle(within, mla_to_sensor_px, pitch_px / 2.0)
 }
 
 impl Precalibration {

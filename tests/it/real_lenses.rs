@@ -153,7 +153,9 @@ fn a_camera_that_runs_away_has_not_converged() {
     let few = simulate(&settings, None, &(), &mut |_, _, _| Ok(())).unwrap();
     let start = Start::Datasheet(settings.datasheet(), few.truth.internal);
     let board = settings.target.board();
-    let result = calibrate(&start, &board, &few.observed, &free(), &mut |_| true);
+    let mut constant = free();
+    constant.cost.fixed.push("kappa_m".to_owned());
+    let result = calibrate(&start, &board, &few.observed, &constant, &mut |_| true);
     assert!(!result.unwrap().converged);
     let result = calibrate(&start, &board, &few.observed, &anchored(), &mut |_| true);
     assert!(result.unwrap().converged);
