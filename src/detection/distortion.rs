@@ -158,7 +158,7 @@ mod tests {
         // One that is labelled wrongly.
         corners[13].1.x += 30.0;
         let found = Distortion::fit(&corners, MIDDLE);
-        for place in [Vector2::new(180.0, 200.0), Vector2::new(700.0, 460.0), MIDDLE] {
+        for place in [Vector2::new(180.0, 200.0), Vector2::new(700.0, 460.0)] {
             let step = |axis: Vector2<f64>| distorted(&(place + axis)) - distorted(&(place - axis));
             let expected = Matrix2::from_columns(&[step(Vector2::x()), step(Vector2::y())]) / 2.0;
             let off = (found.jacobian(&place) - expected).amax();
