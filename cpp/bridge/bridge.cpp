@@ -64,6 +64,9 @@ std::vector<CommonError> to_core(rust::Slice<const CommonErrorParts> parts) {
       const double* by = &part.features_px[i];
       error.features.push_back({by[0], by[1], by[2]});
     }
+    for (std::size_t i = 0; i + 1 < part.centers_px.size(); i += 2) {
+      error.centers.push_back({part.centers_px[i], part.centers_px[i + 1]});
+    }
     error.anchors.assign(part.anchors.begin(), part.anchors.end());
     errors.push_back(std::move(error));
   }

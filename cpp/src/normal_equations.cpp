@@ -42,8 +42,8 @@ class Accumulator {
     equations_.gradient.setZero(size);
     equations_.patches.assign(kPatches, zero_group(intrinsics));
     equations_.corners.resize(frames);
-    equations_.by_common_features.setZero(size, static_cast<Eigen::Index>(common.size()));
-    equations_.by_common_anchors = equations_.by_common_features;
+    equations_.by_common_observations.setZero(size, static_cast<Eigen::Index>(common.size()));
+    equations_.by_common_anchors = equations_.by_common_observations;
     equations_.anchors.setZero(anchors, intrinsics);
   }
 
@@ -58,6 +58,8 @@ class Accumulator {
         add_rows(block.jacobian.row(i), block.residuals.segment<1>(i),
                  row.kind == kCenter ? &equations_.patches[row.group] : &anchors_);
         if (row.kind == kAnchor) add_anchor(block.jacobian.row(i), row);
+        // u comes before v.
+        if (row.kind == kCenter) add_center(block.jacobian.row(i), row, i % 2 == 0);
       }
     }
     for (int i = 0; i < n; ++i) {
@@ -142,15 +144,24 @@ class Accumulator {
       Eigen::VectorXd moved(n);
       for (int i = 0; i < n; ++i) {
         const RowOrigin& row = rows[block.first_row + i];
-        const Feature<double>& by = common_[k].features[row.feature];
+        const Feature<double>& by = common_[k].features[row.observation];
         // u comes before v.
-        const bool is_u = i == 0 || rows[block.first_row + i - 1].feature != row.feature;
+        const bool is_u = i == 0 || rows[block.first_row + i - 1].observation != row.observation;
         moved[i] = (row.kind == kRho ? by.rho : is_u ? by.u : by.v) / row.std_dev;
       }
       const Eigen::VectorXd change = block.jacobian.transpose() * moved;
-      auto sum = equations_.by_common_features.col(static_cast<Eigen::Index>(k));
+      auto sum = equations_.by_common_observations.col(static_cast<Eigen::Index>(k));
       sum.head(p) += change.head(p);
       sum.segment<Pose::kSize>(pose) += change.tail<Pose::kSize>();
+    }
+  }
+
+  void add_center(const Eigen::RowVectorXd& jacobian, const RowOrigin& row, bool is_u) {
+    for (std::size_t k = 0; k < common_.size(); ++k) {
+      if (common_[k].centers.empty()) continue;
+      const Pixel<double>& by = common_[k].centers[row.observation];
+      equations_.by_common_observations.col(static_cast<Eigen::Index>(k))
+          .head(equations_.intrinsics) += (is_u ? by.u : by.v) / row.std_dev * jacobian.transpose();
     }
   }
 

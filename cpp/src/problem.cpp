@@ -141,7 +141,8 @@ void CalibrationProblem::add_centers(const Observations& observations, const Cos
       const CenterObservation& o = centers[i];
       const double std_dev = o.std_dev * options.centers_std_dev;
       weighted.push_back({frame_.lattice.node(o.k, o.l), o.observed, 1.0 / std_dev});
-      rows_.insert(rows_.end(), 2, {kCenter, patches.of(o.observed), -1, std_dev});
+      rows_.insert(rows_.end(), 2,
+                   {kCenter, patches.of(o.observed), -1, std_dev, static_cast<int>(i)});
     }
     auto cost =
         CenterResiduals::create(std::move(weighted), frame_.pixel_size, options.centers_loss);

@@ -21,10 +21,10 @@ constexpr int kResidualKinds = 4;
 /// Where a residual row comes from: what it shares its errors with.
 struct RowOrigin {
   ResidualKind kind;
-  int group;         ///< frame of a feature; patch of a centre, see `kPatches`; index of an anchor
-  int corner;        ///< of a feature: counts all corners of all frames; else -1
-  double std_dev;    ///< of the cost: px, or the unit of the anchored quantity
-  int feature = -1;  ///< index of the observation; -1 if it is not a feature
+  int group;       ///< frame of a feature; patch of a centre, see `kPatches`; index of an anchor
+  int corner;      ///< of a feature: counts all corners of all frames; else -1
+  double std_dev;  ///< of the cost: px, or the unit of the anchored quantity
+  int observation = -1;  ///< index among features or among centres; -1 of an anchor
 };
 
 /// Centres share errors with their neighbours: groups of them are patches of the image, so many

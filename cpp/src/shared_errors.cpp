@@ -112,8 +112,8 @@ MatrixXd left_out_changes(const std::vector<Group>& frames, const Curvature& cur
 
 MatrixXd common_changes(const NormalEquations& equations, const MatrixXd& inverse,
                         double anchor_weight) {
-  return inverse *
-         (equations.by_common_features + std::sqrt(anchor_weight) * equations.by_common_anchors);
+  return inverse * (equations.by_common_observations +
+                    std::sqrt(anchor_weight) * equations.by_common_anchors);
 }
 
 MatrixXd common_covariance(const NormalEquations& equations, const MatrixXd& inverse,

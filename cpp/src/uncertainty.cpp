@@ -53,20 +53,24 @@ void add_weakest(const ScaledInverse& inverse, const MatrixXd& covariance, Uncer
   }
 }
 
-void require_common(const std::vector<CommonError>& common, std::size_t features,
+void require_common(const std::vector<CommonError>& common, const Observations& observations,
                     std::size_t anchors) {
   for (const CommonError& error : common) {
-    if (error.features.size() != features ||
+    if (error.features.size() != observations.features.size() ||
+        (!error.centers.empty() && error.centers.size() != observations.centers.size()) ||
         (!error.anchors.empty() && error.anchors.size() != anchors)) {
-      throw std::invalid_argument("a common error is not of these features and anchors");
+      throw std::invalid_argument("a common error is not of these observations and anchors");
     }
     const bool features_finite =
         std::all_of(error.features.begin(), error.features.end(), [](const Feature<double>& by) {
           return std::isfinite(by.u) && std::isfinite(by.v) && std::isfinite(by.rho);
         });
+    const bool centers_finite = std::all_of(
+        error.centers.begin(), error.centers.end(),
+        [](const Pixel<double>& by) { return std::isfinite(by.u) && std::isfinite(by.v); });
     const bool anchors_finite = std::all_of(error.anchors.begin(), error.anchors.end(),
                                             [](double by) { return std::isfinite(by); });
-    if (!features_finite || !anchors_finite) {
+    if (!features_finite || !centers_finite || !anchors_finite) {
       throw std::invalid_argument("a common error is not finite");
     }
   }
@@ -77,7 +81,7 @@ void require_common(const std::vector<CommonError>& common, std::size_t features
 Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const Observations& observations, const CostOptions& cost_options,
                         const std::vector<CommonError>& common) {
-  require_common(common, observations.features.size(), cost_options.anchors.size());
+  require_common(common, observations, cost_options.anchors.size());
   CalibrationProblem calibration(camera, poses, observations, cost_options);
   const NormalEquations equations = normal_equations(calibration, common);
 

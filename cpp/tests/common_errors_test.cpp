@@ -28,6 +28,9 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
   for (const FeatureObservation& o : scene.observations.features) {
     error.features.push_back({kStep * (o.k - 20), kStep * o.frame, kStep});
   }
+  for (const CenterObservation& o : scene.observations.centers) {
+    error.centers.push_back({kStep * o.k, -kStep * o.l});
+  }
   error.anchors = {kStep};
   const Uncertainty without = uncertainty(scene.camera, scene.poses, scene.observations, options);
   const Uncertainty u =
@@ -39,6 +42,10 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
     observed.u += error.features[i].u;
     observed.v += error.features[i].v;
     observed.rho += error.features[i].rho;
+  }
+  for (std::size_t i = 0; i < error.centers.size(); ++i) {
+    moved.observations.centers[i].observed.u += error.centers[i].u;
+    moved.observations.centers[i].observed.v += error.centers[i].v;
   }
   CostOptions moved_options = options;
   moved_options.anchors[0].value += error.anchors[0] * options.anchors[0].std_dev;
@@ -55,7 +62,7 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
               without.independent_covariance[at] + 0.9 * change * change - 1e-6 * std_dev * std_dev)
         << index;
   }
-  error.features.pop_back();
+  error.centers.pop_back();
   expect_names(rejection([&] {
                  uncertainty(scene.camera, scene.poses, scene.observations, options, {error});
                }),

@@ -211,7 +211,7 @@ TEST(PointSensitivity, RhoOfPinholesNeedsNoStdDev) {
 void expect_undetermined(const PointSensitivity& s, int micro_lenses) {
   const auto is_nan = [](double value) { return std::isnan(value); };
   EXPECT_EQ(s.micro_lenses, micro_lenses);
-  EXPECT_EQ(s.by_intrinsics.size(), 3 * 22);
+  EXPECT_EQ(s.by_intrinsics.size(), 3 * 23);
   EXPECT_TRUE(std::all_of(s.by_intrinsics.begin(), s.by_intrinsics.end(), is_nan));
   EXPECT_TRUE(std::all_of(s.covariance.begin(), s.covariance.end(), is_nan));
 }

@@ -152,7 +152,7 @@ TEST(Projection, DistortionMovesTheImageOfTheMainLens) {
   //    = -0.3014988375 - 0.00126 + 0.00108 = -0.3016788375
   // The micro-lens in the middle halves them.
   Camera camera = simple_camera();
-  camera.main_lens = {50.0, {0.01, 0.002, 0.001}, {0.003, -0.002}, 0.0};
+  camera.main_lens = {50.0, {0.01, 0.002, 0.001}, {0.003, -0.002}, 0.0, 0.0};
   expect_feature(seen(camera, at_distance(300), {3, 1.5, 0}, 2, 2), 130.01038375, 95.083941875, 0);
 }
 
@@ -239,6 +239,10 @@ TEST(Projection, CurvedFieldMovesImagesTowardsTheLens) {
   EXPECT_NEAR(image.x, -0.6, kRounding);
   EXPECT_NEAR(image.y, -0.3, kRounding);
   EXPECT_NEAR(image.z, -59.82, kRounding);
+  // |m| is 0.2: 0.4 + 0.5 * 0.2 = 0.5.
+  lens.field_curvature_growth = 0.5;
+  ASSERT_TRUE(main_lens_image(lens, {3.0, 1.5, 300.0}, &image));
+  EXPECT_NEAR(image.z, -59.775, kRounding);
 }
 
 TEST(Projection, IndicesGrowWithThePixels) {

@@ -266,6 +266,7 @@ TEST(Curvature, IsTheTrueOneWhereOnlyAnAnchorMakesItAMinimum) {
   Scene scene = test::make_scene(3);
   // Off the axis of a curved field the pattern bends other weak directions too.
   scene.camera.main_lens.field_curvature = 0.0;
+  scene.camera.main_lens.field_curvature_growth = 0.0;
   scene.camera.exit_pupil = {};
   scene.observations = test::observe(scene.camera, scene.poses);
   const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, paper());

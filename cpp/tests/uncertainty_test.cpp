@@ -114,7 +114,7 @@ Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options)
         {{lattice.node(o.k, o.l), o.observed, 1.0 / options.centers_std_dev}}, s, {});
     problem.AddResidualBlock(cost.release(), nullptr, pupil.data(), array.data());
   }
-  problem.SetManifold(lens.data(), new ceres::SubsetManifold(7, {6}));     // kappa fixed
+  problem.SetManifold(lens.data(), new ceres::SubsetManifold(8, {6, 7}));  // a flat field
   problem.SetManifold(array.data(), new ceres::SubsetManifold(11, {10}));  // dC_ratio fixed
   problem.SetParameterBlockConstant(pupil.data());
 
@@ -242,6 +242,7 @@ Scene fronto_parallel() {
   Scene scene{test::scene_camera(3), {{{0.0, 0.0, 0.0}, {0.1, -0.2, 300.0}}}, {}};
   scene.camera.mla.rotation = {0.0, 0.0, 0.0};
   scene.camera.main_lens.field_curvature = 0.0;
+  scene.camera.main_lens.field_curvature_growth = 0.0;
   scene.observations = test::observe(scene.camera, scene.poses);
   test::add_noise(0.1, 0.05, 0.02, 31, &scene.observations);
   return scene;

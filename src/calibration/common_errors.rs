@@ -3,21 +3,27 @@
 //! Where a corner is found depends a little on the pupil of the main lens, on q'ᵢ, on how light falls off inside a
 //! micro-image, and on how the array leans. All features share the errors of these, and no scatter shows them.
 
+use nalgebra::Vector2;
+
 use crate::calibration::anchors::{LEAN, intercept_name};
 use crate::calibration::{CalibrationOptions, Mode, Start};
 use crate::error::Result;
-use crate::model::{BapFeature, InternalParameters, PlenopticCamera, TAKEN};
+use crate::model::{BapFeature, InternalParameters, MicroImageCenter, PlenopticCamera, TAKEN};
 use crate::solver::{self, CommonError, CostOptions};
 
 /// How well the model of a blurred corner keeps its distance from the centre of the micro-image, relative: it was
 /// compared with rays through pixels and micro-lenses (docs/detection.md).
 const BLUR_MODEL: f64 = 1e-3;
 
+/// How well it is known how far the fall-off shifts the centroids of micro-images, over its gradient, px²: on
+/// simulated cameras with any law to this.
+const CENTROID_MODEL_PX2: f64 = 0.07;
+
 /// The common errors of features, and of the anchors that have them too.
 pub(super) fn common_errors(
     start: &Start,
     camera: &PlenopticCamera,
-    features: &[BapFeature],
+    (features, centers): (&[BapFeature], &[MicroImageCenter]),
     cost: &CostOptions,
     options: &CalibrationOptions,
 ) -> Result<Vec<CommonError>> {
@@ -35,7 +41,8 @@ pub(super) fn common_errors(
         let features_px: Vec<[f64; 3]> =
             features.iter().enumerate().map(|(i, f)| by(i, f)).collect();
         if features_px.iter().flatten().any(|by| *by != 0.0) {
-            errors.push(CommonError { source: source.to_owned(), features_px, anchors });
+            let (source, centers_px) = (source.to_owned(), Vec::new());
+            errors.push(CommonError { source, features_px, centers_px, anchors });
         }
     };
     let [pupil, within] = relative_std_devs(internal);
@@ -57,24 +64,37 @@ pub(super) fn common_errors(
         let [u, v] = levers(f)[2];
         [u * within, v * within, 0.0]
     });
-    let centers = solver::project_centers(camera, features.iter().map(|f| (f.k, f.l)))?;
+    let own_centers = solver::project_centers(camera, features.iter().map(|f| (f.k, f.l)))?;
     if let Some(lean) = &internal.lean {
         let middle = camera.sensor.center_px();
         for (axis, name) in LEAN.into_iter().enumerate() {
             // Both discs grow with d.
             add(name, anchored(name), &|i, f| {
-                let growth = lean.std_dev_per_px[axis] * (centers[i][axis] - middle[axis]);
+                let growth = lean.std_dev_per_px[axis] * (own_centers[i][axis] - middle[axis]);
                 let [pupil, intercept, _] = levers(f);
                 [0, 1, 2].map(|c| if c < 2 { (pupil[c] + intercept[c]) * growth } else { 0.0 })
             });
         }
     }
     add("blur", Vec::new(), &|i, f| match f.levers_px {
-        Some(_) => {
-            [(f.u_px - centers[i][0]) * BLUR_MODEL, (f.v_px - centers[i][1]) * BLUR_MODEL, 0.0]
-        }
+        Some(_) => [
+            (f.u_px - own_centers[i][0]) * BLUR_MODEL,
+            (f.v_px - own_centers[i][1]) * BLUR_MODEL,
+            0.0,
+        ],
         None => [0.0; 3],
     });
+    if let Some(fall_off) = internal.fall_off.filter(|_| !centers.is_empty()) {
+        let moved = |c: &MicroImageCenter| {
+            (fall_off.gradient(&Vector2::new(c.u_px, c.v_px)) * CENTROID_MODEL_PX2).into()
+        };
+        errors.push(CommonError {
+            source: "centroids".to_owned(),
+            features_px: vec![[0.0; 3]; features.len()],
+            centers_px: centers.iter().map(moved).collect(),
+            anchors: Vec::new(),
+        });
+    }
     Ok(errors)
 }
 

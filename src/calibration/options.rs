@@ -69,6 +69,8 @@ pub struct CalibrationOptions {
     pub exit_pupil_mm: Option<f64>,
     /// κ to begin with, or to keep, mm⁻¹, likewise.
     pub field_curvature_per_mm: Option<f64>,
+    /// κ_m to begin with, or to keep, mm⁻¹, likewise.
+    pub field_curvature_growth_per_mm: Option<f64>,
     /// Its minimisation.
     pub solver: SolverOptions,
     /// Frames that are not used.
@@ -90,6 +92,7 @@ impl Default for CalibrationOptions {
             not_anchored: Vec::new(),
             exit_pupil_mm: None,
             field_curvature_per_mm: None,
+            field_curvature_growth_per_mm: None,
             solver: SolverOptions::default(),
             exclude_frames: Vec::new(),
         }
@@ -167,6 +170,7 @@ impl CalibrationOptions {
             default_anchors: false,
             exit_pupil_mm: Some(0.0),
             field_curvature_per_mm: Some(0.0),
+            field_curvature_growth_per_mm: Some(0.0),
             cost: CostOptions::default(),
             ..Self::default()
         }
@@ -179,6 +183,7 @@ impl CalibrationOptions {
             mode: Mode::PosesOnly,
             exit_pupil_mm: None,
             field_curvature_per_mm: None,
+            field_curvature_growth_per_mm: None,
             not_anchored: Vec::new(),
             cost: CostOptions { anchors: Vec::new(), ..self.cost.clone() },
             ..self.clone()
@@ -190,8 +195,9 @@ impl CalibrationOptions {
         if self.mode == Mode::PosesOnly && matches!(start, Start::Datasheet(..)) {
             return Err(Error::NotCalibrated);
         }
-        let places = [self.exit_pupil_mm, self.field_curvature_per_mm];
-        if self.mode == Mode::PosesOnly && places.iter().any(Option::is_some) {
+        let stated =
+            [self.exit_pupil_mm, self.field_curvature_per_mm, self.field_curvature_growth_per_mm];
+        if self.mode == Mode::PosesOnly && stated.iter().any(Option::is_some) {
             return Err(Error::invalid(
                 "the camera is fixed where only poses are estimated: leave out where its exit pupil is and \
                  whether its field is flat",

@@ -67,7 +67,8 @@ pub fn calibrate(
         Problem { camera: &initial, poses: &poses, features: &features, centers: &centers };
     let anchors = anchors(&start, options);
     let cost = cost_for(options, &initial, &observations, &anchors);
-    let common = common_errors(&start, &initial, &frames.features, &cost, options)?;
+    let all = (frames.features.as_slice(), observations.centers.as_slice());
+    let common = common_errors(&start, &initial, all, &cost, options)?;
     let settings = Settings { board, frames: &frames, options, common };
     let Refined { refinement, uncertainty, cost } = settings.refine(&problem, cost, progress)?;
 
@@ -156,6 +157,8 @@ fn start_camera(
     lens.exit_pupil_mm.z = options.exit_pupil_mm.unwrap_or(lens.exit_pupil_mm.z);
     lens.field_curvature_per_mm =
         options.field_curvature_per_mm.unwrap_or(lens.field_curvature_per_mm);
+    lens.field_curvature_growth_per_mm =
+        options.field_curvature_growth_per_mm.unwrap_or(lens.field_curvature_growth_per_mm);
     camera.validate()?;
     Ok(camera)
 }

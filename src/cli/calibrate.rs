@@ -77,7 +77,7 @@ pub struct Arguments {
     /// How images of a plane are curved [default: estimated].
     #[arg(long, value_parser = choice(FIELD_CURVATURES), help_heading = "Estimation")]
     field_curvature: Option<FieldCurvature>,
-    /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, kappa, e_z, u0, v0, d,
+    /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, kappa, kappa_m, e_z, u0, v0, d,
     /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3. (e_x and e_y are 0, and dC_ratio is fixed unless
     /// --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Estimation")]
@@ -246,7 +246,7 @@ pub(super) fn stage_results(
             Error::invalid("COMPOTE's intrinsics.js needs the micro-image centres")
         })?;
         let lens = &calibration.camera.main_lens;
-        if lens.exit_pupil_mm.norm() > 0.0 || lens.field_curvature_per_mm != 0.0 {
+        if lens.exit_pupil_mm.norm() > 0.0 || lens.has_curved_field() {
             say(
                 "warning: COMPOTE's files have neither an exit pupil nor a field curvature: what reads \
                  intrinsics.js gets another camera (--exit-pupil at-lens --field-curvature flat)",

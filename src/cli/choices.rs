@@ -28,7 +28,12 @@ pub const PITCHES: &[Choice<Pitches>] = &[
 ];
 
 pub const FIELD_CURVATURES: &[Choice<FieldCurvature>] = &[
-    ("estimated", "Images off the axis may be nearer to the lens", FieldCurvature::Estimated),
+    (
+        "estimated",
+        "Images off the axis may be nearer to the lens, by an amount that depends on the magnification",
+        FieldCurvature::Estimated,
+    ),
+    ("constant", "The same at all distances", FieldCurvature::Constant),
     ("flat", "None (the paper)", FieldCurvature::Flat),
 ];
 

@@ -63,10 +63,10 @@ impl<'a> Blur<'a> {
         let count = if self.blurs { POINTS } else { 1 };
         let pixels = patch.x.len();
         let mut points: Vec<[Vec<f32>; 5]> =
-            (0..count).map(|_| [(); 5].map(|()| Vec::with_capacity(pixels))).collect();
+            (0..count).map(|_| [(); 5].map(|()| vec![0.0; pixels])).collect();
         let rho = self.rho as f32;
         let mean_square = mean_square();
-        for (&x, &y) in patch.x.iter().zip(&patch.y) {
+        for (i, (&x, &y)) in patch.x.iter().zip(&patch.y).enumerate() {
             let offset = Vector2::new(f64::from(x), f64::from(y));
             let part = self.vignetting.at(&offset);
             // The mean square of a disc along an axis is a quarter; the points have less.
@@ -102,7 +102,7 @@ impl<'a> Blur<'a> {
                 let origin = sharp(&w) + bend.at(&pupil);
                 let own = [origin.x, origin.y, pupil.x, pupil.y, inverse_width];
                 for (all, own) in rays.iter_mut().zip(own) {
-                    all.push(own);
+                    all[i] = own;
                 }
             }
         }

@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 use crate::error::{Error, Result};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, MicroImageCenter,
-    ROW_DISTANCE, Sensor, check_centers, optics,
+    ROW_DISTANCE, Sensor, check_centers, growth_per_px, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::vignetting::{Obliquity, Vignetting};
@@ -28,6 +28,8 @@ pub struct MicroImages {
     middle: Vector2<f64>,
     /// The fall-off of light.
     fall_off: FallOff,
+    /// The angles at which light arrives in the middle of the image.
+    in_the_middle: Obliquity,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
     /// Vignetting by lens type and by growth of d: as it is, with another pupil, and with another q'ᵢ.
@@ -91,10 +93,6 @@ const MOST_PITCHES: f64 = 10.0;
 const GROWTH_STEP: f64 = 0.005;
 /// By which part of itself what is taken from white images is changed to see what depends on it.
 pub(super) const OTHERWISE: f64 = 0.01;
-/// σ of the distance of the exit pupil from the sensor before it is known, relative.
-const PUPIL: f64 = 0.25;
-/// σ of a growth of d that is nearly 0, px⁻¹.
-const LEAST_GROWTH: f64 = 1e-7;
 /// d changes less than this across an array that was meant to be parallel to the sensor.
 const MOST_GROWTH: f64 = 0.3;
 
@@ -142,11 +140,11 @@ impl MicroImages {
         let fall_off = internal
             .fall_off
             .unwrap_or_else(|| FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, middle));
-        // The perspective tells the lean as well as it is known how far the exit pupil is from the lens.
-        let growth_per_px = grid.perspective_per_px * (lens_to_sensor_px / mla_to_sensor_px);
-        let growth_per_px = internal.lean.map_or(growth_per_px, |lean| {
-            lean.with(&growth_per_px, &growth_per_px.abs().map(|x| (x * PUPIL).max(LEAST_GROWTH)))
-        });
+        let growth_per_px = growth_per_px(
+            internal.lean.as_ref(),
+            &grid.perspective_per_px,
+            lens_to_sensor_px / mla_to_sensor_px,
+        );
         let most = growth_per_px.abs().dot(&middle);
         if most.is_nan() || most > MOST_GROWTH {
             return Err(Error::invalid(format!(
@@ -170,7 +168,7 @@ impl MicroImages {
             };
             q_prime_px.iter().map(of_type).collect()
         };
-        let other = 1.0 + OTHERWISE;
+        let (other, within) = (1.0 + OTHERWISE, fall_off.within_per_px2);
         Ok(Self {
             grid: *grid,
             configuration: sheet.configuration,
@@ -180,6 +178,7 @@ impl MicroImages {
             first_step: -last_step,
             q_prime_px,
             middle,
+            in_the_middle: Obliquity::in_the_middle(within, mla_to_sensor_px, grid.pitch_px / 2.0),
             fall_off,
             growth_per_px,
         })
@@ -249,9 +248,7 @@ impl MicroImages {
             half_pitch_px: self.grid.pitch_px / 2.0,
             obliquity: Obliquity {
                 gradient_per_px: self.fall_off.gradient(place),
-                within_per_px2: self.fall_off.within_per_px2,
-                half_pitch_px: self.grid.pitch_px / 2.0,
-                ..Obliquity::default()
+                ..self.in_the_middle
             },
             growth,
         }

@@ -35,6 +35,18 @@ pub(super) enum Unusable {
 }
 
 impl Patch {
+    /// Every n-th of its pixels.
+    pub fn thinned(&self, n: usize) -> Self {
+        let few = |all: &[f32]| all.iter().copied().step_by(n).collect();
+        Self {
+            x: few(&self.x),
+            y: few(&self.y),
+            light: few(&self.light),
+            weight: few(&self.weight),
+            ..*self
+        }
+    }
+
     /// Weighted mean of the light.
     pub fn mean(&self) -> f64 {
         self.mean_and_std_dev().0

@@ -27,6 +27,8 @@ use crate::numerics::median;
 const ROUNDS: usize = 2;
 /// How far from where it is expected a corner is found, px.
 const EXPECTED_PX: f64 = 1.2;
+/// One pixel of so many shows how a corner depends on what is taken from white images: that is summed over all corners.
+const FEW: usize = 5;
 /// Least part of the light of its micro-image that a corner explains.
 const EXPLAINED: f64 = 0.4;
 /// Largest median imbalance of its observations, see [`Corner::imbalance`].
@@ -187,13 +189,16 @@ impl SecondPass<'_> {
                 let start = self.expected_corner(sought, &center, patch.mean());
                 let rays = blur.rays(&patch);
                 let corner = self.fitted(&start, &patch, &rays)?;
-                let others: Vec<Rays> = (0..if self.last { TAKEN } else { 0 })
-                    .map(|taken| {
+                let mut levers = corner.levers(&patch, &rays, slope, &bend, &[])?;
+                if self.last {
+                    let few = patch.thinned(FEW);
+                    let others = [0, 1, 2].map(|taken: usize| {
                         let (optics, vignetting) = micro_images.otherwise(&optics, taken);
-                        Blur::new(&optics, slope, bend, vignetting).rays(&patch)
-                    })
-                    .collect();
-                let levers = corner.levers(&patch, &rays, slope, &bend, &others)?;
+                        Blur::new(&optics, slope, bend, vignetting).rays(&few)
+                    });
+                    let by_few = corner.levers(&few, &blur.rays(&few), slope, &bend, &others);
+                    levers.by_taken = by_few.map_or(levers.by_taken, |few| few.by_taken);
+                }
                 Some((corner, levers, corner.imbalance(&patch, &rays)))
             });
             let Some((corner, levers, imbalance)) = fitted else {

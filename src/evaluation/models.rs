@@ -28,8 +28,10 @@ const MOVED: f64 = 3.0;
 pub enum Group {
     /// The distance e_z of the exit pupil from the lens.
     ExitPupil,
-    /// The curvature κ of the field.
+    /// The curvature κ of the field, and its growth κ_m.
     FieldCurvature,
+    /// The growth κ_m of the curvature with the magnification.
+    CurvatureGrowth,
     /// Radial distortion, Q₁ to Q₃.
     RadialDistortion,
     /// Tangential distortion, P₁ and P₂.
@@ -38,15 +40,21 @@ pub enum Group {
 
 impl Group {
     /// All groups.
-    pub const ALL: [Self; 4] =
-        [Self::ExitPupil, Self::FieldCurvature, Self::RadialDistortion, Self::TangentialDistortion];
+    pub const ALL: [Self; 5] = [
+        Self::ExitPupil,
+        Self::FieldCurvature,
+        Self::CurvatureGrowth,
+        Self::RadialDistortion,
+        Self::TangentialDistortion,
+    ];
 
     /// Names of its parameters.
     #[must_use]
     pub fn parameters(self) -> &'static [&'static str] {
         match self {
             Self::ExitPupil => &["e_z"],
-            Self::FieldCurvature => &["kappa"],
+            Self::FieldCurvature => &["kappa", "kappa_m"],
+            Self::CurvatureGrowth => &["kappa_m"],
             Self::RadialDistortion => &["Q1", "Q2", "Q3"],
             Self::TangentialDistortion => &["P1", "P2"],
         }
@@ -58,6 +66,7 @@ impl fmt::Display for Group {
         f.write_str(match self {
             Self::ExitPupil => "exit pupil",
             Self::FieldCurvature => "field curvature",
+            Self::CurvatureGrowth => "growth of the field curvature",
             Self::RadialDistortion => "radial distortion",
             Self::TangentialDistortion => "tangential distortion",
         })

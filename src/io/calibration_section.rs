@@ -184,6 +184,8 @@ pub enum Blur {
 pub enum FieldCurvature {
     /// Estimated.
     Estimated,
+    /// Estimated, the same at all distances.
+    Constant,
     /// None: the paper.
     Flat,
 }
@@ -269,6 +271,10 @@ impl CalibrationSection {
         if self.field_curvature == Some(FieldCurvature::Flat) {
             options.field_curvature_per_mm = Some(0.0);
             fixed.push("kappa".to_owned());
+        }
+        if self.field_curvature.is_some_and(|curvature| curvature != FieldCurvature::Estimated) {
+            options.field_curvature_growth_per_mm = Some(0.0);
+            fixed.push("kappa_m".to_owned());
         }
         // What is known of them makes them parameters: images alone hardly determine them.
         let anchored = |name: &str| self.anchors.as_ref().is_some_and(|a| a.knows(name));

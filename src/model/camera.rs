@@ -59,8 +59,10 @@ pub struct MainLens {
     pub radial: [f64; 3],
     /// P₁, P₂ in mm⁻¹.
     pub tangential: [f64; 2],
-    /// κ, mm⁻¹: off the axis by r, images are nearer to the lens by κr².
+    /// κ, mm⁻¹: off the axis by r, images are nearer to the lens by (κ + κ_m |m|) r², at the magnification m.
     pub field_curvature_per_mm: f64,
+    /// κ_m, mm⁻¹: the astigmatism of a lens, and with it the curvature, changes with the distance of the object.
+    pub field_curvature_growth_per_mm: f64,
     /// P = (e_x, e_y, e_z), mm: centre of the exit pupil in the camera frame, where the light of every
     /// micro-image comes from; e_z is negative towards the array. The paper's lies in the lens, at 0.
     pub exit_pupil_mm: Vector3<f64>,
@@ -77,9 +79,16 @@ impl MainLens {
             radial: [0.0; 3],
             tangential: [0.0; 2],
             field_curvature_per_mm: 0.0,
+            field_curvature_growth_per_mm: 0.0,
             exit_pupil_mm: Vector3::zeros(),
             setting: None,
         }
+    }
+
+    /// Whether images off the axis are nearer to the lens, or further away.
+    #[must_use]
+    pub fn has_curved_field(&self) -> bool {
+        self.field_curvature_per_mm != 0.0 || self.field_curvature_growth_per_mm != 0.0
     }
 
     /// p: diameter of the exit pupil over that of the entrance pupil, 1 + e_z/F. The one is the image of

@@ -27,6 +27,8 @@ struct MainLensFile {
     #[serde(default)]
     field_curvature_per_mm: f64,
     #[serde(default)]
+    field_curvature_growth_per_mm: f64,
+    #[serde(default)]
     exit_pupil_mm: [f64; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     f_number: Option<f64>,
@@ -68,6 +70,7 @@ impl From<PlenopticCamera> for CameraFields {
                 p1_per_mm,
                 p2_per_mm,
                 field_curvature_per_mm: lens.field_curvature_per_mm,
+                field_curvature_growth_per_mm: lens.field_curvature_growth_per_mm,
                 exit_pupil_mm: lens.exit_pupil_mm.into(),
                 f_number: lens.setting.map(|s| s.f_number),
                 // JSON has no infinity.
@@ -109,6 +112,7 @@ impl TryFrom<CameraFields> for PlenopticCamera {
                 radial: [lens.q1_per_mm2, lens.q2_per_mm4, lens.q3_per_mm6],
                 tangential: [lens.p1_per_mm, lens.p2_per_mm],
                 field_curvature_per_mm: lens.field_curvature_per_mm,
+                field_curvature_growth_per_mm: lens.field_curvature_growth_per_mm,
                 exit_pupil_mm: Vector3::from(lens.exit_pupil_mm),
                 setting: lens.f_number.map(|f_number| LensSetting {
                     f_number,

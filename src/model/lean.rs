@@ -15,6 +15,25 @@ pub struct Lean {
     pub std_dev_per_px: [f64; 2],
 }
 
+/// σ of the distance of the exit pupil from the sensor before it is known, relative.
+const PUPIL: f64 = 0.25;
+/// σ of a growth of d that is nearly 0, px⁻¹.
+const LEAST_GROWTH: f64 = 1e-7;
+
+/// ∇ ln d, px⁻¹, as far as it is known before a calibration: by the lean, and by the perspective of the centres, t =
+/// ∇d/(D + e_z + d), which tells it as well as it is known how far the exit pupil is from the sensor;
+/// `lens_to_sensor` is (D + d)/d.
+#[must_use]
+pub(crate) fn growth_per_px(
+    lean: Option<&Lean>,
+    perspective_per_px: &Vector2<f64>,
+    lens_to_sensor: f64,
+) -> Vector2<f64> {
+    let by_perspective = perspective_per_px * lens_to_sensor;
+    let std_dev = by_perspective.abs().map(|x| (x * PUPIL).max(LEAST_GROWTH));
+    lean.map_or(by_perspective, |lean| lean.with(&by_perspective, &std_dev))
+}
+
 impl Lean {
     /// An error that names a value that no camera has.
     pub(crate) fn validate(&self) -> Result<()> {

@@ -28,6 +28,7 @@ pub(crate) use display::{display_unit, signed, with_std_dev};
 pub use fall_off::FallOff;
 pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};
 pub use lean::Lean;
+pub(crate) use lean::growth_per_px;
 pub use noise::{Noise, NoiseSource};
 pub(crate) use observations::check_centers;
 pub use observations::{

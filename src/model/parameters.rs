@@ -47,7 +47,7 @@ macro_rules! parameters {
 }
 
 /// Number of parameters of a camera without lens types.
-const WITHOUT_FOCAL_LENGTHS: usize = 21;
+const WITHOUT_FOCAL_LENGTHS: usize = 22;
 /// The largest number of lens types.
 pub const MAX_LENS_TYPES: usize = 3;
 
@@ -59,6 +59,7 @@ static PARAMETERS: [Parameter; WITHOUT_FOCAL_LENGTHS + MAX_LENS_TYPES] = paramet
     "P1" ["mm^-1"] main_lens.tangential[0];
     "P2" ["mm^-1"] main_lens.tangential[1];
     "kappa" ["mm^-1"] main_lens.field_curvature_per_mm;
+    "kappa_m" ["mm^-1"] main_lens.field_curvature_growth_per_mm;
     "e_x" ["mm"] main_lens.exit_pupil_mm[0];
     "e_y" ["mm"] main_lens.exit_pupil_mm[1];
     "e_z" ["mm"] main_lens.exit_pupil_mm[2];

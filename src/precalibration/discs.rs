@@ -14,6 +14,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::profile::Profile;
+use crate::vignetting::Obliquity;
 
 /// c before anything is measured, and its standard deviation: between a thin lens and a double Gauss.
 const SINE: (f64, f64) = (0.7, 0.7);
@@ -157,8 +158,10 @@ impl<'a> Fit<'a> {
     fn residuals(&self, light: &Light, by: [f64; 3]) -> Option<Vec<f64>> {
         let a = self.at[light.white] + by[0];
         let b = self.at[self.whites() + light.lens_type] + by[1];
-        let within = (self.at[self.law().0] + by[2]) * self.known.within_per_px2;
-        light.profile.residuals_of_discs(a, b, within)
+        let Known { within_per_px2, mla_to_sensor_px, pitch_px, .. } = self.known;
+        let within = (self.at[self.law().0] + by[2]) * within_per_px2;
+        let law = Obliquity::in_the_middle(within, *mla_to_sensor_px, pitch_px / 2.0);
+        light.profile.residuals_of_discs(a, b, &law)
     }
 
     /// a by the law, and its derivatives by |m| and c.
@@ -280,7 +283,6 @@ impl<'a> Fit<'a> {
 mod tests {
     use super::super::profile::{Bin, seen};
     use super::*;
-    use crate::vignetting::Obliquity;
 
     const STOPS: [f64; 5] = [4.0, 5.657, 8.0, 11.314, 16.0];
     const M_PX: f64 = 26.7;
@@ -300,7 +302,8 @@ mod tests {
         let mut profile = Profile { bins: (0..96).map(bin).collect(), bright: Vec::new() };
         profile.set_angles(a, -b, PITCH_PX / 2.0);
         for bin in &mut profile.bins {
-            let fall_off = Obliquity::natural_light(bin.square, WITHIN);
+            let fall_off = Obliquity::in_the_middle(WITHIN, D_PX, PITCH_PX / 2.0)
+                .mean_light(bin.square, bin.variance);
             bin.light = 0.02 + 0.8 * seen(bin.radius, a + b, (a - b).abs()) * fall_off;
         }
         profile.bins.retain(|bin| bin.light < clipped);

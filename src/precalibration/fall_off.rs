@@ -18,6 +18,7 @@ use super::stage::PrecalibrationOptions;
 use crate::image::Grey;
 use crate::model::{FallOff, InternalParameters, Lean};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
+use crate::vignetting::Obliquity;
 
 /// g follows from light up to this distance from the centre, in pitches: beyond, neighbours may begin.
 const REACH: f64 = 0.46;
@@ -33,14 +34,10 @@ const ROUNDS: usize = 4;
 /// A fall-off is known if its σ is below this part of that of cos⁴: corners near the border of an R12 are then
 /// right to 0.01 px.
 const KNOWN: f64 = 0.2;
-/// Fall-off over that of cos⁴: no sensor is far from it, and the levers of light need a number above 0.
-const STRENGTHS: (f64, f64) = (0.5, 10.0);
 
 /// The fall-off of a camera.
 pub(super) struct Measured {
     pub fall_off: FallOff,
-    /// G over that of cos⁴.
-    pub strength: f64,
     /// The lean of the array, where it shows.
     pub lean: Option<Lean>,
     /// That the fall-off was not measured.
@@ -100,17 +97,17 @@ impl Light {
     }
 
     /// The fall-off that the images show, or else that of cos⁴ with a warning. Light changes by what depends a
-    /// little on its `strength`, how it falls off over cos⁴, as far as that is known.
+    /// little on the `law` inside micro-images, as far as it is known.
     pub fn fall_off(
         &self,
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
-        strength: f64,
+        law: &Obliquity,
     ) -> Measured {
         let (lens_to_sensor_px, mla_to_sensor_px) = options.distances_px(internal.m_mm);
         let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, self.middle);
         let known = |fall_off: &FallOff| fall_off.std_dev_per_px2 < KNOWN * cos4.growth_per_px2;
-        let (gradients, within) = self.measured(internal, options, strength);
+        let (gradients, within) = self.measured(internal, options, law);
         let growths = |group: &Vec<Gradient>| group.iter().map(|g| g.growth).collect();
         let growths: Vec<Vec<Growth>> = gradients.iter().map(growths).collect();
         let lean = lean(&growths, &self.middle);
@@ -119,12 +116,7 @@ impl Light {
             let warning = "how light falls off with its angle does not show in the white images: it is taken \
                            to be cos⁴, and corners far from the axis may be off by 0.1 px; take white images \
                            that are not clipped";
-            return Measured {
-                fall_off: cos4,
-                strength: 1.0,
-                lean,
-                warning: Some(warning.to_owned()),
-            };
+            return Measured { fall_off: cos4, lean, warning: Some(warning.to_owned()) };
         };
         let within = mean_within(&within);
         let [growth, std_dev] =
@@ -140,7 +132,6 @@ impl Light {
             .unwrap_or((measured.growth_per_px2 * lens_to_sensor_px / mla_to_sensor_px, 0.0));
         Measured {
             fall_off: FallOff { within_per_px2, within_std_dev_per_px2, ..measured },
-            strength: growth.clamp(STRENGTHS.0, STRENGTHS.1),
             lean,
             warning: None,
         }
@@ -151,14 +142,14 @@ impl Light {
         &self,
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
-        strength: f64,
+        law: &Obliquity,
     ) -> (Vec<Vec<Gradient>>, Vec<(f64, f64)>) {
         let (mut gradients, mut within) = (Vec::new(), Vec::new());
         for (f_number, types) in &self.of_images {
             let levers = Levers::new(internal, *f_number, self.seen_pitch_px, options);
             for (lens_type, alike) in types.iter().enumerate() {
-                let lever = |r| levers.lever(lens_type, r, strength);
-                let light = |r| levers.light_and_growth(lens_type, r, strength);
+                let lever = |r| levers.lever(lens_type, r, law);
+                let light = |r| levers.light_and_growth(lens_type, r, law);
                 gradients.push(alike.gradients(self.reach_px, lever, light));
                 within.extend(alike.within(levers.plateau(lens_type)));
             }

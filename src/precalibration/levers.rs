@@ -1,16 +1,22 @@
 //! The discs of pupil and blur that make a micro-image, and through which part of the micro-lens each of its
 //! pixels sees the pupil.
 
+use nalgebra::Vector2;
+
+use super::grid::MicroImageArray;
 use super::profile::PIXEL;
 use super::stage::PrecalibrationOptions;
-use crate::model::InternalParameters;
-use crate::vignetting::{overlap, overlap_area};
+use crate::model::{InternalParameters, Lean, growth_per_px};
+use crate::vignetting::Obliquity;
 
 /// What a pixel, and a point spread, take from the plateau of a micro-image, px.
 const PLATEAU_MARGIN_PX: f64 = 1.2;
 
+/// Slices that a part of a micro-lens is summed over, and places in them: Gauss and Legendre, one of both sides.
+const SLICES: u32 = 24;
+const GAUSS: [(f64, f64); 2] = [(0.0, 8.0 / 9.0), (0.774_596_669_241_483_4, 10.0 / 9.0)];
 /// Step of the derivative by the growth of d.
-const GROWTH: f64 = 1e-2;
+pub(super) const GROWTH: f64 = 1e-2;
 
 /// The discs of pupil and blur in a white image.
 #[derive(Debug)]
@@ -21,10 +27,8 @@ pub(super) struct Levers {
     q_px: Vec<f64>,
     /// ΔC/2, the radius of a micro-lens, px.
     lens_px: f64,
-    /// d, px.
-    distance_px: f64,
-    /// D/d.
-    distances: f64,
+    /// (D + d)/d.
+    lens_to_sensor: f64,
 }
 
 impl Levers {
@@ -43,9 +47,13 @@ impl Levers {
             // The micro-image pitch is that of the lenses as projected from the pupil. Where a large pupil and
             // a large blur nearly cancel in how far light shifts a centroid, the 2 % show.
             lens_px: pitch_px / 2.0 * (1.0 - distance_px / lens_to_sensor_px),
-            distance_px,
-            distances: lens_to_sensor_px / distance_px - 1.0,
+            lens_to_sensor: lens_to_sensor_px / distance_px,
         }
+    }
+
+    /// How d grows over the image, px⁻¹.
+    pub fn growth_per_px(&self, lean: Option<&Lean>, grid: &MicroImageArray) -> Vector2<f64> {
+        growth_per_px(lean, &grid.perspective_per_px, self.lens_to_sensor)
     }
 
     /// Radii a and b of the discs of pupil and blur, px.
@@ -53,64 +61,74 @@ impl Levers {
         (self.pupil_px, self.q_px[lens_type].abs())
     }
 
-    /// How much light at distance r from the middle changes with the gradient g, over g: |y − M|, outwards,
-    /// the mean over the light of a pixel and over the part of the micro-lens that it sees the pupil through.
-    ///
-    /// That part is so large that the mean of light that falls off as cos⁴ over it is not the light of its
-    /// mean: with s = y − M, what changes with g is s/(1 + s²/d²), weighted by (1 + s²/d²)⁻². `strength` is
-    /// the fall-off over that of cos⁴; what pixels add is taken to be exponential in s².
-    pub fn lever(&self, lens_type: usize, r: f64, strength: f64) -> f64 {
-        let q = self.q_px[lens_type];
-        let size = q.abs().max(1e-6);
-        let (mut light, mut sum) = (0.0, 0.0);
-        for (along, weight) in PIXEL {
-            // Across the direction to the middle a pixel has a mean square of 1/12.
-            let distance = ((r + along).powi(2) + 1.0 / 12.0).sqrt();
-            // Where nothing is visible there is no light either.
-            let Some(part) = overlap(distance / size, self.pupil_px / size) else { continue };
-            let s = distance + part.mean * q.signum() * self.lens_px;
-            // Variances of the part, along s and across it.
-            let variance = |of_half: f64| (of_half * self.lens_px / 2.0).powi(2);
-            let (v, across) = (variance(part.along), variance(part.across));
-            let bent = (s * s + 3.0 * v + across) / strength + 4.0 * strength * v;
-            let lever = s / (1.0 + bent / self.distance_px.powi(2));
-            light += weight * part.area;
-            sum += weight * part.area * lever * (r + along) / distance;
-        }
-        if light > 0.0 { sum / light } else { 0.0 }
+    /// How much light at distance r from the middle changes with the gradient g, over g: |y − M|, outwards, the
+    /// mean over the light of a pixel and over the part of the micro-lens that it sees the pupil through. With
+    /// s = y − M, light f(s²) off the axis is f(|s + t|²), and changes along t as s f′(s²).
+    pub fn lever(&self, lens_type: usize, r: f64, law: &Obliquity) -> f64 {
+        self.light_and_lever(lens_type, r, 0.0, law).1
     }
 
-    /// How fast the moment X of whole discs, (a² + qᵢ² + qᵢ ΔC/2)/4, grows along a perspective of the centres,
-    /// c = p (1 + t · p), over t, px². That is a tilt of the array by t D: d grows by its part t D/d, and with it
-    /// a, qᵢ + ΔC/2 and their moment. X is often a small difference of them and grows ten times as fast.
-    pub fn moment_growth(&self, lens_type: usize) -> f64 {
-        let (a, q, lens) = (self.pupil_px, self.q_px[lens_type], self.lens_px);
-        (2.0 * a * a + (2.0 * q + lens) * (q + lens)) / 4.0 * self.distances
+    /// The light at distance r in units of its own, and its lever, where d is larger by `growth`.
+    pub fn light_and_lever(
+        &self,
+        lens_type: usize,
+        r: f64,
+        growth: f64,
+        law: &Obliquity,
+    ) -> (f64, f64) {
+        let (mut light, mut sum) = (0.0, 0.0);
+        let less_oblique = (1.0 + growth).powi(-2);
+        self.over_pixel(lens_type, r, growth, &mut |s, outwards, weight| {
+            let (of_law, slope) = law.light_and_slope(s.norm_squared() * less_oblique);
+            light += weight * of_law;
+            sum += weight * slope * s.x * outwards;
+        });
+        (light, if light > 0.0 { sum / light } else { 0.0 })
     }
 
     /// The light at distance r, and how it changes where d grows, over its relative growth; both over the light in
     /// the middle. a and qᵢ + ΔC/2 grow in proportion, the micro-lens stays, and light arrives less obliquely.
-    pub fn light_and_growth(&self, lens_type: usize, r: f64, strength: f64) -> (f64, f64) {
-        let light = |r: f64, growth: f64| {
-            let (a, q) = (self.pupil_px, self.q_px[lens_type]);
-            let (a, q) = (a * (1.0 + growth), q + (q + self.lens_px) * growth);
-            let size = q.abs().max(1e-6);
-            let of_pixel = |(along, weight): (f64, f64)| {
-                let distance_px = ((r + along).powi(2) + 1.0 / 12.0).sqrt();
-                let Some(part) = overlap(distance_px / size, a / size) else { return 0.0 };
-                let s = distance_px + part.mean * q.signum() * self.lens_px;
-                let variances = part.along.powi(2) + part.across.powi(2);
-                let square = s * s + variances * (self.lens_px / 2.0).powi(2);
-                let distance = self.distance_px * (1.0 + growth);
-                let (outer, inner) = (a + size, (a - size).abs());
-                let area = overlap_area(distance_px, outer, inner) * (a.min(size) / size).powi(2);
-                weight * area * (1.0 + square / distance.powi(2)).powf(-2.0 * strength)
-            };
-            PIXEL.into_iter().map(of_pixel).sum::<f64>()
-        };
+    /// `law` is how light falls off inside a micro-image.
+    pub fn light_and_growth(&self, lens_type: usize, r: f64, law: &Obliquity) -> (f64, f64) {
+        let light = |r: f64, growth: f64| self.light_and_lever(lens_type, r, growth, law).0;
         let middle = light(0.0, 0.0);
         let growth = (light(r, GROWTH) - light(r, -GROWTH)) / (2.0 * GROWTH * middle);
         (light(r, 0.0) / middle, growth)
+    }
+
+    /// Calls `add` for places y of a pixel at distance r and points M of the part of the micro-lens that they see the
+    /// pupil through, where d is larger by `growth`: with y − M, px, in the direction to y and across it; with how
+    /// much of that direction is outwards, and with the weight.
+    fn over_pixel(
+        &self,
+        lens_type: usize,
+        r: f64,
+        growth: f64,
+        add: &mut dyn FnMut(Vector2<f64>, f64, f64),
+    ) {
+        let (a, q) = (self.pupil_px, self.q_px[lens_type]);
+        let (a, q) = (a * (1.0 + growth), q + (q + self.lens_px) * growth);
+        let size = q.abs().max(1e-6);
+        for (along, weight) in PIXEL {
+            // Across the direction to the middle a pixel has a mean square of 1/12.
+            let distance = ((r + along).powi(2) + 1.0 / 12.0).sqrt();
+            let outwards = (r + along) / distance;
+            let (to_pupil, pupil) = (distance / size, a / size);
+            // From end to end of the overlap, where its height has the slope of a root.
+            let (low, high) = ((-1.0_f64).max(to_pupil - pupil), 1.0_f64.min(to_pupil + pupil));
+            let half = (high - low) / 2.0;
+            for i in 0..if half > 0.0 { SLICES } else { 0 } {
+                let angle = std::f64::consts::PI * ((f64::from(i) + 0.5) / f64::from(SLICES) - 0.5);
+                let x = low + half * (1.0 + angle.sin());
+                let chord = |radius: f64, x: f64| (radius * radius - x * x).max(0.0).sqrt();
+                let height = chord(1.0, x).min(chord(pupil, x - to_pupil));
+                let slice = weight * half * angle.cos() * height;
+                for (y, part) in GAUSS {
+                    let from_lens = Vector2::new(x * q.signum(), y * height) * self.lens_px;
+                    add(from_lens + Vector2::new(distance, 0.0), outwards, slice * part);
+                }
+            }
+        }
     }
 
     /// How far from the centre all pixels see the whole pupil, or the whole micro-lens, px, and |y − M|/|y|

@@ -30,6 +30,8 @@ pub(super) struct Bin {
     pub fall_off: f64,
     /// Mean square of the vectors from the micro-lens to here, px².
     pub square: f64,
+    /// Variance of these squares, px⁴.
+    pub variance: f64,
 }
 
 /// The overlap of pupil and blur fitted to a profile.
@@ -113,6 +115,7 @@ impl Stack {
                 std_dev: (variance / count).sqrt(),
                 fall_off: 1.0,
                 square: 0.0,
+                variance: 0.0,
             })
         };
         let bins: Vec<Bin> = self.bins.iter().filter_map(bin).collect();
@@ -145,7 +148,7 @@ impl Profile {
         let mut profile = self.clone();
         profile.set_angles(pupil_px, q_px, obliquity.half_pitch_px);
         for bin in &mut profile.bins {
-            bin.fall_off = obliquity.light(bin.square);
+            bin.fall_off = obliquity.mean_light(bin.square, bin.variance);
         }
         profile
     }
@@ -157,8 +160,12 @@ impl Profile {
             let part = overlap(bin.radius / q, pupil_px / q);
             let part = part.unwrap_or(Overlap { mean: 1.0, along: 0.0, across: 0.0, area: 0.0 });
             let from_lens = bin.radius + part.mean * q_px.signum() * half_pitch_px;
-            let spread = part.along.powi(2) + part.across.powi(2);
-            bin.square = from_lens * from_lens + (half_pitch_px / 2.0).powi(2) * spread;
+            let [along, across] =
+                [part.along, part.across].map(|of_half| (of_half * half_pitch_px / 2.0).powi(2));
+            bin.square = from_lens * from_lens + along + across;
+            // As of a disc with these variances.
+            bin.variance = 4.0 * from_lens * from_lens * along + along * along + across * across
+                - 2.0 / 3.0 * along * across;
         }
     }
 
@@ -171,10 +178,9 @@ impl Profile {
         }
     }
 
-    /// Weighted residuals for discs of radii a and b, px, with the fall-off H, px⁻², at the angles that were
-    /// set.
-    pub fn residuals_of_discs(&self, a: f64, b: f64, within_per_px2: f64) -> Option<Vec<f64>> {
-        let fall_off = |bin: &Bin| Obliquity::natural_light(bin.square, within_per_px2);
+    /// Weighted residuals for discs of radii a and b, px, with a fall-off at the angles that were set.
+    pub fn residuals_of_discs(&self, a: f64, b: f64, law: &Obliquity) -> Option<Vec<f64>> {
+        let fall_off = |bin: &Bin| law.mean_light(bin.square, bin.variance);
         self.residuals_with(a + b, (a - b).abs(), fall_off).map(|(_, residuals)| residuals)
     }
 

@@ -1,6 +1,5 @@
 //! The pre-calibration as one stage: from white images to the array and the internal parameters.
 
-use nalgebra::Vector2;
 use tracing::{debug, info};
 
 use super::array::{ArrayMeasurement, found_array};
@@ -124,13 +123,14 @@ pub fn precalibrate(
     let lines =
         samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?.parameters;
     let light = Light::read(&found, &samples, (reference.f_number, &grey));
-    let mut first = light.fall_off(&lines, options, 1.0);
+    let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
+    let mut first = light.fall_off(&lines, options, &cos4);
     // Straight lines are near enough to begin with.
     let within = first.fall_off.within_per_px2;
     let discs = samples.discs(&by_profile, &lines, within, seen_pitch_px);
     let discs = discs.as_ref();
     take_within(&mut first.fall_off, discs);
-    let obliquity = in_the_middle(&first.fall_off, &lines, seen_pitch_px, options);
+    let obliquity = in_the_middle(Some(&first.fall_off), &lines, seen_pitch_px, options);
     let internal_of = |by_type: &[Vec<TypeRadius>]| {
         let mut radii = samples.measurements(by_type);
         samples.internal(discs, &mut radii, by_type, seen_pitch_px)
@@ -139,12 +139,13 @@ pub fn precalibrate(
         samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
     let oblique = internal_of(&by_profile)?;
     // Again with the discs as they are.
-    let Measured { mut fall_off, strength, lean, warning: unknown_fall_off } =
-        light.fall_off(&oblique.parameters, options, first.strength);
+    let Measured { mut fall_off, lean, warning: unknown_fall_off } =
+        light.fall_off(&oblique.parameters, options, &obliquity);
     take_within(&mut fall_off, discs);
     let levers = Levers::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
-    let moments = shift_moments(light.of_reference(), &levers, seen_pitch_px, strength);
-    let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments)?;
+    let moments = shift_moments(light.of_reference(), &levers, seen_pitch_px, &obliquity);
+    let growth = levers.growth_per_px(lean.as_ref(), &found.array.grid);
+    let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments, &growth)?;
 
     let (by_type, discs) = match options.estimator {
         RadiusEstimator::Profile => (by_profile, discs),
@@ -182,21 +183,17 @@ fn take_within(fall_off: &mut FallOff, discs: Option<&Discs>) {
     }
 }
 
-/// The fall-off in the middle of the image, where radii are measured.
+/// The fall-off in the middle of the image, where radii are measured; that of cos⁴ if it is not known.
 fn in_the_middle(
-    fall_off: &FallOff,
+    fall_off: Option<&FallOff>,
     internal: &InternalParameters,
     pitch_px: f64,
     options: &PrecalibrationOptions,
 ) -> Obliquity {
     let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
     let cos4 = 4.0 / mla_to_sensor_px.powi(2);
-    Obliquity {
-        gradient_per_px: Vector2::zeros(),
-        within_per_px2: fall_off.within_per_px2,
-        of_pixels_per_px2: (fall_off.within_per_px2 - cos4).max(0.0),
-        half_pitch_px: pitch_px / 2.0,
-    }
+    let within = fall_off.map_or(cos4, |fall_off| fall_off.within_per_px2);
+    Obliquity::in_the_middle(within, mla_to_sensor_px, pitch_px / 2.0)
 }
 
 impl Precalibration {

@@ -171,7 +171,7 @@ impl Lens {
 pub(super) fn check_camera(camera: &PlenopticCamera, prescription: &Prescription) -> Result<()> {
     let lens = &camera.main_lens;
     let corrected = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
-    if corrected || lens.field_curvature_per_mm != 0.0 {
+    if corrected || lens.has_curved_field() {
         return Err(Error::invalid(
             "the distortion and field curvature of a lens with a prescription follow from its surfaces: \
              give the camera 0 for all of them",

@@ -34,8 +34,10 @@ pub struct LensFigures {
     pub pupil_magnification: f64,
     /// Distance of the object that the following hold for, mm.
     pub object_mm: f64,
-    /// κ close to the axis, 1/mm: the mean of both directions.
+    /// κ + κ_m |m| close to the axis, 1/mm: the mean of both directions.
     pub field_curvature_per_mm: f64,
+    /// κ_m, 1/mm: how that grows with |m|.
+    pub field_curvature_growth_per_mm: f64,
     /// Q₁ close to the axis, mm⁻².
     pub q1_per_mm2: f64,
 }
@@ -85,6 +87,8 @@ const STEP: f64 = 1e-4;
 /// Height of the image off the axis at which figures are taken, in focal lengths: enough above rounding,
 /// and little of the next order.
 const FIGURES_HEIGHT: f64 = 0.04;
+/// Distance of the other object that shows how figures change, times that of the first.
+const FIGURES_FURTHER: f64 = 1.1;
 /// Newton's method ends here, mm at the stop or at the object.
 const FOUND_MM: f64 = 1e-9;
 const NEWTON_STEPS: usize = 20;
@@ -244,10 +248,17 @@ impl RealLens {
     /// What the lens comes to for objects at a distance.
     pub fn figures(&self, object_mm: f64) -> Option<LensFigures> {
         let height = FIGURES_HEIGHT * self.focal_length;
-        let magnification = self.focal_length / (self.focal_length - object_mm);
-        let image =
-            |height: f64| self.image_of(&Point3::new(height / magnification, 0.0, object_mm));
-        let (axis, off) = (image(0.0)?, image(height)?);
+        let magnification = |object_mm: f64| self.focal_length / (self.focal_length - object_mm);
+        let image = |height: f64, object_mm: f64| {
+            self.image_of(&Point3::new(height / magnification(object_mm), 0.0, object_mm))
+        };
+        let curvature = |object_mm: f64| -> Option<f64> {
+            Some((image(height, object_mm)?.z - image(0.0, object_mm)?.z) / height.powi(2))
+        };
+        let further_mm = object_mm * FIGURES_FURTHER;
+        let [near, far] = [curvature(object_mm)?, curvature(further_mm)?];
+        let less = magnification(further_mm) - magnification(object_mm);
+        let off = image(height, object_mm)?;
         Some(LensFigures {
             focal_length_mm: self.focal_length,
             object_side_principal_mm: self.object_side,
@@ -255,7 +266,8 @@ impl RealLens {
             exit_pupil_mm: self.exit_pupil.z,
             pupil_magnification: 1.0 + self.exit_pupil.z / self.focal_length,
             object_mm,
-            field_curvature_per_mm: (off.z - axis.z) / height.powi(2),
+            field_curvature_per_mm: near,
+            field_curvature_growth_per_mm: (near - far) / less,
             q1_per_mm2: (off.x / height - 1.0) / height.powi(2),
         })
     }

@@ -104,6 +104,12 @@ impl Settings {
     pub fn validate(&self) -> Result<()> {
         check_rays(self.rays)?;
         self.camera.validate()?;
+        if self.camera.main_lens.field_curvature_growth_per_mm != 0.0 {
+            return Err(Error::invalid(
+                "the images of a lens without a prescription have the same field curvature at all distances: give \
+                 field_curvature_growth_per_mm = 0",
+            ));
+        }
         if let Some(prescription) = &self.prescription {
             prescription.validate()?;
             check_camera(&self.camera, prescription)?;

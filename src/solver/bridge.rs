@@ -194,6 +194,7 @@ mod ffi {
 
     struct CommonErrorParts {
         features_px: Vec<f64>,
+        centers_px: Vec<f64>,
         anchors: Vec<f64>,
     }
 

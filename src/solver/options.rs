@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Names of the intrinsic parameters that the paper's camera does not have: curvature of the field, exit
 /// pupil, a second pitch.
-pub const BEYOND_THE_PAPER: [&str; 5] = ["kappa", "e_x", "e_y", "e_z", "dC_ratio"];
+pub const BEYOND_THE_PAPER: [&str; 6] = ["kappa", "kappa_m", "e_x", "e_y", "e_z", "dC_ratio"];
 
 /// Shape of the loss on the norm of an observation's standardised residual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -75,6 +75,8 @@ pub struct CommonError {
     pub source: String,
     /// By how much it moves u, v and ρ of each feature, px.
     pub features_px: Vec<[f64; 3]>,
+    /// By how much it moves u and v of each centre, px; empty for none.
+    pub centers_px: Vec<[f64; 2]>,
     /// By how much it moves the value of each anchor, in its σ; empty for none.
     pub anchors: Vec<f64>,
 }

@@ -18,6 +18,15 @@ pub struct Obliquity {
 }
 
 impl Obliquity {
+    /// In the middle of the image, with H where the array is so far from the sensor: what H is above that of cos⁴
+    /// is due to the pixels.
+    pub fn in_the_middle(within_per_px2: f64, mla_to_sensor_px: f64, half_pitch_px: f64) -> Self {
+        let natural = 4.0 / mla_to_sensor_px.powi(2);
+        let of_pixels_per_px2 = (within_per_px2 - natural).max(0.0);
+        let gradient_per_px = Vector2::zeros();
+        Self { gradient_per_px, within_per_px2, of_pixels_per_px2, half_pitch_px }
+    }
+
     /// How the light changes over the part of a micro-lens that a pixel sees. `from_lens` is the vector from the
     /// centroid of that part to the pixel, px; `spread` is its standard deviations, in units of half a radius,
     /// along `outwards` and across it.
@@ -44,13 +53,29 @@ impl Obliquity {
     /// the part of the micro-lens that it comes through to the pixel, px².
     pub(crate) fn light(&self, square: f64) -> f64 {
         // To the fourth order of the angle, in which the two laws differ.
-        Self::natural_light(square, self.within_per_px2 - self.of_pixels_per_px2)
+        let natural = self.within_per_px2 - self.of_pixels_per_px2;
+        (1.0 + (natural * square / 4.0).max(-0.5)).powi(-2)
             * (-self.of_pixels_per_px2 * square / 2.0).exp()
     }
 
-    /// The same by cos⁴ alone, which H, px⁻², is as strong as.
-    pub(crate) fn natural_light(square: f64, within_per_px2: f64) -> f64 {
-        (1.0 + (within_per_px2 * square / 4.0).max(-0.5)).powi(-2)
+    /// The mean of [`Obliquity::light`] where squares have a variance, px⁴.
+    pub(crate) fn mean_light(&self, square: f64, variance: f64) -> f64 {
+        let pixels = self.of_pixels_per_px2;
+        let natural = self.within_per_px2 - pixels;
+        let natural = natural / (1.0 + (natural * square / 4.0).max(-0.5));
+        // Of the logarithm: −(natural + pixels)/2, and again natural²/8.
+        let second = (natural + pixels).powi(2) / 4.0 + natural * natural / 8.0;
+        self.light(square) * (1.0 + second * variance / 2.0)
+    }
+
+    /// The same, and how fast it falls with the mean square, over how fast it does at normal incidence.
+    pub(crate) fn light_and_slope(&self, square: f64) -> (f64, f64) {
+        let (within, pixels) = (self.within_per_px2, self.of_pixels_per_px2);
+        let (natural, light) = (within - pixels, self.light(square));
+        let oblique = 1.0 + (natural * square / 4.0).max(-0.5);
+        // Without any fall-off there is none to compare with: all is as at normal incidence.
+        let slope = if within == 0.0 { 1.0 } else { (natural / oblique + pixels) / within };
+        (light, light * slope)
     }
 }
 
@@ -67,11 +92,13 @@ impl Slant {
     /// Where points that stand for equal areas go in order to stand for equal light: the gradient field u with
     /// div u = g·w + h (|w|² − ½) that does not cross the rim. To the first order of g and h.
     ///
-    /// The mean moves by −g/4: `mean_square` is that of the points along an axis, which is less than the ¼ of
+    /// The mean moves by −g/4 (1 − h/6): `mean_square` is that of the points along an axis, which is less than the ¼ of
     /// the disc.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn field(&self, mean_square: f64) -> impl Fn(&Vector2<f32>) -> Vector2<f32> {
-        let whole = 0.25 / (0.375 - mean_square / 2.0);
+        // The light that the curvature leaves comes from a smaller disc.
+        let smaller = 1.0 - self.curvature / 6.0;
+        let whole = 0.25 / (0.375 - mean_square / 2.0) * smaller;
         let g = Vector2::from(self.gradient.map(|g| (g * whole) as f32));
         let h = self.curvature as f32;
         move |w| {

@@ -51,7 +51,7 @@ fn parameters(result: &Value) -> Vec<f64> {
         list("radial"),
         list("tangential"),
         // It has neither field curvature nor exit pupil.
-        vec![0.0; 4],
+        vec![0.0; 5],
         list("principal_point_px"),
         list("mla_to_sensor_mm"),
         list("mla_rotation_rad"),

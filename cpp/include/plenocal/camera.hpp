@@ -98,10 +98,13 @@ struct Lattice {
 /// principal point, if all objects are moved along z by the distance between its principal planes.
 template <typename T>
 struct MainLens {
-  T focal_length;     ///< F, mm
-  T radial[3];        ///< Q1, Q2, Q3 in mm^-2, mm^-4, mm^-6
-  T tangential[2];    ///< P1, P2 in mm^-1
-  T field_curvature;  ///< kappa, mm^-1: images at r off the axis are kappa r^2 nearer to the lens
+  T focal_length;   ///< F, mm
+  T radial[3];      ///< Q1, Q2, Q3 in mm^-2, mm^-4, mm^-6
+  T tangential[2];  ///< P1, P2 in mm^-1
+  /// kappa, mm^-1: images at r off the axis are (kappa + kappa_m |m|) r^2 nearer to the lens, where
+  /// m is the magnification
+  T field_curvature;
+  T field_curvature_growth;  ///< kappa_m, mm^-1: kappa is that of objects far away
 
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>
@@ -113,6 +116,7 @@ struct MainLens {
     f("P1", self.tangential[0]);
     f("P2", self.tangential[1]);
     f("kappa", self.field_curvature);
+    f("kappa_m", self.field_curvature_growth);
   }
 };
 

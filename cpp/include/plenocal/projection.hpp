@@ -93,8 +93,8 @@ bool main_lens_image(const MainLens<T>& lens, const Vector3<T>& point, Vector3<T
   const T x = magnification * point.x;
   const T y = magnification * point.y;
   const Vector2<T> shift = distortion(lens, x, y);
-  *image = {x + shift.x, y + shift.y,
-            magnification * point.z + lens.field_curvature * (x * x + y * y)};
+  const T curvature = lens.field_curvature - lens.field_curvature_growth * magnification;
+  *image = {x + shift.x, y + shift.y, magnification * point.z + curvature * (x * x + y * y)};
   return true;
 }
 

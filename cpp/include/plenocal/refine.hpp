@@ -66,7 +66,7 @@ struct CostOptions {
   Loss centers_loss;   ///< on |(u, v)| of a centre
   /// Names of intrinsic parameters that keep their value, see `intrinsic_names`; by default the
   /// camera is the paper's: the exit pupil in the lens, a flat field, one pitch of the array.
-  std::vector<std::string> fixed = {"kappa", "e_x", "e_y", "e_z", "dC_ratio"};
+  std::vector<std::string> fixed = {"kappa", "kappa_m", "e_x", "e_y", "e_z", "dC_ratio"};
   std::vector<Anchor> anchors;
   /// w: how many times larger the variance of what the observations say is than their sigma claims,
   /// see `Uncertainty::dispersion`. It keeps observations and anchors in proportion.
@@ -201,6 +201,7 @@ struct Uncertainty {
 /// deviation of it.
 struct CommonError {
   std::vector<Feature<double>> features;  ///< by how much each feature moves, px
+  std::vector<Pixel<double>> centers;     ///< by how much each centre moves, px; empty for none
   /// By how much the value of each anchor moves, in its sigma; empty for none.
   std::vector<double> anchors;
 };

@@ -198,6 +198,7 @@ impl From<&CommonError> for ffi::CommonErrorParts {
     fn from(error: &CommonError) -> Self {
         Self {
             features_px: error.features_px.as_flattened().to_vec(),
+            centers_px: error.centers_px.as_flattened().to_vec(),
             anchors: error.anchors.clone(),
         }
     }
