@@ -155,6 +155,11 @@ impl Bend {
         Self { field: Vector2::zeros(), zone2: 0.0, coefficients: Vector3::zeros() }
     }
 
+    /// Whether there is any aberration.
+    pub fn bends(&self) -> bool {
+        self.coefficients != Vector3::zeros()
+    }
+
     /// In single precision, as the light.
     #[allow(clippy::cast_possible_truncation)]
     pub fn in_single(&self) -> Bend<f32> {

@@ -59,7 +59,7 @@ impl<'a> Blur<'a> {
     /// The rays that arrive at the pixels of a patch.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn rays(&self, patch: &Patch) -> Rays {
-        let bend = self.bend.in_single();
+        let (bend, bends) = (self.bend.in_single(), self.bend.bends());
         let count = if self.blurs { POINTS } else { 1 };
         let pixels = patch.x.len();
         let mut points: Vec<[Vec<f32>; 5]> =
@@ -99,7 +99,8 @@ impl<'a> Blur<'a> {
                     (Vector2::zeros(), 1.0)
                 };
                 let pupil = pupil(&w);
-                let origin = sharp(&w) + bend.at(&pupil);
+                let bent = if bends { bend.at(&pupil) } else { Vector2::zeros() };
+                let origin = sharp(&w) + bent;
                 let own = [origin.x, origin.y, pupil.x, pupil.y, inverse_width];
                 for (all, own) in rays.iter_mut().zip(own) {
                     all[i] = own;

@@ -121,30 +121,47 @@ impl Vignetting {
     pub fn at(&self, offset: &Vector2<f64>) -> VisiblePart<'_> {
         let r = offset.norm();
         let outwards = if r > 1e-9 { offset / r } else { Vector2::x() };
-        let inwards = self.mixed(r, |m| m.inwards);
+        let at_pixel = self.between(r);
+        let inwards = at_pixel.mixed(|m| m.inwards);
         // What is seen changes across a pixel; the centroid of its light stands for all of it.
         let lit = (r - inwards).max(0.0);
-        let steps = (lit / STEP_PX).round();
+        let at_light = self.between(lit);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-        let nearest = (steps as usize).min(self.points.len() - 1);
+        let nearest = ((lit / STEP_PX + 0.5) as usize).min(self.points.len() - 1);
         VisiblePart {
             outwards,
             sign: self.sign,
             points: &self.points[nearest],
             seen_at: offset - outwards * inwards,
-            mean: outwards * (self.sign * self.mixed(r, |m| m.mean)),
-            spread: [self.mixed(lit, |m| m.part.along), self.mixed(lit, |m| m.part.across)],
+            mean: outwards * (self.sign * at_pixel.mixed(|m| m.mean)),
+            spread: [at_light.mixed(|m| m.part.along), at_light.mixed(|m| m.part.across)],
         }
     }
 
-    /// A quantity at a distance from the centre, px, between its tabulated values.
-    fn mixed(&self, r: f64, of: fn(&Moments) -> f64) -> f64 {
+    /// The tabulated values next to a distance from the centre, px.
+    #[inline]
+    fn between(&self, r: f64) -> Between<'_> {
         let steps = r / STEP_PX;
         let last = self.moments.len() - 1;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
         let i = (steps as usize).min(last);
         let part = (steps - i as f64).min(1.0);
-        of(&self.moments[i]) * (1.0 - part) + of(&self.moments[(i + 1).min(last)]) * part
+        Between { below: &self.moments[i], above: &self.moments[(i + 1).min(last)], part }
+    }
+}
+
+/// A place between two tabulated values.
+struct Between<'a> {
+    below: &'a Moments,
+    above: &'a Moments,
+    /// Of the way from the one to the other.
+    part: f64,
+}
+
+impl Between<'_> {
+    #[inline]
+    fn mixed(&self, of: impl Fn(&Moments) -> f64) -> f64 {
+        of(self.below) * (1.0 - self.part) + of(self.above) * self.part
     }
 }
 
