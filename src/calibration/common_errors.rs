@@ -1,7 +1,8 @@
-//! Errors that features have in common, because the detection took something from the white images.
+//! Errors that observations have in common, because something was taken from the white images.
 //!
 //! Where a corner is found depends a little on the pupil of the main lens, on q'ᵢ, on how light falls off inside a
-//! micro-image, and on how the array leans. All features share the errors of these, and no scatter shows them.
+//! micro-image, and on how the array leans. All features share the errors of these, and no scatter shows them. All
+//! centres share how far the fall-off shifts the centroids of micro-images.
 
 use nalgebra::Vector2;
 
@@ -101,8 +102,9 @@ pub(super) fn common_errors(
 /// σ of the pupil's radius and of the fall-off inside micro-images, relative.
 fn relative_std_devs(internal: &InternalParameters) -> [f64; 2] {
     let pupil = internal.m_std_dev_mm.map_or(0.0, |std_dev| std_dev / internal.m_mm.abs());
-    let within = internal.fall_off.map_or(0.0, |fall_off| {
-        fall_off.within_std_dev_per_px2 / fall_off.within_per_px2.abs().max(f64::MIN_POSITIVE)
-    });
+    // Without a fall-off there is no lever either.
+    let known = internal.fall_off.filter(|fall_off| fall_off.within_per_px2 != 0.0);
+    let within = known
+        .map_or(0.0, |fall_off| fall_off.within_std_dev_per_px2 / fall_off.within_per_px2.abs());
     [pupil, within]
 }

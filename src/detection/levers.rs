@@ -269,5 +269,15 @@ mod tests {
             };
             close(with(1.0) - with(-1.0), lever, 2.0 * step);
         }
+        let others = [0, 1, 2].map(|taken| {
+            let (optics, vignetting) = micro_images.otherwise(&optics, taken);
+            Blur::new(&optics, SLOPE, bend, vignetting).rays(&patch)
+        });
+        let by_taken = truth.levers(&patch, &known, SLOPE, &bend, &others).unwrap().by_taken;
+        for (other, lever) in others.iter().zip(by_taken.column_iter()) {
+            let moved = truth.fitted(&patch, other, Free::Place).unwrap().place - place;
+            close(moved, lever.into_owned(), OTHERWISE);
+        }
+        assert!(by_taken.column(0).norm() > 0.5, "{by_taken}");
     }
 }

@@ -163,7 +163,7 @@ impl Row<'_> {
         }
         match missing {
             0 => Ok(Some(levers)),
-            6 => Ok(None),
+            missing if missing == 2 * TAKEN => Ok(None),
             _ => Err(self.error(&format!(
                 "{} go together, but some are missing",
                 LEVERS.as_flattened().join(", ")

@@ -271,7 +271,7 @@ impl<'a> Fit<'a> {
             m_px: of(m),
             pupil_growth: self.at[c] / 2.0 * (self.at[m] / self.known.mla_to_sensor_px).powi(2),
             blur_px: (self.whites()..h).map(of).collect(),
-            within_per_px2: (within.0 * known, within.1.hypot(WITHIN_MODEL) * known),
+            within_per_px2: (within.0 * known, within.1.hypot(WITHIN_MODEL) * known.abs()),
             sine: of(c),
             f_number_error: self.f_number_error,
         };

@@ -1,4 +1,4 @@
-//! What errors that all features share do to the camera.
+//! What errors that all observations share do to the camera.
 
 use super::table::{Table, table};
 use crate::calibration::Calibration;
@@ -6,11 +6,11 @@ use crate::model::intrinsic_parameters;
 
 /// Caption of the table.
 pub(super) const COMMON_ERRORS: &str =
-    "What the detection took from the white images, and the change of parameters, in their σ";
+    "What was taken from the white images, and the change of parameters, in their σ";
 /// Parameters that the table shows, if they are free.
 const SHOWN: [&str; 6] = ["F", "D", "d", "e_z", "theta_x", "theta_y"];
 
-/// By how many of its σ each parameter changes with one σ of what the detection took from the white images;
+/// By how many of its σ each parameter changes with one σ of what was taken from the white images;
 /// `None` if nothing is known of that.
 pub(super) fn common_errors_table(calibration: &Calibration) -> Option<Table> {
     let uncertainty = &calibration.uncertainty;

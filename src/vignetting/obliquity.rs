@@ -112,6 +112,21 @@ impl Slant {
 mod tests {
     use super::*;
 
+    /// f′(s²)/f′(0), by differences, for cos⁴, a pixel's law and none.
+    #[test]
+    fn light_falls_as_fast_as_its_slope_says() {
+        for within in [4.0 / 3600.0, 10.4 / 3600.0, 0.0] {
+            let law = Obliquity::in_the_middle(within, 60.0, 11.5);
+            let fall = |square: f64| (law.light(square) - law.light(square + 1e-3)) / 1e-3;
+            for square in [0.0, 40.0, 150.0] {
+                let (light, slope) = law.light_and_slope(square);
+                assert!((light - law.light(square)).abs() < 1e-12);
+                let expected = if within > 0.0 { fall(square) / fall(0.0) } else { 1.0 };
+                assert!((slope - expected).abs() < 1e-4, "{slope} for {expected}");
+            }
+        }
+    }
+
     /// Against sums over points of the disc of a sensor 60 px away, with cos⁴; both are to second order in
     /// angles of 0.2.
     #[test]
