@@ -7,12 +7,16 @@
 //! a corner near the edge would seem up to ρ away from its place. That place of the pupil also tells how far
 //! the aberrations of the main lens bend the ray.
 
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
 use nalgebra::Vector2;
+use pulp::{Arch, NullaryFnOnce};
 
 use super::MicroOptics;
 use super::aberration::Bend;
 use super::patch::Patch;
-use crate::vignetting::{Obliquity, POINTS, PartPoint, Vignetting, mean_square, of_disc};
+use crate::vignetting::{DISC, Field, Obliquity, POINTS, PartPoints, ROOM, Vignetting};
 
 /// How a micro-image blurs a point.
 #[derive(Debug, Clone)]
@@ -27,87 +31,151 @@ pub(super) struct Blur<'a> {
     vignetting: &'a Vignetting,
     /// The angles at which the light arrives.
     obliquity: Obliquity,
-    /// Whether it blurs at all.
-    blurs: bool,
-    /// The disc that the points of visible parts come from.
-    disc: [Vector2<f32>; POINTS],
 }
 
 /// The rays that arrive at the pixels of a micro-image.
 pub(super) struct Rays {
-    /// By point of the micro-lens, for every pixel: where in the sharp and straightened image its light comes
-    /// from, p − ρ w + E/A, and where in the pupil, p − qᵢ w, both as (x, y) from the centre of the
-    /// micro-image, px; and one over half the width over which a step rises by what the point leaves out, which
-    /// is the extent of its cell and of the pixel, px⁻¹.
-    pub points: Vec<[Vec<f32>; 5]>,
+    pixels: usize,
+    values: Vec<f32>,
+}
+
+/// What a point of the micro-lens shows to every pixel: where in the sharp and straightened image its light comes
+/// from, p − ρ w + E/A, and where in the pupil, p − qᵢ w, both as (x, y) from the centre of the micro-image, px;
+/// and one over half the width over which a step rises by what the point leaves out, which is the extent of its
+/// cell and of the pixel, px⁻¹.
+const VALUES: usize = 5;
+
+impl Rays {
+    /// For steps of unknown width: no blur, and they rise over 1 px to either side.
+    pub fn sharp(patch: &Patch) -> Self {
+        let pixels = patch.x.len();
+        let [x, y] = [&patch.x, &patch.y].map(Vec::as_slice);
+        Self { pixels, values: [x, y, x, y, &vec![1.0; pixels]].concat() }
+    }
+
+    /// By point of the micro-lens, its [`VALUES`], each for all pixels.
+    pub fn points(&self) -> impl ExactSizeIterator<Item = [&[f32]; VALUES]> {
+        let n = self.pixels;
+        let of_point = self.values.chunks_exact(VALUES * n);
+        of_point.map(move |point| {
+            std::array::from_fn::<&[f32], VALUES, _>(|row| &point[row * n..][..n])
+        })
+    }
 }
 
 impl<'a> Blur<'a> {
     /// For a point with the slope γ, seen through a micro-lens of which `vignetting` tells the visible parts.
     pub fn new(optics: &MicroOptics, slope: f64, bend: Bend, vignetting: &'a Vignetting) -> Self {
         let (rho, q) = (optics.blur_radius_px(slope), optics.q_px());
-        let (obliquity, disc) = (optics.obliquity, of_disc_in_single());
-        Self { rho, q, bend, vignetting, obliquity, blurs: true, disc }
-    }
-
-    /// No blur, for steps of unknown width: they rise over 1 px to either side.
-    pub fn unknown(vignetting: &'a Vignetting) -> Self {
-        let (bend, obliquity, disc) = (Bend::none(), Obliquity::default(), of_disc_in_single());
-        Self { rho: 0.0, q: 0.0, bend, vignetting, obliquity, blurs: false, disc }
+        Self { rho, q, bend, vignetting, obliquity: optics.obliquity }
     }
 
     /// The rays that arrive at the pixels of a patch.
-    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn rays(&self, patch: &Patch) -> Rays {
-        let (bend, bends) = (self.bend.in_single(), self.bend.bends());
-        let count = if self.blurs { POINTS } else { 1 };
         let pixels = patch.x.len();
-        let mut points: Vec<[Vec<f32>; 5]> =
-            (0..count).map(|_| [(); 5].map(|()| vec![0.0; pixels])).collect();
-        let rho = self.rho as f32;
-        let mean_square = mean_square();
+        let mut values = vec![0.0; POINTS * VALUES * pixels];
+        Arch::new().dispatch(Tracing { blur: self, patch, values: &mut values });
+        Rays { pixels, values }
+    }
+}
+
+/// The rays of a patch, by point of the micro-lens and value.
+struct Tracing<'a> {
+    blur: &'a Blur<'a>,
+    patch: &'a Patch,
+    values: &'a mut [f32],
+}
+
+impl NullaryFnOnce for Tracing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { blur, patch, values } = self;
+        let pixels = patch.x.len();
+        let bend = blur.bend.bends().then(|| blur.bend.in_single());
         for (i, (&x, &y)) in patch.x.iter().zip(&patch.y).enumerate() {
-            let offset = Vector2::new(f64::from(x), f64::from(y));
-            let part = self.vignetting.at(&offset);
-            // The mean square of a disc along an axis is a quarter; the points have less.
-            let cell = self.rho * self.rho * (0.25 - mean_square) * part.spread[0] * part.spread[1];
-            // Points of the micro-lens are half a turn away from where they lie.
-            let from_lens = offset + part.mean * self.obliquity.half_pitch_px;
-            let slant = self.obliquity.over_part(&from_lens, &part.outwards, part.spread);
-            let field = slant.field(mean_square);
-            let (spread, sign) = (part.spread.map(|x| x as f32), part.sign as f32);
-            let place = |point: &PartPoint, of_disc: &Vector2<f32>| {
-                let moved = field(&Vector2::new(sign * of_disc.x, of_disc.y));
-                point.place + Vector2::new(spread[0] * moved.x, spread[1] * moved.y)
-            };
-            let scaled = |radius: f64| {
-                let middle = (part.seen_at - part.mean * radius).map(|x| x as f32);
-                let along = (part.outwards * radius).map(|x| x as f32);
-                move |point: &Vector2<f32>| {
-                    Vector2::new(
-                        middle.x - along.x * point.x + along.y * point.y,
-                        middle.y - along.y * point.x - along.x * point.y,
-                    )
+            let pixel = OfPixel::new(blur, &Vector2::new(f64::from(x), f64::from(y)));
+            let mut own = pixel.rays();
+            if let Some(bend) = &bend {
+                let [origin_x, origin_y, pupil_x, pupil_y, _] = &mut own;
+                for j in 0..ROOM {
+                    let bent = bend.at(&Vector2::new(pupil_x[j], pupil_y[j]));
+                    origin_x[j] += bent.x;
+                    origin_y[j] += bent.y;
                 }
-            };
-            let (sharp, pupil) = (scaled(self.rho), scaled(self.q));
-            for ((rays, point), of_disc) in points.iter_mut().zip(part.points).zip(&self.disc) {
-                let (w, inverse_width) = if self.blurs {
-                    let variance = point.pixel(rho) + cell as f32;
-                    (place(point, of_disc), inverse_width(variance))
-                } else {
-                    (Vector2::zeros(), 1.0)
-                };
-                let pupil = pupil(&w);
-                let bent = if bends { bend.at(&pupil) } else { Vector2::zeros() };
-                let origin = sharp(&w) + bent;
-                let own = [origin.x, origin.y, pupil.x, pupil.y, inverse_width];
-                for (all, own) in rays.iter_mut().zip(own) {
-                    all[i] = own;
+            }
+            for (j, rows) in values.chunks_exact_mut(VALUES * pixels).enumerate() {
+                for (row, own) in own.iter().enumerate() {
+                    rows[row * pixels + i] = own[j];
                 }
             }
         }
-        Rays { points }
+    }
+}
+
+/// What the rays of a pixel have in common.
+struct OfPixel<'a> {
+    points: &'a PartPoints,
+    /// See [`VisiblePart::sign`](crate::vignetting::Vignetting::at).
+    sign: f32,
+    spread: [f32; 2],
+    field: Field,
+    rho: f32,
+    /// Variance of the cells of the points along an axis, px².
+    cell: f32,
+    /// Place of the mean of the points, px, and how a point along and across moves it: for ρ and for qᵢ.
+    sharp: [f32; 4],
+    pupil: [f32; 4],
+}
+
+impl<'a> OfPixel<'a> {
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn new(blur: &Blur<'a>, offset: &Vector2<f64>) -> Self {
+        let part = blur.vignetting.at(offset);
+        let mean_square = DISC.mean_square;
+        // The mean square of a disc along an axis is a quarter; the points have less.
+        let cell = blur.rho * blur.rho * (0.25 - mean_square) * part.spread[0] * part.spread[1];
+        // Points of the micro-lens are half a turn away from where they lie.
+        let from_lens = offset + part.mean * blur.obliquity.half_pitch_px;
+        let slant = blur.obliquity.over_part(&from_lens, &part.outwards, part.spread);
+        let scaled = |radius: f64| {
+            let (middle, along) = (part.seen_at - part.mean * radius, part.outwards * radius);
+            [middle.x, middle.y, along.x, along.y].map(|x| x as f32)
+        };
+        Self {
+            points: part.points,
+            sign: part.sign as f32,
+            spread: part.spread.map(|x| x as f32),
+            field: slant.field(mean_square),
+            rho: blur.rho as f32,
+            cell: cell as f32,
+            sharp: scaled(blur.rho),
+            pupil: scaled(blur.q),
+        }
+    }
+
+    /// Its rays as through an ideal main lens, by [`VALUES`] and point.
+    #[inline(always)]
+    fn rays(&self) -> [[f32; ROOM]; VALUES] {
+        let mut rays = [[0.0; ROOM]; VALUES];
+        let [origin_x, origin_y, pupil_x, pupil_y, inverse] = &mut rays;
+        let disc = &*DISC;
+        let place = |[x, y, along, across]: [f32; 4], w: [f32; 2]| {
+            [x - along * w[0] + across * w[1], y - across * w[0] - along * w[1]]
+        };
+        for j in 0..ROOM {
+            let moved = self.field.at(self.sign * disc.x[j], disc.y[j]);
+            let w = [
+                self.points.along[j] + self.spread[0] * moved[0],
+                self.points.across[j] + self.spread[1] * moved[1],
+            ];
+            [origin_x[j], origin_y[j]] = place(self.sharp, w);
+            [pupil_x[j], pupil_y[j]] = place(self.pupil, w);
+            inverse[j] = inverse_width(self.points.pixel(j, self.rho) + self.cell);
+        }
+        rays
     }
 }
 
@@ -115,14 +183,9 @@ impl<'a> Blur<'a> {
 const LEAST_WIDTH_PX: f32 = 0.3;
 
 /// One over half the width of a step whose derivative has a variance: a fifth of the half width squared.
+#[inline(always)]
 fn inverse_width(variance: f32) -> f32 {
     (5.0 * variance).max(LEAST_WIDTH_PX * LEAST_WIDTH_PX).sqrt().recip()
-}
-
-/// The points of the whole disc.
-#[allow(clippy::cast_possible_truncation)] // single precision, as the light
-fn of_disc_in_single() -> [Vector2<f32>; POINTS] {
-    of_disc().map(|p| p.map(|x| x as f32))
 }
 
 #[cfg(test)]
@@ -167,21 +230,13 @@ mod tests {
         let vignetting = Vignetting::new(PUPIL, Q);
         let obliquity =
             Obliquity { within_per_px2: WITHIN, half_pitch_px: HALF_PITCH, ..Obliquity::default() };
-        let blur = Blur {
-            rho: RHO,
-            q: Q,
-            bend: Bend::none(),
-            vignetting: &vignetting,
-            obliquity,
-            blurs: true,
-            disc: of_disc_in_single(),
-        };
+        let blur = Blur { rho: RHO, q: Q, bend: Bend::none(), vignetting: &vignetting, obliquity };
         let places = [0.5_f32, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0];
         let patch = Patch { x: places.into(), y: vec![0.0; places.len()], ..Patch::default() };
         let rays = blur.rays(&patch);
         for (i, x) in places.into_iter().enumerate() {
-            let mean_of = |of: &dyn Fn(&[Vec<f32>; 5]) -> f64| {
-                rays.points.iter().map(of).sum::<f64>() / POINTS as f64
+            let mean_of = |of: &dyn Fn([&[f32]; VALUES]) -> f64| {
+                rays.points().map(of).sum::<f64>() / POINTS as f64
             };
             let mean = mean_of(&|p| f64::from(p[0][i]));
             let left_out = mean_of(&|p| f64::from(p[4][i]).powi(-2) / 5.0);

@@ -41,10 +41,10 @@ impl Corner {
         let narrower = (1.0 / self.width) as f32;
         let place = self.place.map(|x| x as f32);
         let normals = self.angles.map(|angle| [-angle.sin() as f32, angle.cos() as f32]);
-        let share = 1.0 / rays.points.len() as f32;
+        let share = 1.0 / rays.points().len() as f32;
         for i in 0..patch.x.len() {
             let mut row = Vector4::new(1.0, 0.0, 0.0, 0.0);
-            for [origin_x, origin_y, _, _, inverse_width] in &rays.points {
+            for [origin_x, origin_y, _, _, inverse_width] in rays.points() {
                 let inverse = inverse_width[i] * narrower;
                 let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
                 let [s, t] = normals.map(|n| {

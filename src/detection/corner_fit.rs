@@ -216,10 +216,10 @@ impl NullaryFnOnce for Evaluation<'_> {
             let (s, c) = angle.sin_cos();
             (s as f32, c as f32)
         });
-        let share = 1.0 / rays.points.len() as f32;
+        let share = 1.0 / rays.points().len() as f32;
         let rows = model.rows.each_mut().map(|row| &mut row[..n]);
         let [by_u, by_v, level, shape, by_1, by_2, by_width] = rows;
-        for [origin_x, origin_y, _, _, inverse_width] in &rays.points {
+        for [origin_x, origin_y, _, _, inverse_width] in rays.points() {
             let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
             let inverse_width = &inverse_width[..n];
             for i in 0..n {

@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use super::blur::Blur;
+use super::blur::Rays;
 use super::corner::Corner;
 use super::corner_fit::Free;
 use super::dbscan::dbscan;
@@ -13,7 +13,6 @@ use super::patch::{Pair, Patch};
 use super::saddle::saddles;
 use super::{CornerObservation, MicroOptics};
 use crate::model::Configuration;
-use crate::vignetting::Vignetting;
 
 /// Micro-images along the edge of a tile that is read at once.
 const TILE: i32 = 16;
@@ -56,8 +55,6 @@ impl Frame<'_> {
         let tile = |(k, l): (i32, i32)| (l / TILE, k / TILE);
         nodes.sort_by_key(|&node| tile(node));
         let tiles: Vec<&[(i32, i32)]> = nodes.chunk_by(|&a, &b| tile(a) == tile(b)).collect();
-        let none = Vignetting::none();
-        let unknown = Blur::unknown(&none);
         let of_tile = |nodes: &&[(i32, i32)]| {
             let places = nodes.iter().map(|&(k, l)| micro_images.center(k, l));
             let reach = REACH * micro_images.grid.pitch_px;
@@ -70,7 +67,7 @@ impl Frame<'_> {
                     continue;
                 };
                 let optics = micro_images.optics(node.0, node.1);
-                let corner = corner_alone(&patch, &unknown, &optics, contrast);
+                let corner = corner_alone(&patch, &optics, contrast);
                 observations.extend(corner.map(|corner| self.observation(node, &corner)));
             }
             (observations, unusable)
@@ -129,14 +126,9 @@ impl Frame<'_> {
 }
 
 /// The corner of a micro-image, if it clearly shows one.
-fn corner_alone(
-    patch: &Patch,
-    unknown: &Blur,
-    optics: &MicroOptics,
-    contrast: f64,
-) -> Option<Corner> {
+fn corner_alone(patch: &Patch, optics: &MicroOptics, contrast: f64) -> Option<Corner> {
     let reach = optics.outer_radius_px() - EDGE_PX;
-    let rays = unknown.rays(patch);
+    let rays = Rays::sharp(patch);
     let clear = |corner: &Corner| {
         corner.place.norm() < reach
             && corner.explained > EXPLAINED

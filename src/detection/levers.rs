@@ -51,7 +51,7 @@ impl Corner {
         let bend = bend.in_single();
         let nearness = (slope - 1.0) as f32;
         Arch::new().dispatch(Sums { columns: &mut columns, corner: self, rays, bend, nearness });
-        let share = 1.0 / rays.points.len() as f32;
+        let share = 1.0 / rays.points().len() as f32;
         let per_point = self.contrast as f32 * share;
         let shapes: Vec<Vec<f32>> = others.iter().map(|rays| self.shape(pixels, rays)).collect();
         let [by_u, by_v, shape, given @ ..] = &columns;
@@ -104,7 +104,7 @@ impl NullaryFnOnce for Shape<'_> {
             let (s, c) = angle.sin_cos();
             (s as f32, c as f32)
         });
-        for [origin_x, origin_y, _, _, inverse_width] in &rays.points {
+        for [origin_x, origin_y, _, _, inverse_width] in rays.points() {
             let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
             let inverse_width = &inverse_width[..n];
             for i in 0..n {
@@ -144,7 +144,7 @@ impl NullaryFnOnce for Sums<'_> {
         });
         let columns = columns.each_mut().map(|column| &mut column[..n]);
         let [by_u, by_v, shape, by_slope, by_s, by_c, by_t] = columns;
-        for [origin_x, origin_y, pupil_x, pupil_y, inverse_width] in &rays.points {
+        for [origin_x, origin_y, pupil_x, pupil_y, inverse_width] in rays.points() {
             let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
             let (pupil_x, pupil_y) = (&pupil_x[..n], &pupil_y[..n]);
             let inverse_width = &inverse_width[..n];
@@ -201,7 +201,7 @@ mod tests {
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn light(patch: &mut Patch, corner: &Corner, rays: &Rays) {
         for i in 0..patch.x.len() {
-            let of_point = |point: &[Vec<f32>; 5]| {
+            let of_point = |point: [&[f32]; 5]| {
                 let step = |distance: f64| {
                     let t = (distance * f64::from(point[4][i])).clamp(-1.0, 1.0);
                     t * (1.5 - 0.5 * t * t)
@@ -212,7 +212,7 @@ mod tests {
                     corner.angles.map(|angle| step(angle.cos() * from.y - angle.sin() * from.x));
                 a * b
             };
-            let mean = rays.points.iter().map(of_point).sum::<f64>() / rays.points.len() as f64;
+            let mean = rays.points().map(of_point).sum::<f64>() / rays.points().len() as f64;
             patch.light[i] = (corner.level + corner.contrast * mean) as f32;
         }
     }

@@ -6,7 +6,7 @@ mod overlap;
 mod points;
 mod visible_part;
 
-pub(crate) use obliquity::Obliquity;
+pub(crate) use obliquity::{Field, Obliquity};
 pub(crate) use overlap::{Overlap, overlap, overlap_area};
-pub(crate) use points::{POINTS, mean_square, of_disc};
-pub(crate) use visible_part::{PartPoint, Vignetting};
+pub(crate) use points::{DISC, POINTS, ROOM};
+pub(crate) use visible_part::{PartPoints, Vignetting};

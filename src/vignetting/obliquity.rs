@@ -95,16 +95,33 @@ impl Slant {
     /// The mean moves by −g/4 (1 − h/6): `mean_square` is that of the points along an axis, which is less than the ¼ of
     /// the disc.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    pub fn field(&self, mean_square: f64) -> impl Fn(&Vector2<f32>) -> Vector2<f32> {
+    pub fn field(&self, mean_square: f64) -> Field {
         // The light that the curvature leaves comes from a smaller disc.
         let smaller = 1.0 - self.curvature / 6.0;
         let whole = 0.25 / (0.375 - mean_square / 2.0) * smaller;
-        let g = Vector2::from(self.gradient.map(|g| (g * whole) as f32));
-        let h = self.curvature as f32;
-        move |w| {
-            let (square, along) = (w.norm_squared(), g.dot(w));
-            g * ((square - 3.0) / 8.0) + w * (along / 4.0 + h * (square - 1.0) / 4.0)
+        Field {
+            gradient: self.gradient.map(|g| (g * whole) as f32),
+            curvature: self.curvature as f32,
         }
+    }
+}
+
+/// See [`Slant::field`].
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Field {
+    gradient: [f32; 2],
+    curvature: f32,
+}
+
+impl Field {
+    /// By how much the point (x, y) of the disc moves.
+    #[inline(always)]
+    pub fn at(&self, x: f32, y: f32) -> [f32; 2] {
+        let [g, k] = self.gradient;
+        let square = x * x + y * y;
+        let first = (square - 3.0) / 8.0;
+        let second = (g * x + k * y) / 4.0 + self.curvature * (square - 1.0) / 4.0;
+        [g * first + x * second, k * first + y * second]
     }
 }
 
@@ -156,7 +173,7 @@ mod tests {
                     first += w * weight;
                     second += w.norm_squared() * weight;
                     count += 1.0;
-                    let moved = w + field(&w.map(|x| x as f32)).map(f64::from);
+                    let moved = w + Vector2::from(field.at(w.x as f32, w.y as f32)).map(f64::from);
                     moved_first += moved;
                     moved_second += moved.norm_squared();
                 }

@@ -1,5 +1,7 @@
 //! A few points that stand for cells of equal area of the visible part of a micro-lens.
 
+use std::sync::LazyLock;
+
 use nalgebra::Vector2;
 
 use super::overlap::Overlap;
@@ -8,6 +10,28 @@ use super::overlap::Overlap;
 const RINGS: [usize; 3] = [1, 6, 12];
 /// Number of all points.
 pub(crate) const POINTS: usize = RINGS[0] + RINGS[1] + RINGS[2];
+/// Room for them that fills registers.
+pub(crate) const ROOM: usize = POINTS.next_multiple_of(8);
+
+/// The points of the disc in single precision, as the light: x and y, and their mean square along an axis.
+pub(crate) struct DiscPoints {
+    pub x: [f32; ROOM],
+    pub y: [f32; ROOM],
+    pub mean_square: f64,
+}
+
+/// The points of the disc.
+pub(crate) static DISC: LazyLock<DiscPoints> = LazyLock::new(|| {
+    let points = of_disc();
+    let mean_square = mean_square();
+    DiscPoints { x: in_room(|j| points[j].x), y: in_room(|j| points[j].y), mean_square }
+});
+
+/// Numbers by point in single precision, and zeros behind them.
+#[allow(clippy::cast_possible_truncation)] // as the light
+pub(crate) fn in_room(of: impl Fn(usize) -> f64) -> [f32; ROOM] {
+    std::array::from_fn(|j| if j < POINTS { of(j) as f32 } else { 0.0 })
+}
 
 /// The centroids of cells of equal area that the unit disc is cut into: rings, and equal sectors of them.
 pub(crate) fn of_disc() -> [Vector2<f64>; POINTS] {
@@ -32,7 +56,7 @@ pub(crate) fn of_disc() -> [Vector2<f64>; POINTS] {
 
 /// Mean square of the points of the disc along an axis; that of the whole disc is a quarter, and the rest is
 /// inside the cells.
-pub(crate) fn mean_square() -> f64 {
+fn mean_square() -> f64 {
     of_disc().iter().map(|p| p.norm_squared() / 2.0).sum::<f64>() / POINTS as f64
 }
 

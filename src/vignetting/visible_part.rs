@@ -9,7 +9,7 @@
 
 use nalgebra::Vector2;
 
-use super::points::{POINTS, in_overlap, of_disc};
+use super::points::{POINTS, ROOM, in_overlap, in_room, of_disc};
 use crate::vignetting::{Overlap, overlap};
 
 /// Vignetting of the micro-lenses of one type as a function of the distance from the centre of the
@@ -17,39 +17,34 @@ use crate::vignetting::{Overlap, overlap};
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Vignetting {
     moments: Vec<Moments>,
-    points: Vec<[PartPoint; POINTS]>,
+    points: Vec<PartPoints>,
     sign: f64,
 }
 
-/// What a pixel at some distance from the centre sees.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Moments {
-    /// The visible part of the micro-lens.
-    part: Overlap,
-    /// Distance by which the centroid of a pixel's light is nearer to the centre than the pixel's
-    /// middle, px.
-    inwards: f64,
-    /// The centroid of the visible part, weighted with the light over the pixel.
-    mean: f64,
-}
+/// What a pixel at some distance from the centre sees: by how much the centroid of its light is nearer to the centre
+/// than the pixel's middle, px; the centroid of the visible part of the micro-lens, weighted with the light over the
+/// pixel; and the standard deviations of that part, from the centre and across, over those of the whole disc.
+type Moments = [f64; 4];
 
-/// A point that stands for a cell of the visible part, all cells having equal area.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct PartPoint {
-    /// Its place w less the centroid of the part, in radii of the micro-lens, along the direction from the centre
+/// Points that stand for cells of the visible part, all cells having equal area.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct PartPoints {
+    /// Their places w less the centroid of the part, in radii of the micro-lens, along the direction from the centre
     /// and across it.
-    pub place: Vector2<f32>,
-    /// How it moves with the pixel: the trace of ∂w/∂p, px⁻¹, and that of its product with its transpose, px⁻².
-    drift: [f32; 2],
+    pub along: [f32; ROOM],
+    pub across: [f32; ROOM],
+    /// How they move with the pixel: the trace of ∂w/∂p, px⁻¹, and that of its product with its transpose, px⁻².
+    trace: [f32; ROOM],
+    squares: [f32; ROOM],
 }
 
-impl PartPoint {
-    /// Variance along an axis, the mean of both, of where the light that comes through this point comes from
+impl PartPoints {
+    /// Variance along an axis, the mean of both, of where the light that comes through point `j` comes from
     /// because of the extent of the pixel, for the blur radius ρ, px². Across a pixel the visible part moves, and
     /// what is seen, p − ρ w, changes by 1 − ρ ∂w/∂p as p does.
-    pub fn pixel(&self, rho: f32) -> f32 {
-        let [trace, squares] = self.drift;
-        (1.0 - rho * trace + rho * rho * squares / 2.0) / 12.0
+    #[inline(always)]
+    pub fn pixel(&self, j: usize, rho: f32) -> f32 {
+        (1.0 - rho * self.trace[j] + rho * rho * self.squares[j] / 2.0) / 12.0
     }
 }
 
@@ -87,17 +82,7 @@ impl Vignetting {
                 part
             })
             .collect();
-        let moments_at = |i: usize| {
-            let mut moments = Moments { part: parts[i], inwards: 0.0, mean: parts[i].mean };
-            if (REACH..count.saturating_sub(REACH)).contains(&i) {
-                let fall = (parts[i - REACH].area / parts[i + REACH].area).ln();
-                let per_px = fall / (2.0 * REACH as f64 * STEP_PX);
-                moments.inwards = (per_px / 12.0).clamp(0.0, MOST_INWARDS_PX);
-                moments.mean = mean_over_pixel(&parts, i as f64 * STEP_PX);
-            }
-            moments
-        };
-        let moments = (0..count).map(moments_at).collect();
+        let moments = (0..count).map(|i| moments_at(&parts, i)).collect();
         let disc = of_disc();
         let places: Vec<[Vector2<f64>; POINTS]> = (0..count)
             .map(|i| {
@@ -110,59 +95,50 @@ impl Vignetting {
         Self { moments, points, sign }
     }
 
-    /// No vignetting: the whole micro-lens is visible.
-    pub fn none() -> Self {
-        let (disc, whole) = (of_disc(), Overlap::WHOLE);
-        let points = vec![part_points(&[disc], &whole, &disc, 0, 1.0)];
-        Self { moments: vec![Moments { part: whole, inwards: 0.0, mean: 0.0 }], points, sign: 1.0 }
-    }
-
     /// The part of the micro-lens through which the pixel at an offset from the centre, px, sees.
+    #[inline]
     pub fn at(&self, offset: &Vector2<f64>) -> VisiblePart<'_> {
         let r = offset.norm();
         let outwards = if r > 1e-9 { offset / r } else { Vector2::x() };
-        let at_pixel = self.between(r);
-        let inwards = at_pixel.mixed(|m| m.inwards);
-        // What is seen changes across a pixel; the centroid of its light stands for all of it.
-        let lit = (r - inwards).max(0.0);
-        let at_light = self.between(lit);
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-        let nearest = ((lit / STEP_PX + 0.5) as usize).min(self.points.len() - 1);
-        VisiblePart {
-            outwards,
-            sign: self.sign,
-            points: &self.points[nearest],
-            seen_at: offset - outwards * inwards,
-            mean: outwards * (self.sign * at_pixel.mixed(|m| m.mean)),
-            spread: [at_light.mixed(|m| m.part.along), at_light.mixed(|m| m.part.across)],
-        }
-    }
-
-    /// The tabulated values next to a distance from the centre, px.
-    #[inline]
-    fn between(&self, r: f64) -> Between<'_> {
         let steps = r / STEP_PX;
         let last = self.moments.len() - 1;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
         let i = (steps as usize).min(last);
         let part = (steps - i as f64).min(1.0);
-        Between { below: &self.moments[i], above: &self.moments[(i + 1).min(last)], part }
+        let (below, above) = (&self.moments[i], &self.moments[(i + 1).min(last)]);
+        let mixed: Moments = std::array::from_fn(|of| below[of] * (1.0 - part) + above[of] * part);
+        let [inwards, mean, along, across] = mixed;
+        // What is seen changes across a pixel; the centroid of its light stands for all of it.
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
+        let nearest = (((r - inwards).max(0.0) / STEP_PX + 0.5) as usize).min(last);
+        VisiblePart {
+            outwards,
+            sign: self.sign,
+            points: &self.points[nearest],
+            seen_at: offset - outwards * inwards,
+            mean: outwards * (self.sign * mean),
+            spread: [along, across],
+        }
     }
 }
 
-/// A place between two tabulated values.
-struct Between<'a> {
-    below: &'a Moments,
-    above: &'a Moments,
-    /// Of the way from the one to the other.
-    part: f64,
-}
-
-impl Between<'_> {
-    #[inline]
-    fn mixed(&self, of: impl Fn(&Moments) -> f64) -> f64 {
-        of(self.below) * (1.0 - self.part) + of(self.above) * self.part
+/// What the pixel at step `i` sees, from the parts that are visible from points at all steps.
+fn moments_at(parts: &[Overlap], i: usize) -> Moments {
+    let (mut inwards, mut mean) = (0.0, parts[i].mean);
+    if (REACH..parts.len().saturating_sub(REACH)).contains(&i) {
+        let fall = (parts[i - REACH].area / parts[i + REACH].area).ln();
+        let per_px = fall / (2.0 * REACH as f64 * STEP_PX);
+        inwards = (per_px / 12.0).clamp(0.0, MOST_INWARDS_PX);
+        mean = mean_over_pixel(parts, i as f64 * STEP_PX);
     }
+    // The centroid of its light stands for all of it.
+    let lit = (i as f64 - inwards / STEP_PX).max(0.0);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
+    let below = lit as usize;
+    let (part, above) = (lit - below as f64, (below + 1).min(parts.len() - 1));
+    let mixed =
+        |of: fn(&Overlap) -> f64| of(&parts[below]) * (1.0 - part) + of(&parts[above]) * part;
+    [inwards, mean, mixed(|p| p.along), mixed(|p| p.across)]
 }
 
 /// Mean of the centroids of the parts that a pixel sees, by their light; its middle is r from the centre, px.
@@ -187,30 +163,34 @@ fn mean_over_pixel(parts: &[Overlap], r: f64) -> f64 {
 ///
 /// A point w of the disc is seen at m + S w, with the mean m of the part and its spread S along and across the
 /// direction from the centre. Both change along that direction, and turn with it; the w themselves do not.
-#[allow(clippy::cast_possible_truncation)] // single precision, as the light
 fn part_points(
     places: &[[Vector2<f64>; POINTS]],
     part: &Overlap,
     disc: &[Vector2<f64>; POINTS],
     i: usize,
     sign: f64,
-) -> [PartPoint; POINTS] {
+) -> PartPoints {
     let (before, after) = (i.saturating_sub(REACH), (i + REACH).min(places.len() - 1));
     let distance = ((after - before) as f64 * STEP_PX).max(STEP_PX);
     let r = i.max(1) as f64 * STEP_PX;
-    std::array::from_fn(|j| {
-        let place = places[i][j];
+    let shear = (part.along - part.across) / r;
+    // The columns of ∂w/∂p.
+    let drift = |j: usize| {
         let radial = (places[after][j] - places[before][j]) / distance;
-        let shear = (part.along - part.across) / r;
-        let across = Vector2::new(shear * disc[j].y, part.mean / r + shear * disc[j].x);
-        PartPoint {
-            place: Vector2::new((sign * (place.x - part.mean)) as f32, place.y as f32),
-            drift: [
-                (sign * (radial.x + across.y)) as f32,
-                (radial.norm_squared() + across.norm_squared()) as f32,
-            ],
-        }
-    })
+        (radial, Vector2::new(shear * disc[j].y, part.mean / r + shear * disc[j].x))
+    };
+    PartPoints {
+        along: in_room(|j| sign * (places[i][j].x - part.mean)),
+        across: in_room(|j| places[i][j].y),
+        trace: in_room(|j| {
+            let (radial, across) = drift(j);
+            sign * (radial.x + across.y)
+        }),
+        squares: in_room(|j| {
+            let (radial, across) = drift(j);
+            radial.norm_squared() + across.norm_squared()
+        }),
+    }
 }
 
 /// The visible part of a micro-lens.
@@ -221,7 +201,7 @@ pub(crate) struct VisiblePart<'a> {
     /// That of qᵢ: the side from which x counts in the points of the disc that `points` come from.
     pub sign: f64,
     /// The points that stand for it.
-    pub points: &'a [PartPoint; POINTS],
+    pub points: &'a PartPoints,
     /// Centroid of the pixel's light relative to the centre of the micro-image, px. The light falls off
     /// towards the edge, and a pixel has a variance of 1/12 px² along each axis.
     pub seen_at: Vector2<f64>,
@@ -244,7 +224,7 @@ mod tests {
             assert!(part.spread[0] < part.spread[1] && part.seen_at.x < 9.0);
             let part = vignetting.at(&Vector2::new(0.5, 0.0));
             assert!(part.mean.norm() < 1e-9 && (part.spread[0] - 1.0).abs() < 1e-3);
-            assert!(part.points.iter().all(|p| (p.pixel(3.0) - 1.0 / 12.0).abs() < 1e-4));
+            assert!((0..POINTS).all(|j| (part.points.pixel(j, 3.0) - 1.0 / 12.0).abs() < 1e-4));
         }
     }
 }
