@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <numeric>
 
@@ -184,8 +185,18 @@ double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse
   return count > 0 ? sum / count : 1.0;
 }
 
+// A covariance whose variances are at least some, with the same correlations.
+MatrixXd at_least(const MatrixXd& covariance, const VectorXd& least) {
+  const VectorXd larger =
+      covariance.diagonal().binaryExpr(least, [](double variance, double least) {
+        return variance > 0.0 ? std::sqrt(std::max(1.0, least / variance)) : 1.0;
+      });
+  return larger.asDiagonal() * covariance * larger.asDiagonal();
+}
+
 SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inverse,
-                           double anchor_weight, CalibrationProblem* calibration) {
+                           const MatrixXd& independent, double anchor_weight,
+                           CalibrationProblem* calibration) {
   const int p = equations.intrinsics;
   const Eliminated groups = without_poses(equations);
   const MatrixXd& follow = groups.poses_by_intrinsics;
@@ -209,7 +220,12 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   const MatrixXd centers = sum_of_information(groups.patches);
   result.dispersion =
       mean_dispersion(equations, of_intrinsics, by_frames + by_patches, observed, boards + centers);
-  const MatrixXd camera = of_intrinsics * (by_frames + by_patches) * of_intrinsics;
+  MatrixXd eliminate(p, equations.size());
+  eliminate << MatrixXd::Identity(p, p), follow.transpose();
+  const MatrixXd of_all = of_intrinsics * eliminate;
+  // A few frames can agree by chance better than noise allows.
+  const MatrixXd camera = at_least(of_intrinsics * (by_frames + by_patches) * of_intrinsics,
+                                   (of_all * independent * of_all.transpose()).diagonal());
   if (p > 0 && equations.count[kCenter] > 0) {
     VectorXd gradient = VectorXd::Zero(p);
     for (const Group& patch : groups.patches) gradient += patch.gradient;

@@ -47,10 +47,12 @@ struct SharedErrors {
   Eigen::MatrixXd common_changes;
 };
 
-/// `inverse` is H^+.
-/// Evaluates `calibration` at other values nearby, and leaves it as it was.
+/// `inverse` is H^+, `independent` the covariance of the gradient if all errors are independent:
+/// variances of the intrinsics are at least what that makes them. Evaluates `calibration` at other
+/// values nearby, and leaves it as it was.
 SharedErrors shared_errors(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
-                           double anchor_weight, CalibrationProblem* calibration);
+                           const Eigen::MatrixXd& independent, double anchor_weight,
+                           CalibrationProblem* calibration);
 
 /// How many times larger than the weights claim the variance of the anchored quantities is if the
 /// gradient has the covariance `spread` instead of `information` (of all parameters, or of the

@@ -143,7 +143,9 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
 /// part of a pose that is its own, over the corners of the frame, g being the gradient of the
 /// group; each corrected for what the fit takes away from it (`gradient_spread` in
 /// src/shared_errors.hpp). A is H except in the weakest directions of the intrinsics: there it is
-/// the true Hessian, with the second derivatives that J'J leaves out (src/curvature.hpp).
+/// the true Hessian, with the second derivatives that J'J leaves out (src/curvature.hpp). Variances
+/// of the intrinsics are at least what S of independent errors makes them with this A: where a few
+/// frames scatter less than noise does, that is chance.
 ///
 /// Both contain w^2 H_a of the anchors, with H_a their information at w = 1, and the errors of rho
 /// that all features of a lens type share.
