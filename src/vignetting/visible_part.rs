@@ -100,17 +100,13 @@ impl Vignetting {
     pub fn at(&self, offset: &Vector2<f64>) -> VisiblePart<'_> {
         let r = offset.norm();
         let outwards = if r > 1e-9 { offset / r } else { Vector2::x() };
-        let steps = r / STEP_PX;
-        let last = self.moments.len() - 1;
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-        let i = (steps as usize).min(last);
-        let part = (steps - i as f64).min(1.0);
-        let (below, above) = (&self.moments[i], &self.moments[(i + 1).min(last)]);
+        let (below, above, part) = between(r, self.moments.len());
+        let (below, above) = (&self.moments[below], &self.moments[above]);
         let mixed: Moments = std::array::from_fn(|of| below[of] * (1.0 - part) + above[of] * part);
         let [inwards, mean, along, across] = mixed;
         // What is seen changes across a pixel; the centroid of its light stands for all of it.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-        let nearest = (((r - inwards).max(0.0) / STEP_PX + 0.5) as usize).min(last);
+        let nearest = (((r - inwards).max(0.0) / STEP_PX + 0.5) as usize).min(self.points.len() - 1);
         VisiblePart {
             outwards,
             sign: self.sign,
@@ -132,13 +128,19 @@ fn moments_at(parts: &[Overlap], i: usize) -> Moments {
         mean = mean_over_pixel(parts, i as f64 * STEP_PX);
     }
     // The centroid of its light stands for all of it.
-    let lit = (i as f64 - inwards / STEP_PX).max(0.0);
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-    let below = lit as usize;
-    let (part, above) = (lit - below as f64, (below + 1).min(parts.len() - 1));
-    let mixed =
-        |of: fn(&Overlap) -> f64| of(&parts[below]) * (1.0 - part) + of(&parts[above]) * part;
+    let (below, above, share) = between(i as f64 * STEP_PX - inwards, parts.len());
+    let mixed = |of: fn(&Overlap) -> f64| of(&parts[below]) * (1.0 - share) + of(&parts[above]) * share;
     [inwards, mean, mixed(|p| p.along), mixed(|p| p.across)]
+}
+
+/// The steps below and above a distance from the centre, px, among so many, and its part of the way from the one to the
+/// other.
+#[inline]
+fn between(distance: f64, count: usize) -> (usize, usize, f64) {
+    let (steps, last) = ((distance / STEP_PX).max(0.0), count - 1);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
+    let below = (steps as usize).min(last);
+    (below, (below + 1).min(last), (steps - below as f64).min(1.0))
 }
 
 /// Mean of the centroids of the parts that a pixel sees, by their light; its middle is r from the centre, px.
@@ -148,12 +150,13 @@ fn mean_over_pixel(parts: &[Overlap], r: f64) -> f64 {
         for (y, across) in OVER_PIXEL {
             let place = Vector2::new(r + x, y);
             let distance = place.norm();
-            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-            let nearest = ((distance / STEP_PX).round() as usize).min(parts.len() - 1);
-            let part = &parts[nearest];
-            let weight = along * across * part.area;
+            let (below, above, share) = between(distance, parts.len());
+            let mixed = |of: fn(&Overlap) -> f64| {
+                of(&parts[below]) * (1.0 - share) + of(&parts[above]) * share
+            };
+            let weight = along * across * mixed(|p| p.area);
             light += weight;
-            first += weight * part.mean * place.x / distance.max(1e-9);
+            first += weight * mixed(|p| p.mean) * place.x / distance.max(1e-9);
         }
     }
     first / light
