@@ -190,6 +190,9 @@ fn inverse_width(variance: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::corner::Corner;
+    use super::super::corner_fit::Free;
+    use super::super::patch::{USABLE, weight};
     use super::*;
 
     /// The lens of an R12 whose micro-images are most vignetted, px, with cos⁴.
@@ -199,38 +202,110 @@ mod tests {
     const HALF_PITCH: f64 = 11.65;
     const WITHIN: f64 = 4.0 / (59.0 * 59.0);
 
-    /// Mean and variances of where the light of the pixel at (x, 0) comes from, from sums over the pixel and the
-    /// micro-lens.
-    fn summed(x: f64) -> [f64; 3] {
-        let (mut light, mut mean, mut along, mut across) = (0.0, 0.0, 0.0, 0.0);
-        let steps = |count: i32, half: f64| {
-            (0..count).map(move |i| half * ((f64::from(i) + 0.5) * 2.0 / f64::from(count) - 1.0))
+    /// Weight and origin, p − ρ w, of the light of the pixel at (x, y): from so many points of the pixel along each axis,
+    /// and so many rings of the micro-lens, of equal area.
+    fn summed(
+        [x, y]: [f64; 2],
+        [rho, q]: [f64; 2],
+        [of_pixel, rings]: [i32; 2],
+    ) -> Vec<(f64, Vector2<f64>)> {
+        let step = |i: i32| (f64::from(i) + 0.5) / f64::from(of_pixel) - 0.5;
+        let on_lens = |i: i32| {
+            let radius = ((f64::from(i % rings) + 0.5) / f64::from(rings)).sqrt();
+            // By the golden angle no two rings are alike.
+            let (sin, cos) = (f64::from(i) * 2.399_963_229_728_653).sin_cos();
+            Vector2::new(cos, sin) * radius
         };
-        for (dx, dy) in steps(8, 0.5).flat_map(|dx| steps(8, 0.5).map(move |dy| (dx, dy))) {
-            for (a, b) in steps(80, 1.0).flat_map(|a| steps(80, 1.0).map(move |b| (a, b))) {
-                let (w, p) = (Vector2::new(a, b), Vector2::new(x + dx, dy));
-                if w.norm() > 1.0 || (p - w * Q).norm() > PUPIL {
+        let lens: Vec<Vector2<f64>> = (0..3 * rings * rings).map(on_lens).collect();
+        let mut light = Vec::new();
+        for i in 0..of_pixel * of_pixel {
+            let p = Vector2::new(x + step(i % of_pixel), y + step(i / of_pixel));
+            let seen = lens.iter().filter(|w| (p - *w * q).norm() < PUPIL);
+            light.extend(seen.map(|w| {
+                let oblique = (p + w * HALF_PITCH).norm_squared();
+                ((1.0 + WITHIN * oblique / 4.0).powi(-2), p - w * rho)
+            }));
+        }
+        light
+    }
+
+    /// Mean and variances of where the light of the pixel at (x, 0) comes from.
+    fn moments(x: f64) -> [f64; 3] {
+        let light = summed([x, 0.0], [RHO, Q], [8, 40]);
+        let all: f64 = light.iter().map(|(weight, _)| weight).sum();
+        let mean_of = |of: &dyn Fn(&Vector2<f64>) -> f64| {
+            light.iter().map(|(weight, origin)| weight * of(origin)).sum::<f64>() / all
+        };
+        let mean = mean_of(&|o| o.x);
+        [mean, mean_of(&|o| (o.x - mean).powi(2)), mean_of(&|o| o.y * o.y)]
+    }
+
+    fn blur(rho: f64, q: f64, vignetting: &Vignetting) -> Blur<'_> {
+        let obliquity =
+            Obliquity { within_per_px2: WITHIN, half_pitch_px: HALF_PITCH, ..Obliquity::default() };
+        Blur { rho, q, bend: Bend::none(), vignetting, obliquity }
+    }
+
+    /// By how much corners of summed light at a distance from the centre are found further outwards, px: the mean of
+    /// several directions.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn misplaced(rho: f64, q: f64, distance: f64) -> f64 {
+        const DIRECTIONS: i32 = 6;
+        const PARTS: [i32; 2] = [3, 18];
+        let vignetting = Vignetting::new(PUPIL, q);
+        let blur = blur(rho, q, &vignetting);
+        let outer = (PUPIL + q.abs()).min(HALF_PITCH);
+        let sum = |light: &[(f64, Vector2<f64>)]| light.iter().map(|(weight, _)| weight).sum();
+        let brightest: f64 = sum(&summed([0.0; 2], [rho, q], PARTS));
+        let of_direction = |direction: i32| {
+            let turn = f64::from(direction) * std::f64::consts::TAU / f64::from(DIRECTIONS) + 0.1;
+            let place = Vector2::new(turn.cos(), turn.sin()) * distance;
+            let start = Corner {
+                place,
+                angles: [0.3 + 1.7 * turn, 1.8 + 1.7 * turn],
+                level: 0.5,
+                contrast: 0.4,
+                width: 1.0,
+                covariance: nalgebra::Matrix2::zeros(),
+                explained: 0.0,
+            };
+            let [a, b] = start.angles.map(|angle| Vector2::new(-angle.sin(), angle.cos()));
+            let mut patch = Patch::default();
+            for i in 0..25 * 25 {
+                let (x, y) = (f64::from(i % 25) - 11.79, f64::from(i / 25) - 12.37);
+                let light = summed([x, y], [rho, q], PARTS);
+                let white: f64 = sum(&light);
+                let part = (white / brightest) as f32;
+                if x.hypot(y) > outer || part < USABLE {
                     continue;
                 }
-                let oblique = (p + w * HALF_PITCH).norm_squared();
-                let weight = (1.0 + WITHIN * oblique / 4.0).powi(-2);
-                let origin = p - w * RHO;
-                light += weight;
-                mean += weight * origin.x;
-                along += weight * origin.x * origin.x;
-                across += weight * origin.y * origin.y;
+                let side = |o: &Vector2<f64>| (a.dot(&(o - place)) * b.dot(&(o - place))).signum();
+                let board: f64 = light.iter().map(|(weight, o)| weight * side(o)).sum();
+                patch.x.push(x as f32);
+                patch.y.push(y as f32);
+                patch.light.push((0.5 + 0.4 * board / white) as f32);
+                patch.weight.push(weight(part));
+            }
+            let found = start.fitted(&patch, &blur.rays(&patch), Free::Place).unwrap();
+            (found.place - place).dot(&place) / distance
+        };
+        (0..DIRECTIONS).map(of_direction).sum::<f64>() / f64::from(DIRECTIONS)
+    }
+
+    #[test]
+    fn corners_of_summed_light_are_where_they_are() {
+        for (rho, q) in [(-4.2, -5.1), (-3.3, -4.2), (-2.1, -4.2)] {
+            for distance in [2.2, 3.8, 5.2] {
+                let error = misplaced(rho, q, distance);
+                assert!(error.abs() < 0.005, "{error} at {distance} for {rho}");
             }
         }
-        mean /= light;
-        [mean, along / light - mean * mean, across / light]
     }
 
     #[test]
     fn rays_come_from_where_the_light_does() {
         let vignetting = Vignetting::new(PUPIL, Q);
-        let obliquity =
-            Obliquity { within_per_px2: WITHIN, half_pitch_px: HALF_PITCH, ..Obliquity::default() };
-        let blur = Blur { rho: RHO, q: Q, bend: Bend::none(), vignetting: &vignetting, obliquity };
+        let blur = blur(RHO, Q, &vignetting);
         let places = [0.5_f32, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0];
         let patch = Patch { x: places.into(), y: vec![0.0; places.len()], ..Patch::default() };
         let rays = blur.rays(&patch);
@@ -242,8 +317,8 @@ mod tests {
             let left_out = mean_of(&|p| f64::from(p[4][i]).powi(-2) / 5.0);
             let along = mean_of(&|p| (f64::from(p[0][i]) - mean).powi(2)) + left_out;
             let across = mean_of(&|p| f64::from(p[1][i]).powi(2)) + left_out;
-            let [expected, expected_along, expected_across] = summed(f64::from(x));
-            assert!((mean - expected).abs() < 0.005, "{x}: {mean} for {expected}");
+            let [expected, expected_along, expected_across] = moments(f64::from(x));
+            assert!((mean - expected).abs() < 0.003, "{x}: {mean} for {expected}");
             let spread = |variance: f64| variance.sqrt();
             assert!(
                 (spread(along) - spread(expected_along)).abs() < 0.04

@@ -77,10 +77,15 @@ impl Patch {
 }
 
 /// Pixels with less than this part of the micro-image's brightest light in the white image are not used.
-const USABLE: f32 = 0.06;
+pub(super) const USABLE: f32 = 0.06;
 /// Variance of the read noise over that of the photon noise in the white image's brightest pixel: relative
 /// to their light, darker pixels have more of it.
 const READ_NOISE: f32 = 0.25;
+
+/// The weight of a pixel whose light in the white image is such a part of the micro-image's brightest.
+pub(super) fn weight(white: f32) -> f32 {
+    white * white / (READ_NOISE + white) * (1.0 + READ_NOISE)
+}
 
 /// Fewest pixels for a corner of seven parameters, with some redundancy.
 const FEWEST_PIXELS: usize = 40;
@@ -166,7 +171,7 @@ impl Pair {
             patch.x[kept] = patch.x[i];
             patch.y[kept] = patch.y[i];
             patch.light[kept] = patch.light[i] / of_pixel;
-            patch.weight.push(white * white / (READ_NOISE + white) * (1.0 + READ_NOISE));
+            patch.weight.push(weight(white));
             kept += 1;
         }
         patch.x.truncate(kept);

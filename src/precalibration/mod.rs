@@ -19,6 +19,7 @@ mod pattern;
 mod profile;
 mod radii;
 mod rings;
+mod roundness;
 mod samples;
 mod stage;
 mod types;

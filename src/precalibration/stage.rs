@@ -12,6 +12,7 @@ use super::fall_off::{Light, Measured};
 use super::internal::{InternalFit, RadiusMeasurement};
 use super::levers::Levers;
 use super::radii::{RadiusEstimator, TypeRadius};
+use super::roundness::oblong;
 use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
@@ -162,8 +163,13 @@ pub fn precalibrate(
         Some(_) => None,
         None => different_aperture((reference, &grey), &levers, &samples, &found.pattern),
     };
-    let warnings =
-        [wrong_f_number, wrong_aperture, disagreeing_types(&lens_types), unknown_fall_off];
+    let warnings = [
+        wrong_f_number,
+        wrong_aperture,
+        disagreeing_types(&lens_types),
+        unknown_fall_off,
+        oblong(&grey, &array.centers, array.grid.pitch_px),
+    ];
     let warnings =
         doubtful_colors(whites).into_iter().chain(warnings.into_iter().flatten()).collect();
     let measured =

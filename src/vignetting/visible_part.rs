@@ -106,7 +106,8 @@ impl Vignetting {
         let [inwards, mean, along, across] = mixed;
         // What is seen changes across a pixel; the centroid of its light stands for all of it.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
-        let nearest = (((r - inwards).max(0.0) / STEP_PX + 0.5) as usize).min(self.points.len() - 1);
+        let nearest =
+            (((r - inwards).max(0.0) / STEP_PX + 0.5) as usize).min(self.points.len() - 1);
         VisiblePart {
             outwards,
             sign: self.sign,
@@ -129,7 +130,8 @@ fn moments_at(parts: &[Overlap], i: usize) -> Moments {
     }
     // The centroid of its light stands for all of it.
     let (below, above, share) = between(i as f64 * STEP_PX - inwards, parts.len());
-    let mixed = |of: fn(&Overlap) -> f64| of(&parts[below]) * (1.0 - share) + of(&parts[above]) * share;
+    let mixed =
+        |of: fn(&Overlap) -> f64| of(&parts[below]) * (1.0 - share) + of(&parts[above]) * share;
     [inwards, mean, mixed(|p| p.along), mixed(|p| p.across)]
 }
 

@@ -194,6 +194,18 @@ fn a_traced_lens_is_measured_from_its_white_images() {
     assert!((pupil - 0.0085).abs() < 3e-3, "{pupil}");
 }
 
+/// The pupil is a cat's eye towards the border.
+#[test]
+fn a_second_stop_gives_a_warning() {
+    let stop = "imperfections.second_stop={z_mm=-9, diameter_mm=4}";
+    let settings = preset("mini", &["rays=8", "white_images.f_numbers=[4.0, 8.0, 16.0]", stop]);
+    let found = precalibrate(&taken(&settings).0, None, &options(&settings), &|| ()).unwrap();
+    let told = |found: &Precalibration| found.warnings.iter().any(|w| w.contains("oblique light"));
+    assert!(told(&found), "{:?}", found.warnings);
+    let small = &*SMALL;
+    assert!(!told(&small.precalibrate(&small.whites).unwrap()));
+}
+
 #[test]
 fn fewer_than_two_f_numbers_are_rejected() {
     let small = &*SMALL;
