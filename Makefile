@@ -19,7 +19,7 @@ help:
 	@echo "make demo       simulate a camera, calibrate it from its images, write a report"
 	@echo "make test       the tests; PLENOCAL_R12A=DIR and PLENOCAL_WHITES=DIR add real data"
 	@echo "make test-all   also reports in a browser, shell completions, manual pages; installs Chromium"
-	@echo "make test-slow  the slow tests (Monte Carlo)"
+	@echo "make test-slow  the slow tests (Monte Carlo, bias of corners)"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program"
 	@echo "make doc        API documentation in target/doc"
@@ -68,7 +68,7 @@ test-rust: cpp
 	cargo test --release --no-fail-fast
 
 test-slow: cpp
-	cargo test --release --test it -- --ignored --nocapture monte_carlo
+	cargo test --release --test it -- --ignored --nocapture monte_carlo bias
 
 # The cmake crate silences C++ warnings; the plain build shows them, as errors.
 lint: deps

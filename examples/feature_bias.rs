@@ -8,7 +8,7 @@
 use plenocal::Result;
 use plenocal::detection::DepthEstimator;
 use plenocal::evaluation::DetectionScore;
-use plenocal::evaluation::bias::{Bias, by_offset, by_place, of_rho, worst};
+use plenocal::evaluation::bias::{Bias, by_offset, by_place, of_rho, outwards, worst};
 use plenocal::simulation::Settings;
 
 /// Name, preset, replaced settings, and number of frames.
@@ -30,9 +30,9 @@ const SETS: [(&str, &str, &[&str], usize); 8] = [
 
 fn main() -> Result<()> {
     println!(
-        "| boards | features | position by place | by distance from the centre, by type | ρ by place |"
+        "| boards | features | position by place | by distance from the centre, by type | outwards | ρ by place |"
     );
-    println!("|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|");
     let mut arguments = std::env::args().skip(1);
     let wanted = arguments.next().unwrap_or_default();
     let own: Vec<String> = arguments.collect();
@@ -50,10 +50,12 @@ fn main() -> Result<()> {
             .map(|lens_type| text(&by_offset(errors, lens_type)))
             .collect();
         println!(
-            "| {name} | {} | {} | {} | {} |",
+            "| {name} | {} | {} | {} | {:+.2} ± {:.2} % | {} |",
             errors.len(),
             text(&by_place(errors)),
             of_types.join(", "),
+            100.0 * outwards(errors).0,
+            100.0 * outwards(errors).1,
             text(&of_rho(errors)),
         );
         if std::env::var_os("CLASSES").is_some() {

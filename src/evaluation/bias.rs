@@ -54,6 +54,17 @@ pub fn of_rho(errors: &[FeatureError]) -> Vec<Bias> {
     classes(errors, |e| (e.from_middle_px.norm(), e.rho_error_px))
 }
 
+/// By which part of its distance a corner is further from the centre of its micro-image than it is, and the standard
+/// deviation of that. d of a calibrated camera has about the same error.
+#[must_use]
+pub fn outwards(errors: &[FeatureError]) -> (f64, f64) {
+    let squares: f64 = errors.iter().map(|e| e.from_center_px.norm_squared()).sum();
+    let along = |e: &FeatureError| e.error_px.dot(&e.from_center_px);
+    let part = errors.iter().map(along).sum::<f64>() / squares;
+    let left = |e: &FeatureError| along(e) - part * e.from_center_px.norm_squared();
+    (part, errors.iter().map(|e| left(e).powi(2)).sum::<f64>().sqrt() / squares)
+}
+
 /// The class with the largest mean error, in absolute terms.
 #[must_use]
 pub fn worst(classes: &[Bias]) -> Option<&Bias> {

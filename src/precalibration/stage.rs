@@ -159,19 +159,13 @@ pub fn precalibrate(
     internal.parameters.lean = lean;
     let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
-    let wrong_aperture = match wrong_f_number {
-        Some(_) => None,
-        None => different_aperture((reference, &grey), &levers, &samples, &found.pattern),
-    };
-    let warnings = [
-        wrong_f_number,
-        wrong_aperture,
-        disagreeing_types(&lens_types),
-        unknown_fall_off,
-        oblong(&grey, &array.centers, array.grid.pitch_px),
-    ];
-    let warnings =
-        doubtful_colors(whites).into_iter().chain(warnings.into_iter().flatten()).collect();
+    let wrong_aperture = (wrong_f_number.is_none())
+        .then(|| different_aperture((reference, &grey), &levers, &samples, &found.pattern));
+    let oblong = oblong(&grey, &array.centers, array.grid.pitch_px);
+    let of_sizes = [wrong_f_number, wrong_aperture.flatten(), oblong];
+    let of_light = [disagreeing_types(&lens_types), unknown_fall_off];
+    let warnings = doubtful_colors(whites).into_iter();
+    let warnings = warnings.chain(of_sizes.into_iter().chain(of_light).flatten()).collect();
     let measured =
         Precalibration { array, lens_types, radii, internal, pitch_correction, warnings };
     if let Some(sheet) = &options.stated {

@@ -1,5 +1,8 @@
 //! How obliquely light reaches a micro-image, and the effect: natural vignetting, and what pixels add.
 
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
 use nalgebra::Vector2;
 
 /// The fall-off of light inside a micro-image. Light from the point M of the micro-lens to the point y, both

@@ -7,6 +7,9 @@
 //! Points of the micro-lens have the sign that they have in p − ρ w: they are rotated by half a turn
 //! from their true positions.
 
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
 use nalgebra::Vector2;
 
 use super::points::{POINTS, ROOM, in_overlap, in_room, of_disc};

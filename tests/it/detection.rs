@@ -2,6 +2,7 @@
 
 use plenocal::detection::DepthEstimator;
 use plenocal::evaluation::DetectionScore;
+use plenocal::evaluation::bias::{by_offset, by_place, outwards};
 
 use crate::support::preset;
 
@@ -107,4 +108,37 @@ fn the_median_of_pairs_gives_other_but_equally_good_blur_radii() {
     assert!((line.rms_px() - median.rms_px()).abs() < 1e-9);
     assert!((line.rho_rms_px() - median.rho_rms_px()).abs() > 1e-6);
     assert!(median.rho_rms_px() < RHO_PX);
+}
+
+/// Systematic errors of corners, px, anywhere: those of an R12 are blurred by up to 5 px, the others by up to 4. And as
+/// a part of their distance from the centre of the micro-image.
+const BIAS_PX: f64 = 0.005;
+const BIAS_OF_R12_PX: f64 = 0.01;
+const OUTWARDS: f64 = 0.003;
+
+#[test]
+#[ignore = "slow: images of six cameras; run by `make test-slow`"]
+fn bias_of_corners_by_place_distance_and_type() {
+    let cameras: [(&str, &[&str]); 6] = [
+        ("mini", &["seed=31"]),
+        ("mini", &["seed=32", "imperfections.fall_off=none"]),
+        ("mini", &["seed=33", "imperfections.fall_off={half_response_deg=25}"]),
+        ("mini", &["seed=34", "camera.main_lens.exit_pupil_mm=[0,0,-5]"]),
+        ("keplerian", &["seed=35"]),
+        ("r12-a", &["seed=36", "white_images.gain=1", "boards.calibration=3"]),
+    ];
+    for (name, replaced) in cameras {
+        let settings = preset(name, replaced);
+        let (frames, limit_px) = if name == "r12-a" { (3, BIAS_OF_R12_PX) } else { (10, BIAS_PX) };
+        let score = DetectionScore::of_simulation(&settings, frames, DepthEstimator::Line).unwrap();
+        let types = 0..settings.camera.lens_types();
+        let by_types = types.flat_map(|lens_type| by_offset(&score.errors, lens_type));
+        for bias in by_place(&score.errors).into_iter().chain(by_types) {
+            println!("{name} {replaced:?} {bias:?}");
+            assert!(bias.mean_px.abs() < limit_px + 3.0 * bias.std_dev_px, "{bias:?}");
+        }
+        let (part, std_dev) = outwards(&score.errors);
+        println!("{name} {replaced:?}: outwards {part:+.5} ± {std_dev:.5}");
+        assert!(part.abs() < OUTWARDS + 3.0 * std_dev, "{part} ± {std_dev}");
+    }
 }
