@@ -7,7 +7,7 @@ use nalgebra::{SMatrix, SVector, Vector2};
 use pulp::{Arch, NullaryFnOnce};
 
 use super::blur::Rays;
-use super::corner::Corner;
+use super::corner::{Corner, step};
 use super::patch::Patch;
 use crate::numerics::{Descent, LeastSquares};
 
@@ -83,7 +83,7 @@ impl<const P: usize> LeastSquares<P> for Squares<'_, P> {
         // The same operations in the widest registers that the processor has.
         let Self { trial, patch, rays, .. } = self;
         trial.place = at.place;
-        Some(Arch::new().dispatch(Evaluation { model: trial, corner: at, patch, rays }))
+        Some(Arch::new().dispatch(Evaluation::<P> { model: trial, corner: at, patch, rays }))
     }
 
     fn accept(&mut self) {
@@ -192,14 +192,14 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
 }
 
 /// One evaluation of a model.
-struct Evaluation<'a> {
+struct Evaluation<'a, const P: usize> {
     model: &'a mut Model,
     corner: &'a Corner,
     patch: &'a Patch,
     rays: &'a Rays,
 }
 
-impl NullaryFnOnce for Evaluation<'_> {
+impl<const P: usize> NullaryFnOnce for Evaluation<'_, P> {
     type Output = f64;
 
     #[inline(always)]
@@ -207,7 +207,7 @@ impl NullaryFnOnce for Evaluation<'_> {
     fn call(self) -> f64 {
         let Self { model, corner, patch, rays } = self;
         let n = patch.x.len();
-        for row in &mut model.rows {
+        for row in &mut model.rows[..P] {
             row.fill(0.0);
         }
         let narrower = (1.0 / corner.width) as f32;
@@ -226,16 +226,16 @@ impl NullaryFnOnce for Evaluation<'_> {
                 let inverse = inverse_width[i] * narrower;
                 let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
                 let (d1, d2) = (c1 * y - s1 * x, c2 * y - s2 * x);
-                let (a, b) = (d1.clamp(-1.0, 1.0), d2.clamp(-1.0, 1.0));
-                let (t1, t2) = (a * (1.5 - 0.5 * a * a), b * (1.5 - 0.5 * b * b));
-                let (e1, e2) = (1.5 - 1.5 * a * a, 1.5 - 1.5 * b * b);
+                let ((t1, e1), (t2, e2)) = (step(d1), step(d2));
                 let (g1, g2) = (e1 * t2, t1 * e2);
                 shape[i] += t1 * t2;
                 by_u[i] += (g1 * s1 + g2 * s2) * inverse;
                 by_v[i] -= (g1 * c1 + g2 * c2) * inverse;
-                by_1[i] -= g1 * (c1 * x + s1 * y);
-                by_2[i] -= g2 * (c2 * x + s2 * y);
-                by_width[i] -= g1 * d1 + g2 * d2;
+                if P == ALL {
+                    by_1[i] -= g1 * (c1 * x + s1 * y);
+                    by_2[i] -= g2 * (c2 * x + s2 * y);
+                    by_width[i] -= g1 * d1 + g2 * d2;
+                }
             }
         }
         let (m, h) = (corner.level as f32, corner.contrast as f32);
@@ -248,9 +248,11 @@ impl NullaryFnOnce for Evaluation<'_> {
             level[i] = 1.0;
             by_u[i] *= per_point;
             by_v[i] *= per_point;
-            by_1[i] *= per_point;
-            by_2[i] *= per_point;
-            by_width[i] *= per_point * narrower;
+            if P == ALL {
+                by_1[i] *= per_point;
+                by_2[i] *= per_point;
+                by_width[i] *= per_point * narrower;
+            }
         }
         let mut cost = 0.0_f32;
         for i in 0..n {

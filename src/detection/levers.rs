@@ -12,7 +12,7 @@ use pulp::{Arch, NullaryFnOnce};
 
 use super::aberration::Bend;
 use super::blur::Rays;
-use super::corner::Corner;
+use super::corner::{Corner, step};
 use super::micro_images::OTHERWISE;
 use super::patch::Patch;
 use crate::model::TAKEN;
@@ -110,9 +110,7 @@ impl NullaryFnOnce for Shape<'_> {
             for i in 0..n {
                 let inverse = inverse_width[i] * narrower;
                 let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
-                let a = (c1 * y - s1 * x).clamp(-1.0, 1.0);
-                let b = (c2 * y - s2 * x).clamp(-1.0, 1.0);
-                shape[i] += a * (1.5 - 0.5 * a * a) * b * (1.5 - 0.5 * b * b);
+                shape[i] += step(c1 * y - s1 * x).0 * step(c2 * y - s2 * x).0;
             }
         }
     }
@@ -151,10 +149,8 @@ impl NullaryFnOnce for Sums<'_> {
             for i in 0..n {
                 let inverse = inverse_width[i] * narrower;
                 let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
-                let (d1, d2) = (c1 * y - s1 * x, c2 * y - s2 * x);
-                let (a, b) = (d1.clamp(-1.0, 1.0), d2.clamp(-1.0, 1.0));
-                let (t1, t2) = (a * (1.5 - 0.5 * a * a), b * (1.5 - 0.5 * b * b));
-                let (g1, g2) = ((1.5 - 1.5 * a * a) * t2, t1 * (1.5 - 1.5 * b * b));
+                let ((t1, e1), (t2, e2)) = (step(c1 * y - s1 * x), step(c2 * y - s2 * x));
+                let (g1, g2) = (e1 * t2, t1 * e2);
                 let u = (g1 * s1 + g2 * s2) * inverse;
                 let v = -(g1 * c1 + g2 * c2) * inverse;
                 by_u[i] += u;
@@ -202,10 +198,7 @@ mod tests {
     fn light(patch: &mut Patch, corner: &Corner, rays: &Rays) {
         for i in 0..patch.x.len() {
             let of_point = |point: [&[f32]; 5]| {
-                let step = |distance: f64| {
-                    let t = (distance * f64::from(point[4][i])).clamp(-1.0, 1.0);
-                    t * (1.5 - 0.5 * t * t)
-                };
+                let step = |distance: f64| f64::from(step(distance as f32 * point[4][i]).0);
                 let from =
                     Vector2::new(f64::from(point[0][i]), f64::from(point[1][i])) - corner.place;
                 let [a, b] =
