@@ -25,6 +25,8 @@ const WITHIN_MODEL: f64 = 0.06;
 /// The relative error that f-numbers are taken to have unless white images show another, and how much that
 /// counts: with five of them hardly at all, with two it is all there is.
 const F_NUMBERS: (f64, f64) = (0.02, 0.02);
+/// Pupils further from their law, relative, are not those of the light: noise that is clipped bends it.
+const MOST_F_NUMBER_ERROR: f64 = 0.06;
 /// Rounds of the descent; the error of the f-numbers follows in each.
 const ROUNDS: usize = 16;
 /// Steps of the numerical derivatives, px; of H, relative.
@@ -85,7 +87,7 @@ struct Light {
 }
 
 /// The discs of all micro-images; `profiles` by white image and lens type. `None` if the light does not
-/// determine them.
+/// determine them, or pupils that no f-numbers have.
 pub(super) fn fit_discs(profiles: &[Vec<&Profile>], known: &Known) -> Option<Discs> {
     let mut fit = Fit::new(profiles, known);
     let mut damping = 1e-6;
@@ -275,7 +277,8 @@ impl<'a> Fit<'a> {
             sine: of(c),
             f_number_error: self.f_number_error,
         };
-        (discs.m_px.0 > 0.0 && self.at.iter().all(|x| x.is_finite())).then_some(discs)
+        let possible = discs.m_px.0 > 0.0 && self.at.iter().all(|x| x.is_finite());
+        (possible && discs.f_number_error < MOST_F_NUMBER_ERROR).then_some(discs)
     }
 }
 
