@@ -339,6 +339,19 @@ Contradiction contradiction_of(double larger, double turned) {
   return {u.contradiction, u.contradicted < 0 ? -1 : u.free_intrinsics[u.contradicted]};
 }
 
+// Nine frames of independent errors agree by chance better than that in some direction or other; A
+// is nearly H here.
+TEST(SharedErrors, DoNotMakeVariancesSmallerThanIndependentOnes) {
+  const Scene scene = noisy_scene();
+  const Refinement r = refine(scene.camera, scene.poses, scene.observations, paper(), {});
+  const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, paper());
+  ASSERT_TRUE(u.shared);
+  for (std::size_t i = 0; i < u.free_intrinsics.size(); ++i) {
+    const std::size_t at = i * (u.size + 1);
+    EXPECT_GT(u.covariance[at], 0.85 * u.independent_covariance[at]) << u.free_intrinsics[i];
+  }
+}
+
 TEST(Contradiction, IsNoneWhereBoardsAndCentresAgree) {
   const Contradiction none = contradiction_of(0.0, 0.0);
   EXPECT_EQ(none.parameter, -1);

@@ -117,7 +117,7 @@ impl NullaryFnOnce for Tracing<'_> {
 /// What the rays of a pixel have in common.
 struct OfPixel<'a> {
     points: &'a PartPoints,
-    /// See [`VisiblePart::sign`](crate::vignetting::Vignetting::at).
+    /// That of qᵢ.
     sign: f32,
     spread: [f32; 2],
     field: Field,

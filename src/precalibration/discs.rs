@@ -315,6 +315,10 @@ mod tests {
 
     /// Of a lens with this c, at the stops times 1 + `errors`, which are not known.
     fn found(stops: &[f64], sine: f64, errors: &[f64], clipped: f64) -> Discs {
+        fitted(stops, sine, errors, clipped).unwrap()
+    }
+
+    fn fitted(stops: &[f64], sine: f64, errors: &[f64], clipped: f64) -> Option<Discs> {
         let whites: Vec<Vec<Profile>> = stops
             .iter()
             .zip(errors)
@@ -334,7 +338,7 @@ mod tests {
             within_per_px2: 2e-3,
         };
         let profiles: Vec<Vec<&Profile>> = whites.iter().map(|of| of.iter().collect()).collect();
-        fit_discs(&profiles, &known).unwrap()
+        fit_discs(&profiles, &known)
     }
 
     /// The largest error of |qᵢ|, px, and the largest of m and all of them over its σ.
@@ -367,6 +371,12 @@ mod tests {
         let (of_blur, worst) = errors(&discs);
         assert!(of_blur < 1e-3 && worst < 3.0, "{of_blur} px, {worst} σ, {discs:?}");
         assert!((0.005..0.03).contains(&discs.f_number_error), "{discs:?}");
+    }
+
+    /// As clipped noise makes them.
+    #[test]
+    fn pupils_that_no_f_numbers_have_are_none() {
+        assert!(fitted(&STOPS, 1.0, &[-0.15, 0.12, -0.1, 0.15, -0.12], 1.0).is_none());
     }
 
     #[test]

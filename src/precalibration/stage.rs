@@ -126,9 +126,8 @@ pub fn precalibrate(
     let light = Light::read(&found, &samples, (reference.f_number, &grey));
     let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
     let mut first = light.fall_off(&lines, options, &cos4);
-    let within = first.fall_off.within_per_px2;
     // Straight lines are near enough to begin with.
-    let discs = &samples.discs(&by_profile, &lines, within, seen_pitch_px);
+    let discs = samples.discs(&by_profile, &lines, first.fall_off.within_per_px2, seen_pitch_px);
     let discs = discs.as_ref();
     take_within(&mut first.fall_off, discs);
     let obliquity = in_the_middle(Some(&first.fall_off), &lines, seen_pitch_px, options);
@@ -147,8 +146,10 @@ pub fn precalibrate(
     let moments = shift_moments(light.of_reference(), &levers, seen_pitch_px, &obliquity);
     let growth = levers.growth_per_px(lean.as_ref(), &found.array.grid);
     let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments, &growth)?;
+
     let (by_type, discs) = match options.estimator {
         RadiusEstimator::Profile => (by_profile, discs),
+        // The paper's radii are not those of the discs.
         RadiusEstimator::Moments => (samples.radii(RadiusEstimator::Moments)?, None),
     };
     let mut radii = samples.measurements(&by_type);
@@ -157,16 +158,14 @@ pub fn precalibrate(
     internal.parameters.lean = lean;
     let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
-    let aperture = || different_aperture((reference, &grey), &levers, &samples, &found.pattern);
-    let wrong_aperture = if wrong_f_number.is_none() { aperture() } else { None };
-    let by_lines = (discs.is_none() && options.estimator == RadiusEstimator::Profile)
-        .then(|| by_lines(&mut internal.parameters))
+    let wrong_aperture = different_aperture((reference, &grey), &levers, &samples, &found.pattern)
         .filter(|_| wrong_f_number.is_none());
+    let by_lines = by_lines(discs, options.estimator, &mut internal.parameters);
     let oblong = oblong(&grey, &array.centers, array.grid.pitch_px);
-    let of_sizes = [wrong_f_number, wrong_aperture, oblong];
-    let of_light = [disagreeing_types(&lens_types), unknown_fall_off, by_lines];
-    let told = of_sizes.into_iter().chain(of_light).flatten();
-    let warnings = doubtful_colors(whites).into_iter().chain(told).collect();
+    let types = disagreeing_types(&lens_types);
+    // A wrong f-number is reason enough for there being no discs.
+    let told = [wrong_f_number.or(by_lines), wrong_aperture, oblong, types, unknown_fall_off];
+    let warnings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
     let measured =
         Precalibration { array, lens_types, radii, internal, pitch_correction, warnings };
     if let Some(sheet) = &options.stated {
@@ -179,15 +178,24 @@ pub fn precalibrate(
 /// How far off straight lines through the radii are where the light is not that of discs, relative.
 const BY_LINES: f64 = 0.015;
 
-/// Without discs: a warning that m and q' are from straight lines, with standard deviations that know it.
-fn by_lines(internal: &mut InternalParameters) -> String {
+/// A warning if m and q' are from straight lines for want of discs, and not because the paper's estimator was asked for;
+/// their standard deviations are made to know it.
+fn by_lines(
+    discs: Option<&Discs>,
+    estimator: RadiusEstimator,
+    internal: &mut InternalParameters,
+) -> Option<String> {
+    if discs.is_some() || estimator == RadiusEstimator::Moments {
+        return None;
+    }
     internal.m_std_dev_mm = internal.m_std_dev_mm.map(|x| x.hypot(BY_LINES * internal.m_mm));
     for (std_dev, q) in internal.q_prime_std_dev_mm.iter_mut().zip(&internal.q_prime_mm) {
         *std_dev = std_dev.hypot(BY_LINES * q);
     }
-    "the light inside the micro-images is not that of a disc through a disc, as where noise is clipped at black or \
-     white: m and q' are from straight lines through the radii, and can be 2 % off. Take white images with less gain"
-        .to_owned()
+    let warning = "the light inside the micro-images is not that of two discs, as where noise is clipped at black or \
+                   white: m and q' are from straight lines through the radii, and can be 2 % off. Take white images \
+                   with less gain";
+    Some(warning.to_owned())
 }
 
 /// H as the discs show it, if they do.
