@@ -122,6 +122,8 @@ struct OfPixel<'a> {
     spread: [f32; 2],
     field: Field,
     rho: f32,
+    /// Variance of a pixel along an axis, px².
+    pixel: f32,
     /// Variance of the cells of the points along an axis, px².
     cell: f32,
     /// Place of the mean of the points, px, and how a point along and across moves it: for ρ and for qᵢ.
@@ -150,6 +152,7 @@ impl<'a> OfPixel<'a> {
             spread: part.spread.map(|x| x as f32),
             field: slant.field(mean_square),
             rho: blur.rho as f32,
+            pixel: part.pixel,
             cell: cell as f32,
             sharp: scaled(blur.rho),
             pupil: scaled(blur.q),
@@ -173,7 +176,7 @@ impl<'a> OfPixel<'a> {
             ];
             [origin_x[j], origin_y[j]] = place(self.sharp, w);
             [pupil_x[j], pupil_y[j]] = place(self.pupil, w);
-            inverse[j] = inverse_width(self.points.pixel(j, self.rho) + self.cell);
+            inverse[j] = inverse_width(self.points.pixel(j, self.rho) * self.pixel + self.cell);
         }
         rays
     }
@@ -194,6 +197,7 @@ mod tests {
     use super::super::corner_fit::Free;
     use super::super::patch::{USABLE, weight};
     use super::*;
+    use crate::vignetting::Pixel;
 
     /// The lens of an R12 whose micro-images are most vignetted, px, with cos⁴.
     const RHO: f64 = -3.4;
@@ -252,7 +256,7 @@ mod tests {
     fn misplaced(rho: f64, q: f64, distance: f64) -> f64 {
         const DIRECTIONS: i32 = 6;
         const PARTS: [i32; 2] = [3, 18];
-        let vignetting = Vignetting::new(PUPIL, q);
+        let vignetting = Vignetting::new(PUPIL, q, &Pixel::default());
         let blur = blur(rho, q, &vignetting);
         let outer = (PUPIL + q.abs()).min(HALF_PITCH);
         let sum = |light: &[(f64, Vector2<f64>)]| light.iter().map(|(weight, _)| weight).sum();
@@ -304,7 +308,7 @@ mod tests {
 
     #[test]
     fn rays_come_from_where_the_light_does() {
-        let vignetting = Vignetting::new(PUPIL, Q);
+        let vignetting = Vignetting::new(PUPIL, Q, &Pixel::default());
         let blur = blur(RHO, Q, &vignetting);
         let places = [0.5_f32, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0];
         let patch = Patch { x: places.into(), y: vec![0.0; places.len()], ..Patch::default() };

@@ -10,7 +10,7 @@ use crate::model::{
     ROW_DISTANCE, Sensor, check_centers, growth_per_px, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
-use crate::vignetting::{Obliquity, Vignetting};
+use crate::vignetting::{Obliquity, Pixel, Vignetting};
 
 /// Where micro-images are, and how points are blurred in them.
 #[derive(Debug, Clone, PartialEq)]
@@ -156,13 +156,14 @@ impl MicroImages {
         }
         #[allow(clippy::cast_possible_truncation)] // bounded above
         let last_step = (most / GROWTH_STEP).ceil() as i32;
+        let pixel = Pixel::new(internal.point_spread_px2());
         let q_prime_px: Vec<f64> = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect();
         let vignetting = |[pupil, intercept]: [f64; 2]| -> Vec<Vec<Vignetting>> {
             let of_type = |q_prime: &f64| {
                 let of_step = |step: i32| {
                     let scale = 1.0 + f64::from(step) * GROWTH_STEP;
                     let q = q_prime * intercept * scale - grid.pitch_px / 2.0;
-                    Vignetting::new(pupil_px * pupil * scale, q)
+                    Vignetting::new(pupil_px * pupil * scale, q, &pixel)
                 };
                 (-last_step..=last_step).map(of_step).collect()
             };

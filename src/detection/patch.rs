@@ -217,6 +217,7 @@ pub(super) mod tests {
             pupil_growth: 0.0,
             fall_off: None,
             lean: None,
+            point_spread: None,
         };
         let grid = MicroImageArray {
             lattice: Lattice { packing: Packing::Orthogonal, columns: 3, rows: 3 },

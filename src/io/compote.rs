@@ -102,6 +102,7 @@ pub(super) fn internal_parameters_from(
         pupil_growth: 0.0,
         fall_off: None,
         lean: None,
+        point_spread: None,
     })
 }
 

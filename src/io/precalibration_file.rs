@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use super::observations_file::std_dev_text;
 use crate::error::{Error, Result};
-use crate::model::{FallOff, InternalParameters, Lean, MicroImageCenter};
+use crate::model::{FallOff, InternalParameters, Lean, MicroImageCenter, PointSpread};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// `format` of the file.
@@ -32,6 +32,7 @@ struct InternalFile {
     pupil_growth: f64,
     fall_off: Option<FallOff>,
     lean: Option<Lean>,
+    point_spread: Option<PointSpread>,
 }
 
 #[derive(Deserialize)]
@@ -113,6 +114,7 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
             "pupil_growth": internal.parameters.pupil_growth,
             "fall_off": internal.parameters.fall_off,
             "lean": internal.parameters.lean,
+            "point_spread": internal.parameters.point_spread,
             "rms_px": internal.rms_px,
         }),
     );
@@ -148,6 +150,7 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
         pupil_growth: internal.pupil_growth,
         fall_off: internal.fall_off,
         lean: internal.lean,
+        point_spread: internal.point_spread,
     })
 }
 

@@ -10,7 +10,8 @@ use super::read_text;
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
-    Board, Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, Sensor, optics,
+    Board, Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, PointSpread,
+    Sensor, optics,
 };
 
 /// A project file. Every table may be left out where a command gets its content another way.
@@ -102,6 +103,8 @@ pub struct InternalSection {
     pub fall_off: Option<FallOff>,
     /// The lean of the array.
     pub lean: Option<Lean>,
+    /// The point spread.
+    pub point_spread: Option<PointSpread>,
 }
 
 /// `[images]`
@@ -249,6 +252,7 @@ impl Project {
             pupil_growth: section.pupil_growth,
             fall_off: section.fall_off,
             lean: section.lean,
+            point_spread: section.point_spread,
         })
     }
 }

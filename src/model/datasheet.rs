@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::camera::{Sensor, check_array_size, check_lens_types};
 use super::checks::positive;
+use super::edge_spread::PointSpread;
 use super::fall_off::FallOff;
 use super::lattice::LatticeKind;
 use super::lean::Lean;
@@ -67,6 +68,8 @@ pub struct InternalParameters {
     pub fall_off: Option<FallOff>,
     /// The lean of the array, where it was measured.
     pub lean: Option<Lean>,
+    /// The point spread, where it was measured.
+    pub point_spread: Option<PointSpread>,
 }
 
 impl Datasheet {
@@ -98,6 +101,12 @@ impl InternalParameters {
     #[must_use]
     pub fn pupil_radius_mm(&self, f_number: f64) -> f64 {
         self.m_mm.abs() / f_number * (1.0 + self.pupil_growth / f_number.powi(2))
+    }
+
+    /// Variance of the point spread along an axis, px²; 0 where it is not known.
+    #[must_use]
+    pub fn point_spread_px2(&self) -> f64 {
+        self.point_spread.map_or(0.0, |spread| spread.variance_px2)
     }
 
     /// Checks all values; an error names the one that is not possible, or a wrong number of q'.
@@ -134,6 +143,9 @@ impl InternalParameters {
         }
         if let Some(lean) = &self.lean {
             lean.validate()?;
+        }
+        if let Some(point_spread) = &self.point_spread {
+            point_spread.validate()?;
         }
         let given = self.q_prime_std_dev_mm.len();
         if given != 0 && given != self.q_prime_mm.len() {

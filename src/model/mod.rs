@@ -8,6 +8,7 @@ mod camera_fields;
 mod checks;
 mod datasheet;
 mod display;
+mod edge_spread;
 mod fall_off;
 mod lattice;
 mod lean;
@@ -25,6 +26,7 @@ pub use camera::{
 pub(crate) use checks::positive;
 pub use datasheet::{Configuration, Datasheet, InternalParameters};
 pub(crate) use display::{display_unit, signed, with_std_dev};
+pub use edge_spread::{FillFactor, PointSpread};
 pub use fall_off::FallOff;
 pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};
 pub use lean::Lean;

@@ -96,6 +96,7 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
         pupil_growth: 0.0,
         fall_off: None,
         lean: None,
+        point_spread: None,
     }
 }
 

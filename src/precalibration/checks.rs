@@ -158,7 +158,7 @@ pub(super) fn different_aperture(
     let (middle, pattern) = samples.middle_of(grey, pattern);
     let profile = profile_at(&middle, &pattern, samples.nodes.first()?);
     let (a, b) = levers.radii(0);
-    let radius = profile.fit(REACH * pattern.pitch())?.outer;
+    let radius = profile.fit(REACH * pattern.pitch(), levers.pixel())?.outer;
     ((radius / (a + b) - 1.0).abs() > CONTRADICTION).then(|| {
         format!(
             "{}: at f/{:.2} micro-images of type 1 should have a radius of {:.2} px, but have \

@@ -83,6 +83,7 @@ pub(super) fn fit_internal(
             pupil_growth: 0.0,
             fall_off: None,
             lean: None,
+            point_spread: None,
         },
         rms_px: (sum / rows as f64).sqrt(),
     })
@@ -113,6 +114,7 @@ pub(super) fn internal_of_discs(
         pupil_growth: discs.pupil_growth,
         fall_off: None,
         lean: None,
+        point_spread: Some(discs.point_spread),
     };
     for m in measurements.iter_mut() {
         let pupil = parameters.pupil_radius_mm(m.f_number) / pixel_size_mm;

@@ -4,13 +4,12 @@
 use nalgebra::Vector2;
 
 use super::grid::MicroImageArray;
-use super::profile::PIXEL;
 use super::stage::PrecalibrationOptions;
 use crate::model::{InternalParameters, Lean, growth_per_px};
-use crate::vignetting::Obliquity;
+use crate::vignetting::{Obliquity, Pixel};
 
-/// What a pixel, and a point spread, take from the plateau of a micro-image, px.
-const PLATEAU_MARGIN_PX: f64 = 1.2;
+/// What a pixel takes from the plateau of a micro-image, px, and what a point spread does, in its standard deviations.
+const PLATEAU_MARGIN: (f64, f64) = (1.2, 2.5);
 
 /// Slices that a part of a micro-lens is summed over, and places in them: Gauss and Legendre, one of both sides.
 const SLICES: u32 = 24;
@@ -29,6 +28,7 @@ pub(super) struct Levers {
     lens_px: f64,
     /// (D + d)/d.
     lens_to_sensor: f64,
+    pixel: Pixel,
 }
 
 impl Levers {
@@ -48,12 +48,18 @@ impl Levers {
             // a large blur nearly cancel in how far light shifts a centroid, the 2 % show.
             lens_px: pitch_px / 2.0 * (1.0 - distance_px / lens_to_sensor_px),
             lens_to_sensor: lens_to_sensor_px / distance_px,
+            pixel: Pixel::new(internal.point_spread_px2()),
         }
     }
 
     /// How d grows over the image, px⁻¹.
     pub fn growth_per_px(&self, lean: Option<&Lean>, grid: &MicroImageArray) -> Vector2<f64> {
         growth_per_px(lean, &grid.perspective_per_px, self.lens_to_sensor)
+    }
+
+    /// What its pixels collect.
+    pub fn pixel(&self) -> &Pixel {
+        &self.pixel
     }
 
     /// Radii a and b of the discs of pupil and blur, px.
@@ -109,9 +115,9 @@ impl Levers {
         let (a, q) = (self.pupil_px, self.q_px[lens_type]);
         let (a, q) = (a * (1.0 + growth), q + (q + self.lens_px) * growth);
         let size = q.abs().max(1e-6);
-        for (along, weight) in PIXEL {
-            // Across the direction to the middle a pixel has a mean square of 1/12.
-            let distance = ((r + along).powi(2) + 1.0 / 12.0).sqrt();
+        for (along, weight) in self.pixel.along {
+            // Across the direction to the middle the mean square will do.
+            let distance = ((r + along).powi(2) + self.pixel.variance).sqrt();
             let outwards = (r + along) / distance;
             let (to_pupil, pupil) = (distance / size, a / size);
             // From end to end of the overlap, where its height has the slope of a root.
@@ -136,6 +142,9 @@ impl Levers {
     pub fn plateau(&self, lens_type: usize) -> (f64, f64) {
         let (a, q) = (self.pupil_px, self.q_px[lens_type]);
         let lever = if a < q.abs() { 1.0 + self.lens_px / q } else { 1.0 };
-        ((a - q.abs()).abs() - PLATEAU_MARGIN_PX, lever)
+        let (of_pixel, of_spread) = PLATEAU_MARGIN;
+        let margin =
+            of_pixel + of_spread * (self.pixel.variance - Pixel::default().variance).sqrt();
+        ((a - q.abs()).abs() - margin, lever)
     }
 }

@@ -7,6 +7,7 @@ mod centroid;
 mod centroid_shift;
 mod checks;
 mod correction;
+mod disc_fit;
 mod discs;
 mod fall_off;
 mod grid;

@@ -8,7 +8,7 @@
 use nalgebra::{Matrix2, Vector1, Vector2};
 
 use crate::numerics::{Descent, LeastSquares, NormalEquations};
-use crate::vignetting::{Obliquity, Overlap, overlap, overlap_area};
+use crate::vignetting::{Obliquity, Overlap, Pixel, overlap, overlap_area};
 
 /// Mean light at distances from the middle of micro-images of one type.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,10 +26,10 @@ pub(super) struct Bin {
     pub light: f64,
     /// Standard deviation of the mean.
     pub std_dev: f64,
-    /// Light over what it would be at normal incidence.
-    pub fall_off: f64,
-    /// Mean square of the vectors from the micro-lens to here, px².
-    pub square: f64,
+    /// Light over what it would be at normal incidence, and how that changes outwards, px⁻¹.
+    pub fall_off: [f64; 2],
+    /// Mean square of the vectors from the micro-lens to here, px², and how it grows outwards, px.
+    pub square: [f64; 2],
     /// Variance of these squares, px⁴.
     pub variance: f64,
 }
@@ -54,6 +54,13 @@ const BIN_PX: f64 = 0.125;
 const FEWEST: f64 = 8.0;
 /// Samples above this part of full scale may be clipped; a bin with such a sample is left out.
 const CLIPPED: f64 = 0.97;
+/// Noise about black is clipped: bins with more than this part of their samples at 0 are brighter than their light, and
+/// left out. An image with a black level has none.
+const BLACK: f64 = 0.02;
+/// Rounding makes black brighter by less than this part of a grey level.
+const ROUNDED: f64 = 0.1;
+/// So many bins are an edge.
+const LEFT: usize = 12;
 /// Only light up to this part of the brightest is fitted: the outer radius shows at the edge, across
 /// which the effect of oblique rays changes little.
 const OUTER_LIGHT: f64 = 0.5;
@@ -71,50 +78,54 @@ const DESCENT: Descent = Descent { steps: 60, settled: 1e-6, factor: 5.0, dampin
 const STEP_PX: f64 = 1e-4;
 /// Starts that are followed down.
 const DESCENTS: usize = 2;
-/// Nodes and weights of Gauss' rule across a pixel.
-pub(super) const PIXEL: [(f64, f64); 3] = [
-    (-0.387_298_334_620_741_7, 5.0 / 18.0),
-    (0.0, 8.0 / 18.0),
-    (0.387_298_334_620_741_7, 5.0 / 18.0),
-];
-
 /// Collects samples into a profile.
 #[derive(Debug)]
 pub(super) struct Stack {
-    bins: Vec<[f64; 5]>,
+    bins: Vec<Sums>,
+    /// The smallest light above 0: a grey level, at most.
+    level: f64,
 }
+
+/// Sums over the samples of a bin: their number, distances, light, its square, and the numbers of those that may be
+/// clipped at white and at black.
+type Sums = [f64; 6];
 
 impl Stack {
     /// For distances up to `reach`, px.
     pub fn new(reach: f64) -> Self {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
         let bins = (reach / BIN_PX).ceil() as usize;
-        Self { bins: vec![[0.0; 5]; bins] }
+        Self { bins: vec![[0.0; 6]; bins], level: f64::INFINITY }
     }
 
     #[inline]
     pub fn add(&mut self, radius: f64, light: f64) {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a distance
         let bin = (radius / BIN_PX) as usize;
+        if light > 0.0 && light < self.level {
+            self.level = light;
+        }
         if let Some(bin) = self.bins.get_mut(bin) {
             bin[0] += 1.0;
             bin[1] += radius;
             bin[2] += light;
             bin[3] += light * light;
             bin[4] += f64::from(u8::from(light > CLIPPED));
+            bin[5] += f64::from(u8::from(light <= 0.0));
         }
     }
 
     pub fn profile(&self) -> Profile {
-        let bin = |&[count, radius, light, square, clipped]: &[f64; 5]| {
+        let most_black = if self.noise_is_clipped() { BLACK } else { 1.0 };
+        let bin = |&[count, radius, light, square, white, black]: &Sums| {
             let mean = light / count;
             let variance = (square / count - mean * mean).max(0.0);
-            (count >= FEWEST && clipped == 0.0).then(|| Bin {
+            (count >= FEWEST && white == 0.0 && black <= most_black * count).then(|| Bin {
                 radius: radius / count,
                 light: mean,
                 std_dev: (variance / count).sqrt(),
-                fall_off: 1.0,
-                square: 0.0,
+                fall_off: [1.0, 0.0],
+                square: [0.0; 2],
                 variance: 0.0,
             })
         };
@@ -125,17 +136,37 @@ impl Stack {
         let (bins, bright) = bins.into_iter().partition(|bin| bin.light <= limit);
         Profile { bins, bright }
     }
+
+    /// Whether noise about black is clipped by enough to matter: the darkest bins are brighter than rounding makes them,
+    /// and others are left if those are left out.
+    fn noise_is_clipped(&self) -> bool {
+        let filled = || self.bins.iter().filter(|bin| bin[0] >= FEWEST);
+        let darkest = filled().map(|bin| bin[2] / bin[0]).fold(f64::INFINITY, f64::min);
+        let clipped = filled().any(|bin| (BLACK..1.0 - BLACK).contains(&(bin[5] / bin[0])));
+        let usable = |bin: &&Sums| bin[4] == 0.0 && bin[5] <= BLACK * bin[0];
+        let left = filled().filter(usable).count();
+        clipped && darkest > ROUNDED * self.level && left >= LEFT
+    }
 }
 
-/// Overlap of the discs, averaged over a pixel at distance r.
-pub(super) fn seen(r: f64, outer: f64, inner: f64) -> f64 {
-    // Across the direction to the middle a pixel has a mean square of 1/12.
-    PIXEL
-        .iter()
-        .map(|&(x, weight)| {
-            weight * overlap_area(((r + x).powi(2) + 1.0 / 12.0).sqrt(), outer, inner)
-        })
-        .sum()
+/// Overlap of the discs that a pixel at distance r sees. The light there is `fall_off[0]` of that at normal incidence, and
+/// changes by `fall_off[1]` outwards, px⁻¹.
+pub(super) fn seen(r: f64, outer: f64, inner: f64, pixel: &Pixel, fall_off: [f64; 2]) -> f64 {
+    let along = |&(x, weight): &(f64, f64)| {
+        let square = (r + x).powi(2);
+        let area =
+            |&(y2, weight): &(f64, f64)| weight * overlap_area((square + y2).sqrt(), outer, inner);
+        weight * (fall_off[0] + fall_off[1] * x) * pixel.across.iter().map(area).sum::<f64>()
+    };
+    pixel.along.iter().map(along).sum()
+}
+
+/// The law of oblique light at a bin, and how that changes outwards, px⁻¹.
+fn fall_off_by(law: &Obliquity, bin: &Bin) -> [f64; 2] {
+    let [square, growth] = bin.square;
+    let [before, here, after] = [-1.0, 0.0, 1.0]
+        .map(|x| law.mean_light((square + x * BIN_PX * growth).max(0.0), bin.variance));
+    [here, (after - before) / (2.0 * BIN_PX)]
 }
 
 impl Profile {
@@ -148,7 +179,7 @@ impl Profile {
         let mut profile = self.clone();
         profile.set_angles(pupil_px, q_px, obliquity.half_pitch_px);
         for bin in &mut profile.bins {
-            bin.fall_off = obliquity.mean_light(bin.square, bin.variance);
+            bin.fall_off = fall_off_by(obliquity, bin);
         }
         profile
     }
@@ -162,10 +193,16 @@ impl Profile {
             let from_lens = bin.radius + part.mean * q_px.signum() * half_pitch_px;
             let [along, across] =
                 [part.along, part.across].map(|of_half| (of_half * half_pitch_px / 2.0).powi(2));
-            bin.square = from_lens * from_lens + along + across;
+            bin.square[0] = from_lens * from_lens + along + across;
             // As of a disc with these variances.
             bin.variance = 4.0 * from_lens * from_lens * along + along * along + across * across
                 - 2.0 / 3.0 * along * across;
+        }
+        let last = self.bins.len().saturating_sub(1);
+        for i in 0..self.bins.len() {
+            let (before, after) = (&self.bins[i.saturating_sub(1)], &self.bins[(i + 1).min(last)]);
+            let distance = (after.radius - before.radius).max(BIN_PX);
+            self.bins[i].square[1] = (after.square[0] - before.square[0]) / distance;
         }
     }
 
@@ -179,14 +216,19 @@ impl Profile {
     }
 
     /// Weighted residuals for discs of radii a and b, px, with a fall-off at the angles that were set.
-    pub fn residuals_of_discs(&self, a: f64, b: f64, law: &Obliquity) -> Option<Vec<f64>> {
-        let fall_off = |bin: &Bin| law.mean_light(bin.square, bin.variance);
-        self.residuals_with(a + b, (a - b).abs(), fall_off).map(|(_, residuals)| residuals)
+    pub fn residuals_of_discs(
+        &self,
+        [a, b]: [f64; 2],
+        law: &Obliquity,
+        pixel: &Pixel,
+    ) -> Option<Vec<f64>> {
+        let fall_off = |bin: &Bin| fall_off_by(law, bin);
+        self.residuals_with(a + b, (a - b).abs(), pixel, fall_off).map(|(_, residuals)| residuals)
     }
 
     /// Fits the radii of the discs, the outer one up to 1.4 times `largest`, px; `None` if the profile
     /// does not show an edge.
-    pub fn fit(&self, largest: f64) -> Option<Edge> {
+    pub fn fit(&self, largest: f64, pixel: &Pixel) -> Option<Edge> {
         // Where much is clipped the sum of squares has several valleys: try starts all over first, on
         // some of the bins.
         let coarse =
@@ -195,7 +237,7 @@ impl Profile {
             .map(|i| f64::from(i) * 0.05 * largest)
             .flat_map(|outer| [0.05, 0.25, 0.5, 0.75].map(|inner| (outer, inner * outer)))
             .filter_map(|(outer, inner)| {
-                let (linear, residuals) = coarse.residuals(outer, inner)?;
+                let (linear, residuals) = coarse.residuals(outer, inner, pixel)?;
                 let sum = residuals.iter().map(|r| r * r).sum();
                 (linear.x > 0.0).then_some((sum, outer, inner))
             })
@@ -204,25 +246,26 @@ impl Profile {
         starts
             .into_iter()
             .take(DESCENTS)
-            .filter_map(|(_, outer, inner)| self.descend(outer, inner, largest))
+            .filter_map(|(_, outer, inner)| self.descend(outer, inner, largest, pixel))
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .map(|(edge, _)| edge)
     }
 
     /// Amplitude and background that fit best, and the weighted residuals.
-    fn residuals(&self, outer: f64, inner: f64) -> Option<(Vector2<f64>, Vec<f64>)> {
-        self.residuals_with(outer, inner, |bin| bin.fall_off)
+    fn residuals(&self, outer: f64, inner: f64, pixel: &Pixel) -> Option<(Vector2<f64>, Vec<f64>)> {
+        self.residuals_with(outer, inner, pixel, |bin| bin.fall_off)
     }
 
     fn residuals_with(
         &self,
         outer: f64,
         inner: f64,
-        fall_off: impl Fn(&Bin) -> f64,
+        pixel: &Pixel,
+        fall_off: impl Fn(&Bin) -> [f64; 2],
     ) -> Option<(Vector2<f64>, Vec<f64>)> {
         let brightest = self.bins.iter().map(|b| b.light).fold(0.0, f64::max);
         let weight = |bin: &Bin| 1.0 / bin.std_dev.hypot(MODEL_ERROR * brightest);
-        let shape = |b: &Bin| seen(b.radius, outer, inner) * fall_off(b);
+        let shape = |b: &Bin| seen(b.radius, outer, inner, pixel, fall_off(b));
         let shape: Vec<f64> = self.bins.iter().map(shape).collect();
         let mut equations = NormalEquations::<f64, 2, 1>::new();
         for (bin, &shape) in self.bins.iter().zip(&shape) {
@@ -235,9 +278,9 @@ impl Profile {
     }
 
     /// The edge that a descent from one start ends at, and its sum of squares.
-    fn descend(&self, outer: f64, inner: f64, largest: f64) -> Option<(Edge, f64)> {
-        let mut squares =
-            Squares { profile: self, largest, trial: Radii::default(), taken: Radii::default() };
+    fn descend(&self, outer: f64, inner: f64, largest: f64, pixel: &Pixel) -> Option<(Edge, f64)> {
+        let (trial, taken) = (Radii::default(), Radii::default());
+        let mut squares = Squares { profile: self, pixel, largest, trial, taken };
         let start = squares.moved(&Vector2::new(outer, inner), &Vector2::zeros());
         let (place, sum) = DESCENT.from(start, &mut squares)?;
         let (normal, _) = squares.normal_equations()?;
@@ -261,6 +304,7 @@ impl Profile {
 /// fit best.
 struct Squares<'a> {
     profile: &'a Profile,
+    pixel: &'a Pixel,
     largest: f64,
     trial: Radii,
     taken: Radii,
@@ -281,7 +325,7 @@ impl LeastSquares<2> for Squares<'_> {
     type Point = Vector2<f64>;
 
     fn evaluate(&mut self, at: &Self::Point) -> Option<f64> {
-        let (linear, residuals) = self.profile.residuals(at.x, at.y)?;
+        let (linear, residuals) = self.profile.residuals(at.x, at.y, self.pixel)?;
         let sum = residuals.iter().map(|r| r * r).sum();
         self.trial = Radii { place: *at, linear, residuals };
         Some(sum)
@@ -294,7 +338,8 @@ impl LeastSquares<2> for Squares<'_> {
     fn normal_equations(&mut self) -> Option<(Matrix2<f64>, Vector2<f64>)> {
         let Radii { place, residuals, .. } = &self.taken;
         let derivative = |step: Vector2<f64>| {
-            let (_, moved) = self.profile.residuals(place.x + step.x, place.y + step.y)?;
+            let (x, y) = (place.x + step.x, place.y + step.y);
+            let (_, moved) = self.profile.residuals(x, y, self.pixel)?;
             let change = moved.iter().zip(residuals).map(|(m, r)| (m - r) / STEP_PX);
             Some(change.collect::<Vec<f64>>())
         };
@@ -329,10 +374,11 @@ mod tests {
     use super::*;
 
     fn drawn(outer: f64, inner: f64, amplitude: f64) -> Profile {
-        let mut stack = Stack::new(14.0);
+        let (mut stack, pixel) = (Stack::new(14.0), Pixel::default());
         for i in 0..4000_i32 {
             let radius = 14.0 * (f64::from(i) + 0.5) / 4000.0;
-            let light = (0.02 + amplitude * seen(radius, outer, inner)).min(1.0);
+            let light =
+                (0.02 + amplitude * seen(radius, outer, inner, &pixel, [1.0, 0.0])).min(1.0);
             for _ in 0..8 {
                 stack.add(radius, light);
             }
@@ -349,7 +395,9 @@ mod tests {
         }
         let ends: Vec<Edge> = [(6.2, 0.3), (6.2, 1.5), (7.4, 5.0), (7.8, 2.0)]
             .iter()
-            .filter_map(|&(outer, inner)| Some(profile.descend(outer, inner, 12.0)?.0))
+            .filter_map(|&(outer, inner)| {
+                Some(profile.descend(outer, inner, 12.0, &Pixel::default())?.0)
+            })
             .collect();
         assert_eq!(ends.len(), 4);
         for end in &ends {
@@ -357,11 +405,47 @@ mod tests {
         }
     }
 
+    /// Against sums over a pixel's square and a normal spread, with light that falls off outwards.
+    #[test]
+    fn pixels_see_what_falls_into_them() {
+        let fall_off = [0.8, -0.02];
+        for (spread, outer, inner) in [(0.0, 10.0, 1.4), (0.25, 9.2, 4.0), (1.0, 6.8, 3.7)] {
+            let pixel = Pixel::new(spread);
+            for r in [0.6, 2.9, 4.5, 6.4, 8.1, 9.6] {
+                let (mut sum, mut weights) = (0.0, 0.0);
+                let places = || (-60..=60).map(|i| f64::from(i) / 12.0);
+                let weight = |x: f64| {
+                    if spread == 0.0 {
+                        f64::from(u8::from(x.abs() < 0.46))
+                    } else {
+                        // A square and a normal spread, by its steps.
+                        (-6..=6)
+                            .map(|i| (x - f64::from(i) / 13.0).powi(2))
+                            .map(|d2| (-d2 / 2.0 / spread).exp())
+                            .sum()
+                    }
+                };
+                for (x, y) in places().flat_map(|x| places().map(move |y| (x, y))) {
+                    let weight = weight(x) * weight(y);
+                    weights += weight;
+                    sum += weight
+                        * (fall_off[0] + fall_off[1] * x)
+                        * overlap_area((r + x).hypot(y), outer, inner);
+                }
+                let (found, expected) = (seen(r, outer, inner, &pixel, fall_off), sum / weights);
+                assert!(
+                    (found - expected).abs() < 2e-3 + 3e-3 * spread,
+                    "{spread}, {r} px: {found} for {expected}"
+                );
+            }
+        }
+    }
+
     #[test]
     fn the_outer_radius_comes_back_at_any_exposure() {
         for amplitude in [0.3, 0.8, 1.5, 3.0, 6.0] {
             for (outer, inner) in [(11.66, 1.1), (8.4, 1.7), (6.8, 3.7), (10.0, 0.0)] {
-                let edge = drawn(outer, inner, amplitude).fit(12.0).unwrap();
+                let edge = drawn(outer, inner, amplitude).fit(12.0, &Pixel::default()).unwrap();
                 let off = (edge.outer - outer).abs();
                 assert!(off < 0.02, "{outer}, {inner} px at {amplitude}: off by {off} px");
             }

@@ -9,7 +9,7 @@ use super::pattern::Pattern;
 use super::profile::{Edge, Profile, Stack, seen};
 use crate::image::Image;
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight, median};
-use crate::vignetting::Obliquity;
+use crate::vignetting::{Obliquity, Pixel};
 
 /// How the radius of a micro-image is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -36,13 +36,13 @@ pub(super) struct TypeRadius {
 }
 
 impl TypeRadius {
-    /// The radius with oblique light taken into account, see [`Profile::oblique`]; unchanged if that shows
-    /// no edge.
-    pub fn oblique(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity) -> Self {
+    /// The radius with oblique light taken into account, see [`Profile::oblique`], as pixels see it; unchanged if that
+    /// shows no edge.
+    pub fn oblique(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity, pixel: &Pixel) -> Self {
         let mut again = self.clone();
         let largest = REACH * 2.0 * obliquity.half_pitch_px;
         let whole = self.profile.whole(f64::INFINITY);
-        if let Some(edge) = whole.oblique(pupil_px, q_px, obliquity).fit(largest) {
+        if let Some(edge) = whole.oblique(pupil_px, q_px, obliquity).fit(largest, pixel) {
             let change = edge.outer - self.radius_px;
             again.radius_px += change;
             again.std_dev_px = edge.std_dev.hypot(self.of_lenses_px);
@@ -145,7 +145,7 @@ fn profile_radius(
     profile: Profile,
 ) -> Option<TypeRadius> {
     let reach = REACH * pattern.pitch();
-    let edge = profile.fit(reach)?;
+    let edge = profile.fit(reach, &Pixel::default())?;
     let template = Template::new(&edge, reach);
     let single_px: Vec<f64> =
         blobs.iter().filter_map(|blob| template.single(image, blob)).collect();
@@ -192,7 +192,8 @@ impl Template {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
         let count = (reach / TEMPLATE_PX) as usize + 3;
         let place = |i: usize| i as f64 * TEMPLATE_PX;
-        let shape = |outer: f64, r: f64| seen(r, outer, edge.inner);
+        let pixel = Pixel::default();
+        let shape = |outer: f64, r: f64| seen(r, outer, edge.inner, &pixel, [1.0, 0.0]);
         Self {
             edge: *edge,
             reach,

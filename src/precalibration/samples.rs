@@ -14,7 +14,7 @@ use super::stage::{PrecalibrationOptions, White};
 use crate::error::{Error, Result};
 use crate::image::{Grey, Image};
 use crate::model::{InternalParameters, LatticeKind};
-use crate::vignetting::Obliquity;
+use crate::vignetting::{Obliquity, Pixel};
 
 /// Patterns of one camera at two f-numbers agree in pitch within this part, and in place within so
 /// many pitches: oblique light changes both by less.
@@ -100,11 +100,12 @@ impl<'a> Samples<'a> {
         obliquity: &Obliquity,
     ) -> Vec<Vec<TypeRadius>> {
         let half_pitch_px = obliquity.half_pitch_px;
-        let pixel = self.options.pixel_size_mm;
+        let pixel_size_mm = self.options.pixel_size_mm;
+        let pixel = Pixel::new(internal.point_spread_px2());
         let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
-            let pupil_px = internal.pupil_radius_mm(white.f_number) / pixel;
+            let pupil_px = internal.pupil_radius_mm(white.f_number) / pixel_size_mm;
             let again = |(radius, q_prime): (&TypeRadius, &f64)| {
-                radius.oblique(pupil_px, q_prime / pixel - half_pitch_px, obliquity)
+                radius.oblique(pupil_px, q_prime / pixel_size_mm - half_pitch_px, obliquity, &pixel)
             };
             radii.iter().zip(&internal.q_prime_mm).map(again).collect()
         };

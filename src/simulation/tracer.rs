@@ -155,6 +155,7 @@ impl Tracer {
             pupil_growth: 0.0,
             fall_off: None,
             lean: None,
+            point_spread: None,
         }
     }
 

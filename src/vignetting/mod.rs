@@ -3,10 +3,12 @@
 
 mod obliquity;
 mod overlap;
+mod pixel;
 mod points;
 mod visible_part;
 
 pub(crate) use obliquity::{Field, Obliquity};
 pub(crate) use overlap::{Overlap, overlap, overlap_area};
+pub(crate) use pixel::Pixel;
 pub(crate) use points::{DISC, POINTS, ROOM};
 pub(crate) use visible_part::{PartPoints, Vignetting};

@@ -12,6 +12,7 @@
 
 use nalgebra::Vector2;
 
+use super::pixel::Pixel;
 use super::points::{POINTS, ROOM, in_overlap, in_room, of_disc};
 use crate::vignetting::{Overlap, overlap};
 
@@ -22,6 +23,8 @@ pub(crate) struct Vignetting {
     moments: Vec<Moments>,
     points: Vec<PartPoints>,
     sign: f64,
+    /// Variance of a pixel along an axis, px².
+    pixel: f32,
 }
 
 /// What a pixel at some distance from the centre sees: by how much the centroid of its light is nearer to the centre
@@ -43,11 +46,11 @@ pub(crate) struct PartPoints {
 
 impl PartPoints {
     /// Variance along an axis, the mean of both, of where the light that comes through point `j` comes from
-    /// because of the extent of the pixel, for the blur radius ρ, px². Across a pixel the visible part moves, and
-    /// what is seen, p − ρ w, changes by 1 − ρ ∂w/∂p as p does.
+    /// because of the extent of the pixel, for the blur radius ρ, over that of the pixel. Across a pixel the visible part
+    /// moves, and what is seen, p − ρ w, changes by 1 − ρ ∂w/∂p as p does.
     #[inline(always)]
     pub fn pixel(&self, j: usize, rho: f32) -> f32 {
-        (1.0 - rho * self.trace[j] + rho * rho * self.squares[j] / 2.0) / 12.0
+        1.0 - rho * self.trace[j] + rho * rho * self.squares[j] / 2.0
     }
 }
 
@@ -59,20 +62,9 @@ const REACH: usize = 2;
 /// Points are looked for where the discs overlap by at least this, in radii of the micro-lens.
 const LEAST: f64 = 0.02;
 
-/// At the very edge the light falls to zero and its logarithm is unbounded, so the shift is limited
-/// to this.
-const MOST_INWARDS_PX: f64 = 0.3;
-
-/// Gauss' places and weights for means over a pixel of width 1.
-const OVER_PIXEL: [(f64, f64); 3] = [
-    (-0.387_298_334_620_741_7, 5.0 / 18.0),
-    (0.0, 8.0 / 18.0),
-    (0.387_298_334_620_741_7, 5.0 / 18.0),
-];
-
 impl Vignetting {
-    /// Vignetting for a pupil of radius a and the intercept qᵢ, px.
-    pub fn new(pupil_px: f64, q_px: f64) -> Self {
+    /// Vignetting for a pupil of radius a and the intercept qᵢ, px, as pixels see it.
+    pub fn new(pupil_px: f64, q_px: f64, pixel: &Pixel) -> Self {
         let q = q_px.abs().max(1e-6);
         let outer = pupil_px + q;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
@@ -85,7 +77,7 @@ impl Vignetting {
                 part
             })
             .collect();
-        let moments = (0..count).map(|i| moments_at(&parts, i)).collect();
+        let moments = (0..count).map(|i| moments_at(&parts, i, pixel)).collect();
         let disc = of_disc();
         let places: Vec<[Vector2<f64>; POINTS]> = (0..count)
             .map(|i| {
@@ -95,7 +87,9 @@ impl Vignetting {
             .collect();
         let sign = q_px.signum();
         let points = (0..count).map(|i| part_points(&places, &parts[i], &disc, i, sign)).collect();
-        Self { moments, points, sign }
+        #[allow(clippy::cast_possible_truncation)] // as the light
+        let pixel = pixel.variance as f32;
+        Self { moments, points, sign, pixel }
     }
 
     /// The part of the micro-lens through which the pixel at an offset from the centre, px, sees.
@@ -114,6 +108,7 @@ impl Vignetting {
         VisiblePart {
             outwards,
             sign: self.sign,
+            pixel: self.pixel,
             points: &self.points[nearest],
             seen_at: offset - outwards * inwards,
             mean: outwards * (self.sign * mean),
@@ -123,16 +118,11 @@ impl Vignetting {
 }
 
 /// What the pixel at step `i` sees, from the parts that are visible from points at all steps.
-fn moments_at(parts: &[Overlap], i: usize) -> Moments {
-    let (mut inwards, mut mean) = (0.0, parts[i].mean);
-    if (REACH..parts.len().saturating_sub(REACH)).contains(&i) {
-        let fall = (parts[i - REACH].area / parts[i + REACH].area).ln();
-        let per_px = fall / (2.0 * REACH as f64 * STEP_PX);
-        inwards = (per_px / 12.0).clamp(0.0, MOST_INWARDS_PX);
-        mean = mean_over_pixel(parts, i as f64 * STEP_PX);
-    }
+fn moments_at(parts: &[Overlap], i: usize, pixel: &Pixel) -> Moments {
+    let r = i as f64 * STEP_PX;
+    let (inwards, mean) = mean_over_pixel(parts, r, pixel).unwrap_or((0.0, parts[i].mean));
     // The centroid of its light stands for all of it.
-    let (below, above, share) = between(i as f64 * STEP_PX - inwards, parts.len());
+    let (below, above, share) = between(r - inwards, parts.len());
     let mixed =
         |of: fn(&Overlap) -> f64| of(&parts[below]) * (1.0 - share) + of(&parts[above]) * share;
     [inwards, mean, mixed(|p| p.along), mixed(|p| p.across)]
@@ -148,23 +138,25 @@ fn between(distance: f64, count: usize) -> (usize, usize, f64) {
     (below, (below + 1).min(last), (steps - below as f64).min(1.0))
 }
 
-/// Mean of the centroids of the parts that a pixel sees, by their light; its middle is r from the centre, px.
-fn mean_over_pixel(parts: &[Overlap], r: f64) -> f64 {
-    let (mut first, mut light) = (0.0, 0.0);
-    for (x, along) in OVER_PIXEL {
-        for (y, across) in OVER_PIXEL {
-            let place = Vector2::new(r + x, y);
-            let distance = place.norm();
+/// By how much the centroid of the light of a pixel is nearer to the centre than its middle, which is r from it, px, and the
+/// mean of the centroids of the parts that it sees, by their light; `None` without light.
+fn mean_over_pixel(parts: &[Overlap], r: f64, pixel: &Pixel) -> Option<(f64, f64)> {
+    let (mut inwards, mut first, mut light) = (0.0, 0.0, 0.0);
+    for &(x, along) in &pixel.along {
+        for &(y2, across) in &pixel.across {
+            let distance = ((r + x).powi(2) + y2).sqrt();
             let (below, above, share) = between(distance, parts.len());
             let mixed = |of: fn(&Overlap) -> f64| {
                 of(&parts[below]) * (1.0 - share) + of(&parts[above]) * share
             };
-            let weight = along * across * mixed(|p| p.area);
+            let beyond = distance > (parts.len() - 1) as f64 * STEP_PX;
+            let weight = if beyond { 0.0 } else { along * across * mixed(|p| p.area) };
             light += weight;
-            first += weight * mixed(|p| p.mean) * place.x / distance.max(1e-9);
+            inwards -= weight * x;
+            first += weight * mixed(|p| p.mean) * (r + x) / distance.max(1e-9);
         }
     }
-    first / light
+    (light > 0.0).then(|| (inwards / light, first / light))
 }
 
 /// The points of the part at step `i`, from those at all steps, less centroids, and with how they move.
@@ -208,10 +200,12 @@ pub(crate) struct VisiblePart<'a> {
     pub outwards: Vector2<f64>,
     /// That of qᵢ: the side from which x counts in the points of the disc that `points` come from.
     pub sign: f64,
+    /// Variance of the pixel along an axis, px².
+    pub pixel: f32,
     /// The points that stand for it.
     pub points: &'a PartPoints,
     /// Centroid of the pixel's light relative to the centre of the micro-image, px. The light falls off
-    /// towards the edge, and a pixel has a variance of 1/12 px² along each axis.
+    /// towards the edge.
     pub seen_at: Vector2<f64>,
     /// Centroid of the visible part, in radii of the micro-lens.
     pub mean: Vector2<f64>,
@@ -226,13 +220,18 @@ mod tests {
     #[test]
     fn a_pixel_right_of_the_centre_sees_the_side_given_by_the_sign_of_the_blur() {
         for (q, side) in [(5.0, 1.0), (-5.0, -1.0)] {
-            let vignetting = Vignetting::new(6.0, q);
+            let vignetting = Vignetting::new(6.0, q, &Pixel::default());
             let part = vignetting.at(&Vector2::new(9.0, 0.0));
             assert!(part.mean.x * side > 0.5 && part.mean.y.abs() < 1e-9);
             assert!(part.spread[0] < part.spread[1] && part.seen_at.x < 9.0);
             let part = vignetting.at(&Vector2::new(0.5, 0.0));
-            assert!(part.mean.norm() < 1e-9 && (part.spread[0] - 1.0).abs() < 1e-3);
-            assert!((0..POINTS).all(|j| (part.points.pixel(j, 3.0) - 1.0 / 12.0).abs() < 1e-4));
+            assert!(
+                part.mean.norm() < 1e-3 && (part.spread[0] - 1.0).abs() < 1e-3,
+                "{:?} {:?}",
+                part.mean,
+                part.spread
+            );
+            assert!((0..POINTS).all(|j| (part.points.pixel(j, 3.0) - 1.0).abs() < 2e-3));
         }
     }
 }

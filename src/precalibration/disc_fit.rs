@@ -1,0 +1,291 @@
+//! The descent to the discs of [`super::discs`].
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::discs::{Discs, Known};
+use super::profile::Profile;
+use crate::model::PointSpread;
+use crate::vignetting::{Obliquity, Pixel};
+
+/// c before anything is measured, and its standard deviation: between a thin lens and a double Gauss.
+const SINE: (f64, f64) = (0.7, 0.7);
+/// What is known of H beforehand, and how well discs of even light can tell it: standard deviations, relative.
+/// On simulated cameras H comes out 4 to 8 % too small.
+const WITHIN: f64 = 0.25;
+const WITHIN_MODEL: f64 = 0.06;
+/// The relative error that f-numbers are taken to have unless white images show another, and how much that
+/// counts: with five of them hardly at all, with two it is all there is.
+const F_NUMBERS: (f64, f64) = (0.02, 0.02);
+/// What is known of the variance of the point spread beforehand: no pixels and micro-lenses are ideal, px².
+const SPREAD: (f64, f64) = (0.1, 0.3);
+/// How well discs tell it, px²: edges are as wide as the model of oblique light and of the pixels makes them.
+const SPREAD_MODEL: f64 = 0.005;
+/// Rounds of the descent; the error of the f-numbers follows in each.
+const ROUNDS: usize = 16;
+/// Steps of the numerical derivatives, px and px²; of H, relative.
+const STEP: f64 = 1e-4;
+/// Light this close to the edge of a neighbour may be the neighbour's, px; with a point spread, light that is nearer by so
+/// many standard deviations of it.
+const NEIGHBOUR_PX: f64 = 0.3;
+const NEIGHBOUR_SPREADS: f64 = 2.5;
+/// Least radius of a disc, px.
+const LEAST_PX: f64 = 0.05;
+
+/// What a profile depends on: both radii, H and the point spread.
+const OF_LIGHT: usize = 4;
+
+/// The radii, H over what was known of it, the variance of the point spread, |m| and c, in one vector.
+pub(super) struct Fit<'a> {
+    known: &'a Known,
+    lights: Vec<Light>,
+    /// a, b, H, point spread, |m|, c.
+    at: DVector<f64>,
+    f_number_error: f64,
+}
+
+/// The light of the micro-images of one type in one white image.
+struct Light {
+    white: usize,
+    lens_type: usize,
+    profile: Profile,
+}
+
+impl<'a> Fit<'a> {
+    /// At where the fit begins.
+    pub fn new(profiles: &[Vec<&Profile>], known: &'a Known) -> Self {
+        let pupils = known.f_numbers.iter().map(|n| known.m_px / n);
+        let blurs = known.q_px.iter().map(|q| q.abs().max(LEAST_PX));
+        let at = pupils.chain(blurs).chain([1.0, SPREAD.0, known.m_px, SINE.0]);
+        let at = DVector::from_vec(at.collect());
+        let mut fit = Self { known, lights: Vec::new(), at, f_number_error: F_NUMBERS.0 };
+        fit.take_light(profiles, 0.0);
+        fit
+    }
+
+    /// Takes the light that is not of neighbours with this point spread, px.
+    pub fn take_light(&mut self, profiles: &[Vec<&Profile>], spread_px: f64) {
+        let (known, whites) = (self.known, self.whites());
+        let widest = self.at.rows(whites, known.q_px.len()).max();
+        let lights = profiles.iter().enumerate().flat_map(|(white, profiles)| {
+            let reach = known.pitch_px - self.at[white] - widest + NEIGHBOUR_PX
+                - NEIGHBOUR_SPREADS * spread_px;
+            profiles.iter().enumerate().map(move |(lens_type, profile)| Light {
+                white,
+                lens_type,
+                profile: profile.whole(reach),
+            })
+        });
+        self.lights = lights.collect();
+        self.light_at_angles();
+    }
+
+    /// Follows the discs down; `None` if the light does not determine them.
+    pub fn descend(&mut self) -> Option<Discs> {
+        let mut damping = 1e-6;
+        let mut system = self.system()?;
+        for _ in 0..ROUNDS {
+            let step = self.step(&system, damping)?;
+            let cost = self.cost()?;
+            let before = self.at.clone();
+            self.at = self.bounded(&before + step);
+            if self.cost().is_some_and(|moved| moved <= cost) {
+                damping = (damping / 10.0_f64).max(1e-9);
+                self.light_at_angles();
+                system = self.system()?;
+                self.f_number_error = self.expected_error(&system.0)?;
+                system = self.system()?;
+            } else {
+                self.at = before;
+                damping = (damping * 10.0).max(1e-6);
+            }
+        }
+        self.discs(&system.0)
+    }
+
+    /// A damped step. Variances of point spreads end at 0, and all else moves as it does then.
+    fn step(
+        &self,
+        (normal, right): &(DMatrix<f64>, DVector<f64>),
+        damping: f64,
+    ) -> Option<DVector<f64>> {
+        let mut damped = normal + DMatrix::from_diagonal(&(normal.diagonal() * damping));
+        let step = damped.clone().cholesky()?.solve(right);
+        let [_, spread] = self.of_all();
+        let to_zero = -self.at[spread];
+        if step[spread] >= to_zero {
+            return Some(step);
+        }
+        let mut right = right - damped.column(spread) * to_zero;
+        damped.row_mut(spread).fill(0.0);
+        damped.column_mut(spread).fill(0.0);
+        (damped[(spread, spread)], right[spread]) = (1.0, to_zero);
+        Some(damped.cholesky()?.solve(&right))
+    }
+
+    /// Whether the descent led somewhere.
+    pub fn is_finite(&self) -> bool {
+        self.at.iter().all(|x| x.is_finite())
+    }
+
+    /// Number of white images.
+    fn whites(&self) -> usize {
+        self.known.f_numbers.len()
+    }
+
+    /// Index of H, which all light depends on, and that of the point spread, likewise.
+    fn of_all(&self) -> [usize; 2] {
+        let first = self.whites() + self.known.q_px.len();
+        [first, first + 1]
+    }
+
+    /// Indices of |m| and c.
+    fn law(&self) -> [usize; 2] {
+        self.of_all().map(|i| i + 2)
+    }
+
+    /// Sets the angles that light arrives at, which change little with the radii.
+    fn light_at_angles(&mut self) {
+        let (whites, at, known) = (self.whites(), &self.at, self.known);
+        self.lights.par_iter_mut().for_each(|light| {
+            let (a, b) = (at[light.white], at[whites + light.lens_type]);
+            let q = b * known.q_px[light.lens_type].signum();
+            light.profile.set_angles(a, q, known.pitch_px / 2.0);
+        });
+    }
+
+    /// Indices of what one profile depends on: its radii, H and the point spread.
+    fn places(&self, light: &Light) -> [usize; OF_LIGHT] {
+        let [within, spread] = self.of_all();
+        [light.white, self.whites() + light.lens_type, within, spread]
+    }
+
+    /// Weighted residuals of one profile, with what it depends on changed a little.
+    fn residuals(&self, light: &Light, by: [f64; OF_LIGHT]) -> Option<Vec<f64>> {
+        let places = self.places(light);
+        let [a, b, within, spread] = std::array::from_fn(|i| self.at[places[i]] + by[i]);
+        let Known { within_per_px2, mla_to_sensor_px, pitch_px, .. } = self.known;
+        let within = within * within_per_px2;
+        let law = Obliquity::in_the_middle(within, *mla_to_sensor_px, pitch_px / 2.0);
+        light.profile.residuals_of_discs([a, b], &law, &Pixel::new(spread))
+    }
+
+    /// a by the law, and its derivatives by |m| and c.
+    fn pupil(&self, f_number: f64) -> [f64; 3] {
+        let [m, c] = self.law();
+        let (paraxial, sine) = (self.at[m] / f_number, self.at[c]);
+        let square = (paraxial / self.known.mla_to_sensor_px).powi(2) / 2.0;
+        [
+            paraxial * (1.0 + sine * square),
+            (1.0 + 3.0 * sine * square) / f_number,
+            paraxial * square,
+        ]
+    }
+
+    /// Residuals of the law and of what is known beforehand over their standard deviations, with their
+    /// derivatives.
+    fn expectations(&self) -> Vec<(f64, Vec<(usize, f64)>)> {
+        let ([h, spread], [m, c]) = (self.of_all(), self.law());
+        let of_white = |(i, f_number): (usize, &f64)| {
+            let [pupil, by_m, by_c] = self.pupil(*f_number);
+            let scale = 1.0 / (self.f_number_error * self.known.m_px / f_number);
+            let row = vec![(i, scale), (m, -by_m * scale), (c, -by_c * scale)];
+            ((self.at[i] - pupil) * scale, row)
+        };
+        let mut all: Vec<_> = self.known.f_numbers.iter().enumerate().map(of_white).collect();
+        for (i, (value, std_dev)) in [(h, (1.0, WITHIN)), (spread, SPREAD), (c, SINE)] {
+            all.push(((self.at[i] - value) / std_dev, vec![(i, 1.0 / std_dev)]));
+        }
+        all
+    }
+
+    /// Half the gradient's opposite, and the normal matrix.
+    fn system(&self) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        let size = self.at.len();
+        let of_light = |light: &Light| {
+            let residuals = self.residuals(light, [0.0; OF_LIGHT])?;
+            let places = self.places(light);
+            let mut columns = Vec::with_capacity(OF_LIGHT);
+            for i in 0..OF_LIGHT {
+                let mut by = [0.0; OF_LIGHT];
+                by[i] = STEP;
+                let moved = self.residuals(light, by)?;
+                let column = moved.iter().zip(&residuals).map(|(m, r)| (m - r) / STEP);
+                columns.push(column.collect::<Vec<f64>>());
+            }
+            Some((places, columns, residuals))
+        };
+        let parts = self.lights.par_iter().map(of_light).collect::<Option<Vec<_>>>()?;
+        let (mut normal, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        for (places, columns, residuals) in &parts {
+            for (i, own) in places.iter().zip(columns) {
+                right[*i] -= dot(own, residuals);
+                for (j, other) in places.iter().zip(columns) {
+                    normal[(*i, *j)] += dot(own, other);
+                }
+            }
+        }
+        for (residual, row) in self.expectations() {
+            for &(i, own) in &row {
+                right[i] -= own * residual;
+                for &(j, other) in &row {
+                    normal[(i, j)] += own * other;
+                }
+            }
+        }
+        Some((normal, right))
+    }
+
+    fn cost(&self) -> Option<f64> {
+        let of_light = |light: &Light| {
+            Some(self.residuals(light, [0.0; OF_LIGHT])?.iter().map(|r| r * r).sum::<f64>())
+        };
+        let light: f64 =
+            self.lights.par_iter().map(of_light).collect::<Option<Vec<_>>>()?.iter().sum();
+        Some(light + self.expectations().iter().map(|(r, _)| r * r).sum::<f64>())
+    }
+
+    fn bounded(&self, mut at: DVector<f64>) -> DVector<f64> {
+        let [discs, spread] = self.of_all();
+        at.rows_mut(0, discs).iter_mut().for_each(|x| *x = x.clamp(LEAST_PX, self.known.pitch_px));
+        at[spread] = at[spread].clamp(0.0, self.known.pitch_px);
+        at
+    }
+
+    /// The error of f-numbers by how far pupils are from the law: the mean square that is expected, with what
+    /// is not known of the pupils (the step of an expectation maximisation).
+    fn expected_error(&self, normal: &DMatrix<f64>) -> Option<f64> {
+        let covariance = normal.clone().cholesky()?.inverse();
+        let whites = self.whites() as f64;
+        let square = |(residual, row): &(f64, Vec<(usize, f64)>)| {
+            let pairs = row.iter().flat_map(|x| row.iter().map(move |y| (x, y)));
+            let variance: f64 = pairs.map(|(x, y)| x.1 * y.1 * covariance[(x.0, y.0)]).sum();
+            residual * residual + variance
+        };
+        let squares: f64 = self.expectations()[..self.whites()].iter().map(square).sum();
+        let (least, count) = F_NUMBERS;
+        let sum = squares * self.f_number_error.powi(2) + count * least * least;
+        Some((sum / (whites + count)).sqrt())
+    }
+
+    fn discs(&self, normal: &DMatrix<f64>) -> Option<Discs> {
+        let covariance = normal.clone().cholesky()?.inverse();
+        let of = |i: usize| (self.at[i], covariance[(i, i)].sqrt());
+        let ([h, spread], [m, c]) = (self.of_all(), self.law());
+        let (within, spread) = (of(h), of(spread));
+        let known = self.known.within_per_px2;
+        Some(Discs {
+            m_px: of(m),
+            pupil_growth: self.at[c] / 2.0 * (self.at[m] / self.known.mla_to_sensor_px).powi(2),
+            blur_px: (self.whites()..h).map(of).collect(),
+            within_per_px2: (within.0 * known, within.1.hypot(WITHIN_MODEL) * known.abs()),
+            sine: of(c),
+            f_number_error: self.f_number_error,
+            point_spread: PointSpread {
+                variance_px2: spread.0,
+                std_dev_px2: spread.1.hypot(SPREAD_MODEL),
+            },
+        })
+    }
+}
