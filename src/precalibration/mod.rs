@@ -22,6 +22,7 @@ mod radii;
 mod rings;
 mod roundness;
 mod samples;
+mod stack;
 mod stage;
 mod types;
 mod verdicts;
