@@ -10,7 +10,7 @@ use crate::calibration::anchors::{LEAN, intercept_name};
 use crate::calibration::{CalibrationOptions, Mode, Start};
 use crate::error::Result;
 use crate::model::{BapFeature, InternalParameters, MicroImageCenter, PlenopticCamera, TAKEN};
-use crate::solver::{self, CommonError, CostOptions};
+use crate::solver::{self, Anchor, CommonError, CostOptions};
 
 /// How well the model of a blurred corner keeps its distance from the centre of the micro-image, relative: corners in
 /// simulated images are 0.1 % too far outwards through ideal lenses, and 0.3 % through traced ones
@@ -47,7 +47,7 @@ pub(super) fn common_errors(
             errors.push(CommonError { source, features_px, centers_px, anchors });
         }
     };
-    let [pupil, within] = relative_std_devs(internal);
+    let [pupil, within, fill] = relative_std_devs(internal);
     add("pupil", Vec::new(), &|_, f| {
         let [u, v] = levers(f)[0];
         [u * pupil, v * pupil, 0.0]
@@ -66,6 +66,20 @@ pub(super) fn common_errors(
         let [u, v] = levers(f)[2];
         [u * within, v * within, 0.0]
     });
+    // White images show the fill factor times qᵢ = q'ᵢ − Δc/2.
+    let half_pitch_mm = internal.micro_image_pitch_mm.unwrap_or(0.0) / 2.0;
+    let q_mm: Vec<f64> =
+        internal.q_prime_mm.iter().map(|q_prime| q_prime - half_pitch_mm).collect();
+    let of_anchor = |anchor: &Anchor| {
+        let of_type = |i: &usize| anchor.quantity == intercept_name(*i);
+        let lens_type = (0..q_mm.len()).find(of_type);
+        lens_type.map_or(0.0, |i| -q_mm[i] * fill / anchor.std_dev)
+    };
+    add("fill factor", cost.anchors.iter().map(of_anchor).collect(), &|i, f| {
+        let [u, v] = levers(f)[3];
+        let rho = if cost.rho { -q_mm[types[i]] / pixel_mm } else { 0.0 };
+        [u * fill, v * fill, rho * fill]
+    });
     let own_centers = solver::project_centers(camera, features.iter().map(|f| (f.k, f.l)))?;
     if let Some(lean) = &internal.lean {
         let middle = camera.sensor.center_px();
@@ -73,7 +87,7 @@ pub(super) fn common_errors(
             // Both discs grow with d.
             add(name, anchored(name), &|i, f| {
                 let growth = lean.std_dev_per_px[axis] * (own_centers[i][axis] - middle[axis]);
-                let [pupil, intercept, _] = levers(f);
+                let [pupil, intercept, ..] = levers(f);
                 [0, 1, 2].map(|c| if c < 2 { (pupil[c] + intercept[c]) * growth } else { 0.0 })
             });
         }
@@ -100,12 +114,13 @@ pub(super) fn common_errors(
     Ok(errors)
 }
 
-/// σ of the pupil's radius and of the fall-off inside micro-images, relative.
-fn relative_std_devs(internal: &InternalParameters) -> [f64; 2] {
+/// σ of the pupil's radius, of the fall-off inside micro-images and of the fill factor, relative.
+fn relative_std_devs(internal: &InternalParameters) -> [f64; 3] {
     let pupil = internal.m_std_dev_mm.map_or(0.0, |std_dev| std_dev / internal.m_mm.abs());
     // Without a fall-off there is no lever either.
     let known = internal.fall_off.filter(|fall_off| fall_off.within_per_px2 != 0.0);
     let within = known
         .map_or(0.0, |fall_off| fall_off.within_std_dev_per_px2 / fall_off.within_per_px2.abs());
-    [pupil, within]
+    let fill = internal.fill_factor.map_or(0.0, |fill| fill.std_dev / fill.value);
+    [pupil, within, fill]
 }

@@ -178,7 +178,7 @@ pub fn detect_subset(
         output.stage(picture(frame), |out| out.write_all(svg.as_bytes()))?;
     }
     output.stage("features.csv", |out| io::write_features(out, &features))?;
-    output.stage_json("detection.json", &io::detection_document(&found.frames, &shoot.board))?;
+    output.stage_json("detection.json", &io::detection_document(&found, &shoot.board))?;
     Ok(found)
 }
 

@@ -76,7 +76,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let found = boards::detect_subset(path, &shoot, &micro_images, options, &mut output)?;
     warn(&found.warnings);
     let paths = output.commit()?;
-    let document = io::detection_document(&found.frames, &shoot.board);
+    let document = io::detection_document(&found, &shoot.board);
     print_result(arguments.json, &document, &report::detection_text(&found.frames), &paths);
     Ok(ExitCode::SUCCESS)
 }

@@ -151,7 +151,6 @@ impl<T: RealField + Copy> Bend<T> {
 
 impl Bend {
     /// An ideal main lens.
-    #[cfg(test)]
     pub fn none() -> Self {
         Self { field: Vector2::zeros(), zone2: 0.0, coefficients: Vector3::zeros() }
     }
@@ -174,7 +173,7 @@ impl Bend {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Matrix2;
+    use nalgebra::{Matrix2, SMatrix};
 
     use super::super::CornerObservation;
     use super::super::corner::Corner;
@@ -228,9 +227,10 @@ mod tests {
                             slope_before: slope,
                             levers: Levers {
                                 by_slope: Vector2::zeros(),
-                                by_taken: Matrix2x3::zeros(),
+                                by_taken: SMatrix::zeros(),
                                 by_aberration: bend.terms(&w) * (slope - 1.0),
                             },
+                            width: None,
                         }
                     })
                     .collect()

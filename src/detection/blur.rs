@@ -31,6 +31,8 @@ pub(super) struct Blur<'a> {
     vignetting: &'a Vignetting,
     /// The angles at which the light arrives.
     obliquity: Obliquity,
+    /// Variance along an axis by which edges are wider than blur and pixels make them, px².
+    wider_px2: f32,
 }
 
 /// The rays that arrive at the pixels of a micro-image.
@@ -67,7 +69,13 @@ impl<'a> Blur<'a> {
     /// For a point with the slope γ, seen through a micro-lens of which `vignetting` tells the visible parts.
     pub fn new(optics: &MicroOptics, slope: f64, bend: Bend, vignetting: &'a Vignetting) -> Self {
         let (rho, q) = (optics.blur_radius_px(slope), optics.q_px());
-        Self { rho, q, bend, vignetting, obliquity: optics.obliquity }
+        Self { rho, q, bend, vignetting, obliquity: optics.obliquity, wider_px2: 0.0 }
+    }
+
+    /// With edges that are wider by a variance along an axis, px².
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn wider(self, px2: f64) -> Self {
+        Self { wider_px2: self.wider_px2 + px2 as f32, ..self }
     }
 
     /// The rays that arrive at the pixels of a patch.
@@ -124,7 +132,7 @@ struct OfPixel<'a> {
     rho: f32,
     /// Variance of a pixel along an axis, px².
     pixel: f32,
-    /// Variance of the cells of the points along an axis, px².
+    /// Variance of the cells of the points along an axis, with that of what makes edges wider, px².
     cell: f32,
     /// Place of the mean of the points, px, and how a point along and across moves it: for ρ and for qᵢ.
     sharp: [f32; 4],
@@ -153,7 +161,7 @@ impl<'a> OfPixel<'a> {
             field: slant.field(mean_square),
             rho: blur.rho as f32,
             pixel: part.pixel,
-            cell: cell as f32,
+            cell: cell as f32 + blur.wider_px2,
             sharp: scaled(blur.rho),
             pupil: scaled(blur.q),
         }
@@ -247,7 +255,7 @@ mod tests {
     fn blur(rho: f64, q: f64, vignetting: &Vignetting) -> Blur<'_> {
         let obliquity =
             Obliquity { within_per_px2: WITHIN, half_pitch_px: HALF_PITCH, ..Obliquity::default() };
-        Blur { rho, q, bend: Bend::none(), vignetting, obliquity }
+        Blur { rho, q, bend: Bend::none(), vignetting, obliquity, wider_px2: 0.0 }
     }
 
     /// By how much corners of summed light at a distance from the centre are found further outwards, px: the mean of

@@ -2,11 +2,12 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
+use super::edge_width::WidthChange;
 use super::frame::Frame;
 use super::line::median_inverse_virtual_depth;
-use super::second_pass::{BoardCorner, Found};
+use super::second_pass::{Found, SecondPassed};
 use super::{Aberration, CornerLine, CornerObservation, DepthEstimator};
-use crate::model::BapFeature;
+use crate::model::{BapFeature, FillFactor};
 
 /// A corner of the board as a whole.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,6 +33,18 @@ pub struct Detection {
     pub homography: Matrix3<f64>,
     /// What was taken out of the places: they are where a main lens without it would show the corners.
     pub aberration: Aberration,
+    /// How sharp its edges are, where they show it.
+    pub edges: Option<Edges>,
+}
+
+/// What the widths of edges in a frame say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Edges {
+    /// The fill factor of the micro-lenses by this frame alone.
+    pub fill_factor: FillFactor,
+    /// Variance along an axis by which edges are wider than the blur of a whole pixel makes them, px², with its σ: the point
+    /// spread, with what print and motion add.
+    pub spread_px2: [f64; 2],
 }
 
 impl Detection {
@@ -45,16 +58,12 @@ impl Detection {
 
 impl Frame<'_> {
     /// The features of the corners that were found.
-    pub(super) fn detection(
-        &self,
-        board_corners: &[BoardCorner],
-        homography: Matrix3<f64>,
-        aberration: Aberration,
-    ) -> Detection {
+    pub(super) fn detection(&self, passed: &SecondPassed, homography: Matrix3<f64>) -> Detection {
         let micro_images = self.search.micro_images;
+        let change = passed.width.map(|width| width.change);
         let half_pitch = micro_images.grid.pitch_px / 2.0;
         let (mut features, mut corners) = (Vec::new(), Vec::new());
-        for found in board_corners {
+        for found in &passed.corners {
             let observations: Vec<CornerObservation> =
                 found.observations.iter().map(|found| found.observation).collect();
             // There are at least two.
@@ -65,12 +74,17 @@ impl Frame<'_> {
                 median_inverse_virtual_depth: median,
                 features: observations.len(),
             });
-            for Found { observation, corner, by_taken } in &found.observations {
+            for Found { observation, corner, by_taken, width } in &found.observations {
                 let optics = micro_images.optics(observation.k, observation.l);
                 let rho_px = match self.search.estimator {
-                    DepthEstimator::Median => optics.blur_radius_of_depth_px(median),
-                    DepthEstimator::Line => optics.blur_radius_px(found.line.slope),
+                    DepthEstimator::Median => optics.rho_of_depth_px(median),
+                    DepthEstimator::Line => optics.rho_px(found.line.slope),
                 };
+                let blur_px = change.zip(*width).and_then(|(change, width)| {
+                    let (by, variance) = width.of_fill(&Vector2::new(0.0, change.y))?;
+                    let per = optics.blur_by_fill_px(found.line.slope);
+                    Some([optics.fill_factor * rho_px + by * per, variance.sqrt() * per.abs()])
+                });
                 features.push(BapFeature {
                     frame: self.frame,
                     corner: found.corner,
@@ -85,9 +99,21 @@ impl Frame<'_> {
                     // is not in it.
                     rho_std_dev_px: Some(half_pitch * found.line.slope_std_dev),
                     levers_px: Some((*by_taken).into()),
+                    blur_px,
                 });
             }
         }
-        Detection { features, corners, homography, aberration }
+        let edges = passed.width.map(|width| self.edges(&width, passed.wider_px2));
+        Detection { features, corners, homography, aberration: passed.aberration, edges }
+    }
+    fn edges(&self, width: &WidthChange, wider_px2: f64) -> Edges {
+        let micro_images = self.search.micro_images;
+        let std_dev = |i: usize| width.covariance[(i, i)].sqrt();
+        let value = micro_images.fill_factor() * width.change.x.exp();
+        let spread = micro_images.point_spread_px2() + wider_px2 + width.change.y;
+        Edges {
+            fill_factor: FillFactor { value, std_dev: value * std_dev(0) },
+            spread_px2: [spread, std_dev(1)],
+        }
     }
 }

@@ -114,12 +114,13 @@ impl Frame<'_> {
         let groups = self.groups(&observations, counts);
         trace!("frame {}: contrast {contrast:.3}, {} lines", self.frame, groups.len());
         let labelled = self.labelled(&observations, &groups, counts)?;
-        let (corners, aberration) = self.second_pass(&groups, &labelled, contrast, counts);
+        let passed = self.second_pass(&groups, &labelled, contrast, counts);
+        let corners = &passed.corners;
         self.check_sides(&labelled, |corner| corners.iter().any(|c| c.corner == corner))?;
         if corners.len() < MIN_CORNERS {
             return Err(Rejection::TooFewForPose { corners: corners.len(), fewest: MIN_CORNERS });
         }
-        Ok(self.detection(&corners, labelled.homography, aberration))
+        Ok(self.detection(&passed, labelled.homography))
     }
 
     /// The board that the pinhole images of groups show.

@@ -18,6 +18,9 @@ use super::patch::Patch;
 use crate::model::TAKEN;
 use crate::numerics::NormalEquations;
 
+/// Derivatives of a place by what is taken from white images, px: see [`crate::model::TAKEN_FROM_WHITES`].
+pub(super) type ByTaken = SMatrix<f64, 2, TAKEN>;
+
 /// Derivatives of the straightened place of a corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Levers {
@@ -25,8 +28,8 @@ pub(super) struct Levers {
     pub by_slope: Vector2<f64>,
     /// By S, C and T, px³.
     pub by_aberration: Matrix2x3<f64>,
-    /// By what is taken from white images, px: see [`crate::model::TAKEN_FROM_WHITES`]. 0 where it was not asked for.
-    pub by_taken: Matrix2x3<f64>,
+    /// By what is taken from white images; 0 where it was not asked for.
+    pub by_taken: ByTaken,
 }
 
 /// What is taken for granted: γ, S, C and T, and what is taken from white images.
@@ -72,12 +75,27 @@ impl Corner {
         levers.iter().all(|x| x.is_finite()).then(|| Levers {
             by_slope: place.column(0).into_owned(),
             by_aberration: place.fixed_columns::<3>(1).into_owned(),
-            by_taken: place.fixed_columns::<3>(4).into_owned(),
+            by_taken: place.fixed_columns::<TAKEN>(4).into_owned(),
         })
     }
 
+    /// The derivatives of its light by u and v, and its shape, summed over all rays, pixel by pixel.
+    pub fn derivatives(&self, pixels: usize, rays: &Rays) -> [Vec<f32>; 3] {
+        let mut columns = [const { Vec::new() }; COLUMNS].map(|_: Vec<f32>| vec![0.0; pixels]);
+        let bend = Bend::none().in_single();
+        Arch::new().dispatch(Sums {
+            columns: &mut columns,
+            corner: self,
+            rays,
+            bend,
+            nearness: 1.0,
+        });
+        let [by_u, by_v, shape, ..] = columns;
+        [by_u, by_v, shape]
+    }
+
     /// The sum of the shapes of all rays, pixel by pixel.
-    fn shape(&self, pixels: usize, rays: &Rays) -> Vec<f32> {
+    pub fn shape(&self, pixels: usize, rays: &Rays) -> Vec<f32> {
         let mut shape = vec![0.0; pixels];
         Arch::new().dispatch(Shape { shape: &mut shape, corner: self, rays });
         shape
@@ -262,7 +280,7 @@ mod tests {
             };
             close(with(1.0) - with(-1.0), lever, 2.0 * step);
         }
-        let others = [0, 1, 2].map(|taken| {
+        let others: [Rays; TAKEN] = std::array::from_fn(|taken| {
             let (optics, vignetting) = micro_images.otherwise(&optics, taken);
             Blur::new(&optics, SLOPE, bend, vignetting).rays(&patch)
         });

@@ -6,8 +6,8 @@ use nalgebra::Vector2;
 
 use crate::error::{Error, Result};
 use crate::model::{
-    Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, MicroImageCenter,
-    ROW_DISTANCE, Sensor, check_centers, growth_per_px, optics,
+    Configuration, Datasheet, FallOff, FillFactor, InternalParameters, LatticeKind,
+    MicroImageCenter, ROW_DISTANCE, Sensor, check_centers, growth_per_px, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::vignetting::{Obliquity, Pixel, Vignetting};
@@ -24,6 +24,10 @@ pub struct MicroImages {
     pupil_px: f64,
     /// q'ᵢ there, px.
     q_prime_px: Vec<f64>,
+    /// φ, the fill factor.
+    fill_factor: f64,
+    /// Variance of the point spread along an axis, px².
+    point_spread_px2: f64,
     /// The middle of the image, px.
     middle: Vector2<f64>,
     /// The fall-off of light.
@@ -49,6 +53,8 @@ pub struct MicroOptics {
     pub q_prime_px: f64,
     /// Δc/2, px.
     pub half_pitch_px: f64,
+    /// φ, the fill factor.
+    pub fill_factor: f64,
     /// The angles at which light arrives.
     pub obliquity: Obliquity,
     /// d over that in the middle of the image, less 1.
@@ -56,25 +62,39 @@ pub struct MicroOptics {
 }
 
 impl MicroOptics {
-    /// ρ of a point with slope γ, px: Eq. (radiusfinal) with 1/ν = 1 − γ/λ, in which λ drops out.
+    /// ρ of a point with slope γ, px: Eq. (radiusfinal) with 1/ν = 1 − γ/λ, in which λ drops out. It is the blur radius of
+    /// micro-lenses whose openings fill the distance between them.
     #[must_use]
-    pub fn blur_radius_px(&self, slope: f64) -> f64 {
+    pub fn rho_px(&self, slope: f64) -> f64 {
         self.q_prime_px - slope * self.half_pitch_px
     }
 
     /// ρ by Eq. (radiusfinal) from 1/ν, with λ = 1 as the paper has it, px.
     #[must_use]
-    pub fn blur_radius_of_depth_px(&self, inverse_virtual_depth: f64) -> f64 {
-        self.blur_radius_px(1.0 - inverse_virtual_depth)
+    pub fn rho_of_depth_px(&self, inverse_virtual_depth: f64) -> f64 {
+        self.rho_px(1.0 - inverse_virtual_depth)
     }
 
-    /// qᵢ, px: the blur radius of the pupil itself, which has the slope 1.
+    /// The blur radius of a point with slope γ, φρ, px.
+    #[must_use]
+    pub fn blur_radius_px(&self, slope: f64) -> f64 {
+        self.fill_factor * self.rho_px(slope)
+    }
+
+    /// How much the blur radius of a point with slope γ grows with ln φ, px, while that of the pupil stays as white images
+    /// show it.
+    #[must_use]
+    pub fn blur_by_fill_px(&self, slope: f64) -> f64 {
+        self.fill_factor * self.half_pitch_px * (1.0 - slope)
+    }
+
+    /// φqᵢ, px: the blur radius of the pupil itself, which has the slope 1.
     #[must_use]
     pub fn q_px(&self) -> f64 {
         self.blur_radius_px(1.0)
     }
 
-    /// Outer radius a + |qᵢ| of the white micro-image, px.
+    /// Outer radius a + |φqᵢ| of the white micro-image, px.
     #[must_use]
     pub fn outer_radius_px(&self) -> f64 {
         self.pupil_px + self.q_px().abs()
@@ -156,32 +176,41 @@ impl MicroImages {
         }
         #[allow(clippy::cast_possible_truncation)] // bounded above
         let last_step = (most / GROWTH_STEP).ceil() as i32;
-        let pixel = Pixel::new(internal.point_spread_px2());
-        let q_prime_px: Vec<f64> = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect();
-        let vignetting = |[pupil, intercept]: [f64; 2]| -> Vec<Vec<Vignetting>> {
-            let of_type = |q_prime: &f64| {
-                let of_step = |step: i32| {
-                    let scale = 1.0 + f64::from(step) * GROWTH_STEP;
-                    let q = q_prime * intercept * scale - grid.pitch_px / 2.0;
-                    Vignetting::new(pupil_px * pupil * scale, q, &pixel)
-                };
-                (-last_step..=last_step).map(of_step).collect()
-            };
-            q_prime_px.iter().map(of_type).collect()
-        };
-        let (other, within) = (1.0 + OTHERWISE, fall_off.within_per_px2);
-        Ok(Self {
+        let fill_factor = internal.fill_factor.unwrap_or(FillFactor::FULL).value;
+        let (within, half_pitch_px) = (fall_off.within_per_px2, grid.pitch_px / 2.0 * fill_factor);
+        let mut micro_images = Self {
             grid: *grid,
             configuration: sheet.configuration,
             centers: centers.iter().map(place).collect(),
             pupil_px,
-            vignetting: [[1.0, 1.0], [other, 1.0], [1.0, other]].map(vignetting),
+            vignetting: Default::default(),
             first_step: -last_step,
-            q_prime_px,
+            q_prime_px: internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect(),
+            fill_factor,
+            point_spread_px2: internal.point_spread_px2(),
             middle,
-            in_the_middle: Obliquity::in_the_middle(within, mla_to_sensor_px, grid.pitch_px / 2.0),
+            in_the_middle: Obliquity::in_the_middle(within, mla_to_sensor_px, half_pitch_px),
             fall_off,
             growth_per_px,
+        };
+        micro_images.vignetting = micro_images.tables();
+        Ok(micro_images)
+    }
+
+    /// The vignetting by what is [`OTHERWISE`], by lens type and by growth of d.
+    fn tables(&self) -> [Vec<Vec<Vignetting>>; 3] {
+        let (half_pitch, pixel) = (self.grid.pitch_px / 2.0, Pixel::new(self.point_spread_px2));
+        let other = 1.0 + OTHERWISE;
+        [[1.0, 1.0], [other, 1.0], [1.0, other]].map(|[pupil, intercept]| {
+            let of_type = |q_prime: &f64| {
+                let of_step = |step: i32| {
+                    let scale = 1.0 + f64::from(step) * GROWTH_STEP;
+                    let q = self.fill_factor * (q_prime * intercept * scale - half_pitch);
+                    Vignetting::new(self.pupil_px * pupil * scale, q, &pixel)
+                };
+                (self.first_step..=-self.first_step).map(of_step).collect()
+            };
+            self.q_prime_px.iter().map(of_type).collect()
         })
     }
 
@@ -213,6 +242,31 @@ impl MicroImages {
         internal.validate(sheet.lens_types)?;
         check_stated_pitch(sheet, internal, &grid)?;
         Self::new(&grid, centers, internal, sheet)
+    }
+
+    /// The same with another fill factor φ; the discs of white images, and with them φqᵢ, stay as they are.
+    #[must_use]
+    pub fn with_fill_factor(&self, fill_factor: f64) -> Self {
+        let (half_pitch, change) = (self.grid.pitch_px / 2.0, self.fill_factor / fill_factor);
+        let of_type = |q_prime: &f64| half_pitch + (q_prime - half_pitch) * change;
+        let q_prime_px = self.q_prime_px.iter().map(of_type).collect();
+        let mut in_the_middle = self.in_the_middle;
+        in_the_middle.half_pitch_px = half_pitch * fill_factor;
+        let mut other = Self { q_prime_px, fill_factor, in_the_middle, ..self.clone() };
+        other.vignetting = other.tables();
+        other
+    }
+
+    /// φ, the fill factor.
+    #[must_use]
+    pub fn fill_factor(&self) -> f64 {
+        self.fill_factor
+    }
+
+    /// Variance of the point spread along an axis, px².
+    #[must_use]
+    pub fn point_spread_px2(&self) -> f64 {
+        self.point_spread_px2
     }
 
     /// a in the middle of the image, px.
@@ -247,6 +301,7 @@ impl MicroImages {
             pupil_px: self.pupil_px * (1.0 + growth),
             q_prime_px: self.q_prime_px[lens_type] * (1.0 + growth),
             half_pitch_px: self.grid.pitch_px / 2.0,
+            fill_factor: self.fill_factor,
             obliquity: Obliquity {
                 gradient_per_px: self.fall_off.gradient(place),
                 ..self.in_the_middle
@@ -270,7 +325,12 @@ impl MicroImages {
         match taken {
             0 => other.pupil_px *= factor,
             1 => other.q_prime_px *= factor,
-            _ => other.obliquity.within_per_px2 *= factor,
+            2 => other.obliquity.within_per_px2 *= factor,
+            _ => {
+                let q = (optics.q_prime_px - optics.half_pitch_px) / factor;
+                other.q_prime_px = optics.half_pitch_px + q;
+                other.fill_factor *= factor;
+            }
         }
         (other, self.vignetting_with(if taken < 2 { taken + 1 } else { 0 }, optics))
     }

@@ -12,6 +12,7 @@ mod corner;
 mod corner_fit;
 mod dbscan;
 mod distortion;
+mod edge_width;
 mod exposure;
 mod features;
 mod first_pass;
@@ -33,7 +34,7 @@ mod tests;
 
 pub use aberration::Aberration;
 pub use board::check_board_size;
-pub use features::{DetectedCorner, Detection};
+pub use features::{DetectedCorner, Detection, Edges};
 pub use frame::{FrameCounts, Search, detect_frame};
 pub use line::CornerLine;
 pub use micro_images::{MicroImages, MicroOptics};

@@ -218,6 +218,7 @@ pub(super) mod tests {
             fall_off: None,
             lean: None,
             point_spread: None,
+            fill_factor: None,
         };
         let grid = MicroImageArray {
             lattice: Lattice { packing: Packing::Orthogonal, columns: 3, rows: 3 },

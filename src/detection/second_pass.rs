@@ -1,17 +1,19 @@
 //! The second pass: every corner of the board where its line, or that of its neighbours, expects it.
 
-use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use rayon::prelude::*;
 
-use super::aberration::Aberration;
+use super::aberration::{Aberration, Bend};
 use super::blur::{Blur, Rays};
 use super::board::LabelledBoard;
 use super::corner::Corner;
 use super::corner_fit::Free;
 use super::distortion::Distortion;
+use super::edge_width::{EdgeWidth, WIDER_PX2, WidthChange};
 use super::first_pass::{LEAST_CONTRAST, REACH};
 use super::frame::{Frame, FrameCounts, MARGIN};
 use super::grouping::Group;
+use super::levers::{ByTaken, Levers};
 use super::line::possible_slope;
 use super::micro_images::OTHERWISE;
 use super::patch::{Pair, Patch};
@@ -29,6 +31,10 @@ const ROUNDS: usize = 2;
 const EXPECTED_PX: f64 = 1.2;
 /// One pixel of so many shows how a corner depends on what is taken from white images: that is summed over all corners.
 const FEW: usize = 5;
+/// Index of the fill factor among [`crate::model::TAKEN_FROM_WHITES`].
+const FILL_FACTOR: usize = 3;
+/// Boards with edges that are wider than this, px², are not sharp enough to be found.
+const MOST_WIDER_PX2: f64 = 9.0;
 /// Least part of the light of its micro-image that a corner explains.
 const EXPLAINED: f64 = 0.4;
 /// Largest median imbalance of its observations, see [`Corner::imbalance`].
@@ -56,13 +62,27 @@ pub(super) struct Found {
     pub observation: CornerObservation,
     pub corner: Corner,
     /// How the place changes with what is taken from white images, px: see [`BapFeature::levers_px`].
-    pub by_taken: Matrix2x3<f64>,
+    pub by_taken: ByTaken,
+    /// What its edges say of the blur.
+    pub width: Option<EdgeWidth>,
 }
 
 /// A corner of the board that was searched for: what was seen of it, without what is off its line.
 struct Sought {
     corner: i32,
     seen: Vec<Seen>,
+}
+
+/// What the second pass finds in a frame.
+pub(super) struct SecondPassed {
+    /// The corners of the board with all their observations.
+    pub corners: Vec<BoardCorner>,
+    /// The aberrations that were taken out of them.
+    pub aberration: Aberration,
+    /// Variance along an axis by which edges are wider than blur and pixels make them, px².
+    pub wider_px2: f64,
+    /// What is left of the fill factor and of that, by the edges of all corners, if these determine it.
+    pub width: Option<WidthChange>,
 }
 
 /// What came of the search for a board corner, in numbers of micro-images that should show it.
@@ -74,14 +94,14 @@ struct Outcome {
 }
 
 impl Frame<'_> {
-    /// The corners of the board with all their observations, and the aberrations that were taken out of them.
+    /// Searches for all corners of the board.
     pub(super) fn second_pass(
         &self,
         groups: &[Group],
         labelled: &LabelledBoard,
         contrast: f64,
         counts: &mut FrameCounts,
-    ) -> (Vec<BoardCorner>, Aberration) {
+    ) -> SecondPassed {
         let of_group = |(group, corner): (&Group, &Option<i32>)| {
             Some(BoardCorner { corner: (*corner)?, line: group.line, observations: Vec::new() })
         };
@@ -90,6 +110,7 @@ impl Frame<'_> {
         let at_first: Vec<i32> = corners.iter().map(|c| c.corner).collect();
         let (middle, pupil) = (self.search.sensor.center_px(), self.search.micro_images.pupil_px());
         let mut aberration = Aberration::none(middle, pupil);
+        let (mut wider_px2, mut width) = (0.0, None);
         for round in 1..=ROUNDS {
             let lines: Vec<CornerLine> = corners.iter().map(|c| c.line).collect();
             let Some(field) = SlopeField::fit(&lines) else { break };
@@ -99,8 +120,16 @@ impl Frame<'_> {
             let distortion = &Distortion::fit(&pinholes, middle);
             corners.extend(self.missing(&corners, labelled, &field));
             let (field, last) = (&field, round == ROUNDS);
-            let pass =
-                SecondPass { frame: self, labelled, field, distortion, contrast, aberration, last };
+            let pass = SecondPass {
+                frame: self,
+                labelled,
+                field,
+                distortion,
+                contrast,
+                aberration,
+                wider_px2,
+                last,
+            };
             let outcomes: Vec<Outcome> = corners.par_iter().map(|c| pass.search(c)).collect();
             // Those of the last round count.
             counts.unclear = outcomes.iter().map(|o| o.unclear).sum();
@@ -111,6 +140,13 @@ impl Frame<'_> {
             let all = found.iter().map(|sought| sought.seen.as_slice());
             let change = aberration.change(all).unwrap_or_default();
             aberration = aberration.changed(&change);
+            let widths: Vec<EdgeWidth> =
+                found.iter().flat_map(|s| &s.seen).filter_map(|seen| seen.width).collect();
+            width = WidthChange::fit(&widths);
+            if let Some(width) = width.filter(|width| !last && width.edges_differ()) {
+                let least = -self.search.micro_images.point_spread_px2();
+                wider_px2 = (wider_px2 + width.change.y).clamp(least, MOST_WIDER_PX2);
+            }
             corners.clear();
             for sought in found {
                 let seen = sought.seen.len();
@@ -125,7 +161,7 @@ impl Frame<'_> {
         let is_lost = |corner: &&i32| corners.iter().all(|c| c.corner != **corner);
         counts.lost = at_first.iter().filter(is_lost).count();
         counts.board_corners = corners.len();
-        (corners, aberration)
+        SecondPassed { corners, aberration, wider_px2, width }
     }
 
     /// Corners in view that are not among some, on the lines that these lead to expect.
@@ -158,6 +194,8 @@ struct SecondPass<'a> {
     contrast: f64,
     /// As far as it is known.
     aberration: Aberration,
+    /// See [`SecondPassed::wider_px2`].
+    wider_px2: f64,
     /// Whether this is the last round.
     last: bool,
 }
@@ -184,24 +222,16 @@ impl SecondPass<'_> {
             }
             let vignetting = micro_images.vignetting(&optics);
             let bend = self.aberration.bend(&center, slope);
-            let blur = Blur::new(&optics, slope, bend, vignetting);
+            let blur = Blur::new(&optics, slope, bend, vignetting).wider(self.wider_px2);
             let fitted = pair.patch(micro_images, node).ok().and_then(|patch| {
                 let start = self.expected_corner(sought, &center, patch.mean());
                 let rays = blur.rays(&patch);
                 let corner = self.fitted(&start, &patch, &rays)?;
                 let mut levers = corner.levers(&patch, &rays, slope, &bend, &[])?;
-                if self.last {
-                    let few = patch.thinned(FEW);
-                    let others = [0, 1, 2].map(|taken: usize| {
-                        let (optics, vignetting) = micro_images.otherwise(&optics, taken);
-                        Blur::new(&optics, slope, bend, vignetting).rays(&few)
-                    });
-                    let by_few = corner.levers(&few, &blur.rays(&few), slope, &bend, &others);
-                    levers.by_taken = by_few.map_or(levers.by_taken, |few| few.by_taken);
-                }
-                Some((corner, levers, corner.imbalance(&patch, &rays)))
+                let width = self.by_few(&corner, &patch, (&optics, slope, &bend), &mut levers);
+                Some((corner, levers, width, corner.imbalance(&patch, &rays)))
             });
-            let Some((corner, levers, imbalance)) = fitted else {
+            let Some((corner, levers, width, imbalance)) = fitted else {
                 unclear += 1;
                 continue;
             };
@@ -210,6 +240,7 @@ impl SecondPass<'_> {
                 observation: self.frame.observation(node, &corner),
                 slope_before: slope,
                 levers,
+                width,
                 corner,
             });
         }
@@ -220,6 +251,36 @@ impl SecondPass<'_> {
         let kept = found.as_ref().map_or(0, |found| found.seen.len());
         let (misplaced, given_up) = if found.is_some() { (all - kept, 0) } else { (0, all) };
         Outcome { found, unclear, misplaced, given_up }
+    }
+
+    /// What a few pixels of a corner say of the width of its edges; and, in the last round, its levers by what is taken from
+    /// white images.
+    fn by_few(
+        &self,
+        corner: &Corner,
+        patch: &Patch,
+        (optics, slope, bend): (&MicroOptics, f64, &Bend),
+        levers: &mut Levers,
+    ) -> Option<EdgeWidth> {
+        let micro_images = self.frame.search.micro_images;
+        let few = patch.thinned(FEW);
+        let as_is = |optics: &MicroOptics, vignetting| {
+            Blur::new(optics, slope, *bend, vignetting).wider(self.wider_px2)
+        };
+        let blur = as_is(optics, micro_images.vignetting(optics));
+        let otherwise = |taken: usize| {
+            let (optics, vignetting) = micro_images.otherwise(optics, taken);
+            as_is(&optics, vignetting).rays(&few)
+        };
+        let (rays, wider) = (blur.rays(&few), blur.wider(WIDER_PX2).rays(&few));
+        if !self.last {
+            return EdgeWidth::of(corner, &few, &rays, [&otherwise(FILL_FACTOR), &wider]);
+        }
+        let others: [Rays; TAKEN] = std::array::from_fn(otherwise);
+        if let Some(by_few) = corner.levers(&few, &rays, slope, bend, &others) {
+            levers.by_taken = by_few.by_taken;
+        }
+        EdgeWidth::of(corner, &few, &rays, [&others[FILL_FACTOR], &wider])
     }
 
     /// A corner as it should show in the micro-image about `center`, whose mean light is `level`.
@@ -288,6 +349,7 @@ impl SecondPass<'_> {
                 observation: seen.observation,
                 corner: seen.corner,
                 by_taken: seen.levers.by_taken,
+                width: seen.width,
             })
             .collect();
         let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);

@@ -4,6 +4,7 @@ use nalgebra::{Vector2, Vector3};
 
 use super::CornerObservation;
 use super::corner::Corner;
+use super::edge_width::EdgeWidth;
 use super::levers::Levers;
 use super::micro_images::OTHERWISE;
 
@@ -16,6 +17,8 @@ pub(super) struct Seen {
     pub slope_before: f64,
     /// By how much the observation moves with that slope and the aberration.
     pub levers: Levers,
+    /// What its edges say of the blur.
+    pub width: Option<EdgeWidth>,
 }
 
 impl Seen {

@@ -3,11 +3,12 @@
 use std::borrow::Cow;
 
 use rayon::prelude::*;
+use tracing::debug;
 
-use super::{Detection, FrameCounts, Rejection, Search, detect_frame};
+use super::{Detection, FrameCounts, MicroImages, Rejection, Search, detect_frame};
 use crate::error::{Error, Result};
-use crate::image::RawImage;
-use crate::model::{BapFeature, Board, Sensor, Subset};
+use crate::image::{Grey, RawImage};
+use crate::model::{BapFeature, Board, FillFactor, Sensor, Subset};
 
 /// An image of a board.
 pub struct BoardImage<'a> {
@@ -78,6 +79,10 @@ impl DetectedFrame {
 pub struct DetectedBoards {
     /// Image by image.
     pub frames: Vec<DetectedFrame>,
+    /// The fill factor of the micro-lenses by the edges of all frames, where these show it.
+    pub fill_factor: Option<FillFactor>,
+    /// That which corners were fitted with.
+    pub fitted_with: f64,
     /// What the user should know, in words: frames left out and why, a doubtful board.
     pub warnings: Vec<String>,
 }
@@ -96,6 +101,15 @@ const FEW_FRAMES: usize = 4;
 /// Frames that are in memory at once.
 const AT_ONCE: usize = 4;
 
+/// The first frames are searched so many times, until the fill factor that their edges show is that which corners are
+/// fitted with.
+const ROUNDS: usize = 4;
+/// Fill factors that are the same for that, relative, or within so many standard deviations.
+const SAME_FILL: f64 = 0.004;
+const SIGNIFICANT: f64 = 3.0;
+/// How well the model of a blurred corner tells the fill factor, relative.
+const FILL_MODEL: f64 = 2e-3;
+
 /// Detects the board in a set of images. `white` is the white image in their light and at their
 /// f-number.
 ///
@@ -113,33 +127,83 @@ pub fn detect(
     search.board.validate()?;
     check_size(white, search.sensor)?;
     let white = white.grey();
-    let of_image = |image: &BoardImage| {
-        let (frame, name) = (image.frame, image.name.clone());
-        match (image.read)() {
-            Ok(raw) => {
-                let (found, counts) = detect_frame(frame, &raw.grey(), &white, search);
-                let result = found.map_err(NoFeatures::Rejected);
-                let detected = DetectedFrame { frame, name, result, counts };
-                inspect(&detected, Some(&raw))?;
-                Ok(detected)
-            }
-            Err(error) => {
-                let result = Err(NoFeatures::Unreadable(error));
-                let detected =
-                    DetectedFrame { frame, name, result, counts: FrameCounts::default() };
-                inspect(&detected, None)?;
-                Ok(detected)
-            }
-        }
-    };
+    let mut micro_images = Cow::Borrowed(search.micro_images);
     let mut frames = Vec::new();
     // Reading takes one core, so that a few frames at once keep all of them busy.
     for some in images.chunks(rayon::current_num_threads().min(AT_ONCE)) {
-        let done: Vec<DetectedFrame> = some.par_iter().map(of_image).collect::<Result<_>>()?;
-        frames.extend(done);
+        let read: Vec<_> = some.par_iter().map(|image| (image.read)()).collect();
+        let mut rounds = if frames.is_empty() { ROUNDS } else { 1 };
+        let found = loop {
+            let found =
+                search_all(some, &read, &white, &Search { micro_images: &micro_images, ..*search });
+            rounds -= 1;
+            let fill =
+                fill_factor(found.iter().flatten().filter_map(|(found, _)| found.as_ref().ok()));
+            let Some(fill) = fill.filter(|fill| rounds > 0 && differs(fill, &micro_images)) else {
+                break found;
+            };
+            debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
+            micro_images = Cow::Owned(micro_images.with_fill_factor(fill.value));
+        };
+        let of_image =
+            |((image, raw), found): ((&BoardImage, Result<Cow<RawImage>>), Option<Found>)| {
+                let (frame, name) = (image.frame, image.name.clone());
+                let (result, counts, raw) = match (raw, found) {
+                    (Ok(raw), Some((found, counts))) => {
+                        (found.map_err(NoFeatures::Rejected), counts, Some(raw))
+                    }
+                    (Err(error), _) => {
+                        (Err(NoFeatures::Unreadable(error)), FrameCounts::default(), None)
+                    }
+                    (Ok(_), None) => unreachable!("what was read was searched"),
+                };
+                let detected = DetectedFrame { frame, name, result, counts };
+                inspect(&detected, raw.as_deref())?;
+                Ok(detected)
+            };
+        let done = some.par_iter().zip(read).zip(found).map(of_image);
+        frames.extend(done.collect::<Result<Vec<DetectedFrame>>>()?);
     }
+    let detections = frames.iter().filter_map(|frame| frame.result.as_ref().ok());
+    let fill_factor = fill_factor(detections);
     let warnings = warnings(&frames, search.board, subset);
-    Ok(DetectedBoards { frames, warnings })
+    Ok(DetectedBoards { frames, fill_factor, fitted_with: micro_images.fill_factor(), warnings })
+}
+
+/// What was found in an image.
+type Found = (std::result::Result<Detection, Rejection>, FrameCounts);
+
+/// Searches images that could be read.
+fn search_all(
+    images: &[BoardImage],
+    read: &[Result<Cow<RawImage>>],
+    white: &Grey,
+    search: &Search,
+) -> Vec<Option<Found>> {
+    let of_image = |(image, raw): (&BoardImage, &Result<Cow<RawImage>>)| {
+        raw.as_ref().ok().map(|raw| detect_frame(image.frame, &raw.grey(), white, search))
+    };
+    images.par_iter().zip(read).map(of_image).collect()
+}
+
+/// The mean fill factor of frames, with σ by their own or by their scatter, whichever is larger, and that of the model.
+fn fill_factor<'a>(frames: impl Iterator<Item = &'a Detection>) -> Option<FillFactor> {
+    let of_frames: Vec<FillFactor> =
+        frames.filter_map(|frame| Some(frame.edges?.fill_factor)).collect();
+    let weight = |fill: &FillFactor| fill.std_dev.powi(-2);
+    let weights: f64 = of_frames.iter().map(weight).sum();
+    let value = of_frames.iter().map(|fill| fill.value * weight(fill)).sum::<f64>() / weights;
+    let scatter: f64 =
+        of_frames.iter().map(|fill| weight(fill) * (fill.value - value).powi(2)).sum();
+    let excess = (scatter / (of_frames.len() as f64 - 1.0).max(1.0)).max(1.0);
+    let std_dev = (excess / weights).sqrt().hypot(FILL_MODEL * value);
+    value.is_finite().then_some(FillFactor { value, std_dev })
+}
+
+/// Whether corners should be fitted with another fill factor.
+fn differs(found: &FillFactor, micro_images: &MicroImages) -> bool {
+    let change = (found.value - micro_images.fill_factor()).abs();
+    change > SAME_FILL * found.value && change > SIGNIFICANT * found.std_dev
 }
 
 fn check_size(white: &RawImage, sensor: &Sensor) -> Result<()> {

@@ -103,6 +103,7 @@ pub(super) fn internal_parameters_from(
         fall_off: None,
         lean: None,
         point_spread: None,
+        fill_factor: None,
     })
 }
 

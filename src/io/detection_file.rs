@@ -2,12 +2,19 @@
 
 use serde_json::{Value, json};
 
-use crate::detection::{DetectedFrame, Detection};
+use crate::detection::{DetectedBoards, DetectedFrame, Detection, Edges};
 use crate::model::Board;
 
 /// The content of `detection.json`.
 #[must_use]
-pub fn detection_document(frames: &[DetectedFrame], board: &Board) -> Value {
+pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
+    let edges = |edges: &Edges| {
+        json!({
+            "fill_factor": edges.fill_factor,
+            "spread_px2": edges.spread_px2[0],
+            "spread_std_dev_px2": edges.spread_px2[1],
+        })
+    };
     let aberration = |found: &Detection| {
         let a = &found.aberration;
         let [spherical, coma, astigmatism]: [f64; 3] = a.coefficients_per_px2.into();
@@ -27,6 +34,7 @@ pub fn detection_document(frames: &[DetectedFrame], board: &Board) -> Value {
             "rejected": frame.result.as_ref().err().map(ToString::to_string),
             "features": frame.result.as_ref().map_or(0, |d| d.features.len()),
             "board_corners": c.board_corners,
+            "edges": frame.result.as_ref().ok().and_then(|d| d.edges.as_ref()).map(edges),
             "aberration": frame.result.as_ref().ok().map(aberration),
             "micro_images": { "looked_at": c.looked_at, "unusable": c.unusable },
             "corners": c.corners,
@@ -47,6 +55,8 @@ pub fn detection_document(frames: &[DetectedFrame], board: &Board) -> Value {
         "format": "plenocal-detection",
         "version": 1,
         "board": { "columns": board.columns, "rows": board.rows, "square_mm": board.square_mm },
-        "frames": frames.iter().map(of_frame).collect::<Vec<_>>(),
+        "fill_factor": found.fill_factor,
+        "fitted_with_fill_factor": found.fitted_with,
+        "frames": found.frames.iter().map(of_frame).collect::<Vec<_>>(),
     })
 }

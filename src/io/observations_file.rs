@@ -1,8 +1,8 @@
 //! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP
 //! features, u, v and ρ in px; the same columns as COMPOTE's. Standard deviations, px, may follow:
 //! `std_dev` of centres, `std_u`, `std_v` and `std_rho` of features. Columns are found by their names
-//! in the first line; others are ignored. `du_pupil`, `dv_pupil`, `du_intercept`, `dv_intercept`, `du_fall_off` and
-//! `dv_fall_off` of features are their [`BapFeature::levers_px`]. Gzip-compressed files are COMPOTE's binary form.
+//! in the first line; others are ignored. `blur` and `std_blur` of features are their [`BapFeature::blur_px`], and columns
+//! such as `du_pupil` and `dv_pupil` their [`BapFeature::levers_px`]. Gzip-compressed files are COMPOTE's binary form.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -42,6 +42,7 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
     required.extend(rho.then_some("rho"));
     let optional: Vec<&str> = ["rho", "std_u", "std_v", "std_rho"]
         .into_iter()
+        .chain(BLUR)
         .chain(LEVERS.into_iter().flatten())
         .collect();
     let features = rows(path, &bytes, &required, &optional, |row| {
@@ -60,6 +61,7 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
             },
             rho_std_dev_px: row.std_dev("std_rho")?,
             levers_px: row.levers()?,
+            blur_px: row.blur()?,
         })
     })?;
     Ok(Observations { centers: Vec::new(), features })
@@ -76,8 +78,15 @@ pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::R
 }
 
 /// Columns of [`BapFeature::levers_px`], u and v.
-const LEVERS: [[&str; 2]; TAKEN] =
-    [["du_pupil", "dv_pupil"], ["du_intercept", "dv_intercept"], ["du_fall_off", "dv_fall_off"]];
+const LEVERS: [[&str; 2]; TAKEN] = [
+    ["du_pupil", "dv_pupil"],
+    ["du_intercept", "dv_intercept"],
+    ["du_fall_off", "dv_fall_off"],
+    ["du_fill_factor", "dv_fill_factor"],
+];
+
+/// Columns of [`BapFeature::blur_px`].
+const BLUR: [&str; 2] = ["blur", "std_blur"];
 
 /// Writes BAP features as CSV, with their standard deviations and levers if they have any.
 pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Result<()> {
@@ -87,13 +96,19 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
     let with_levers = features.iter().any(|f| f.levers_px.is_some());
     let levers =
         if with_levers { format!(",{}", LEVERS.as_flattened().join(",")) } else { String::new() };
-    writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}{levers}")?;
+    let with_blur = features.iter().any(|f| f.blur_px.is_some());
+    let blur = if with_blur { format!(",{}", BLUR.join(",")) } else { String::new() };
+    writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}{blur}{levers}")?;
     features.iter().try_for_each(|f| {
         let rho = f.rho_px.map(|rho| rho.to_string()).unwrap_or_default();
         write!(out, "{},{},{},{},{rho},{},{}", f.k, f.l, f.u_px, f.v_px, f.corner, f.frame)?;
         if measured {
             let [u, v] = [0, 1].map(|i| std_dev_text(f.std_dev_px.map(|std_devs| std_devs[i])));
             write!(out, ",{u},{v},{}", std_dev_text(f.rho_std_dev_px))?;
+        }
+        if with_blur {
+            let blur = f.blur_px.map(|[blur, _]| format!("{blur:.4}")).unwrap_or_default();
+            write!(out, ",{blur},{}", std_dev_text(f.blur_px.map(|[_, std_dev]| std_dev)))?;
         }
         for lever in f.levers_px.unwrap_or_default().as_flattened().iter().filter(|_| with_levers) {
             let text = f.levers_px.map(|_| format!("{lever:.4}")).unwrap_or_default();
@@ -168,6 +183,18 @@ impl Row<'_> {
                 "{} go together, but some are missing",
                 LEVERS.as_flattened().join(", ")
             ))),
+        }
+    }
+
+    /// The measured blur radius, or `None` where there is none.
+    fn blur(&self) -> Result<Option<[f64; 2]>> {
+        let [blur, std_dev] = BLUR;
+        match (self.measured(blur)?, self.std_dev(std_dev)?) {
+            (Some(blur), Some(std_dev)) => Ok(Some([blur, std_dev])),
+            (None, None) => Ok(None),
+            _ => {
+                Err(self.error(&format!("{} go together, but one is missing", BLUR.join(" and "))))
+            }
         }
     }
 

@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use super::observations_file::std_dev_text;
 use crate::error::{Error, Result};
-use crate::model::{FallOff, InternalParameters, Lean, MicroImageCenter, PointSpread};
+use crate::model::{FallOff, FillFactor, InternalParameters, Lean, MicroImageCenter, PointSpread};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// `format` of the file.
@@ -33,6 +33,7 @@ struct InternalFile {
     fall_off: Option<FallOff>,
     lean: Option<Lean>,
     point_spread: Option<PointSpread>,
+    fill_factor: Option<FillFactor>,
 }
 
 #[derive(Deserialize)]
@@ -115,6 +116,7 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
             "fall_off": internal.parameters.fall_off,
             "lean": internal.parameters.lean,
             "point_spread": internal.parameters.point_spread,
+            "fill_factor": internal.parameters.fill_factor,
             "rms_px": internal.rms_px,
         }),
     );
@@ -151,6 +153,7 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
         fall_off: internal.fall_off,
         lean: internal.lean,
         point_spread: internal.point_spread,
+        fill_factor: internal.fill_factor,
     })
 }
 

@@ -10,8 +10,8 @@ use super::read_text;
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
-    Board, Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, PointSpread,
-    Sensor, optics,
+    Board, Configuration, Datasheet, FallOff, FillFactor, InternalParameters, LatticeKind, Lean,
+    PointSpread, Sensor, optics,
 };
 
 /// A project file. Every table may be left out where a command gets its content another way.
@@ -105,6 +105,8 @@ pub struct InternalSection {
     pub lean: Option<Lean>,
     /// The point spread.
     pub point_spread: Option<PointSpread>,
+    /// The fill factor.
+    pub fill_factor: Option<FillFactor>,
 }
 
 /// `[images]`
@@ -253,6 +255,7 @@ impl Project {
             fall_off: section.fall_off,
             lean: section.lean,
             point_spread: section.point_spread,
+            fill_factor: section.fill_factor,
         })
     }
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::camera::{Sensor, check_array_size, check_lens_types};
 use super::checks::positive;
-use super::edge_spread::PointSpread;
+use super::edge_spread::{FillFactor, PointSpread};
 use super::fall_off::FallOff;
 use super::lattice::LatticeKind;
 use super::lean::Lean;
@@ -70,6 +70,8 @@ pub struct InternalParameters {
     pub lean: Option<Lean>,
     /// The point spread, where it was measured.
     pub point_spread: Option<PointSpread>,
+    /// The fill factor that q'ᵢ go with, where it is known; 1 otherwise. White images show its product with qᵢ = q'ᵢ − Δc/2.
+    pub fill_factor: Option<FillFactor>,
 }
 
 impl Datasheet {
@@ -146,6 +148,9 @@ impl InternalParameters {
         }
         if let Some(point_spread) = &self.point_spread {
             point_spread.validate()?;
+        }
+        if let Some(fill_factor) = &self.fill_factor {
+            fill_factor.validate()?;
         }
         let given = self.q_prime_std_dev_mm.len();
         if given != 0 && given != self.q_prime_mm.len() {

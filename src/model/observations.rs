@@ -44,13 +44,16 @@ pub struct BapFeature {
     /// How far u and v move if what the detection takes from the white images is wrong, where that is known: px
     /// per relative change of each of [`TAKEN_FROM_WHITES`].
     pub levers_px: Option<[[f64; 2]; TAKEN]>,
+    /// The blur radius as the width of its edges shows it, with the sign of ρ, and its standard deviation, px, where it was
+    /// measured. That of micro-lenses with a fill factor below 1 is smaller than ρ.
+    pub blur_px: Option<[f64; 2]>,
 }
 
 /// Number of the quantities of white images that a corner's place depends on.
-pub const TAKEN: usize = 3;
-/// Their names: a, the radius of the main lens's pupil seen through the middle of a micro-lens; q'ᵢ; and H, how light
-/// falls off inside a micro-image.
-pub const TAKEN_FROM_WHITES: [&str; TAKEN] = ["pupil", "intercept", "fall_off"];
+pub const TAKEN: usize = 4;
+/// Their names: a, the radius of the main lens's pupil seen through the middle of a micro-lens; q'ᵢ; H, how light falls off
+/// inside a micro-image; and the fill factor, with the qᵢ that white images show.
+pub const TAKEN_FROM_WHITES: [&str; TAKEN] = ["pupil", "intercept", "fall_off", "fill_factor"];
 
 /// The observations of a calibration.
 #[derive(Debug, Clone, Default, PartialEq)]

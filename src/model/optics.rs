@@ -97,6 +97,7 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
         fall_off: None,
         lean: None,
         point_spread: None,
+        fill_factor: None,
     }
 }
 

@@ -42,6 +42,12 @@ impl<T: RealField + Copy, const P: usize, const Q: usize> NormalEquations<T, P, 
         Some(self.normal.cholesky()?.solve(&self.right))
     }
 
+    /// What the unknowns explain of the weighted products of the measurements with each other; `None` if the rows do not
+    /// determine them.
+    pub fn explained(&self) -> Option<SMatrix<T, Q, Q>> {
+        Some(self.right.transpose() * self.solve()?)
+    }
+
     /// The sums for a solution in double precision.
     pub fn in_double(&self) -> NormalEquations<f64, P, Q>
     where

@@ -84,6 +84,7 @@ pub(super) fn fit_internal(
             fall_off: None,
             lean: None,
             point_spread: None,
+            fill_factor: None,
         },
         rms_px: (sum / rows as f64).sqrt(),
     })
@@ -115,6 +116,7 @@ pub(super) fn internal_of_discs(
         fall_off: None,
         lean: None,
         point_spread: Some(discs.point_spread),
+        fill_factor: None,
     };
     for m in measurements.iter_mut() {
         let pupil = parameters.pupil_radius_mm(m.f_number) / pixel_size_mm;

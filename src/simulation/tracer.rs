@@ -156,6 +156,7 @@ impl Tracer {
             fall_off: None,
             lean: None,
             point_spread: None,
+            fill_factor: None,
         }
     }
 

@@ -169,6 +169,7 @@ impl Tracer {
                         std_dev_px: None,
                         rho_std_dev_px: None,
                         levers_px: None,
+                        blur_px: None,
                     };
                     Some(TrueFeature { feature, visible: spot.visible })
                 };

@@ -49,6 +49,7 @@ pub fn synthesize(
                         std_dev_px: None,
                         rho_std_dev_px: None,
                         levers_px: None,
+                        blur_px: None,
                     }));
                 }
             }

@@ -1,0 +1,135 @@
+//! How wide edges are, over what the blur of a corner makes them: what they say about the fill factor of the micro-lenses,
+//! and about what makes edges wider beside blur.
+//!
+//! The blur radius of a corner is ρ = qᵢ + φ (1 − γ) Δc/2. White images show qᵢ, and the line of the corner its slope γ.
+//! Openings that do not fill the distance between micro-lenses, φ < 1, blur less; a point spread, printed edges that are not
+//! sharp and boards that move make all edges wider by the same variance v.
+
+use nalgebra::{Matrix1x3, Matrix2, Matrix3, RowVector3, Vector2, Vector4};
+
+use super::blur::Rays;
+use super::corner::Corner;
+use super::micro_images::OTHERWISE;
+use super::patch::Patch;
+use crate::numerics::{NormalEquations, median};
+
+/// By how much edges are made wider to see what depends on it, px².
+pub(super) const WIDER_PX2: f64 = 0.1;
+/// Pixels that are used up by place, levels, fill factor and width.
+const USED: f64 = 6.0;
+
+/// What the light of a corner says about ln φ and v, near those that it was fitted with, while its place and levels are free:
+/// its information, and that times the change.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct EdgeWidth {
+    information: Matrix2<f64>,
+    right: Vector2<f64>,
+}
+
+/// Changes of ln φ and v with their covariance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct WidthChange {
+    pub change: Vector2<f64>,
+    pub covariance: Matrix2<f64>,
+}
+
+impl EdgeWidth {
+    /// Of a corner that was fitted with `rays`; the others are those with a fill factor that is larger by the part
+    /// [`OTHERWISE`], and with edges that are wider by [`WIDER_PX2`]. `None` if the light does not determine its place.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn of(corner: &Corner, patch: &Patch, rays: &Rays, others: [&Rays; 2]) -> Option<Self> {
+        let pixels = patch.x.len();
+        let share = 1.0 / rays.points().len() as f32;
+        let (level, contrast) = (corner.level as f32, corner.contrast as f32);
+        let [by_u, by_v, shape] = corner.derivatives(pixels, rays);
+        let moved = others.map(|rays| corner.shape(pixels, rays));
+        let per = [1.0 / OTHERWISE as f32, 1.0 / WIDER_PX2 as f32].map(|x| x * contrast * share);
+        let mut equations = NormalEquations::<f32, 4, 3>::new();
+        let mut products = Matrix3::<f64>::zeros();
+        for i in 0..pixels {
+            let (along_u, along_v) = (by_u[i] * contrast * share, by_v[i] * contrast * share);
+            let row = Vector4::new(along_u, along_v, 1.0, shape[i] * share);
+            let [by_fill, by_width] = [0, 1].map(|k: usize| (moved[k][i] - shape[i]) * per[k]);
+            let residual = patch.light[i] - level - contrast * shape[i] * share;
+            let of_pixel = Matrix1x3::new(residual, by_fill, by_width);
+            equations.add(&row, &of_pixel, patch.weight[i]);
+            let of_pixel: RowVector3<f64> = of_pixel.map(f64::from);
+            products += of_pixel.transpose() * of_pixel * f64::from(patch.weight[i]);
+        }
+        let left = products - equations.in_double().explained()?;
+        let variance = left[(0, 0)] / (pixels as f64 - USED).max(1.0);
+        let information = left.fixed_view::<2, 2>(1, 1) / variance;
+        let right = left.fixed_view::<2, 1>(1, 0) / variance;
+        let finite = information.iter().chain(right.iter()).all(|x| x.is_finite());
+        (variance > 0.0 && finite).then_some(Self { information, right })
+    }
+
+    /// The change of ln φ by this corner alone, with its variance, after `change` of all; `None` if it shows none.
+    pub fn of_fill(&self, change: &Vector2<f64>) -> Option<(f64, f64)> {
+        let information = self.information[(0, 0)];
+        let left = self.right - self.information * change;
+        (information > 0.0).then(|| (left.x / information, 1.0 / information))
+    }
+}
+
+/// Corners this many times further than the typical one from all others are false, or the light of other things.
+const OUTLIERS: f64 = 5.0;
+/// Edges have the width that they were taken to have within this, px², or within so many standard deviations.
+const SAME_PX2: f64 = 0.03;
+const SIGNIFICANT: f64 = 3.0;
+/// Rounds in which they are left out.
+const ROUNDS: usize = 3;
+
+impl WidthChange {
+    /// Whether edges are wider or narrower than they were taken to be, by what matters and is no chance: print that is not
+    /// sharp, motion, a point spread that white images show otherwise.
+    pub fn edges_differ(&self) -> bool {
+        let change = self.change.y.abs();
+        change > SAME_PX2 && change > SIGNIFICANT * self.covariance[(1, 1)].sqrt()
+    }
+
+    /// By all corners together; `None` if they do not determine it. The covariance is by their scatter.
+    pub fn fit(all: &[EdgeWidth]) -> Option<Self> {
+        let mut kept = vec![true; all.len()];
+        let mut found = None;
+        for _ in 0..ROUNDS {
+            let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
+            for (one, _) in all.iter().zip(&kept).filter(|(_, kept)| **kept) {
+                information += one.information;
+                right += one.right;
+            }
+            let covariance = information.cholesky()?.inverse();
+            let change = covariance * right;
+            // In the standard deviations that each corner claims.
+            let far = |one: &EdgeWidth| {
+                one.of_fill(&change).map_or(0.0, |(by, variance)| by.abs() / variance.sqrt())
+            };
+            let distances: Vec<f64> = all.iter().map(far).collect();
+            // The median of |x| for a normal distribution.
+            let typical = median(distances.iter().copied())? / 0.6745;
+            kept = distances.iter().map(|far| *far <= OUTLIERS * typical.max(1.0)).collect();
+            found = Some(Self { change, covariance: covariance * typical.powi(2).max(1.0) });
+        }
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(fill: f64, width: f64) -> EdgeWidth {
+        let information = Matrix2::new(400.0, 30.0, 30.0, 100.0);
+        EdgeWidth { information, right: information * Vector2::new(fill, width) }
+    }
+
+    #[test]
+    fn one_false_corner_does_not_count() {
+        let mut all: Vec<EdgeWidth> =
+            (0..60).map(|i| of(-0.08 + 0.05 * f64::from(i % 3 - 1), 0.2)).collect();
+        all.push(of(9.0, 0.0));
+        let found = WidthChange::fit(&all).unwrap();
+        assert!((found.change - Vector2::new(-0.08, 0.2)).norm() < 0.01, "{found:?}");
+        assert!(WidthChange::fit(&[]).is_none());
+    }
+}
