@@ -98,7 +98,7 @@ impl DetectionScore {
             let Ok(detection) = result else { continue };
             score.labelled += 1;
             let features: Vec<BapFeature> = tracer
-                .features(pose.frame, &board, &pose.camera_from_board)
+                .features(pose.frame, &settings.target, &pose.camera_from_board)
                 .into_iter()
                 .map(|t| t.feature)
                 .collect();

@@ -8,7 +8,7 @@ use super::imaging::Imaging;
 use super::imperfections::Imperfections;
 use super::main_lens::check_camera;
 use super::prescription::Prescription;
-use super::scene::Target;
+use super::target::Target;
 use super::tracer::{Tracer, check_rays};
 use crate::error::{Error, Result};
 use crate::model::{Configuration, Datasheet, Noise, PlenopticCamera, positive};

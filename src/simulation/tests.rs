@@ -5,6 +5,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3
 use super::main_lens::Passage;
 use super::sampling::RaySets;
 use super::scene::PlacedTarget;
+use super::spread::Footprint;
 use super::{FallOffLaw, Imperfections, Scene, Settings, Target, Tracer};
 use crate::model::{PlenopticCamera, optics};
 
@@ -44,7 +45,7 @@ fn light_returns_along_the_rays() {
         settings.camera.main_lens.exit_pupil_mm = exit_pupil.into();
         let tracer = ideal(&settings.camera, 4.0);
         let board = PlacedTarget::new(&settings.target, &board, tracer.focal_length).unwrap();
-        let sets = RaySets::new(16);
+        let sets = RaySets::new(16, &Footprint::new(0.0));
         let mut looked_at = 0;
         for (i, lens) in tracer.array.lenses.iter().enumerate().step_by(97) {
             let center = tracer.outline(lens).0;

@@ -24,10 +24,9 @@ fn calibration_poses(settings: &Settings) -> Vec<FramePose> {
 fn calibrated(settings: &Settings) -> Calibration {
     let tracer = settings.tracer(settings.board_f_number()).unwrap();
     let mut source = NoiseSource::new(&settings.observation_noise, 5).unwrap();
-    let board = settings.target.board();
     let features: Vec<BapFeature> = calibration_poses(settings)
         .iter()
-        .flat_map(|pose| tracer.features(pose.frame, &board, &pose.camera_from_board))
+        .flat_map(|pose| tracer.features(pose.frame, &settings.target, &pose.camera_from_board))
         .filter(|f| f.visible >= HALF_VISIBLE)
         .map(|f| source.feature(&f.feature))
         .collect();
