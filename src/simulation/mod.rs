@@ -23,6 +23,7 @@ mod real_lens_tests;
 mod rendering;
 mod sampling;
 mod scene;
+mod sensor;
 mod settings;
 mod spread;
 mod stage;

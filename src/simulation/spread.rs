@@ -35,7 +35,9 @@ impl Footprint {
             sum += density(half_px * (2.0 * (f64::from(step) + 0.5) / f64::from(STEPS) - 1.0));
             cumulative.push(sum);
         }
-        cumulative.iter_mut().for_each(|value| *value /= sum);
+        for value in &mut cumulative {
+            *value /= sum;
+        }
         Self { half_px, cumulative }
     }
 
