@@ -49,7 +49,7 @@ impl Shot {
     }
 
     /// The mean irradiance during the exposure.
-    fn irradiance(
+    pub(super) fn irradiance(
         &self,
         settings: &Settings,
         seed: u64,

@@ -20,6 +20,8 @@ mod ray;
 mod real_lens;
 #[cfg(test)]
 mod real_lens_tests;
+#[cfg(test)]
+mod realism_tests;
 mod rendering;
 mod sampling;
 mod scene;

@@ -187,6 +187,7 @@ impl Tracer {
 
     /// Where rays are drawn to all places within a reach of one on the sensor (local); `None` if no ray
     /// through the micro-lens leads there.
+    #[inline]
     fn draw(&self, lens: &MicroLens, pixel: &Vector3<f64>, reach_px: f64) -> Option<Draw> {
         let array = &self.array;
         let drawn = &self.lens.drawn;

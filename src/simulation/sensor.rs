@@ -196,4 +196,87 @@ mod tests {
         assert_eq!(image.len(), 60_000);
         assert_eq!(image[..6], [r, g, b, r, g, b]);
     }
+
+    fn ideal() -> Imaging {
+        Imaging { full_well_electrons: f64::INFINITY, exposure: 1.0, ..Imaging::default() }
+    }
+
+    /// One bright pixel in the middle of 5 × 3, and one in a corner.
+    #[test]
+    fn neighbours_share_a_signal_and_lose_none_of_it() {
+        let mut image = Image { width: 5, height: 3, pixels: vec![0.0; 15] };
+        (image.pixels[7], image.pixels[0]) = (0.8, 0.4);
+        let imaging = Imaging { crosstalk: 0.1, bits: 16, ..ideal() };
+        let found = samples(&imaging.read_out(&image, 0, 0).unwrap());
+        let parts: [f64; 15] =
+            [0.32, 0.04, 0.08, 0.0, 0.0, 0.04, 0.08, 0.48, 0.08, 0.0, 0.0, 0.0, 0.08, 0.0, 0.0];
+        assert_eq!(found, parts.map(|part| imaging.rounded(part)));
+    }
+
+    /// A red pixel away from the border has four green neighbours: 0.2 + 4 · 0.1 (0.6 − 0.2) = 0.36.
+    #[test]
+    fn crosstalk_is_behind_the_mosaic() {
+        let imaging = Imaging {
+            crosstalk: 0.1,
+            bits: 16,
+            color: Color::BayerRggb,
+            channel_response: [0.2, 0.6, 0.4],
+            ..ideal()
+        };
+        let found = samples(&imaging.read_out(&flat(1.0), 0, 0).unwrap());
+        assert_eq!(found[2 * 200 + 2], 23_593);
+    }
+
+    #[test]
+    fn samples_follow_black_level_gamma_and_saturation_in_this_order() {
+        let sample =
+            |imaging: Imaging, light| samples(&imaging.read_out(&flat(light), 0, 0).unwrap())[0];
+        let black = Imaging { black_level: 16.0 / 255.0, ..ideal() };
+        assert_eq!([sample(black, 0.0), sample(black, 0.4), sample(black, 0.95)], [16, 118, 255]);
+        // The gain does not raise the black level.
+        assert_eq!(sample(Imaging { gain: 2.0, ..black }, 0.1), 67);
+        let gamma = Imaging { gamma: 2.0, ..ideal() };
+        assert_eq!([sample(gamma, 0.0), sample(gamma, 0.25), sample(gamma, 2.0)], [0, 128, 255]);
+        // The roots of 0.09 and 0.25.
+        let both = Imaging { black_level: 0.09, ..gamma };
+        assert_eq!([sample(both, 0.0), sample(both, 0.16)], [77, 128]);
+        // Of full scale, not of light: its root is 0.95.
+        let full = Imaging { saturation: 0.9, bits: 16, ..gamma };
+        assert_eq!([sample(full, 0.25), sample(full, 0.9)], [32_768, 58_982]);
+    }
+
+    /// Without a black level half of the read noise is cut off.
+    #[test]
+    fn a_black_level_keeps_the_read_noise_of_dark_pixels() {
+        let imaging = Imaging {
+            bits: 16,
+            black_level: 0.05,
+            full_well_electrons: 1000.0,
+            read_noise_electrons: 10.0,
+            ..Imaging::default()
+        };
+        let (mean, variance) = moments(&imaging.read_out(&flat(0.0), 0, 7).unwrap());
+        assert!((mean / 65_535.0 - 0.05).abs() < 4.0 * 0.01 / 141.0, "{mean}");
+        assert!((variance.sqrt() / 65_535.0 / 0.01 - 1.0).abs() < 0.02, "{variance}");
+    }
+
+    #[test]
+    fn hot_pixels_stay_where_they_are() {
+        let hot = |saturation, sensor_seed, seed| {
+            let color = Color::Rgb;
+            let imaging = Imaging { hot_pixels: 25, saturation, color, ..Imaging::default() };
+            let image = imaging.read_out(&flat(0.1), sensor_seed, seed).unwrap();
+            let pixels: Vec<Vec<u16>> = samples(&image).chunks(3).map(<[u16]>::to_vec).collect();
+            let hot: Vec<usize> = (0..pixels.len()).filter(|&i| pixels[i][1] > 200).collect();
+            assert!(hot.iter().all(|&i| pixels[i] == [pixels[hot[0]][0]; 3]));
+            (pixels[hot[0]][0], hot)
+        };
+        let (sample, places) = hot(1.0, 1, 1);
+        assert_eq!((sample, places.len()), (255, 25));
+        assert_eq!(hot(0.9, 1, 2), (230, places.clone()));
+        assert_ne!(hot(1.0, 2, 1).1, places);
+        let too_many = Imaging { hot_pixels: 20_001, ..Imaging::default() };
+        let error = too_many.read_out(&flat(0.1), 0, 0).unwrap_err().to_string();
+        assert!(error.contains("20001 hot pixels are more than the 20000"), "{error}");
+    }
 }

@@ -222,3 +222,99 @@ impl Surface {
         self.sag.x * a.x * b.x + self.sag.y * a.y * b.y + self.twist * (a.x * b.y + a.y * b.x) / 2.0
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point2;
+
+    use super::*;
+
+    fn target() -> Target {
+        Target {
+            columns: 5,
+            rows: 3,
+            square_mm: 10.0,
+            border_mm: 4.0,
+            white: 0.9,
+            black: 0.05,
+            background: 0.3,
+            sag_mm: [0.8, -0.5],
+            twist_mm: 0.3,
+            aspect: 0.002,
+            uneven_light: [0.5, -1.0],
+        }
+    }
+
+    /// h = (20, 10) mm. With the aspect the last corner is at (40.04, 19.98).
+    #[test]
+    fn corners_lie_on_the_surface_and_further_apart_along_x() {
+        let target = target();
+        let exact = Target { aspect: 0.0, ..target };
+        let close = |corner: i32, x: f64, y: f64, z: f64| {
+            let found = exact.corner_mm(corner);
+            assert!((found - Point3::new(x, y, z)).norm() < 1e-12, "{found}");
+        };
+        close(14, 40.0, 20.0, 0.8 - 0.5 + 0.3);
+        close(4, 40.0, 0.0, 0.8 - 0.5 - 0.3);
+        close(7, 20.0, 10.0, 0.0);
+        close(5, 0.0, 10.0, 0.8);
+        let last = target.corner_mm(14);
+        assert!((last.xy() - Point2::new(40.04, 19.98)).norm() < 1e-12, "{last}");
+        let (xi, eta) = (1.002, 0.998);
+        let height = 0.8 * xi * xi - 0.5 * eta * eta + 0.3 * xi * eta;
+        assert!((last.z - height).abs() < 1e-12, "{last}");
+        // Spacing along the rows over that along the columns.
+        let along = |a: i32, b: i32| (target.corner_mm(b) - target.corner_mm(a)).xy().norm();
+        assert!((along(0, 1) / along(0, 5) - 1.002).abs() < 1e-5);
+        assert!(!target.is_flat_and_exact() && !exact.is_flat_and_exact());
+        let flat = Target { sag_mm: [0.0; 2], twist_mm: 0.0, ..exact };
+        assert!(flat.is_flat_and_exact());
+        assert_eq!(flat.corner_mm(14), flat.board().point_mm(14));
+    }
+
+    #[test]
+    fn lines_meet_the_surface() {
+        let surface = target().surface().unwrap();
+        for slope in [(0.0, 0.0), (0.7, -0.4), (-2.0, 1.0)].map(|(x, y)| Vector2::new(x, y)) {
+            for place in [(0.0, 0.0), (20.0, 10.0), (47.0, -9.0)].map(|(x, y)| Vector2::new(x, y)) {
+                let hit = surface.meet(&place, &slope).unwrap();
+                assert!((surface.height(&hit.xy()) - hit.z).abs() < 1e-12, "{hit}");
+                assert!((place + slope * hit.z - hit.xy()).norm() < 1e-12, "{hit}");
+                assert!(hit.z.abs() < 5.0, "{hit} is the nearest");
+            }
+        }
+        // Beside the crest, which it leaves behind.
+        assert_eq!(surface.meet(&Vector2::new(20.0, 300.0), &Vector2::new(0.0, 1.0)), None);
+    }
+
+    #[test]
+    fn slopes_are_derivatives_of_the_height() {
+        let (surface, place, step) = (target().surface().unwrap(), Vector2::new(7.0, 17.0), 1e-4);
+        let along = |axis: Vector2<f64>| {
+            (surface.height(&(place + axis * step)) - surface.height(&(place - axis * step)))
+                / (2.0 * step)
+        };
+        let expected = Vector2::new(along(Vector2::x()), along(Vector2::y()));
+        assert!((surface.slope(&place) - expected).norm() < 1e-9);
+    }
+
+    /// In squares from corner 0, with the middle at (2, 1).
+    #[test]
+    fn light_is_even_in_the_middle_and_never_lost() {
+        let target = target();
+        for (x, y, light) in [(2.0, 1.0, 1.0), (4.0, 1.0, 1.5), (2.0, 0.5, 1.5), (0.0, 2.0, 0.05)] {
+            assert!((target.light(x, y) - light).abs() < 1e-12, "{x}, {y}");
+        }
+    }
+
+    /// The sheet ends 14 mm beyond the corners, at ξ = ±1.7.
+    #[test]
+    fn a_bent_sheet_is_nearest_where_it_bends_to() {
+        let nearest = |sag: f64| {
+            let bent = Target { sag_mm: [sag, 0.0], twist_mm: 0.0, aspect: 0.0, ..target() };
+            bent.sheet_mm().into_iter().map(|p| p.z).fold(f64::MAX, f64::min)
+        };
+        assert!(nearest(0.8).abs() < 1e-12);
+        assert!((nearest(-1.0) + 1.7 * 1.7).abs() < 1e-12, "{}", nearest(-1.0));
+    }
+}
