@@ -41,7 +41,7 @@ fn moments(image: &Image) -> (f64, Vector2<f64>, [f64; 3]) {
 /// its light.
 #[test]
 fn a_point_spread_widens_a_micro_image_by_its_variance() {
-    // 1024 rays for each of a few hundred pixels; the cut at 4σ takes 0.1 % of σ².
+    // 8192 rays for each of a few hundred pixels; the cut at 4σ takes 0.1 % of σ².
     const NOISE_PX2: f64 = 4e-3;
     for name in ["mini", "keplerian", "mini-double-gauss"] {
         let settings = one_micro_lens(name);
@@ -50,7 +50,7 @@ fn a_point_spread_widens_a_micro_image_by_its_variance() {
             let lens = settings.prescription.as_ref();
             let tracer =
                 Tracer::with_lens(&settings.camera, lens, 16.0, &imperfections, 0).unwrap();
-            moments(&tracer.render(&Scene::White, 1024, 0, &|| ()).unwrap())
+            moments(&tracer.render(&Scene::White, 8192, 0, &|| ()).unwrap())
         };
         let (light, middle, variance) = image(0.0);
         for sigma in [0.3, 1.0_f64] {
@@ -103,7 +103,7 @@ fn rays_from_true_features_end_in_the_corners_of_a_bent_board() {
         let board = PlacedTarget::new(&target, &pose, tracer.focal_length).unwrap();
         let features = tracer.features(0, &target, &pose);
         let (mut seen, mut furthest) = (0, 0.0_f64);
-        for feature in features.iter().filter(|f| f.visible > 0.99).map(|f| f.feature).step_by(11) {
+        for feature in features.iter().filter(|f| f.visible > 0.99).map(|f| f.feature) {
             let lens = tracer.micro_lens(feature.k, feature.l).unwrap();
             let local = |u, v| tracer.array.local(lens, &tracer.array.on_sensor(u, v));
             let pixel = local(feature.u_px, feature.v_px);
@@ -151,25 +151,43 @@ fn a_bent_board_has_its_print_about_its_corners() {
     }
 }
 
+#[test]
+fn a_board_bent_away_from_the_camera_is_rejected() {
+    let settings = Settings::preset("mini", &[]).unwrap();
+    let target = Target { sag_mm: [2.0, -2.0], ..settings.target };
+    let steep = Isometry3::new(Vector3::new(-9.0, -7.0, 75.0), Vector3::new(0.6, -0.4, 0.3));
+    let error = PlacedTarget::new(&target, &steep, 16.2).unwrap_err().to_string();
+    assert!(error.contains("sees the back of a part of it"), "{error}");
+    let target = Target { sag_mm: [1.0, 1.0], ..settings.target };
+    let near = Isometry3::new(Vector3::new(-10.5, -6.0, 17.0), Vector3::zeros());
+    assert!(PlacedTarget::new(&target, &near, 16.2).is_ok());
+    // Its ends bend towards the camera, into the focal length.
+    let target = Target { sag_mm: [-1.0, -1.0], ..settings.target };
+    let error = PlacedTarget::new(&target, &near, 16.2).unwrap_err().to_string();
+    assert!(error.contains("within the focal length"), "{error}");
+}
+
 /// The truth of a board is where it is in the middle of its motion, and its light is spread evenly along its
 /// way: a twelfth of its square, less a 64th for eight moments.
 #[test]
 fn a_board_that_moves_is_blurred_along_its_way() {
     let mut settings = one_micro_lens("mini");
-    settings.rays = 512;
+    settings.rays = 4096;
+    // Small openings show all of the pupil over some pixels.
+    settings.imperfections.fill_factor = 0.3;
     // A spot of white.
-    let (columns, rows, square_mm) = (2, 2, 0.05);
+    let (columns, rows, square_mm) = (2, 2, 0.3);
     let (border_mm, white, black, background) = (0.0, 1.0, 0.0, 0.0);
     settings.target =
         Target { columns, rows, square_mm, border_mm, white, black, background, ..settings.target };
-    settings.boards.motion_px = 20.0;
+    settings.boards.motion_px = 10.0;
     settings.boards.min_in_view = 0.0;
     let pose = Isometry3::new(Vector3::new(0.0, 0.0, 78.0), Vector3::zeros());
     let poses = vec![crate::model::FramePose { frame: 3, camera_from_board: pose }];
     let data_set = DataSet::plan(&settings, Some(poses)).unwrap();
     let (_, shot) = data_set.subsets[0][0];
     let distance_px = shot.motion_mm.norm() / 78.0 * (18.5 + 0.33) / 0.0055;
-    assert!((distance_px - 20.0).abs() < 1e-9, "{distance_px}");
+    assert!((distance_px - 10.0).abs() < 1e-9, "{distance_px}");
     assert!(data_set.subsets[2].iter().all(|(_, shot)| shot.motion_mm == Vector2::zeros()));
 
     let tracer = settings.tracer(4.0).unwrap();
@@ -187,6 +205,6 @@ fn a_board_that_moves_is_blurred_along_its_way() {
     let even = (1.0 - 1.0 / 64.0) / 12.0;
     for (axis, square) in [way.x * way.x, way.y * way.y, way.x * way.y].into_iter().enumerate() {
         let (more, expected) = (moved[axis] - still[axis], even * square);
-        assert!((more - expected).abs() < 0.03 * even * way.norm_squared(), "{more} {expected}");
+        assert!((more - expected).abs() < 0.04 * even * way.norm_squared(), "{more} {expected}");
     }
 }

@@ -236,13 +236,13 @@ mod tests {
         // The gain does not raise the black level.
         assert_eq!(sample(Imaging { gain: 2.0, ..black }, 0.1), 67);
         let gamma = Imaging { gamma: 2.0, ..ideal() };
-        assert_eq!([sample(gamma, 0.0), sample(gamma, 0.25), sample(gamma, 2.0)], [0, 128, 255]);
-        // The roots of 0.09 and 0.25.
+        assert_eq!([sample(gamma, 0.0), sample(gamma, 0.36), sample(gamma, 2.0)], [0, 153, 255]);
+        // The roots of 0.09 and 0.36.
         let both = Imaging { black_level: 0.09, ..gamma };
-        assert_eq!([sample(both, 0.0), sample(both, 0.16)], [77, 128]);
+        assert_eq!([sample(both, 0.0), sample(both, 0.27)], [77, 153]);
         // Of full scale, not of light: its root is 0.95.
         let full = Imaging { saturation: 0.9, bits: 16, ..gamma };
-        assert_eq!([sample(full, 0.25), sample(full, 0.9)], [32_768, 58_982]);
+        assert_eq!([sample(full, 0.36), sample(full, 0.9)], [39_321, 58_982]);
     }
 
     /// Without a black level half of the read noise is cut off.
