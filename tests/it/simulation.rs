@@ -42,7 +42,7 @@ fn calibrated(settings: &Settings) -> Calibration {
     let observations = Observations { centers, features };
     let start =
         Start::Datasheet(settings.datasheet(), optics::internal_parameters(&settings.camera));
-    calibrate(&start, &board, &observations, &options(), &mut |_| true).unwrap()
+    calibrate(&start, &settings.target.board(), &observations, &options(), &mut |_| true).unwrap()
 }
 
 /// The traced observations do not depend on the model that is fitted to them.
