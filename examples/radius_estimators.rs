@@ -31,7 +31,7 @@ fn main() -> Result<()> {
             let whites = (1..)
                 .zip(&light)
                 .map(|(seed, (f_number, light))| {
-                    let image = imaging.read_out(light, seed)?;
+                    let image = imaging.read_out(light, 0, seed)?;
                     Ok(White { name: format!("f/{f_number:.2}"), f_number: *f_number, image })
                 })
                 .collect::<Result<Vec<White>>>()?;

@@ -25,7 +25,7 @@
 //! let settings = Settings::preset("mini", &few.map(str::to_owned))?;
 //! let (mut whites, mut boards, mut others) = (Vec::new(), Vec::new(), Vec::new());
 //! let simulated = simulate(&settings, None, &(), &mut |content, shot, image| {
-//!     let white = |image| White { name: format!("{content:?}"), f_number: shot.f_number, image };
+//!     let white = |image| White { name: format!("{content:?}"), f_number: shot.stated_f_number, image };
 //!     match content {
 //!         Content::White(_) | Content::Devignetting => whites.push(white(image)),
 //!         Content::Board(Subset::Calibration, frame) => boards.push((frame, image)),

@@ -126,10 +126,11 @@ fn settings(arguments: &Arguments) -> Result<Settings> {
 fn summary(data_set: &DataSet, folder: &str, time: Duration) -> String {
     let mut text = format!(
         "{} images in {:.1} s:\n  {folder}/whites/: {} white images for the pre-calibration\n  \
-         {folder}/devignetting.png: a white image in the light of the boards\n",
+         {folder}/{}: a white image in the light of the boards\n",
         data_set.shots().count(),
         time.as_secs_f64(),
-        data_set.whites.len()
+        data_set.whites.len(),
+        io::image_name(Content::Devignetting, &data_set.devignetting)
     );
     for (subset, boards) in Subset::ALL.into_iter().zip(&data_set.subsets) {
         if !boards.is_empty() {

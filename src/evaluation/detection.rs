@@ -73,9 +73,9 @@ impl DetectionScore {
     ) -> Result<Self> {
         let data_set = DataSet::plan(settings, None)?;
         let white = |shot: &Shot| {
-            let name = format!("f/{:.2}", shot.f_number);
+            let name = format!("f/{:.2}", shot.stated_f_number);
             let image = shot.take(settings, &|| ())?;
-            Ok(White { name, f_number: shot.f_number, image })
+            Ok(White { name, f_number: shot.stated_f_number, image })
         };
         let whites = data_set.whites.iter().map(white).collect::<Result<Vec<White>>>()?;
         let reference = white(&data_set.devignetting)?;
@@ -83,7 +83,7 @@ impl DetectionScore {
         let options = PrecalibrationOptions::of_datasheet(&sheet);
         let measured = precalibrate(&whites, Some(&reference), &options, &|| ())?;
         let micro_images = MicroImages::of_precalibration(&measured, &sheet)?;
-        let tracer = settings.tracer(reference.f_number)?;
+        let tracer = settings.tracer(settings.board_f_number())?;
         let centers = tracer.centers().into_iter().map(|t| ((t.center.k, t.center.l), t.center));
         let centers: HashMap<(i32, i32), MicroImageCenter> = centers.collect();
         let (mla, to_pupil) = (&settings.camera.mla, settings.camera.pupil_to_mla_mm());
@@ -98,7 +98,7 @@ impl DetectionScore {
             let Ok(detection) = result else { continue };
             score.labelled += 1;
             let features: Vec<BapFeature> = tracer
-                .features(pose.frame, &board, &pose.camera_from_board)
+                .features(pose.frame, &settings.target, &pose.camera_from_board)
                 .into_iter()
                 .map(|t| t.feature)
                 .collect();

@@ -6,20 +6,24 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::{
-    OutputFolder, camera_document, poses_document, write_centers, write_features, write_png,
+    OutputFolder, camera_document, poses_document, write_centers, write_features, write_jpeg,
+    write_png,
 };
 use crate::error::{Error, Result};
+use crate::image::RawImage;
 use crate::model::{FramePose, InternalParameters, Subset};
 use crate::simulation::{
-    Content, DataSet, Progress, Settings, Shot, Simulated, TrueCenter, TrueFeature, simulate,
+    Content, DataSet, Progress, Settings, Shot, Simulated, Target, TrueCenter, TrueFeature,
+    simulate,
 };
 
 /// Simulates a data set and stages it:
 ///
-/// - `whites/`, `devignetting.png`, `calibration/`, `evaluation/`, `translation/`: the images;
+/// - `whites/`, `devignetting.png`, `calibration/`, `evaluation/`, `translation/`: the images, PNG or JPEG;
 /// - `project.toml`: what a user would write about them; `simulation.toml`: the settings;
-/// - `truth/`: camera, what a real main lens comes to, internal parameters, centres with lens types, and for every subset poses and
-///   features with the fraction of their light that is `visible`;
+/// - `truth/`: camera, what a real main lens comes to, internal parameters, the shape of a board that is not
+///   flat and exact, centres with lens types, and for every subset poses and features with the fraction of
+///   their light that is `visible`;
 /// - `observed/`, if there are calibration boards: the observations with noise, and a project file
 ///   of its own for `calibrate`.
 pub fn stage_data_set(
@@ -31,11 +35,11 @@ pub fn stage_data_set(
     let text = settings.to_toml()?;
     output.stage("simulation.toml", |out| out.write_all(text.as_bytes()))?;
     let simulated = simulate(settings, poses, progress, &mut |content, shot, image| {
-        output.stage(image_name(content, shot), |out| write_png(out, &image))
+        output.stage(image_name(content, shot), |out| write_image(out, shot, &image))
     })?;
     let project = project_text(settings, &simulated.data_set);
     output.stage("project.toml", |out| out.write_all(project.as_bytes()))?;
-    stage_truth(output, &simulated)?;
+    stage_truth(output, &settings.target, &simulated)?;
     if !simulated.observed.features.is_empty() {
         stage_observed(output, settings, &simulated)?;
     }
@@ -45,24 +49,25 @@ pub fn stage_data_set(
 /// The file of an image in the folder of its data set.
 #[must_use]
 pub fn image_name(content: Content, shot: &Shot) -> String {
-    match content {
-        Content::White(_) => white_name(shot),
-        Content::Devignetting => DEVIGNETTING.to_owned(),
-        Content::Board(subset, frame) => frame_name(subset, frame),
+    let name = match content {
+        Content::White(_) => {
+            format!("whites/white-{}-n-{:.2}", shot.number, shot.stated_f_number)
+        }
+        Content::Devignetting => "devignetting".to_owned(),
+        Content::Board(subset, frame) => format!("{0}/{0}-{frame:02}", subset.name()),
+    };
+    let extension = if shot.imaging.jpeg_quality.is_some() { "jpg" } else { "png" };
+    format!("{name}.{extension}")
+}
+
+fn write_image(out: &mut dyn Write, shot: &Shot, image: &RawImage) -> io::Result<()> {
+    match shot.imaging.jpeg_quality {
+        Some(quality) => write_jpeg(out, image, quality),
+        None => write_png(out, image),
     }
 }
 
-fn white_name(shot: &Shot) -> String {
-    format!("whites/white-{}-n-{:.2}.png", shot.number, shot.f_number)
-}
-
-const DEVIGNETTING: &str = "devignetting.png";
-
-fn frame_name(subset: Subset, frame: u32) -> String {
-    format!("{0}/{0}-{frame:02}.png", subset.name())
-}
-
-fn stage_truth(output: &mut OutputFolder, simulated: &Simulated) -> Result<()> {
+fn stage_truth(output: &mut OutputFolder, target: &Target, simulated: &Simulated) -> Result<()> {
     let Simulated { data_set, truth, .. } = simulated;
     output.stage_json("truth/camera.json", &camera_document(&truth.camera, None))?;
     output.stage("truth/centers.csv", |out| write_true_centers(out, &truth.centers))?;
@@ -76,6 +81,10 @@ fn stage_truth(output: &mut OutputFolder, simulated: &Simulated) -> Result<()> {
             "# The main lens by rays close to its axis; see docs/simulation.md.\n{figures}"
         );
         output.stage("truth/main_lens.toml", |out| out.write_all(text.as_bytes()))?;
+    }
+    if !target.is_flat_and_exact() {
+        let text = shape_text(target);
+        output.stage("truth/board.toml", |out| out.write_all(text.as_bytes()))?;
     }
     let boards = Subset::ALL.into_iter().zip(&data_set.subsets).zip(&truth.features);
     for ((subset, boards), features) in boards.filter(|((_, boards), _)| !boards.is_empty()) {
@@ -136,6 +145,15 @@ fn internal_text(internal: &InternalParameters) -> String {
     )
 }
 
+/// How far the board is from flat and exact.
+fn shape_text(target: &Target) -> String {
+    format!(
+        "# The shape of the board; see [target] in docs/simulation.md.\nsag_mm = {:?}\ntwist_mm = {:?}\n\
+         aspect = {:?}\n",
+        target.sag_mm, target.twist_mm, target.aspect
+    )
+}
+
 /// The tables of a project file that a datasheet gives.
 fn camera_text(settings: &Settings) -> String {
     let (sheet, board) = (settings.datasheet(), settings.target.board());
@@ -167,11 +185,14 @@ fn project_text(settings: &Settings, data_set: &DataSet) -> String {
     let mut text = format!(
         "# plenocal project: a simulated camera. The truth is in truth/, the settings of the\n\
          # simulation in simulation.toml.\n\n{}\n\
-         [images]\ncolor = \"{color}\"\ndevignetting = \"{DEVIGNETTING}\"\n",
-        camera_text(settings)
+         [images]\ncolor = \"{color}\"\ndevignetting = \"{}\"\n",
+        camera_text(settings),
+        image_name(Content::Devignetting, &data_set.devignetting)
     );
     let list = |subset: Subset, boards: &[(FramePose, Shot)]| {
-        let names = boards.iter().map(|(p, _)| format!("  \"{}\",\n", frame_name(subset, p.frame)));
+        let name =
+            |(p, shot): &(FramePose, Shot)| image_name(Content::Board(subset, p.frame), shot);
+        let names = boards.iter().map(|board| format!("  \"{}\",\n", name(board)));
         format!("[\n{}]", names.collect::<String>())
     };
     let [calibration, evaluation, translation] = &data_set.subsets;
@@ -180,11 +201,11 @@ fn project_text(settings: &Settings, data_set: &DataSet) -> String {
     if !evaluation.is_empty() {
         table(format!("evaluation = {}\n", list(Subset::Evaluation, evaluation)));
     }
-    for shot in &data_set.whites {
+    for (i, shot) in data_set.whites.iter().enumerate() {
         table(format!(
             "\n[[images.whites]]\nimage = \"{}\"\nf_number = {}\n",
-            white_name(shot),
-            shot.f_number
+            image_name(Content::White(i), shot),
+            shot.stated_f_number
         ));
     }
     if !translation.is_empty() {

@@ -5,6 +5,7 @@ use std::io::{self, BufReader, Write};
 use std::path::Path;
 use std::time::Instant;
 
+use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageReader};
 
@@ -94,12 +95,35 @@ pub fn write_png(out: &mut dyn Write, raw: &RawImage) -> io::Result<()> {
             (samples.iter().flat_map(|s| s.to_ne_bytes()).collect(), color)
         }
     };
+    let encoder = PngEncoder::new_with_quality(out, CompressionType::Fast, FilterType::Adaptive);
+    encode(encoder, raw, &bytes, color)
+}
+
+/// Writes a raw image as JPEG of a quality from 1 to 100, 8 bit, grey or RGB. An error for samples of 16 bits
+/// and for a colour mosaic, whose colours JPEG would mix.
+pub fn write_jpeg(out: &mut dyn Write, raw: &RawImage, quality: u8) -> io::Result<()> {
+    let (Samples::Bits8(samples), Color::Grey | Color::Rgb) = (&raw.samples, raw.color) else {
+        return Err(io::Error::other(
+            "only images of 8 bits, grey or rgb, can be written as JPEG: write this one as PNG",
+        ));
+    };
+    let rgb = raw.color == Color::Rgb;
+    let color = if rgb { ExtendedColorType::Rgb8 } else { ExtendedColorType::L8 };
+    encode(JpegEncoder::new_with_quality(out, quality), raw, samples, color)
+}
+
+fn encode(
+    encoder: impl ImageEncoder,
+    raw: &RawImage,
+    bytes: &[u8],
+    color: ExtendedColorType,
+) -> io::Result<()> {
     let size = |pixels: usize| u32::try_from(pixels).map_err(io::Error::other);
-    PngEncoder::new_with_quality(out, CompressionType::Fast, FilterType::Adaptive)
-        .write_image(&bytes, size(raw.width)?, size(raw.height)?, color)
-        .map_err(|error| match error {
+    encoder.write_image(bytes, size(raw.width)?, size(raw.height)?, color).map_err(|error| {
+        match error {
             // A full disk, for example: the system's own message says it best.
             ImageError::IoError(error) => error,
             other => io::Error::other(other),
-        })
+        }
+    })
 }

@@ -36,7 +36,7 @@ pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camer
 pub use data_set_folder::{image_name, stage_data_set};
 pub use detection_file::detection_document;
 pub use evaluation_file::evaluation_document;
-pub use image_file::{read_image, write_png};
+pub use image_file::{read_image, write_jpeg, write_png};
 pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,

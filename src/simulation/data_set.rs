@@ -1,9 +1,10 @@
 //! Which images a data set consists of, and how each is taken.
 
 use std::collections::HashSet;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Instant;
 
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
@@ -15,7 +16,7 @@ use super::scene::Scene;
 use super::settings::Settings;
 use super::stage::Content;
 use crate::error::{Error, Result};
-use crate::image::RawImage;
+use crate::image::{Image, RawImage};
 use crate::model::{FramePose, Subset};
 
 /// One image to take.
@@ -23,8 +24,12 @@ use crate::model::{FramePose, Subset};
 pub struct Shot {
     /// What is in view.
     pub scene: Scene,
-    /// F-number of the main lens.
+    /// True f-number of the main lens.
     pub f_number: f64,
+    /// The one that the project file states.
+    pub stated_f_number: f64,
+    /// How far the board moves across the axis during the exposure, mm; its pose is that in the middle.
+    pub motion_mm: Vector2<f64>,
     /// How it is read out.
     pub imaging: Imaging,
     /// Seeds the randomness of this image.
@@ -36,14 +41,51 @@ impl Shot {
     pub fn take(&self, settings: &Settings, progress: &(dyn Fn() + Sync)) -> Result<RawImage> {
         let begun = Instant::now();
         let seed = hash([settings.seed, self.number, 0, 0]);
-        let irradiance =
-            settings.tracer(self.f_number)?.render(&self.scene, settings.rays, seed, progress)?;
-        let image = self.imaging.read_out(&irradiance, seed);
+        let irradiance = self.irradiance(settings, seed, progress)?;
+        let image = self.imaging.read_out(&irradiance, settings.seed, seed);
         let time_s = begun.elapsed().as_secs_f64();
         debug!("image {} at f/{:.2} taken in {time_s:.3} s", self.number, self.f_number);
         image
     }
+
+    /// The mean irradiance during the exposure.
+    pub(super) fn irradiance(
+        &self,
+        settings: &Settings,
+        seed: u64,
+        progress: &(dyn Fn() + Sync),
+    ) -> Result<Image> {
+        let tracer = settings.tracer(self.f_number)?;
+        let (target, pose) = match self.scene {
+            Scene::Board(target, pose) if self.motion_mm != Vector2::zeros() => (target, pose),
+            _ => return tracer.render(&self.scene, settings.rays, seed, progress),
+        };
+        let rows = AtomicU32::new(0);
+        let row = || {
+            // Every row is traced at all moments.
+            if (rows.fetch_add(1, Ordering::Relaxed) + 1).is_multiple_of(MOMENTS) {
+                progress();
+            }
+        };
+        let moment = |moment: u32| {
+            let part = (f64::from(moment) + 0.5) / f64::from(MOMENTS) - 0.5;
+            let moved = Translation3::from((self.motion_mm * part).push(0.0)) * pose;
+            let seed = hash([seed, u64::from(moment), 0, 3]);
+            tracer.render(&Scene::Board(target, moved), settings.rays, seed, &row)
+        };
+        let mut mean = moment(0)?;
+        for number in 1..MOMENTS {
+            let other = moment(number)?;
+            mean.pixels.iter_mut().zip(&other.pixels).for_each(|(sum, pixel)| *sum += pixel);
+        }
+        #[allow(clippy::cast_precision_loss)] // a small number
+        mean.pixels.iter_mut().for_each(|pixel| *pixel /= MOMENTS as f32);
+        Ok(mean)
+    }
 }
+
+/// Moments of an exposure at which a moving board is looked at.
+const MOMENTS: u32 = 8;
 
 /// All images of a data set.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,22 +112,34 @@ impl DataSet {
             None => random_poses(settings, boards.calibration, Subset::Calibration)?,
         };
         let evaluation = random_poses(settings, boards.evaluation, Subset::Evaluation)?;
-        let f_number = settings.board_f_number();
-        let white =
-            |f_number, imaging, number| Shot { scene: Scene::White, f_number, imaging, number };
-        let whites = settings.white_images.f_numbers.iter().zip(0..);
+        let white = |(stated_f_number, f_number), imaging, number| Shot {
+            scene: Scene::White,
+            f_number,
+            stated_f_number,
+            motion_mm: Vector2::zeros(),
+            imaging,
+            number,
+        };
+        let whites = settings.white_images.stated_and_true().zip(0..);
         let whites: Vec<Shot> =
-            whites.map(|(&n, i)| white(n, settings.white_imaging(), i)).collect();
+            whites.map(|(numbers, i)| white(numbers, settings.white_imaging(), i)).collect();
         let mut number = whites.len() as u64;
-        let devignetting = white(f_number, settings.imaging, number);
-        let subsets = [calibration, evaluation, translation_poses(settings)].map(|poses| {
+        let numbers = (settings.datasheet().f_number, settings.board_f_number());
+        let devignetting = white(numbers, settings.imaging, number);
+        let mut shots = |subset: Subset, poses: Vec<FramePose>| {
             let shots = poses.into_iter().map(|pose| {
                 number += 1;
                 let scene = Scene::Board(settings.target, pose.camera_from_board);
-                (pose, Shot { scene, f_number, imaging: settings.imaging, number })
+                let motion_mm = motion_mm(settings, subset, &pose);
+                (pose, Shot { scene, motion_mm, number, ..devignetting })
             });
             shots.collect()
-        });
+        };
+        let subsets = [
+            shots(Subset::Calibration, calibration),
+            shots(Subset::Evaluation, evaluation),
+            shots(Subset::Translation, translation_poses(settings)),
+        ];
         let data_set = Self { whites, devignetting, subsets };
         data_set.check(settings)?;
         Ok(data_set)
@@ -199,6 +253,18 @@ fn translation_poses(settings: &Settings) -> Vec<FramePose> {
             }
         })
         .collect()
+}
+
+/// How far a board moves during the exposure: in a random direction. That on the linear stage stands still.
+fn motion_mm(settings: &Settings, subset: Subset, pose: &FramePose) -> Vector2<f64> {
+    if subset == Subset::Translation {
+        return Vector2::zeros();
+    }
+    let seed = hash([settings.seed, subset as u64, u64::from(pose.frame), 4]);
+    let angle = StdRng::seed_from_u64(seed).random_range(0.0..std::f64::consts::TAU);
+    let depth = (pose.camera_from_board * settings.target.board().middle_mm()).z;
+    let way = settings.boards.motion_px * depth / focal_length_px(settings);
+    Vector2::new(angle.cos(), angle.sin()) * way
 }
 
 /// The pose of a board whose middle is at a point.

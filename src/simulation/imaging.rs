@@ -1,16 +1,16 @@
-//! The sensor: from irradiance to pixel values.
+//! Settings of the sensor.
 
-use rand::SeedableRng;
-use rand::rngs::StdRng;
-use rand_distr::{Distribution, Normal, Poisson};
-use rayon::prelude::*;
+use std::ops::RangeInclusive;
+
 use serde::{Deserialize, Serialize};
 
-use super::sampling::hash;
 use crate::error::{Error, Result};
-use crate::image::{Color, Image, RawImage, Samples};
+use crate::image::Color;
 
-/// Settings and noise of the sensor. The response is linear.
+/// Settings and noise of the sensor.
+///
+/// The order is: light, crosstalk, shot noise, a full pixel, read noise, gain, black level, clipping to 0 and
+/// full scale, gamma, saturation, rounding; then hot pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Imaging {
@@ -29,11 +29,28 @@ pub struct Imaging {
     pub full_well_electrons: f64,
     /// Standard deviation of the read noise, electrons.
     pub read_noise_electrons: f64,
+    /// Fraction of a pixel's signal that goes to each of its four neighbours; at the border of the image it
+    /// stays.
+    pub crosstalk: f64,
+    /// Linear value of a pixel without light, as a fraction of full scale.
+    pub black_level: f64,
+    /// Samples are the linear values to the power of 1/gamma, both as fractions of full scale.
+    pub gamma: f64,
+    /// Largest sample, as a fraction of full scale.
+    pub saturation: f64,
+    /// Number of pixels that always have the largest sample, at the same places in all images of a set.
+    pub hot_pixels: usize,
+    /// Quality of JPEG files, from 1 to 100, instead of PNG: of 8 bits, grey or RGB.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub jpeg_quality: Option<u8>,
 }
 
 /// Upper limits beyond any real sensor, shutter or amplifier.
-const MAX_FACTOR: f64 = 1e6;
-const MAX_ELECTRONS: f64 = 1e9;
+pub(super) const MAX_FACTOR: f64 = 1e6;
+pub(super) const MAX_ELECTRONS: f64 = 1e9;
+/// With 0.2 a pixel keeps no more than each of its neighbours gets.
+const MAX_CROSSTALK: f64 = 0.2;
+const GAMMAS: RangeInclusive<f64> = 0.1..=10.0;
 
 impl Default for Imaging {
     /// An 8-bit grey image, well exposed, with the noise of an average CMOS sensor.
@@ -46,6 +63,12 @@ impl Default for Imaging {
             channel_response: [0.6, 1.0, 0.7],
             full_well_electrons: 13_000.0,
             read_noise_electrons: 13.0,
+            crosstalk: 0.0,
+            black_level: 0.0,
+            gamma: 1.0,
+            saturation: 1.0,
+            hot_pixels: 0,
+            jpeg_quality: None,
         }
     }
 }
@@ -85,146 +108,65 @@ impl Imaging {
                 self.read_noise_electrons
             )));
         }
+        if !(0.0..=MAX_CROSSTALK).contains(&self.crosstalk) {
+            return Err(Error::invalid(format!(
+                "a crosstalk of {} is not possible: it is the fraction of its signal that a pixel gives to each \
+                 of four neighbours; give 0 to {MAX_CROSSTALK}",
+                self.crosstalk
+            )));
+        }
+        self.validate_scale()?;
+        self.validate_file()
+    }
+
+    fn validate_scale(&self) -> Result<()> {
+        if !GAMMAS.contains(&self.gamma) {
+            return Err(Error::invalid(format!(
+                "a gamma of {} is not possible; give {} to {}, 1 for samples that are linear in light",
+                self.gamma,
+                GAMMAS.start(),
+                GAMMAS.end()
+            )));
+        }
+        if !(self.saturation > 0.0 && self.saturation <= 1.0) {
+            return Err(Error::invalid(format!(
+                "samples cannot saturate at {} of full scale; give a number above 0 and up to 1",
+                self.saturation
+            )));
+        }
+        let black = self.sample_of(self.black_level);
+        if !(0.0..1.0).contains(&self.black_level) || black >= self.saturation {
+            return Err(Error::invalid(format!(
+                "a black level of {} is not possible: it is a fraction of full scale, 0 or more, and its \
+                 samples have to be below saturation, at {}",
+                self.black_level, self.saturation
+            )));
+        }
         Ok(())
     }
 
-    /// Reads out an image of irradiance relative to the reference, see
-    /// [`Tracer::render`](super::Tracer::render). The same seed gives the same noise.
-    pub fn read_out(&self, irradiance: &Image, seed: u64) -> Result<RawImage> {
-        self.validate()?;
-        let Image { width, height, .. } = *irradiance;
-        if irradiance.pixels.is_empty() {
-            return Err(Error::invalid("an image without pixels cannot be read out"));
+    fn validate_file(&self) -> Result<()> {
+        let Some(quality) = self.jpeg_quality else { return Ok(()) };
+        if !(1..=100).contains(&quality) {
+            return Err(Error::invalid(format!(
+                "a JPEG quality of {quality} is not possible; give 1 to 100, or leave it out for PNG"
+            )));
         }
-        let per_row = width * self.color.samples();
-        let mut samples = vec![0; per_row * height];
-        let read_noise = Normal::new(0.0, self.read_noise_electrons)
-            .map_err(|e| Error::invalid(format!("the read noise: {e}")))?;
-        samples.par_chunks_mut(per_row).enumerate().for_each(|(v, row)| {
-            // One random stream for each row, so that the number of threads does not matter.
-            let mut random = StdRng::seed_from_u64(hash([seed, v as u64, 0, 1]));
-            for (u, pixel) in row.chunks_mut(self.color.samples()).enumerate() {
-                let light = f64::from(irradiance.at(u, v)) * self.exposure;
-                for (channel, sample) in pixel.iter_mut().enumerate() {
-                    let response = match self.color {
-                        Color::Grey => 1.0,
-                        Color::Rgb => self.channel_response[channel],
-                        mosaic => self.channel_response[mosaic.mosaic(u, v).unwrap_or(1)],
-                    };
-                    *sample = self.sample(light * response, read_noise, &mut random);
-                }
-            }
-        });
-        let samples = if self.bits == 8 {
-            #[allow(clippy::cast_possible_truncation)] // at most full scale
-            Samples::Bits8(samples.into_iter().map(|s: u16| s as u8).collect())
-        } else {
-            Samples::Bits16(samples)
-        };
-        Ok(RawImage { width, height, color: self.color, samples })
-    }
-
-    /// One sample for a mean signal given as a fraction of the full well.
-    fn sample(&self, signal: f64, read_noise: Normal<f64>, random: &mut StdRng) -> u16 {
-        let well = self.full_well_electrons;
-        let noisy = if well.is_finite() {
-            let mean = signal * well;
-            // Only a mean of 0 is rejected; it gives 0 without noise.
-            let shot = Poisson::new(mean).map_or(mean, |p| p.sample(random));
-            (shot.min(well) + read_noise.sample(random)) / well
-        } else {
-            signal.min(1.0)
-        };
-        let full_scale = f64::from((1_u32 << self.bits) - 1);
-        let value = (noisy * self.gain * full_scale).round().clamp(0.0, full_scale);
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // clamped
-        let value = value as u16;
-        value
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn flat(value: f32) -> Image {
-        Image { width: 200, height: 100, pixels: vec![value; 20_000] }
-    }
-
-    fn samples(image: &RawImage) -> Vec<u16> {
-        match &image.samples {
-            Samples::Bits8(samples) => samples.iter().map(|&s| u16::from(s)).collect(),
-            Samples::Bits16(samples) => samples.clone(),
+        if self.bits != 8 || !matches!(self.color, Color::Grey | Color::Rgb) {
+            return Err(Error::invalid(format!(
+                "JPEG files have 8 bits and are grey or rgb; these images have {} bits and are '{}': change \
+                 that, or leave out jpeg_quality",
+                self.bits,
+                self.color.name()
+            )));
         }
+        Ok(())
     }
 
-    fn moments(image: &RawImage) -> (f64, f64) {
-        let samples = samples(image);
-        let n = samples.len() as f64;
-        let mean = samples.iter().map(|&s| f64::from(s)).sum::<f64>() / n;
-        let variance = samples.iter().map(|&s| (f64::from(s) - mean).powi(2)).sum::<f64>() / n;
-        (mean, variance)
-    }
-
-    #[test]
-    fn noise_is_shot_noise_plus_read_noise() {
-        let imaging = Imaging { bits: 16, exposure: 0.5, ..Imaging::default() };
-        let (mean, variance) = moments(&imaging.read_out(&flat(0.6), 1).unwrap());
-        let scale = 65_535.0 / imaging.full_well_electrons;
-        let electrons = 0.3 * imaging.full_well_electrons;
-        let expected = (electrons + imaging.read_noise_electrons.powi(2)) * scale * scale;
-        // 20 000 samples determine the mean to σ/141 and the variance to 1 %.
-        assert!((mean / (electrons * scale) - 1.0).abs() < 4.0 / 141.0 / electrons.sqrt());
-        assert!((variance / expected - 1.0).abs() < 0.04, "{variance} for {expected}");
-    }
-
-    #[test]
-    fn exposure_overflows_the_pixel_and_gain_the_converter() {
-        let ideal = Imaging { full_well_electrons: f64::INFINITY, ..Imaging::default() };
-        let value =
-            |imaging: Imaging, light| samples(&imaging.read_out(&flat(light), 0).unwrap())[0];
-        assert_eq!(value(Imaging { exposure: 1.0, ..ideal }, 0.5), 128);
-        assert_eq!(value(Imaging { exposure: 4.0, ..ideal }, 0.5), 255);
-        assert_eq!(value(Imaging { exposure: 4.0, gain: 0.5, ..ideal }, 0.5), 128);
-        assert_eq!(value(Imaging { exposure: 0.1, gain: 4.0, ..ideal }, 0.5), 51);
-        assert_eq!(value(Imaging { exposure: 1.0, gain: 4.0, ..ideal }, 0.5), 255);
-    }
-
-    /// A full pixel still has the read noise of its amplifier; the strongest light gives white.
-    #[test]
-    fn full_pixels_keep_their_read_noise() {
-        let imaging = Imaging {
-            exposure: MAX_FACTOR,
-            gain: 0.5,
-            full_well_electrons: 100.0,
-            read_noise_electrons: 5.0,
-            ..Imaging::default()
-        };
-        let (mean, variance) = moments(&imaging.read_out(&flat(1.0), 3).unwrap());
-        // 5 of 100 electrons at half the range of 255, plus 1/12 for rounding.
-        let expected = (0.05_f64 * 0.5 * 255.0).powi(2) + 1.0 / 12.0;
-        assert!((mean - 127.5).abs() < 4.0 * expected.sqrt() / 141.0, "{mean}");
-        assert!((variance / expected - 1.0).abs() < 0.04, "{variance} for {expected}");
-        let strongest = Imaging { full_well_electrons: MAX_ELECTRONS, gain: 1.0, ..imaging };
-        assert!(samples(&strongest.read_out(&flat(1.0), 3).unwrap()).iter().all(|&s| s == 255));
-    }
-
-    #[test]
-    fn colour_channels_follow_the_name_of_the_mosaic() {
-        let ideal = Imaging {
-            full_well_electrons: f64::INFINITY,
-            exposure: 1.0,
-            bits: 16,
-            channel_response: [0.2, 0.4, 0.8],
-            ..Imaging::default()
-        };
-        let [r, g, b] = [13_107, 26_214, 52_428];
-        let read = |color| samples(&Imaging { color, ..ideal }.read_out(&flat(1.0), 0).unwrap());
-        let image = read(Color::BayerGbrg);
-        assert_eq!(image[..2], [g, b]);
-        assert_eq!(image[200..202], [r, g]);
-        let image = read(Color::Rgb);
-        assert_eq!(image.len(), 60_000);
-        assert_eq!(image[..6], [r, g, b, r, g, b]);
+    /// The sample of a linear value, both as fractions of full scale, before saturation.
+    pub(super) fn sample_of(&self, linear: f64) -> f64 {
+        let clipped = linear.clamp(0.0, 1.0);
+        let is_linear = (self.gamma - 1.0).abs() < f64::EPSILON;
+        if is_linear { clipped } else { clipped.powf(1.0 / self.gamma) }
     }
 }

@@ -6,6 +6,7 @@ use rand::{RngExt, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use super::array::MicroLens;
+use super::spread::half_width_px;
 use crate::error::{Error, Result};
 use crate::model::{PlenopticCamera, Sensor, positive};
 
@@ -21,6 +22,9 @@ pub struct Imperfections {
     pub fill_factor: f64,
     /// How light falls off with its angle of incidence on the sensor.
     pub fall_off: FallOffLaw,
+    /// Standard deviation of a Gaussian point spread on the sensor along each axis, px: diffraction and
+    /// aberrations of the micro-lenses, and light that spreads between pixels. It is cut at 4σ.
+    pub point_spread_px: f64,
     /// Number of micro-lenses that let no light through.
     pub dead_micro_lenses: usize,
     /// Number of opaque specks on the sensor.
@@ -60,6 +64,7 @@ impl Default for Imperfections {
             second_stop: None,
             fill_factor: 1.0,
             fall_off: FallOffLaw::Cos4,
+            point_spread_px: 0.0,
             dead_micro_lenses: 0,
             dust_specks: 0,
             dust_diameter_px: 10.0,
@@ -71,6 +76,8 @@ impl Default for Imperfections {
 const MAX_SPECKS: usize = 100_000;
 /// Beyond this a stop might as well be at infinity.
 const FURTHEST_MM: f64 = 1e6;
+/// A wider point spread would blur a micro-image of the usual size away.
+const WIDEST_SPREAD_PX: f64 = 10.0;
 /// Pixels that respond to nothing but the axis would see nothing.
 const LEAST_ANGLE_DEG: f64 = 1.0;
 /// Seeds of random positions, separate so that one does not change the other.
@@ -125,6 +132,13 @@ impl Imperfections {
                  and less than 90"
             )));
         }
+        if !(0.0..=WIDEST_SPREAD_PX).contains(&self.point_spread_px) {
+            return Err(Error::invalid(format!(
+                "a point spread of {} px is not possible; give its standard deviation, 0 to \
+                 {WIDEST_SPREAD_PX} px",
+                self.point_spread_px
+            )));
+        }
         let micro_lenses = camera.lattice.nodes();
         if self.dead_micro_lenses > micro_lenses {
             return Err(Error::invalid(format!(
@@ -165,6 +179,8 @@ fn place(what: &str, z: f64, lens_to_mla: f64) -> Result<()> {
 pub(super) struct Dust {
     /// For every row of the image the specks that may touch it.
     rows: Vec<Vec<Speck>>,
+    /// How far from the middle of a pixel its light may arrive, px.
+    margin: f64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -184,24 +200,26 @@ impl Dust {
             radius: random.random_range(largest / 4.0..=largest),
         };
         let specks: Vec<Speck> = (0..imperfections.dust_specks).map(speck).collect();
+        let margin = 2.0 * half_width_px(imperfections.point_spread_px);
         let mut rows = vec![Vec::new(); sensor.height_px as usize];
         for speck in specks {
-            let reach = speck.radius + 1.0;
+            let reach = speck.radius + margin;
             for (_, row) in
                 rows.iter_mut().enumerate().filter(|(v, _)| (*v as f64 - speck.v).abs() <= reach)
             {
                 row.push(speck);
             }
         }
-        Self { rows }
+        Self { rows, margin }
     }
 
     /// Whether a speck may cover part of pixel (u, v).
     pub fn touches(&self, u: usize, v: usize) -> bool {
-        self.near(v, u as f64, v as f64, 1.0)
+        self.near(v, u as f64, v as f64, self.margin)
     }
 
-    /// Whether a speck covers a point of pixel (u, v).
+    /// Whether a speck covers the place where light of pixel (u, v) would arrive without point spread: the
+    /// shadow of a speck is spread as well.
     pub fn covers(&self, u: usize, v: usize, [right, down]: [f64; 2]) -> bool {
         self.near(v, u as f64 + right, v as f64 + down, 0.0)
     }

@@ -20,11 +20,16 @@ mod ray;
 mod real_lens;
 #[cfg(test)]
 mod real_lens_tests;
+#[cfg(test)]
+mod realism_tests;
 mod rendering;
 mod sampling;
 mod scene;
+mod sensor;
 mod settings;
+mod spread;
 mod stage;
+mod target;
 #[cfg(test)]
 mod tests;
 mod thin_lens;
@@ -38,8 +43,9 @@ pub use imperfections::{FallOffLaw, Imperfections, SecondStop};
 pub use prescription::{Prescription, Surface};
 pub use presets::{PRESETS, Preset};
 pub use real_lens::LensFigures;
-pub use scene::{Scene, Target};
+pub use scene::Scene;
 pub use settings::{Boards, Settings, TranslationStage, WhiteImages};
 pub use stage::{Content, Progress, Simulated, Truth, simulate};
+pub use target::Target;
 pub use tracer::Tracer;
 pub use truth::{Spot, TrueCenter, TrueFeature};

@@ -27,7 +27,7 @@ macro_rules! presets {
 }
 
 /// The presets, files in `data/presets`.
-pub const PRESETS: [Preset; 10] = presets![
+pub const PRESETS: [Preset; 12] = presets![
     "mini",
     "r12-a",
     "r12-b",
@@ -37,7 +37,9 @@ pub const PRESETS: [Preset; 10] = presets![
     "mini-double-gauss",
     "mini-telephoto",
     "r12-double-gauss",
-    "r12-telephoto"
+    "r12-telephoto",
+    "real-a",
+    "real-b"
 ];
 
 impl Settings {
@@ -92,6 +94,7 @@ const LEFT_OUT: &str = "
 # diameter_mm = 4.0
 #
 # white_images.exposure and white_images.gain, else those of imaging.
+# engraved_f_number, else that of the main lens. imaging.jpeg_quality, else PNG.
 # Every setting is explained in docs/simulation.md.
 ";
 

@@ -9,6 +9,7 @@ use super::ray::Ray;
 use super::real_lens::RealLens;
 use super::sampling::RaySets;
 use super::scene::PlacedTarget;
+use super::spread::Footprint;
 use super::{Settings, Tracer};
 use crate::model::{PlenopticCamera, optics};
 
@@ -154,7 +155,11 @@ fn no_ray_that_passes_is_left_out() {
             let mut passed = 0;
             let z = -settings.camera.mla.lens_to_mla_mm;
             let half = corner_mm(&settings.camera);
-            for point in RaySets::new(1024).set(0).iter().chain(RaySets::new(1024).set(1)) {
+            for point in RaySets::new(1024, &Footprint::new(0.0))
+                .set(0)
+                .iter()
+                .chain(RaySets::new(1024, &Footprint::new(0.0)).set(1))
+            {
                 // Every direction at every place, a third of them at the border.
                 let place = Vector2::from(point.pixel) * 2.0;
                 let place = place / place.amax().max(2.0 / 3.0);

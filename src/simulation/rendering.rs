@@ -8,6 +8,7 @@ use super::main_lens::{Optics, Passage, Refracts};
 use super::ray::Ray;
 use super::sampling::{RayPoint, RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
+use super::spread::{Footprint, half_width_px};
 use super::thin_lens::Aim;
 use super::tracer::{Tracer, check_rays};
 use super::window::Window;
@@ -17,8 +18,6 @@ use crate::image::Image;
 /// Tilt changes the outline of a micro-image by less than this fraction; testing a few pixels too
 /// many is cheap.
 const OUTLINE_MARGIN: f64 = 1.02;
-/// Half the diagonal of a pixel, px.
-const HALF_DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// The rays between one pixel and one micro-lens, in local coordinates.
 pub(super) struct Bundle {
@@ -26,6 +25,14 @@ pub(super) struct Bundle {
     pub pixel: Vector3<f64>,
     pub right: Vector3<f64>,
     pub down: Vector3<f64>,
+    /// Where its rays are drawn.
+    pub draw: Draw,
+    /// What its rays have in common behind a thin main lens, if they lead to the board.
+    pub aim: Option<Aim>,
+}
+
+/// From where the rays to a place on the sensor, or to a pixel, are drawn.
+pub(super) struct Draw {
     /// Whether rays are drawn on the opening of the micro-lens, or else on the pupil: on whichever is
     /// smaller, projected onto the plane of the micro-lens.
     pub on_opening: bool,
@@ -33,8 +40,8 @@ pub(super) struct Bundle {
     pub window: Window,
     /// Area of that part, in the plane of the micro-lens.
     pub area: f64,
-    /// What its rays have in common behind a thin main lens, if they lead to the board.
-    pub aim: Option<Aim>,
+    /// The middle of the pupil, projected onto the plane of the micro-lens.
+    middle: Vector2<f64>,
 }
 
 impl Tracer {
@@ -52,7 +59,7 @@ impl Tracer {
         let board = self.place(scene)?;
         let (width, height) = (self.sensor().width_px as usize, self.sensor().height_px as usize);
         let by_row = self.micro_lenses_by_row();
-        let sets = RaySets::new(rays);
+        let sets = RaySets::new(rays, &Footprint::new(self.point_spread_px));
         let scale = 1.0 / self.reference_irradiance();
         let mut pixels = vec![0.0_f32; width * height];
         pixels.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
@@ -74,7 +81,12 @@ impl Tracer {
     pub(super) fn outline(&self, lens: &MicroLens) -> (Vector2<f64>, f64) {
         let center =
             self.array.to_pixel(&lens.center, &(self.lens.drawn.center - lens.center)).coords;
-        (center, self.micro_image_radius_px(lens) * OUTLINE_MARGIN + HALF_DIAGONAL)
+        (center, self.micro_image_radius_px(lens) * OUTLINE_MARGIN + self.pixel_reach_px())
+    }
+
+    /// Largest distance from the middle of a pixel at which light would arrive that it records, px.
+    fn pixel_reach_px(&self) -> f64 {
+        half_width_px(self.point_spread_px) * std::f64::consts::SQRT_2
     }
 
     /// For every row of the image the micro-lenses that reach it, in order.
@@ -110,11 +122,12 @@ impl Tracer {
                 Optics::Thin(thin) => self.gather(thin, lens, &bundle, points, [u, v], board),
                 Optics::Real(real) => self.gather(real, lens, &bundle, points, [u, v], board),
             };
-            sums[u] += light * bundle.area / points.len() as f64;
+            sums[u] += light / points.len() as f64;
         }
     }
 
-    /// The light along all rays of a bundle, but those that dust on pixel (u, v) stops.
+    /// The light along all rays of a bundle, but those that dust on pixel (u, v) stops, times the area that
+    /// they are drawn from.
     fn gather<L: Refracts>(
         &self,
         optics: &L,
@@ -124,12 +137,24 @@ impl Tracer {
         [u, v]: [usize; 2],
         board: Option<&PlacedTarget>,
     ) -> f64 {
-        let light = |p: &RayPoint| self.light(optics, lens, bundle, p, board);
-        if self.dust.touches(u, v) {
-            let clear = |p: &&RayPoint| !self.dust.covers(u, v, p.pixel);
-            points.iter().filter(clear).map(light).sum()
+        let board = board.map(|board| (board, bundle.aim.as_ref()));
+        let place =
+            |p: &RayPoint| bundle.pixel + bundle.right * p.pixel[0] + bundle.down * p.pixel[1];
+        let light = |p: &RayPoint| self.light(optics, lens, &place(p), &bundle.draw, p, board);
+        // Over the reach of a point spread the overlap of both openings changes much: every ray has its own.
+        let spread_light = |p: &RayPoint| {
+            let pixel = place(p);
+            let draw = self.draw(lens, &pixel, 0.0)?;
+            Some(self.light(optics, lens, &pixel, &draw, p, board) * draw.area)
+        };
+        let dusty = self.dust.touches(u, v);
+        let clear = |p: &&RayPoint| !(dusty && self.dust.covers(u, v, p.pixel));
+        if self.point_spread_px > 0.0 {
+            points.iter().filter(clear).filter_map(spread_light).sum()
+        } else if dusty {
+            points.iter().filter(clear).map(light).sum::<f64>() * bundle.draw.area
         } else {
-            points.iter().map(light).sum()
+            points.iter().map(light).sum::<f64>() * bundle.draw.area
         }
     }
 
@@ -143,6 +168,28 @@ impl Tracer {
     ) -> Option<Bundle> {
         let array = &self.array;
         let pixel = array.local(lens, &array.on_sensor(u as f64, v as f64));
+        let draw = self.draw(lens, &pixel, self.pixel_reach_px())?;
+        let aim = board.and_then(|board| {
+            // The ray through the middle of the projected pupil, or the nearest point of the opening.
+            let within = (array.opening_radius / draw.middle.norm()).min(1.0);
+            let (ray, _) = self.through(lens, draw.middle * within, &pixel);
+            self.lens.aim(&ray, board)
+        });
+        let step = array.pixel_size;
+        Some(Bundle {
+            pixel,
+            right: -array.axes.row(0).transpose() * step,
+            down: -array.axes.row(1).transpose() * step,
+            draw,
+            aim,
+        })
+    }
+
+    /// Where rays are drawn to all places within a reach of one on the sensor (local); `None` if no ray
+    /// through the micro-lens leads there.
+    #[inline]
+    fn draw(&self, lens: &MicroLens, pixel: &Vector3<f64>, reach_px: f64) -> Option<Draw> {
+        let array = &self.array;
         let drawn = &self.lens.drawn;
         let pupil = array.local(lens, &drawn.center);
         let (to_sensor, to_pupil) = (-pixel.z, pupil.z);
@@ -150,7 +197,7 @@ impl Tracer {
         // All in the plane of the micro-lens, times the demagnification, which may be 0.
         let place = pupil.xy() + pixel.xy() * (to_pupil / to_sensor);
         let stop = array.opening_radius * demagnification.abs();
-        let pixel_reach = HALF_DIAGONAL * array.pixel_size * to_pupil / to_sensor;
+        let pixel_reach = reach_px * array.pixel_size * to_pupil / to_sensor;
         if place.norm() > (stop + drawn.radius + pixel_reach) * OUTLINE_MARGIN {
             return None;
         }
@@ -166,23 +213,9 @@ impl Tracer {
             let place = (array.axes * place.push(0.0)).xy();
             Window::about(-place / drawn.radius, reach / drawn.radius)
         };
-        let aim = board.and_then(|board| {
-            // The ray through the middle of the projected pupil, or the nearest point of the opening.
-            let middle = if stop > 0.0 { place / demagnification } else { place };
-            let within = (array.opening_radius / middle.norm()).min(1.0);
-            let (ray, _) = self.through(lens, middle * within, &pixel);
-            self.lens.aim(&ray, board)
-        });
-        let step = array.pixel_size;
-        Some(Bundle {
-            pixel,
-            right: -array.axes.row(0).transpose() * step,
-            down: -array.axes.row(1).transpose() * step,
-            on_opening,
-            area: window.area() * radius * radius,
-            window,
-            aim,
-        })
+        let area = window.area() * radius * radius;
+        let middle = if stop > 0.0 { place / demagnification } else { place };
+        Some(Draw { on_opening, window, area, middle })
     }
 
     /// The ray from a point of the sensor through `on_lens` (both local) to the main lens, and the
@@ -202,19 +235,19 @@ impl Tracer {
         (Ray { at_lens: start.xy().coords - slope * start.z, slope }, inner)
     }
 
-    /// Light along one ray of a bundle, per unit area of the micro-lens.
+    /// Light along one ray to a place on the sensor (local), per unit area of the micro-lens.
     #[inline]
     fn light<L: Refracts>(
         &self,
         optics: &L,
         lens: &MicroLens,
-        bundle: &Bundle,
+        pixel: &Vector3<f64>,
+        draw: &Draw,
         point: &RayPoint,
-        board: Option<&PlacedTarget>,
+        board: Option<(&PlacedTarget, Option<&Aim>)>,
     ) -> f64 {
-        let pixel = bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
-        let Some(on_disc) = bundle.window.place(point) else { return 0.0 };
-        let on_lens = if bundle.on_opening {
+        let Some(on_disc) = draw.window.place(point) else { return 0.0 };
+        let on_lens = if draw.on_opening {
             on_disc * self.array.opening_radius
         } else {
             let drawn = &self.lens.drawn;
@@ -223,17 +256,17 @@ impl Tracer {
             (aim.xy() - pixel.xy() * (aim.z / pixel.z)) / lens.demagnification(-pixel.z, aim.z)
         };
         let stop = self.array.opening_radius;
-        if !bundle.on_opening && on_lens.norm_squared() > stop * stop {
+        if !draw.on_opening && on_lens.norm_squared() > stop * stop {
             return 0.0;
         }
-        let (ray, inner) = self.through(lens, on_lens, &pixel);
+        let (ray, inner) = self.through(lens, on_lens, pixel);
         if !self.passes_second(&ray) {
             return 0.0;
         }
         let radiance = match board {
             None if optics.passes(&ray) => 1.0,
             None => return 0.0,
-            Some(board) => match optics.follow(&ray, bundle.aim.as_ref(), board) {
+            Some((board, aim)) => match optics.follow(&ray, aim, board) {
                 Passage::Blocked => return 0.0,
                 Passage::Away => board.background(),
                 Passage::Seen(outer) => board.radiance(&outer),

@@ -2,7 +2,10 @@
 
 use sobol_burley::sample;
 
-/// One ray: position in the pixel (±½ px), and in the unit square, which is also mapped onto the unit disc.
+use super::spread::Footprint;
+
+/// One ray: position from the middle of the pixel (±½ px, and more with a point spread), and in the unit
+/// square, which is also mapped onto the unit disc.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RayPoint {
     pub pixel: [f64; 2],
@@ -24,11 +27,11 @@ const POINTS: u32 = 1 << 18;
 const FEWEST_SETS: u32 = 16;
 
 impl RaySets {
-    /// Sets of `rays` points.
-    pub fn new(rays: u32) -> Self {
+    /// Sets of `rays` points for pixels with a footprint.
+    pub fn new(rays: u32, footprint: &Footprint) -> Self {
         let point = |set: u32, ray: u32| {
             let [x, y, a, b] = [0, 1, 2, 3].map(|d| f64::from(sample(ray, d, set)));
-            RayPoint { pixel: [x - 0.5, y - 0.5], square: [a, b], disc: disc(a, b) }
+            RayPoint { pixel: [x, y].map(|p| footprint.place(p)), square: [a, b], disc: disc(a, b) }
         };
         let set = |set: u32| (0..rays).map(|ray| point(set, ray)).collect();
         let sets = (POINTS / rays).clamp(FEWEST_SETS, SETS);
@@ -75,7 +78,7 @@ mod tests {
 
     #[test]
     fn points_fill_pixel_and_disc_evenly() {
-        let sets = RaySets::new(64);
+        let sets = RaySets::new(64, &Footprint::new(0.0));
         for hash in 0..u64::from(SETS) {
             let points = sets.set(hash);
             let n = points.len() as f64;

@@ -1,75 +1,11 @@
 //! What the camera looks at.
 
-use nalgebra::{Isometry3, Point3, Vector2, Vector3};
-use serde::{Deserialize, Serialize};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 
 use super::ray::Ray;
+use super::target::{Surface, Target};
 use super::thin_lens::ImageShift;
 use crate::error::{Error, Result};
-use crate::model::{Board, positive};
-
-/// A printed checkerboard: squares around its inner corners, a border, and the background. The square
-/// diagonally before corner 0 is black. Radiances are relative to a white target.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Target {
-    /// Inner corners along a row.
-    pub columns: i32,
-    /// Inner corners along a column.
-    pub rows: i32,
-    /// Side of a square, mm.
-    pub square_mm: f64,
-    /// Width of the white border around the squares, mm.
-    pub border_mm: f64,
-    /// Radiance of white squares and border.
-    pub white: f64,
-    /// Radiance of black squares.
-    pub black: f64,
-    /// Radiance of everything beyond the border.
-    pub background: f64,
-}
-
-impl Target {
-    /// The board by its inner corners.
-    #[must_use]
-    pub fn board(&self) -> Board {
-        Board { columns: self.columns, rows: self.rows, square_mm: self.square_mm }
-    }
-
-    /// The four corners of the sheet in the board frame, mm.
-    #[must_use]
-    pub fn sheet_mm(&self) -> [Point3<f64>; 4] {
-        let low = -self.square_mm - self.border_mm;
-        let x = f64::from(self.columns) * self.square_mm + self.border_mm;
-        let y = f64::from(self.rows) * self.square_mm + self.border_mm;
-        [(low, low), (x, low), (low, y), (x, y)].map(|(x, y)| Point3::new(x, y, 0.0))
-    }
-
-    pub(super) fn validate(&self) -> Result<()> {
-        self.board().validate()?;
-        if !self.border_mm.is_finite() || self.border_mm < 0.0 {
-            return Err(Error::invalid(format!(
-                "the border of the target is {} mm wide; give 0 or more",
-                self.border_mm
-            )));
-        }
-        positive(self.white, "the radiance of the target's white")?;
-        for (name, radiance) in [("black", self.black), ("background", self.background)] {
-            if !(0.0..f64::INFINITY).contains(&radiance) {
-                return Err(Error::invalid(format!(
-                    "the radiance of the target's {name} is {radiance}; give 0 or more"
-                )));
-            }
-        }
-        if self.black >= self.white {
-            return Err(Error::invalid(format!(
-                "the target's black ({}) is not darker than its white ({})",
-                self.black, self.white
-            )));
-        }
-        Ok(())
-    }
-}
 
 /// What an image shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -88,14 +24,29 @@ pub(super) struct PlacedTarget {
     /// Board axes in units of a square.
     x: Vector3<f64>,
     y: Vector3<f64>,
-    normal: Vector3<f64>,
+    plane: BoardPlane,
+    bent: Option<Bent>,
     border: f64,
-    focal_length: f64,
-    /// Depth of the nearest corner of the sheet.
+    /// Depth of the nearest point of the sheet.
     nearest: f64,
-    /// The plane of the board's image: points x with `image_normal · x = offset`.
-    image_normal: Vector3<f64>,
+}
+
+/// The plane of a board, or one that touches a bent board.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BoardPlane {
+    normal: Vector3<f64>,
+    /// Points X of the plane have normal · X = `offset`.
     offset: f64,
+    /// Its image behind the lens: points x with `image_normal · x = offset`.
+    image_normal: Vector3<f64>,
+    focal_length: f64,
+}
+
+/// The surface of a bent board in the camera frame.
+#[derive(Debug, Clone, Copy)]
+struct Bent {
+    surface: Surface,
+    rotation: UnitQuaternion<f64>,
 }
 
 /// The image of a board behind the lens about one of its points: points x, moved back by `shift`, with
@@ -126,7 +77,8 @@ impl PlacedTarget {
     pub fn new(target: &Target, pose: &Isometry3<f64>, focal_length: f64) -> Result<Self> {
         target.validate()?;
         let normal = pose.rotation * Vector3::z();
-        let nearest = target.sheet_mm().map(|p| (pose * p).z).into_iter().fold(f64::MAX, f64::min);
+        let sheet = target.sheet_mm();
+        let nearest = sheet.iter().map(|p| (pose * p).z).fold(f64::MAX, f64::min);
         if !nearest.is_finite() || nearest <= 0.0 {
             return Err(Error::invalid(format!(
                 "the board reaches behind the camera (z = {nearest:.1} mm): move it along +z"
@@ -143,20 +95,29 @@ impl PlacedTarget {
                 "the camera sees the back of the board: its z axis has to point away from the camera",
             ));
         }
-        // An object point X has its image x where X = x F/(z' + F), so n·X = c becomes
-        // n·x − (c/F) z' = c.
+        let surface = target.surface();
+        let shows_front = |(point, surface): (&Point3<f64>, &Surface)| {
+            let slope = surface.slope(&point.coords.xy());
+            let normal = pose.rotation * (-slope).push(1.0);
+            normal.dot(&(pose * point).coords) > 0.0
+        };
+        let surfaces = surface.iter().cycle();
+        if !sheet.iter().zip(surfaces).all(shows_front) {
+            return Err(Error::invalid(
+                "the board is bent so far that the camera sees the back of a part of it: tilt or bend it less",
+            ));
+        }
+        let stretch = target.stretch();
         let offset = normal.dot(&pose.translation.vector);
         Ok(Self {
             target: *target,
             origin: Point3::from(pose.translation.vector),
-            x: pose.rotation * Vector3::x() / target.square_mm,
-            y: pose.rotation * Vector3::y() / target.square_mm,
-            normal,
+            x: pose.rotation * Vector3::x() / (target.square_mm * stretch.x),
+            y: pose.rotation * Vector3::y() / (target.square_mm * stretch.y),
+            plane: BoardPlane::new(normal, offset, focal_length),
+            bent: surface.map(|surface| Bent { surface, rotation: pose.rotation }),
             border: target.border_mm / target.square_mm,
-            focal_length,
             nearest,
-            image_normal: normal - Vector3::z() * (offset / focal_length),
-            offset,
         })
     }
 
@@ -172,22 +133,48 @@ impl PlacedTarget {
         )))
     }
 
-    /// The image of the board where distortion and the curvature of the field move it by `shift`.
-    pub fn image_plane(&self, shift: &ImageShift) -> ImagePlane {
-        ImagePlane {
-            shift: shift.across,
-            across: self.image_normal.xy() - shift.gradient * self.image_normal.z,
-            along: self.image_normal.z,
-            offset: self.offset + self.image_normal.z * shift.along,
-            limit: shift.nearer - self.focal_length,
-        }
+    /// The plane of the board, that of a flat one.
+    pub fn plane(&self) -> &BoardPlane {
+        &self.plane
+    }
+
+    /// Whether its surface is another than its plane.
+    pub fn is_bent(&self) -> bool {
+        self.bent.is_some()
+    }
+
+    /// The plane that touches a bent board where a ray in front of the lens meets it; `None` for a flat board,
+    /// or if the ray misses it.
+    pub fn tangent(&self, ray: &Ray) -> Option<BoardPlane> {
+        let bent = self.bent.as_ref()?;
+        let hit = bent.meet(self.on_plane(ray), ray)?;
+        let place = bent.rotation.inverse() * hit;
+        let normal = bent.rotation * (-bent.surface.slope(&place.xy())).push(1.0).normalize();
+        let offset = normal.dot(&(self.origin + hit).coords);
+        Some(BoardPlane::new(normal, offset, self.plane.focal_length))
     }
 
     /// z where a ray in front of the lens meets the plane of the board.
     #[inline]
     pub fn depth(&self, ray: &Ray) -> f64 {
         let start = Point3::new(ray.at_lens.x, ray.at_lens.y, 0.0);
-        self.normal.dot(&(self.origin - start)) / self.normal.dot(&ray.slope.push(1.0))
+        let normal = &self.plane.normal;
+        normal.dot(&(self.origin - start)) / normal.dot(&ray.slope.push(1.0))
+    }
+
+    /// Where a ray in front of the lens meets the plane of the board, from corner 0.
+    #[inline]
+    fn on_plane(&self, ray: &Ray) -> Vector3<f64> {
+        let depth = self.depth(ray);
+        ray.at(depth).push(depth) - self.origin.coords
+    }
+
+    /// Where a ray in front of the lens meets the board, camera frame; `None` if it misses a bent one.
+    #[cfg(test)]
+    pub fn hit(&self, ray: &Ray) -> Option<Point3<f64>> {
+        let hit = self.on_plane(ray);
+        let hit = self.bent.as_ref().map_or(Some(hit), |bent| bent.meet(hit, ray))?;
+        Some(self.origin + hit)
     }
 
     /// Radiance of the background.
@@ -199,18 +186,60 @@ impl PlacedTarget {
     #[inline(always)]
     #[allow(clippy::inline_always)] // a board takes 10 % longer without
     pub fn radiance(&self, ray: &Ray) -> f64 {
-        let depth = self.depth(ray);
-        let hit = ray.at(depth).push(depth) - self.origin.coords;
+        let mut hit = self.on_plane(ray);
+        if let Some(bent) = &self.bent {
+            let Some(on_surface) = bent.meet(hit, ray) else { return self.target.background };
+            hit = on_surface;
+        }
         // In squares, the first one from 0 to 1.
         let (x, y) = (self.x.dot(&hit) + 1.0, self.y.dot(&hit) + 1.0);
         let (columns, rows) = (f64::from(self.target.columns + 1), f64::from(self.target.rows + 1));
         if (0.0..columns).contains(&x) && (0.0..rows).contains(&y) {
             #[allow(clippy::cast_possible_truncation)] // within the sheet
             let black = (x as i32 + y as i32) % 2 == 0;
-            return if black { self.target.black } else { self.target.white };
+            let print = if black { self.target.black } else { self.target.white };
+            return print * self.target.light(x - 1.0, y - 1.0);
         }
         let on_sheet = (-self.border..columns + self.border).contains(&x)
             && (-self.border..rows + self.border).contains(&y);
-        if on_sheet { self.target.white } else { self.target.background }
+        if on_sheet {
+            self.target.white * self.target.light(x - 1.0, y - 1.0)
+        } else {
+            self.target.background
+        }
+    }
+}
+
+impl BoardPlane {
+    fn new(normal: Vector3<f64>, offset: f64, focal_length: f64) -> Self {
+        // An object point X has its image x where X = x F/(z' + F), so n·X = c becomes
+        // n·x − (c/F) z' = c.
+        let image_normal = normal - Vector3::z() * (offset / focal_length);
+        Self { normal, offset, image_normal, focal_length }
+    }
+
+    /// Its image where distortion and the curvature of the field move it by `shift`.
+    pub fn image_plane(&self, shift: &ImageShift) -> ImagePlane {
+        ImagePlane {
+            shift: shift.across,
+            across: self.image_normal.xy() - shift.gradient * self.image_normal.z,
+            along: self.image_normal.z,
+            offset: self.offset + self.image_normal.z * shift.along,
+            limit: shift.nearer - self.focal_length,
+        }
+    }
+}
+
+impl Bent {
+    /// Where a ray in front of the lens meets the surface, from corner 0, if it meets the plane of the board
+    /// at `on_plane`.
+    // Not inlined: it would slow down rays to flat boards.
+    #[inline(never)]
+    fn meet(&self, on_plane: Vector3<f64>, ray: &Ray) -> Option<Vector3<f64>> {
+        let to_board = self.rotation.inverse();
+        let towards = to_board * ray.slope.push(1.0);
+        let place = (to_board * on_plane).xy();
+        let hit = self.surface.meet(&place, &(towards.xy() / towards.z))?;
+        Some(self.rotation * hit)
     }
 }

@@ -8,7 +8,7 @@ use super::imaging::Imaging;
 use super::imperfections::Imperfections;
 use super::main_lens::check_camera;
 use super::prescription::Prescription;
-use super::scene::Target;
+use super::target::Target;
 use super::tracer::{Tracer, check_rays};
 use crate::error::{Error, Result};
 use crate::model::{Configuration, Datasheet, Noise, PlenopticCamera, positive};
@@ -23,6 +23,9 @@ pub struct Settings {
     pub seed: u64,
     /// Focal length engraved on the main lens, mm: the value in the project file.
     pub engraved_focal_length_mm: f64,
+    /// F-number of the boards that the project file states; the true one if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub engraved_f_number: Option<f64>,
     /// The true camera. The setting of its main lens is that of the images of boards.
     pub camera: PlenopticCamera,
     /// The surfaces of a real main lens, which is scaled to the camera's F; without them it is the thin
@@ -52,8 +55,11 @@ pub struct Settings {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WhiteImages {
-    /// True f-numbers, √(2^AV).
+    /// F-numbers that the project file states, √(2^AV).
     pub f_numbers: Vec<f64>,
+    /// By how much the true f-number of each image is larger, relative; none for no errors.
+    #[serde(default)]
+    pub stop_errors: Vec<f64>,
     /// Exposure of these images, see [`Imaging::exposure`]; that of the boards if left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure: Option<f64>,
@@ -79,6 +85,9 @@ pub struct Boards {
     pub max_turn_deg: f64,
     /// Smallest fraction of the corners that lies in the image.
     pub min_in_view: f64,
+    /// How far the board moves during the exposure, px in the image of the main lens, in a random direction.
+    #[serde(default)]
+    pub motion_px: f64,
 }
 
 /// A linear stage that moves a board along the optical axis in known steps.
@@ -98,6 +107,10 @@ const MAX_PIXELS: u64 = 1 << 28;
 const MAX_MICRO_LENSES: u64 = 1 << 20;
 const MAX_IMAGES: u64 = 1000;
 const F_NUMBERS: RangeInclusive<f64> = 0.1..=1000.0;
+/// A stop that is off by more is another one.
+const MAX_STOP_ERROR: f64 = 0.3;
+/// A board that moves further is not seen.
+const MAX_MOTION_PX: f64 = 1000.0;
 
 impl Settings {
     /// An error that names the impossible setting.
@@ -117,6 +130,9 @@ impl Settings {
         self.imperfections.validate(&self.camera)?;
         self.check_size()?;
         positive(self.engraved_focal_length_mm, "the engraved focal length (mm)")?;
+        if let Some(n) = self.engraved_f_number {
+            check_f_number(n, "that is engraved for the boards")?;
+        }
         self.target.validate()?;
         self.imaging.validate()?;
         self.white_imaging().validate()?;
@@ -125,45 +141,8 @@ impl Settings {
                 "the camera's main lens has no f_number; the images of boards need it",
             ));
         }
-        let boards = &self.boards;
-        let [near, far] = boards.depth_mm;
-        if !(near > 0.0 && far >= near && far.is_finite()) {
-            return Err(Error::invalid(format!(
-                "boards from {near} to {far} mm are not possible: the depth runs along +z, the \
-                 nearest first; a negative depth is behind the camera"
-            )));
-        }
-        let focal_length = self.camera.main_lens.focal_length_mm;
-        if near <= focal_length {
-            return Err(Error::invalid(format!(
-                "boards as near as {near} mm lie within the focal length of {focal_length} mm, \
-                 where the main lens forms no real image: move them away"
-            )));
-        }
-        for (name, angle, limit) in
-            [("tilt", boards.max_tilt_deg, 89.0), ("turn", boards.max_turn_deg, 180.0)]
-        {
-            if !(0.0..=limit).contains(&angle) {
-                return Err(Error::invalid(format!(
-                    "boards with a {name} of up to {angle} degrees are not possible; give 0 to \
-                     {limit}"
-                )));
-            }
-        }
-        if !(0.0..=1.0).contains(&boards.min_in_view) {
-            return Err(Error::invalid(format!(
-                "min_in_view is {}; it is a fraction of the corners, from 0 to 1",
-                boards.min_in_view
-            )));
-        }
-        let stage = &self.translation;
-        if !(stage.start_mm.is_finite() && stage.step_mm.is_finite()) {
-            return Err(Error::invalid("the translation's start_mm and step_mm have to be finite"));
-        }
-        if stage.images > 1 && stage.step_mm == 0.0 {
-            return Err(Error::invalid("the translation has a step of 0 mm; give another one"));
-        }
-        Ok(())
+        self.boards.validate(self.camera.main_lens.focal_length_mm)?;
+        self.translation.validate()
     }
 
     /// An error if the data set would not fit into memory, or an f-number is impossible.
@@ -183,19 +162,16 @@ impl Settings {
                 )));
             }
         }
-        for &n in &self.white_images.f_numbers {
-            if !F_NUMBERS.contains(&n) {
-                return Err(Error::invalid(format!(
-                    "the f-number {n} of a white image is not possible; give {} to {}",
-                    F_NUMBERS.start(),
-                    F_NUMBERS.end()
-                )));
-            }
+        if self.imaging.hot_pixels as u64 > pixels {
+            return Err(Error::invalid(format!(
+                "{} hot pixels are more than the {pixels} of the sensor",
+                self.imaging.hot_pixels
+            )));
         }
-        Ok(())
+        self.white_images.validate()
     }
 
-    /// F-number of the images of boards.
+    /// True f-number of the images of boards.
     #[must_use]
     pub fn board_f_number(&self) -> f64 {
         self.camera.main_lens.setting.map_or(f64::NAN, |setting| setting.f_number)
@@ -210,7 +186,7 @@ impl Settings {
             sensor: camera.sensor,
             focal_length_mm: self.engraved_focal_length_mm,
             focus_distance_mm: setting.map_or(f64::INFINITY, |s| s.focus_distance_mm),
-            f_number: self.board_f_number(),
+            f_number: self.engraved_f_number.unwrap_or(self.board_f_number()),
             configuration: camera.configuration().unwrap_or(Configuration::Unfocused),
             lattice_kind: camera.lattice.kind(),
             columns: camera.lattice.columns,
@@ -231,9 +207,102 @@ impl Settings {
         }
     }
 
-    /// The camera at an f-number.
+    /// The camera at a true f-number.
     pub fn tracer(&self, f_number: f64) -> Result<Tracer> {
         let lens = self.prescription.as_ref();
         Tracer::with_lens(&self.camera, lens, f_number, &self.imperfections, self.seed)
     }
+}
+
+impl WhiteImages {
+    /// The f-number that the project file states and the true one, of every image.
+    pub(super) fn stated_and_true(&self) -> impl Iterator<Item = (f64, f64)> {
+        let errors = self.stop_errors.iter().copied().chain(std::iter::repeat(0.0));
+        self.f_numbers.iter().zip(errors).map(|(&stated, error)| (stated, stated * (1.0 + error)))
+    }
+
+    fn validate(&self) -> Result<()> {
+        for &n in &self.f_numbers {
+            check_f_number(n, "of a white image")?;
+        }
+        let [images, errors] = [&self.f_numbers, &self.stop_errors].map(Vec::len);
+        if errors != 0 && errors != images {
+            return Err(Error::invalid(format!(
+                "there are {errors} stop errors for {images} white images: give one for each, or none"
+            )));
+        }
+        if let Some(error) =
+            self.stop_errors.iter().find(|e| e.is_nan() || e.abs() > MAX_STOP_ERROR)
+        {
+            return Err(Error::invalid(format!(
+                "a stop error of {error} is not possible: it is relative to the f-number; give \
+                 -{MAX_STOP_ERROR} to {MAX_STOP_ERROR}"
+            )));
+        }
+        Ok(())
+    }
+}
+
+impl Boards {
+    fn validate(&self, focal_length: f64) -> Result<()> {
+        let [near, far] = self.depth_mm;
+        if !(near > 0.0 && far >= near && far.is_finite()) {
+            return Err(Error::invalid(format!(
+                "boards from {near} to {far} mm are not possible: the depth runs along +z, the \
+                 nearest first; a negative depth is behind the camera"
+            )));
+        }
+        if near <= focal_length {
+            return Err(Error::invalid(format!(
+                "boards as near as {near} mm lie within the focal length of {focal_length} mm, \
+                 where the main lens forms no real image: move them away"
+            )));
+        }
+        for (name, angle, limit) in
+            [("tilt", self.max_tilt_deg, 89.0), ("turn", self.max_turn_deg, 180.0)]
+        {
+            if !(0.0..=limit).contains(&angle) {
+                return Err(Error::invalid(format!(
+                    "boards with a {name} of up to {angle} degrees are not possible; give 0 to \
+                     {limit}"
+                )));
+            }
+        }
+        if !(0.0..=1.0).contains(&self.min_in_view) {
+            return Err(Error::invalid(format!(
+                "min_in_view is {}; it is a fraction of the corners, from 0 to 1",
+                self.min_in_view
+            )));
+        }
+        if !(0.0..=MAX_MOTION_PX).contains(&self.motion_px) {
+            return Err(Error::invalid(format!(
+                "boards that move by {} px during the exposure are not possible; give 0 to {MAX_MOTION_PX}",
+                self.motion_px
+            )));
+        }
+        Ok(())
+    }
+}
+
+impl TranslationStage {
+    fn validate(&self) -> Result<()> {
+        if !(self.start_mm.is_finite() && self.step_mm.is_finite()) {
+            return Err(Error::invalid("the translation's start_mm and step_mm have to be finite"));
+        }
+        if self.images > 1 && self.step_mm == 0.0 {
+            return Err(Error::invalid("the translation has a step of 0 mm; give another one"));
+        }
+        Ok(())
+    }
+}
+
+fn check_f_number(n: f64, which: &str) -> Result<()> {
+    if F_NUMBERS.contains(&n) {
+        return Ok(());
+    }
+    Err(Error::invalid(format!(
+        "the f-number {n} {which} is not possible; give {} to {}",
+        F_NUMBERS.start(),
+        F_NUMBERS.end()
+    )))
 }

@@ -95,11 +95,10 @@ pub fn simulate(
 }
 
 fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Truth {
-    let board = settings.target.board();
     let [near, far] = settings.boards.depth_mm;
     let features = data_set.subsets.each_ref().map(|boards| {
         let of_board = |(pose, _): &(FramePose, Shot)| {
-            tracer.features(pose.frame, &board, &pose.camera_from_board)
+            tracer.features(pose.frame, &settings.target, &pose.camera_from_board)
         };
         boards.iter().flat_map(of_board).collect()
     });

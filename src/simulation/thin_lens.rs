@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, Point3, Vector2};
 
 use super::main_lens::{Passage, Refracts};
 use super::ray::{Ray, Stop};
-use super::scene::{ImagePlane, PlacedTarget};
+use super::scene::{BoardPlane, ImagePlane, PlacedTarget};
 use crate::model::MainLens;
 
 /// How far image points lie from those of an ideal lens: `across` to the side, and along z by `along` +
@@ -146,6 +146,19 @@ impl ThinMainLens {
 
     /// What the rays about `ray` have in common; `None` if it leads away from the board.
     pub fn aim(&self, ray: &Ray, board: &PlacedTarget) -> Option<Aim> {
+        let aim = self.aim_at(ray, board.plane())?;
+        if !board.is_bent() {
+            return Some(aim);
+        }
+        // The image of a bent board is a plane within the bundle.
+        let outer = self.object_ray(ray, aim.plane.z(ray)?, &aim.local);
+        match board.tangent(&outer) {
+            Some(plane) => self.aim_at(ray, &plane),
+            None => Some(aim),
+        }
+    }
+
+    fn aim_at(&self, ray: &Ray, board: &BoardPlane) -> Option<Aim> {
         let about = |shift| Some(self.about(ray.at(board.image_plane(shift).z(ray)?)));
         let local = about(&about(&ImageShift::none())?.shift)?;
         Some(Aim { local, plane: board.image_plane(&local.shift) })

@@ -5,8 +5,9 @@ use rayon::prelude::*;
 
 use super::array::MicroLens;
 use super::ray::Ray;
+use super::target::Target;
 use super::tracer::Tracer;
-use crate::model::{BapFeature, Board, MicroImageCenter};
+use crate::model::{BapFeature, MicroImageCenter};
 
 /// The light of one point in space on the sensor behind one micro-lens.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -122,13 +123,13 @@ impl Tracer {
             .collect()
     }
 
-    /// Every corner of the board in every micro-image that some of its light reaches, if its
+    /// Every corner of the board, where it truly is, in every micro-image that some of its light reaches, if its
     /// position lies in the image and within the micro-image's outer radius.
     #[must_use]
     pub fn features(
         &self,
         frame: u32,
-        board: &Board,
+        target: &Target,
         camera_from_board: &Isometry3<f64>,
     ) -> Vec<TrueFeature> {
         let centers: Vec<_> = self
@@ -140,10 +141,10 @@ impl Tracer {
                 Some((lens, self.micro_image_center(lens)?, self.micro_image_radius_px(lens)))
             })
             .collect();
-        (0..board.corners())
+        (0..target.board().corners())
             .into_par_iter()
             .flat_map_iter(|corner| {
-                let point = camera_from_board * board.point_mm(corner);
+                let point = camera_from_board * target.corner_mm(corner);
                 let near = self.lens.image_of(&point);
                 let seen = |&(lens, center, radius): &(&MicroLens, Point2<f64>, f64)| {
                     let at = |image: Point3<f64>| {

@@ -56,13 +56,14 @@ impl Window {
 #[cfg(test)]
 mod tests {
     use super::super::sampling::RaySets;
+    use super::super::spread::Footprint;
     use super::*;
     use crate::vignetting::overlap_area;
 
     /// The area that another disc covers, from the rays that lie in it, with and without a window.
     #[test]
     fn windows_contain_what_the_other_disc_covers() {
-        let sets = RaySets::new(4096);
+        let sets = RaySets::new(4096, &Footprint::new(0.0));
         let cases = [(0.0, 2.0), (1.2, 1.3), (1.0, 0.5), (2.0, 1.3), (2.2, 1.3), (3.4, 3.0)];
         for (distance, radius) in cases {
             let middle = Vector2::new(0.6, -0.8) * distance;

@@ -167,6 +167,10 @@ fn tiny_board(z: f64, (x, y): (f64, f64)) -> (Target, Pose) {
         white: 1.0,
         black: 0.0,
         background: 0.0,
+        sag_mm: [0.0; 2],
+        twist_mm: 0.0,
+        aspect: 0.0,
+        uneven_light: [0.0; 2],
     };
     let turn = UnitQuaternion::from_euler_angles(0.4, -0.3, 0.2);
     (target, Isometry3::from_parts(Translation3::new(x * z, y * z, z), turn))
@@ -235,7 +239,7 @@ fn rendered_spots_of_real_lenses_have_the_true_centre() {
         for z in [68.0, 80.0] {
             let (target, pose) = tiny_board(z, (direction.x, direction.y));
             let image = tracer.render(&Scene::Board(target, pose), 8192, 1, &|| ()).unwrap();
-            let truth = tracer.features(0, &target.board(), &pose);
+            let truth = tracer.features(0, &target, &pose);
             let corners: Vec<BapFeature> = truth.iter().map(|t| t.feature).collect();
             for spot in whole_spots(&corners, &tracer, &target, &pose) {
                 let ([du, dv], radius) = rendered(&image, &spot);

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
+use plenocal::io::{Project, read_camera, read_centers, read_features, read_image, read_poses};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use tempfile::TempDir;
@@ -165,10 +165,107 @@ fn images_have_colours_of_16_bits() {
     assert_imaged(["imaging.bits=16", "imaging.color=rgb"], image::ColorType::Rgb16);
 }
 
+/// A data set as JPEG: the project lists its images by their names, and they are those of the set as PNG but
+/// for what JPEG loses.
 #[test]
-fn settings_that_cannot_be_simulated_are_rejected_by_name() {
+fn images_can_be_jpeg_files() {
+    let folder = TempDir::new().unwrap();
+    let set = ["--set", "imaging.jpeg_quality=95", "--set", "imaging.read_noise_electrons=0"];
+    simulate(folder.path(), &set).assert().success().stdout(contains("devignetting.jpg"));
+    let images = Project::read(&folder.path().join("project.toml")).unwrap().images.unwrap();
+    assert_eq!((images.whites.len(), images.calibration.len(), images.evaluation.len()), (2, 4, 1));
+    let jpeg = read_image(&images.calibration[0], None).unwrap();
+    assert_eq!((jpeg.width, jpeg.height, jpeg.bits()), (1000, 750, 8));
+    let png = simulated(&["--set", "imaging.read_noise_electrons=0"]).copy();
+    let png = read_image(&png.path().join("calibration/calibration-00.png"), None).unwrap();
+    let [jpeg, png] = [jpeg, png].map(|image| image.to_grey().pixels);
+    let squares: f32 = jpeg.iter().zip(&png).map(|(a, b)| (a - b).powi(2)).sum();
+    #[allow(clippy::cast_precision_loss)] // a mean
+    let differing = (squares / jpeg.len() as f32).sqrt();
+    assert!((1e-4..0.02).contains(&differing), "{differing}");
+    for path in images.whites.iter().map(|white| &white.image).chain(&images.devignetting) {
+        let color = image::open(path).unwrap().color();
+        assert_eq!(color, image::ColorType::L8, "{}", path.display());
+    }
+}
+
+/// A project states what is engraved; the truth is what the images were taken with.
+#[test]
+fn a_data_set_states_what_is_engraved_and_keeps_its_truth() {
+    let with = |more: &[&str]| {
+        let few = ["engraved_f_number=4.2", "target.sag_mm=[0.1, 0]", "target.aspect=-0.001"];
+        let set: Vec<&str> = few.iter().chain(more).flat_map(|set| ["--set", *set]).collect();
+        simulated(&set).copy()
+    };
+    let set = with(&["white_images.stop_errors=[0.02, -0.03]"]);
+    let file = set.path().join("project.toml");
+    let project = Project::read(&file).unwrap();
+    assert!((project.main_lens.unwrap().f_number - 4.2).abs() < 1e-12);
+    let stated: Vec<_> =
+        project.images.unwrap().whites.iter().map(|white| white.f_number.unwrap()).collect();
+    assert_eq!(stated, [4.0, 8.0]);
+    let truth = set.path().join("truth");
+    let camera = read_camera(&truth.join("camera.json")).unwrap();
+    assert!((camera.main_lens.setting.unwrap().f_number - 4.0).abs() < 1e-12);
+    let board: toml::Table = fs::read_to_string(truth.join("board.toml")).unwrap().parse().unwrap();
+    assert_eq!(board["sag_mm"], toml::Value::from(vec![0.1, 0.0]));
+    assert_eq!(
+        (board["twist_mm"].as_float(), board["aspect"].as_float()),
+        (Some(0.0), Some(-0.001))
+    );
+    assert!(!SET.copy().path().join("truth/board.toml").exists());
+    // Micro-images are smaller at a larger f-number.
+    let exact = with(&[]);
+    let lit = |set: &TempDir, name: &str| {
+        let image = read_image(&set.path().join(name), None).unwrap();
+        image.to_grey().pixels.iter().filter(|&&p| p > 0.1).count() as f64
+    };
+    let part = |name: &str| lit(&set, name) / lit(&exact, name);
+    assert!(part("whites/white-0-n-4.00.png") < 0.99);
+    assert!(part("whites/white-1-n-8.00.png") > 1.01);
+    assert!((part("devignetting.png") - 1.0).abs() < 1e-6);
+}
+
+/// A preset with this setting is rejected in these words, and nothing is written.
+fn assert_rejected(set: &str, words: &str) {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("set");
+    let mut command = plenocal();
+    command.args(["simulate", "--set", set, "--out"]).arg(&out);
+    command.assert().code(1).stdout("").stderr(contains(words));
+    assert!(!out.exists(), "{set} left something behind");
+}
+
+#[test]
+fn pixels_and_boards_that_cannot_be_are_rejected_by_name() {
+    for (set, words) in [
+        ("imperfections.point_spread_px=-0.1", "a point spread of -0.1 px"),
+        ("imperfections.point_spread_px=11", "a point spread of 11 px"),
+        ("imaging.crosstalk=0.3", "a crosstalk of 0.3"),
+        ("imaging.black_level=-0.1", "a black level of -0.1"),
+        ("imaging.black_level=1.1", "a black level of 1.1"),
+        ("imaging.gamma=0", "a gamma of 0"),
+        ("imaging.saturation=1.1", "samples cannot saturate at 1.1"),
+        ("imaging.hot_pixels=750001", "750001 hot pixels are more than the 750000"),
+        ("imaging.jpeg_quality=0", "a JPEG quality of 0"),
+        ("imaging={bits=16, jpeg_quality=90}", "JPEG files have 8 bits"),
+        ("imaging={color=\"bayer-rggb\", jpeg_quality=90}", "and are 'bayer-rggb'"),
+        ("boards.motion_px=-1", "boards that move by -1 px"),
+        ("target.sag_mm=[7.0, 0.0]", "a sag along x of the target of 7 mm"),
+        ("target.sag_mm=[0.0, nan]", "a sag along y of the target of NaN mm"),
+        ("target.twist_mm=-7", "a twist of the target of -7 mm"),
+        ("target.aspect=0.5", "an aspect of the target of 0.5"),
+        ("target.uneven_light=[0.0, 2.0]", "uneven light of 2"),
+        ("white_images.stop_errors=[0.1]", "1 stop errors for 5 white images"),
+        ("white_images.stop_errors=[0, 0, 0, 0.5, 0]", "a stop error of 0.5"),
+        ("engraved_f_number=0", "the f-number 0 that is engraved"),
+    ] {
+        assert_rejected(set, words);
+    }
+}
+
+#[test]
+fn settings_that_cannot_be_simulated_are_rejected_by_name() {
     for (set, words) in [
         ("rays=0", "0 rays per pixel cannot be traced"),
         ("rays=100000", "100000 rays per pixel cannot be traced"),
@@ -219,14 +316,7 @@ fn settings_that_cannot_be_simulated_are_rejected_by_name() {
         ("seed=many", "invalid type: string \"many\", expected u64"),
         ("seed=1\nrays = 1", "the value of 'seed' has more than one line"),
     ] {
-        plenocal()
-            .args(["simulate", "--set", set, "--out"])
-            .arg(&out)
-            .assert()
-            .code(1)
-            .stdout("")
-            .stderr(contains(words));
-        assert!(!out.exists(), "{set} left something behind");
+        assert_rejected(set, words);
     }
 }
 
