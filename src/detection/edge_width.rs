@@ -74,11 +74,15 @@ impl EdgeWidth {
 
 /// Corners this many times further than the typical one from all others are false, or the light of other things.
 const OUTLIERS: f64 = 5.0;
-/// Edges have the width that they were taken to have within this, px², or within so many standard deviations.
-const SAME_PX2: f64 = 0.03;
+/// How much the variances of edges in boards and in white images usually differ, px², and clearly, in that unit.
+const AS_SHARP_PX2: f64 = 0.03;
+const CLEARLY: f64 = 2.0;
+/// Edges have the width that they were taken to have within this, px², or within so many standard deviations. (Lines that are
+/// not known well yet make them wider.)
+const SAME_PX2: f64 = 0.1;
 const SIGNIFICANT: f64 = 3.0;
 /// Rounds in which they are left out.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 5;
 
 impl WidthChange {
     /// Whether edges are wider or narrower than they were taken to be, by what matters and is no chance: print that is not
@@ -88,16 +92,24 @@ impl WidthChange {
         change > SAME_PX2 && change > SIGNIFICANT * self.covariance[(1, 1)].sqrt()
     }
 
-    /// By all corners together; `None` if they do not determine it. The covariance is by their scatter.
-    pub fn fit(all: &[EdgeWidth]) -> Option<Self> {
+    /// By all corners together, of which edges are taken to be wider by `wider_px2` already; `None` if they do not determine
+    /// it. The covariance is by their scatter.
+    ///
+    /// Edges of boards are as sharp as those of white images unless they clearly are not (a Cauchy distribution): where all
+    /// corners have a similar blur they cannot tell both.
+    pub fn fit(all: &[EdgeWidth], wider_px2: f64) -> Option<Self> {
         let mut kept = vec![true; all.len()];
-        let mut found = None;
+        let mut found: Option<Self> = None;
         for _ in 0..ROUNDS {
             let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
             for (one, _) in all.iter().zip(&kept).filter(|(_, kept)| **kept) {
                 information += one.information;
                 right += one.right;
             }
+            let wider = wider_px2 + found.map_or(0.0, |found| found.change.y);
+            let prior = 1.0 / (AS_SHARP_PX2.powi(2) + (wider / CLEARLY).powi(2));
+            information[(1, 1)] += prior;
+            right.y -= prior * wider_px2;
             let covariance = information.cholesky()?.inverse();
             let change = covariance * right;
             // In the standard deviations that each corner claims.
@@ -128,8 +140,8 @@ mod tests {
         let mut all: Vec<EdgeWidth> =
             (0..60).map(|i| of(-0.08 + 0.05 * f64::from(i % 3 - 1), 0.2)).collect();
         all.push(of(9.0, 0.0));
-        let found = WidthChange::fit(&all).unwrap();
+        let found = WidthChange::fit(&all, 0.0).unwrap();
         assert!((found.change - Vector2::new(-0.08, 0.2)).norm() < 0.01, "{found:?}");
-        assert!(WidthChange::fit(&[]).is_none());
+        assert!(WidthChange::fit(&[], 0.0).is_none());
     }
 }

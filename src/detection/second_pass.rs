@@ -142,7 +142,7 @@ impl Frame<'_> {
             aberration = aberration.changed(&change);
             let widths: Vec<EdgeWidth> =
                 found.iter().flat_map(|s| &s.seen).filter_map(|seen| seen.width).collect();
-            width = WidthChange::fit(&widths);
+            width = WidthChange::fit(&widths, wider_px2);
             if let Some(width) = width.filter(|width| !last && width.edges_differ()) {
                 let least = -self.search.micro_images.point_spread_px2();
                 wider_px2 = (wider_px2 + width.change.y).clamp(least, MOST_WIDER_PX2);
