@@ -159,7 +159,11 @@ fn points_at(
     let trust = |((pixel, point), s): ((&[f64; 2], &Point3<f64>), solver::PointSensitivity)| {
         let all = s.by_intrinsics?;
         let of_space = rigid(&point.coords) * motion;
-        let by_intrinsics = all.select_columns(free) - of_space;
+        // Where a point is seen does not depend on the board.
+        let of_camera = DMatrix::from_fn(3, free.len(), |i, j| {
+            if free[j] < all.ncols() { all[(i, free[j])] } else { 0.0 }
+        });
+        let by_intrinsics = of_camera - of_space;
         let spread = &by_intrinsics * &covariance * by_intrinsics.transpose();
         Some(PointTrust {
             pixel_px: *pixel,
@@ -214,15 +218,25 @@ fn rigid(point: &Vector3<f64>) -> DMatrix<f64> {
 /// The rigid motion of all boards together that goes with a change of the intrinsic parameters: six
 /// rows, by least squares over the outer corners of all boards.
 fn motion_of_boards(calibration: &Calibration, board: &Board) -> DMatrix<f64> {
-    let follow = &calibration.uncertainty.poses_by_intrinsics;
+    let uncertainty = &calibration.uncertainty;
+    let follow = &uncertainty.poses_by_intrinsics;
+    // Corners move with the shape of their board too, in the mean like this.
+    let mut by_shape = DMatrix::zeros(3, follow.ncols());
+    let rows = uncertainty.shape_rows(calibration.camera.lens_types());
+    for (row, motion) in rows.into_iter().zip(calibration.board.bent.mean_motion_mm()) {
+        if let Some(row) = row {
+            by_shape.set_column(row, &motion);
+        }
+    }
     let mut normal = Matrix6::zeros();
     let mut right = DMatrix::zeros(6, follow.ncols());
     for (i, pose) in calibration.poses.iter().enumerate() {
         let of_pose = follow.rows(6 * i, 6);
+        let of_shape = pose.camera_from_board.rotation.to_rotation_matrix().matrix() * &by_shape;
         for corner in board.outer_corners_mm() {
             let place = pose.camera_from_board * corner;
             let space = rigid(&place.coords);
-            let moved = by_pose(&pose.camera_from_board, &corner) * of_pose;
+            let moved = by_pose(&pose.camera_from_board, &corner) * of_pose + &of_shape;
             normal += space.tr_mul(&space).fixed_view::<6, 6>(0, 0);
             right += space.tr_mul(&moved);
         }
@@ -261,7 +275,7 @@ pub(super) fn largest_mm<'a>(
 mod tests {
     use super::*;
     use crate::calibration::{CalibrationOptions, Mode, Start, calibrate};
-    use crate::model::{FramePose, Noise, Observations, intrinsic_parameters};
+    use crate::model::{BoardShape, FramePose, Noise, Observations, intrinsic_parameters};
     use crate::solver::{small_camera as camera, synthesize};
 
     const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
@@ -283,7 +297,11 @@ mod tests {
 
     fn calibrated(camera: PlenopticCamera, observations: &Observations, mode: Mode) -> Calibration {
         let paper = CalibrationOptions::paper();
-        let options = if mode == Mode::PosesOnly { paper.of_poses_only() } else { paper };
+        let options = if mode == Mode::PosesOnly {
+            paper.of_poses_only(BoardShape::default())
+        } else {
+            paper
+        };
         calibrate(&Start::Camera(camera), &BOARD, observations, &options, &mut |_| true).unwrap()
     }
 

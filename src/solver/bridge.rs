@@ -75,7 +75,13 @@ mod ffi {
         parameters: Vec<f64>,
     }
 
-    /// An intrinsic parameter as the core names it.
+    /// A board: half its width and height, and its shape.
+    struct BoardParts {
+        half_mm: [f64; 2],
+        shape: [f64; 4],
+    }
+
+    /// A parameter as the core names it.
     struct NamedParameter {
         name: String,
         value: f64,
@@ -181,6 +187,7 @@ mod ffi {
 
     struct RefinementParts {
         camera: CameraParts,
+        shape: [f64; 4],
         poses: Vec<PoseBlock>,
         initial_cost: f64,
         cost: f64,
@@ -238,12 +245,13 @@ mod ffi {
 
         fn silence_log();
         #[allow(dead_code)] // used by tests
-        fn parameters(camera: &CameraParts) -> Vec<NamedParameter>;
+        fn parameters(camera: &CameraParts, board: &BoardParts) -> Vec<NamedParameter>;
         #[allow(dead_code)] // used by tests
         fn lattice(camera: &CameraParts) -> Vec<NodeRow>;
         fn distortion(camera: &CameraParts, points_mm: &[PairRow]) -> Result<Vec<PairRow>>;
         fn project(
             camera: &CameraParts,
+            board: &BoardParts,
             poses: &[PoseBlock],
             features: &[FeatureRow],
         ) -> Result<Vec<ProjectionRow>>;
@@ -253,6 +261,7 @@ mod ffi {
         ) -> Result<Vec<PairRow>>;
         unsafe fn refine<'a>(
             camera: &CameraParts,
+            board: &BoardParts,
             poses: &[PoseBlock],
             features: &[FeatureRow],
             centers: &[CenterRow],
@@ -262,6 +271,7 @@ mod ffi {
         ) -> Result<RefinementParts>;
         fn uncertainty(
             camera: &CameraParts,
+            board: &BoardParts,
             poses: &[PoseBlock],
             features: &[FeatureRow],
             centers: &[CenterRow],
@@ -270,12 +280,14 @@ mod ffi {
         ) -> Result<UncertaintyParts>;
         fn frame_information(
             camera: &CameraParts,
+            board: &BoardParts,
             poses: &[PoseBlock],
             features: &[FeatureRow],
             cost: &CostParts,
         ) -> Result<Vec<f64>>;
         fn visible_features(
             camera: &CameraParts,
+            board: &BoardParts,
             poses: &[PoseBlock],
             board_points: &[PointRow],
             margin_px: f64,
@@ -329,6 +341,7 @@ pub(crate) fn refine(
     let result = unsafe {
         ffi::refine(
             &problem.camera.into(),
+            &(&problem.board).into(),
             &problem.pose_blocks(),
             &problem.feature_rows(),
             &problem.center_rows(),
@@ -343,6 +356,7 @@ pub(crate) fn refine(
     let parts = result.map_err(solver_error)?;
     Ok(Refinement {
         camera: problem.camera.with_intrinsics(&parts.camera.parameters),
+        shape: conversions::shape(&parts.shape),
         poses: parts.poses.iter().map(Isometry3::from).collect(),
         initial_cost: parts.initial_cost,
         cost: parts.cost,
@@ -364,6 +378,7 @@ pub(crate) fn uncertainty(
     let common_parts: Vec<ffi::CommonErrorParts> = common.iter().map(Into::into).collect();
     let parts = ffi::uncertainty(
         &problem.camera.into(),
+        &(&problem.board).into(),
         &problem.pose_blocks(),
         &problem.feature_rows(),
         &problem.center_rows(),
