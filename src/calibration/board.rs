@@ -110,7 +110,8 @@ impl Settings<'_> {
         let mut flat = self.refine(problem, with_fixed(cost, |_| true), progress)?;
         let known = |refined, tried| Settled { refined, anchors: anchors.to_vec(), tried };
         let stopped = flat.refinement.termination == Termination::Stopped;
-        if model != BoardModel::Auto || stopped || !flat.uncertainty.shared {
+        let possible = free.parameters.contains(&true) && flat.uncertainty.shared;
+        if model != BoardModel::Auto || stopped || !possible {
             return Ok(known(flat, None));
         }
         let start = at_end(problem, Some(&flat.refinement));

@@ -27,13 +27,15 @@ pub(super) fn board_text(calibration: &Calibration) -> String {
         })
         .collect();
     let limits = (!limits.is_empty()).then(|| format!("below {} (2 σ)", limits.join(", ")));
-    match (found.is_empty(), limits) {
-        (false, None) => format!("The board is not flat: {}.", found.join(", ")),
-        (false, Some(limits)) => format!("The board is not flat: {}; {limits}.", found.join(", ")),
-        (true, Some(limits)) => format!("The board is flat: {limits}."),
-        (true, None) => match calibration.options.board {
-            BoardModel::Known(_) => "The shape of the board is taken as known.".to_owned(),
-            _ => "The board is taken to be flat.".to_owned(),
-        },
+    let found = found.join(", ");
+    match (calibration.options.board, found.is_empty(), limits) {
+        (BoardModel::Bent, false, _) => format!("The shape of the board: {found}."),
+        (_, false, None) => format!("The board is not flat: {found}."),
+        (_, false, Some(limits)) => format!("The board is not flat: {found}; {limits}."),
+        (_, true, Some(limits)) => format!("The board is flat: {limits}."),
+        (BoardModel::Known(_), true, None) => {
+            "The shape of the board is taken as known.".to_owned()
+        }
+        (_, true, None) => "The board is taken to be flat.".to_owned(),
     }
 }
