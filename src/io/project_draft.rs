@@ -179,9 +179,9 @@ impl ProjectDraft<'_> {
 
     fn board(&self, draft: &mut DraftText) {
         draft.table("board", "");
-        draft.line("# Lay a straight edge along rows, columns and diagonals: under it there should be no gap wider than");
-        draft.line("# 1/2000 of the diagonal. Measure the edge of a square over as many as there are, along rows and along");
-        draft.line("# columns: both should agree to 1/1000.");
+        draft.line("# Measure the edge of a square over as many as there are, along rows and along columns.");
+        draft.line("# Lay a straight edge along rows, columns and diagonals: the gap under it should be below");
+        draft.line("# 1/2000 of the diagonal, and has to be below 1/200.");
         let board = self.board;
         let columns = board.map(|b| b.columns.to_string());
         draft.value("board", "columns", columns, "inner corners along a row");
