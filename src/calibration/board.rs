@@ -83,6 +83,12 @@ struct Free {
     aspect: f64,
 }
 
+impl Free {
+    fn bends(&self) -> bool {
+        self.parameters[..ASPECT].contains(&true)
+    }
+}
+
 impl Settings<'_> {
     /// Refines camera, board and poses; `cost` has these anchors.
     pub fn refine_with_board(
@@ -115,7 +121,14 @@ impl Settings<'_> {
             return Ok(known(flat, None));
         }
         let start = at_end(problem, Some(&flat.refinement));
-        let trial = self.refine_free(&start, (cost, anchors), &free, progress)?;
+        // If a trial fails, the present result stands.
+        let trial = match self.refine_free(&start, (cost, anchors), &free, progress) {
+            Ok(trial) => trial,
+            Err(error) => {
+                info!("the shape of the board was not found: {error}");
+                return Ok(known(flat, None));
+            }
+        };
         if trial.refined.refinement.termination == Termination::Stopped {
             flat.refinement.termination = Termination::Stopped;
             return Ok(known(flat, None));
@@ -175,10 +188,12 @@ impl Settings<'_> {
         let BentBoard { shape, .. } = at_end(problem, Some(&trial.refined.refinement)).board;
         let bend_mm = BentBoard { shape, ..problem.board }.bend_mm();
         let free = Free {
-            bend_mm: if found.parameters[..ASPECT].contains(&true) { bend_mm } else { 0.0 }
-                .max(found.bend_mm),
-            aspect: if found.parameters[ASPECT] { shape.aspect.abs() } else { 0.0 }
-                .max(found.aspect),
+            bend_mm: found.bend_mm.max(if found.bends() { bend_mm } else { 0.0 }),
+            aspect: found.aspect.max(if found.parameters[ASPECT] {
+                shape.aspect.abs()
+            } else {
+                0.0
+            }),
             ..found
         };
         if free == *before || trial.refined.refinement.termination == Termination::Stopped {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use plenocal::calibration::{BoardModel, CalibrationOptions, Mode, Start};
 use plenocal::error::Input as Part;
-use plenocal::io::{self, CalibrationSection, CameraSource, Project};
+use plenocal::io::{self, BoardChoice, CalibrationSection, CameraSource, Project};
 use plenocal::model::{Board, BoardShape, Datasheet, Observations};
 use plenocal::solver::LossKind;
 use plenocal::{Error, Result};
@@ -41,7 +41,7 @@ impl Input {
                 "a loss scale is given, but no loss: choose one with --loss".to_owned(),
             ));
         }
-        let board_is_stated = section.board.is_some();
+        let is_flat = section.board == Some(BoardChoice::Flat);
         let mut options = section.options();
         let start = start(files, project.as_ref(), options.mode)?;
         let board = match (files.scene, project.as_ref().and_then(|p| p.board)) {
@@ -49,8 +49,7 @@ impl Input {
             (None, Some(board)) => board,
             (None, None) => return Err(missing(Part::Board)),
         };
-        let of_camera =
-            files.camera.filter(|_| options.mode == Mode::PosesOnly && !board_is_stated);
+        let of_camera = files.camera.filter(|_| options.mode == Mode::PosesOnly && !is_flat);
         if let Some(shape) = board_shape(files.board_shape, of_camera, &board)? {
             options.board = BoardModel::Known(shape);
         }

@@ -62,7 +62,7 @@ struct WeightedFeature {
 
 /// Residuals (u, v, rho) / sigma of features of one frame: 3 each, or 2 for a pinhole array
 /// (I = 0). Parameter blocks: main lens, array, focal lengths (if I > 0), shape of the board (if
-/// Bent), pose. Four more derivatives cost a tenth of the time, and are left out where the shape is
+/// Bent), pose. The derivatives by the shape take a quarter more time, and are left out where it is
 /// known.
 template <int I, bool Bent = false>
 class FeatureResiduals {
