@@ -62,6 +62,7 @@
 //! let candidate = Candidate {
 //!     name: "simulated".to_owned(),
 //!     std_devs: calibration.uncertainty.intrinsic_std_devs(calibration.camera.lens_types()),
+//!     board_shape: calibration.board.bent.shape,
 //!     camera: calibration.camera,
 //! };
 //! let mut input = EvaluationInput::new(board);

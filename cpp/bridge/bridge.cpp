@@ -29,6 +29,10 @@ CameraParts from_core(const Camera& camera) {
   return parts;
 }
 
+Board to_core(const BoardParts& parts) {
+  return {parts.half_mm[0], parts.half_mm[1], from_block<BoardShape>(parts.shape.data())};
+}
+
 Vector3<double> to_core(const std::array<double, 3>& v) { return {v[0], v[1], v[2]}; }
 
 std::vector<Pose> to_core(rust::Slice<const PoseBlock> blocks) {
@@ -38,8 +42,10 @@ std::vector<Pose> to_core(rust::Slice<const PoseBlock> blocks) {
   return poses;
 }
 
-Observations to_core(rust::Slice<const FeatureRow> features, rust::Slice<const CenterRow> centers) {
+Observations to_core(const BoardParts& board, rust::Slice<const FeatureRow> features,
+                     rust::Slice<const CenterRow> centers) {
   Observations observations;
+  observations.board = to_core(board);
   observations.features.reserve(features.size());
   for (const FeatureRow& f : features) {
     observations.features.push_back({f.frame,
@@ -105,12 +111,16 @@ IterationRow from_core(const Iteration& i) {
 
 void silence_log() { FLAGS_minloglevel = google::GLOG_ERROR; }
 
-rust::Vec<NamedParameter> parameters(const CameraParts& parts) {
+rust::Vec<NamedParameter> parameters(const CameraParts& parts, const BoardParts& board) {
   const Camera camera = to_core(parts);
+  const auto names = shared_names(camera.lens_types());
   rust::Vec<NamedParameter> rows;
-  for_each_parameter(camera, [&rows](const std::string& name, double value) {
-    rows.push_back({name, value});
-  });
+  const auto add = [&](const std::string&, double value) {
+    rows.push_back({names[rows.size()], value});
+  };
+  for_each_parameter(camera, add);
+  const Board on_board = to_core(board);
+  BoardShape<double>::visit(on_board.shape, add);
   return rows;
 }
 
@@ -138,17 +148,20 @@ rust::Vec<PairRow> distortion(const CameraParts& parts, rust::Slice<const PairRo
   return rows;
 }
 
-rust::Vec<ProjectionRow> project(const CameraParts& parts, rust::Slice<const PoseBlock> pose_blocks,
+rust::Vec<ProjectionRow> project(const CameraParts& parts, const BoardParts& board_parts,
+                                 rust::Slice<const PoseBlock> pose_blocks,
                                  rust::Slice<const FeatureRow> features) {
   const Camera camera = to_core(parts);
   validate(camera);
+  const Board board = to_core(board_parts);
+  validate(board);
   const std::vector<Pose> poses = to_core(pose_blocks);
   rust::Vec<ProjectionRow> rows;
   rows.reserve(features.size());
   for (const FeatureRow& f : features) {
     Feature<double> feature{};
-    const bool defined =
-        plenocal::project(camera, poses.at(f.frame), to_core(f.board_point_mm), f.k, f.l, &feature);
+    const Vector3<double> corner = corner_of(board, to_core(f.board_point_mm));
+    const bool defined = plenocal::project(camera, poses.at(f.frame), corner, f.k, f.l, &feature);
     rows.push_back({defined, feature.u, feature.v, feature.rho});
   }
   return rows;
@@ -167,20 +180,22 @@ rust::Vec<PairRow> project_centers(const CameraParts& parts,
   return rows;
 }
 
-RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
-                       rust::Slice<const FeatureRow> features, rust::Slice<const CenterRow> centers,
-                       const CostParts& cost, const SolverParts& solver, ProgressSink& progress) {
+RefinementParts refine(const CameraParts& camera, const BoardParts& board,
+                       rust::Slice<const PoseBlock> poses, rust::Slice<const FeatureRow> features,
+                       rust::Slice<const CenterRow> centers, const CostParts& cost,
+                       const SolverParts& solver, ProgressSink& progress) {
   SolverOptions options;
   options.max_iterations = solver.max_iterations;
   options.threads = solver.threads;
   options.initial_trust_region_radius = solver.initial_trust_region_radius;
   options.extrapolate = solver.extrapolate;
   const Refinement r = plenocal::refine(
-      to_core(camera), to_core(poses), to_core(features, centers), to_core(cost), options,
+      to_core(camera), to_core(poses), to_core(board, features, centers), to_core(cost), options,
       [&progress](const Iteration& i) { return progress.report(from_core(i)); });
 
   RefinementParts parts{};
   parts.camera = from_core(r.camera);
+  parts.shape = to_block(r.board_shape);
   for (const Pose& pose : r.poses) parts.poses.push_back({pose_block(pose)});
   parts.initial_cost = r.initial_cost;
   parts.cost = r.cost;
@@ -193,12 +208,14 @@ RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> p
   return parts;
 }
 
-UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
+UncertaintyParts uncertainty(const CameraParts& camera, const BoardParts& board,
+                             rust::Slice<const PoseBlock> poses,
                              rust::Slice<const FeatureRow> features,
                              rust::Slice<const CenterRow> centers, const CostParts& cost,
                              rust::Slice<const CommonErrorParts> common) {
-  const Uncertainty u = plenocal::uncertainty(
-      to_core(camera), to_core(poses), to_core(features, centers), to_core(cost), to_core(common));
+  const Uncertainty u =
+      plenocal::uncertainty(to_core(camera), to_core(poses), to_core(board, features, centers),
+                            to_core(cost), to_core(common));
   UncertaintyParts parts{};
   for (int index : u.free_intrinsics) parts.free_intrinsics.push_back(index);
   parts.size = u.size;
@@ -223,24 +240,29 @@ UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBl
   return parts;
 }
 
-rust::Vec<double> frame_information(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
+rust::Vec<double> frame_information(const CameraParts& camera, const BoardParts& board,
+                                    rust::Slice<const PoseBlock> poses,
                                     rust::Slice<const FeatureRow> features, const CostParts& cost) {
   return from_core(plenocal::frame_information(to_core(camera), to_core(poses),
-                                               to_core(features, {}), to_core(cost)));
+                                               to_core(board, features, {}), to_core(cost)));
 }
 
-rust::Vec<FeatureRow> visible_features(const CameraParts& parts, rust::Slice<const PoseBlock> poses,
+rust::Vec<FeatureRow> visible_features(const CameraParts& parts, const BoardParts& board_parts,
+                                       rust::Slice<const PoseBlock> poses,
                                        rust::Slice<const PointRow> board_points, double margin_px) {
   const Camera camera = to_core(parts);
+  const Board board = to_core(board_parts);
+  validate(board);
   rust::Vec<FeatureRow> rows;
   int frame = 0;
   for (const PoseBlock& pose : poses) {
     const Motion<double> camera_from_board(pose.block.data());
     for (const PointRow& row : board_points) {
-      const Vector3<double> point = camera_from_board(to_core(row.point_mm));
+      const Vector3<double> corner = corner_of(board, to_core(row.point_mm));
+      const Vector3<double> point = camera_from_board(corner);
       for (const auto& [k, l] : micro_lenses_seeing(camera, point, margin_px)) {
         Feature<double> seen{};
-        if (project(camera, pose_from_block(pose.block), to_core(row.point_mm), k, l, &seen)) {
+        if (project(camera, pose_from_block(pose.block), corner, k, l, &seen)) {
           rows.push_back({frame, row.point_mm, k, l, seen.u, seen.v, seen.rho, {1.0, 1.0, 1.0}});
         }
       }

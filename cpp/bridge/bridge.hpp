@@ -9,6 +9,7 @@
 namespace plenocal::bridge {
 
 struct AnchorRow;
+struct BoardParts;
 struct CameraParts;
 struct CommonErrorParts;
 struct CostParts;
@@ -28,24 +29,28 @@ struct UncertaintyParts;
 struct ProgressSink;
 
 void silence_log();
-rust::Vec<NamedParameter> parameters(const CameraParts& camera);
+rust::Vec<NamedParameter> parameters(const CameraParts& camera, const BoardParts& board);
 rust::Vec<NodeRow> lattice(const CameraParts& camera);
 rust::Vec<PairRow> distortion(const CameraParts& camera, rust::Slice<const PairRow> points_mm);
-rust::Vec<ProjectionRow> project(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
+rust::Vec<ProjectionRow> project(const CameraParts& camera, const BoardParts& board,
+                                 rust::Slice<const PoseBlock> poses,
                                  rust::Slice<const FeatureRow> features);
 rust::Vec<PairRow> project_centers(const CameraParts& camera,
                                    rust::Slice<const MicroLensIndex> micro_lenses);
-RefinementParts refine(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
-                       rust::Slice<const FeatureRow> features, rust::Slice<const CenterRow> centers,
-                       const CostParts& cost, const SolverParts& solver, ProgressSink& progress);
-UncertaintyParts uncertainty(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
+RefinementParts refine(const CameraParts& camera, const BoardParts& board,
+                       rust::Slice<const PoseBlock> poses, rust::Slice<const FeatureRow> features,
+                       rust::Slice<const CenterRow> centers, const CostParts& cost,
+                       const SolverParts& solver, ProgressSink& progress);
+UncertaintyParts uncertainty(const CameraParts& camera, const BoardParts& board,
+                             rust::Slice<const PoseBlock> poses,
                              rust::Slice<const FeatureRow> features,
                              rust::Slice<const CenterRow> centers, const CostParts& cost,
                              rust::Slice<const CommonErrorParts> common);
 
-rust::Vec<double> frame_information(const CameraParts& camera, rust::Slice<const PoseBlock> poses,
+rust::Vec<double> frame_information(const CameraParts& camera, const BoardParts& board,
+                                    rust::Slice<const PoseBlock> poses,
                                     rust::Slice<const FeatureRow> features, const CostParts& cost);
-rust::Vec<FeatureRow> visible_features(const CameraParts& camera,
+rust::Vec<FeatureRow> visible_features(const CameraParts& camera, const BoardParts& board,
                                        rust::Slice<const PoseBlock> poses,
                                        rust::Slice<const PointRow> board_points, double margin_px);
 rust::Vec<SensitivityRow> point_sensitivities(const CameraParts& camera,

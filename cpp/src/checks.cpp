@@ -56,7 +56,7 @@ void require_center(const CenterObservation& o, const Lattice& lattice) {
 }
 
 void require_anchor(const Anchor& anchor, int lens_types, const std::vector<std::string>& fixed) {
-  const auto names = intrinsic_names(lens_types);
+  const auto names = shared_names(lens_types);
   const std::string text = "the anchor of " + anchor.quantity;
   if (!std::isfinite(anchor.value)) reject(text + " is not finite");
   require_std_dev(anchor.std_dev, text);
@@ -90,9 +90,19 @@ void require_anchor(const Anchor& anchor, int lens_types, const std::vector<std:
 
 }  // namespace
 
+bool is_shape_free(const CostOptions& options) {
+  const auto names = shape_names();
+  const auto& fixed = options.fixed;
+  return std::any_of(names.begin(), names.end(), [&fixed](const std::string& name) {
+    return std::find(fixed.begin(), fixed.end(), name) == fixed.end();
+  });
+}
+
 void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
                       const Observations& observations, const CostOptions& options) {
   validate(camera);
+  validate(observations.board);
+  if (is_shape_free(options)) require_size(observations.board);
   require_std_dev(options.uv_std_dev, "(u, v)");
   require_std_dev(options.rho_std_dev, "rho");
   require_std_dev(options.centers_std_dev, "the centres");

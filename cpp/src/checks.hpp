@@ -20,6 +20,12 @@ inline void require_std_dev(double value, const std::string& name) {
   }
 }
 
+/// Whether a parameter of the board's shape is free.
+bool is_shape_free(const CostOptions& options);
+
+/// The size without which a shape means nothing.
+void require_size(const Board& board);
+
 /// All that a problem is made of. Ceres checks its input with CHECK, which aborts the process, so
 /// everything is checked before it is handed over.
 void validate_problem(const Camera& camera, const std::vector<Pose>& poses,

@@ -45,28 +45,34 @@ class Patches {
 CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<Pose>& poses,
                                        const Observations& observations, const CostOptions& options)
     : frame_(camera),
+      board_(observations.board),
+      shape_is_free_(is_shape_free(options)),
       lens_(to_block(camera.main_lens)),
       exit_pupil_(to_block(camera.exit_pupil)),
       array_(to_block(camera.mla)),
-      focal_lengths_(camera.micro_lens_focal_lengths) {
+      focal_lengths_(camera.micro_lens_focal_lengths),
+      shape_(to_block(observations.board.shape)) {
   validate_problem(camera, poses, observations, options);
   for (const Pose& pose : poses) poses_.push_back(pose_block(pose));
 
   problem_ = std::make_unique<ceres::Problem>();
-  for (auto [block, size] : intrinsic_blocks()) {
+  for (auto [block, size] : shared_blocks()) {
     problem_->AddParameterBlock(block, size);
     for (int place = 0; place < size; ++place) places_.push_back({block, size, place});
   }
   for (auto& pose : poses_) problem_->AddParameterBlock(pose.data(), Pose::kSize);
   switch (options.rho ? camera.lens_types() : 0) {
     case 0:
-      add_features<0>(observations, options);
+      shape_is_free_ ? add_features<0, true>(observations, options)
+                     : add_features<0, false>(observations, options);
       break;
     case 1:
-      add_features<1>(observations, options);
+      shape_is_free_ ? add_features<1, true>(observations, options)
+                     : add_features<1, false>(observations, options);
       break;
     default:
-      add_features<3>(observations, options);
+      shape_is_free_ ? add_features<3, true>(observations, options)
+                     : add_features<3, false>(observations, options);
   }
   add_centers(observations, options);
   fix(options);
@@ -74,17 +80,18 @@ CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<P
   for (auto& pose : poses_) free_blocks_.push_back(pose.data());
 }
 
-std::vector<std::pair<double*, int>> CalibrationProblem::intrinsic_blocks() {
+std::vector<std::pair<double*, int>> CalibrationProblem::shared_blocks() {
   std::vector<std::pair<double*, int>> blocks = {{lens_.data(), kMainLensParameters},
                                                  {exit_pupil_.data(), kExitPupilParameters},
                                                  {array_.data(), kArrayParameters}};
   if (!focal_lengths_.empty()) {
     blocks.emplace_back(focal_lengths_.data(), static_cast<int>(focal_lengths_.size()));
   }
+  if (shape_is_free_) blocks.emplace_back(shape_.data(), kBoardShapeParameters);
   return blocks;
 }
 
-template <int I>
+template <int I, bool Bent>
 void CalibrationProblem::add_features(const Observations& observations,
                                       const CostOptions& options) {
   // Sorted by frame, then corner; the order within a corner is kept.
@@ -113,7 +120,7 @@ void CalibrationProblem::add_features(const Observations& observations,
       const Feature<double> std_dev{o.std_dev.u * options.uv_std_dev,
                                     o.std_dev.v * options.uv_std_dev,
                                     o.std_dev.rho * options.rho_std_dev};
-      weighted.push_back({o.board_point,
+      weighted.push_back({Bent ? o.board_point : corner_of(board_, o.board_point),
                           {frame_.lattice.node(o.k, o.l), lens_type},
                           o.observed,
                           {1.0 / std_dev.u, 1.0 / std_dev.v, 1.0 / std_dev.rho}});
@@ -122,10 +129,11 @@ void CalibrationProblem::add_features(const Observations& observations,
       rows_.push_back({kUv, frame, corner, std_dev.v, index});
       if (I > 0) rows_.push_back({kRho, frame, corner, std_dev.rho, index});
     }
-    auto cost =
-        FeatureResiduals<I>::create(std::move(weighted), frame_.pixel_size, options.features_loss);
+    auto cost = FeatureResiduals<I, Bent>::create(std::move(weighted), frame_.pixel_size,
+                                                  options.features_loss, board_);
     std::vector<double*> blocks = {lens_.data(), array_.data()};
     if (I > 0) blocks.push_back(focal_lengths_.data());
+    if (Bent) blocks.push_back(shape_.data());
     blocks.push_back(poses_[frame].data());
     feature_blocks_.emplace_back(frame, add_block(std::move(cost), std::move(blocks)));
   }
@@ -207,7 +215,7 @@ bool CalibrationProblem::add_lean(const Anchor& anchor, double weight) {
 
 void CalibrationProblem::add_anchors(const CostOptions& options) {
   const double root = std::sqrt(options.anchor_weight);
-  const auto names = intrinsic_names(frame_.lens_types());
+  const auto names = shared_names(frame_.lens_types());
   for (const Anchor& anchor : options.anchors) {
     const int index = static_cast<int>(&anchor - options.anchors.data());
     rows_.push_back({kAnchor, index, -1, anchor.std_dev});
@@ -229,7 +237,7 @@ void CalibrationProblem::add_anchors(const CostOptions& options) {
 }
 
 void CalibrationProblem::fix(const CostOptions& options) {
-  const auto names = intrinsic_names(frame_.lens_types());
+  const auto names = shared_names(frame_.lens_types());
   std::vector<char> fixed(names.size(), 0);
   for (const std::string& name : options.fixed) {
     const auto found = std::find(names.begin(), names.end(), name);
@@ -237,7 +245,7 @@ void CalibrationProblem::fix(const CostOptions& options) {
     fixed[found - names.begin()] = 1;
   }
   int first = 0;
-  for (auto [block, size] : intrinsic_blocks()) {
+  for (auto [block, size] : shared_blocks()) {
     std::vector<int> constant;
     for (int i = 0; i < size; ++i) {
       if (fixed[first + i]) {
@@ -273,7 +281,7 @@ std::vector<double> CalibrationProblem::frame_costs() const {
 std::shared_ptr<ceres::ParameterBlockOrdering> CalibrationProblem::ordering() {
   auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
   for (auto& pose : poses_) ordering->AddElementToGroup(pose.data(), 0);
-  for (auto [block, size] : intrinsic_blocks()) ordering->AddElementToGroup(block, 1);
+  for (auto [block, size] : shared_blocks()) ordering->AddElementToGroup(block, 1);
   return ordering;
 }
 
@@ -287,6 +295,7 @@ Eigen::VectorXd CalibrationProblem::state() const {
   append(exit_pupil_);
   append(array_);
   append(focal_lengths_);
+  if (shape_is_free_) append(shape_);
   for (const auto& pose : poses_) append(pose);
   return state;
 }
@@ -301,6 +310,7 @@ void CalibrationProblem::set_state(const Eigen::VectorXd& state) {
   take(exit_pupil_);
   take(array_);
   take(focal_lengths_);
+  if (shape_is_free_) take(shape_);
   for (auto& pose : poses_) take(pose);
 }
 

@@ -47,8 +47,9 @@ class CalibrationProblem {
   /// Poses are eliminated first by the Schur solvers.
   std::shared_ptr<ceres::ParameterBlockOrdering> ordering();
 
-  /// Camera and poses with the present values of the parameter blocks.
+  /// Camera, board and poses with the present values of the parameter blocks.
   Camera camera() const;
+  BoardShape<double> board_shape() const { return from_block<BoardShape>(shape_.data()); }
   std::vector<Pose> poses() const;
 
   /// All parameters as one vector, and back.
@@ -61,7 +62,7 @@ class CalibrationProblem {
 
   /// Blocks with a free parameter: intrinsics in their order, then the poses.
   const std::vector<double*>& free_blocks() const { return free_blocks_; }
-  /// Indices of the intrinsics that are free.
+  /// Indices of the shared parameters that are free.
   const std::vector<int>& free_intrinsics() const { return free_intrinsics_; }
   /// Origin of each residual row, block by block.
   const std::vector<RowOrigin>& rows() const { return rows_; }
@@ -85,7 +86,7 @@ class CalibrationProblem {
   }
 
  private:
-  template <int I>
+  template <int I, bool Bent>
   void add_features(const Observations& observations, const CostOptions& options);
   void add_centers(const Observations& observations, const CostOptions& options);
   void add_anchors(const CostOptions& options);
@@ -94,7 +95,9 @@ class CalibrationProblem {
   /// The same of the lean of the array.
   bool add_lean(const Anchor& anchor, double weight);
   void fix(const CostOptions& options);
-  std::vector<std::pair<double*, int>> intrinsic_blocks();
+  /// Blocks that all frames share. That of the board's shape is no parameter unless it is free, and
+  /// then the problem is the same as without one.
+  std::vector<std::pair<double*, int>> shared_blocks();
   struct Place {
     double* block;
     int size;   // of the block
@@ -109,12 +112,15 @@ class CalibrationProblem {
   Linearised linearised(const Block& block, int first_row) const;
 
   Camera frame_;  // what is not a parameter: lattice, pixel size
+  Board board_;   // its size
+  bool shape_is_free_;
   std::array<double, kMainLensParameters> lens_;
   std::array<double, kExitPupilParameters> exit_pupil_;
   std::array<double, kArrayParameters> array_;
   std::vector<double> focal_lengths_;
+  std::array<double, kBoardShapeParameters> shape_;
   std::vector<std::array<double, Pose::kSize>> poses_;
-  std::vector<Place> places_;  // of all intrinsics
+  std::vector<Place> places_;  // of all shared parameters
   std::vector<double*> free_blocks_;
   std::vector<int> free_intrinsics_;
   std::vector<RowOrigin> rows_;

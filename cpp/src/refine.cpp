@@ -193,6 +193,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
 
   result.initial_cost = result.iterations.front().cost;
   result.camera = calibration.camera();
+  result.board_shape = calibration.board_shape();
   result.poses = calibration.poses();
   result.frame_costs = calibration.frame_costs();
   result.termination = termination(summary.termination_type);

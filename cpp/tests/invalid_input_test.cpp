@@ -170,10 +170,11 @@ INSTANTIATE_TEST_SUITE_P(
                 "scale of the robust loss"},
         Spoiled{"UnknownFixed",
                 [](Scene*, CostOptions* o) {
-                  o->fixed = {"F", "focus"};
+                  o->fixed = test::with_shape({"F", "focus"});
                 },
                 "no parameter focus"},
-        Spoiled{"FixedTypeBeyond", [](Scene*, CostOptions* o) { o->fixed = {"f_4"}; },
+        Spoiled{"FixedTypeBeyond",
+                [](Scene*, CostOptions* o) { o->fixed = test::with_shape({"f_4"}); },
                 "no parameter f_4"}),
     test_name);
 
@@ -233,7 +234,7 @@ INSTANTIATE_TEST_SUITE_P(
 TEST(InvalidInput, FixedFocalLengthOfAPinholeArray) {
   const Scene scene = small_scene(0);
   CostOptions options;
-  options.fixed = {"f_1"};
+  options.fixed = test::with_shape({"f_1"});
   expect_names(
       rejection([&] { refine(scene.camera, scene.poses, scene.observations, options, {}); }),
       "no parameter f_1");

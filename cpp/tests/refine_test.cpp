@@ -179,7 +179,7 @@ TEST(Refine, OwnStdDevsWeighTheirOwnResidual) {
 TEST(Refine, ExitPupilAndFieldCurvatureAreRecovered) {
   const Scene truth = test::make_scene(3);
   CostOptions options;
-  options.fixed = {"dC_ratio"};
+  options.fixed = test::with_shape({"dC_ratio"});
   const Scene start = disturbed(truth, options.fixed);
   const Refinement free = refine(start.camera, start.poses, start.observations, options, {});
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
@@ -202,7 +202,7 @@ TEST(Refine, TwoPitchesAreRecovered) {
   truth.observations = test::observe(truth.camera, truth.poses);
   const Scene start = disturbed(truth, {});
   CostOptions two_pitches;
-  two_pitches.fixed.clear();
+  two_pitches.fixed = test::kShape;
   const Refinement free = refine(start.camera, start.poses, start.observations, two_pitches, {});
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
   expect_recovered(free, truth);
@@ -216,7 +216,7 @@ TEST(Refine, TwoPitchesAreRecovered) {
 
 TEST(Refine, FixedParametersKeepTheirValue) {
   CostOptions options;
-  options.fixed = {"F", "Q2", "P1", "v0", "theta_z", "dC", "dC_ratio", "f_2"};
+  options.fixed = test::with_shape({"F", "Q2", "P1", "v0", "theta_z", "dC", "dC_ratio", "f_2"});
   const Scene start = disturbed(test::make_scene(3), {});
   const Refinement result = refine(start.camera, start.poses, start.observations, options, {});
   const auto names = intrinsic_names(3);
@@ -235,7 +235,7 @@ TEST(Refine, FixedParametersKeepTheirValue) {
 TEST(Refine, EverythingFixedLeavesThePoses) {
   const Scene truth = test::make_scene(3);
   CostOptions options;
-  options.fixed = intrinsic_names(3);
+  options.fixed = shared_names(3);
   const Scene start = disturbed(truth, options.fixed);
   const Refinement result = refine(start.camera, start.poses, start.observations, options, {});
   EXPECT_EQ(result.termination, Termination::kConverged) << result.message;

@@ -112,9 +112,18 @@ inline Camera with_intrinsics(Camera camera, const std::vector<double>& values) 
   return camera;
 }
 
+/// Parameters of the board's shape.
+inline const std::vector<std::string> kShape = {"sag_x", "sag_y", "twist", "aspect"};
+
+/// These parameters, and those of the board.
+inline std::vector<std::string> with_shape(std::vector<std::string> names) {
+  names.insert(names.end(), kShape.begin(), kShape.end());
+  return names;
+}
+
 /// Parameters that the paper's model does not have.
-inline const std::vector<std::string> kBeyondThePaper = {"kappa", "kappa_m", "e_x",
-                                                         "e_y",   "e_z",     "dC_ratio"};
+inline const std::vector<std::string> kBeyondThePaper =
+    with_shape({"kappa", "kappa_m", "e_x", "e_y", "e_z", "dC_ratio"});
 
 /// Only what is free in the paper's model is.
 inline CostOptions paper() {

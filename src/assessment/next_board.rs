@@ -114,7 +114,7 @@ fn information(
     board: &Board,
     candidates: &[NextBoard],
 ) -> Result<Vec<DMatrix<f64>>> {
-    let camera = &calibration.camera;
+    let (camera, bent) = (&calibration.camera, calibration.board.bent);
     let column = |i: i32| i * (board.columns - 1) / (board.columns.min(SIDE) - 1);
     let row = |j: i32| j * (board.rows - 1) / (board.rows.min(SIDE) - 1);
     let corners: Vec<i32> = (0..board.rows.min(SIDE))
@@ -125,7 +125,7 @@ fn information(
     let margin = MARGIN * camera.micro_image_pitch_px() / 2.0;
     let noise = calibration.uncertainty.residual_std_dev_px;
     let all: Vec<Isometry3<f64>> = candidates.iter().map(|c| c.pose).collect();
-    let mut features = solver::visible_features(camera, &all, &points, margin)?;
+    let mut features = solver::visible_features(camera, &bent, &all, &points, margin)?;
     let sensor = &camera.sensor;
     features.retain(|f| {
         let inside = |x: f64, size: u32| x >= 0.0 && x < f64::from(size);
@@ -155,7 +155,7 @@ fn information(
         return Ok(result);
     }
     let poses: Vec<_> = seen.iter().map(|&i| all[i]).collect();
-    let problem = Problem { camera, poses: &poses, features: &features, centers: &[] };
+    let problem = Problem { camera, board: bent, poses: &poses, features: &features, centers: &[] };
     let cost = CostOptions { fixed: calibration.cost.fixed.clone(), ..CostOptions::default() };
     for (i, information) in seen.into_iter().zip(solver::frame_information(&problem, &cost)?) {
         result[i] = information;

@@ -159,7 +159,11 @@ fn points_at(
     let trust = |((pixel, point), s): ((&[f64; 2], &Point3<f64>), solver::PointSensitivity)| {
         let all = s.by_intrinsics?;
         let of_space = rigid(&point.coords) * motion;
-        let by_intrinsics = all.select_columns(free) - of_space;
+        // Where a point is seen does not depend on the board.
+        let of_camera = DMatrix::from_fn(3, free.len(), |i, j| {
+            if free[j] < all.ncols() { all[(i, free[j])] } else { 0.0 }
+        });
+        let by_intrinsics = of_camera - of_space;
         let spread = &by_intrinsics * &covariance * by_intrinsics.transpose();
         Some(PointTrust {
             pixel_px: *pixel,
@@ -214,15 +218,25 @@ fn rigid(point: &Vector3<f64>) -> DMatrix<f64> {
 /// The rigid motion of all boards together that goes with a change of the intrinsic parameters: six
 /// rows, by least squares over the outer corners of all boards.
 fn motion_of_boards(calibration: &Calibration, board: &Board) -> DMatrix<f64> {
-    let follow = &calibration.uncertainty.poses_by_intrinsics;
+    let uncertainty = &calibration.uncertainty;
+    let follow = &uncertainty.poses_by_intrinsics;
+    // Corners move with the shape of their board too, in the mean like this.
+    let mut by_shape = DMatrix::zeros(3, follow.ncols());
+    let rows = uncertainty.shape_rows(calibration.camera.lens_types());
+    for (row, motion) in rows.into_iter().zip(calibration.board.bent.mean_motion_mm()) {
+        if let Some(row) = row {
+            by_shape.set_column(row, &motion);
+        }
+    }
     let mut normal = Matrix6::zeros();
     let mut right = DMatrix::zeros(6, follow.ncols());
     for (i, pose) in calibration.poses.iter().enumerate() {
         let of_pose = follow.rows(6 * i, 6);
+        let of_shape = pose.camera_from_board.rotation.to_rotation_matrix().matrix() * &by_shape;
         for corner in board.outer_corners_mm() {
             let place = pose.camera_from_board * corner;
             let space = rigid(&place.coords);
-            let moved = by_pose(&pose.camera_from_board, &corner) * of_pose;
+            let moved = by_pose(&pose.camera_from_board, &corner) * of_pose + &of_shape;
             normal += space.tr_mul(&space).fixed_view::<6, 6>(0, 0);
             right += space.tr_mul(&moved);
         }
@@ -258,83 +272,4 @@ pub(super) fn largest_mm<'a>(
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::calibration::{CalibrationOptions, Mode, Start, calibrate};
-    use crate::model::{FramePose, Noise, Observations, intrinsic_parameters};
-    use crate::solver::{small_camera as camera, synthesize};
-
-    const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
-    const EXACT: Noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };
-
-    /// Boards tilted in different ways.
-    fn poses() -> Vec<FramePose> {
-        [([0.4, 0.1, 0.0], 90.0), ([-0.3, 0.4, 0.1], 105.0), ([0.1, -0.5, 0.2], 120.0)]
-            .into_iter()
-            .zip(0..)
-            .map(|((turn, distance), frame)| {
-                let rotation = UnitQuaternion::from_scaled_axis(Vector3::from(turn));
-                let middle = (rotation * BOARD.middle_mm()).coords;
-                let place = Vector3::new(0.0, 0.0, distance) - middle;
-                FramePose { frame, camera_from_board: Translation3::from(place) * rotation }
-            })
-            .collect()
-    }
-
-    fn calibrated(camera: PlenopticCamera, observations: &Observations, mode: Mode) -> Calibration {
-        let paper = CalibrationOptions::paper();
-        let options = if mode == Mode::PosesOnly { paper.of_poses_only() } else { paper };
-        calibrate(&Start::Camera(camera), &BOARD, observations, &options, &mut |_| true).unwrap()
-    }
-
-    fn outer_corners(calibration: &Calibration) -> Vec<Vector3<f64>> {
-        let of_pose = |p: &FramePose| {
-            BOARD.outer_corners_mm().map(|corner| (p.camera_from_board * corner).coords)
-        };
-        calibration.poses.iter().flat_map(of_pose).collect()
-    }
-
-    /// The rotation and translation that take points to others best: by singular values (Kabsch).
-    fn rigid_motion(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> (Matrix3<f64>, Vector3<f64>) {
-        let middle =
-            |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-        let (a, b) = (middle(from), middle(to));
-        let both: Matrix3<f64> =
-            from.iter().zip(to).map(|(p, q)| (q - b) * (p - a).transpose()).sum();
-        let svd = both.svd(true, true);
-        let rotation = svd.u.unwrap() * svd.v_t.unwrap();
-        (rotation, b - rotation * a)
-    }
-
-    /// With another camera, the boards are found elsewhere. What their motion has in common is taken
-    /// off the error of a point.
-    #[test]
-    fn the_motion_taken_off_is_that_of_boards_posed_with_another_camera() {
-        /// Norm of the change of all residuals, px: so small that the motion is in proportion to it.
-        const CHANGE: f64 = 1e-3;
-        const TOLERANCE: f64 = 1e-3;
-        let observations = synthesize(&camera(), &BOARD, &poses(), &EXACT, 1).unwrap();
-        let calibration = calibrated(camera(), &observations, Mode::Full);
-        let motion = motion_of_boards(&calibration, &BOARD);
-        let before = outer_corners(&calibration);
-        let uncertainty = &calibration.uncertainty;
-        for (column, &index) in uncertainty.free_intrinsics.iter().enumerate() {
-            let parameter = &intrinsic_parameters(3)[index];
-            let change = CHANGE / uncertainty.information[column].sqrt();
-            let mut other = calibration.camera.clone();
-            parameter.set(&mut other, parameter.value(&calibration.camera) + change);
-            let posed = calibrated(other, &observations, Mode::PosesOnly);
-            let (rotation, translation) = rigid_motion(&before, &outer_corners(&posed));
-            let mut largest: f64 = 0.0;
-            let mut off: f64 = 0.0;
-            for point in [[0.0, 0.0, 80.0], [20.0, -10.0, 100.0], [-15.0, 15.0, 130.0]] {
-                let point = Vector3::from(point);
-                let found = rotation * point + translation - point;
-                let expected = rigid(&point) * motion.column(column) * change;
-                largest = largest.max(found.norm());
-                off = off.max((found - &expected).norm());
-            }
-            assert!(off < TOLERANCE * largest, "{}: {off} of {largest}", parameter.name);
-        }
-    }
-}
+mod tests;

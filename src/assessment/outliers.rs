@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::calibration::Calibration;
-use crate::model::{FeatureResidual, FramePose, intrinsic_parameters};
+use crate::model::{FeatureResidual, FramePose, shared_parameters};
 use crate::numerics::median;
 
 /// The norm of two independent standard normal numbers has this median.
@@ -127,7 +127,7 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
 fn influence(calibration: &Calibration, frame: usize) -> Option<Influence> {
     let uncertainty = &calibration.uncertainty;
     let changes = &uncertainty.left_out_changes;
-    let parameters = intrinsic_parameters(calibration.camera.lens_types());
+    let parameters = shared_parameters(calibration.camera.lens_types());
     let of = |(row, &index): (usize, &usize)| {
         let column = changes.column(row);
         let rest: Vec<f64> = (0..changes.nrows())

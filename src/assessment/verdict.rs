@@ -249,9 +249,9 @@ fn of_boards(calibration: &Calibration) -> Vec<Reason> {
 fn of_parameters(calibration: &Calibration) -> Vec<Reason> {
     let uncertainty = &calibration.uncertainty;
     let parameters = intrinsic_parameters(calibration.camera.lens_types());
-    let lengths = uncertainty.free_intrinsics.iter().enumerate().filter(|(row, index)| {
-        LENGTHS.contains(&parameters[**index].name) && uncertainty.determined[*row]
-    });
+    let is_length = |index: usize| parameters.get(index).is_some_and(|p| LENGTHS.contains(&p.name));
+    let free = uncertainty.free_intrinsics.iter().enumerate();
+    let lengths = free.filter(|(row, index)| is_length(**index) && uncertainty.determined[*row]);
     let mut dominant: Option<(usize, usize, f64)> = None;
     let mut uncertain: Option<(usize, f64)> = None;
     for (row, &index) in lengths {

@@ -11,7 +11,9 @@ use std::fmt;
 
 use crate::calibration::{CalibrationOptions, Mode, Start, Warning};
 use crate::error::{Error, Result};
-use crate::model::{PlenopticCamera, intrinsic_parameters, optics};
+use crate::model::{
+    BoardShape, PlenopticCamera, SHAPE_PARAMETERS, intrinsic_parameters, optics, shared_parameters,
+};
 use crate::solver::Anchor;
 
 /// Name of |m| among the quantities of anchors.
@@ -38,6 +40,8 @@ pub enum AnchorSource {
     Start,
     /// The middle of the sensor.
     SensorMiddle,
+    /// That boards are made to be flat.
+    FlatBoard,
     /// The user.
     Stated,
 }
@@ -74,6 +78,7 @@ impl fmt::Display for AnchorSource {
             Self::WhiteImages => "white images",
             Self::Start => "starting camera",
             Self::SensorMiddle => "middle of the sensor",
+            Self::FlatBoard => "flat board",
             Self::Stated => "stated",
         })
     }
@@ -89,7 +94,7 @@ fn unit(quantity: &str) -> &'static str {
     if LEAN.contains(&quantity) {
         return "mm^-1";
     }
-    let all = intrinsic_parameters(crate::model::MAX_LENS_TYPES);
+    let all = shared_parameters(crate::model::MAX_LENS_TYPES);
     all.iter().find(|parameter| parameter.name == quantity).map_or("mm", |parameter| parameter.unit)
 }
 
@@ -174,7 +179,7 @@ fn is_free(quantity: &str, fixed: &[String]) -> bool {
 
 /// An error that names an anchor that is not possible.
 pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> Result<()> {
-    let known = intrinsic_parameters(lens_types);
+    let known = shared_parameters(lens_types);
     let names = || -> Vec<String> {
         let parameters = known.iter().map(|p| p.name.to_owned());
         let of_white_images = [SLOPE].into_iter().chain(LEAN).map(str::to_owned);
@@ -210,7 +215,7 @@ pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> 
         if stated[..i].iter().any(|other| other.quantity == *quantity) {
             return Err(Error::invalid(format!("{quantity} is anchored twice")));
         }
-        if !is_free(quantity, &options.cost.fixed) {
+        if !is_free(quantity, &options.cost.fixed) || options.keeps(quantity) {
             return Err(Error::invalid(format!(
                 "{quantity} is anchored, but it is fixed: an anchor would have no effect; leave one \
                  of the two out"
@@ -228,10 +233,11 @@ pub(super) fn pulled(results: &[AnchorResult]) -> impl Iterator<Item = Warning> 
     results.iter().filter(|r| r.pull().abs() > PULLED).cloned().map(Warning::AnchorPulled)
 }
 
-/// What became of the anchors in the refined camera.
+/// What became of the anchors in the refined camera and board.
 pub(super) fn results(
     anchors: Vec<(Anchor, AnchorSource)>,
     camera: &PlenopticCamera,
+    shape: &BoardShape,
 ) -> Vec<AnchorResult> {
     let value = |quantity: &str| {
         if quantity == SLOPE {
@@ -242,6 +248,9 @@ pub(super) fn results(
         }
         if let Some(axis) = LEAN.iter().position(|name| *name == quantity) {
             return optics::lean_per_mm(camera)[axis];
+        }
+        if let Some(parameter) = SHAPE_PARAMETERS.iter().find(|p| p.name == quantity) {
+            return parameter.value(shape);
         }
         let parameters = intrinsic_parameters(camera.lens_types());
         parameters.iter().find(|p| p.name == quantity).map_or(f64::NAN, |p| p.value(camera))

@@ -4,7 +4,7 @@
 use crate::calibration::{CalibrationOptions, LeftOut, Mode, NoPose, Start, Warning};
 use crate::error::{Error, Result};
 use crate::model::{
-    BapFeature, Board, FramePose, Observations, PlenopticCamera, Reprojection, intrinsic_parameters,
+    BapFeature, Board, FramePose, Observations, PlenopticCamera, Reprojection, shared_parameters,
 };
 use crate::precalibration::MicroImageArray;
 use crate::solver::{self, Refinement, Uncertainty};
@@ -134,7 +134,7 @@ pub(super) fn undetermined(camera: &PlenopticCamera, uncertainty: &Uncertainty) 
     if rank == parameters {
         return None;
     }
-    let all = intrinsic_parameters(camera.lens_types());
+    let all = shared_parameters(camera.lens_types());
     let names = uncertainty.undetermined_intrinsics().into_iter().map(|i| all[i].name).collect();
     Some(Warning::Undetermined { rank, parameters, names })
 }

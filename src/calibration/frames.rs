@@ -8,8 +8,8 @@ use tracing::debug;
 use crate::calibration::{LeftOut, initial_poses};
 use crate::error::{Error, Result};
 use crate::model::{
-    BapFeature, Board, FeatureResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
-    intrinsic_parameters,
+    BapFeature, BentBoard, Board, FeatureResidual, FramePose, MicroImageCenter, Observations,
+    PlenopticCamera, shared_parameters,
 };
 use crate::solver::{
     self, CostOptions, Problem, Projected, SolverCenter, SolverFeature, SolverOptions,
@@ -42,7 +42,7 @@ pub(super) struct Frames {
 /// the solver would need half as many steps again to leave it.)
 pub(super) fn initial_frames(
     camera: &PlenopticCamera,
-    board: &Board,
+    board: &BentBoard,
     observations: &Observations,
     cost: &CostOptions,
     solver: &SolverOptions,
@@ -54,7 +54,7 @@ pub(super) fn initial_frames(
     let mut left_out = Vec::new();
     let mut candidates = Vec::new();
     for (&frame, features) in &by_frame {
-        match initial_poses(camera, board, features) {
+        match initial_poses(camera, &board.board, features) {
             Ok(poses) => candidates.push((frame, poses)),
             Err(reason) => left_out.push(LeftOut { frame, features: features.len(), reason }),
         }
@@ -80,22 +80,21 @@ pub(super) fn initial_frames(
 /// The initial camera may be too inaccurate to decide, and a mirrored board then keeps the refinement
 /// in a wrong minimum. The refined camera can decide.
 pub(super) fn reconsidered_poses(
-    camera: &PlenopticCamera,
-    board: &Board,
+    refined: &Problem,
     frames: &Frames,
-    refined: &[Isometry3<f64>],
     cost: &CostOptions,
     solver: &SolverOptions,
 ) -> Result<Option<Vec<FramePose>>> {
+    let Problem { camera, board, .. } = refined;
     let candidates: Vec<(u32, Vec<Isometry3<f64>>)> = frames
         .poses
         .iter()
-        .zip(refined)
+        .zip(refined.poses)
         .map(|(pose, &refined)| {
             let seen: Vec<BapFeature> =
                 frames.features.iter().filter(|f| f.frame == pose.frame).copied().collect();
             let mut poses = vec![refined];
-            let others = initial_poses(camera, board, &seen).unwrap_or_default();
+            let others = initial_poses(camera, &board.board, &seen).unwrap_or_default();
             poses.extend(
                 others.into_iter().filter(|p| p.rotation.angle_to(&refined.rotation) > ALIKE_RAD),
             );
@@ -120,7 +119,7 @@ pub(super) fn reconsidered_poses(
 /// A later candidate has to be better by more than [`CLEARLY_LOWER`].
 fn choose(
     camera: &PlenopticCamera,
-    board: &Board,
+    board: &BentBoard,
     candidates: &[(u32, Vec<Isometry3<f64>>)],
     features: &[BapFeature],
     cost: &CostOptions,
@@ -128,7 +127,7 @@ fn choose(
 ) -> Result<Vec<usize>> {
     let mut best = vec![(f64::INFINITY, 0); candidates.len()];
     let rounds = candidates.iter().map(|(_, poses)| poses.len()).max().unwrap_or(0);
-    let parameters = intrinsic_parameters(camera.lens_types());
+    let parameters = shared_parameters(camera.lens_types());
     let fixed = parameters.iter().map(|parameter| parameter.name.to_owned()).collect();
     let cost = CostOptions { fixed, anchors: Vec::new(), ..cost.clone() };
     let solver = SolverOptions { max_iterations: CHOICE_ITERATIONS, ..*solver };
@@ -142,9 +141,14 @@ fn choose(
         let seen: Vec<BapFeature> =
             features.iter().filter(|f| start.iter().any(|p| p.frame == f.frame)).copied().collect();
         let start_poses: Vec<Isometry3<f64>> = start.iter().map(|p| p.camera_from_board).collect();
-        let solver_features = solver_features(&seen, &start, board);
-        let problem =
-            Problem { camera, poses: &start_poses, features: &solver_features, centers: &[] };
+        let solver_features = solver_features(&seen, &start, &board.board);
+        let problem = Problem {
+            camera,
+            board: *board,
+            poses: &start_poses,
+            features: &solver_features,
+            centers: &[],
+        };
         let refined = solver::refine(&problem, &cost, &solver, &mut |_| true)?;
         let costs: BTreeMap<u32, f64> =
             start.iter().map(|pose| pose.frame).zip(refined.frame_costs).collect();
@@ -229,7 +233,7 @@ mod tests {
     use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
     use super::*;
-    use crate::model::{Noise, intrinsic_parameters};
+    use crate::model::Noise;
     use crate::solver::{Loss, LossKind, small_camera as camera, synthesize};
 
     const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
@@ -246,7 +250,13 @@ mod tests {
         let camera = camera();
         let start = [FramePose { frame: 0, camera_from_board: *pose }];
         let rows = solver_features(features, &start, &BOARD);
-        let problem = Problem { camera: &camera, poses: &[*pose], features: &rows, centers: &[] };
+        let problem = Problem {
+            camera: &camera,
+            board: BOARD.into(),
+            poses: &[*pose],
+            features: &rows,
+            centers: &[],
+        };
         feature_residuals(&problem, features).unwrap()
     }
 
@@ -258,7 +268,13 @@ mod tests {
         let camera = camera();
         let start = [FramePose { frame: 0, camera_from_board: *pose }];
         let rows = solver_features(features, &start, &BOARD);
-        let problem = Problem { camera: &camera, poses: &[*pose], features: &rows, centers: &[] };
+        let problem = Problem {
+            camera: &camera,
+            board: BOARD.into(),
+            poses: &[*pose],
+            features: &rows,
+            centers: &[],
+        };
         let solver =
             SolverOptions { max_iterations: CHOICE_ITERATIONS, ..SolverOptions::default() };
         solver::refine(&problem, cost, &solver, &mut |_| true).unwrap().poses[0]
@@ -285,7 +301,7 @@ mod tests {
             feature.rho_px = feature.rho_px.map(|rho| rho - 100.0 * r.drho_px.unwrap());
         }
         let fixed =
-            intrinsic_parameters(3).iter().map(|parameter| parameter.name.to_owned()).collect();
+            shared_parameters(3).iter().map(|parameter| parameter.name.to_owned()).collect();
         let cost = CostOptions {
             loss: Loss { kind: LossKind::Cauchy, scale: 0.1 },
             fixed,
@@ -301,9 +317,15 @@ mod tests {
         );
 
         let solver = SolverOptions::default();
-        let chosen =
-            choose(&camera(), &BOARD, &[(0, vec![mirrored, right])], &features, &cost, &solver)
-                .unwrap();
+        let chosen = choose(
+            &camera(),
+            &BOARD.into(),
+            &[(0, vec![mirrored, right])],
+            &features,
+            &cost,
+            &solver,
+        )
+        .unwrap();
         assert_eq!(chosen, [1]);
     }
 }

@@ -1,6 +1,7 @@
 //! Calibration from observations (paper, section 5): initial intrinsics, initial poses, refinement.
 
 mod anchors;
+mod board;
 mod checks;
 mod common_errors;
 mod frames;
@@ -15,6 +16,7 @@ mod warning;
 mod words;
 
 pub use anchors::{AnchorResult, AnchorSource, SLOPE, intercept_name};
+pub use board::{BoardModel, BoardResult};
 pub use initial::initial_camera;
 pub use options::{CalibrationOptions, Mode, Start, Weights};
 pub use poses::initial_poses;

@@ -1,12 +1,13 @@
 //! Input of a calibration: its start, what it estimates, and its cost.
 
+use crate::calibration::BoardModel;
 use crate::calibration::anchors::check_anchors;
 use crate::error::{Error, Result};
 use crate::model::{
-    Datasheet, InternalParameters, LatticeKind, PlenopticCamera, Sensor, intrinsic_parameters,
-    positive,
+    BoardShape, Datasheet, InternalParameters, LatticeKind, PlenopticCamera, Sensor, positive,
+    shared_parameters,
 };
-use crate::solver::{CostOptions, SolverOptions};
+use crate::solver::{CostOptions, SolverOptions, shape_names};
 use serde::{Deserialize, Serialize};
 
 /// What is estimated.
@@ -65,6 +66,8 @@ pub struct CalibrationOptions {
     pub default_anchors: bool,
     /// Quantities without a default anchor.
     pub not_anchored: Vec<String>,
+    /// What the board is taken for.
+    pub board: BoardModel,
     /// e_z to begin with, or to keep if `cost` fixes it, mm; if not given, that of the start (0 of a datasheet).
     pub exit_pupil_mm: Option<f64>,
     /// κ to begin with, or to keep, mm⁻¹, likewise.
@@ -90,6 +93,7 @@ impl Default for CalibrationOptions {
             automatic_loss: true,
             default_anchors: true,
             not_anchored: Vec::new(),
+            board: BoardModel::Auto,
             exit_pupil_mm: None,
             field_curvature_per_mm: None,
             field_curvature_growth_per_mm: None,
@@ -161,13 +165,14 @@ impl Start {
 
 impl CalibrationOptions {
     /// The calibration of the paper: every observation has the same weight, no loss, no anchors, the exit
-    /// pupil in the lens, a flat field, f from ρ.
+    /// pupil in the lens, a flat field, f from ρ, a flat board.
     #[must_use]
     pub fn paper() -> Self {
         Self {
             weights: Weights::Unit,
             automatic_loss: false,
             default_anchors: false,
+            board: BoardModel::Flat,
             exit_pupil_mm: Some(0.0),
             field_curvature_per_mm: Some(0.0),
             field_curvature_growth_per_mm: Some(0.0),
@@ -176,11 +181,13 @@ impl CalibrationOptions {
         }
     }
 
-    /// These options for poses alone: without what they say of the camera, which is then fixed.
+    /// These options for poses of a board of this shape alone: without what they say of camera and board, which are
+    /// then fixed.
     #[must_use]
-    pub fn of_poses_only(&self) -> Self {
+    pub fn of_poses_only(&self, shape: BoardShape) -> Self {
         Self {
             mode: Mode::PosesOnly,
+            board: BoardModel::Known(shape),
             exit_pupil_mm: None,
             field_curvature_per_mm: None,
             field_curvature_growth_per_mm: None,
@@ -188,6 +195,20 @@ impl CalibrationOptions {
             cost: CostOptions { anchors: Vec::new(), ..self.cost.clone() },
             ..self.clone()
         }
+    }
+
+    /// The shape of the board to begin with, or to keep.
+    pub(super) fn known_shape(&self) -> BoardShape {
+        match self.board {
+            BoardModel::Known(shape) => shape,
+            BoardModel::Auto | BoardModel::Flat | BoardModel::Bent => BoardShape::default(),
+        }
+    }
+
+    /// Whether the board keeps a parameter of its shape.
+    pub(super) fn keeps(&self, quantity: &str) -> bool {
+        let known = matches!(self.board, BoardModel::Flat | BoardModel::Known(_));
+        known && shape_names().any(|name| name == quantity)
     }
 
     /// An error that names an impossible option, or one that does not fit this start.
@@ -201,6 +222,12 @@ impl CalibrationOptions {
             return Err(Error::invalid(
                 "the camera is fixed where only poses are estimated: leave out where its exit pupil is and \
                  whether its field is flat",
+            ));
+        }
+        if self.mode == Mode::PosesOnly && self.board == BoardModel::Bent {
+            return Err(Error::invalid(
+                "the board is to be bent by what comes out, but the shape of a board is estimated together with a \
+                 camera: give the shape that it had there",
             ));
         }
         positive(self.cost.uv_std_dev_px, "the standard deviation of (u, v) (px)")?;
@@ -217,7 +244,7 @@ impl CalibrationOptions {
         if self.solver.max_iterations == 0 || self.solver.threads == 0 {
             return Err(Error::invalid("iterations and threads have to be at least 1"));
         }
-        let known = intrinsic_parameters(start.lens_types());
+        let known = shared_parameters(start.lens_types());
         for name in &self.cost.fixed {
             if !known.iter().any(|parameter| parameter.name == *name) {
                 let names: Vec<&str> = known.iter().map(|p| p.name).collect();

@@ -7,7 +7,7 @@ use crate::calibration::CalibrationOptions;
 use crate::calibration::checks::check_refined;
 use crate::calibration::frames::{Frames, reconsidered_poses};
 use crate::error::Result;
-use crate::model::Board;
+use crate::model::BentBoard;
 use crate::solver::{
     self, CommonError, CostOptions, Iteration, Loss, LossKind, Problem, Refinement, SolverOptions,
     Termination, Uncertainty,
@@ -30,7 +30,6 @@ const LEAST_WEIGHT: f64 = 1e-6;
 
 /// What a refinement needs besides the problem.
 pub(super) struct Settings<'a> {
-    pub board: &'a Board,
     pub frames: &'a Frames,
     pub options: &'a CalibrationOptions,
     /// Errors that observations have in common.
@@ -116,8 +115,13 @@ fn followed(so_far: Option<Refinement>, next: Refinement) -> Refinement {
 }
 
 /// A problem at the end of a refinement, if there is one.
-fn at_end<'a>(problem: &Problem<'a>, refinement: Option<&'a Refinement>) -> Problem<'a> {
-    refinement.map_or(*problem, |r| Problem { camera: &r.camera, poses: &r.poses, ..*problem })
+pub(super) fn at_end<'a>(problem: &Problem<'a>, refinement: Option<&'a Refinement>) -> Problem<'a> {
+    refinement.map_or(*problem, |r| Problem {
+        camera: &r.camera,
+        board: BentBoard { shape: r.shape, ..problem.board },
+        poses: &r.poses,
+        ..*problem
+    })
 }
 
 /// Refines, and, unless it is a rough refinement, repeats if the tilt of a board turns out to have the
@@ -130,7 +134,7 @@ fn refine(
     rough: bool,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Refinement> {
-    let Settings { board, frames, options, .. } = settings;
+    let Settings { frames, options, .. } = settings;
     info!(
         "{} features of {} frames, {} left out; {} centres",
         problem.features.len(),
@@ -145,11 +149,9 @@ fn refine(
         if refinement.termination == Termination::Stopped {
             break;
         }
-        let (camera, poses) = (&refinement.camera, &refinement.poses);
+        let refined = at_end(problem, Some(&refinement));
         // If a repetition fails, the present result stands.
-        let Ok(Some(poses)) =
-            reconsidered_poses(camera, board, frames, poses, cost, &options.solver)
-        else {
+        let Ok(Some(poses)) = reconsidered_poses(&refined, frames, cost, &options.solver) else {
             break;
         };
         info!("refining again: the tilt of some boards changes its sign");
@@ -159,7 +161,7 @@ fn refine(
             break;
         }
         let poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
-        let again = Problem { camera, poses: &poses, ..*problem };
+        let again = Problem { poses: &poses, ..refined };
         let solver = SolverOptions { max_iterations, ..options.solver };
         match solver::refine(&again, cost, &solver, progress) {
             Ok(again) if again.cost < refinement.cost && check_refined(&again).is_ok() => {

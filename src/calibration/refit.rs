@@ -12,12 +12,12 @@ use crate::calibration::stage::center_residuals;
 use crate::calibration::{AnchorSource, Calibration};
 use crate::error::Result;
 use crate::model::{
-    BapFeature, Board, FramePose, MicroImageCenter, PlenopticCamera, Reprojection,
-    intrinsic_parameters,
+    BapFeature, BentBoard, Board, BoardShape, FramePose, MicroImageCenter, PlenopticCamera,
+    Reprojection, SHAPE_PARAMETERS, intrinsic_parameters, shared_parameters,
 };
 use crate::solver::{
-    self, Anchor, CostOptions, Loss, LossKind, Problem, Refinement, SolverCenter, SolverOptions,
-    Termination,
+    self, Anchor, CostOptions, Loss, LossKind, Problem, Refinement, SolverCenter, SolverFeature,
+    SolverOptions, Termination,
 };
 
 /// Where a parameter is taken away, the residuals are large at first. A few steps without loss lead back to
@@ -29,6 +29,8 @@ const ROUGH_ITERATIONS: usize = 4;
 pub struct Minimum {
     /// The camera.
     pub camera: PlenopticCamera,
+    /// The shape of the board.
+    pub shape: BoardShape,
     /// The poses of the boards.
     pub poses: Vec<FramePose>,
     /// What features, centres and anchors contribute to the cost.
@@ -78,6 +80,9 @@ impl<'a> Refit<'a> {
                 parameter.set(&mut start.camera, 0.0);
             }
         }
+        for parameter in SHAPE_PARAMETERS.iter().filter(|p| parameters.contains(&p.name)) {
+            parameter.set(&mut start.shape, 0.0);
+        }
         let cost = self.cost_without(parameters);
         if cost.loss.kind != LossKind::None {
             let loss = Loss { kind: LossKind::None, ..cost.loss };
@@ -107,10 +112,10 @@ impl<'a> Refit<'a> {
         };
         let cost = self.cost_without(parameters);
         let rest = self.refined(&with_poses(false), &cost, self.max_iterations())?;
-        let all = intrinsic_parameters(minimum.camera.lens_types());
+        let all = shared_parameters(minimum.camera.lens_types());
         let fixed = all.iter().map(|parameter| parameter.name.to_owned()).collect();
         let poses_only = CostOptions { fixed, anchors: Vec::new(), ..cost };
-        let left_out = Minimum { camera: rest.camera, ..with_poses(true) };
+        let left_out = Minimum { camera: rest.camera, shape: rest.shape, ..with_poses(true) };
         let solved = self.solve(&left_out, &poses_only, &[], self.max_iterations())?;
         let squares = |(pose, cost): (&FramePose, &f64)| {
             let count = self.features.iter().filter(|f| f.frame == pose.frame).count();
@@ -123,12 +128,22 @@ impl<'a> Refit<'a> {
     pub fn reprojection(&self, minimum: &Minimum) -> Result<Reprojection> {
         let rows = solver_features(&self.features, &minimum.poses, self.board);
         let poses = transforms(&minimum.poses);
-        let problem =
-            Problem { camera: &minimum.camera, poses: &poses, features: &rows, centers: &[] };
+        let problem = self.problem(minimum, &poses, &rows, &[]);
         Ok(Reprojection {
             features: feature_residuals(&problem, &self.features)?,
             centers: center_residuals(&minimum.camera, &self.centers)?,
         })
+    }
+
+    fn problem<'b>(
+        &self,
+        at: &'b Minimum,
+        poses: &'b [Isometry3<f64>],
+        features: &'b [SolverFeature],
+        centers: &'b [SolverCenter],
+    ) -> Problem<'b> {
+        let board = BentBoard { board: *self.board, shape: at.shape };
+        Problem { camera: &at.camera, board, poses, features, centers }
     }
 
     fn max_iterations(&self) -> usize {
@@ -174,8 +189,7 @@ impl<'a> Refit<'a> {
             .collect();
         let features = solver_features(&seen, &start.poses, self.board);
         let poses = transforms(&start.poses);
-        let problem =
-            Problem { camera: &start.camera, poses: &poses, features: &features, centers };
+        let problem = self.problem(start, &poses, &features, centers);
         // Several are solved at a time.
         let solver =
             SolverOptions { max_iterations, threads: 1, ..self.calibration.options.solver };
@@ -191,7 +205,7 @@ impl<'a> Refit<'a> {
         poses: Vec<FramePose>,
         converged: bool,
     ) -> Minimum {
-        let camera = refinement.camera.clone();
+        let (camera, shape) = (refinement.camera.clone(), refinement.shape);
         let known: Vec<(Anchor, AnchorSource)> = self
             .calibration
             .anchors
@@ -199,11 +213,12 @@ impl<'a> Refit<'a> {
             .filter(|known| cost.anchors.contains(&known.anchor))
             .map(|known| (known.anchor.clone(), known.source))
             .collect();
-        let pulls: f64 = results(known, &camera).iter().map(|known| known.pull().powi(2)).sum();
+        let pulls: f64 =
+            results(known, &camera, &shape).iter().map(|known| known.pull().powi(2)).sum();
         let anchors = cost.anchor_weight / 2.0 * pulls;
         let features: f64 = refinement.frame_costs.iter().sum();
         let cost_parts = [features, refinement.cost - features - anchors, anchors];
-        Minimum { camera, poses, cost_parts, converged }
+        Minimum { camera, shape, poses, cost_parts, converged }
     }
 }
 

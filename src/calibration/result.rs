@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::calibration::{AnchorResult, CalibrationOptions, NoPose, Warning};
+use crate::calibration::{AnchorResult, BoardResult, CalibrationOptions, NoPose, Warning};
 use crate::model::{FramePose, PlenopticCamera, Reprojection, optics};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{CostOptions, Refinement, Uncertainty};
@@ -27,6 +27,8 @@ pub struct Calibration {
     pub m_mm: Option<f64>,
     /// The refined camera.
     pub camera: PlenopticCamera,
+    /// The board.
+    pub board: BoardResult,
     /// The poses of the frames used, by frame number.
     pub poses: Vec<FramePose>,
     /// The frames left out.

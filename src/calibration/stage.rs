@@ -4,6 +4,7 @@ use nalgebra::Isometry3;
 use tracing::debug;
 
 use crate::calibration::anchors::{anchors, pulled, results};
+use crate::calibration::board::{Settled, warped};
 use crate::calibration::checks::{
     array_beyond_image, bad_fit, check_indices, check_observations, fronto_parallel,
     outlying_centers, undetermined, without_frames,
@@ -12,14 +13,15 @@ use crate::calibration::common_errors::common_errors;
 use crate::calibration::frames::{
     Frames, feature_residuals, initial_frames, solver_centers, solver_features,
 };
-use crate::calibration::refine::{Refined, Settings};
+use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{
-    AnchorSource, Calibration, CalibrationOptions, Mode, Start, Warning, Weights, initial_camera,
+    AnchorSource, BoardResult, Calibration, CalibrationOptions, Mode, Start, Warning, Weights,
+    initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::model::{
-    Board, CenterResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
-    Reprojection, intrinsic_parameters,
+    BentBoard, Board, CenterResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
+    Reprojection, shared_parameters,
 };
 use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
 use crate::solver::{
@@ -57,36 +59,43 @@ pub fn calibrate(
     }
     check_observations(&start, board, &observations, options)?;
     let (initial, grid) = initial_and_grid(&start, &observations, options)?;
-    let mut frames = frames_with_poses(&initial, board, &observations, options)?;
+    let board = BentBoard { board: *board, shape: options.known_shape() };
+    let mut frames = frames_with_poses(&initial, &board, &observations, options)?;
     frames.left_out.extend(excluded);
 
-    let features = solver_features(&frames.features, &frames.poses, board);
+    let features = solver_features(&frames.features, &frames.poses, &board.board);
     let centers = solver_centers(&observations.centers);
     let poses: Vec<Isometry3<f64>> = frames.poses.iter().map(|p| p.camera_from_board).collect();
     let problem =
-        Problem { camera: &initial, poses: &poses, features: &features, centers: &centers };
+        Problem { camera: &initial, board, poses: &poses, features: &features, centers: &centers };
     let anchors = anchors(&start, options);
     let cost = cost_for(options, &initial, &observations, &anchors);
     let all = (frames.features.as_slice(), observations.centers.as_slice());
     let common = common_errors(&start, &initial, all, &cost, options)?;
-    let settings = Settings { board, frames: &frames, options, common };
-    let Refined { refinement, uncertainty, cost } = settings.refine(&problem, cost, progress)?;
+    let settings = Settings { frames: &frames, options, common };
+    let Settled { refined, anchors, tried } =
+        settings.refine_with_board(&problem, &cost, &anchors, progress)?;
+    let Refined { refinement, uncertainty, cost } = refined;
 
-    let refined = Problem { camera: &refinement.camera, poses: &refinement.poses, ..problem };
+    let refined = at_end(&problem, Some(&refinement));
+    let std_devs = uncertainty.shape_std_devs(initial.lens_types());
+    let board = BoardResult { bent: refined.board, std_devs, tried };
     let reprojection = Reprojection {
         features: feature_residuals(&refined, &frames.features)?,
         centers: center_residuals(&refinement.camera, &observations.centers)?,
     };
     let poses = refined_poses(&frames, &refinement);
     let converged = is_converged(&refinement, &uncertainty, &reprojection);
-    let results = results(anchors, &refinement.camera);
+    let results = results(anchors, &refinement.camera, &refinement.shape);
     let mut warnings = warnings_before(&initial, grid.as_ref(), &observations);
     warnings.extend(pulled(&results));
     warnings.extend(undetermined(&refinement.camera, &uncertainty));
     warnings.extend(bad_fit(&refinement.camera, &reprojection));
     warnings.extend(fronto_parallel(&poses, options.mode));
+    warnings.extend(warped(&board.bent).filter(|_| options.mode != Mode::PosesOnly));
     Ok(Calibration {
         camera: refinement.camera.clone(),
+        board,
         m_mm: start.internal().map(|internal| internal.m_mm),
         poses,
         left_out: frames.left_out,
@@ -180,7 +189,7 @@ pub(super) fn center_residuals(
 /// An error with the reasons if no frame has a pose.
 fn frames_with_poses(
     initial: &PlenopticCamera,
-    board: &Board,
+    board: &BentBoard,
     observations: &Observations,
     options: &CalibrationOptions,
 ) -> Result<Frames> {
@@ -208,7 +217,7 @@ fn cost_for(
         cost.loss.scale = LOSS_SCALE;
     }
     if options.mode == Mode::PosesOnly {
-        let all = intrinsic_parameters(camera.lens_types());
+        let all = shared_parameters(camera.lens_types());
         cost.fixed = all.iter().map(|parameter| parameter.name.to_owned()).collect();
     }
     cost

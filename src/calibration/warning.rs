@@ -52,6 +52,13 @@ pub enum Warning {
     },
     /// The observations pull on an anchor.
     AnchorPulled(AnchorResult),
+    /// The board is bent so far that it should be replaced.
+    WarpedBoard {
+        /// The largest of its sags and its twist, mm.
+        bend_mm: f64,
+        /// Its diagonal, mm.
+        diagonal_mm: f64,
+    },
     /// All boards are nearly parallel to the image plane.
     FrontoParallel {
         /// The largest tilt, degrees.
@@ -109,6 +116,12 @@ impl fmt::Display for Warning {
                     meaning(quantity)
                 )
             }
+            Self::WarpedBoard { bend_mm, diagonal_mm } => write!(
+                f,
+                "the board is bent by {bend_mm:.2} mm, {:.1} % of its diagonal: its shape is estimated with the \
+                 camera, but as a smooth bend that is the same in all frames; take a flatter board",
+                100.0 * bend_mm / diagonal_mm
+            ),
             Self::FrontoParallel { largest_tilt_deg } => write!(
                 f,
                 "all boards are fronto-parallel (tilted by at most {largest_tilt_deg:.1} degrees): \

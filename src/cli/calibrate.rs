@@ -9,14 +9,16 @@ use plenocal::assessment::assess;
 use plenocal::calibration::{Calibration, Mode, Weights, calibrate, termination_text};
 use plenocal::evaluation::{ModelComparison, compare_models, comparison_steps};
 use plenocal::io::{
-    self, AnchorsSection, Blur, CalibrationSection, ExitPupil, FieldCurvature, OutputFolder,
-    Pitches, compote,
+    self, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil, FieldCurvature,
+    OutputFolder, Pitches, compote,
 };
 use plenocal::model::Board;
 use plenocal::solver::{LossKind, Termination};
 use plenocal::{Error, Result, report};
 
-use super::choices::{ANCHORS, BLURS, FIELD_CURVATURES, LOSSES, MODES, PITCHES, WEIGHTS, choice};
+use super::choices::{
+    ANCHORS, BLURS, BOARD_MODELS, FIELD_CURVATURES, LOSSES, MODES, PITCHES, WEIGHTS, choice,
+};
 use super::input::{Files, Input};
 use super::progress;
 use super::talk::{print_result, say, warn, warn_of_calibration, warn_of_frames};
@@ -33,7 +35,7 @@ pub struct Arguments {
     /// Project file (TOML) with the camera, the board, the paths of the observations, and options.
     project: Option<PathBuf>,
 
-    /// Folder for the results: camera.json, poses.json, residuals.csv, solver.txt.
+    /// Folder for the results: camera.json, calibration.json, poses.json, residuals.csv, solver.txt.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
@@ -77,8 +79,15 @@ pub struct Arguments {
     /// How images of a plane are curved [default: estimated].
     #[arg(long, value_parser = choice(FIELD_CURVATURES), help_heading = "Estimation")]
     field_curvature: Option<FieldCurvature>,
+    /// What the board is taken for [default: auto].
+    #[arg(long, value_parser = choice(BOARD_MODELS), help_heading = "Estimation")]
+    board: Option<BoardChoice>,
+    /// The board has the shape that a calibration has found: its calibration.json. With --mode poses-only, that
+    /// beside the camera counts by itself if the board is the same.
+    #[arg(long, value_name = "FILE", conflicts_with = "board", help_heading = "Estimation")]
+    board_shape: Option<PathBuf>,
     /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, kappa, kappa_m, e_z, u0, v0, d,
-    /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3. (e_x and e_y are 0, and dC_ratio is fixed unless
+    /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect. (e_x and e_y are 0, and dC_ratio is fixed unless
     /// --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Estimation")]
     fix: Option<Vec<String>>,
@@ -147,8 +156,8 @@ Examples:
   plenocal calibrate project.toml --fix Q3,P1,P2 --exclude 3,7 --out results
   plenocal calibrate project.toml --compare-models --out results
   plenocal calibrate project.toml --anchor F=51.6:0.2,u0=none --out results
-  plenocal calibrate project.toml --exit-pupil at-lens --field-curvature flat --anchors none \\
-      --weights unit --loss none --blur features --out paper
+  plenocal calibrate project.toml --exit-pupil at-lens --field-curvature flat --board flat \\
+      --anchors none --weights unit --loss none --blur features --out paper
   plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
 
@@ -182,11 +191,6 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let compared =
         arguments.compare_models.then(|| compared(&calibration, &input.board, FOLDS, json));
 
-    stage_results(&mut output, &calibration, with_compote)?;
-    let paths = output.commit()?;
-    warn(&calibration.left_out);
-    warn_of_calibration(&calibration.warnings);
-    warn_of_frames(&assessment);
     let time_s = begun.elapsed().as_secs_f64();
     let mut document = io::calibration_document(&calibration, &assessment, time_s);
     let mut text = report::calibration_text(&calibration, &assessment);
@@ -202,6 +206,15 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         Some(Err(error)) => warn(&[error]),
         None => {}
     }
+
+    stage_results(&mut output, &calibration, with_compote)?;
+    if has_camera(&calibration) {
+        output.stage_json("calibration.json", &document)?;
+    }
+    let paths = output.commit()?;
+    warn(&calibration.left_out);
+    warn_of_calibration(&calibration.warnings);
+    warn_of_frames(&assessment);
     print_result(json, &document, &text, &paths);
     if calibration.converged {
         return Ok(ExitCode::SUCCESS);
@@ -233,6 +246,11 @@ pub(super) fn not_converged(calibration: &Calibration) -> ExitCode {
     ExitCode::from(3)
 }
 
+/// Whether a calibration has estimated a camera; with poses only, it is unchanged.
+fn has_camera(calibration: &Calibration) -> bool {
+    !calibration.uncertainty.free_intrinsics.is_empty()
+}
+
 /// Stages the results of a calibration.
 pub(super) fn stage_results(
     output: &mut OutputFolder,
@@ -257,8 +275,7 @@ pub(super) fn stage_results(
         output.stage_json(folder.join("intrinsics.js"), &intrinsics)?;
         output.stage_json(folder.join("poses.js"), &compote::poses_document(&calibration.poses))?;
     }
-    // With poses only, the camera is unchanged.
-    if !calibration.uncertainty.free_intrinsics.is_empty() {
+    if has_camera(calibration) {
         output.stage_json("camera.json", &io::calibrated_camera_document(calibration))?;
     }
     output.stage_json("poses.json", &poses)?;
@@ -285,6 +302,7 @@ impl Arguments {
             pitches: self.pitches,
             exit_pupil: self.exit_pupil,
             field_curvature: self.field_curvature,
+            board: self.board,
             blur: self.blur,
             fix: self.fix.clone(),
             exclude_frames: self.exclude.clone(),
@@ -308,6 +326,7 @@ impl Arguments {
             scene: self.scene.as_deref(),
             centers: self.centers.as_deref(),
             features: self.features.as_deref(),
+            board_shape: self.board_shape.as_deref(),
         }
     }
 }

@@ -4,7 +4,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use plenocal::calibration::{Mode, Weights};
 use plenocal::detection::DepthEstimator;
 use plenocal::image::Color;
-use plenocal::io::{Blur, FieldCurvature, Pitches};
+use plenocal::io::{Blur, BoardChoice, FieldCurvature, Pitches};
 use plenocal::model::Subset;
 use plenocal::precalibration::RadiusEstimator;
 use plenocal::solver::LossKind;
@@ -35,6 +35,12 @@ pub const FIELD_CURVATURES: &[Choice<FieldCurvature>] = &[
     ),
     ("constant", "The same at all distances", FieldCurvature::Constant),
     ("flat", "None (the paper)", FieldCurvature::Flat),
+];
+
+pub const BOARD_MODELS: &[Choice<BoardChoice>] = &[
+    ("auto", "Flat, unless the frames show that it is bent or stretched", BoardChoice::Auto),
+    ("flat", "Flat (the paper)", BoardChoice::Flat),
+    ("bent", "Bent and stretched, by what comes out", BoardChoice::Bent),
 ];
 
 pub const BLURS: &[Choice<Blur>] = &[

@@ -9,12 +9,12 @@ use plenocal::evaluation::{
     Candidate, Evaluation, EvaluationInput, Folds, evaluate, foldable_frames,
 };
 use plenocal::io::{self, CameraSource, OutputFolder, Project};
-use plenocal::model::{BapFeature, PlenopticCamera, Subset};
+use plenocal::model::{BapFeature, Board, PlenopticCamera, Subset};
 use plenocal::{Error, Result, report};
 
 use super::boards::{self, Options, Shoot, images_of};
 use super::choices::{DEPTH_ESTIMATORS, choice};
-use super::input::{Files, Input};
+use super::input::{Files, Input, board_shape};
 use super::progress;
 use super::talk::{print_result, warn};
 
@@ -41,6 +41,10 @@ pub struct Arguments {
     /// How the virtual depth of a corner is estimated.
     #[arg(long, value_parser = choice(DEPTH_ESTIMATORS), default_value = "line")]
     estimator: DepthEstimator,
+    /// The boards have the shape that a calibration has found: its calibration.json. Otherwise each camera has the
+    /// board of the calibration.json beside it if that is the same board, else a flat one.
+    #[arg(long, value_name = "FILE")]
+    board_shape: Option<PathBuf>,
     /// The true camera, instead of the one in [truth].
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
@@ -62,12 +66,18 @@ Examples:
   plenocal evaluate project.toml --camera results/camera.json --precalibration results \\
       --folds 5 --features results/features.csv --out evaluation";
 
-/// Reads a calibrated camera with its standard deviations, if its file has them.
-pub fn read_candidate(name: &str, path: &Path) -> Result<Candidate> {
+/// Reads a calibrated camera with its standard deviations, if its file has them, and the shape of the board.
+pub fn read_candidate(
+    name: &str,
+    path: &Path,
+    board: &Board,
+    shape: Option<&Path>,
+) -> Result<Candidate> {
     let camera = calibrated(path)?;
     // COMPOTE's files have none.
     let std_devs = io::read_std_devs(path, camera.lens_types()).unwrap_or_default();
-    Ok(Candidate { name: name.to_owned(), camera, std_devs })
+    let board_shape = board_shape(shape, Some(path), board)?.unwrap_or_default();
+    Ok(Candidate { name: name.to_owned(), camera, std_devs, board_shape })
 }
 
 /// Reads a calibrated camera.
@@ -94,7 +104,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut output = OutputFolder::new(&arguments.out)?;
     let project = Project::read(path)?;
     let shoot = Shoot::of(path, &project)?;
-    let candidates = candidates(&arguments.camera)?;
+    let shape = arguments.board_shape.as_deref();
+    let candidates = candidates(&arguments.camera, &shoot.board, shape)?;
     let micro_images = shoot.read_precalibration(&arguments.precalibration)?;
     let folds = match (arguments.folds, &arguments.features) {
         (Some(count), Some(features)) => {
@@ -105,6 +116,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
                 scene: None,
                 centers: Some(&arguments.precalibration.join("centers.csv")),
                 features: Some(features),
+                board_shape: None,
             };
             let Input { start, observations, options, .. } =
                 Input::read(&files, io::CalibrationSection::default())?;
@@ -174,12 +186,12 @@ pub fn evaluated(candidates: &[Candidate], input: &EvaluationInput, quiet: bool)
 }
 
 /// Cameras, named after their files, or after their folders where the file names are the same.
-fn candidates(paths: &[PathBuf]) -> Result<Vec<Candidate>> {
+fn candidates(paths: &[PathBuf], board: &Board, shape: Option<&Path>) -> Result<Vec<Candidate>> {
     let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let alike = |path: &Path| paths.iter().filter(|other| stem(other) == stem(path)).count() > 1;
     let name = |path: &Path| match path.parent() {
         Some(folder) if alike(path) && !folder.as_os_str().is_empty() => stem(folder),
         _ => stem(path),
     };
-    paths.iter().map(|path| read_candidate(&name(path), path)).collect()
+    paths.iter().map(|path| read_candidate(&name(path), path, board, shape)).collect()
 }

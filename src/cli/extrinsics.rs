@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use plenocal::assessment::assess;
-use plenocal::calibration::{CalibrationOptions, Mode, Start, calibrate};
+use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::detection::DepthEstimator;
 use plenocal::io::{self, OutputFolder, Project};
 use plenocal::model::{Observations, Subset};
@@ -15,6 +15,7 @@ use super::boards::{self, Options, Shoot};
 use super::calibrate::{not_converged, stage_results};
 use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::evaluate::calibrated;
+use super::input::board_shape;
 use super::talk::{print_result, warn, warn_of_calibration, warn_of_frames};
 
 /// Find the poses of boards in raw images with a calibrated camera.
@@ -36,6 +37,10 @@ pub struct Arguments {
     /// Folder written by `plenocal precalibrate`.
     #[arg(long, value_name = "DIR")]
     precalibration: PathBuf,
+    /// The board has the shape that a calibration has found: its calibration.json. Otherwise it is that of the
+    /// calibration.json beside the camera if the board is the same, else the board is flat.
+    #[arg(long, value_name = "FILE")]
+    board_shape: Option<PathBuf>,
     /// Which images of the project to search.
     #[arg(long, value_parser = choice(SUBSETS), default_value = "evaluation")]
     subset: Subset,
@@ -63,6 +68,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut output = OutputFolder::new(&arguments.out)?;
     let shoot = Shoot::of(path, &Project::read(path)?)?;
     let camera = calibrated(&arguments.camera)?;
+    let stated = arguments.board_shape.as_deref();
+    let shape = board_shape(stated, Some(&arguments.camera), &shoot.board)?.unwrap_or_default();
     let micro_images = shoot.read_precalibration(&arguments.precalibration)?;
     let search = Options {
         subset: arguments.subset,
@@ -72,7 +79,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     };
     let found = boards::detect_subset(path, &shoot, &micro_images, search, &mut output)?;
     let observations = Observations { centers: Vec::new(), features: found.features() };
-    let options = CalibrationOptions { mode: Mode::PosesOnly, ..CalibrationOptions::default() };
+    let options = CalibrationOptions::default().of_poses_only(shape);
     let result =
         calibrate(&Start::Camera(camera), &shoot.board, &observations, &options, &mut |_| true)?;
     let assessment = assess(&result, &shoot.board)?;

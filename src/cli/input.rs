@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use plenocal::calibration::{CalibrationOptions, Mode, Start};
+use plenocal::calibration::{BoardModel, CalibrationOptions, Mode, Start};
 use plenocal::error::Input as Part;
-use plenocal::io::{self, CalibrationSection, CameraSource, Project};
-use plenocal::model::{Board, Datasheet, Observations};
+use plenocal::io::{self, BoardChoice, CalibrationSection, CameraSource, Project};
+use plenocal::model::{Board, BoardShape, Datasheet, Observations};
 use plenocal::solver::LossKind;
 use plenocal::{Error, Result};
 
@@ -17,6 +17,7 @@ pub struct Files<'a> {
     pub scene: Option<&'a Path>,
     pub centers: Option<&'a Path>,
     pub features: Option<&'a Path>,
+    pub board_shape: Option<&'a Path>,
 }
 
 /// All that the calibration stage takes.
@@ -40,16 +41,45 @@ impl Input {
                 "a loss scale is given, but no loss: choose one with --loss".to_owned(),
             ));
         }
-        let options = section.options();
+        let is_flat = section.board == Some(BoardChoice::Flat);
+        let mut options = section.options();
         let start = start(files, project.as_ref(), options.mode)?;
         let board = match (files.scene, project.as_ref().and_then(|p| p.board)) {
             (Some(path), _) => io::read_board(path)?,
             (None, Some(board)) => board,
             (None, None) => return Err(missing(Part::Board)),
         };
+        let of_camera = files.camera.filter(|_| options.mode == Mode::PosesOnly && !is_flat);
+        if let Some(shape) = board_shape(files.board_shape, of_camera, &board)? {
+            options.board = BoardModel::Known(shape);
+        }
         let rho = options.cost.rho && options.mode != Mode::CornersOnly && start.lens_types() > 0;
         let observations = observations(files, project.as_ref(), rho)?;
         Ok(Self { start, board, observations, options })
+    }
+}
+
+/// The shape of a board that is stated, or that the calibration of a camera has found and left beside it; `None` if
+/// nothing is known.
+pub fn board_shape(
+    stated: Option<&Path>,
+    camera: Option<&Path>,
+    board: &Board,
+) -> Result<Option<BoardShape>> {
+    if let Some(path) = stated {
+        let shape = io::read_board_shape(path, board)?;
+        return shape.map(Some).ok_or_else(|| {
+            Error::invalid(format!(
+                "it has no board_shape of a board of {} x {} inner corners with squares of {} mm",
+                board.columns, board.rows, board.square_mm
+            ))
+            .in_file(path)
+        });
+    }
+    let beside = camera.map(|camera| camera.with_file_name("calibration.json"));
+    match beside.filter(|path| path.is_file()) {
+        Some(path) => io::read_board_shape(&path, board),
+        None => Ok(None),
     }
 }
 

@@ -298,7 +298,9 @@ impl Stages<'_> {
     /// Cameras of this run and their names.
     fn candidates(&self, input: &EvaluationStageInput) -> Result<Vec<Candidate>> {
         let own = if self.has_both() { BLUR_AWARE } else { CORNERS };
-        let named = |(name, file): (&str, &InputFile)| read_candidate(name, &file.path);
+        let board = &self.shoot.board;
+        let named =
+            |(name, file): (&str, &InputFile)| read_candidate(name, &file.path, board, None);
         [own, CORNERS].into_iter().zip(&input.cameras).map(named).collect()
     }
 

@@ -71,7 +71,7 @@ pub fn cross_validate(
         let mut without = options.clone();
         without.exclude_frames.extend(&held_out);
         let calibration = calibrate(start, board, observations, &without, &mut |_| true)?;
-        let Calibration { camera, converged, .. } = calibration;
+        let Calibration { camera, board: found, converged, .. } = calibration;
         let seen = Observations {
             centers: Vec::new(),
             features: observations
@@ -81,8 +81,10 @@ pub fn cross_validate(
                 .copied()
                 .collect(),
         };
-        let poses_only =
-            CalibrationOptions { exclude_frames: Vec::new(), ..options.of_poses_only() };
+        let poses_only = CalibrationOptions {
+            exclude_frames: Vec::new(),
+            ..options.of_poses_only(found.bent.shape)
+        };
         let known = Start::Camera(camera.clone());
         let posed = calibrate(&known, board, &seen, &poses_only, &mut |_| true)?;
         let residuals = posed.reprojection.features;

@@ -9,7 +9,7 @@ use super::cross_validation::frames_of_fold;
 use crate::assessment::image_pattern;
 use crate::calibration::{Calibration, Minimum, Refit};
 use crate::error::{Error, Result};
-use crate::model::{Board, PlenopticCamera, Reprojection, intrinsic_parameters};
+use crate::model::{Board, PlenopticCamera, Reprojection, shared_parameters};
 
 /// With fewer frames, the scatter of their differences says too little.
 const MIN_FRAMES: usize = 6;
@@ -36,16 +36,19 @@ pub enum Group {
     RadialDistortion,
     /// Tangential distortion, P₁ and P₂.
     TangentialDistortion,
+    /// The shape of the board.
+    BoardShape,
 }
 
 impl Group {
     /// All groups.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::ExitPupil,
         Self::FieldCurvature,
         Self::CurvatureGrowth,
         Self::RadialDistortion,
         Self::TangentialDistortion,
+        Self::BoardShape,
     ];
 
     /// Names of its parameters.
@@ -57,6 +60,7 @@ impl Group {
             Self::CurvatureGrowth => &["kappa_m"],
             Self::RadialDistortion => &["Q1", "Q2", "Q3"],
             Self::TangentialDistortion => &["P1", "P2"],
+            Self::BoardShape => &["sag_x", "sag_y", "twist", "aspect"],
         }
     }
 }
@@ -69,6 +73,7 @@ impl fmt::Display for Group {
             Self::CurvatureGrowth => "growth of the field curvature",
             Self::RadialDistortion => "radial distortion",
             Self::TangentialDistortion => "tangential distortion",
+            Self::BoardShape => "shape of the board",
         })
     }
 }
@@ -306,7 +311,7 @@ impl Comparison<'_> {
 
 /// The groups with free parameters, and these.
 fn free_groups(calibration: &Calibration) -> Vec<(Group, Vec<&'static str>)> {
-    let names = intrinsic_parameters(calibration.camera.lens_types());
+    let names = shared_parameters(calibration.camera.lens_types());
     let free: Vec<&str> =
         calibration.uncertainty.free_intrinsics.iter().map(|&i| names[i].name).collect();
     let of_group = |group: Group| {

@@ -6,9 +6,12 @@ use super::{
     CrossValidation, Displacements, ParameterError, PoseErrors, cross_validate, parameter_errors,
     pose_errors,
 };
-use crate::calibration::{Calibration, CalibrationOptions, LeftOut, Mode, Start, calibrate};
+use crate::calibration::{Calibration, CalibrationOptions, LeftOut, Start, calibrate};
 use crate::error::Result;
-use crate::model::{BapFeature, Board, FramePose, Observations, PlenopticCamera, Reprojection};
+use crate::model::{
+    BapFeature, BentBoard, Board, BoardShape, FramePose, Observations, PlenopticCamera,
+    Reprojection,
+};
 
 /// A camera to evaluate.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +22,8 @@ pub struct Candidate {
     pub camera: PlenopticCamera,
     /// Standard deviations of its intrinsic parameters; `None` if not known.
     pub std_devs: Vec<Option<f64>>,
+    /// The shape that its calibration has found of the board, or what else is known of it.
+    pub board_shape: BoardShape,
 }
 
 /// True and estimated poses of the boards of a subset.
@@ -124,16 +129,16 @@ pub struct Evaluation {
     pub problems: Vec<String>,
 }
 
-/// Estimates the poses of boards with a fixed camera.
+/// Estimates the poses of a board of known shape with a fixed camera.
 pub fn pose_boards(
     camera: &PlenopticCamera,
-    board: &Board,
+    bent: &BentBoard,
     features: &[BapFeature],
 ) -> Result<Posed> {
-    let options = CalibrationOptions { mode: Mode::PosesOnly, ..CalibrationOptions::default() };
+    let options = CalibrationOptions::default().of_poses_only(bent.shape);
     let seen = Observations { centers: Vec::new(), features: features.to_vec() };
     let start = Start::Camera(camera.clone());
-    let result = calibrate(&start, board, &seen, &options, &mut |_| true)?;
+    let result = calibrate(&start, &bent.board, &seen, &options, &mut |_| true)?;
     let Calibration { poses, reprojection, left_out, converged, .. } = result;
     Ok(Posed { poses, reprojection, left_out, converged })
 }
@@ -173,7 +178,8 @@ fn candidate_result(
 ) -> CandidateResult {
     let name = &candidate.name;
     let mut posed = |subset: &str, features: &[BapFeature]| {
-        let posed = pose_boards(&candidate.camera, &input.board, features);
+        let board = BentBoard { board: input.board, shape: candidate.board_shape };
+        let posed = pose_boards(&candidate.camera, &board, features);
         let what = format!("{name}, boards of {subset}");
         if let Ok(posed) = &posed {
             problems.extend(posed.left_out.iter().map(|l| format!("{what}: {l}")));

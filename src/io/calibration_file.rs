@@ -2,11 +2,12 @@
 
 use serde_json::{Map, Value, json};
 
+use super::board_shape_file::board_shape_document;
 use super::camera_file::errors_text;
 use super::{camera_document, poses_document};
 use crate::assessment::{Assessment, Distance, PointTrust};
 use crate::calibration::{AnchorResult, Calibration, termination_text, weakest_directions_text};
-use crate::model::{Rmse, intrinsic_parameters};
+use crate::model::{Rmse, intrinsic_parameters, shared_parameters};
 use crate::solver::LossKind;
 
 /// The content of `camera.json` for a calibration, `converged` included.
@@ -113,7 +114,7 @@ fn anchors_document(calibration: &Calibration) -> Value {
 /// What each error that all features share changes, by parameter.
 fn common_errors_document(calibration: &Calibration) -> Vec<Value> {
     let uncertainty = &calibration.uncertainty;
-    let names = intrinsic_parameters(calibration.camera.lens_types());
+    let names = shared_parameters(calibration.camera.lens_types());
     let of = |(source, changes): &(String, Vec<f64>)| {
         let change =
             |(&index, change): (&usize, &f64)| (names[index].name.to_owned(), Value::from(*change));
@@ -216,6 +217,7 @@ pub fn calibration_document(
         "time_s": time_s,
         "solver_time_s": refinement.time_s,
         "anchors": anchors_document(calibration),
+        "board_shape": board_shape_document(&calibration.board),
         "standard_deviations": std_devs_document(calibration),
         "common_errors": common_errors_document(calibration),
         "weakest_directions": weakest_directions_text(calibration),

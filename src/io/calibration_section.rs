@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::Deserialize;
 
-use crate::calibration::{CalibrationOptions, Mode, Weights};
+use crate::calibration::{BoardModel, CalibrationOptions, Mode, Weights};
 use crate::error::{Error, Result};
 use crate::solver::{Anchor, Loss, LossKind};
 
@@ -178,6 +178,28 @@ pub enum Blur {
     Features,
 }
 
+/// What the board is taken for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BoardChoice {
+    /// Flat, unless the frames show that it is not.
+    Auto,
+    /// Flat: the paper.
+    Flat,
+    /// Bent and stretched, by what comes out.
+    Bent,
+}
+
+impl From<BoardChoice> for BoardModel {
+    fn from(choice: BoardChoice) -> Self {
+        match choice {
+            BoardChoice::Auto => Self::Auto,
+            BoardChoice::Flat => Self::Flat,
+            BoardChoice::Bent => Self::Bent,
+        }
+    }
+}
+
 /// The curvature of the field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -202,6 +224,8 @@ pub struct CalibrationSection {
     pub exit_pupil: Option<ExitPupil>,
     /// The curvature of the field.
     pub field_curvature: Option<FieldCurvature>,
+    /// What the board is taken for.
+    pub board: Option<BoardChoice>,
     /// Where the focal lengths of the micro-lenses come from.
     pub blur: Option<Blur>,
     /// Parameters that keep their value.
@@ -237,6 +261,7 @@ impl CalibrationSection {
             pitches: self.pitches.or(other.pitches),
             exit_pupil: self.exit_pupil.or(other.exit_pupil),
             field_curvature: self.field_curvature.or(other.field_curvature),
+            board: self.board.or(other.board),
             blur: self.blur.or(other.blur),
             fix: self.fix.or(other.fix),
             anchors: match (self.anchors, other.anchors) {
@@ -280,6 +305,7 @@ impl CalibrationSection {
         let anchored = |name: &str| self.anchors.as_ref().is_some_and(|a| a.knows(name));
         options.cost.fixed.retain(|name| !(["e_x", "e_y"].contains(&&**name) && anchored(name)));
         options.cost.fixed.extend(self.fix.iter().flatten().cloned());
+        options.board = self.board.map_or(options.board, BoardModel::from);
         options.cost.rho = self.blur == Some(Blur::Features);
         options.weights = self.weights.unwrap_or_default();
         options.automatic_loss = self.loss.is_none();

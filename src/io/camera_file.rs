@@ -51,11 +51,13 @@ fn uncertainty_document(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> 
             Some((p.name.to_owned(), json!({ "value": std_dev?, "unit": p.unit })))
         })
         .collect();
-    let names: Vec<&str> =
-        uncertainty.free_intrinsics.iter().map(|&i| parameters[i].name).collect();
+    // What follows those of the camera is of the board.
+    let free = uncertainty.free_intrinsics.iter();
+    let names: Vec<&str> = free.map_while(|&i| Some(parameters.get(i)?.name)).collect();
     let correlations = uncertainty.intrinsic_correlations();
+    let of_camera = correlations.view((0, 0), (names.len(), names.len()));
     let rows: Vec<Vec<f64>> =
-        correlations.row_iter().map(|row| row.iter().copied().collect()).collect();
+        of_camera.row_iter().map(|row| row.iter().copied().collect()).collect();
     json!({
         "standard_deviations": std_devs,
         "correlations": { "parameters": names, "matrix": rows },

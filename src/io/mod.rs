@@ -1,6 +1,7 @@
 //! Files: plenocal's own and COMPOTE's. They are recognised by content, and written all together or not at
 //! all.
 
+mod board_shape_file;
 mod calibration_file;
 mod calibration_section;
 mod camera_file;
@@ -27,10 +28,11 @@ use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
+pub use board_shape_file::read_board_shape;
 pub use calibration_file::{calibrated_camera_document, calibration_document};
 pub use calibration_section::{
-    AnchorEntry, AnchorValue, AnchorsSection, Blur, CalibrationSection, ExitPupil, FieldCurvature,
-    NoAnchor, Pitches,
+    AnchorEntry, AnchorValue, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil,
+    FieldCurvature, NoAnchor, Pitches,
 };
 pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera, read_std_devs};
 pub use data_set_folder::{image_name, stage_data_set};

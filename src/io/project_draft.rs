@@ -179,6 +179,9 @@ impl ProjectDraft<'_> {
 
     fn board(&self, draft: &mut DraftText) {
         draft.table("board", "");
+        draft.line("# Measure the edge of a square over as many as there are, along rows and along columns.");
+        draft.line("# Lay a straight edge along rows, columns and diagonals: the gap under it should be below");
+        draft.line("# 1/2000 of the diagonal, and has to be below 1/200.");
         let board = self.board;
         let columns = board.map(|b| b.columns.to_string());
         draft.value("board", "columns", columns, "inner corners along a row");
@@ -188,7 +191,7 @@ impl ProjectDraft<'_> {
             "board",
             "square_mm",
             board.map(|b| b.square_mm.to_string()),
-            "edge of a square",
+            "edge of a square, the mean of rows and columns",
         );
     }
 

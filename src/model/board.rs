@@ -1,6 +1,6 @@
 //! The checkerboard and its poses.
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::checks::positive;
@@ -49,6 +49,12 @@ impl Board {
         Point3::from(self.point_mm(self.corners() - 1).coords / 2.0)
     }
 
+    /// From the first corner to the last, mm.
+    #[must_use]
+    pub fn diagonal_mm(&self) -> f64 {
+        self.point_mm(self.corners() - 1).coords.norm()
+    }
+
     /// An error unless the board has corners and a size.
     pub fn validate(&self) -> Result<()> {
         let possible = 2..=MAX_BOARD_CORNERS;
@@ -60,6 +66,66 @@ impl Board {
             )));
         }
         positive(self.square_mm, "the edge of the board's squares (mm)")
+    }
+}
+
+/// By how much a board is not the flat grid that it is meant to be, the same in all frames.
+///
+/// With (x, y) from corner 0, and ξ and η from −1 to 1 over the corners along x and y, a corner is at
+///
+/// (x (1 + aspect/2), y (1 − aspect/2), sag_x ξ² + sag_y η² + twist ξη)
+///
+/// in the board frame, whose z points away from the camera. All is 0 for a flat board.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoardShape {
+    /// How much further away the ends of the rows are than their middle, mm.
+    pub sag_x_mm: f64,
+    /// The same of the columns, mm.
+    pub sag_y_mm: f64,
+    /// How much further away the first and the last corner are than the middle, and how much nearer the other
+    /// two, mm.
+    pub twist_mm: f64,
+    /// By which fraction squares are longer along x than along y.
+    pub aspect: f64,
+}
+
+/// A board as it is: what it is meant to be, and its shape.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BentBoard {
+    /// The flat grid of its corners.
+    pub board: Board,
+    /// By how much it differs from that.
+    pub shape: BoardShape,
+}
+
+impl BentBoard {
+    /// The largest of sag and twist, mm.
+    #[must_use]
+    pub fn bend_mm(&self) -> f64 {
+        let BoardShape { sag_x_mm, sag_y_mm, twist_mm, .. } = self.shape;
+        [sag_x_mm, sag_y_mm, twist_mm].into_iter().map(f64::abs).fold(0.0, f64::max)
+    }
+
+    /// By how much its corners are moved in the mean by a small change of each parameter of its shape, mm per
+    /// unit of the parameter, in the board frame; in the order of [`SHAPE_PARAMETERS`](super::SHAPE_PARAMETERS).
+    #[must_use]
+    pub fn mean_motion_mm(&self) -> [Vector3<f64>; 4] {
+        // The mean of ξ² over n equidistant values from −1 to 1.
+        let square = |n: i32| f64::from(n + 1) / f64::from(3 * (n - 1));
+        let middle = self.board.middle_mm() / 2.0;
+        [
+            Vector3::new(0.0, 0.0, square(self.board.columns)),
+            Vector3::new(0.0, 0.0, square(self.board.rows)),
+            Vector3::zeros(),
+            Vector3::new(middle.x, -middle.y, 0.0),
+        ]
+    }
+}
+
+impl From<Board> for BentBoard {
+    fn from(board: Board) -> Self {
+        Self { board, shape: BoardShape::default() }
     }
 }
 

@@ -18,7 +18,7 @@ pub mod optics;
 mod parameters;
 mod reprojection;
 
-pub use board::{Board, FramePose, Subset};
+pub use board::{BentBoard, Board, BoardShape, FramePose, Subset};
 pub(crate) use camera::check_lens_types;
 pub use camera::{
     LensSetting, MAX_MICRO_LENSES, MainLens, MicroLensArray, PlenopticCamera, Sensor,
@@ -36,5 +36,8 @@ pub(crate) use observations::check_centers;
 pub use observations::{
     BapFeature, MIN_CORNERS, MicroImageCenter, Observations, TAKEN, TAKEN_FROM_WHITES,
 };
-pub use parameters::{MAX_LENS_TYPES, Parameter, intrinsic_parameters};
+pub use parameters::{
+    MAX_LENS_TYPES, Named, Parameter, SHAPE, SHAPE_PARAMETERS, intrinsic_parameters,
+    shared_parameters,
+};
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};

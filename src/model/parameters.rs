@@ -1,37 +1,39 @@
-//! The intrinsic parameters: one table with their names, units and places in a camera.
+//! The parameters that all frames share: tables with their names, units and places in a camera and in the
+//! shape of a board.
 //!
-//! The core has its own table (`for_each_parameter` in `plenocal/camera.hpp`); a test sends values
-//! across and compares them name by name.
+//! The core has its own tables (`for_each_parameter` in `plenocal/camera.hpp`, `shared_names` in
+//! `plenocal/board.hpp`); a test sends values across and compares them name by name.
 
+use super::board::BoardShape;
 use super::camera::PlenopticCamera;
 
-/// An intrinsic parameter.
+/// A parameter of a camera, that is an intrinsic one, or of the shape of a board.
 #[derive(Debug, Clone, Copy)]
-pub struct Parameter {
+pub struct Parameter<T: 'static = PlenopticCamera> {
     /// The paper's symbol as it is written in options, tables and files.
     pub name: &'static str,
     /// Unit of its value.
     pub unit: &'static str,
-    get: fn(&PlenopticCamera) -> f64,
-    set: fn(&mut PlenopticCamera, f64),
+    get: fn(&T) -> f64,
+    set: fn(&mut T, f64),
 }
 
-impl Parameter {
-    /// The value in a camera.
+impl<T> Parameter<T> {
+    /// The value in a camera or shape.
     ///
     /// # Panics
     /// If it is the focal length of a lens type that the camera does not have.
     #[must_use]
-    pub fn value(&self, camera: &PlenopticCamera) -> f64 {
-        (self.get)(camera)
+    pub fn value(&self, of: &T) -> f64 {
+        (self.get)(of)
     }
 
-    /// Changes the value in a camera.
+    /// Changes the value in a camera or shape.
     ///
     /// # Panics
     /// Like [`Parameter::value`].
-    pub fn set(&self, camera: &mut PlenopticCamera, value: f64) {
-        (self.set)(camera, value);
+    pub fn set(&self, of: &mut T, value: f64) {
+        (self.set)(of, value);
     }
 }
 
@@ -40,8 +42,8 @@ macro_rules! parameters {
         [$(Parameter {
             name: $name,
             unit: $unit,
-            get: |camera| camera.$($place).+ $([$index])?,
-            set: |camera, value| camera.$($place).+ $([$index])? = value,
+            get: |of| of.$($place).+ $([$index])?,
+            set: |of, value| of.$($place).+ $([$index])? = value,
         }),*]
     };
 }
@@ -87,4 +89,43 @@ static PARAMETERS: [Parameter; WITHOUT_FOCAL_LENGTHS + MAX_LENS_TYPES] = paramet
 #[must_use]
 pub fn intrinsic_parameters(lens_types: usize) -> &'static [Parameter] {
     &PARAMETERS[..WITHOUT_FOCAL_LENGTHS + lens_types]
+}
+
+/// Number of parameters of a board's shape.
+pub const SHAPE: usize = 4;
+
+/// The parameters of a board's shape.
+pub static SHAPE_PARAMETERS: [Parameter<BoardShape>; SHAPE] = parameters![
+    "sag_x" ["mm"] sag_x_mm;
+    "sag_y" ["mm"] sag_y_mm;
+    "twist" ["mm"] twist_mm;
+    "aspect" ["1"] aspect;
+];
+
+/// Name and unit of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Named {
+    /// The name in options, tables and files.
+    pub name: &'static str,
+    /// Unit of its value.
+    pub unit: &'static str,
+}
+
+impl<T> Parameter<T> {
+    /// Name and unit of it.
+    #[must_use]
+    pub fn named(&self) -> Named {
+        Named { name: self.name, unit: self.unit }
+    }
+}
+
+/// All parameters that frames share: the intrinsic parameters of a camera with this many lens types, then those of
+/// the board's shape.
+///
+/// # Panics
+/// Like [`intrinsic_parameters`].
+#[must_use]
+pub fn shared_parameters(lens_types: usize) -> Vec<Named> {
+    let of_shape = SHAPE_PARAMETERS.iter().map(Parameter::named);
+    intrinsic_parameters(lens_types).iter().map(Parameter::named).chain(of_shape).collect()
 }

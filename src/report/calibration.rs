@@ -5,11 +5,15 @@ use std::fmt::Write as _;
 use super::assessment::{
     OBJECT_SPACE, anchors_table, object_space_table, outliers_text, verdict_lines,
 };
+use super::board::board_text;
 use super::common_errors::{COMMON_ERRORS, common_errors_table};
 use super::table::{Table, table};
 use crate::assessment::Assessment;
 use crate::calibration::{Calibration, termination_text, weakest_directions_text};
-use crate::model::{Rmse, display_unit, intrinsic_parameters, with_std_dev};
+use crate::model::{
+    BoardShape, Named, Parameter, Rmse, SHAPE_PARAMETERS, display_unit, intrinsic_parameters,
+    shared_parameters, with_std_dev,
+};
 use crate::solver::LossKind;
 
 /// The result of a calibration on a terminal: parameters, errors, convergence, weakest direction.
@@ -43,8 +47,13 @@ pub(super) fn parameters_table(calibration: &Calibration) -> Table {
     let std_devs = uncertainty.intrinsic_std_devs(lens_types);
     let independent = uncertainty.independent_std_devs(lens_types);
     let values = calibration.initial.intrinsics().into_iter().zip(calibration.camera.intrinsics());
-    for (((parameter, (initial, optimised)), std_dev), independent) in
-        intrinsic_parameters(lens_types).iter().zip(values).zip(std_devs).zip(independent)
+    let of_camera = intrinsic_parameters(lens_types)
+        .iter()
+        .map(Parameter::named)
+        .zip(values)
+        .zip(std_devs.into_iter().zip(independent));
+    for ((parameter, (initial, optimised)), (std_dev, independent)) in
+        of_camera.chain(of_board(calibration))
     {
         let (unit, factor) = display_unit(parameter.name, parameter.unit);
         let (value, deviation) = with_std_dev(optimised * factor, std_dev.map(|s| s * factor));
@@ -73,6 +82,22 @@ pub(super) fn parameters_table(calibration: &Calibration) -> Table {
     table
 }
 
+/// A parameter, its initial and optimised value, and both σ.
+type ParameterRow = ((Named, (f64, f64)), (Option<f64>, Option<f64>));
+
+/// The rows of a board that is not flat.
+fn of_board(calibration: &Calibration) -> Vec<ParameterRow> {
+    let (uncertainty, board) = (&calibration.uncertainty, &calibration.board);
+    let rows = uncertainty.shape_rows(calibration.camera.lens_types());
+    let independent = |row: usize| uncertainty.independent_covariance[(row, row)].sqrt();
+    let of =
+        |((parameter, row), std_dev): ((&Parameter<BoardShape>, Option<usize>), Option<f64>)| {
+            let value = parameter.value(&board.bent.shape);
+            Some(((parameter.named(), (0.0, value)), (std_dev, Some(independent(row?)))))
+        };
+    SHAPE_PARAMETERS.iter().zip(rows).zip(board.std_devs).filter_map(of).collect()
+}
+
 /// What σ rests on.
 fn std_dev_text(calibration: &Calibration) -> String {
     let uncertainty = &calibration.uncertainty;
@@ -88,7 +113,7 @@ fn std_dev_text(calibration: &Calibration) -> String {
         format!(
             " Boards and micro-image centres contradict each other by {std_devs:.0} σ, most in {}; \
              σ does not contain that.",
-            intrinsic_parameters(calibration.camera.lens_types())[index].name
+            shared_parameters(calibration.camera.lens_types())[index].name
         )
     });
     let of_all = uncertainty.std_dev_uncertainties(calibration.camera.lens_types());
@@ -209,6 +234,7 @@ pub(super) fn summary(calibration: &Calibration) -> String {
         ),
     };
     let _ = writeln!(text, "{counts}");
+    let _ = writeln!(text, "{}", board_text(calibration));
     let _ = writeln!(text, "{}", std_dev_text(calibration));
     if !calibration.anchors.is_empty() {
         let _ = writeln!(text, "{}", anchor_weight_text(calibration));

@@ -2,7 +2,7 @@
 
 use super::table::{Table, table};
 use crate::calibration::Calibration;
-use crate::model::intrinsic_parameters;
+use crate::model::shared_parameters;
 
 /// Caption of the table.
 pub(super) const COMMON_ERRORS: &str =
@@ -15,7 +15,7 @@ const SHOWN: [&str; 6] = ["F", "D", "d", "e_z", "theta_x", "theta_y"];
 pub(super) fn common_errors_table(calibration: &Calibration) -> Option<Table> {
     let uncertainty = &calibration.uncertainty;
     let lens_types = calibration.camera.lens_types();
-    let names = intrinsic_parameters(lens_types);
+    let names = shared_parameters(lens_types);
     let std_devs = uncertainty.intrinsic_std_devs(lens_types);
     let shown: Vec<usize> = (0..uncertainty.free_intrinsics.len())
         .filter(|&row| SHOWN.contains(&names[uncertainty.free_intrinsics[row]].name))

@@ -1,6 +1,7 @@
 //! Results for people: tables, text, figures, and the report of a run.
 
 mod assessment;
+mod board;
 mod calibration;
 mod calibration_figures;
 mod common_errors;

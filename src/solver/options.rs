@@ -2,9 +2,16 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::model::SHAPE_PARAMETERS;
+
 /// Names of the intrinsic parameters that the paper's camera does not have: curvature of the field, exit
 /// pupil, a second pitch.
 pub const BEYOND_THE_PAPER: [&str; 6] = ["kappa", "kappa_m", "e_x", "e_y", "e_z", "dC_ratio"];
+
+/// Names of the parameters of a board's shape.
+pub(crate) fn shape_names() -> impl Iterator<Item = &'static str> {
+    SHAPE_PARAMETERS.iter().map(|parameter| parameter.name)
+}
 
 /// Shape of the loss on the norm of an observation's standardised residual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,7 +37,7 @@ pub struct Loss {
 /// What is known of a camera beforehand: one more residual in the cost, (quantity − value)/σ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Anchor {
-    /// Name of an intrinsic parameter, or `m` for |m| = dpF/2(D + e_z) (mm).
+    /// Name of a parameter of the camera or of the board's shape, or `m` for |m| = dpF/2(D + e_z) (mm).
     pub quantity: String,
     /// Its value, in the unit of the parameter.
     pub value: f64,
@@ -53,7 +60,7 @@ pub struct CostOptions {
     pub rho: bool,
     /// Loss on features and on centres.
     pub loss: Loss,
-    /// Names of the intrinsic parameters that keep their value.
+    /// Names of the parameters of camera and board that keep their value.
     pub fixed: Vec<String>,
     /// What is known beforehand, each of another quantity.
     pub anchors: Vec<Anchor>,
@@ -63,7 +70,7 @@ pub struct CostOptions {
 }
 
 impl Default for CostOptions {
-    /// The paper's cost: 1 px each, no loss, no anchors, and only the paper's parameters free.
+    /// The paper's cost: 1 px each, no loss, no anchors, a known board, and only the paper's parameters free.
     fn default() -> Self {
         Self {
             uv_std_dev_px: 1.0,
@@ -71,7 +78,7 @@ impl Default for CostOptions {
             centers_std_dev_px: 1.0,
             rho: true,
             loss: Loss { kind: LossKind::None, scale: 1.0 },
-            fixed: BEYOND_THE_PAPER.map(str::to_owned).to_vec(),
+            fixed: BEYOND_THE_PAPER.into_iter().chain(shape_names()).map(str::to_owned).collect(),
             anchors: Vec::new(),
             anchor_weight: 1.0,
         }

@@ -2,12 +2,13 @@
 
 use nalgebra::{DMatrix, Isometry3, Matrix3, Point3};
 
-use crate::model::PlenopticCamera;
+use crate::model::{BentBoard, PlenopticCamera};
 
 /// A feature as the solver takes it: the frame is an index into the poses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct SolverFeature {
     pub pose: usize,
+    /// Of the flat grid.
     pub board_point_mm: Point3<f64>,
     pub k: i32,
     pub l: i32,
@@ -55,6 +56,7 @@ pub(crate) struct PointSensitivity {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Problem<'a> {
     pub camera: &'a PlenopticCamera,
+    pub board: BentBoard,
     pub poses: &'a [Isometry3<f64>],
     pub features: &'a [SolverFeature],
     pub centers: &'a [SolverCenter],

@@ -2,7 +2,7 @@
 
 use nalgebra::Isometry3;
 
-use crate::model::PlenopticCamera;
+use crate::model::{BoardShape, PlenopticCamera};
 
 /// One iteration of the refinement.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,6 +39,8 @@ pub enum Termination {
 pub struct Refinement {
     /// The refined camera.
     pub camera: PlenopticCamera,
+    /// The refined shape of the board.
+    pub shape: BoardShape,
     /// The refined `camera_from_board`, in the order given.
     pub poses: Vec<Isometry3<f64>>,
     /// Initial cost.

@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Vector2};
 
 use crate::error::Result;
 use crate::model::{
-    BapFeature, Board, FramePose, MicroImageCenter, Noise, NoiseSource, Observations,
+    BapFeature, BentBoard, Board, FramePose, MicroImageCenter, Noise, NoiseSource, Observations,
     PlenopticCamera,
 };
 use crate::solver::{Problem, Projected, SolverFeature};
@@ -25,13 +25,24 @@ pub fn synthesize(
     noise: &Noise,
     seed: u64,
 ) -> Result<Observations> {
+    synthesize_bent(camera, &BentBoard::from(*board), poses, noise, seed)
+}
+
+/// The same of a board that is not flat.
+pub fn synthesize_bent(
+    camera: &PlenopticCamera,
+    board: &BentBoard,
+    poses: &[FramePose],
+    noise: &Noise,
+    seed: u64,
+) -> Result<Observations> {
     let mut source = NoiseSource::new(noise, seed)?;
     let centers = whole_micro_images(camera)?;
     let radius = camera.micro_image_pitch_px() / 2.0 - EDGE_MARGIN_PX;
 
     let mut features = Vec::new();
     for pose in poses {
-        for corner in 0..board.corners() {
+        for corner in 0..board.board.corners() {
             for (center, projected) in
                 centers.iter().zip(project_corner(camera, board, pose, corner, &centers)?)
             {
@@ -79,7 +90,7 @@ fn whole_micro_images(camera: &PlenopticCamera) -> Result<Vec<MicroImageCenter>>
 
 fn project_corner(
     camera: &PlenopticCamera,
-    board: &Board,
+    board: &BentBoard,
     pose: &FramePose,
     corner: i32,
     centers: &[MicroImageCenter],
@@ -88,7 +99,7 @@ fn project_corner(
         .iter()
         .map(|c| SolverFeature {
             pose: 0,
-            board_point_mm: board.point_mm(corner),
+            board_point_mm: board.board.point_mm(corner),
             k: c.k,
             l: c.l,
             u_px: 0.0,
@@ -98,7 +109,13 @@ fn project_corner(
         })
         .collect();
     let poses: [Isometry3<f64>; 1] = [pose.camera_from_board];
-    super::project(&Problem { camera, poses: &poses, features: &features, centers: &[] })
+    super::project(&Problem {
+        camera,
+        board: *board,
+        poses: &poses,
+        features: &features,
+        centers: &[],
+    })
 }
 
 /// A small camera of three lens types, for the tests of rooms above.

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::model::{Parameter, intrinsic_parameters};
+use crate::model::{Named, SHAPE, intrinsic_parameters, shared_parameters};
 
 /// Number of parameters of a pose.
 const POSE_PARAMETERS: usize = 6;
@@ -11,7 +11,8 @@ const POSE_Z: usize = 5;
 
 /// How well observations and anchors determine the parameters.
 ///
-/// The parameters are the free intrinsic parameters, then six for every pose (angle-axis rotation
+/// The parameters are those of the camera and of the board's shape that are free, which are called intrinsic here,
+/// then six for every pose (angle-axis rotation
 /// in rad, translation in mm). There are two covariances. That of independent errors takes every
 /// observation for itself, with the measured variance of its kind. That of shared errors lets all
 /// residuals of a frame, and those of neighbouring centres, have errors in common; it comes from how
@@ -20,7 +21,7 @@ const POSE_Z: usize = 5;
 /// `plenocal/refine.hpp`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Uncertainty {
-    /// Indices of the free parameters into `PlenopticCamera::intrinsics`.
+    /// Indices of the free parameters into [`shared_parameters`]: of the camera, then of the board's shape.
     pub free_intrinsics: Vec<usize>,
     /// Number of independent directions of parameter space that are determined.
     pub rank: usize,
@@ -129,11 +130,24 @@ impl Uncertainty {
         self.by_intrinsic(lens_types, |row| self.std_dev(row))
     }
 
-    /// Indices into `PlenopticCamera::intrinsics` of the free parameters that are not determined.
+    /// Indices into [`shared_parameters`] of the free parameters that are not determined.
     #[must_use]
     pub fn undetermined_intrinsics(&self) -> Vec<usize> {
         let of_row = |(&index, &known): (&usize, &bool)| (!known).then_some(index);
         self.free_intrinsics.iter().zip(&self.determined).filter_map(of_row).collect()
+    }
+
+    /// Standard deviation of each parameter of the board's shape; likewise.
+    #[must_use]
+    pub fn shape_std_devs(&self, lens_types: usize) -> [Option<f64>; SHAPE] {
+        let all = self.by_shared(lens_types, |row| self.std_dev(row));
+        std::array::from_fn(|i| all[all.len() - SHAPE + i])
+    }
+
+    /// Row of each parameter of the board's shape among the free ones; `None` for those fixed.
+    pub(crate) fn shape_rows(&self, lens_types: usize) -> [Option<usize>; SHAPE] {
+        let all = self.by_shared(lens_types, |row| row);
+        std::array::from_fn(|i| all[all.len() - SHAPE + i])
     }
 
     /// Standard deviations of the parameters of a pose: rotation vector (rad), translation (mm);
@@ -181,14 +195,25 @@ impl Uncertainty {
         lens_types: usize,
         of_row: impl Fn(usize) -> T,
     ) -> Vec<Option<T>> {
-        let mut values = vec![None; intrinsic_parameters(lens_types).len()];
+        let mut values = self.by_shared(lens_types, of_row);
+        values.truncate(intrinsic_parameters(lens_types).len());
+        values
+    }
+
+    /// A value for each parameter of camera and board, from the row of the free ones.
+    fn by_shared<T: Clone>(
+        &self,
+        lens_types: usize,
+        of_row: impl Fn(usize) -> T,
+    ) -> Vec<Option<T>> {
+        let mut values = vec![None; shared_parameters(lens_types).len()];
         for (row, &index) in self.free_intrinsics.iter().enumerate() {
             values[index] = Some(of_row(row));
         }
         values
     }
 
-    /// Correlation matrix of the free intrinsic parameters; 0 where one is not determined.
+    /// Correlation matrix of the free parameters of camera and board; 0 where one is not determined.
     #[must_use]
     pub fn intrinsic_correlations(&self) -> DMatrix<f64> {
         let n = self.free_intrinsics.len();
@@ -206,9 +231,9 @@ impl Uncertainty {
     #[must_use]
     pub fn weakest_directions(&self, lens_types: usize) -> Vec<WeakDirection> {
         let undetermined = self.size() - self.rank;
-        let parameters = intrinsic_parameters(lens_types);
+        let parameters = shared_parameters(lens_types);
         let describe = |(i, direction): (usize, &Vec<f64>)| {
-            self.describe(direction, i >= undetermined, parameters)
+            self.describe(direction, i >= undetermined, &parameters)
         };
         let mut directions: Vec<WeakDirection> =
             self.weakest.iter().enumerate().map(describe).collect();
@@ -216,12 +241,7 @@ impl Uncertainty {
         directions
     }
 
-    fn describe(
-        &self,
-        direction: &[f64],
-        determined: bool,
-        parameters: &[Parameter],
-    ) -> WeakDirection {
+    fn describe(&self, direction: &[f64], determined: bool, parameters: &[Named]) -> WeakDirection {
         let share = |row: usize| {
             let square = direction[row].powi(2);
             if determined {

@@ -26,6 +26,7 @@ fn a_project_gives_tables_and_files() {
         .stdout(predicate::str::contains("Converged"))
         .stdout(predicate::str::contains("Weakest directions"))
         .stdout(predicate::str::contains("theta_x"))
+        .stdout(predicate::str::contains("The board is flat: below sag_x 0.0"))
         .stderr(predicate::str::is_empty());
     let camera = read_camera(&out.join("camera.json")).unwrap();
     assert_eq!(camera.lens_types(), 3);
@@ -34,7 +35,8 @@ fn a_project_gives_tables_and_files() {
     let residuals = fs::read_to_string(out.join("residuals.csv")).unwrap();
     assert!(residuals.starts_with("kind,frame,cluster,k,l,lens_type,u,v,rho,du,dv,drho\n"));
     // No other files are left behind.
-    assert_eq!(fs::read_dir(&out).unwrap().count(), 4);
+    assert!(out.join("calibration.json").is_file());
+    assert_eq!(fs::read_dir(&out).unwrap().count(), 5);
 }
 
 #[test]

@@ -9,6 +9,8 @@
 mod anchors;
 mod assessment;
 mod bad_input;
+mod board;
+mod board_scatter;
 mod command_line;
 mod compote;
 mod detect;

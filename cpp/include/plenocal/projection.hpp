@@ -55,8 +55,9 @@ class Motion {
   explicit Motion(const T* block) : translation_{block[3], block[4], block[5]} {
     ceres::AngleAxisToRotationMatrix(block, ceres::RowMajorAdapter3x3(rotation_));
   }
-  /// Transforms a point of the board into the camera frame, mm.
-  Vector3<T> operator()(const Vector3<double>& p) const {
+  /// Transforms a point of the board into the camera frame, mm. U is double or T.
+  template <typename U = double>
+  Vector3<T> operator()(const Vector3<U>& p) const {
     const auto row = [&](int i) {
       return rotation_[3 * i] * p.x + rotation_[3 * i + 1] * p.y + rotation_[3 * i + 2] * p.z +
              translation_[i];

@@ -1,4 +1,5 @@
-// Refinement of camera and poses by non-linear least squares, and the uncertainty of the result.
+// Refinement of camera, board and poses by non-linear least squares, and the uncertainty of the
+// result.
 #pragma once
 
 #include <array>
@@ -15,7 +16,7 @@ namespace plenocal {
 /// standard deviation are not used for a pinhole array.
 struct FeatureObservation {
   int frame;                    ///< index into the poses
-  Vector3<double> board_point;  ///< mm, board frame
+  Vector3<double> board_point;  ///< mm, of the flat grid, board frame
   int k, l;
   Feature<double> observed;                ///< px
   Feature<double> std_dev{1.0, 1.0, 1.0};  ///< px, times that of `CostOptions`
@@ -32,6 +33,8 @@ struct CenterObservation {
 struct Observations {
   std::vector<FeatureObservation> features;
   std::vector<CenterObservation> centers;
+  /// The board that the features show. Its shape is where the refinement starts, or what it keeps.
+  Board board{};
 };
 
 /// Name of |m|, mm (`micro_image_slope`), among the quantities of anchors.
@@ -45,7 +48,7 @@ constexpr std::array<const char*, 2> kLeanNames = {"lean_u", "lean_v"};
 
 /// What is known of a camera beforehand: one more residual, (quantity - value) / std_dev.
 struct Anchor {
-  /// A free intrinsic parameter, see `intrinsic_names`, `kSlopeName`, an `intercept_name` or one of
+  /// A free parameter, see `shared_names`, `kSlopeName`, an `intercept_name` or one of
   /// `kLeanNames`.
   std::string quantity;
   double value;    ///< in the unit of the quantity
@@ -64,9 +67,11 @@ struct CostOptions {
   bool rho = true;
   Loss features_loss;  ///< on |(u, v, rho)| of a feature
   Loss centers_loss;   ///< on |(u, v)| of a centre
-  /// Names of intrinsic parameters that keep their value, see `intrinsic_names`; by default the
-  /// camera is the paper's: the exit pupil in the lens, a flat field, one pitch of the array.
-  std::vector<std::string> fixed = {"kappa", "kappa_m", "e_x", "e_y", "e_z", "dC_ratio"};
+  /// Names of shared parameters that keep their value, see `shared_names`; by default the camera is
+  /// the paper's: the exit pupil in the lens, a flat field, one pitch of the array; and the board
+  /// is known.
+  std::vector<std::string> fixed = {"kappa",    "kappa_m", "e_x",   "e_y",   "e_z",
+                                    "dC_ratio", "sag_x",   "sag_y", "twist", "aspect"};
   std::vector<Anchor> anchors;
   /// w: how many times larger the variance of what the observations say is than their sigma claims,
   /// see `Uncertainty::dispersion`. It keeps observations and anchors in proportion.
@@ -103,9 +108,10 @@ using Progress = std::function<bool(const Iteration&)>;
 /// Why the solver stopped.
 enum class Termination { kConverged, kIterationLimit, kStopped, kFailed };
 
-/// The refined camera and poses, and a record of the solve.
+/// The refined camera, board and poses, and a record of the solve.
 struct Refinement {
   Camera camera;
+  BoardShape<double> board_shape{};
   std::vector<Pose> poses;
   double initial_cost = 0.0;
   double cost = 0.0;
@@ -118,16 +124,18 @@ struct Refinement {
   std::vector<Iteration> iterations;
 };
 
-/// Minimises the cost over the camera's free intrinsic parameters and all poses in one problem.
+/// Minimises the cost over the free parameters of camera and board and all poses in one problem.
 /// Throws std::invalid_argument on input for which the model is not defined. Every frame needs a
-/// feature, and every board point has to be beyond the focal length initially.
+/// feature, every board point has to be beyond the focal length initially, and a board whose shape
+/// is free needs a size.
 Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
                   const Observations& observations, const CostOptions& cost_options,
                   const SolverOptions& solver_options, const Progress& progress = {});
 
 /// How well observations and anchors determine the parameters, at a minimum of the cost.
 ///
-/// Parameters: the free intrinsics, in the order of `for_each_parameter`, then 6 per pose.
+/// Parameters: those that all frames share and that are free, in the order of `shared_names`, then
+/// 6 per pose. The former are called intrinsics here, that of the board's shape included.
 ///
 /// Every covariance here is A^+ S A^+, with S the covariance of the gradient and A the Hessian of
 /// the cost. The two kinds differ in both. H = J'J is the information of the standardised
@@ -152,7 +160,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
 struct Uncertainty {
   static constexpr int kWeakest = 3;       ///< the largest number of rows in `weakest`
   static constexpr int kEnoughFrames = 6;  ///< so many show what the errors of a frame share
-  std::vector<int> free_intrinsics;        ///< indices into `intrinsic_names`
+  std::vector<int> free_intrinsics;        ///< indices into `shared_names`
   int size = 0;                            ///< number of parameters
   int rank = 0;                            ///< number of independent directions that are determined
   /// Whether `covariance` is that of shared errors: with enough frames, or no free intrinsics.

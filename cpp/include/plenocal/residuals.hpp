@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "plenocal/board.hpp"
 #include "plenocal/projection.hpp"
 
 #if defined(__GNUC__)
@@ -53,25 +54,80 @@ void apply_loss(const Loss& loss, int n, T* r) {
 
 /// An observed feature, ready for the functor.
 struct WeightedFeature {
-  Vector3<double> board_point;  ///< mm
+  Vector3<double> board_point;  ///< mm; if the shape of the board is a parameter, of the flat grid
   MicroLens micro_lens;
   Feature<double> observed;  ///< px
   Feature<double> weight;    ///< 1 / sigma of each, 1/px
 };
 
 /// Residuals (u, v, rho) / sigma of features of one frame: 3 each, or 2 for a pinhole array
-/// (I = 0). Parameter blocks: main lens, array, focal lengths (if I > 0), pose.
-template <int I>
+/// (I = 0). Parameter blocks: main lens, array, focal lengths (if I > 0), shape of the board (if
+/// Bent), pose. The derivatives by the shape take a quarter more time, and are left out where it is
+/// known.
+template <int I, bool Bent = false>
 class FeatureResiduals {
  public:
   static constexpr int kResiduals = I == 0 ? 2 : 3;
 
-  FeatureResiduals(std::vector<WeightedFeature> features, double pixel_size, Loss loss)
-      : features_(std::move(features)), pixel_size_(pixel_size), loss_(loss) {}
+  /// Of the board, only its size is used.
+  FeatureResiduals(std::vector<WeightedFeature> features, double pixel_size, Loss loss,
+                   const Board& board = {})
+      : features_(std::move(features)), pixel_size_(pixel_size), loss_(loss), board_(board) {}
 
   template <typename T>
-  PLENOCAL_FLATTEN bool operator()(const T* lens, const T* array, const T* focal_lengths,
-                                   const T* pose, T* residuals) const {
+  bool operator()(const T* lens, const T* array, const T* focal_lengths, const T* shape,
+                  const T* pose, T* residuals) const {
+    static_assert(I > 0 && Bent, "these are the blocks of micro-lenses and a bent board");
+    return evaluate(lens, array, focal_lengths, shape, pose, residuals);
+  }
+
+  /// Without focal lengths, or without a shape.
+  template <typename T>
+  bool operator()(const T* lens, const T* array, const T* focal_lengths_or_shape, const T* pose,
+                  T* residuals) const {
+    static_assert((I > 0) != Bent, "these are the blocks of micro-lenses or of a bent board");
+    constexpr const T* kNone = nullptr;
+    return evaluate(lens, array, Bent ? kNone : focal_lengths_or_shape,
+                    Bent ? focal_lengths_or_shape : kNone, pose, residuals);
+  }
+
+  /// With neither.
+  template <typename T>
+  bool operator()(const T* lens, const T* array, const T* pose, T* residuals) const {
+    static_assert(I == 0 && !Bent, "these are the blocks of pinholes and a known board");
+    constexpr const T* kNone = nullptr;
+    return evaluate(lens, array, kNone, kNone, pose, residuals);
+  }
+
+  /// A cost function over these features.
+  static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedFeature> features,
+                                                     double pixel_size, Loss loss,
+                                                     const Board& board = {}) {
+    const int n = kResiduals * static_cast<int>(features.size());
+    auto* functor = new FeatureResiduals(std::move(features), pixel_size, loss, board);
+    constexpr int kLens = kMainLensParameters, kArray = kArrayParameters;
+    constexpr int kShape = kBoardShapeParameters;
+    if constexpr (I > 0 && Bent) {
+      return function<kLens, kArray, I, kShape, Pose::kSize>(functor, n);
+    } else if constexpr (I > 0) {
+      return function<kLens, kArray, I, Pose::kSize>(functor, n);
+    } else if constexpr (Bent) {
+      return function<kLens, kArray, kShape, Pose::kSize>(functor, n);
+    } else {
+      return function<kLens, kArray, Pose::kSize>(functor, n);
+    }
+  }
+
+ private:
+  template <int... Sizes>
+  static std::unique_ptr<ceres::CostFunction> function(FeatureResiduals* functor, int n) {
+    return std::make_unique<
+        ceres::AutoDiffCostFunction<FeatureResiduals, ceres::DYNAMIC, Sizes...>>(functor, n);
+  }
+
+  template <typename T>
+  PLENOCAL_FLATTEN bool evaluate(const T* lens, const T* array, const T* focal_lengths,
+                                 const T* shape, const T* pose, T* residuals) const {
     const Optics<T> optics(from_block<MainLens>(lens), from_block<MicroLensArray>(array),
                            focal_lengths, I, pixel_size_);
     const Motion<T> camera_from_board(pose);
@@ -80,9 +136,14 @@ class FeatureResiduals {
     for (const WeightedFeature& f : features_) {
       // Features of a corner are consecutive, so its image is computed once.
       if (imaged == nullptr || !same(*imaged, f.board_point)) {
-        if (!main_lens_image(optics.main_lens, camera_from_board(f.board_point), &image)) {
-          return false;
+        Vector3<T> point;
+        if constexpr (Bent) {
+          point =
+              camera_from_board(corner_of(board_, from_block<BoardShape>(shape), f.board_point));
+        } else {
+          point = camera_from_board(f.board_point);
         }
+        if (!main_lens_image(optics.main_lens, point, &image)) return false;
         imaged = &f.board_point;
       }
       Feature<T> projected;
@@ -96,31 +157,6 @@ class FeatureResiduals {
     return true;
   }
 
-  /// For a pinhole array, which has no focal lengths.
-  template <typename T>
-  PLENOCAL_FLATTEN bool operator()(const T* lens, const T* array, const T* pose,
-                                   T* residuals) const {
-    static_assert(I == 0, "lens types need a block of focal lengths");
-    return (*this)(lens, array, static_cast<const T*>(nullptr), pose, residuals);
-  }
-
-  /// A cost function over these features.
-  static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedFeature> features,
-                                                     double pixel_size, Loss loss) {
-    const int n = kResiduals * static_cast<int>(features.size());
-    auto* functor = new FeatureResiduals(std::move(features), pixel_size, loss);
-    if constexpr (I == 0) {
-      return std::make_unique<ceres::AutoDiffCostFunction<
-          FeatureResiduals, ceres::DYNAMIC, kMainLensParameters, kArrayParameters, Pose::kSize>>(
-          functor, n);
-    } else {
-      return std::make_unique<ceres::AutoDiffCostFunction<
-          FeatureResiduals, ceres::DYNAMIC, kMainLensParameters, kArrayParameters, I, Pose::kSize>>(
-          functor, n);
-    }
-  }
-
- private:
   static bool same(const Vector3<double>& a, const Vector3<double>& b) {
     return a.x == b.x && a.y == b.y && a.z == b.z;
   }
@@ -128,6 +164,7 @@ class FeatureResiduals {
   std::vector<WeightedFeature> features_;
   double pixel_size_;
   Loss loss_;
+  Board board_;
 };
 
 /// An observed micro-image centre, ready for the functor.

@@ -5,7 +5,7 @@ use nalgebra::Vector2;
 use super::figure;
 use crate::calibration::Calibration;
 use crate::error::Result;
-use crate::model::intrinsic_parameters;
+use crate::model::shared_parameters;
 use crate::report::drawing::{Anchor, BLUE, INK, ON_COLOR, ORANGE, Overlay, picture};
 use crate::report::html::Figure;
 
@@ -17,7 +17,7 @@ const NAMES: f64 = 86.0;
 
 pub(super) fn correlations(calibration: &Calibration) -> Result<Option<Figure>> {
     let uncertainty = &calibration.uncertainty;
-    let parameters = intrinsic_parameters(calibration.camera.lens_types());
+    let parameters = shared_parameters(calibration.camera.lens_types());
     let names: Vec<&str> =
         uncertainty.free_intrinsics.iter().map(|&i| parameters[i].name).collect();
     if names.len() < 2 {

@@ -3,7 +3,9 @@
 use nalgebra::{DMatrix, Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::ffi;
-use crate::model::{Packing, Parity, PlenopticCamera};
+use crate::model::{
+    BentBoard, BoardShape, Packing, Parity, PlenopticCamera, SHAPE, SHAPE_PARAMETERS,
+};
 use crate::solver::options::{Anchor, CostOptions, LossKind, SolverOptions};
 use crate::solver::problem::{PointSensitivity, Problem, SolverCenter, SolverFeature};
 use crate::solver::refinement::{Iteration, Termination};
@@ -60,6 +62,23 @@ impl From<&PlenopticCamera> for ffi::CameraParts {
             parameters: camera.intrinsics(),
         }
     }
+}
+
+impl From<&BentBoard> for ffi::BoardParts {
+    fn from(bent: &BentBoard) -> Self {
+        let middle = bent.board.middle_mm();
+        let shape = SHAPE_PARAMETERS.each_ref().map(|parameter| parameter.value(&bent.shape));
+        Self { half_mm: [middle.x, middle.y], shape }
+    }
+}
+
+/// The shape with these parameters.
+pub(super) fn shape(values: &[f64; SHAPE]) -> BoardShape {
+    let mut shape = BoardShape::default();
+    for (parameter, &value) in SHAPE_PARAMETERS.iter().zip(values) {
+        parameter.set(&mut shape, value);
+    }
+    shape
 }
 
 impl From<Packing> for ffi::Packing {

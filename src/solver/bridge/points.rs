@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, Isometry3, Point3, Vector2};
 
 use super::{conversions, ffi, solver_error};
 use crate::error::Result;
-use crate::model::PlenopticCamera;
+use crate::model::{BentBoard, PlenopticCamera, shared_parameters};
 use crate::solver::options::CostOptions;
 use crate::solver::problem::{PointSensitivity, Problem, Projected, SolverFeature};
 
@@ -26,9 +26,13 @@ pub fn distortion_mm(
 /// Projects every feature's board point through its micro-lens; `None` where the model is not
 /// defined.
 pub(crate) fn project(problem: &Problem) -> Result<Vec<Option<Projected>>> {
-    let rows =
-        ffi::project(&problem.camera.into(), &problem.pose_blocks(), &problem.feature_rows())
-            .map_err(solver_error)?;
+    let rows = ffi::project(
+        &problem.camera.into(),
+        &(&problem.board).into(),
+        &problem.pose_blocks(),
+        &problem.feature_rows(),
+    )
+    .map_err(solver_error)?;
     let has_blur = problem.camera.lens_types() > 0;
     let projected = |row: &ffi::ProjectionRow| {
         row.defined.then_some(Projected {
@@ -50,34 +54,36 @@ pub(crate) fn project_centers(
     Ok(rows.iter().map(|pixel| [pixel.x, pixel.y]).collect())
 }
 
-/// The information of each pose's features on the free intrinsic parameters, with the pose unknown.
+/// The information of each pose's features on the free parameters of camera and board, with the pose unknown.
 pub(crate) fn frame_information(
     problem: &Problem,
     cost: &CostOptions,
 ) -> Result<Vec<DMatrix<f64>>> {
     let values = ffi::frame_information(
         &problem.camera.into(),
+        &(&problem.board).into(),
         &problem.pose_blocks(),
         &problem.feature_rows(),
         &cost.into(),
     )
     .map_err(solver_error)?;
     let fixed: BTreeSet<&String> = cost.fixed.iter().collect();
-    let free = problem.camera.intrinsics().len() - fixed.len();
+    let free = shared_parameters(problem.camera.lens_types()).len() - fixed.len();
     Ok(conversions::square_matrices(free, &values))
 }
 
-/// Features of board points through all micro-lenses that see them at least `margin_px` inside the
+/// Features of points of the flat grid of a board through all micro-lenses that see them at least `margin_px` inside the
 /// micro-image, without noise.
 pub(crate) fn visible_features(
     camera: &PlenopticCamera,
+    board: &BentBoard,
     poses: &[Isometry3<f64>],
     board_points_mm: &[Point3<f64>],
     margin_px: f64,
 ) -> Result<Vec<SolverFeature>> {
     let poses: Vec<_> = poses.iter().map(ffi::PoseBlock::from).collect();
     let points: Vec<_> = board_points_mm.iter().map(ffi::PointRow::from).collect();
-    let rows = ffi::visible_features(&camera.into(), &poses, &points, margin_px);
+    let rows = ffi::visible_features(&camera.into(), &board.into(), &poses, &points, margin_px);
     Ok(rows.map_err(solver_error)?.iter().map(SolverFeature::from).collect())
 }
 

@@ -5,8 +5,8 @@ use nalgebra::{Point3, Vector2, Vector3};
 use super::ffi::NodeRow;
 use super::*;
 use crate::model::{
-    Lattice, LatticeKind, MainLens, MicroLensArray, Packing, Parity, PlenopticCamera, Sensor,
-    intrinsic_parameters,
+    BentBoard, Board, BoardShape, Lattice, LatticeKind, MainLens, MicroLensArray, Packing, Parity,
+    PlenopticCamera, SHAPE_PARAMETERS, Sensor, intrinsic_parameters, shared_parameters,
 };
 use crate::solver::problem::SolverFeature;
 
@@ -33,6 +33,10 @@ fn camera(packing: Packing, columns: i32, rows: i32) -> PlenopticCamera {
     }
 }
 
+fn flat_board() -> BentBoard {
+    Board { columns: 5, rows: 4, square_mm: 3.0 }.into()
+}
+
 #[test]
 fn both_sides_name_the_same_parameters() {
     for (packing, types) in [
@@ -45,9 +49,14 @@ fn both_sides_name_the_same_parameters() {
         let table = intrinsic_parameters(types);
         let distinct: Vec<f64> = (0..table.len()).map(|i| 1.5 + i as f64).collect();
         let camera = camera.with_intrinsics(&distinct);
-        let ours: Vec<(String, f64)> =
-            table.iter().map(|p| (p.name.to_owned(), p.value(&camera))).collect();
-        let theirs: Vec<(String, f64)> = ffi::parameters(&(&camera).into())
+        let shape = BoardShape { sag_x_mm: 0.1, sag_y_mm: 0.2, twist_mm: 0.3, aspect: 0.04 };
+        let of_camera = table.iter().map(|p| (p.name.to_owned(), p.value(&camera)));
+        let of_board = SHAPE_PARAMETERS.iter().map(|p| (p.name.to_owned(), p.value(&shape)));
+        let ours: Vec<(String, f64)> = of_camera.chain(of_board).collect();
+        let names: Vec<&str> = shared_parameters(types).iter().map(|p| p.name).collect();
+        assert!(ours.iter().map(|(name, _)| name).eq(&names));
+        let bent = BentBoard { shape, ..flat_board() };
+        let theirs: Vec<(String, f64)> = ffi::parameters(&(&camera).into(), &(&bent).into())
             .into_iter()
             .map(|parameter| (parameter.name, parameter.value))
             .collect();
@@ -86,7 +95,9 @@ fn a_pinhole_array_has_no_blur() {
     };
     let features = [feature(0.0), feature(-280.0)];
     let seen = |camera: &PlenopticCamera| {
-        project(&Problem { camera, poses: &pose, features: &features, centers: &[] }).unwrap()
+        let board = flat_board();
+        project(&Problem { camera, board, poses: &pose, features: &features, centers: &[] })
+            .unwrap()
     };
     let blurred = seen(&camera);
     assert!(blurred[0].unwrap().rho_px.is_some_and(f64::is_finite));
@@ -131,7 +142,13 @@ fn a_panic_in_the_progress_function_comes_back_as_a_panic() {
         std_dev_px: [1.0; 3],
     };
     let features: Vec<_> = (0..8).map(|i| feature(i, 7 - i, 10.0 * f64::from(i))).collect();
-    let problem = Problem { camera: &camera, poses: &[pose], features: &features, centers: &[] };
+    let problem = Problem {
+        camera: &camera,
+        board: flat_board(),
+        poses: &[pose],
+        features: &features,
+        centers: &[],
+    };
     let outcome = catch_unwind(AssertUnwindSafe(|| {
         refine(&problem, &CostOptions::default(), &SolverOptions::default(), &mut |_| {
             panic!("from the caller")

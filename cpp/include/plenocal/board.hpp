@@ -1,0 +1,80 @@
+// The board as it is: a flat grid of corners, bent and stretched a little.
+#pragma once
+
+#include "plenocal/camera.hpp"
+
+namespace plenocal {
+
+/// By how much a board is not the flat grid that it is meant to be, the same in all frames. With
+/// (x, y) from corner 0 and xi and eta from -1 to 1 over the corners along x and y,
+///   corner = (x (1 + aspect/2), y (1 - aspect/2), sag_x xi^2 + sag_y eta^2 + twist xi eta),
+/// where z of the board points away from the camera.
+template <typename T>
+struct BoardShape {
+  T sag_x;   ///< mm: how much further away the ends of the rows are than their middle
+  T sag_y;   ///< mm: the same of the columns
+  T twist;   ///< mm: how much further away the first and the last corner are than the middle
+  T aspect;  ///< 1: squares are longer along x than along y by this fraction
+
+  /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
+  template <typename Self, typename F>
+  static constexpr void visit(Self& self, F&& f) {
+    f("sag_x", self.sag_x);
+    f("sag_y", self.sag_y);
+    f("twist", self.twist);
+    f("aspect", self.aspect);
+  }
+};
+constexpr int kBoardShapeParameters = parameter_count<BoardShape>();
+static_assert(sizeof(BoardShape<double>) == kBoardShapeParameters * sizeof(double),
+              "every member is a parameter");
+
+/// The board that all features show. The size of its squares is not a parameter: images do not tell
+/// it from the lengths of the camera.
+struct Board {
+  /// mm: from the middle of all corners to the outermost along x and y; not needed of a flat board.
+  double half_width = 0.0, half_height = 0.0;
+  BoardShape<double> shape{};
+
+  bool is_flat() const {
+    return shape.sag_x == 0.0 && shape.sag_y == 0.0 && shape.twist == 0.0 && shape.aspect == 0.0;
+  }
+};
+
+/// Where a corner of the flat grid (mm, board frame) is on a board of this size and shape.
+template <typename T>
+Vector3<T> corner_of(const Board& size, const BoardShape<T>& shape, const Vector3<double>& flat) {
+  const double xi = flat.x / size.half_width - 1.0;
+  const double eta = flat.y / size.half_height - 1.0;
+  return {flat.x * (1.0 + 0.5 * shape.aspect), flat.y * (1.0 - 0.5 * shape.aspect),
+          flat.z + shape.sag_x * (xi * xi) + shape.sag_y * (eta * eta) + shape.twist * (xi * eta)};
+}
+
+/// Where a corner of the flat grid is on a board.
+inline Vector3<double> corner_of(const Board& board, const Vector3<double>& flat) {
+  return board.is_flat() ? flat : corner_of(board, board.shape, flat);
+}
+
+/// Names of the parameters of a shape, in the order of the solver's parameter block.
+inline std::vector<std::string> shape_names() {
+  std::vector<std::string> names;
+  const BoardShape<double> shape{};
+  BoardShape<double>::visit(
+      shape, [&names](const char* name, const double&) { names.emplace_back(name); });
+  return names;
+}
+
+/// Names of the parameters that all frames share: `intrinsic_names`, then `shape_names`. Indices of
+/// shared parameters refer to this order.
+inline std::vector<std::string> shared_names(int lens_types) {
+  std::vector<std::string> names = intrinsic_names(lens_types);
+  for (std::string& name : shape_names()) names.push_back(std::move(name));
+  return names;
+}
+
+/// Throws std::invalid_argument with the offending value unless a board can be like that:
+/// everything finite, a size unless it is flat, the aspect below 0.1, and sag and twist below half
+/// the diagonal.
+void validate(const Board& board);
+
+}  // namespace plenocal

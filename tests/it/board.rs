@@ -1,0 +1,361 @@
+//! Boards that are not flat.
+
+use std::path::Path;
+
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use plenocal::assessment::assess;
+use plenocal::calibration::{
+    AnchorSource, BoardModel, Calibration, CalibrationOptions, Mode, Start, Warning, calibrate,
+};
+use plenocal::evaluation::{Group, Posed, Worth, compare_models, pose_boards};
+use plenocal::io::read_board_shape;
+use plenocal::model::{
+    BentBoard, Board, BoardShape, FramePose, Noise, NoiseSource, Observations, PlenopticCamera,
+    SHAPE_PARAMETERS, optics,
+};
+use plenocal::report::calibration_text;
+use plenocal::solver::{Anchor, synthesize_bent};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::support::{
+    anchored, board, datasheet_start, pairs, plenocal, synthetic_folder, true_camera,
+};
+
+const NOISE: Noise = Noise { uv_px: 0.1, rho_px: 0.02, centers_px: 0.05 };
+
+/// A stream of numbers.
+pub struct Random(NoiseSource);
+
+impl Random {
+    pub fn new(seed: u64) -> Self {
+        Self(NoiseSource::new(&Noise { uv_px: 1.0, rho_px: 1.0, centers_px: 1.0 }, seed).unwrap())
+    }
+
+    pub fn normal(&mut self) -> f64 {
+        let zero = plenocal::model::MicroImageCenter {
+            k: 0,
+            l: 0,
+            u_px: 0.0,
+            v_px: 0.0,
+            std_dev_px: None,
+        };
+        self.0.center(&zero).u_px
+    }
+
+    /// From −1 to 1.
+    pub fn even(&mut self) -> f64 {
+        let part = self.normal() * 1e4;
+        2.0 * (part - part.floor()) - 1.0
+    }
+
+    /// From 0 to below a number.
+    fn below(&mut self, count: u8) -> usize {
+        let part = f64::midpoint(self.even(), 1.0) * f64::from(count);
+        (1..count).filter(|&i| part >= f64::from(i)).count()
+    }
+}
+
+/// A camera, a board and its poses, all different.
+pub struct Scene {
+    pub camera: PlenopticCamera,
+    pub board: Board,
+    pub poses: Vec<FramePose>,
+}
+
+pub fn scene(seed: u64) -> Scene {
+    let mut random = Random::new(seed);
+    let mut camera = true_camera();
+    let scale = 1.0 + 0.02 * random.even();
+    camera.main_lens.focal_length_mm *= scale;
+    camera.mla.lens_to_mla_mm *= scale;
+    camera.main_lens.exit_pupil_mm.z = -2.0 + 2.0 * random.even();
+    camera.main_lens.field_curvature_per_mm = 0.003 * random.even();
+    camera.main_lens.field_curvature_growth_per_mm = 0.005 * random.even();
+    for tilt in [0, 1] {
+        camera.mla.rotation_rad[tilt] += 0.002 * random.even();
+    }
+    let columns = [7, 9, 11, 13][random.below(4)];
+    let rows = [5, 6, 8][random.below(3)];
+    let square_mm = 30.0 / f64::from(columns.max(rows)) * (1.0 + 0.1 * random.even());
+    let board = Board { columns, rows, square_mm };
+    let frames = 10 + u32::try_from(random.below(8)).unwrap();
+    let pose = |frame: u32| {
+        let (tilt, towards) = (0.45 + 0.2 * random.even(), std::f64::consts::PI * random.even());
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(
+            tilt * towards.cos(),
+            tilt * towards.sin(),
+            0.3 * random.even(),
+        ));
+        let z = 90.0 + 13.0 * random.even();
+        let place = Vector3::new(2.0 * random.even(), 2.0 * random.even(), z)
+            - turn * board.middle_mm().coords;
+        FramePose { frame, camera_from_board: Translation3::from(place) * turn }
+    };
+    let poses = (0..frames).map(pose).collect();
+    Scene { camera, board, poses }
+}
+
+impl Scene {
+    pub fn observed(&self, shape: BoardShape, seed: u64) -> Observations {
+        let bent = BentBoard { board: self.board, shape };
+        let mut observations =
+            synthesize_bent(&self.camera, &bent, &self.poses, &NOISE, seed).unwrap();
+        for f in &mut observations.features {
+            f.std_dev_px = Some([NOISE.uv_px; 2]);
+            f.rho_std_dev_px = Some(NOISE.rho_px);
+        }
+        for c in &mut observations.centers {
+            c.std_dev_px = Some(NOISE.centers_px);
+        }
+        observations
+    }
+
+    fn start(&self) -> Start {
+        let Start::Datasheet(mut sheet, _) = datasheet_start() else { unreachable!() };
+        sheet.focal_length_mm = self.camera.main_lens.focal_length_mm * 1.01;
+        Start::Datasheet(sheet, optics::internal_parameters(&self.camera))
+    }
+
+    pub fn calibrated(&self, observations: &Observations, board: BoardModel) -> Calibration {
+        self.with(observations, &CalibrationOptions { board, ..anchored() })
+    }
+
+    fn with(&self, observations: &Observations, options: &CalibrationOptions) -> Calibration {
+        calibrate(&self.start(), &self.board, observations, options, &mut |_| true).unwrap()
+    }
+}
+
+/// Sags, twist and aspect of a board that is bent by 0.4 % of its diagonal.
+const BENT: BoardShape =
+    BoardShape { sag_x_mm: 0.12, sag_y_mm: -0.05, twist_mm: 0.04, aspect: 1.5e-3 };
+const FOUR_SIGMA: f64 = 4.0;
+
+/// Errors of F, D and d, in σ and relative.
+pub fn length_errors(calibration: &Calibration, truth: &PlenopticCamera) -> [(f64, f64); 3] {
+    let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
+    let all = pairs(&calibration.camera, truth);
+    ["F", "D", "d"].map(|wanted| {
+        let i = all.iter().position(|(name, ..)| *name == wanted).unwrap();
+        let (_, value, truth) = all[i];
+        ((value - truth) / std_devs[i].unwrap(), value / truth - 1.0)
+    })
+}
+
+#[test]
+fn the_shape_of_a_bent_board_is_found_and_the_camera_is_right() {
+    let scene = scene(3);
+    let observations = scene.observed(BENT, 5);
+    let found = scene.calibrated(&observations, BoardModel::Auto);
+    assert!(found.converged);
+    for (parameter, std_dev) in SHAPE_PARAMETERS.iter().zip(found.board.std_devs) {
+        let (value, truth) = (parameter.value(&found.board.bent.shape), parameter.value(&BENT));
+        let std_dev = std_dev.unwrap();
+        let name = parameter.name;
+        assert!((value - truth).abs() < FOUR_SIGMA * std_dev, "{name}: {value} ± {std_dev}");
+        assert!(std_dev < truth.abs() / 3.0, "{name}: {std_dev}");
+    }
+    for (std_devs, _) in length_errors(&found, &scene.camera) {
+        assert!(std_devs.abs() < FOUR_SIGMA, "{std_devs}");
+    }
+    assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+    // A flat board leaves d far off, and the residuals too large.
+    let flat = scene.calibrated(&observations, BoardModel::Flat);
+    let [.., (_, d)] = length_errors(&found, &scene.camera);
+    let [.., (_, flat_d)] = length_errors(&flat, &scene.camera);
+    assert!(d.abs() < 0.005 && flat_d.abs() > 0.01, "{d}, {flat_d}");
+    assert_eq!(flat.board.bent.shape, BoardShape::default());
+    // Without its anchors it is found as well.
+    let mut options = anchored();
+    options.default_anchors = false;
+    let free = scene.with(&observations, &options);
+    let (a, b) = (free.board.bent.shape.sag_x_mm, found.board.bent.shape.sag_x_mm);
+    assert!((a - b).abs() < found.board.std_devs[0].unwrap(), "{a}, {b}");
+    assert!(free.anchors.iter().all(|known| known.source != AnchorSource::FlatBoard));
+}
+
+/// The trial of a shape leaves no trace but what it has shown.
+#[test]
+fn with_a_flat_board_nothing_changes() {
+    let scene = scene(4);
+    let observations = scene.observed(BoardShape::default(), 6);
+    let auto = scene.calibrated(&observations, BoardModel::Auto);
+    let flat = scene.calibrated(&observations, BoardModel::Flat);
+    assert_eq!((&auto.camera, &auto.poses), (&flat.camera, &flat.poses));
+    assert_eq!(auto.uncertainty.covariance, flat.uncertainty.covariance);
+    assert_eq!((&auto.anchors, &auto.cost), (&flat.anchors, &flat.cost));
+    assert_eq!(auto.board.bent, flat.board.bent);
+    assert_eq!((flat.board.tried, flat.board.sag_limit_mm()), (None, None));
+    let limit = auto.board.sag_limit_mm().unwrap();
+    assert!((1e-4..0.03).contains(&limit), "{limit} mm");
+    assert_eq!(auto.board.limits().map(|limit| limit.is_some()), [true; 4]);
+    let assessment = assess(&auto, &scene.board).unwrap();
+    let text = calibration_text(&auto, &assessment);
+    assert!(text.contains("The board is flat: below sag_x 0.0"), "{text}");
+}
+
+/// A board of which only the ratio of the spacings is off stays flat.
+#[test]
+fn bend_and_aspect_are_told_apart() {
+    let scene = scene(5);
+    let stretched = BoardShape { aspect: -2e-3, ..BoardShape::default() };
+    let found = scene.calibrated(&scene.observed(stretched, 8), BoardModel::Auto).board;
+    assert_eq!(found.std_devs.map(|s| s.is_some()), [false, false, false, true]);
+    let (error, std_dev) = (found.bent.shape.aspect + 2e-3, found.std_devs[3].unwrap());
+    assert!(error.abs() < FOUR_SIGMA * std_dev, "{error} ± {std_dev}");
+    assert!(found.bent.bend_mm().abs() < f64::EPSILON);
+    let bent = BoardShape { sag_y_mm: 0.1, ..BoardShape::default() };
+    let found = scene.calibrated(&scene.observed(bent, 8), BoardModel::Auto).board;
+    assert_eq!(found.std_devs.map(|s| s.is_some()), [true, true, true, false]);
+}
+
+#[test]
+fn few_frames_do_not_show_that_a_board_is_bent() {
+    let mut scene = scene(3);
+    scene.poses.truncate(5);
+    let observations = scene.observed(BENT, 5);
+    let found = scene.calibrated(&observations, BoardModel::Auto);
+    assert_eq!((found.board.bent.shape, found.board.tried), (BoardShape::default(), None));
+    // It can be asked for.
+    let asked = scene.calibrated(&observations, BoardModel::Bent);
+    assert!((asked.board.bent.shape.sag_x_mm - BENT.sag_x_mm).abs() < 0.03, "{:?}", asked.board);
+}
+
+#[test]
+fn a_known_shape_is_kept_and_places_the_boards() {
+    let scene = scene(3);
+    let observations = scene.observed(BENT, 5);
+    let bent = BentBoard { board: scene.board, shape: BENT };
+    let known = pose_boards(&scene.camera, &bent, &observations.features).unwrap();
+    let flat = pose_boards(&scene.camera, &scene.board.into(), &observations.features).unwrap();
+    assert!(known.converged && flat.converged);
+    let [known_px, flat_px] = [&known, &flat].map(|posed| posed.reprojection.rmse().uv_px);
+    assert!((known_px / (NOISE.uv_px * 2.0_f64.sqrt()) - 1.0).abs() < 0.05, "{known_px} px");
+    assert!(flat_px > 1.5 * known_px, "{flat_px} px");
+    let worst = |posed: &Posed| {
+        let apart = |(a, b): (&FramePose, &FramePose)| {
+            let middle = scene.board.middle_mm();
+            (a.camera_from_board * middle - b.camera_from_board * middle).norm()
+        };
+        posed.poses.iter().zip(&scene.poses).map(apart).fold(0.0, f64::max)
+    };
+    assert!(
+        worst(&known) < 0.05 && worst(&flat) > worst(&known),
+        "{} {}",
+        worst(&known),
+        worst(&flat)
+    );
+    let kept = scene.calibrated(&observations, BoardModel::Known(BENT)).board;
+    assert_eq!((kept.bent.shape, kept.std_devs), (BENT, [None; 4]));
+}
+
+#[test]
+fn a_board_that_is_bent_too_far_is_a_warning() {
+    let scene = scene(3);
+    let shape = BoardShape { sag_x_mm: 0.3, ..BoardShape::default() };
+    let found = scene.calibrated(&scene.observed(shape, 5), BoardModel::Auto);
+    let is_warped = |w: &Warning| matches!(w, Warning::WarpedBoard { bend_mm, .. } if (bend_mm - 0.3).abs() < 0.02);
+    assert!(found.warnings.iter().any(is_warped), "{:?}", found.warnings);
+    // The anchor that boards are flat to 0.1 % does not pull it back.
+    assert!(found.anchors.iter().all(|known| known.pull().abs() < 3.0), "{:?}", found.anchors);
+    let assessment = assess(&found, &scene.board).unwrap();
+    assert!(assessment.reasons.iter().any(|r| r.to_string().contains("the board is bent by 0.3")));
+    assert!(assessment.object_space.is_some() && assessment.next_board.is_some());
+}
+
+/// Anchors of the shape are those of any parameter.
+#[test]
+fn what_is_known_of_a_board_can_be_stated() {
+    let scene = scene(3);
+    let observations = scene.observed(BENT, 5);
+    let mut options = anchored();
+    options.cost.anchors = vec![Anchor { quantity: "sag_x".to_owned(), value: 0.1, std_dev: 1e-7 }];
+    options.cost.fixed.push("twist".to_owned());
+    let found = scene.with(&observations, &options).board;
+    assert!((found.bent.shape.sag_x_mm - 0.1).abs() < 1e-4, "{found:?}");
+    assert_eq!((found.bent.shape.twist_mm, found.std_devs[2]), (0.0, None));
+    options.board = BoardModel::Flat;
+    let error = calibrate(&scene.start(), &scene.board, &observations, &options, &mut |_| true)
+        .unwrap_err();
+    assert!(error.to_string().contains("sag_x is anchored, but it is fixed"), "{error}");
+    let bent = CalibrationOptions { mode: Mode::PosesOnly, board: BoardModel::Bent, ..anchored() };
+    let camera = Start::Camera(scene.camera.clone());
+    let error = calibrate(&camera, &scene.board, &observations, &bent, &mut |_| true).unwrap_err();
+    assert!(error.to_string().contains("give the shape that it had"), "{error}");
+}
+
+#[test]
+fn models_are_compared_without_the_shape_of_a_bent_board() {
+    let scene = scene(3);
+    let found = scene.calibrated(&scene.observed(BENT, 5), BoardModel::Auto);
+    let compared = compare_models(&found, &scene.board, 5, &|| ()).unwrap();
+    let shape = compared.groups.iter().find(|w| w.group == Group::BoardShape).unwrap();
+    assert_eq!(shape.parameters, ["sag_x", "sag_y", "twist", "aspect"]);
+    assert_eq!(shape.worth(), Worth::EarnsItsKeep, "{:?}", shape.mean_growth());
+    assert!(shape.converged && shape.cost_growth[0] > 100.0, "{:?}", shape.cost_growth);
+}
+
+/// `calibrate` leaves the shape beside the camera, and what poses boards with that camera takes it.
+#[test]
+fn the_shape_of_a_board_is_read_beside_its_camera() {
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let out = path("calibration");
+    let project = synthetic_folder().join("project.toml");
+    let run = |arguments: &[&str]| {
+        let output = plenocal().args(arguments).output().unwrap();
+        (output.status.success(), String::from_utf8(output.stderr).unwrap())
+    };
+    let [project, out_text] = [&project, &out].map(|p| p.to_str().unwrap());
+    let (done, stderr) = run(&["calibrate", project, "--board", "bent", "--out", out_text]);
+    assert!(done, "{stderr}");
+    let file = out.join("calibration.json");
+    let written: Value = serde_json::from_str(&std::fs::read_to_string(&file).unwrap()).unwrap();
+    let shape = read_board_shape(&file, &board()).unwrap().unwrap();
+    let section = &written["board_shape"];
+    assert_eq!(section["shape"]["sag_x_mm"], shape.sag_x_mm);
+    assert!(section["standard_deviations"]["aspect"]["value"].as_f64().unwrap() > 0.0);
+    assert!(written["camera"]["uncertainty"]["standard_deviations"]["sag_x"].is_null());
+    let other = Board { rows: 6, ..board() };
+    assert_eq!(read_board_shape(&file, &other).unwrap(), None);
+
+    // The same boards, with this camera and with it alone.
+    let camera = out.join("camera.json");
+    let pose = |camera: &Path, more: &[&str], to: &str| {
+        let (camera, to) = (camera.to_str().unwrap().to_owned(), path(to));
+        let mut arguments = vec!["calibrate", project, "--mode", "poses-only", "--camera", &camera];
+        let to_text = to.to_str().unwrap().to_owned();
+        arguments.extend(["--out", &to_text]);
+        arguments.extend(more);
+        let (done, stderr) = run(&arguments);
+        assert!(done, "{stderr}");
+        assert!(!to.join("calibration.json").exists());
+        std::fs::read(to.join("poses.json")).unwrap()
+    };
+    let alone = path("camera.json");
+    std::fs::copy(&camera, &alone).unwrap();
+    let shape_file = file.to_str().unwrap();
+    let beside = pose(&camera, &[], "beside");
+    assert_eq!(beside, pose(&alone, &["--board-shape", shape_file], "stated"));
+    assert_ne!(beside, pose(&alone, &[], "flat"));
+    assert_eq!(pose(&camera, &["--board", "flat"], "asked"), pose(&alone, &[], "flat"));
+
+    let scene = path("project.toml");
+    let text = std::fs::read_to_string(project).unwrap().replace("rows = 5\n", "rows = 6\n");
+    std::fs::write(
+        &scene,
+        text.replace("\"features.csv", &format!("\"{}/features.csv", synthetic_folder().display()))
+            .replace("\"centers.csv", &format!("\"{}/centers.csv", synthetic_folder().display())),
+    )
+    .unwrap();
+    let scene = scene.to_str().unwrap();
+    let (done, stderr) = run(&[
+        "calibrate",
+        scene,
+        "--board-shape",
+        shape_file,
+        "--out",
+        path("x").to_str().unwrap(),
+    ]);
+    assert!(!done && stderr.contains("it has no board_shape of a board of 9 x 6"), "{stderr}");
+}

@@ -1,0 +1,134 @@
+//! How well the shape of a board comes out, over many cameras, boards and poses.
+
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use plenocal::calibration::BoardModel;
+use plenocal::model::{BoardShape, Parameter, SHAPE_PARAMETERS};
+use rayon::prelude::*;
+
+use crate::board::{Random, length_errors, scene};
+
+/// Boards of one kind: what they are, how they stand, and errors that all corners of a frame share.
+struct Kind {
+    name: &'static str,
+    draws: u64,
+    shape: BoardShape,
+    /// At one distance, filling the image, and hardly tilted.
+    alike: bool,
+    /// An astigmatic error over the board, px, another in each frame.
+    shared_px: f64,
+}
+
+/// Errors of the shape when it was tried, with σ; which of it was found; errors of F, D and d in σ, and relative
+/// with the shape as it was found and as it is.
+struct Outcome {
+    tried: Vec<(f64, f64)>,
+    found: [bool; 4],
+    lengths: [[(f64, f64); 3]; 2],
+}
+
+impl Kind {
+    fn outcome(&self, seed: u64) -> Outcome {
+        let mut scene = scene(seed);
+        let mut random = Random::new(seed + 500);
+        if self.alike {
+            for pose in &mut scene.poses {
+                let turn = UnitQuaternion::from_scaled_axis(Vector3::new(
+                    0.15 * random.even(),
+                    0.15 * random.even(),
+                    0.05 * random.even(),
+                ));
+                let middle = turn * scene.board.middle_mm().coords;
+                let place = Vector3::new(random.even(), random.even(), 88.0) - middle;
+                pose.camera_from_board = Translation3::from(place) * turn;
+            }
+        }
+        let mut observations = scene.observed(self.shape, 1000 + seed);
+        let half = scene.board.middle_mm().coords;
+        let mut of_frame = std::collections::BTreeMap::new();
+        for f in &mut observations.features {
+            let [a, b] = *of_frame
+                .entry(f.frame)
+                .or_insert_with(|| [random.normal(), random.normal()].map(|n| self.shared_px * n));
+            let place = scene.board.point_mm(f.corner).coords - half;
+            let (x, y) = (place.x / half.x, place.y / half.y);
+            f.u_px += a * (x * x - y * y);
+            f.v_px += b * x * y;
+        }
+        let of = |model: BoardModel| {
+            let result = scene.calibrated(&observations, model);
+            assert!(result.converged, "{}, seed {seed}", self.name);
+            result
+        };
+        let (auto, known) = (of(BoardModel::Auto), of(BoardModel::Known(self.shape)));
+        let tried = auto.board.tried.unwrap();
+        let error = |(p, (value, std_dev)): (&Parameter<BoardShape>, (f64, f64))| {
+            (value - p.value(&self.shape), std_dev)
+        };
+        Outcome {
+            tried: SHAPE_PARAMETERS.iter().zip(tried).map(error).collect(),
+            found: auto.board.std_devs.map(|std_dev| std_dev.is_some()),
+            lengths: [auto, known].map(|result| length_errors(&result, &scene.camera)),
+        }
+    }
+
+    /// Draws boards, prints how they came out, and returns scatter over σ of the shape, and how often a bend and an
+    /// aspect were found.
+    fn draw(&self) -> ([f64; 4], [f64; 2]) {
+        let all: Vec<Outcome> =
+            (0..self.draws).into_par_iter().map(|seed| self.outcome(seed)).collect();
+        let count = all.len() as f64;
+        let rms = |of: &dyn Fn(&Outcome) -> f64| {
+            (all.iter().map(|o| of(o).powi(2)).sum::<f64>() / count).sqrt()
+        };
+        println!("{}:", self.name);
+        let ratios = std::array::from_fn(|i| rms(&|o| o.tried[i].0 / o.tried[i].1));
+        for (i, parameter) in SHAPE_PARAMETERS.iter().enumerate() {
+            let worst = all.iter().map(|o| (o.tried[i].0 / o.tried[i].1).abs());
+            println!(
+                "  {:6} error/σ {:.2}, worst {:.1} σ, RMS {:.2e}",
+                parameter.name,
+                ratios[i],
+                worst.fold(0.0, f64::max),
+                rms(&|o| o.tried[i].0)
+            );
+        }
+        for (i, name) in ["F", "D", "d"].into_iter().enumerate() {
+            let [found, known] =
+                [0, 1].map(|m| (rms(&|o| o.lengths[m][i].0), 100.0 * rms(&|o| o.lengths[m][i].1)));
+            println!(
+                "  {name} error/σ {:.2}, {:.2} %; with the true shape {:.2}, {:.2} %",
+                found.0, found.1, known.0, known.1
+            );
+        }
+        let found = [0, 3].map(|i| all.iter().filter(|o| o.found[i]).count() as f64 / count);
+        println!("  bend found in {:.1} %, aspect in {:.1} %", 100.0 * found[0], 100.0 * found[1]);
+        (ratios, found)
+    }
+}
+
+#[test]
+#[ignore = "slow: 900 calibrations; run by `make test-slow`"]
+fn monte_carlo_of_boards() {
+    let flat = BoardShape::default();
+    let bent = BoardShape { sag_x_mm: 0.2, sag_y_mm: -0.1, twist_mm: 0.05, aspect: 1e-3 };
+    let plain = Kind { name: "flat", draws: 200, shape: flat, alike: false, shared_px: 0.0 };
+    let of = |name, draws, shape| Kind { name, draws, shape, ..plain };
+    let slight = BoardShape { sag_x_mm: 0.05, ..flat };
+    for (kind, expected) in [
+        (of("flat", 200, flat), [0.0, 0.0]),
+        (of("sag of 0.05 mm", 40, slight), [1.0, 0.0]),
+        (of("bent and stretched", 40, bent), [1.0, 1.0]),
+        (of("aspect of 0.001", 40, BoardShape { aspect: 1e-3, ..flat }), [0.0, 1.0]),
+        (Kind { shared_px: 0.2, draws: 100, name: "flat, shared errors", ..plain }, [0.0, 0.0]),
+        (Kind { alike: true, draws: 40, name: "flat, all alike", ..plain }, [0.0, 0.0]),
+        (Kind { alike: true, ..of("bent, all alike", 40, bent) }, [1.0, 1.0]),
+    ] {
+        let (ratios, found) = kind.draw();
+        for (ratio, parameter) in ratios.iter().zip(&SHAPE_PARAMETERS) {
+            assert!(*ratio < 1.4, "{}: {} {ratio}", kind.name, parameter.name);
+        }
+        for (found, expected) in found.into_iter().zip(expected) {
+            assert!((found - expected).abs() <= 0.05, "{}: {found}", kind.name);
+        }
+    }
+}
