@@ -322,3 +322,31 @@ fn internal_parameters_of_another_camera_are_rejected_by_folder() {
         set.detect(&[]).code(1).stderr(contains(words).and(contains(folder)));
     }
 }
+
+/// White images show the point spread, edges of boards the fill factor; both with their σ.
+#[test]
+fn point_spread_and_fill_factor_are_measured() {
+    let folder = TempDir::new().unwrap();
+    let (set, found) = (folder.path().join("set"), folder.path().join("found"));
+    let settings = ["rays=32", "seed=31", "boards.calibration=2", "boards.evaluation=0"];
+    let imperfect = ["imperfections.point_spread_px=0.4", "imperfections.fill_factor=0.9"];
+    let mut simulate = plenocal();
+    simulate.args(["simulate", "--set", "translation.images=0", "--out"]).arg(&set);
+    simulate.args(settings.iter().chain(&imperfect).flat_map(|set| ["--set", set]));
+    simulate.assert().success();
+    on_project("detect", &set, &found).success();
+    let read = |name: &str| -> Value {
+        serde_json::from_slice(&fs::read(found.join(name)).unwrap()).unwrap()
+    };
+    let within = |value: &Value, std_dev: &Value, truth: f64| {
+        let (value, std_dev) = (value.as_f64().unwrap(), std_dev.as_f64().unwrap());
+        assert!((value - truth).abs() < 3.0 * std_dev, "{value} ± {std_dev} for {truth}");
+        assert!(std_dev < 0.02, "{std_dev}");
+    };
+    let spread = &read("precalibration.json")["internal_parameters"]["point_spread"];
+    within(&spread["variance_px2"], &spread["std_dev_px2"], 0.16);
+    let detection = read("detection.json");
+    let fill = &detection["fill_factor"];
+    within(&fill["value"], &fill["std_dev"], 0.9);
+    within(&detection["fitted_with_fill_factor"], &json!(0.005), 0.9);
+}
