@@ -66,16 +66,8 @@ pub(super) fn common_errors(
         let [u, v] = levers(f)[2];
         [u * within, v * within, 0.0]
     });
-    // White images show the fill factor times qᵢ = q'ᵢ − Δc/2.
-    let half_pitch_mm = internal.micro_image_pitch_mm.unwrap_or(0.0) / 2.0;
-    let q_mm: Vec<f64> =
-        internal.q_prime_mm.iter().map(|q_prime| q_prime - half_pitch_mm).collect();
-    let of_anchor = |anchor: &Anchor| {
-        let of_type = |i: &usize| anchor.quantity == intercept_name(*i);
-        let lens_type = (0..q_mm.len()).find(of_type);
-        lens_type.map_or(0.0, |i| -q_mm[i] * fill / anchor.std_dev)
-    };
-    add("fill factor", cost.anchors.iter().map(of_anchor).collect(), &|i, f| {
+    let (q_mm, of_anchors) = by_fill_factor(internal, &cost.anchors);
+    add("fill factor", of_anchors.iter().map(|by| by * fill).collect(), &|i, f| {
         let [u, v] = levers(f)[3];
         let rho = if cost.rho { -q_mm[types[i]] / pixel_mm } else { 0.0 };
         [u * fill, v * fill, rho * fill]
@@ -100,18 +92,39 @@ pub(super) fn common_errors(
         ],
         None => [0.0; 3],
     });
-    if let Some(fall_off) = internal.fall_off.filter(|_| !centers.is_empty()) {
-        let moved = |c: &MicroImageCenter| {
-            (fall_off.gradient(&Vector2::new(c.u_px, c.v_px)) * CENTROID_MODEL_PX2).into()
-        };
-        errors.push(CommonError {
-            source: "centroids".to_owned(),
-            features_px: vec![[0.0; 3]; features.len()],
-            centers_px: centers.iter().map(moved).collect(),
-            anchors: Vec::new(),
-        });
-    }
+    errors.extend(of_centroids(internal, features.len(), centers));
     Ok(errors)
+}
+
+/// qᵢ by lens type, mm, by which q'ᵢ fall with ln φ: white images show the product of φ and qᵢ = q'ᵢ − Δc/2. And by how much
+/// the value of each anchor changes with ln φ, in its σ.
+fn by_fill_factor(internal: &InternalParameters, anchors: &[Anchor]) -> (Vec<f64>, Vec<f64>) {
+    let half_pitch_mm = internal.micro_image_pitch_mm.unwrap_or(0.0) / 2.0;
+    let q_mm: Vec<f64> = internal.q_prime_mm.iter().map(|q| q - half_pitch_mm).collect();
+    let of_anchor = |anchor: &Anchor| {
+        let lens_type = (0..q_mm.len()).find(|i| anchor.quantity == intercept_name(*i));
+        lens_type.map_or(0.0, |i| -q_mm[i] / anchor.std_dev)
+    };
+    let of_anchors = anchors.iter().map(of_anchor).collect();
+    (q_mm, of_anchors)
+}
+
+/// By how far the fall-off may shift the centroids of micro-images; `None` without a fall-off or centres.
+fn of_centroids(
+    internal: &InternalParameters,
+    features: usize,
+    centers: &[MicroImageCenter],
+) -> Option<CommonError> {
+    let fall_off = internal.fall_off.filter(|_| !centers.is_empty())?;
+    let moved = |c: &MicroImageCenter| {
+        (fall_off.gradient(&Vector2::new(c.u_px, c.v_px)) * CENTROID_MODEL_PX2).into()
+    };
+    Some(CommonError {
+        source: "centroids".to_owned(),
+        features_px: vec![[0.0; 3]; features],
+        centers_px: centers.iter().map(moved).collect(),
+        anchors: Vec::new(),
+    })
 }
 
 /// σ of the pupil's radius, of the fall-off inside micro-images and of the fill factor, relative.

@@ -7,7 +7,7 @@ use tracing::debug;
 
 use super::{Detection, FrameCounts, MicroImages, Rejection, Search, detect_frame};
 use crate::error::{Error, Result};
-use crate::image::{Grey, RawImage};
+use crate::image::RawImage;
 use crate::model::{BapFeature, Board, FillFactor, Sensor, Subset};
 
 /// An image of a board.
@@ -127,6 +127,9 @@ pub fn detect(
     search.board.validate()?;
     check_size(white, search.sensor)?;
     let white = white.grey();
+    let search_in = |image: &BoardImage, raw: &RawImage, micro_images: &MicroImages| {
+        detect_frame(image.frame, &raw.grey(), &white, &Search { micro_images, ..*search })
+    };
     let mut micro_images = Cow::Borrowed(search.micro_images);
     let mut frames = Vec::new();
     // Reading takes one core, so that a few frames at once keep all of them busy.
@@ -134,11 +137,13 @@ pub fn detect(
         let read: Vec<_> = some.par_iter().map(|image| (image.read)()).collect();
         let mut rounds = if frames.is_empty() { ROUNDS } else { 1 };
         let found = loop {
-            let found =
-                search_all(some, &read, &white, &Search { micro_images: &micro_images, ..*search });
+            let of_image = |(image, raw): (&BoardImage, &Result<Cow<RawImage>>)| {
+                raw.as_ref().ok().map(|raw| search_in(image, raw, &micro_images))
+            };
+            let found: Vec<Option<Found>> = some.par_iter().zip(&read).map(of_image).collect();
             rounds -= 1;
-            let fill =
-                fill_factor(found.iter().flatten().filter_map(|(found, _)| found.as_ref().ok()));
+            let detections = found.iter().flatten().filter_map(|(found, _)| found.as_ref().ok());
+            let fill = fill_factor(detections);
             let Some(fill) = fill.filter(|fill| rounds > 0 && differs(fill, &micro_images)) else {
                 break found;
             };
@@ -148,14 +153,16 @@ pub fn detect(
         let of_image =
             |((image, raw), found): ((&BoardImage, Result<Cow<RawImage>>), Option<Found>)| {
                 let (frame, name) = (image.frame, image.name.clone());
-                let (result, counts, raw) = match (raw, found) {
-                    (Ok(raw), Some((found, counts))) => {
-                        (found.map_err(NoFeatures::Rejected), counts, Some(raw))
+                // What could be read was searched.
+                let (raw, result, counts) = match raw.map(|raw| (raw, found)) {
+                    Ok((raw, found)) => {
+                        let (found, counts) =
+                            found.unwrap_or_else(|| search_in(image, &raw, &micro_images));
+                        (Some(raw), found.map_err(NoFeatures::Rejected), counts)
                     }
-                    (Err(error), _) => {
-                        (Err(NoFeatures::Unreadable(error)), FrameCounts::default(), None)
+                    Err(error) => {
+                        (None, Err(NoFeatures::Unreadable(error)), FrameCounts::default())
                     }
-                    (Ok(_), None) => unreachable!("what was read was searched"),
                 };
                 let detected = DetectedFrame { frame, name, result, counts };
                 inspect(&detected, raw.as_deref())?;
@@ -172,19 +179,6 @@ pub fn detect(
 
 /// What was found in an image.
 type Found = (std::result::Result<Detection, Rejection>, FrameCounts);
-
-/// Searches images that could be read.
-fn search_all(
-    images: &[BoardImage],
-    read: &[Result<Cow<RawImage>>],
-    white: &Grey,
-    search: &Search,
-) -> Vec<Option<Found>> {
-    let of_image = |(image, raw): (&BoardImage, &Result<Cow<RawImage>>)| {
-        raw.as_ref().ok().map(|raw| detect_frame(image.frame, &raw.grey(), white, search))
-    };
-    images.par_iter().zip(read).map(of_image).collect()
-}
 
 /// The mean fill factor of frames, with σ by their own or by their scatter, whichever is larger, and that of the model.
 fn fill_factor<'a>(frames: impl Iterator<Item = &'a Detection>) -> Option<FillFactor> {
