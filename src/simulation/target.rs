@@ -10,7 +10,7 @@ use crate::model::{Board, positive};
 /// diagonally before corner 0 is black. Radiances are relative to a white target.
 ///
 /// With ξ = (x − h_x)/h_x and η = (y − h_y)/h_y, where h is half the extent of the inner corners and x and y
-/// count from corner 0 in the board frame, the true surface is z = `sag_mm`[0] ξ² + `sag_mm`[1] η² +
+/// count from corner 0 in the board frame, the true surface is z = `sag_mm`\[0\] ξ² + `sag_mm`\[1\] η² +
 /// `twist_mm` ξη, away from the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
