@@ -9,8 +9,8 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use plenocal::Result;
 use plenocal::io::{OutputFolder, camera_document, poses_document, write_centers, write_features};
 use plenocal::model::{
-    BapFeature, Board, FramePose, Lattice, LensSetting, MainLens, MicroImageCenter, MicroLensArray,
-    Noise, Observations, Packing, Parity, PlenopticCamera, Sensor,
+    BapFeature, Board, EdgeSpread, FramePose, Lattice, LensSetting, MainLens, MicroImageCenter,
+    MicroLensArray, Noise, Observations, Packing, Parity, PlenopticCamera, Sensor,
 };
 use plenocal::solver::synthesize;
 
@@ -74,6 +74,7 @@ fn camera() -> PlenopticCamera {
             pitch_ratio: 1.0,
             focal_lengths_mm: vec![0.578, 0.505, 0.552],
         },
+        edge_spread: EdgeSpread::default(),
     }
 }
 

@@ -23,7 +23,7 @@ pub const LEAN: [&str; 2] = ["lean_u", "lean_v"];
 /// Engraved focal lengths are rounded: a "50 mm" lens is often one of 51.6 mm.
 const ENGRAVED: f64 = 0.03;
 /// What q'ᵢ are worth if nothing is said of them.
-const INTERCEPTS: f64 = 0.005;
+pub(super) const INTERCEPTS: f64 = 0.005;
 /// What f-numbers are worth, and with them m.
 const F_NUMBERS: f64 = 0.02;
 /// How far from the middle of the sensor a mount may put the axis, mm.

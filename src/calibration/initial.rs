@@ -4,7 +4,8 @@ use nalgebra::Vector3;
 
 use crate::error::{Error, Result};
 use crate::model::{
-    Datasheet, InternalParameters, LensSetting, MainLens, MicroLensArray, PlenopticCamera, optics,
+    Datasheet, EdgeSpread, InternalParameters, LensSetting, MainLens, MicroLensArray,
+    PlenopticCamera, optics,
 };
 use crate::precalibration::MicroImageArray;
 
@@ -67,6 +68,10 @@ pub fn initial_camera(
                 .take(datasheet.lens_types)
                 .map(focal_length)
                 .collect(),
+        },
+        edge_spread: EdgeSpread {
+            fill_factor: internal.fill_factor,
+            point_spread: internal.point_spread,
         },
     })
 }

@@ -4,6 +4,7 @@ mod anchors;
 mod board;
 mod checks;
 mod common_errors;
+mod fill_factor;
 mod frames;
 mod initial;
 mod options;
@@ -17,6 +18,7 @@ mod words;
 
 pub use anchors::{AnchorResult, AnchorSource, SLOPE, intercept_name};
 pub use board::{BoardModel, BoardResult};
+pub use fill_factor::{FillMeasurement, TypeBlur};
 pub use initial::initial_camera;
 pub use options::{CalibrationOptions, Mode, Start, Weights};
 pub use poses::initial_poses;

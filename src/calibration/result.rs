@@ -2,7 +2,9 @@
 
 use std::fmt;
 
-use crate::calibration::{AnchorResult, BoardResult, CalibrationOptions, NoPose, Warning};
+use crate::calibration::{
+    AnchorResult, BoardResult, CalibrationOptions, FillMeasurement, NoPose, Warning,
+};
 use crate::model::{FramePose, PlenopticCamera, Reprojection, optics};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{CostOptions, Refinement, Uncertainty};
@@ -51,6 +53,8 @@ pub struct Calibration {
     /// The cost used, with all anchors and their weight; without the loss if the solve ended before the
     /// loss took part.
     pub cost: CostOptions,
+    /// What the widths of edges say; `None` where the features do not state them.
+    pub fill: Option<FillMeasurement>,
     /// What became of the anchors.
     pub anchors: Vec<AnchorResult>,
     /// Warnings to the user.

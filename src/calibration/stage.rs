@@ -10,13 +10,14 @@ use crate::calibration::checks::{
     outlying_centers, undetermined, without_frames,
 };
 use crate::calibration::common_errors::common_errors;
+use crate::calibration::fill_factor::{with_fill_factor, with_that_of_start};
 use crate::calibration::frames::{
     Frames, feature_residuals, initial_frames, solver_centers, solver_features,
 };
 use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{
-    AnchorSource, BoardResult, Calibration, CalibrationOptions, Mode, Start, Warning, Weights,
-    initial_camera,
+    AnchorSource, BoardResult, Calibration, CalibrationOptions, FillMeasurement, Mode, Start,
+    Warning, Weights, initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::model::{
@@ -58,7 +59,11 @@ pub fn calibrate(
         observations.forget_std_devs();
     }
     check_observations(&start, board, &observations, options)?;
-    let (initial, grid) = initial_and_grid(&start, &observations, options)?;
+    let grid = fitted_grid(&start, &observations)?;
+    let fill = FillMeasurement::of(&start, grid.as_ref(), &observations.features)?;
+    let start = with_fill_factor(start, grid.as_ref(), fill.as_ref());
+    let initial = checked_start(&start, grid.as_ref(), &observations, options)?;
+    observations.features = with_that_of_start(observations.features, &start, &initial.lattice);
     let board = BentBoard { board: *board, shape: options.known_shape() };
     let mut frames = frames_with_poses(&initial, &board, &observations, options)?;
     frames.left_out.extend(excluded);
@@ -92,6 +97,7 @@ pub fn calibrate(
     warnings.extend(undetermined(&refinement.camera, &uncertainty));
     warnings.extend(bad_fit(&refinement.camera, &reprojection));
     warnings.extend(fronto_parallel(&poses, options.mode));
+    warnings.extend(fill.as_ref().and_then(FillMeasurement::contradiction));
     warnings.extend(warped(&board.bent).filter(|_| options.mode != Mode::PosesOnly));
     Ok(Calibration {
         camera: refinement.camera.clone(),
@@ -108,6 +114,7 @@ pub fn calibrate(
         converged,
         options: options.clone(),
         anchors: results,
+        fill,
         cost,
         warnings,
     })
@@ -119,23 +126,26 @@ pub fn initial_from(
     observations: &Observations,
     options: &CalibrationOptions,
 ) -> Result<PlenopticCamera> {
-    start_camera(start, fitted_grid(start, observations)?.as_ref(), options)
+    let grid = fitted_grid(start, observations)?;
+    let fill = FillMeasurement::of(start, grid.as_ref(), &observations.features)?;
+    let start = with_fill_factor(start.clone(), grid.as_ref(), fill.as_ref());
+    start_camera(&start, grid.as_ref(), options)
 }
 
-/// The camera to start from and the grid of the centres, if there are any; an error unless they
-/// and the observations belong to one camera.
-fn initial_and_grid(
+/// The camera to start from; an error unless it, the grid of the centres, if there are any, and the observations belong
+/// to one camera.
+fn checked_start(
     start: &Start,
+    grid: Option<&MicroImageArray>,
     observations: &Observations,
     options: &CalibrationOptions,
-) -> Result<(PlenopticCamera, Option<MicroImageArray>)> {
-    let grid = fitted_grid(start, observations)?;
-    if let (Some(grid), Start::Datasheet(sheet, internal)) = (&grid, start) {
+) -> Result<PlenopticCamera> {
+    if let (Some(grid), Start::Datasheet(sheet, internal)) = (grid, start) {
         check_stated_pitch(sheet, internal, grid)?;
     }
-    let initial = start_camera(start, grid.as_ref(), options)?;
-    check_indices(&initial, grid.as_ref(), observations)?;
-    Ok((initial, grid))
+    let initial = start_camera(start, grid, options)?;
+    check_indices(&initial, grid, observations)?;
+    Ok(initial)
 }
 
 fn fitted_grid(start: &Start, observations: &Observations) -> Result<Option<MicroImageArray>> {

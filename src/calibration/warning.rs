@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::calibration::{AnchorResult, SLOPE};
-use crate::model::{MIN_CORNERS, display_unit, with_std_dev};
+use crate::model::{FillFactor, MIN_CORNERS, display_unit, with_std_dev};
 use crate::solver::Anchor;
 
 /// What may be wrong with a calibration that succeeded.
@@ -52,6 +52,13 @@ pub enum Warning {
     },
     /// The observations pull on an anchor.
     AnchorPulled(AnchorResult),
+    /// Two lens types have edges of different widths.
+    FillFactorsDiffer {
+        /// The two, from 0.
+        lens_types: [usize; 2],
+        /// Their fill factors, the larger first.
+        fill_factors: [FillFactor; 2],
+    },
     /// The board is bent so far that it should be replaced.
     WarpedBoard {
         /// The largest of its sags and its twist, mm.
@@ -116,6 +123,18 @@ impl fmt::Display for Warning {
                     meaning(quantity)
                 )
             }
+            Self::FillFactorsDiffer { lens_types: [a, b], fill_factors: [of_a, of_b] } => write!(
+                f,
+                "the edges of lens type {} say that micro-lenses fill {:.3} ± {:.3} of their pitch, those of type {} \
+                 {:.3} ± {:.3}: the camera has one fill factor for all, so the focal lengths of both types are off; \
+                 check the white images, and that lens types are in the same order everywhere",
+                a + 1,
+                of_a.value,
+                of_a.std_dev,
+                b + 1,
+                of_b.value,
+                of_b.std_dev
+            ),
             Self::WarpedBoard { bend_mm, diagonal_mm } => write!(
                 f,
                 "the board is bent by {bend_mm:.2} mm, {:.1} % of its diagonal: its shape is estimated with the \

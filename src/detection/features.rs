@@ -7,7 +7,7 @@ use super::frame::Frame;
 use super::line::median_inverse_virtual_depth;
 use super::second_pass::{Found, SecondPassed};
 use super::{Aberration, CornerLine, CornerObservation, DepthEstimator};
-use crate::model::{BapFeature, FillFactor};
+use crate::model::{BapFeature, FillFactor, MeasuredBlur};
 
 /// A corner of the board as a whole.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -80,10 +80,14 @@ impl Frame<'_> {
                     DepthEstimator::Median => optics.rho_of_depth_px(median),
                     DepthEstimator::Line => optics.rho_px(found.line.slope),
                 };
-                let blur_px = change.zip(*width).and_then(|(change, width)| {
+                let blur = change.zip(*width).and_then(|(change, width)| {
                     let (by, variance) = width.of_fill(&Vector2::new(0.0, change.y))?;
                     let per = optics.blur_by_fill_px(found.line.slope);
-                    Some([optics.fill_factor * rho_px + by * per, variance.sqrt() * per.abs()])
+                    Some(MeasuredBlur {
+                        radius_px: optics.blur_radius_px(found.line.slope) + by * per,
+                        std_dev_px: variance.sqrt() * per.abs(),
+                        fill_factor: optics.fill_factor,
+                    })
                 });
                 features.push(BapFeature {
                     frame: self.frame,
@@ -99,7 +103,7 @@ impl Frame<'_> {
                     // is not in it.
                     rho_std_dev_px: Some(half_pitch * found.line.slope_std_dev),
                     levers_px: Some((*by_taken).into()),
-                    blur_px,
+                    blur,
                 });
             }
         }

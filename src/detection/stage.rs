@@ -9,6 +9,7 @@ use super::{Detection, FrameCounts, MicroImages, Rejection, Search, detect_frame
 use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::model::{BapFeature, Board, FillFactor, Sensor, Subset};
+use crate::numerics::{median, weighted_mean};
 
 /// An image of a board.
 pub struct BoardImage<'a> {
@@ -107,8 +108,6 @@ const ROUNDS: usize = 4;
 /// Fill factors that are the same for that, relative, or within so many standard deviations.
 const SAME_FILL: f64 = 0.004;
 const SIGNIFICANT: f64 = 3.0;
-/// How well the model of a blurred corner tells the fill factor, relative.
-const FILL_MODEL: f64 = 2e-3;
 
 /// Detects the board in a set of images. `white` is the white image in their light and at their
 /// f-number.
@@ -182,16 +181,12 @@ type Found = (std::result::Result<Detection, Rejection>, FrameCounts);
 
 /// The mean fill factor of frames, with σ by their own or by their scatter, whichever is larger, and that of the model.
 fn fill_factor<'a>(frames: impl Iterator<Item = &'a Detection>) -> Option<FillFactor> {
-    let of_frames: Vec<FillFactor> =
-        frames.filter_map(|frame| Some(frame.edges?.fill_factor)).collect();
-    let weight = |fill: &FillFactor| fill.std_dev.powi(-2);
-    let weights: f64 = of_frames.iter().map(weight).sum();
-    let value = of_frames.iter().map(|fill| fill.value * weight(fill)).sum::<f64>() / weights;
-    let scatter: f64 =
-        of_frames.iter().map(|fill| weight(fill) * (fill.value - value).powi(2)).sum();
-    let excess = (scatter / (of_frames.len() as f64 - 1.0).max(1.0)).max(1.0);
-    let std_dev = (excess / weights).sqrt().hypot(FILL_MODEL * value);
-    value.is_finite().then_some(FillFactor { value, std_dev })
+    let of_frames = frames.filter_map(|frame| {
+        let fill = frame.edges?.fill_factor;
+        Some([fill.value, fill.std_dev])
+    });
+    let [value, std_dev] = weighted_mean(of_frames)?;
+    Some(FillFactor { value, std_dev: std_dev.hypot(FillFactor::MODEL * value) })
 }
 
 /// Whether corners should be fitted with another fill factor.

@@ -28,9 +28,9 @@ use serde_json::{Value, json};
 
 use crate::error::{Error, Result};
 use crate::model::{
-    Board, Configuration, Datasheet, FramePose, InternalParameters, Lattice, LatticeKind,
-    LensSetting, MainLens, MicroLensArray, Packing, Parity, PlenopticCamera, ROW_DISTANCE, Sensor,
-    optics,
+    Board, Configuration, Datasheet, EdgeSpread, FramePose, InternalParameters, Lattice,
+    LatticeKind, LensSetting, MainLens, MicroLensArray, Packing, Parity, PlenopticCamera,
+    ROW_DISTANCE, Sensor, optics,
 };
 use crate::precalibration::MicroImageArray;
 use files::{CameraFile, IntrinsicsFile, ParametersFile, PosesFile, SceneFile};
@@ -207,6 +207,7 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
             pitch_ratio,
             focal_lengths_mm,
         },
+        edge_spread: EdgeSpread::default(),
     })
 }
 

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::error::{Error, Result};
 use crate::image::RawImage;
-use crate::model::{FramePose, InternalParameters, Subset};
+use crate::model::{FillFactor, FramePose, InternalParameters, Subset};
 use crate::simulation::{
     Content, DataSet, Progress, Settings, Shot, Simulated, Target, TrueCenter, TrueFeature,
     simulate,
@@ -137,11 +137,15 @@ fn write_true_features(out: &mut dyn Write, features: &[TrueFeature]) -> io::Res
 
 fn internal_text(internal: &InternalParameters) -> String {
     let pitch = internal.micro_image_pitch_mm.map(|p| format!("micro_image_pitch_mm = {p}\n"));
+    let fill = internal.fill_factor.map(|FillFactor { value, std_dev }| {
+        format!("fill_factor = {{ value = {value}, std_dev = {std_dev} }}\n")
+    });
     format!(
-        "[internal_parameters]\nm_mm = {}\nq_prime_mm = {:?}\n{}",
+        "[internal_parameters]\nm_mm = {}\nq_prime_mm = {:?}\n{}{}",
         internal.m_mm,
         internal.q_prime_mm,
-        pitch.unwrap_or_default()
+        pitch.unwrap_or_default(),
+        fill.unwrap_or_default()
     )
 }
 

@@ -1,7 +1,7 @@
 //! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP
 //! features, u, v and ρ in px; the same columns as COMPOTE's. Standard deviations, px, may follow:
 //! `std_dev` of centres, `std_u`, `std_v` and `std_rho` of features. Columns are found by their names
-//! in the first line; others are ignored. `blur` and `std_blur` of features are their [`BapFeature::blur_px`], and columns
+//! in the first line; others are ignored. `blur`, `std_blur` and `fill_factor` of features are their [`BapFeature::blur`], and columns
 //! such as `du_pupil` and `dv_pupil` their [`BapFeature::levers_px`]. Gzip-compressed files are COMPOTE's binary form.
 
 use std::io::{self, Write};
@@ -11,7 +11,7 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 
 use super::{compote, read_bytes};
 use crate::error::{Error, Result};
-use crate::model::{BapFeature, MicroImageCenter, Observations, TAKEN};
+use crate::model::{BapFeature, FillFactor, MeasuredBlur, MicroImageCenter, Observations, TAKEN};
 
 /// Reads micro-image centres from CSV.
 pub fn read_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
@@ -61,7 +61,7 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
             },
             rho_std_dev_px: row.std_dev("std_rho")?,
             levers_px: row.levers()?,
-            blur_px: row.blur()?,
+            blur: row.blur()?,
         })
     })?;
     Ok(Observations { centers: Vec::new(), features })
@@ -85,8 +85,8 @@ const LEVERS: [[&str; 2]; TAKEN] = [
     ["du_fill_factor", "dv_fill_factor"],
 ];
 
-/// Columns of [`BapFeature::blur_px`].
-const BLUR: [&str; 2] = ["blur", "std_blur"];
+/// Columns of [`BapFeature::blur`].
+const BLUR: [&str; 3] = ["blur", "std_blur", "fill_factor"];
 
 /// Writes BAP features as CSV, with their standard deviations and levers if they have any.
 pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Result<()> {
@@ -96,7 +96,7 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
     let with_levers = features.iter().any(|f| f.levers_px.is_some());
     let levers =
         if with_levers { format!(",{}", LEVERS.as_flattened().join(",")) } else { String::new() };
-    let with_blur = features.iter().any(|f| f.blur_px.is_some());
+    let with_blur = features.iter().any(|f| f.blur.is_some());
     let blur = if with_blur { format!(",{}", BLUR.join(",")) } else { String::new() };
     writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}{blur}{levers}")?;
     features.iter().try_for_each(|f| {
@@ -107,8 +107,13 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
             write!(out, ",{u},{v},{}", std_dev_text(f.rho_std_dev_px))?;
         }
         if with_blur {
-            let blur = f.blur_px.map(|[blur, _]| format!("{blur:.4}")).unwrap_or_default();
-            write!(out, ",{blur},{}", std_dev_text(f.blur_px.map(|[_, std_dev]| std_dev)))?;
+            match &f.blur {
+                Some(MeasuredBlur { radius_px, std_dev_px, fill_factor }) => {
+                    let std_dev = std_dev_text(Some(*std_dev_px));
+                    write!(out, ",{radius_px:.4},{std_dev},{fill_factor:.6}")?;
+                }
+                None => write!(out, ",,,")?,
+            }
         }
         for lever in f.levers_px.unwrap_or_default().as_flattened().iter().filter(|_| with_levers) {
             let text = f.levers_px.map(|_| format!("{lever:.4}")).unwrap_or_default();
@@ -187,14 +192,17 @@ impl Row<'_> {
     }
 
     /// The measured blur radius, or `None` where there is none.
-    fn blur(&self) -> Result<Option<[f64; 2]>> {
-        let [blur, std_dev] = BLUR;
-        match (self.measured(blur)?, self.std_dev(std_dev)?) {
-            (Some(blur), Some(std_dev)) => Ok(Some([blur, std_dev])),
-            (None, None) => Ok(None),
-            _ => {
-                Err(self.error(&format!("{} go together, but one is missing", BLUR.join(" and "))))
+    fn blur(&self) -> Result<Option<MeasuredBlur>> {
+        let [blur, std_dev, fill] = BLUR;
+        match (self.measured(blur)?, self.std_dev(std_dev)?, self.measured(fill)?) {
+            (Some(radius_px), Some(std_dev_px), Some(fill_factor)) => {
+                FillFactor { value: fill_factor, std_dev: 0.0 }
+                    .validate()
+                    .map_err(|e| self.error(&e.to_string()))?;
+                Ok(Some(MeasuredBlur { radius_px, std_dev_px, fill_factor }))
             }
+            (None, None, None) => Ok(None),
+            _ => Err(self.error(&format!("{} go together, but one is missing", BLUR.join(", ")))),
         }
     }
 

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::camera_fields::CameraFields;
 use super::checks::positive;
 use super::datasheet::Configuration;
+use super::edge_spread::EdgeSpread;
 use super::lattice::{Lattice, LatticeKind};
 use super::parameters::intrinsic_parameters;
 use crate::error::{Error, Result};
@@ -143,6 +144,8 @@ pub struct PlenopticCamera {
     pub main_lens: MainLens,
     /// The micro-lens array.
     pub mla: MicroLensArray,
+    /// How its edges are blurred, as far as it is known.
+    pub edge_spread: EdgeSpread,
 }
 
 impl PlenopticCamera {
@@ -189,6 +192,7 @@ impl PlenopticCamera {
     /// Checks all values; an error names the one that is not possible.
     pub fn validate(&self) -> Result<()> {
         self.sensor.validate()?;
+        self.edge_spread.validate()?;
         check_array_size(self.lattice.columns, self.lattice.rows)?;
         check_lens_types(self.lens_types(), self.lattice.kind())?;
         if let Some(setting) = self.main_lens.setting {

@@ -4,6 +4,7 @@ use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera, Sensor};
+use super::edge_spread::{EdgeSpread, FillFactor, PointSpread};
 use super::lattice::{Lattice, LatticeKind, Packing, Parity};
 
 /// A camera as stored in files.
@@ -13,6 +14,9 @@ pub(crate) struct CameraFields {
     main_lens: MainLensFile,
     principal_point_px: [f64; 2],
     micro_lens_array: ArrayFile,
+    /// Left out where it is not known, like the fill factor.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    point_spread: Option<PointSpread>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -52,6 +56,8 @@ struct ArrayFile {
     pitch_mm: f64,
     pitch_ratio: f64,
     focal_lengths_mm: Vec<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fill_factor: Option<FillFactor>,
 }
 
 impl From<PlenopticCamera> for CameraFields {
@@ -89,7 +95,9 @@ impl From<PlenopticCamera> for CameraFields {
                 pitch_mm: mla.pitch_mm,
                 pitch_ratio: mla.pitch_ratio,
                 focal_lengths_mm: camera.mla.focal_lengths_mm,
+                fill_factor: camera.edge_spread.fill_factor,
             },
+            point_spread: camera.edge_spread.point_spread,
         }
     }
 }
@@ -128,6 +136,10 @@ impl TryFrom<CameraFields> for PlenopticCamera {
                 pitch_mm: array.pitch_mm,
                 pitch_ratio: array.pitch_ratio,
                 focal_lengths_mm: array.focal_lengths_mm,
+            },
+            edge_spread: EdgeSpread {
+                fill_factor: array.fill_factor,
+                point_spread: fields.point_spread,
             },
         })
     }

@@ -111,6 +111,28 @@ impl InternalParameters {
         self.point_spread.map_or(0.0, |spread| spread.variance_px2)
     }
 
+    /// φ, the fill factor that q'ᵢ go with.
+    #[must_use]
+    pub fn fill(&self) -> f64 {
+        self.fill_factor.unwrap_or(FillFactor::FULL).value
+    }
+
+    /// The same with another fill factor φ, for the micro-image pitch Δc, mm: what white images show, φqᵢ = φ(q'ᵢ − Δc/2),
+    /// stays.
+    #[must_use]
+    pub fn with_fill_factor(&self, fill_factor: FillFactor, pitch_mm: f64) -> Self {
+        let change = self.fill() / fill_factor.value;
+        let half_mm = pitch_mm / 2.0;
+        let of_std_dev = |std_dev: &f64| std_dev * change;
+        Self {
+            q_prime_mm: self.q_prime_mm.iter().map(|q| half_mm + (q - half_mm) * change).collect(),
+            q_prime_std_dev_mm: self.q_prime_std_dev_mm.iter().map(of_std_dev).collect(),
+            micro_image_pitch_mm: Some(pitch_mm),
+            fill_factor: Some(fill_factor),
+            ..self.clone()
+        }
+    }
+
     /// Checks all values; an error names the one that is not possible, or a wrong number of q'.
     pub fn validate(&self, lens_types: usize) -> Result<()> {
         positive(self.m_mm, "the internal parameter |m| (mm)")?;

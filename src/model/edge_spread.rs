@@ -26,10 +26,20 @@ pub struct FillFactor {
     pub std_dev: f64,
 }
 
+/// What the widths of a camera's edges say: what depth from blur needs beside the geometry. The projection of points does
+/// not depend on it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct EdgeSpread {
+    /// The fill factor; `None` where it is not known.
+    pub fill_factor: Option<FillFactor>,
+    /// The point spread; `None` where it is not known.
+    pub point_spread: Option<PointSpread>,
+}
+
 /// Point spreads beyond this hide all micro-images, px².
 const MOST_PX2: f64 = 100.0;
 /// Fill factors that openings can have.
-const FILL_FACTORS: std::ops::RangeInclusive<f64> = 0.2..=1.3;
+const FILL_FACTORS: std::ops::RangeInclusive<f64> = 0.01..=1.3;
 
 impl PointSpread {
     /// Its standard deviation along an axis with σ, px.
@@ -53,9 +63,28 @@ impl PointSpread {
     }
 }
 
+impl EdgeSpread {
+    /// An error that names a value that no camera has.
+    pub(crate) fn validate(&self) -> Result<()> {
+        self.fill_factor.map_or(Ok(()), |fill| fill.validate())?;
+        self.point_spread.map_or(Ok(()), |spread| spread.validate())
+    }
+}
+
 impl FillFactor {
     /// Openings as wide as the distance between micro-lenses, which is not questioned.
     pub const FULL: Self = Self { value: 1.0, std_dev: 0.0 };
+
+    /// How well the model of a blurred corner tells the fill factor, relative: the σ of what is found from corners is not
+    /// less.
+    pub const MODEL: f64 = 2e-3;
+
+    /// The standard deviation of blurred light along an axis over the blur radius ρ of full openings, φ/2, with its σ:
+    /// that of a uniform disc is half its radius.
+    #[must_use]
+    pub fn spread_per_radius(&self) -> [f64; 2] {
+        [self.value / 2.0, self.std_dev / 2.0]
+    }
 
     /// An error that names a value that no camera has.
     pub(crate) fn validate(&self) -> Result<()> {

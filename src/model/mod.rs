@@ -26,7 +26,7 @@ pub use camera::{
 pub(crate) use checks::positive;
 pub use datasheet::{Configuration, Datasheet, InternalParameters};
 pub(crate) use display::{display_unit, signed, with_std_dev};
-pub use edge_spread::{FillFactor, PointSpread};
+pub use edge_spread::{EdgeSpread, FillFactor, PointSpread};
 pub use fall_off::FallOff;
 pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};
 pub use lean::Lean;
@@ -34,7 +34,7 @@ pub(crate) use lean::growth_per_px;
 pub use noise::{Noise, NoiseSource};
 pub(crate) use observations::check_centers;
 pub use observations::{
-    BapFeature, MIN_CORNERS, MicroImageCenter, Observations, TAKEN, TAKEN_FROM_WHITES,
+    BapFeature, MIN_CORNERS, MeasuredBlur, MicroImageCenter, Observations, TAKEN, TAKEN_FROM_WHITES,
 };
 pub use parameters::{
     MAX_LENS_TYPES, Named, Parameter, SHAPE, SHAPE_PARAMETERS, intrinsic_parameters,

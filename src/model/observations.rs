@@ -35,7 +35,7 @@ pub struct BapFeature {
     pub u_px: f64,
     /// Position, px.
     pub v_px: f64,
-    /// Signed blur radius ρ, px, where it was measured.
+    /// Signed blur radius ρ of a micro-lens whose opening is as wide as the pitch, px, where it was measured.
     pub rho_px: Option<f64>,
     /// Standard deviations of u and v, px, where they were measured.
     pub std_dev_px: Option<[f64; 2]>,
@@ -44,9 +44,19 @@ pub struct BapFeature {
     /// How far u and v move if what the detection takes from the white images is wrong, where that is known: px
     /// per relative change of each of [`TAKEN_FROM_WHITES`].
     pub levers_px: Option<[[f64; 2]; TAKEN]>,
-    /// The blur radius as the width of its edges shows it, with the sign of ρ, and its standard deviation, px, where it was
-    /// measured. That of micro-lenses with a fill factor below 1 is smaller than ρ.
-    pub blur_px: Option<[f64; 2]>,
+    /// The blur radius as the width of its edges shows it, where it was measured.
+    pub blur: Option<MeasuredBlur>,
+}
+
+/// A blur radius that was measured by the width of edges. That of micro-lenses with a fill factor below 1 is smaller than ρ.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MeasuredBlur {
+    /// φρ with the sign of ρ, px.
+    pub radius_px: f64,
+    /// Its standard deviation, px.
+    pub std_dev_px: f64,
+    /// The fill factor that u, v and ρ of the feature were found with.
+    pub fill_factor: f64,
 }
 
 /// Number of the quantities of white images that a corner's place depends on.
@@ -105,7 +115,9 @@ impl Observations {
             if needs_rho {
                 check_rho(f.rho_px, &what, sensor)?;
             }
-            check_std_devs(f.std_dev_px.iter().flatten().chain(&f.rho_std_dev_px), &what)?;
+            let of_blur = f.blur.as_ref().map(|blur| &blur.std_dev_px);
+            let std_devs = f.std_dev_px.iter().flatten().chain(&f.rho_std_dev_px);
+            check_std_devs(std_devs.chain(of_blur), &what)?;
             if !(0..board.corners()).contains(&f.corner) {
                 return Err(Error::invalid(format!(
                     "{what} is not on the board of {} x {} inner corners",

@@ -117,7 +117,7 @@ mod tests {
             std_dev_px: None,
             rho_std_dev_px: None,
             levers_px: None,
-            blur_px: None,
+            blur: None,
         };
         FeatureResidual { feature, lens_type: 0, du_px, dv_px, drho_px }
     }

@@ -7,6 +7,18 @@ pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
+/// The mean of values with their standard deviations, weighted by these, and its own standard deviation: by theirs or by the
+/// scatter of the values, whichever is larger. `None` without values.
+pub(crate) fn weighted_mean(values: impl IntoIterator<Item = [f64; 2]>) -> Option<[f64; 2]> {
+    let values: Vec<[f64; 2]> = values.into_iter().collect();
+    let weight = |[_, std_dev]: &[f64; 2]| std_dev.powi(-2);
+    let weights: f64 = values.iter().map(weight).sum();
+    let mean = values.iter().map(|v| v[0] * weight(v)).sum::<f64>() / weights;
+    let scatter: f64 = values.iter().map(|v| weight(v) * (v[0] - mean).powi(2)).sum();
+    let excess = (scatter / (values.len() as f64 - 1.0).max(1.0)).max(1.0);
+    mean.is_finite().then(|| [mean, (excess / weights).sqrt()])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -16,5 +28,16 @@ mod tests {
         assert_eq!(median([3.0, 1.0, 2.0]), Some(2.0));
         assert_eq!(median([4.0, 1.0, 3.0, 2.0]), Some(3.0));
         assert_eq!(median([]), None);
+    }
+
+    #[test]
+    fn the_mean_is_as_uncertain_as_its_values_or_as_they_scatter() {
+        assert_eq!(
+            weighted_mean([[1.0, 0.2], [1.0, 0.2], [1.0, 0.2], [1.0, 0.2]]),
+            Some([1.0, 0.1])
+        );
+        let [mean, std_dev] = weighted_mean([[1.0, 0.1], [3.0, 0.1], [2.0, 0.1]]).unwrap();
+        assert!((mean - 2.0).abs() < 1e-12 && (std_dev - 1.0 / 3.0_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(weighted_mean([]), None);
     }
 }

@@ -37,6 +37,8 @@ pub(super) struct MicroLenses {
     /// ΔC along x.
     pub pitch: f64,
     pub opening_radius: f64,
+    /// Their diameter over the pitch.
+    pub fill_factor: f64,
     pub sensor_z: f64,
     pub pixel_size: f64,
     principal_point: Vector2<f64>,
@@ -72,6 +74,7 @@ impl MicroLenses {
             lenses,
             axes: axes.into_inner(),
             pitch: mla.pitch_mm,
+            fill_factor,
             opening_radius: fill_factor * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0,
             sensor_z: -(mla.lens_to_mla_mm + mla.mla_to_sensor_mm),
             pixel_size: camera.sensor.pixel_size_mm,

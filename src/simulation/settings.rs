@@ -11,7 +11,7 @@ use super::prescription::Prescription;
 use super::target::Target;
 use super::tracer::{Tracer, check_rays};
 use crate::error::{Error, Result};
-use crate::model::{Configuration, Datasheet, Noise, PlenopticCamera, positive};
+use crate::model::{Configuration, Datasheet, EdgeSpread, Noise, PlenopticCamera, positive};
 
 /// A simulated data set: camera, target, and the images to take.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -126,6 +126,12 @@ impl Settings {
         if let Some(prescription) = &self.prescription {
             prescription.validate()?;
             check_camera(&self.camera, prescription)?;
+        }
+        if self.camera.edge_spread != EdgeSpread::default() {
+            return Err(Error::invalid(
+                "fill factor and point spread of a simulated camera are imperfections: give them as fill_factor and \
+                 point_spread_px of [imperfections]",
+            ));
         }
         self.imperfections.validate(&self.camera)?;
         self.check_size()?;

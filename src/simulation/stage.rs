@@ -8,8 +8,8 @@ use super::truth::{TrueCenter, TrueFeature};
 use crate::error::Result;
 use crate::image::RawImage;
 use crate::model::{
-    FramePose, InternalParameters, MicroImageCenter, NoiseSource, Observations, PlenopticCamera,
-    Subset,
+    EdgeSpread, FramePose, InternalParameters, MicroImageCenter, NoiseSource, Observations,
+    PlenopticCamera, PointSpread, Subset,
 };
 
 /// What an image of a data set shows.
@@ -39,8 +39,8 @@ impl Progress for () {
 
 /// The truth of a simulated data set.
 ///
-/// Internal parameters and radii are those that the images show, imperfections included: with a fill
-/// factor below 1 micro-images and blur are smaller than in the model.
+/// q'ᵢ and ρ are those of micro-lenses whose openings are as wide as their pitch; with a fill factor below 1 micro-images
+/// and blur are smaller.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
     /// The camera. That of a real lens has F and the exit pupil for rays close to the axis, and neither
@@ -102,10 +102,18 @@ fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Truth {
         };
         boards.iter().flat_map(of_board).collect()
     });
+    let internal = tracer.internal_parameters();
+    // A pixel gives to two neighbours at a distance of 1 along each axis.
+    let Settings { imperfections, imaging, .. } = settings;
+    let variance_px2 = imperfections.point_spread_px.powi(2) + 2.0 * imaging.crosstalk;
+    let edge_spread = EdgeSpread {
+        fill_factor: internal.fill_factor,
+        point_spread: Some(PointSpread { variance_px2, std_dev_px2: 0.0 }),
+    };
     Truth {
-        camera: settings.camera.clone(),
+        camera: PlenopticCamera { edge_spread, ..settings.camera.clone() },
         main_lens: tracer.lens.figures(f64::midpoint(near, far)),
-        internal: tracer.internal_parameters(),
+        internal,
         centers: tracer.centers(),
         features,
     }

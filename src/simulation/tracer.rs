@@ -12,7 +12,7 @@ use super::prescription::Prescription;
 use super::ray::{Ray, Stop};
 use super::scene::{PlacedTarget, Scene};
 use crate::error::{Error, Result};
-use crate::model::{InternalParameters, Lattice, PlenopticCamera, Sensor, positive};
+use crate::model::{FillFactor, InternalParameters, Lattice, PlenopticCamera, Sensor, positive};
 
 /// A camera at one f-number, ready to take images.
 #[derive(Debug)]
@@ -136,16 +136,17 @@ impl Tracer {
         self.array.pitch * (1.0 + to_sensor / to_pupil)
     }
 
-    /// Ω as white images of this camera show it, imperfections included. The outer radius of a
-    /// micro-image combines the radii of the pupil and of the micro-lens's opening, both projected
-    /// onto the sensor, and grows with the pupil. For the ideal camera it agrees with the paper.
+    /// Ω of this camera, with its fill factor. The outer radius of a micro-image combines the radii of the
+    /// pupil and of the micro-lens's opening, both projected onto the sensor, and grows with the pupil; q'ᵢ
+    /// are those of openings as wide as the pitch. It agrees with the paper.
     #[must_use]
     pub fn internal_parameters(&self) -> InternalParameters {
         let to_pupil = self.lens.pupil.center.z + self.lens_to_mla;
         let to_sensor = -self.lens_to_mla - self.array.sensor_z;
         let pitch = self.micro_image_pitch_mm();
         let q_prime = |lens: &MicroLens| {
-            let stop = lens.demagnification(to_sensor, to_pupil) * self.array.opening_radius;
+            let stop = lens.demagnification(to_sensor, to_pupil) * self.array.opening_radius
+                / self.array.fill_factor;
             pitch / 2.0 - stop * to_sensor / to_pupil
         };
         InternalParameters {
@@ -158,7 +159,7 @@ impl Tracer {
             fall_off: None,
             lean: None,
             point_spread: None,
-            fill_factor: None,
+            fill_factor: Some(FillFactor { value: self.array.fill_factor, std_dev: 0.0 }),
         }
     }
 

@@ -34,7 +34,7 @@ pub struct TrueCenter {
 /// A board corner in a micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrueFeature {
-    /// The feature, without noise.
+    /// The feature, without noise. Its ρ is that of an opening as wide as the pitch.
     pub feature: BapFeature,
     /// Fraction of its light that passes the pupil and all stops, above 0.
     pub visible: f64,
@@ -166,11 +166,11 @@ impl Tracer {
                         l: lens.l,
                         u_px: spot.center_px.x,
                         v_px: spot.center_px.y,
-                        rho_px: Some(spot.radius_px),
+                        rho_px: Some(spot.radius_px / self.array.fill_factor),
                         std_dev_px: None,
                         rho_std_dev_px: None,
                         levers_px: None,
-                        blur_px: None,
+                        blur: None,
                     };
                     Some(TrueFeature { feature, visible: spot.visible })
                 };

@@ -60,7 +60,7 @@ pub fn synthesize_bent(
                         std_dev_px: None,
                         rho_std_dev_px: None,
                         levers_px: None,
-                        blur_px: None,
+                        blur: None,
                     }));
                 }
             }
@@ -121,7 +121,7 @@ fn project_corner(
 /// A small camera of three lens types, for the tests of rooms above.
 #[cfg(test)]
 pub(crate) fn small_camera() -> PlenopticCamera {
-    use crate::model::{Lattice, MainLens, MicroLensArray, Packing, Parity, Sensor};
+    use crate::model::{EdgeSpread, Lattice, MainLens, MicroLensArray, Packing, Parity, Sensor};
     use nalgebra::Vector3;
 
     PlenopticCamera {
@@ -138,5 +138,6 @@ pub(crate) fn small_camera() -> PlenopticCamera {
             pitch_ratio: 1.0,
             focal_lengths_mm: vec![0.578, 0.505, 0.552],
         },
+        edge_spread: EdgeSpread::default(),
     }
 }

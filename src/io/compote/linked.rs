@@ -53,7 +53,7 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
             std_dev_px: None,
             rho_std_dev_px: None,
             levers_px: None,
-            blur_px: None,
+            blur: None,
             corner: i32_at(r, 32),
             frame: u32::try_from(frame)
                 .map_err(|_| Error::invalid(format!("a feature has the frame number {frame}")))?,

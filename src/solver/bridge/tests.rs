@@ -5,8 +5,9 @@ use nalgebra::{Point3, Vector2, Vector3};
 use super::ffi::NodeRow;
 use super::*;
 use crate::model::{
-    BentBoard, Board, BoardShape, Lattice, LatticeKind, MainLens, MicroLensArray, Packing, Parity,
-    PlenopticCamera, SHAPE_PARAMETERS, Sensor, intrinsic_parameters, shared_parameters,
+    BentBoard, Board, BoardShape, EdgeSpread, Lattice, LatticeKind, MainLens, MicroLensArray,
+    Packing, Parity, PlenopticCamera, SHAPE_PARAMETERS, Sensor, intrinsic_parameters,
+    shared_parameters,
 };
 use crate::solver::problem::SolverFeature;
 
@@ -30,6 +31,7 @@ fn camera(packing: Packing, columns: i32, rows: i32) -> PlenopticCamera {
             pitch_ratio: 1.01,
             focal_lengths_mm: vec![0.5; types],
         },
+        edge_spread: EdgeSpread::default(),
     }
 }
 

@@ -1,0 +1,246 @@
+//! The fill factor φ of the micro-lenses by the widths of edges in the boards.
+//!
+//! White images show φqᵢ, the blur radius of the pupil itself, with qᵢ = q'ᵢ − Δc/2. The line of a corner has the slope γ,
+//! and the corner the blur radius φρ = φqᵢ + φ(1 − γ)Δc/2. So the blur that is measured in boards over the part that
+//! changes with γ is φ, and φ gives the q'ᵢ that belong to the whole pitch, and with them fᵢ.
+
+use std::collections::BTreeMap;
+
+use crate::calibration::anchors::INTERCEPTS;
+use crate::calibration::{Start, Warning};
+use crate::error::{Error, Result};
+use crate::model::{BapFeature, FillFactor, InternalParameters, Lattice, optics};
+use crate::numerics::{median, weighted_mean};
+use crate::precalibration::MicroImageArray;
+
+/// What the widths of edges say of a camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FillMeasurement {
+    /// The fill factor of all micro-lenses.
+    pub fill_factor: FillFactor,
+    /// What each lens type says by itself, by type; `None` without features.
+    pub types: Vec<Option<TypeBlur>>,
+}
+
+/// What the widths of edges say of one lens type.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TypeBlur {
+    /// Its own fill factor.
+    pub fill_factor: FillFactor,
+    /// Mean of measured less predicted blur radii, with the fill factor of all types, and its σ by the scatter of frames,
+    /// px.
+    pub excess_px: [f64; 2],
+    /// Number of its features.
+    pub features: usize,
+}
+
+/// Features this many times further than the typical one from all others of their frame show something else.
+const OUTLIERS: f64 = 5.0;
+/// Rounds in which they are left out.
+const ROUNDS: usize = 5;
+/// Half the width of a normal distribution, its median deviation, in σ.
+const MEDIAN_DEVIATION: f64 = 0.6745;
+/// Lens types disagree on the fill factor if they differ by more σ than this and by more than this part.
+const CONTRADICTION: f64 = 3.0;
+const CONTRADICTION_PART: f64 = 0.01;
+
+/// A feature whose blur was measured.
+struct Measured {
+    frame: u32,
+    lens_type: usize,
+    /// The fill factor by this feature alone, and its σ.
+    fill: [f64; 2],
+    /// (1 − γ) Δc/2, px: by how much its blur radius grows with the fill factor.
+    growth_px: f64,
+}
+
+/// Ω in pixels.
+struct InPixels<'a> {
+    internal: &'a InternalParameters,
+    half_pitch: f64,
+    pixel_mm: f64,
+}
+
+impl InPixels<'_> {
+    /// qᵢ with another fill factor, px; `None` of a type that is not there.
+    fn q(&self, lens_type: usize, fill: f64) -> Option<f64> {
+        let q_prime = self.internal.q_prime_mm.get(lens_type)? / self.pixel_mm;
+        Some((q_prime - self.half_pitch) * self.internal.fill() / fill)
+    }
+
+    /// σ of φqᵢ, px.
+    fn std_dev(&self, lens_type: usize) -> f64 {
+        let of_type = |of: &Vec<f64>| of.get(lens_type).copied();
+        let stated = of_type(&self.internal.q_prime_std_dev_mm);
+        let assumed = || of_type(&self.internal.q_prime_mm).map(|q| INTERCEPTS * q);
+        stated.or_else(assumed).unwrap_or(0.0) * self.internal.fill() / self.pixel_mm
+    }
+
+    /// The fill factor that measured blur stands for: (blur − φqᵢ)/((1 − γ)Δc/2), in which ρ tells γ. Around the fill
+    /// factor that the corner was found with, so that q'ᵢ of its place, which an array that leans changes, drops out.
+    fn measured(&self, f: &BapFeature, lens_type: usize) -> Option<Measured> {
+        let (blur, rho) = (f.blur?, f.rho_px?);
+        let growth_px = rho - self.q(lens_type, blur.fill_factor)?;
+        let fill = blur.fill_factor + (blur.radius_px - blur.fill_factor * rho) / growth_px;
+        let std_dev = blur.std_dev_px / growth_px.abs();
+        let usable = fill.is_finite() && std_dev.is_finite();
+        usable.then_some(Measured { frame: f.frame, lens_type, fill: [fill, std_dev], growth_px })
+    }
+
+    /// The fill factor by some features. Those of a frame have errors in common, so the scatter of frames is its σ, with
+    /// what the σ of q'ᵢ and the model make of it.
+    fn fill_factor<'a>(
+        &self,
+        some: impl Iterator<Item = &'a Measured> + Clone,
+    ) -> Option<FillFactor> {
+        let [value, std_dev] = by_frames(some.clone().map(|m| (m.frame, m.fill)))?;
+        let (mut weights, mut by_type) = (0.0, BTreeMap::<usize, f64>::new());
+        for m in some {
+            let weight = m.fill[1].powi(-2);
+            weights += weight;
+            *by_type.entry(m.lens_type).or_default() += weight / m.growth_px;
+        }
+        let of_type = |(lens_type, by): (&usize, &f64)| self.std_dev(*lens_type) * by / weights;
+        let of_white_images = by_type.iter().map(of_type).fold(0.0, f64::hypot);
+        let std_dev = std_dev.hypot(of_white_images).hypot(FillFactor::MODEL * value);
+        Some(FillFactor { value, std_dev })
+    }
+}
+
+impl FillMeasurement {
+    /// By features that state their measured blur, with internal parameters of a datasheet; `None` if there are none. An
+    /// error if it is not possible.
+    pub(super) fn of(
+        start: &Start,
+        grid: Option<&MicroImageArray>,
+        features: &[BapFeature],
+    ) -> Result<Option<Self>> {
+        let (Start::Datasheet(sheet, internal), Some(grid)) = (start, grid) else {
+            return Ok(None);
+        };
+        let pixel_mm = sheet.sensor.pixel_size_mm;
+        let half_pitch = pitch_mm(internal, grid, pixel_mm) / pixel_mm / 2.0;
+        let in_pixels = InPixels { internal, half_pitch, pixel_mm };
+        let types = internal.q_prime_mm.len();
+        let of_feature =
+            |f: &BapFeature| in_pixels.measured(f, grid.lattice.lens_type(f.k, f.l, types));
+        let all: Vec<Measured> = features.iter().filter_map(of_feature).collect();
+        let Some(fill_factor) = in_pixels.fill_factor(all.iter()) else { return Ok(None) };
+        fill_factor.validate().map_err(|error| {
+            Error::invalid(format!(
+                "the widths of edges do not fit the internal parameters: {error}. Check that both are of the same \
+                 camera, or leave the columns blur, std_blur and fill_factor of the features out"
+            ))
+        })?;
+        let of_type = |lens_type: usize| {
+            let own = || all.iter().filter(move |m| m.lens_type == lens_type);
+            let excess = |m: &Measured| {
+                let [fill, std_dev] = m.fill;
+                let excess_px = (fill - fill_factor.value) * m.growth_px;
+                (m.frame, [excess_px, std_dev * m.growth_px.abs()])
+            };
+            Some(TypeBlur {
+                fill_factor: in_pixels.fill_factor(own())?,
+                excess_px: by_frames(own().map(excess))?,
+                features: own().count(),
+            })
+        };
+        Ok(Some(Self { fill_factor, types: (0..types).map(of_type).collect() }))
+    }
+
+    /// A warning about the two lens types that disagree most on the fill factor, if they do.
+    pub(super) fn contradiction(&self) -> Option<Warning> {
+        let of_types =
+            || self.types.iter().enumerate().filter_map(|(i, t)| Some((i, (*t)?.fill_factor)));
+        let pairs = of_types().flat_map(|a| of_types().map(move |b| (a, b)));
+        let apart =
+            |(a, b): &(FillFactor, FillFactor)| (a.value - b.value) / a.std_dev.hypot(b.std_dev);
+        let worst = pairs
+            .map(|((i, a), (k, b))| ([i, k], [a, b]))
+            .max_by(|(_, x), (_, y)| apart(&(x[0], x[1])).total_cmp(&apart(&(y[0], y[1]))));
+        let ([larger, smaller], [a, b]) = worst?;
+        let clearly = a.value - b.value > CONTRADICTION_PART * self.fill_factor.value;
+        (clearly && apart(&(a, b)) > CONTRADICTION).then_some(Warning::FillFactorsDiffer {
+            lens_types: [larger, smaller],
+            fill_factors: [a, b],
+        })
+    }
+}
+
+/// The start with a fill factor.
+pub(super) fn with_fill_factor(
+    start: Start,
+    grid: Option<&MicroImageArray>,
+    measured: Option<&FillMeasurement>,
+) -> Start {
+    match (start, grid, measured) {
+        (Start::Datasheet(sheet, internal), Some(grid), Some(measured)) => {
+            let pitch_mm = pitch_mm(&internal, grid, sheet.sensor.pixel_size_mm);
+            let internal = internal.with_fill_factor(measured.fill_factor, pitch_mm);
+            Start::Datasheet(sheet, internal)
+        }
+        (start, ..) => start,
+    }
+}
+
+/// Δc, mm.
+fn pitch_mm(internal: &InternalParameters, grid: &MicroImageArray, pixel_mm: f64) -> f64 {
+    internal.micro_image_pitch_mm.unwrap_or(grid.pitch_px * pixel_mm)
+}
+
+/// Changes features that were found with another fill factor than that of the camera to those that would have been found
+/// with it: ρ by qᵢ, since φqᵢ stays, u and v by their levers. Features without measured blur go with the camera.
+pub(super) fn with_that_of_start(
+    mut features: Vec<BapFeature>,
+    start: &Start,
+    lattice: &Lattice,
+) -> Vec<BapFeature> {
+    let pixel_mm = start.sensor().pixel_size_mm;
+    let internal = match start {
+        Start::Datasheet(_, internal) => internal.clone(),
+        Start::Camera(camera) => optics::internal_parameters(camera),
+    };
+    let (Some(fill), Some(pitch_mm)) = (internal.fill_factor, internal.micro_image_pitch_mm) else {
+        return features;
+    };
+    let (types, half_pitch) = (internal.q_prime_mm.len(), pitch_mm / pixel_mm / 2.0);
+    let in_pixels = InPixels { internal: &internal, half_pitch, pixel_mm };
+    for f in &mut features {
+        let Some(blur) = &mut f.blur else { continue };
+        let q = in_pixels.q(lattice.lens_type(f.k, f.l, types), fill.value);
+        if let (Some(rho), Some(q)) = (&mut f.rho_px, q) {
+            *rho += q * (1.0 - fill.value / blur.fill_factor);
+        }
+        if let Some([.., [by_u, by_v]]) = f.levers_px {
+            let change = (fill.value / blur.fill_factor).ln();
+            f.u_px += by_u * change;
+            f.v_px += by_v * change;
+        }
+        blur.fill_factor = fill.value;
+    }
+    features
+}
+
+/// The mean over frames of the means of frames.
+fn by_frames(values: impl Iterator<Item = (u32, [f64; 2])>) -> Option<[f64; 2]> {
+    let mut frames: BTreeMap<u32, Vec<[f64; 2]>> = BTreeMap::new();
+    for (frame, value) in values {
+        frames.entry(frame).or_default().push(value);
+    }
+    weighted_mean(frames.values().filter_map(|of_frame| of_one_frame(of_frame)))
+}
+
+/// The mean of values with their σ, without those far from all others.
+fn of_one_frame(values: &[[f64; 2]]) -> Option<[f64; 2]> {
+    let mut kept = values.to_vec();
+    let mut found = None;
+    for _ in 0..ROUNDS {
+        let [mean, std_dev] = weighted_mean(kept.iter().copied())?;
+        found = Some([mean, std_dev]);
+        let far = |[value, std_dev]: &[f64; 2]| (value - mean).abs() / std_dev;
+        let typical = median(values.iter().map(far))? / MEDIAN_DEVIATION;
+        kept = values.to_vec();
+        kept.retain(|value| far(value) <= OUTLIERS * typical.max(1.0));
+    }
+    found
+}
