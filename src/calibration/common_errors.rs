@@ -66,7 +66,7 @@ pub(super) fn common_errors(
         let [u, v] = levers(f)[2];
         [u * within, v * within, 0.0]
     });
-    let (q_mm, of_anchors) = by_fill_factor(internal, &cost.anchors);
+    let (q_mm, of_anchors) = by_fill_factor(internal, &cost.anchors, pixel_mm);
     add("fill factor", of_anchors.iter().map(|by| by * fill).collect(), &|i, f| {
         let [u, v] = levers(f)[3];
         let rho = if cost.rho { -q_mm[types[i]] / pixel_mm } else { 0.0 };
@@ -98,10 +98,18 @@ pub(super) fn common_errors(
 
 /// qᵢ by lens type, mm, by which q'ᵢ fall with ln φ: white images show the product of φ and qᵢ = q'ᵢ − Δc/2. And by how much
 /// the value of each anchor changes with ln φ, in its σ.
-fn by_fill_factor(internal: &InternalParameters, anchors: &[Anchor]) -> (Vec<f64>, Vec<f64>) {
+fn by_fill_factor(
+    internal: &InternalParameters,
+    anchors: &[Anchor],
+    pixel_mm: f64,
+) -> (Vec<f64>, Vec<f64>) {
     let half_pitch_mm = internal.micro_image_pitch_mm.unwrap_or(0.0) / 2.0;
     let q_mm: Vec<f64> = internal.q_prime_mm.iter().map(|q| q - half_pitch_mm).collect();
     let of_anchor = |anchor: &Anchor| {
+        let axis = LEAN.iter().position(|name| anchor.quantity == *name);
+        if let (Some(axis), Some(lean)) = (axis, &internal.lean) {
+            return lean.by_fill_factor_per_px[axis] / pixel_mm / anchor.std_dev;
+        }
         let lens_type = (0..q_mm.len()).find(|i| anchor.quantity == intercept_name(*i));
         lens_type.map_or(0.0, |i| -q_mm[i] / anchor.std_dev)
     };

@@ -6,8 +6,8 @@ use nalgebra::Vector2;
 
 use crate::error::{Error, Result};
 use crate::model::{
-    Configuration, Datasheet, FallOff, FillFactor, InternalParameters, LatticeKind,
-    MicroImageCenter, ROW_DISTANCE, Sensor, check_centers, growth_per_px, optics,
+    Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, MicroImageCenter,
+    ROW_DISTANCE, Sensor, check_centers, growth_per_px, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::vignetting::{Obliquity, Pixel, Vignetting};
@@ -34,6 +34,10 @@ pub struct MicroImages {
     fall_off: FallOff,
     /// The angles at which light arrives in the middle of the image.
     in_the_middle: Obliquity,
+    /// The lean of the array, where it was measured.
+    lean: Option<Lean>,
+    /// (D + d)/d.
+    lens_to_sensor: f64,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
     /// Vignetting by lens type and by growth of d: as it is, with another pupil, and with another q'ᵢ.
@@ -157,26 +161,8 @@ impl MicroImages {
         );
         let lens_to_sensor_px = (lens_to_mla + mla_to_sensor) / pixel_size_mm;
         let mla_to_sensor_px = mla_to_sensor / pixel_size_mm;
-        let fall_off = internal
-            .fall_off
-            .unwrap_or_else(|| FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, middle));
-        let growth_per_px = growth_per_px(
-            internal.lean.as_ref(),
-            &grid.perspective_per_px,
-            lens_to_sensor_px / mla_to_sensor_px,
-        );
-        let most = growth_per_px.abs().dot(&middle);
-        if most.is_nan() || most > MOST_GROWTH {
-            return Err(Error::invalid(format!(
-                "the micro-images lie in such a perspective that the array would be {:.0} % further from \
-                 the sensor at a corner of the image than in the middle: the centres are not of one \
-                 flat array, or the focal length is wrong",
-                100.0 * most
-            )));
-        }
-        #[allow(clippy::cast_possible_truncation)] // bounded above
-        let last_step = (most / GROWTH_STEP).ceil() as i32;
-        let fill_factor = internal.fill_factor.unwrap_or(FillFactor::FULL).value;
+        let cos4 = || FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, middle);
+        let (fall_off, fill_factor) = (internal.fall_off.unwrap_or_else(cos4), internal.fill());
         let (within, half_pitch_px) = (fall_off.within_per_px2, grid.pitch_px / 2.0 * fill_factor);
         let mut micro_images = Self {
             grid: *grid,
@@ -184,17 +170,40 @@ impl MicroImages {
             centers: centers.iter().map(place).collect(),
             pupil_px,
             vignetting: Default::default(),
-            first_step: -last_step,
+            first_step: 0,
             q_prime_px: internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect(),
             fill_factor,
             point_spread_px2: internal.point_spread_px2(),
             middle,
             in_the_middle: Obliquity::in_the_middle(within, mla_to_sensor_px, half_pitch_px),
             fall_off,
-            growth_per_px,
+            lean: internal.lean,
+            lens_to_sensor: lens_to_sensor_px / mla_to_sensor_px,
+            growth_per_px: Vector2::zeros(),
         };
-        micro_images.vignetting = micro_images.tables();
+        let most = micro_images.tabulate();
+        if most.is_nan() || most > MOST_GROWTH {
+            return Err(Error::invalid(format!(
+                "the micro-images lie in such a perspective that the array would be {:.0} % further from the sensor \
+                 at a corner of the image than in the middle: the centres are not of one flat array, or the focal \
+                 length is wrong",
+                100.0 * most
+            )));
+        }
         Ok(micro_images)
+    }
+
+    /// Finds how d grows over the image, and the vignetting; how much it grows at most.
+    fn tabulate(&mut self) -> f64 {
+        let perspective_per_px = &self.grid.perspective_per_px;
+        self.growth_per_px =
+            growth_per_px(self.lean.as_ref(), perspective_per_px, self.lens_to_sensor);
+        let most = self.growth_per_px.abs().dot(&self.middle);
+        #[allow(clippy::cast_possible_truncation)] // a small number
+        let last_step = (most.min(MOST_GROWTH) / GROWTH_STEP).ceil() as i32;
+        self.first_step = -last_step;
+        self.vignetting = self.tables();
+        most
     }
 
     /// The vignetting by what is [`OTHERWISE`], by lens type and by growth of d.
@@ -222,12 +231,8 @@ impl MicroImages {
 
     /// The micro-images of a camera as its white images show them.
     pub fn of_precalibration(measured: &Precalibration, sheet: &Datasheet) -> Result<Self> {
-        Self::new(
-            &measured.array.grid,
-            &measured.array.centers,
-            &measured.internal.parameters,
-            sheet,
-        )
+        let Precalibration { array, internal, .. } = measured;
+        Self::new(&array.grid, &array.centers, &internal.parameters, sheet)
     }
 
     /// From what was measured before; an error if it is not of this camera.
@@ -244,16 +249,18 @@ impl MicroImages {
         Self::new(&grid, centers, internal, sheet)
     }
 
-    /// The same with another fill factor φ; the discs of white images, and with them φqᵢ, stay as they are.
+    /// The same with another fill factor φ; the discs of white images, and with them φqᵢ, stay as they are all over the
+    /// image.
     #[must_use]
     pub fn with_fill_factor(&self, fill_factor: f64) -> Self {
         let (half_pitch, change) = (self.grid.pitch_px / 2.0, self.fill_factor / fill_factor);
         let of_type = |q_prime: &f64| half_pitch + (q_prime - half_pitch) * change;
         let q_prime_px = self.q_prime_px.iter().map(of_type).collect();
-        let mut in_the_middle = self.in_the_middle;
-        in_the_middle.half_pitch_px = half_pitch * fill_factor;
-        let mut other = Self { q_prime_px, fill_factor, in_the_middle, ..self.clone() };
-        other.vignetting = other.tables();
+        let in_the_middle =
+            Obliquity { half_pitch_px: half_pitch * fill_factor, ..self.in_the_middle };
+        let lean = self.lean.map(|lean| lean.with_fill_factor(-change.ln()));
+        let mut other = Self { q_prime_px, fill_factor, in_the_middle, lean, ..self.clone() };
+        other.tabulate();
         other
     }
 
@@ -327,8 +334,8 @@ impl MicroImages {
             1 => other.q_prime_px *= factor,
             2 => other.obliquity.within_per_px2 *= factor,
             _ => {
-                let q = (optics.q_prime_px - optics.half_pitch_px) / factor;
-                other.q_prime_px = optics.half_pitch_px + q;
+                other.q_prime_px =
+                    other.half_pitch_px + optics.q_px() / optics.fill_factor / factor;
                 other.fill_factor *= factor;
             }
         }

@@ -109,6 +109,12 @@ const ROUNDS: usize = 4;
 const SAME_FILL: f64 = 0.004;
 const SIGNIFICANT: f64 = 3.0;
 
+/// Edges of a frame are wider than those of the others if their variance is larger by this, px², and by so many σ.
+const WIDER_PX2: f64 = 0.05;
+const CLEARLY: f64 = 5.0;
+/// The variance of both axes together of an even motion is a twelfth of its square, that along an axis half of it.
+const MOTION: f64 = 24.0;
+
 /// Detects the board in a set of images. `white` is the white image in their light and at their
 /// f-number.
 ///
@@ -222,6 +228,7 @@ fn warnings(frames: &[DetectedFrame], board: &Board, subset: Subset) -> Vec<Stri
             "{found} frame(s) are few for a calibration: take ten or more, at several distances and tilts"
         ));
     }
+    warnings.extend(blurred(frames));
     if !shows_all_sides(frames, board) {
         warnings.push(format!(
             "no frame shows the board from its first to its last row and column: check that it has {} x \
@@ -230,6 +237,30 @@ fn warnings(frames: &[DetectedFrame], board: &Board, subset: Subset) -> Vec<Stri
         ));
     }
     warnings
+}
+
+/// Warnings about frames whose edges are wider than those of the others.
+fn blurred(frames: &[DetectedFrame]) -> Vec<String> {
+    let edges: Vec<(&DetectedFrame, [f64; 2])> = frames
+        .iter()
+        .filter_map(|frame| Some((frame, frame.result.as_ref().ok()?.edges?.spread_px2)))
+        .collect();
+    let Some(usual) = median(edges.iter().map(|(_, [spread, _])| *spread)) else {
+        return Vec::new();
+    };
+    let wider = |(_, [spread, std_dev]): &&(&DetectedFrame, [f64; 2])| {
+        edges.len() >= FEW_FRAMES && spread - usual > WIDER_PX2.max(CLEARLY * std_dev)
+    };
+    let words = |(frame, [spread, _]): &(&DetectedFrame, [f64; 2])| {
+        format!(
+            "the edges in frame {} ({}) are wider than those of the others, as if something had moved by {:.1} px in its micro-images: hold \
+             board and camera still, or leave the frame out if it does not fit",
+            frame.frame,
+            frame.name,
+            (MOTION * (spread - usual)).sqrt()
+        )
+    };
+    edges.iter().filter(wider).map(words).collect()
 }
 
 /// A board that is stated too large fits as well where its other sides are out of view.

@@ -2,6 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
+use super::blur_section::blur_document;
 use super::board_shape_file::board_shape_document;
 use super::camera_file::errors_text;
 use super::{camera_document, poses_document};
@@ -217,6 +218,7 @@ pub fn calibration_document(
         "time_s": time_s,
         "solver_time_s": refinement.time_s,
         "anchors": anchors_document(calibration),
+        "blur": blur_document(calibration.fill.as_ref()),
         "board_shape": board_shape_document(&calibration.board),
         "standard_deviations": std_devs_document(calibration),
         "common_errors": common_errors_document(calibration),

@@ -8,6 +8,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
+use super::blur_section::depth_from_blur_document;
 use super::read_text;
 use crate::error::{Error, Result};
 use crate::model::{Parameter, PlenopticCamera, intrinsic_parameters};
@@ -36,6 +37,9 @@ pub fn camera_document(camera: &PlenopticCamera, uncertainty: Option<&Uncertaint
         version: CAMERA_VERSION,
         camera: camera.clone(),
     });
+    if let Some(depth_from_blur) = depth_from_blur_document(&camera.edge_spread) {
+        document["depth_from_blur"] = depth_from_blur;
+    }
     if let (Some(uncertainty), Some(fields)) = (uncertainty, document.as_object_mut()) {
         fields.insert("uncertainty".to_owned(), uncertainty_document(camera, uncertainty));
     }

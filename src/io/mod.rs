@@ -1,6 +1,7 @@
 //! Files: plenocal's own and COMPOTE's. They are recognised by content, and written all together or not at
 //! all.
 
+mod blur_section;
 mod board_shape_file;
 mod calibration_file;
 mod calibration_section;

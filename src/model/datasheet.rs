@@ -117,8 +117,8 @@ impl InternalParameters {
         self.fill_factor.unwrap_or(FillFactor::FULL).value
     }
 
-    /// The same with another fill factor φ, for the micro-image pitch Δc, mm: what white images show, φqᵢ = φ(q'ᵢ − Δc/2),
-    /// stays.
+    /// The same with another fill factor φ, for the micro-image pitch Δc, mm: what white images show, φqᵢ = φ(q'ᵢ − Δc/2)
+    /// and how the discs grow over the image, stays.
     #[must_use]
     pub fn with_fill_factor(&self, fill_factor: FillFactor, pitch_mm: f64) -> Self {
         let change = self.fill() / fill_factor.value;
@@ -128,6 +128,7 @@ impl InternalParameters {
             q_prime_mm: self.q_prime_mm.iter().map(|q| half_mm + (q - half_mm) * change).collect(),
             q_prime_std_dev_mm: self.q_prime_std_dev_mm.iter().map(of_std_dev).collect(),
             micro_image_pitch_mm: Some(pitch_mm),
+            lean: self.lean.map(|lean| lean.with_fill_factor(-change.ln())),
             fill_factor: Some(fill_factor),
             ..self.clone()
         }

@@ -13,6 +13,10 @@ pub struct Lean {
     pub growth_per_px: [f64; 2],
     /// σ of both, px⁻¹.
     pub std_dev_per_px: [f64; 2],
+    /// How much both grow with ln φ, px⁻¹: white images show how the discs of blur grow, which is the lean by φq'ᵢ, and of
+    /// that only φqᵢ.
+    #[serde(default)]
+    pub by_fill_factor_per_px: [f64; 2],
 }
 
 /// σ of the distance of the exit pupil from the sensor before it is known, relative.
@@ -49,6 +53,13 @@ impl Lean {
             ))),
             None => Ok(()),
         }
+    }
+
+    /// The lean by the same white images with another fill factor; `change` is that of ln φ.
+    #[must_use]
+    pub fn with_fill_factor(&self, change: f64) -> Self {
+        let of_axis = |i: usize| self.growth_per_px[i] + self.by_fill_factor_per_px[i] * change;
+        Self { growth_per_px: [of_axis(0), of_axis(1)], ..*self }
     }
 
     /// The mean of this lean and another estimate of ∇ ln d with its σ, each by its weight.

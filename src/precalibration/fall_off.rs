@@ -16,7 +16,7 @@ use super::rings::{Alike, Gradient};
 use super::samples::Samples;
 use super::stage::PrecalibrationOptions;
 use crate::image::Grey;
-use crate::model::{FallOff, InternalParameters, Lean};
+use crate::model::{FallOff, FillFactor, InternalParameters, Lean};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
 use crate::vignetting::Obliquity;
 
@@ -34,6 +34,9 @@ const ROUNDS: usize = 4;
 /// A fall-off is known if its σ is below this part of that of cos⁴: corners near the border of an R12 are then
 /// right to 0.01 px.
 const KNOWN: f64 = 0.2;
+
+/// A fill factor between 1 and those of micro-lenses with wide gaps: the lean is linear in ln φ to a per cent of itself.
+const OTHERWISE: FillFactor = FillFactor { value: 0.9, std_dev: 0.0 };
 
 /// The fall-off of a camera.
 pub(super) struct Measured {
@@ -108,9 +111,7 @@ impl Light {
         let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, self.middle);
         let known = |fall_off: &FallOff| fall_off.std_dev_per_px2 < KNOWN * cos4.growth_per_px2;
         let (gradients, within) = self.measured(internal, options, law);
-        let growths = |group: &Vec<Gradient>| group.iter().map(|g| g.growth).collect();
-        let growths: Vec<Vec<Growth>> = gradients.iter().map(growths).collect();
-        let lean = lean(&growths, &self.middle);
+        let lean = self.lean(&gradients);
         debug!("{lean:?}");
         let Some(measured) = plane(&gradients.concat()).filter(known) else {
             let warning = "how light falls off with its angle does not show in the white images: it is taken \
@@ -135,6 +136,29 @@ impl Light {
             lean,
             warning: None,
         }
+    }
+
+    fn lean(&self, gradients: &[Vec<Gradient>]) -> Option<Lean> {
+        let growths = |group: &Vec<Gradient>| group.iter().map(|g| g.growth).collect();
+        let growths: Vec<Vec<Growth>> = gradients.iter().map(growths).collect();
+        lean(&growths, &self.middle)
+    }
+
+    /// A lean with how it changes with the fill factor, which white images do not show; `None` if it does not show with
+    /// another one.
+    pub fn by_fill_factor(
+        &self,
+        lean: Lean,
+        internal: &InternalParameters,
+        options: &PrecalibrationOptions,
+        law: &Obliquity,
+    ) -> Option<Lean> {
+        let pitch_mm = self.seen_pitch_px * options.pixel_size_mm;
+        let otherwise = internal.with_fill_factor(OTHERWISE, pitch_mm);
+        let other = self.lean(&self.measured(&otherwise, options, law).0)?;
+        let change = (OTHERWISE.value / internal.fill()).ln();
+        let of_axis = |i: usize| (other.growth_per_px[i] - lean.growth_per_px[i]) / change;
+        Some(Lean { by_fill_factor_per_px: [of_axis(0), of_axis(1)], ..lean })
     }
 
     /// The gradients of all micro-images by image and type, and H with its variance.

@@ -54,7 +54,11 @@ pub(super) fn lean(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<Lean
         (mean, (excess / weights).sqrt().hypot(MODEL * mean))
     };
     let (along_u, along_v) = (axis(0), axis(1));
-    Some(Lean { growth_per_px: [along_u.0, along_v.0], std_dev_per_px: [along_u.1, along_v.1] })
+    Some(Lean {
+        growth_per_px: [along_u.0, along_v.0],
+        std_dev_per_px: [along_u.1, along_v.1],
+        by_fill_factor_per_px: [0.0; 2],
+    })
 }
 
 /// The linear part of the growth over the image, and its variances.

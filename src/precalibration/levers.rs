@@ -22,9 +22,9 @@ pub(super) const GROWTH: f64 = 1e-2;
 pub(super) struct Levers {
     /// a, px.
     pupil_px: f64,
-    /// qᵢ with its sign, by lens type, px.
+    /// φqᵢ with its sign, by lens type, px.
     q_px: Vec<f64>,
-    /// ΔC/2, the radius of a micro-lens, px.
+    /// φΔC/2, the radius of a micro-lens, px.
     lens_px: f64,
     /// (D + d)/d.
     lens_to_sensor: f64,
@@ -39,14 +39,14 @@ impl Levers {
         pitch_px: f64,
         options: &PrecalibrationOptions,
     ) -> Self {
-        let pixel = options.pixel_size_mm;
+        let (pixel, fill) = (options.pixel_size_mm, internal.fill());
         let (lens_to_sensor_px, distance_px) = options.distances_px(internal.m_mm);
         Self {
             pupil_px: internal.pupil_radius_mm(f_number) / pixel,
-            q_px: internal.q_prime_mm.iter().map(|q| q / pixel - pitch_px / 2.0).collect(),
+            q_px: internal.q_prime_mm.iter().map(|q| fill * (q / pixel - pitch_px / 2.0)).collect(),
             // The micro-image pitch is that of the lenses as projected from the pupil. Where a large pupil and
             // a large blur nearly cancel in how far light shifts a centroid, the 2 % show.
-            lens_px: pitch_px / 2.0 * (1.0 - distance_px / lens_to_sensor_px),
+            lens_px: fill * pitch_px / 2.0 * (1.0 - distance_px / lens_to_sensor_px),
             lens_to_sensor: lens_to_sensor_px / distance_px,
             pixel: Pixel::new(internal.point_spread_px2()),
         }
@@ -93,7 +93,7 @@ impl Levers {
     }
 
     /// The light at distance r, and how it changes where d grows, over its relative growth; both over the light in
-    /// the middle. a and qᵢ + ΔC/2 grow in proportion, the micro-lens stays, and light arrives less obliquely.
+    /// the middle. a and φ(qᵢ + ΔC/2) grow in proportion, the micro-lens stays, and light arrives less obliquely.
     /// `law` is how light falls off inside a micro-image.
     pub fn light_and_growth(&self, lens_type: usize, r: f64, law: &Obliquity) -> (f64, f64) {
         let light = |r: f64, growth: f64| self.light_and_lever(lens_type, r, growth, law).0;

@@ -155,7 +155,8 @@ pub fn precalibrate(
     let mut radii = samples.measurements(&by_type);
     let mut internal = samples.internal(discs, &mut radii, &by_type, array.grid.pitch_px)?;
     internal.parameters.fall_off = Some(fall_off);
-    internal.parameters.lean = lean;
+    internal.parameters.lean =
+        lean.and_then(|lean| light.by_fill_factor(lean, &oblique.parameters, options, &obliquity));
     let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
     let wrong_aperture = different_aperture((reference, &grey), &levers, &samples, &found.pattern)

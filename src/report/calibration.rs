@@ -7,6 +7,7 @@ use super::assessment::{
 };
 use super::board::board_text;
 use super::common_errors::{COMMON_ERRORS, common_errors_table};
+use super::fill_factor::fill_factor_text;
 use super::table::{Table, table};
 use crate::assessment::Assessment;
 use crate::calibration::{Calibration, termination_text, weakest_directions_text};
@@ -235,6 +236,9 @@ pub(super) fn summary(calibration: &Calibration) -> String {
     };
     let _ = writeln!(text, "{counts}");
     let _ = writeln!(text, "{}", board_text(calibration));
+    if let Some(fill) = fill_factor_text(calibration) {
+        let _ = writeln!(text, "{fill}");
+    }
     let _ = writeln!(text, "{}", std_dev_text(calibration));
     if !calibration.anchors.is_empty() {
         let _ = writeln!(text, "{}", anchor_weight_text(calibration));

@@ -1,5 +1,6 @@
 //! Figures of a calibration.
 
+mod blur;
 mod charts;
 mod correlations;
 mod distortion;
@@ -31,6 +32,7 @@ pub fn calibration_figures(
         vectors::residual_vectors(calibration)?,
         histograms::residual_histograms(calibration)?,
         charts::rmse(calibration)?,
+        blur::measured_blur(calibration)?,
         vectors::center_residuals(calibration)?,
         correlations::correlations(calibration)?,
         charts::convergence(calibration)?,

@@ -9,6 +9,7 @@ mod detection;
 mod drawing;
 mod evaluation;
 mod figures;
+mod fill_factor;
 mod html;
 mod models;
 mod precalibration;

@@ -66,7 +66,11 @@ fn the_lean_is_anchored_as_it_is_computed() {
 #[test]
 fn the_lean_of_white_images_counts_also_without_anchors() {
     let Start::Datasheet(sheet, mut internal) = datasheet_start() else { unreachable!() };
-    let lean = Lean { growth_per_px: [-9.8e-6, -1.3e-5], std_dev_per_px: [2e-7, 3e-7] };
+    let lean = Lean {
+        growth_per_px: [-9.8e-6, -1.3e-5],
+        std_dev_per_px: [2e-7, 3e-7],
+        by_fill_factor_per_px: [0.0; 2],
+    };
     internal.lean = Some(lean);
     let mut options = anchored();
     options.default_anchors = false;
