@@ -244,3 +244,6 @@ fn of_one_frame(values: &[[f64; 2]]) -> Option<[f64; 2]> {
     }
     found
 }
+
+#[cfg(test)]
+mod tests;

@@ -15,6 +15,7 @@ mod command_line;
 mod compote;
 mod detect;
 mod detection;
+mod fill_factor;
 mod floors;
 mod house;
 mod independent;

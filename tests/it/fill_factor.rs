@@ -1,0 +1,176 @@
+//! Micro-lenses with gaps between them: white images and boards together tell the fill factor, and with it the true q'ᵢ,
+//! fᵢ and lean of the array.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use assert_cmd::assert::Assert;
+use plenocal::io::{read_camera, read_internal_parameters, read_std_devs};
+use plenocal::model::{FillFactor, intrinsic_parameters, optics};
+use predicates::prelude::PredicateBooleanExt;
+use predicates::str::contains;
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::support::plenocal;
+
+const FILL: f64 = 0.92;
+const SIGMAS: f64 = 3.0;
+/// What q'ᵢ and fᵢ have to be right to, relative.
+const RIGHT: f64 = 5e-3;
+
+/// A simulated camera, its images, and what was found in them.
+struct Files {
+    folder: TempDir,
+}
+
+static FILES: LazyLock<Files> = LazyLock::new(|| {
+    let files = Files { folder: TempDir::new().unwrap() };
+    let fill = format!("imperfections.fill_factor={FILL}");
+    let settings = ["rays=32", "seed=2101", "boards.evaluation=0", "translation.images=0", &fill];
+    plenocal()
+        .arg("simulate")
+        .args(settings.iter().flat_map(|set| ["--set", set]))
+        .arg("--out")
+        .arg(files.path("set"))
+        .assert()
+        .success();
+    let mut detect = plenocal();
+    detect.arg("detect").arg(files.path("set/project.toml"));
+    detect.arg("--out").arg(files.path("found")).assert().success();
+    files
+});
+
+impl Files {
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Calibrates from the detected corners, with these features.
+    fn calibrate(&self, features: &Path, out: &Path) -> Assert {
+        let mut command = plenocal();
+        command.arg("calibrate").arg(self.path("set/project.toml"));
+        command.arg("--params").arg(self.path("found/precalibration.json"));
+        command.arg("--centers").arg(self.path("found/centers.csv"));
+        command.arg("--features").arg(features).arg("--out").arg(out).assert()
+    }
+}
+
+/// Error and σ, both relative to the truth, of a parameter in the camera of a folder.
+fn error(out: &Path, name: &str) -> (f64, f64) {
+    let truth = read_camera(&FILES.path("set/truth/camera.json")).unwrap();
+    let camera = read_camera(&out.join("camera.json")).unwrap();
+    let std_devs = read_std_devs(&out.join("camera.json"), 3).unwrap();
+    let i = intrinsic_parameters(3).iter().position(|p| p.name == name).unwrap();
+    let (value, truth) = (camera.intrinsics()[i], truth.intrinsics()[i]);
+    (value / truth - 1.0, std_devs[i].unwrap() / truth)
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+#[test]
+fn the_true_camera_is_found_from_images() {
+    let out = FILES.path("results");
+    let blur =
+        contains("Micro-lenses fill 0.92").and(contains("of their pitch; edges have a point"));
+    FILES.calibrate(&FILES.path("found/features.csv"), &out).success().stdout(blur);
+    for name in ["F", "D", "d", "f_1", "f_2", "f_3"] {
+        let (error, std_dev) = error(&out, name);
+        assert!(error.abs() < SIGMAS * std_dev, "{name}: {error} ± {std_dev}");
+        assert!(name == "F" || name == "D" || error.abs() < RIGHT, "{name}: {error}");
+    }
+    let truth = read_camera(&FILES.path("set/truth/camera.json")).unwrap();
+    let camera = read_camera(&out.join("camera.json")).unwrap();
+    let q_prime = [&camera, &truth].map(|camera| optics::internal_parameters(camera).q_prime_mm);
+    for (found, truth) in q_prime[0].iter().zip(&q_prime[1]) {
+        assert!((found / truth - 1.0).abs() < RIGHT, "{found} for {truth}");
+    }
+    let FillFactor { value, std_dev } = camera.edge_spread.fill_factor.unwrap();
+    assert!((value - FILL).abs() < SIGMAS * std_dev && std_dev < 5e-3, "{value} ± {std_dev}");
+    assert_eq!(truth.edge_spread.fill_factor.unwrap().value, FILL);
+    let document = json(&out.join("camera.json"));
+    let spread = document["depth_from_blur"]["spread_per_radius"].as_f64().unwrap();
+    assert!((spread - value / 2.0).abs() < 1e-12, "{spread}");
+    let calibration = json(&out.join("calibration.json"));
+    assert_eq!(calibration["blur"]["lens_types"].as_array().unwrap().len(), 3);
+    assert_eq!(calibration["warnings"], Value::Array(Vec::new()));
+}
+
+/// White images alone cannot tell how the array leans: they show how φq'ᵢ grows.
+#[test]
+fn the_lean_goes_with_the_fill_factor() {
+    let path = FILES.path("found/precalibration.json");
+    let shown = read_internal_parameters(&path, None).unwrap();
+    let truth = read_camera(&FILES.path("set/truth/camera.json")).unwrap();
+    let pixel_mm = truth.sensor.pixel_size_mm;
+    let lean = optics::lean_per_mm(&truth) * pixel_mm;
+    let fill = FillFactor { value: FILL, std_dev: 0.0 };
+    let pitch_mm = shown.micro_image_pitch_mm.unwrap();
+    let [shown, known] = [shown.clone(), shown.with_fill_factor(fill, pitch_mm)]
+        .map(|internal| internal.lean.unwrap());
+    for axis in 0..2 {
+        let [shown, known] = [shown, known].map(|found| found.growth_per_px[axis] / lean[axis]);
+        let std_dev = known * (known / shown) * 0.03;
+        assert!((shown - FILL).abs() < 0.05, "{shown}");
+        assert!((known - 1.0).abs() < SIGMAS * std_dev.abs(), "{known}");
+        assert!((known - 1.0).abs() < (shown - 1.0).abs(), "{shown} {known}");
+    }
+}
+
+/// Features by others do not state how wide their edges are.
+#[test]
+fn without_widths_of_edges_the_fill_factor_is_not_questioned() {
+    let text = fs::read_to_string(FILES.path("found/features.csv")).unwrap();
+    let keep =
+        |line: &str| -> String { line.split(',').take(10).collect::<Vec<_>>().join(",") + "\n" };
+    let (features, out) = (FILES.path("plain.csv"), FILES.path("plain"));
+    fs::write(&features, text.lines().map(keep).collect::<String>()).unwrap();
+    assert!(
+        fs::read_to_string(&features)
+            .unwrap()
+            .starts_with("k,l,u,v,rho,cluster,frame,std_u,std_v,std_rho\n")
+    );
+    FILES.calibrate(&features, &out).success().stdout(contains(
+        "The features do not state how wide their edges are: micro-lenses are taken to fill their whole pitch",
+    ));
+    let (error, std_dev) = error(&out, "f_1");
+    assert!(error < -0.05 && error < -10.0 * std_dev, "{error} ± {std_dev}");
+    let document = json(&out.join("camera.json"));
+    assert_eq!(document["depth_from_blur"], Value::Null);
+    assert_eq!(document["micro_lens_array"]["fill_factor"], Value::Null);
+    assert_eq!(json(&out.join("calibration.json"))["blur"], Value::Null);
+}
+
+/// The truth of the simulation states the true q'ᵢ and ρ, and the fill factor that they go with.
+#[test]
+fn a_stated_fill_factor_is_kept() {
+    let out = FILES.path("stated");
+    let mut command = plenocal();
+    command.arg("calibrate").arg(FILES.path("set/observed/project.toml"));
+    command.args(["--blur", "features", "--out"]).arg(&out);
+    command
+        .assert()
+        .success()
+        .stdout(contains("Micro-lenses are taken to fill 0.92 of their pitch."));
+    for name in ["f_1", "f_2", "f_3"] {
+        let (error, std_dev) = error(&out, name);
+        assert!(error.abs() < SIGMAS * std_dev && error.abs() < RIGHT, "{name}: {error}");
+    }
+}
+
+#[test]
+fn columns_of_blur_go_together() {
+    let text = fs::read_to_string(FILES.path("found/features.csv")).unwrap();
+    let features = FILES.path("broken.csv");
+    for (from, to, words) in [
+        ("std_blur,fill_factor", "std_blur,other", "go together"),
+        ("blur,std_blur,fill_factor", "fill_factor,std_blur,blur", "a fill factor of"),
+    ] {
+        assert!(text.contains(from));
+        fs::write(&features, text.replacen(from, to, 1)).unwrap();
+        FILES.calibrate(&features, &FILES.path("broken")).code(1).stderr(contains(words));
+    }
+}
