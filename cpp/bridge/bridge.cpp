@@ -74,6 +74,7 @@ std::vector<CommonError> to_core(rust::Slice<const CommonErrorParts> parts) {
       error.centers.push_back({part.centers_px[i], part.centers_px[i + 1]});
     }
     error.anchors.assign(part.anchors.begin(), part.anchors.end());
+    error.in_anchors = part.in_anchors;
     errors.push_back(std::move(error));
   }
   return errors;

@@ -44,6 +44,7 @@ class Accumulator {
     equations_.corners.resize(frames);
     equations_.by_common_observations.setZero(size, static_cast<Eigen::Index>(common.size()));
     equations_.by_common_anchors = equations_.by_common_observations;
+    equations_.in_anchors = equations_.by_common_observations;
     equations_.anchors.setZero(anchors, intrinsics);
   }
 
@@ -170,8 +171,11 @@ class Accumulator {
     for (std::size_t k = 0; k < common_.size(); ++k) {
       const std::vector<double>& moved = common_[k].anchors;
       if (moved.empty()) continue;
-      equations_.by_common_anchors.col(static_cast<Eigen::Index>(k)).head(equations_.intrinsics) +=
-          moved[row.group] * jacobian.transpose();
+      const Eigen::VectorXd change = moved[row.group] * jacobian.transpose();
+      const auto column = static_cast<Eigen::Index>(k);
+      equations_.by_common_anchors.col(column).head(equations_.intrinsics) += change;
+      if (!common_[k].in_anchors) continue;
+      equations_.in_anchors.col(column).head(equations_.intrinsics) += change;
     }
   }
 

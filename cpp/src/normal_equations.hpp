@@ -31,8 +31,8 @@ struct NormalEquations {
   std::vector<Group> patches;               ///< of the centres, on the free intrinsics
   std::vector<std::vector<Group>> corners;  ///< of every frame, on its pose
   /// By how much common errors change the gradient, negative, a column for each: those of
-  /// observations, and those of anchors.
-  Eigen::MatrixXd by_common_observations, by_common_anchors;
+  /// observations, those of anchors, and of these what the sigma of the anchors contains.
+  Eigen::MatrixXd by_common_observations, by_common_anchors, in_anchors;
 
   /// Derivatives of the anchored quantities, in arbitrary units: a row for each anchor, a column
   /// for each free intrinsic.

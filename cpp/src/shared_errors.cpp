@@ -120,8 +120,7 @@ MatrixXd common_changes(const NormalEquations& equations, const MatrixXd& invers
 MatrixXd common_covariance(const NormalEquations& equations, const MatrixXd& inverse,
                            double anchor_weight) {
   const MatrixXd changes = common_changes(equations, inverse, anchor_weight);
-  // Anchors contain their own errors already.
-  const MatrixXd of_anchors = std::sqrt(anchor_weight) * inverse * equations.by_common_anchors;
+  const MatrixXd of_anchors = std::sqrt(anchor_weight) * inverse * equations.in_anchors;
   return anchor_weight * (inverse * equations.information[kAnchor] * inverse) +
          changes * changes.transpose() - of_anchors * of_anchors.transpose();
 }

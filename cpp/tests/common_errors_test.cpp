@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <cstddef>
+#include <utility>
 #include <vector>
 
 #include "rejection.hpp"
@@ -67,6 +68,34 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
                  uncertainty(scene.camera, scene.poses, scene.observations, options, {error});
                }),
                "common error");
+}
+
+// An anchor's own error is in the covariance already; one of something else that moves it is not.
+TEST(CommonErrors, CountOnceWhereAnchorsContainThem) {
+  const Scene scene = test::make_scene(3);
+  CostOptions options = paper();
+  options.anchors = {{"F", scene.camera.main_lens.focal_length, 0.05}};
+  CommonError error;
+  error.features.resize(scene.observations.features.size());
+  error.anchors = {1.0};
+  const auto variances = [&](const std::vector<CommonError>& errors) {
+    const Uncertainty u =
+        uncertainty(scene.camera, scene.poses, scene.observations, options, errors);
+    std::vector<double> diagonal;
+    for (std::size_t i = 0; i < u.free_intrinsics.size(); ++i) {
+      diagonal.push_back(u.independent_covariance[i * (u.size + 1)]);
+    }
+    return std::make_pair(diagonal, u.common_changes);
+  };
+  const auto without = variances({}).first;
+  const auto contained = variances({error}).first;
+  error.in_anchors = false;
+  const auto [added, changes] = variances({error});
+  for (std::size_t i = 0; i < without.size(); ++i) {
+    EXPECT_NEAR(contained[i], without[i], 1e-9 * without[i]);
+    EXPECT_NEAR(added[i], without[i] + changes[i] * changes[i], 1e-9 * added[i]);
+  }
+  EXPECT_GT(added[0], 1.0001 * without[0]);
 }
 
 }  // namespace

@@ -17,6 +17,9 @@ use crate::solver::{self, Anchor, CommonError, CostOptions};
 /// (docs/detection.md).
 const BLUR_MODEL: f64 = 2e-3;
 
+/// What the error of the fill factor is called.
+const FILL_FACTOR: &str = "fill factor";
+
 /// How well it is known how far the fall-off shifts the centroids of micro-images, over its gradient, px²: on
 /// simulated cameras with any law to this.
 const CENTROID_MODEL_PX2: f64 = 0.07;
@@ -44,7 +47,9 @@ pub(super) fn common_errors(
             features.iter().enumerate().map(|(i, f)| by(i, f)).collect();
         if features_px.iter().flatten().any(|by| *by != 0.0) {
             let (source, centers_px) = (source.to_owned(), Vec::new());
-            errors.push(CommonError { source, features_px, centers_px, anchors });
+            // White images do not know the fill factor, so what they say has no σ of it.
+            let in_anchors = source != FILL_FACTOR;
+            errors.push(CommonError { source, features_px, centers_px, anchors, in_anchors });
         }
     };
     let [pupil, within, fill] = relative_std_devs(internal);
@@ -67,7 +72,7 @@ pub(super) fn common_errors(
         [u * within, v * within, 0.0]
     });
     let (q_mm, of_anchors) = by_fill_factor(internal, &cost.anchors, pixel_mm);
-    add("fill factor", of_anchors.iter().map(|by| by * fill).collect(), &|i, f| {
+    add(FILL_FACTOR, of_anchors.iter().map(|by| by * fill).collect(), &|i, f| {
         let [u, v] = levers(f)[3];
         let rho = if cost.rho { -q_mm[types[i]] / pixel_mm } else { 0.0 };
         [u * fill, v * fill, rho * fill]
@@ -132,6 +137,7 @@ fn of_centroids(
         features_px: vec![[0.0; 3]; features],
         centers_px: centers.iter().map(moved).collect(),
         anchors: Vec::new(),
+        in_anchors: true,
     })
 }
 

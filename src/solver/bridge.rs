@@ -203,6 +203,7 @@ mod ffi {
         features_px: Vec<f64>,
         centers_px: Vec<f64>,
         anchors: Vec<f64>,
+        in_anchors: bool,
     }
 
     struct UncertaintyParts {

@@ -80,6 +80,8 @@ pub struct CommonError {
     pub centers_px: Vec<[f64; 2]>,
     /// By how much it moves the value of each anchor, in its σ; empty for none.
     pub anchors: Vec<f64>,
+    /// Whether the σ of the anchors contains it already.
+    pub in_anchors: bool,
 }
 
 /// A parameter's component of a weak direction.

@@ -214,6 +214,7 @@ struct CommonError {
   std::vector<Pixel<double>> centers;     ///< by how much each centre moves, px; empty for none
   /// By how much the value of each anchor moves, in its sigma; empty for none.
   std::vector<double> anchors;
+  bool in_anchors = true;  ///< whether the sigma of the anchors contains it already
 };
 
 /// Throws std::invalid_argument like `refine`, and if common errors are not of these observations.

@@ -219,6 +219,7 @@ impl From<&CommonError> for ffi::CommonErrorParts {
             features_px: error.features_px.as_flattened().to_vec(),
             centers_px: error.centers_px.as_flattened().to_vec(),
             anchors: error.anchors.clone(),
+            in_anchors: error.in_anchors,
         }
     }
 }
