@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use plenocal::io::{Project, read_camera, read_centers, read_features, read_image, read_poses};
+use plenocal::model::{EdgeSpread, FillFactor, PlenopticCamera, PointSpread};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use tempfile::TempDir;
@@ -58,7 +59,12 @@ fn a_data_set_has_the_images_that_its_project_lists() {
 fn a_data_set_has_its_truth() {
     let set = SET.copy();
     let truth = set.path().join("truth");
-    assert_eq!(read_camera(&truth.join("camera.json")).unwrap(), preset("mini", &[]).camera);
+    let edge_spread = EdgeSpread {
+        fill_factor: Some(FillFactor::FULL),
+        point_spread: Some(PointSpread { variance_px2: 0.0, std_dev_px2: 0.0 }),
+    };
+    let camera = PlenopticCamera { edge_spread, ..preset("mini", &[]).camera };
+    assert_eq!(read_camera(&truth.join("camera.json")).unwrap(), camera);
     let centers = fs::read_to_string(truth.join("centers.csv")).unwrap();
     assert!(centers.starts_with("k,l,u,v,type,alive\n0,0,"));
     assert!(read_centers(&truth.join("centers.csv")).unwrap().len() > 1500);
