@@ -25,17 +25,20 @@ struct Files {
     folder: TempDir,
 }
 
+/// Simulates the camera, with boards that move by so much.
+fn simulate(motion_px: u32, out: &Path) {
+    let [fill, motion] =
+        [format!("imperfections.fill_factor={FILL}"), format!("boards.motion_px={motion_px}")];
+    let settings =
+        ["rays=32", "seed=2101", "boards.evaluation=0", "translation.images=0", &fill, &motion];
+    let mut command = plenocal();
+    command.arg("simulate").args(settings.iter().flat_map(|set| ["--set", set]));
+    command.arg("--out").arg(out).assert().success();
+}
+
 static FILES: LazyLock<Files> = LazyLock::new(|| {
     let files = Files { folder: TempDir::new().unwrap() };
-    let fill = format!("imperfections.fill_factor={FILL}");
-    let settings = ["rays=32", "seed=2101", "boards.evaluation=0", "translation.images=0", &fill];
-    plenocal()
-        .arg("simulate")
-        .args(settings.iter().flat_map(|set| ["--set", set]))
-        .arg("--out")
-        .arg(files.path("set"))
-        .assert()
-        .success();
+    simulate(0, &files.path("set"));
     let mut detect = plenocal();
     detect.arg("detect").arg(files.path("set/project.toml"));
     detect.arg("--out").arg(files.path("found")).assert().success();
@@ -174,4 +177,19 @@ fn columns_of_blur_go_together() {
         fs::write(&features, text.replacen(from, to, 1)).unwrap();
         FILES.calibrate(&features, &FILES.path("broken")).code(1).stderr(contains(words));
     }
+}
+
+#[test]
+fn a_frame_that_moved_is_named() {
+    let (moving, out) = (FILES.path("moving"), FILES.path("with-one-moving"));
+    simulate(8, &moving);
+    for i in (0..10).filter(|i| *i != 3) {
+        let image = format!("calibration/calibration-{i:02}.png");
+        fs::copy(FILES.path("set").join(&image), moving.join(&image)).unwrap();
+    }
+    let mut detect = plenocal();
+    detect.arg("detect").arg(moving.join("project.toml")).arg("--out").arg(&out);
+    let one =
+        contains("the edges in frame 3 (calibration-03.png) are wider than those of the others");
+    detect.assert().success().stderr(one.and(contains("are wider than").count(1)));
 }

@@ -27,15 +27,14 @@ fn start() -> Start {
         lens_types: 3,
         micro_image_pitch_px: None,
     };
-    let truth = InternalParameters {
-        q_prime_mm: Q_PRIME_MM.to_vec(),
+    let half_mm = PITCH_MM / 2.0;
+    let internal = InternalParameters {
+        q_prime_mm: Q_PRIME_MM.map(|q| half_mm + TRUE_FILL * (q - half_mm)).to_vec(),
         q_prime_std_dev_mm: vec![1e-6; 3],
         micro_image_pitch_mm: Some(PITCH_MM),
-        fill_factor: Some(FillFactor { value: TRUE_FILL, std_dev: 0.0 }),
         ..optics::internal_parameters(&camera)
     };
-    let shown = truth.with_fill_factor(FillFactor::FULL, PITCH_MM);
-    Start::Datasheet(datasheet, InternalParameters { fill_factor: None, ..shown })
+    Start::Datasheet(datasheet, internal)
 }
 
 fn grid() -> MicroImageArray {
