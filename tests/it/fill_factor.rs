@@ -25,12 +25,16 @@ struct Files {
     folder: TempDir,
 }
 
-/// Simulates the camera, with boards that move by so much.
-fn simulate(motion_px: u32, out: &Path) {
-    let [fill, motion] =
-        [format!("imperfections.fill_factor={FILL}"), format!("boards.motion_px={motion_px}")];
-    let settings =
-        ["rays=32", "seed=2101", "boards.evaluation=0", "translation.images=0", &fill, &motion];
+/// Simulates the camera, with so many rays and boards that move by so much.
+fn simulate(rays: u32, motion_px: u32, out: &Path) {
+    let settings = [
+        format!("rays={rays}"),
+        "seed=2101".to_owned(),
+        "boards.evaluation=0".to_owned(),
+        "translation.images=0".to_owned(),
+        format!("imperfections.fill_factor={FILL}"),
+        format!("boards.motion_px={motion_px}"),
+    ];
     let mut command = plenocal();
     command.arg("simulate").args(settings.iter().flat_map(|set| ["--set", set]));
     command.arg("--out").arg(out).assert().success();
@@ -38,7 +42,7 @@ fn simulate(motion_px: u32, out: &Path) {
 
 static FILES: LazyLock<Files> = LazyLock::new(|| {
     let files = Files { folder: TempDir::new().unwrap() };
-    simulate(0, &files.path("set"));
+    simulate(32, 0, &files.path("set"));
     let mut detect = plenocal();
     detect.arg("detect").arg(files.path("set/project.toml"));
     detect.arg("--out").arg(files.path("found")).assert().success();
@@ -182,7 +186,8 @@ fn columns_of_blur_go_together() {
 #[test]
 fn a_frame_that_moved_is_named() {
     let (moving, out) = (FILES.path("moving"), FILES.path("with-one-moving"));
-    simulate(8, &moving);
+    // At eight moments.
+    simulate(8, 6, &moving);
     for i in (0..10).filter(|i| *i != 3) {
         let image = format!("calibration/calibration-{i:02}.png");
         fs::copy(FILES.path("set").join(&image), moving.join(&image)).unwrap();
