@@ -107,7 +107,18 @@ impl InPixels<'_> {
     }
 }
 
+/// Openings are taken to fill the pitch unless the measured fill factor is further from 1 than this many σ.
+const SIGNIFICANT: f64 = 3.0;
+
 impl FillMeasurement {
+    /// The fill factor that a camera is calibrated with, with the measured σ: 1 unless the measured one clearly differs.
+    #[must_use]
+    pub fn taken(&self) -> FillFactor {
+        let measured = self.fill_factor;
+        let full = (measured.value - 1.0).abs() < SIGNIFICANT * measured.std_dev;
+        FillFactor { value: if full { 1.0 } else { measured.value }, ..measured }
+    }
+
     /// By features that state their measured blur, with internal parameters of a datasheet; `None` if there are none. An
     /// error if it is not possible.
     pub(super) fn of(
@@ -176,7 +187,7 @@ pub(super) fn with_fill_factor(
     match (start, grid, measured) {
         (Start::Datasheet(sheet, internal), Some(grid), Some(measured)) => {
             let pitch_mm = pitch_mm(&internal, grid, sheet.sensor.pixel_size_mm);
-            let internal = internal.with_fill_factor(measured.fill_factor, pitch_mm);
+            let internal = internal.with_fill_factor(measured.taken(), pitch_mm);
             Start::Datasheet(sheet, internal)
         }
         (start, ..) => start,
