@@ -60,7 +60,10 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let micro_images = if let Some(folder) = &arguments.precalibration {
         shoot.read_precalibration(folder)?
     } else {
-        let options = PrecalibrationOptions::of_datasheet(&shoot.sheet);
+        let options = PrecalibrationOptions {
+            black_level: shoot.images.black_level,
+            ..PrecalibrationOptions::of_datasheet(&shoot.sheet)
+        };
         let (measured, _) = measure(path, &shoot.images, &shoot.sheet, &options, arguments.json)?;
         warn(&measured.warnings);
         stage_centers(&mut output, &measured)?;

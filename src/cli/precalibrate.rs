@@ -185,6 +185,7 @@ fn of_project(
     let images = listed_images(path, &project, "[[images.whites]]")?;
     let options = PrecalibrationOptions {
         estimator: arguments.estimator.unwrap_or_default(),
+        black_level: images.black_level,
         ..PrecalibrationOptions::of_datasheet(&sheet)
     };
     let (result, whites) = measure(path, &images, &sheet, &options, arguments.json)?;

@@ -74,6 +74,7 @@ struct PrecalibrationInput<'a> {
     /// Their f-numbers as stated.
     f_numbers: Vec<(Option<f64>, Option<f64>)>,
     devignetting: Option<InputFile>,
+    black_level: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -148,10 +149,14 @@ impl Stages<'_> {
             whites: ledger.files(images.whites.iter().map(|white| &white.image)),
             f_numbers: images.whites.iter().map(|w: &WhiteImage| (w.f_number, w.stop)).collect(),
             devignetting: images.devignetting.as_ref().map(|path| ledger.file(path)),
+            black_level: images.black_level,
         };
         ledger.stage(PRECALIBRATION, &input, |input, output| {
             let sheet = input.camera.datasheet;
-            let options = PrecalibrationOptions::of_datasheet(sheet);
+            let options = PrecalibrationOptions {
+                black_level: input.black_level,
+                ..PrecalibrationOptions::of_datasheet(sheet)
+            };
             let (result, whites) =
                 precalibrate::measure(self.path, images, sheet, &options, self.quiet)?;
             warn(&result.warnings);

@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 use crate::error::{Error, Result};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, MicroImageCenter,
-    ROW_DISTANCE, Sensor, check_centers, growth_per_px, optics,
+    ROW_DISTANCE, SampleLevels, Sensor, check_centers, growth_per_px, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::vignetting::{Obliquity, Pixel, Vignetting};
@@ -28,6 +28,8 @@ pub struct MicroImages {
     fill_factor: f64,
     /// Variance of the point spread along an axis, px².
     point_spread_px2: f64,
+    /// Black and saturation level of the images.
+    levels: Option<SampleLevels>,
     /// The middle of the image, px.
     middle: Vector2<f64>,
     /// The fall-off of light.
@@ -174,6 +176,7 @@ impl MicroImages {
             q_prime_px: internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect(),
             fill_factor,
             point_spread_px2: internal.point_spread_px2(),
+            levels: internal.levels,
             middle,
             in_the_middle: Obliquity::in_the_middle(within, mla_to_sensor_px, half_pitch_px),
             fall_off,
@@ -268,6 +271,12 @@ impl MicroImages {
     #[must_use]
     pub fn fill_factor(&self) -> f64 {
         self.fill_factor
+    }
+
+    /// Black and saturation level of the images, where they are known.
+    #[must_use]
+    pub fn levels(&self) -> Option<&SampleLevels> {
+        self.levels.as_ref()
     }
 
     /// Variance of the point spread along an axis, px².

@@ -219,6 +219,7 @@ pub(super) mod tests {
             lean: None,
             point_spread: None,
             fill_factor: None,
+            levels: None,
         };
         let grid = MicroImageArray {
             lattice: Lattice { packing: Packing::Orthogonal, columns: 3, rows: 3 },

@@ -131,9 +131,15 @@ pub fn detect(
     let _span = tracing::info_span!("detection").entered();
     search.board.validate()?;
     check_size(white, search.sensor)?;
-    let white = white.grey();
+    let levels = search.micro_images.levels();
+    let white = white.grey_between(levels);
     let search_in = |image: &BoardImage, raw: &RawImage, micro_images: &MicroImages| {
-        detect_frame(image.frame, &raw.grey(), &white, &Search { micro_images, ..*search })
+        detect_frame(
+            image.frame,
+            &raw.grey_between(levels),
+            &white,
+            &Search { micro_images, ..*search },
+        )
     };
     let mut micro_images = Cow::Borrowed(search.micro_images);
     let mut frames = Vec::new();

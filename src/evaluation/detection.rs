@@ -92,8 +92,9 @@ impl DetectionScore {
         let mut score = Self::default();
         for (pose, shot) in data_set.subsets[0].iter().take(frames) {
             let image = shot.take(settings, &|| ())?;
-            let (result, _) =
-                detect_frame(pose.frame, &image.grey(), &reference.image.grey(), &search);
+            let levels = micro_images.levels();
+            let [image, white] = [&image, &reference.image].map(|raw| raw.grey_between(levels));
+            let (result, _) = detect_frame(pose.frame, &image, &white, &search);
             score.frames += 1;
             let Ok(detection) = result else { continue };
             score.labelled += 1;

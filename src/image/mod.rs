@@ -1,11 +1,15 @@
 //! Images: linear grey values to compute with, and samples as a camera delivers them.
 
 mod color;
+mod grey;
+mod plateau;
 
 use nalgebra::Vector2;
-use rayon::prelude::*;
 
 pub use color::Color;
+pub use grey::Grey;
+
+use crate::model::full_scale;
 
 /// A grey image in linear light, row by row from the top.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,9 +64,9 @@ pub struct RawImage {
     pub samples: Samples,
 }
 
-/// Samples above this fraction of full scale are too close to saturation to compare colours by.
+/// Samples above this fraction of the range are too close to saturation to compare colours by.
 const NEARLY_FULL: f64 = 0.95;
-/// Samples below this fraction of full scale are mostly noise.
+/// Samples below this fraction of the range are mostly noise.
 const NEARLY_DARK: f64 = 0.02;
 /// Number of pairs of rows, spread over an image, in which its channels are compared.
 const COMPARED: usize = 256;
@@ -80,41 +84,11 @@ impl RawImage {
     /// The largest value that a sample can have.
     #[must_use]
     pub fn full_scale(&self) -> f64 {
-        f64::from((1_u32 << self.bits()) - 1)
-    }
-
-    /// The image as grey values, to be taken whole or in parts.
-    #[must_use]
-    pub fn grey(&self) -> Grey<'_> {
-        Grey { raw: self, gains: self.channel_gains() }
-    }
-
-    /// The whole image in grey, see [`Grey`].
-    #[must_use]
-    pub fn to_grey(&self) -> Image {
-        self.grey().part(0, 0, self.width, self.height)
-    }
-
-    /// Amplification of red, green and blue.
-    #[allow(clippy::cast_possible_truncation)] // single precision, as grey values
-    fn channel_gains(&self) -> [f32; 3] {
-        let mut sums = [(0.0, 0.0); 3];
-        if self.color != Color::Grey {
-            self.compared(|place| {
-                for &(channel, part) in place {
-                    sums[channel].0 += part;
-                    sums[channel].1 += 1.0;
-                }
-            });
-        }
-        let means = sums.map(|(sum, count)| sum / count);
-        let strongest = means.iter().copied().fold(f64::NAN, f64::max);
-        // An image that is all dark or saturated has nothing to compare.
-        means.map(|mean| if mean > 0.0 { (strongest / mean) as f32 } else { 1.0 })
+        full_scale(self.bits())
     }
 
     /// Means of the samples at even and odd columns of even rows, then of odd rows, over places
-    /// where none is saturated or dark, as fractions of full scale; `None` if there are no such
+    /// where none is saturated or dark, as fractions of the range of the image; `None` if there are no such
     /// places. Behind a colour mosaic they differ, except for the two greens; in a grey image they
     /// do not.
     #[must_use]
@@ -123,7 +97,7 @@ impl RawImage {
             return None;
         }
         let (mut sums, mut count) = ([0.0; 4], 0.0);
-        self.compared(|square| {
+        self.compared(self.range(None), |square| {
             count += 1.0;
             for (sum, &(_, part)) in sums.iter_mut().zip(square) {
                 *sum += part;
@@ -159,23 +133,23 @@ impl RawImage {
         )
     }
 
-    /// Calls `visit` with the channels and samples, as fractions of full scale, of many places all
+    /// Calls `visit` with the channels and samples, as fractions of a range, of many places all
     /// over the image where none is saturated or dark: pixels of an RGB image, squares of four
     /// pixels of any other.
-    fn compared(&self, visit: impl FnMut(&[(usize, f64)])) {
+    fn compared(&self, range: (f64, f64), visit: impl FnMut(&[(usize, f64)])) {
         match &self.samples {
-            Samples::Bits8(samples) => self.compared_of(samples, visit),
-            Samples::Bits16(samples) => self.compared_of(samples, visit),
+            Samples::Bits8(samples) => self.compared_of(samples, range, visit),
+            Samples::Bits16(samples) => self.compared_of(samples, range, visit),
         }
     }
 
     fn compared_of<T: Copy + Into<f64>>(
         &self,
         samples: &[T],
+        (black, white): (f64, f64),
         mut visit: impl FnMut(&[(usize, f64)]),
     ) {
-        let full_scale = self.full_scale();
-        let part = |sample: T| sample.into() / full_scale;
+        let part = |sample: T| (sample.into() - black) / (white - black);
         let mut visit_usable = |place: &[(usize, f64)]| {
             if place.iter().all(|(_, part)| (NEARLY_DARK..NEARLY_FULL).contains(part)) {
                 visit(place);
@@ -208,78 +182,6 @@ impl RawImage {
     }
 }
 
-/// A raw image as grey values, linear from 0 to 1, at full resolution.
-///
-/// The light is taken to be neutral: channels are amplified so that all respond like the strongest
-/// one, by their means over places where none is saturated. Then all are clipped at 1, where the
-/// strongest one saturates. So a pixel of 1 is saturated, whatever its colour.
-#[derive(Debug, Clone, Copy)]
-pub struct Grey<'a> {
-    raw: &'a RawImage,
-    gains: [f32; 3],
-}
-
-impl Grey<'_> {
-    /// Width and height of the whole image, px.
-    #[must_use]
-    pub fn size(&self) -> (usize, usize) {
-        (self.raw.width, self.raw.height)
-    }
-
-    /// A part of the image, cut at its borders.
-    #[must_use]
-    pub fn part(&self, left: usize, top: usize, width: usize, height: usize) -> Image {
-        match &self.raw.samples {
-            Samples::Bits8(samples) => self.part_of(samples, (left, top), (width, height)),
-            Samples::Bits16(samples) => self.part_of(samples, (left, top), (width, height)),
-        }
-    }
-
-    #[allow(clippy::cast_possible_truncation)] // full scale has 16 bits
-    fn part_of<T: Copy + Into<f32> + Sync>(
-        &self,
-        samples: &[T],
-        (left, top): (usize, usize),
-        (width, height): (usize, usize),
-    ) -> Image {
-        let raw = self.raw;
-        let (right, bottom) = (raw.width.min(left + width), raw.height.min(top + height));
-        let (width, height) = (right.saturating_sub(left), bottom.saturating_sub(top));
-        // Rounded up, so that full scale is never below 1.
-        let scale = (1.0 / raw.full_scale() as f32).next_up();
-        let value = |sample: T, gain: f32| (sample.into() * scale * gain).min(1.0);
-        let per_pixel = raw.color.samples();
-        let fill = |(row, pixels): (usize, &mut [f32])| {
-            let v = top + row;
-            let samples = &samples[(v * raw.width + left) * per_pixel..][..width * per_pixel];
-            match raw.color {
-                Color::Grey => {
-                    pixels.iter_mut().zip(samples).for_each(|(p, &s)| *p = value(s, 1.0));
-                }
-                Color::Rgb => {
-                    for (pixel, rgb) in pixels.iter_mut().zip(samples.chunks_exact(3)) {
-                        let sum: f32 = (0..3).map(|c| value(rgb[c], self.gains[c])).sum();
-                        *pixel = sum / 3.0;
-                    }
-                }
-                mosaic => {
-                    let gain = |u| self.gains[mosaic.mosaic(u, v).unwrap_or_default()];
-                    let gains = [gain(left), gain(left + 1)];
-                    for (u, (pixel, &sample)) in pixels.iter_mut().zip(samples).enumerate() {
-                        *pixel = value(sample, gains[u % 2]);
-                    }
-                }
-            }
-        };
-        let mut pixels = vec![0.0; width * height];
-        if width > 0 {
-            let rows = pixels.par_chunks_exact_mut(width).enumerate();
-            rows.with_min_len(SIDE_BY_SIDE).for_each(fill);
-        }
-        Image { width, height, pixels }
-    }
-}
-
 /// The rectangle (left, top, width, height) of pixels that contains some positions with a margin of
 /// `reach`, cut at 0, and the position of its first pixel.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
@@ -293,9 +195,6 @@ pub(crate) fn bounds(
     let size = (high - first).map(|x| ((x + reach).ceil() + 1.0).max(0.0));
     ((first.x as usize, first.y as usize, size.x as usize, size.y as usize), first)
 }
-
-/// With fewer rows a second thread does not pay.
-const SIDE_BY_SIDE: usize = 128;
 
 #[cfg(test)]
 mod tests {

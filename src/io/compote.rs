@@ -104,6 +104,7 @@ pub(super) fn internal_parameters_from(
         lean: None,
         point_spread: None,
         fill_factor: None,
+        levels: None,
     })
 }
 

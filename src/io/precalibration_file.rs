@@ -8,7 +8,9 @@ use serde_json::{Map, Value, json};
 
 use super::observations_file::std_dev_text;
 use crate::error::{Error, Result};
-use crate::model::{FallOff, FillFactor, InternalParameters, Lean, MicroImageCenter, PointSpread};
+use crate::model::{
+    FallOff, FillFactor, InternalParameters, Lean, MicroImageCenter, PointSpread, SampleLevels,
+};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// `format` of the file.
@@ -34,6 +36,7 @@ struct InternalFile {
     lean: Option<Lean>,
     point_spread: Option<PointSpread>,
     fill_factor: Option<FillFactor>,
+    levels: Option<SampleLevels>,
 }
 
 #[derive(Deserialize)]
@@ -117,6 +120,7 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
             "lean": internal.parameters.lean,
             "point_spread": internal.parameters.point_spread,
             "fill_factor": internal.parameters.fill_factor,
+            "levels": internal.parameters.levels,
             "rms_px": internal.rms_px,
         }),
     );
@@ -154,6 +158,7 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
         lean: internal.lean,
         point_spread: internal.point_spread,
         fill_factor: internal.fill_factor,
+        levels: internal.levels,
     })
 }
 

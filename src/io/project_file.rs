@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
     Board, Configuration, Datasheet, FallOff, FillFactor, InternalParameters, LatticeKind, Lean,
-    PointSpread, Sensor, optics,
+    PointSpread, SampleLevels, Sensor, optics,
 };
 
 /// A project file. Every table may be left out where a command gets its content another way.
@@ -107,6 +107,8 @@ pub struct InternalSection {
     pub point_spread: Option<PointSpread>,
     /// The fill factor.
     pub fill_factor: Option<FillFactor>,
+    /// Black and saturation level of the images.
+    pub levels: Option<SampleLevels>,
 }
 
 /// `[images]`
@@ -115,6 +117,8 @@ pub struct InternalSection {
 pub struct ImagesSection {
     /// What the samples of all images stand for.
     pub color: Color,
+    /// The mean sample of a pixel without light, grey levels of the files; measured if not stated.
+    pub black_level: Option<f64>,
     /// White images for the pre-calibration.
     #[serde(default)]
     pub whites: Vec<WhiteImage>,
@@ -256,6 +260,7 @@ impl Project {
             lean: section.lean,
             point_spread: section.point_spread,
             fill_factor: section.fill_factor,
+            levels: section.levels,
         })
     }
 }

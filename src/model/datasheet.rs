@@ -9,6 +9,7 @@ use super::edge_spread::{FillFactor, PointSpread};
 use super::fall_off::FallOff;
 use super::lattice::LatticeKind;
 use super::lean::Lean;
+use super::levels::SampleLevels;
 use crate::error::{Error, Result};
 
 /// Where the main lens focuses with respect to the micro-lens array.
@@ -72,6 +73,8 @@ pub struct InternalParameters {
     pub point_spread: Option<PointSpread>,
     /// The fill factor that q'ᵢ go with, where it is known; 1 otherwise. White images show its product with qᵢ = q'ᵢ − Δc/2.
     pub fill_factor: Option<FillFactor>,
+    /// Black and saturation level of the images, where they are known; otherwise samples are linear from 0 to full scale.
+    pub levels: Option<SampleLevels>,
 }
 
 impl Datasheet {
@@ -174,6 +177,9 @@ impl InternalParameters {
         }
         if let Some(fill_factor) = &self.fill_factor {
             fill_factor.validate()?;
+        }
+        if let Some(levels) = &self.levels {
+            levels.validate()?;
         }
         let given = self.q_prime_std_dev_mm.len();
         if given != 0 && given != self.q_prime_mm.len() {

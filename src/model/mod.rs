@@ -12,6 +12,7 @@ mod edge_spread;
 mod fall_off;
 mod lattice;
 mod lean;
+mod levels;
 mod noise;
 mod observations;
 pub mod optics;
@@ -31,6 +32,8 @@ pub use fall_off::FallOff;
 pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};
 pub use lean::Lean;
 pub(crate) use lean::growth_per_px;
+pub use levels::SampleLevels;
+pub(crate) use levels::full_scale;
 pub use noise::{Noise, NoiseSource};
 pub(crate) use observations::check_centers;
 pub use observations::{

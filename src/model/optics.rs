@@ -98,6 +98,7 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
         lean: None,
         point_spread: camera.edge_spread.point_spread,
         fill_factor: camera.edge_spread.fill_factor,
+        levels: None,
     }
 }
 

@@ -71,7 +71,7 @@ const PATTERN: f64 = 0.1;
 /// first column and row that show light. An error if no lattice of micro-images shows, or not one of
 /// the stated size.
 pub fn measure_array(image: &RawImage, stated: Option<(i32, i32)>) -> Result<ArrayMeasurement> {
-    found_array(&image.grey(), stated).map(|found| found.array)
+    found_array(&image.grey(), None, stated).map(|found| found.array)
 }
 
 /// The centres that a known lattice has in an image of `size` (width, height), px: one of them at
@@ -125,9 +125,13 @@ impl FoundArray {
     }
 }
 
-/// Finds and measures all micro-images, as [`measure_array`] does.
-pub(super) fn found_array(image: &Grey, stated: Option<(i32, i32)>) -> Result<FoundArray> {
-    let (pattern, blobs) = find(image)?;
+/// Finds and measures all micro-images, as [`measure_array`] does, with the pattern where it is known.
+pub(super) fn found_array(
+    image: &Grey,
+    known: Option<Pattern>,
+    stated: Option<(i32, i32)>,
+) -> Result<FoundArray> {
+    let (pattern, blobs) = find(image, known)?;
     let verdicts = judge(image, &pattern, &blobs);
     let (width, height) = image.size();
     let middle = Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
@@ -201,8 +205,8 @@ fn no_grid(centers: &[MicroImageCenter]) -> Error {
     ))
 }
 
-/// The pattern, as it shows in the middle, or else, should that be damaged, in one of the quarters.
-fn find(image: &Grey) -> Result<(Pattern, Vec<Blob>)> {
+/// The pattern that shows in the middle, or else, should that be damaged, those in the quarters.
+pub(super) fn patterns(image: &Grey) -> impl Iterator<Item = Pattern> {
     let (w, h) = image.size();
     let places = [
         (w / 2, h / 2),
@@ -211,14 +215,15 @@ fn find(image: &Grey) -> Result<(Pattern, Vec<Blob>)> {
         (w / 4, 3 * h / 4),
         (3 * w / 4, 3 * h / 4),
     ];
-    for place in places {
-        let Some(pattern) = find_pattern(image, place) else { continue };
-        if pattern.explained < PATTERN {
-            continue;
-        }
-        if let Some(found) = measure(image, &pattern) {
-            return Ok(found);
-        }
+    let found = places.into_iter().filter_map(|place| find_pattern(image, place));
+    found.filter(|pattern| pattern.explained >= PATTERN)
+}
+
+/// The pattern that goes on over the image, and its micro-images; the first one that is tried may be known.
+fn find(image: &Grey, known: Option<Pattern>) -> Result<(Pattern, Vec<Blob>)> {
+    let mut tried = known.into_iter().chain(patterns(image));
+    if let Some(found) = tried.find_map(|pattern| measure(image, &pattern)) {
+        return Ok(found);
     }
     Err(Error::invalid(
         "no array of micro-images shows in this image: nothing repeats on a hexagonal or square \

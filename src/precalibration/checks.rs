@@ -156,7 +156,7 @@ pub(super) fn different_aperture(
     pattern: &Pattern,
 ) -> Option<String> {
     let (middle, pattern) = samples.middle_of(grey, pattern);
-    let profile = profile_at(&middle, &pattern, samples.nodes.first()?);
+    let profile = profile_at((&middle, grey.floor()), &pattern, samples.nodes.first()?);
     let (a, b) = levers.radii(0);
     let radius = profile.fit(REACH * pattern.pitch(), levers.pixel())?.outer;
     ((radius / (a + b) - 1.0).abs() > CONTRADICTION).then(|| {

@@ -29,6 +29,8 @@ const STEP: f64 = 1e-4;
 /// many standard deviations of it.
 const NEIGHBOUR_PX: f64 = 0.3;
 const NEIGHBOUR_SPREADS: f64 = 2.5;
+/// Weight of what is held, larger than that of any light.
+const HELD: f64 = 1e15;
 /// Least radius of a disc, px.
 const LEAST_PX: f64 = 0.05;
 
@@ -162,12 +164,22 @@ impl<'a> Fit<'a> {
 
     /// Weighted residuals of one profile, with what it depends on changed a little.
     fn residuals(&self, light: &Light, by: [f64; OF_LIGHT]) -> Option<Vec<f64>> {
+        self.residuals_of(light, &light.profile, by)
+    }
+
+    /// The same of another profile in its place.
+    fn residuals_of(
+        &self,
+        light: &Light,
+        profile: &Profile,
+        by: [f64; OF_LIGHT],
+    ) -> Option<Vec<f64>> {
         let places = self.places(light);
         let [a, b, within, spread] = std::array::from_fn(|i| self.at[places[i]] + by[i]);
         let Known { within_per_px2, mla_to_sensor_px, pitch_px, .. } = self.known;
         let within = within * within_per_px2;
         let law = Obliquity::in_the_middle(within, *mla_to_sensor_px, pitch_px / 2.0);
-        light.profile.residuals_of_discs([a, b], &law, &Pixel::new(spread))
+        profile.residuals_of_discs([a, b], &law, &Pixel::new(spread))
     }
 
     /// a by the law, and its derivatives by |m| and c.
@@ -197,6 +209,44 @@ impl<'a> Fit<'a> {
             all.push(((self.at[i] - value) / std_dev, vec![(i, 1.0 / std_dev)]));
         }
         all
+    }
+
+    /// The power of the samples that light is, less 1, and its σ: what one step of the fit finds where that is free too.
+    fn exponent(&self) -> Option<(f64, f64)> {
+        let (normal, right) = self.system()?;
+        let size = self.at.len();
+        let (mut normal, mut right) =
+            (normal.resize(size + 1, size + 1, 0.0), right.resize_vertically(size + 1, 0.0));
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (mut squares, mut count) = (0.0, 0.0);
+        for light in &self.lights {
+            let residuals = self.residuals(light, [0.0; OF_LIGHT])?;
+            let derivative = |moved: Vec<f64>| -> Vec<f64> {
+                moved.iter().zip(&residuals).map(|(m, r)| (m - r) / STEP).collect()
+            };
+            let raised = light.profile.to_the_power(1.0 + STEP);
+            let own = derivative(self.residuals_of(light, &raised, [0.0; OF_LIGHT])?);
+            for (i, place) in self.places(light).into_iter().enumerate() {
+                let mut by = [0.0; OF_LIGHT];
+                by[i] = STEP;
+                let other = derivative(self.residuals(light, by)?);
+                normal[(place, size)] += dot(&own, &other);
+                normal[(size, place)] = normal[(place, size)];
+            }
+            normal[(size, size)] += dot(&own, &own);
+            right[size] -= dot(&own, &residuals);
+            squares += dot(&residuals, &residuals);
+            count += residuals.len() as f64;
+        }
+        let [_, spread] = self.of_all();
+        if self.at[spread] <= 0.0 {
+            // It stays at its end.
+            normal[(spread, spread)] += HELD;
+            right[spread] = 0.0;
+        }
+        let covariance = normal.cholesky()?.inverse();
+        let excess = (squares / count).max(1.0);
+        Some(((&covariance * right)[size], (excess * covariance[(size, size)]).sqrt()))
     }
 
     /// Half the gradient's opposite, and the normal matrix.
@@ -282,6 +332,7 @@ impl<'a> Fit<'a> {
             within_per_px2: (within.0 * known, within.1.hypot(WITHIN_MODEL) * known.abs()),
             sine: of(c),
             f_number_error: self.f_number_error,
+            exponent: self.exponent()?,
             point_spread: PointSpread {
                 variance_px2: spread.0,
                 std_dev_px2: spread.1.hypot(SPREAD_MODEL),

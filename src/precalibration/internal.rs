@@ -85,6 +85,7 @@ pub(super) fn fit_internal(
             lean: None,
             point_spread: None,
             fill_factor: None,
+            levels: None,
         },
         rms_px: (sum / rows as f64).sqrt(),
     })
@@ -117,6 +118,7 @@ pub(super) fn internal_of_discs(
         lean: None,
         point_spread: Some(discs.point_spread),
         fill_factor: None,
+        levels: None,
     };
     for m in measurements.iter_mut() {
         let pupil = parameters.pupil_radius_mm(m.f_number) / pixel_size_mm;

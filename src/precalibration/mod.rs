@@ -2,6 +2,7 @@
 //! section 3 and "Features extraction").
 
 mod array;
+mod black;
 mod centers;
 mod centroid;
 mod centroid_shift;

@@ -136,6 +136,18 @@ impl Profile {
         }
     }
 
+    /// This profile of light that is some power of what was taken for it.
+    pub fn to_the_power(&self, exponent: f64) -> Self {
+        let mut raised = self.clone();
+        let bins = || self.bins.iter().chain(&self.bright);
+        let brightest = bins().map(|bin| bin.light).fold(f64::MIN_POSITIVE, f64::max);
+        for bin in raised.bins.iter_mut().chain(&mut raised.bright) {
+            let part = bin.light / brightest;
+            bin.light = brightest * part.signum() * part.abs().powf(exponent);
+        }
+        raised
+    }
+
     /// Weighted residuals for discs of radii a and b, px, with a fall-off at the angles that were set.
     pub fn residuals_of_discs(
         &self,
@@ -296,7 +308,7 @@ mod tests {
     use super::*;
 
     fn drawn(outer: f64, inner: f64, amplitude: f64) -> Profile {
-        let (mut stack, pixel) = (Stack::new(14.0), Pixel::default());
+        let (mut stack, pixel) = (Stack::new(14.0, 0.0), Pixel::default());
         for i in 0..4000_i32 {
             let radius = 14.0 * (f64::from(i) + 0.5) / 4000.0;
             let light =

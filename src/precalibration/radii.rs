@@ -82,14 +82,14 @@ pub(super) fn middle_nodes(
     nodes
 }
 
-/// The radius of the micro-images at some nodes; `None` if they show no edge.
+/// The radius of the micro-images at some nodes, in light that is clipped at `floor`; `None` if they show no edge.
 pub(super) fn radius_at(
-    image: &Image,
+    (image, floor): (&Image, f64),
     pattern: &Pattern,
     nodes: &[(i32, i32)],
     estimator: RadiusEstimator,
 ) -> Option<TypeRadius> {
-    let (blobs, profile) = stacked(image, pattern, nodes);
+    let (blobs, profile) = stacked((image, floor), pattern, nodes);
     match estimator {
         RadiusEstimator::Profile => profile_radius(image, pattern, &blobs, profile),
         RadiusEstimator::Moments => moments_radius(image, pattern, &blobs, profile),
@@ -97,16 +97,24 @@ pub(super) fn radius_at(
 }
 
 /// The light of the micro-images at some nodes.
-pub(super) fn profile_at(image: &Image, pattern: &Pattern, nodes: &[(i32, i32)]) -> Profile {
-    stacked(image, pattern, nodes).1
+pub(super) fn profile_at(
+    (image, floor): (&Image, f64),
+    pattern: &Pattern,
+    nodes: &[(i32, i32)],
+) -> Profile {
+    stacked((image, floor), pattern, nodes).1
 }
 
 /// The micro-images at some nodes, and their light.
-fn stacked(image: &Image, pattern: &Pattern, nodes: &[(i32, i32)]) -> (Vec<Blob>, Profile) {
+fn stacked(
+    (image, floor): (&Image, f64),
+    pattern: &Pattern,
+    nodes: &[(i32, i32)],
+) -> (Vec<Blob>, Profile) {
     let blobs: Vec<Blob> =
         nodes.iter().filter_map(|&node| measure_blob(image, pattern, node)).collect();
     let reach = REACH * pattern.pitch();
-    let mut stack = Stack::new(reach);
+    let mut stack = Stack::new(reach, floor);
     for blob in &blobs {
         pixels_about(image, &blob.center, reach, |offset, value| stack.add(offset.norm(), value));
     }

@@ -13,7 +13,7 @@ use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
 use super::stage::{PrecalibrationOptions, White};
 use crate::error::{Error, Result};
 use crate::image::{Grey, Image};
-use crate::model::{InternalParameters, LatticeKind};
+use crate::model::{InternalParameters, LatticeKind, SampleLevels};
 use crate::vignetting::{Obliquity, Pixel};
 
 /// Patterns of one camera at two f-numbers agree in pitch within this part, and in place within so
@@ -42,11 +42,11 @@ pub(super) struct Sample<'a> {
 }
 
 impl<'a> Samples<'a> {
-    /// Measures every white image where the reference has micro-images; an error if one of them has
+    /// Measures every white image, between these levels, where the reference has micro-images; an error if one of them has
     /// them elsewhere.
     pub fn measure(
         whites: &'a [White],
-        reference: &White,
+        (reference, levels): (&White, &SampleLevels),
         found: &FoundArray,
         options: &'a PrecalibrationOptions,
         progress: &(dyn Fn() + Sync),
@@ -54,8 +54,9 @@ impl<'a> Samples<'a> {
         let colors = if found.pattern.kind == LatticeKind::Orthogonal { 1 } else { 3 };
         let size = (reference.image.width, reference.image.height);
         let nodes = middle_nodes(found, size, colors);
-        let of_white =
-            |white: &'a White| sample(white, reference, found, &nodes).inspect(|_| progress());
+        let of_white = |white: &'a White| {
+            sample((white, levels), reference, found, &nodes).inspect(|_| progress())
+        };
         let samples = whites.par_iter().map(of_white).collect::<Result<Vec<Sample<'a>>>>()?;
         Ok(Self { whites, samples, nodes, options })
     }
@@ -79,7 +80,7 @@ impl<'a> Samples<'a> {
     pub fn radii(&self, estimator: RadiusEstimator) -> Result<Vec<Vec<TypeRadius>>> {
         let of_white = |(white, sample): (&White, &Sample<'_>)| {
             let radius = |nodes: &Vec<(i32, i32)>| {
-                radius_at(&sample.middle, &sample.pattern, nodes, estimator).ok_or_else(|| {
+                radius_at((&sample.middle, sample.grey.floor()), &sample.pattern, nodes, estimator).ok_or_else(|| {
                     Error::invalid(format!(
                         "{}: the micro-images in the middle show no edge: the image is too dark, or \
                          saturated all over",
@@ -208,12 +209,12 @@ impl<'a> Samples<'a> {
 /// Measures a sample of a white image where the reference has micro-images; an error if it has them
 /// elsewhere. `nodes` are those of the middle.
 fn sample<'a>(
-    white: &'a White,
+    (white, levels): (&'a White, &SampleLevels),
     reference: &White,
     found: &FoundArray,
     nodes: &[Vec<(i32, i32)>],
 ) -> Result<Sample<'a>> {
-    let grey = white.image.grey();
+    let grey = white.image.grey_between(Some(levels));
     let pattern = &found.pattern;
     let of_array: Vec<(i32, i32)> = found.blobs.iter().map(|blob| blob.node).collect();
     let (followed, blobs) = measure_sample(&grey, pattern, &of_array).ok_or_else(|| {

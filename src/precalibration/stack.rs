@@ -6,7 +6,7 @@ use super::profile::{BIN_PX, Bin, Profile};
 const FEWEST: f64 = 8.0;
 /// Samples above this part of full scale may be clipped; a bin with such a sample is left out.
 const CLIPPED: f64 = 0.97;
-/// Noise about black is clipped: bins with more than this part of their samples at 0 are brighter than their light, and
+/// Where noise is clipped at 0, bins with more than this part of their samples there are brighter than their light, and
 /// left out. An image with a black level has none.
 const BLACK: f64 = 0.02;
 /// Rounding makes black brighter by less than this part of a grey level.
@@ -19,7 +19,9 @@ const OUTER_LIGHT: f64 = 0.5;
 #[derive(Debug)]
 pub(super) struct Stack {
     bins: Vec<Sums>,
-    /// The smallest light above 0: a grey level, at most.
+    /// The light of a sample of 0.
+    floor: f64,
+    /// The smallest light above it: a grey level, at most.
     level: f64,
 }
 
@@ -28,19 +30,20 @@ pub(super) struct Stack {
 type Sums = [f64; 6];
 
 impl Stack {
-    /// For distances up to `reach`, px.
-    pub fn new(reach: f64) -> Self {
+    /// For distances up to `reach`, px, of light that is clipped at `floor`.
+    pub fn new(reach: f64, floor: f64) -> Self {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
         let bins = (reach / BIN_PX).ceil() as usize;
-        Self { bins: vec![[0.0; 6]; bins], level: f64::INFINITY }
+        Self { bins: vec![[0.0; 6]; bins], floor, level: f64::INFINITY }
     }
 
     #[inline]
     pub fn add(&mut self, radius: f64, light: f64) {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a distance
         let bin = (radius / BIN_PX) as usize;
-        if light > 0.0 && light < self.level {
-            self.level = light;
+        let above = light - self.floor;
+        if above > 0.0 && above < self.level {
+            self.level = above;
         }
         if let Some(bin) = self.bins.get_mut(bin) {
             bin[0] += 1.0;
@@ -48,7 +51,7 @@ impl Stack {
             bin[2] += light;
             bin[3] += light * light;
             bin[4] += f64::from(u8::from(light > CLIPPED));
-            bin[5] += f64::from(u8::from(light <= 0.0));
+            bin[5] += f64::from(u8::from(above <= 0.0));
         }
     }
 
@@ -85,6 +88,6 @@ impl Stack {
         let filled = || self.bins.iter().filter(|bin| bin[0] >= FEWEST);
         let darkest = filled().map(|bin| bin[2] / bin[0]).fold(f64::INFINITY, f64::min);
         let clipped = filled().any(|bin| (BLACK..1.0 - BLACK).contains(&(bin[5] / bin[0])));
-        clipped && darkest > ROUNDED * self.level
+        clipped && darkest - self.floor > ROUNDED * self.level
     }
 }

@@ -2,7 +2,8 @@
 
 use tracing::{debug, info};
 
-use super::array::{ArrayMeasurement, found_array};
+use super::array::{ArrayMeasurement, found_array, patterns};
+use super::black::{Black, black_level};
 use super::checks::{
     contradictions, different_aperture, disagreeing_types, doubtful_colors, named, reference_of,
 };
@@ -17,7 +18,10 @@ use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
 use crate::image::RawImage;
-use crate::model::{Configuration, Datasheet, FallOff, InternalParameters, optics, positive};
+use crate::model::{
+    Configuration, Datasheet, FallOff, InternalParameters, SampleLevels, full_scale, optics,
+    positive,
+};
 use crate::vignetting::Obliquity;
 
 /// A white image.
@@ -45,6 +49,8 @@ pub struct PrecalibrationOptions {
     /// Focal length F and focus distance h of the main lens as engraved, mm: they give its distance from
     /// the array, and so the angles of the light.
     pub lens_mm: (f64, f64),
+    /// Black level of the images, grey levels of the files; measured if it is not stated.
+    pub black_level: Option<f64>,
     /// The whole datasheet, where there is one: what the images contradict in it is an error.
     pub stated: Option<Datasheet>,
 }
@@ -59,6 +65,7 @@ impl PrecalibrationOptions {
             array_size: Some((sheet.columns, sheet.rows)),
             estimator: RadiusEstimator::default(),
             lens_mm: (sheet.focal_length_mm, sheet.focus_distance_mm),
+            black_level: None,
             stated: Some(*sheet),
         }
     }
@@ -104,8 +111,12 @@ pub fn precalibrate(
     let _span = tracing::info_span!("pre-calibration").entered();
     positive(options.pixel_size_mm, "the pixel size (mm)")?;
     let reference = reference_of(whites, reference, options.stated.as_ref())?;
-    let grey = reference.image.grey();
-    let found = found_array(&grey, options.array_size).map_err(|e| named(&reference.name, &e))?;
+    let pattern = patterns(&reference.image.grey()).next();
+    let black = black_level(whites, pattern.as_ref(), options.black_level)?;
+    let levels = levels_of(whites, reference, &black);
+    let grey = reference.image.grey_between(Some(&levels));
+    let found =
+        found_array(&grey, pattern, options.array_size).map_err(|e| named(&reference.name, &e))?;
     debug!(
         "{}: a '{}' lattice with a pitch of {:.4} px, {} centres measured",
         reference.name,
@@ -114,7 +125,7 @@ pub fn precalibrate(
         found.array.centers.len()
     );
 
-    let samples = Samples::measure(whites, reference, &found, options, progress)?;
+    let samples = Samples::measure(whites, (reference, &levels), &found, options, progress)?;
     let by_color = samples.radii(RadiusEstimator::Profile)?;
     let lens_types = judge_types(&by_color, &found);
     let (samples, by_profile) = samples.by_lens_type(lens_types.types, by_color)?;
@@ -157,6 +168,7 @@ pub fn precalibrate(
     internal.parameters.fall_off = Some(fall_off);
     internal.parameters.lean =
         lean.and_then(|lean| light.by_fill_factor(lean, &oblique.parameters, options, &obliquity));
+    internal.parameters.levels = Some(levels);
     let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
     let wrong_aperture = different_aperture((reference, &grey), &levers, &samples, &found.pattern)
@@ -165,7 +177,14 @@ pub fn precalibrate(
     let oblong = oblong(&grey, &array.centers, array.grid.pitch_px);
     let types = disagreeing_types(&lens_types);
     // A wrong f-number is reason enough for there being no discs.
-    let told = [wrong_f_number.or(by_lines), wrong_aperture, oblong, types, unknown_fall_off];
+    let told = [
+        wrong_f_number.or(by_lines),
+        wrong_aperture,
+        oblong,
+        types,
+        unknown_fall_off,
+        black.warning,
+    ];
     let warnings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
     let measured =
         Precalibration { array, lens_types, radii, internal, pitch_correction, warnings };
@@ -174,6 +193,20 @@ pub fn precalibrate(
     }
     measured.log();
     Ok(measured)
+}
+
+/// The levels of the white images.
+fn levels_of(whites: &[White], reference: &White, black: &Black) -> SampleLevels {
+    let full = |white: &White| Some(white.image.plateau()? / white.image.full_scale());
+    let full = whites.iter().chain([reference]).filter_map(full).fold(1.0, f64::min);
+    let levels = SampleLevels {
+        bits: black.bits,
+        black_level: black.level,
+        black_level_std_dev: black.std_dev,
+        saturation_level: (full < 1.0).then_some(full * full_scale(black.bits)),
+    };
+    debug!("{levels:?}");
+    levels
 }
 
 /// How far off straight lines through the radii are where the light is not that of discs, relative.

@@ -160,6 +160,7 @@ impl Tracer {
             lean: None,
             point_spread: None,
             fill_factor: Some(FillFactor { value: self.array.fill_factor, std_dev: 0.0 }),
+            levels: None,
         }
     }
 

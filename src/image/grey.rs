@@ -1,0 +1,160 @@
+//! From raw samples to grey values that are linear in light.
+
+use rayon::prelude::*;
+
+use super::{Color, Image, RawImage, Samples};
+use crate::model::SampleLevels;
+
+/// With fewer rows a second thread does not pay.
+const SIDE_BY_SIDE: usize = 128;
+
+impl RawImage {
+    /// The image as grey values, to be taken whole or in parts, without black level.
+    #[must_use]
+    pub fn grey(&self) -> Grey<'_> {
+        self.grey_between(None)
+    }
+
+    /// The same between the levels of the camera.
+    ///
+    /// Pixels are full where the image itself shows it, see [`Self::plateau`], or else at the saturation level of the
+    /// camera, unless the image has more light: the gain may have been another.
+    #[must_use]
+    pub fn grey_between(&self, levels: Option<&SampleLevels>) -> Grey<'_> {
+        let range = self.range(levels);
+        Grey::between(self, self.channel_gains(range), range)
+    }
+
+    /// Samples as parts of full scale, of all channels alike, wherever they are full.
+    pub(crate) fn as_they_are(&self) -> Grey<'_> {
+        Grey::between(self, [1.0; 3], (0.0, self.full_scale()))
+    }
+
+    /// Samples without light and of full pixels.
+    pub(super) fn range(&self, levels: Option<&SampleLevels>) -> (f64, f64) {
+        let full = self.full_scale();
+        let (black, saturation) = levels.map_or((0.0, None), SampleLevels::parts);
+        let of_camera = || saturation.map(|part| part * full).filter(|level| !self.exceeds(*level));
+        let white = self.plateau().or_else(of_camera).unwrap_or(full);
+        // An image that is full below the camera's black level is not of this camera.
+        (if black * full < white { black * full } else { 0.0 }, white)
+    }
+
+    /// The whole image in grey, see [`Grey`].
+    #[must_use]
+    pub fn to_grey(&self) -> Image {
+        self.grey().part(0, 0, self.width, self.height)
+    }
+
+    /// Amplification of red, green and blue.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as grey values
+    fn channel_gains(&self, range: (f64, f64)) -> [f32; 3] {
+        let mut sums = [(0.0, 0.0); 3];
+        if self.color != Color::Grey {
+            self.compared(range, |place| {
+                for &(channel, part) in place {
+                    sums[channel].0 += part;
+                    sums[channel].1 += 1.0;
+                }
+            });
+        }
+        let means = sums.map(|(sum, count)| sum / count);
+        let strongest = means.iter().copied().fold(f64::NAN, f64::max);
+        // An image that is all dark or saturated has nothing to compare.
+        means.map(|mean| if mean > 0.0 { (strongest / mean) as f32 } else { 1.0 })
+    }
+}
+
+/// A raw image as grey values, linear from 0 to 1, at full resolution.
+///
+/// Black level and saturation level become 0 and 1. Noise about black is kept: values may be negative.
+///
+/// The light is taken to be neutral: channels are amplified so that all respond like the strongest
+/// one, by their means over places where none is saturated. Then all are clipped at 1, where the
+/// strongest one saturates. So a pixel of 1 is saturated, whatever its colour.
+#[derive(Debug, Clone, Copy)]
+pub struct Grey<'a> {
+    raw: &'a RawImage,
+    gains: [f32; 3],
+    /// The black level, grey levels.
+    black: f32,
+    /// Light by grey level.
+    scale: f32,
+}
+
+impl Grey<'_> {
+    /// Between these samples.
+    #[allow(clippy::cast_possible_truncation)] // samples have 16 bits
+    fn between(raw: &RawImage, gains: [f32; 3], (black, white): (f64, f64)) -> Grey<'_> {
+        let range = (white - black) as f32;
+        // Rounded up, so that a full pixel is never below 1.
+        let mut scale = (1.0 / range).next_up();
+        while (white as f32 - black as f32) * scale < 1.0 {
+            scale = scale.next_up();
+        }
+        Grey { raw, gains, black: black as f32, scale }
+    }
+
+    /// The light of a sample of 0, in the channel that responds most: below it noise is clipped.
+    #[must_use]
+    pub fn floor(&self) -> f64 {
+        f64::from(-self.black * self.scale)
+    }
+
+    /// Width and height of the whole image, px.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.raw.width, self.raw.height)
+    }
+
+    /// A part of the image, cut at its borders.
+    #[must_use]
+    pub fn part(&self, left: usize, top: usize, width: usize, height: usize) -> Image {
+        match &self.raw.samples {
+            Samples::Bits8(samples) => self.part_of(samples, (left, top), (width, height)),
+            Samples::Bits16(samples) => self.part_of(samples, (left, top), (width, height)),
+        }
+    }
+
+    fn part_of<T: Copy + Into<f32> + Sync>(
+        &self,
+        samples: &[T],
+        (left, top): (usize, usize),
+        (width, height): (usize, usize),
+    ) -> Image {
+        let raw = self.raw;
+        let (right, bottom) = (raw.width.min(left + width), raw.height.min(top + height));
+        let (width, height) = (right.saturating_sub(left), bottom.saturating_sub(top));
+        let (black, scale) = (self.black, self.scale);
+        let value = |sample: T, gain: f32| ((sample.into() - black) * scale * gain).min(1.0);
+        let per_pixel = raw.color.samples();
+        let fill = |(row, pixels): (usize, &mut [f32])| {
+            let v = top + row;
+            let samples = &samples[(v * raw.width + left) * per_pixel..][..width * per_pixel];
+            match raw.color {
+                Color::Grey => {
+                    pixels.iter_mut().zip(samples).for_each(|(p, &s)| *p = value(s, 1.0));
+                }
+                Color::Rgb => {
+                    for (pixel, rgb) in pixels.iter_mut().zip(samples.chunks_exact(3)) {
+                        let sum: f32 = (0..3).map(|c| value(rgb[c], self.gains[c])).sum();
+                        *pixel = sum / 3.0;
+                    }
+                }
+                mosaic => {
+                    let gain = |u| self.gains[mosaic.mosaic(u, v).unwrap_or_default()];
+                    let gains = [gain(left), gain(left + 1)];
+                    for (u, (pixel, &sample)) in pixels.iter_mut().zip(samples).enumerate() {
+                        *pixel = value(sample, gains[u % 2]);
+                    }
+                }
+            }
+        };
+        let mut pixels = vec![0.0; width * height];
+        if width > 0 {
+            let rows = pixels.par_chunks_exact_mut(width).enumerate();
+            rows.with_min_len(SIDE_BY_SIDE).for_each(fill);
+        }
+        Image { width, height, pixels }
+    }
+}

@@ -1,0 +1,115 @@
+//! The plateau of full pixels at the upper end of a histogram.
+//!
+//! Photon noise and the fall-off of light make the upper end of a histogram thin out over several grey levels. Full
+//! pixels all have the same sample, up to the noise of the read-out: a spike with hardly anything above it.
+
+use super::{RawImage, Samples};
+
+/// Width of the spike, in 255ths of the largest sample.
+const WIDTH: f64 = 2.0;
+/// It is looked for so far below the largest sample, in the same unit.
+const REACH: f64 = 6.0;
+/// Steps of the search in that unit: single grey levels of 8 bits.
+const STEPS: f64 = 4.0;
+/// It is denser than the samples just below, over twice its width, by this factor.
+const DENSER: f64 = 3.0;
+/// Above it are fewer samples than this part of its own: noise, and hot pixels.
+const ABOVE: f64 = 0.1;
+/// Part of all samples in a plateau, at least, and their least number.
+const LEAST_PART: f64 = 1e-4;
+const LEAST: f64 = 40.0;
+/// Samples of full pixels scatter by up to so many standard deviations.
+const SCATTER: f64 = 3.0;
+/// Full pixels have more than so many grey levels: a spike below is darkness.
+const LOWEST: f64 = 64.0;
+/// Rows that show it.
+const ROWS: usize = 512;
+
+/// How often every sample occurs in some rows, summed up from 0.
+struct Histogram {
+    /// Number of samples below each.
+    below: Vec<f64>,
+}
+
+impl Histogram {
+    fn of(raw: &RawImage) -> Self {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 16 bits
+        let mut counts = vec![0_u32; raw.full_scale() as usize + 1];
+        let per_row = raw.width * raw.color.samples();
+        let step = raw.height.div_ceil(ROWS).max(1);
+        let rows = (0..raw.height).step_by(step).map(|v| v * per_row..(v + 1) * per_row);
+        for row in rows {
+            match &raw.samples {
+                Samples::Bits8(all) => all[row].iter().for_each(|&s| counts[usize::from(s)] += 1),
+                Samples::Bits16(all) => all[row].iter().for_each(|&s| counts[usize::from(s)] += 1),
+            }
+        }
+        let mut below = Vec::with_capacity(counts.len() + 1);
+        let mut sum = 0.0;
+        below.push(sum);
+        for count in counts {
+            sum += f64::from(count);
+            below.push(sum);
+        }
+        Self { below }
+    }
+
+    fn all(&self) -> f64 {
+        self.below.last().copied().unwrap_or_default()
+    }
+
+    /// Number of samples from `low` up to, but without, `high`.
+    fn count(&self, low: f64, high: f64) -> f64 {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to the range
+        let below = |s: f64| self.below[(s.ceil().max(0.0) as usize).min(self.below.len() - 1)];
+        below(high) - below(low)
+    }
+
+    /// Mean and standard deviation of the samples from `low` up to, but without, `high`.
+    fn moments(&self, low: f64, high: f64) -> (f64, f64) {
+        let (mut count, mut first, mut second) = (0.0, 0.0, 0.0);
+        let mut sample = low.ceil().max(0.0);
+        while sample < high {
+            let here = self.count(sample, sample + 1.0);
+            count += here;
+            first += here * (sample - low);
+            second += here * (sample - low).powi(2);
+            sample += 1.0;
+        }
+        let mean = first / count;
+        (low + mean, (second / count - mean * mean).max(0.0).sqrt())
+    }
+}
+
+impl RawImage {
+    /// The sample from which on pixels are full, by the plateau in the histogram of this image; `None` if it shows none.
+    #[must_use]
+    pub fn plateau(&self) -> Option<f64> {
+        let histogram = Histogram::of(self);
+        let least = (LEAST_PART * histogram.all()).max(LEAST);
+        let largest =
+            histogram.below.iter().rposition(|&below| histogram.all() - below >= least)?;
+        let unit = (largest as f64 / 255.0).max(1.0);
+        let steps = (REACH * STEPS.min(unit)).round();
+        let step = unit / STEPS.min(unit);
+        let is_plateau = |low: &f64| {
+            let high = low + WIDTH * unit;
+            let own = histogram.count(*low, high);
+            let before = histogram.count(low - 2.0 * WIDTH * unit, *low) / 2.0;
+            own >= least.max(DENSER * before) && histogram.count(high, f64::INFINITY) <= ABOVE * own
+        };
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few
+        let low = (0..=steps as u32)
+            .map(|i| largest as f64 - f64::from(i) * step)
+            .find(|low| *low > LOWEST && is_plateau(low))?;
+        let (mean, std_dev) = histogram.moments(low, low + WIDTH * unit);
+        Some((mean - SCATTER * std_dev).max(low))
+    }
+
+    /// Whether many samples are above this one.
+    pub(super) fn exceeds(&self, sample: f64) -> bool {
+        let histogram = Histogram::of(self);
+        let unit = self.full_scale() / 255.0;
+        histogram.count(sample + WIDTH * unit, f64::INFINITY) > LEAST_PART * histogram.all()
+    }
+}

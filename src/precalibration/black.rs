@@ -1,0 +1,227 @@
+//! The black level, from the places between micro-images that no light reaches.
+//!
+//! At small apertures micro-images are far apart. Going away from all of them the light falls to where it no longer
+//! changes: what is left there are the samples of pixels without light. Stray light can only add to them; how
+//! much the darkest two f-numbers differ tells how much of it there still is.
+
+use nalgebra::Vector2;
+use tracing::debug;
+
+use super::centers::{measure_sample, nodes_in, part_with};
+use super::centroid::{Blob, pixels_about};
+use super::pattern::Pattern;
+use super::stage::White;
+use crate::error::{Error, Result};
+use crate::image::RawImage;
+use crate::model::{LatticeKind, full_scale};
+use crate::numerics::median;
+
+/// White images that are looked at, those with the largest f-numbers.
+const IMAGES: usize = 2;
+/// Micro-images up to so many pitches from where the pattern was found, along each axis.
+const REACH: f64 = 6.0;
+/// Width of the rings about the middles of micro-images, px.
+const RING_PX: f64 = 0.5;
+/// Pixels that have a say in where it is darkest, and in the black level.
+const FEWEST: usize = 200;
+/// The light no longer changes where it is within this part of that of the micro-images of the darkest.
+const FLAT: f64 = 2e-3;
+/// It does so over this distance, px; the nearer part of it is left out for the tail of the light.
+const DARK_PX: f64 = 1.5;
+const TAIL_PX: f64 = 1.0;
+/// Where even the darkest places have this part of the light of the micro-images, they are no darkness.
+const BRIGHT: f64 = 0.25;
+/// Where they have less than this part, the black level does not matter.
+const HARMLESS: f64 = 0.01;
+/// Hot pixels are so many median deviations away; a deviation is one grey level, at least.
+const OUTLIERS: f64 = 6.0;
+/// With more than this part of the samples at 0, noise is clipped there.
+const CLIPPED: f64 = 0.02;
+/// A stated black level is wrong where the darkness is darker by more than so many standard deviations and half a
+/// grey level.
+const DARKER: f64 = 3.0;
+
+/// The black level, grey levels of the first white image.
+pub(super) struct Black {
+    pub level: f64,
+    /// Bits of a sample of that image.
+    pub bits: u32,
+    /// Its σ, where it was measured.
+    pub std_dev: Option<f64>,
+    /// Where it is not known, or cannot be what is stated.
+    pub warning: Option<String>,
+}
+
+/// The darkness of a white image, as parts of full scale.
+struct Darkness {
+    level: f64,
+    std_dev: f64,
+}
+
+/// What a white image shows.
+enum Shown {
+    Dark(Darkness),
+    /// Micro-images touch; this is the part of their light at the darkest places.
+    Touching(f64),
+}
+
+/// The black level as it is stated, or else as the white images show it between the micro-images of a pattern. An error
+/// if it is not possible.
+pub(super) fn black_level(
+    whites: &[White],
+    pattern: Option<&Pattern>,
+    stated: Option<f64>,
+) -> Result<Black> {
+    let bits = whites.first().map_or(8, |white| white.image.bits());
+    let full = full_scale(bits);
+    let mut by_f_number: Vec<&White> = whites.iter().collect();
+    by_f_number.sort_by(|a, b| b.f_number.total_cmp(&a.f_number));
+    let looked_at = by_f_number.into_iter().take(IMAGES);
+    let shown: Vec<(&White, Shown)> =
+        looked_at.filter_map(|white| Some((white, shown_by(&white.image, pattern?)?))).collect();
+    let mut dark = shown.iter().filter_map(|(white, shown)| match shown {
+        Shown::Dark(dark) => Some((*white, dark)),
+        Shown::Touching(_) => None,
+    });
+    let (first, second) = (dark.next(), dark.next());
+    let measured = first.map(|(white, dark)| {
+        let change = second.map_or(0.0, |(_, other)| other.level - dark.level);
+        debug!("{}: black level {:.4}, at the next f-number {change:+.4}", white.name, dark.level);
+        (white, dark.level * full, dark.std_dev.hypot(change) * full)
+    });
+    if let Some(level) = stated {
+        if !(0.0..full).contains(&level) {
+            return Err(Error::invalid(format!(
+                "a black level of {level} is not possible: give the mean sample of an image without light, from \
+                 0 to {full}"
+            )));
+        }
+        let warning = measured.and_then(|(white, darkness, std_dev)| {
+            (darkness + DARKER * std_dev + 0.5 < level).then(|| {
+                format!(
+                    "the black level is stated as {level} grey levels, but between the micro-images of {} samples \
+                     are {darkness:.2}: correct black_level in [images], or leave it out",
+                    white.name
+                )
+            })
+        });
+        return Ok(Black { level, bits, std_dev: None, warning });
+    }
+    if let Some((_, level, std_dev)) = measured {
+        return Ok(Black { level, bits, std_dev: Some(std_dev), warning: None });
+    }
+    let matters = |(_, shown): &(&White, Shown)| match shown {
+        Shown::Dark(_) => false,
+        Shown::Touching(part) => *part > HARMLESS,
+    };
+    let warning = shown.iter().all(matters).then(|| {
+        "the black level cannot be measured, since at no f-number it is dark between the micro-images: samples are \
+         taken to be 0 without light. If they are not, give black_level in [images], the mean sample of an image with \
+         the lens covered, or add a white image at a larger f-number"
+            .to_owned()
+    });
+    Ok(Black { level: 0.0, bits, std_dev: None, warning })
+}
+
+/// What a white image shows between the micro-images about the origin of a pattern; `None` if there are none.
+fn shown_by(raw: &RawImage, found: &Pattern) -> Option<Shown> {
+    let grey = raw.as_they_are();
+    let mut nodes = nodes_in(grey.size(), found);
+    let reach = REACH * found.pitch();
+    nodes.retain(|&(i, j)| (found.place(i, j) - found.origin).amax() < reach);
+    let (pattern, blobs) = measure_sample(&grey, found, &nodes)?;
+    let places = blobs.iter().map(|blob| blob.center);
+    let (part, corner) = part_with(&grey, places, pattern.pitch());
+    let pattern = pattern.seen_from(&corner);
+    let mut rings: Vec<Vec<f64>> = Vec::new();
+    for Blob { node, .. } in &blobs {
+        let center = pattern.place(node.0, node.1);
+        let neighbours = neighbours(&pattern);
+        // Not further than halfway to any neighbour.
+        pixels_about(&part, &center, pattern.pitch(), |offset, light| {
+            if neighbours.iter().all(|step| offset.dot(step) <= step.norm_squared() / 2.0) {
+                #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a distance
+                let ring = (offset.norm() / RING_PX) as usize;
+                if rings.len() <= ring {
+                    rings.resize(ring + 1, Vec::new());
+                }
+                rings[ring].push(light);
+            }
+        });
+    }
+    darkness(&rings, raw.full_scale())
+}
+
+/// Steps to the nearest nodes about any.
+fn neighbours(pattern: &Pattern) -> Vec<Vector2<f64>> {
+    let (a, b) = (pattern.along, pattern.across);
+    let other = if pattern.kind == LatticeKind::Orthogonal { a + b } else { b - a };
+    [a, b, other, a - b].into_iter().flat_map(|step| [step, -step]).collect()
+}
+
+/// The darkness by the samples in rings about the middles of micro-images.
+fn darkness(rings: &[Vec<f64>], full_scale: f64) -> Option<Shown> {
+    let grey_level = 1.0 / full_scale;
+    let brightest =
+        rings.iter().filter_map(|ring| median(ring.iter().copied())).fold(0.0, f64::max);
+    // The furthest rings have few pixels.
+    let mut first = rings.len();
+    let mut furthest: Vec<f64> = Vec::new();
+    while furthest.len() < FEWEST {
+        first = first.checked_sub(1)?;
+        furthest.extend(&rings[first]);
+    }
+    let (darkest, ..) = mean(&furthest, grey_level)?;
+    let light = brightest - darkest;
+    let touching = Some(Shown::Touching(darkest / brightest));
+    if darkest > BRIGHT * brightest {
+        return touching;
+    }
+    let is_dark = |ring: &Vec<f64>| {
+        let allowed = FLAT * light;
+        mean(ring, grey_level)
+            .is_none_or(|(here, std_dev, _)| here - darkest < allowed + 3.0 * std_dev)
+    };
+    let dark = rings[..first].iter().rposition(|ring| !is_dark(ring)).map_or(0, |last| last + 1);
+    let width = (rings.len() - dark) as f64 * RING_PX;
+    if width < DARK_PX {
+        return touching;
+    }
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few rings
+    let kept: Vec<f64> = rings[dark + (TAIL_PX / RING_PX) as usize..].concat();
+    let (mut level, std_dev, scatter) = mean(&kept, grey_level)?;
+    let zeros = kept.iter().filter(|&&light| light < 0.5 * grey_level).count() as f64;
+    if zeros > CLIPPED * kept.len() as f64 {
+        level = grouped_median(&kept, grey_level);
+    }
+    // The mean of rounded samples is off where noise does not spread them over several grey levels.
+    let noise = ((scatter / grey_level).powi(2) - 1.0 / 12.0).max(0.0);
+    let rounding = (1.0_f64 / 12.0).sqrt() * (-2.0 * std::f64::consts::PI.powi(2) * noise).exp();
+    Some(Shown::Dark(Darkness { level, std_dev: std_dev.hypot(rounding * grey_level) }))
+}
+
+/// Mean of samples without hot pixels, its σ, and their scatter.
+fn mean(samples: &[f64], grey_level: f64) -> Option<(f64, f64, f64)> {
+    let middle = median(samples.iter().copied())?;
+    let typical = median(samples.iter().map(|sample| (sample - middle).abs()))?.max(grey_level);
+    let kept = || samples.iter().filter(|&sample| (sample - middle).abs() <= OUTLIERS * typical);
+    let count = kept().count() as f64;
+    let mean = kept().sum::<f64>() / count;
+    let variance = kept().map(|sample| (sample - mean).powi(2)).sum::<f64>() / count;
+    Some((mean, (variance / count).sqrt(), variance.sqrt()))
+}
+
+/// The median of whole grey levels as if each were spread over its width: samples that are clipped at 0 have no part in
+/// it as long as they are fewer than half. 0 if they are not.
+fn grouped_median(samples: &[f64], grey_level: f64) -> f64 {
+    let Some(middle) = median(samples.iter().copied()) else { return 0.0 };
+    if middle < 0.5 * grey_level {
+        return 0.0;
+    }
+    let part = |keep: &dyn Fn(f64) -> bool| {
+        samples.iter().filter(|&&sample| keep(sample)).count() as f64 / samples.len() as f64
+    };
+    let below = part(&|sample| sample < middle - 0.5 * grey_level);
+    let here = part(&|sample| (sample - middle).abs() <= 0.5 * grey_level);
+    middle + ((0.5 - below) / here.max(f64::MIN_POSITIVE) - 0.5) * grey_level
+}
