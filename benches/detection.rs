@@ -27,10 +27,17 @@ fn main() -> plenocal::Result<()> {
     let search =
         Search { micro_images: &micro_images, board: &board, sensor: &sheet.sensor, estimator };
     println!("Detection in an R12 frame, {} cores:", rayon::current_num_threads());
-    let white = reference.image.grey();
+    let white = reference.image.grey_between(micro_images.levels.as_ref());
     for (pose, shot) in data_set.subsets[0].iter().take(FRAMES) {
         let image = shot.take(&settings, &|| ())?;
-        let detect = || detect_frame(pose.frame, &image.grey(), &white, &search);
+        let detect = || {
+            detect_frame(
+                pose.frame,
+                &image.grey_between(micro_images.levels.as_ref()),
+                &white,
+                &search,
+            )
+        };
         let features = detect().0.map_or(0, |detection| detection.features.len());
         let mut times: Vec<f64> = (0..RUNS)
             .map(|_| {

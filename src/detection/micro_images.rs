@@ -28,8 +28,8 @@ pub struct MicroImages {
     fill_factor: f64,
     /// Variance of the point spread along an axis, px².
     point_spread_px2: f64,
-    /// Black and saturation level of the images.
-    levels: Option<SampleLevels>,
+    /// Black and saturation level of the images, where they are known.
+    pub levels: Option<SampleLevels>,
     /// The middle of the image, px.
     middle: Vector2<f64>,
     /// The fall-off of light.
@@ -271,12 +271,6 @@ impl MicroImages {
     #[must_use]
     pub fn fill_factor(&self) -> f64 {
         self.fill_factor
-    }
-
-    /// Black and saturation level of the images, where they are known.
-    #[must_use]
-    pub fn levels(&self) -> Option<&SampleLevels> {
-        self.levels.as_ref()
     }
 
     /// Variance of the point spread along an axis, px².

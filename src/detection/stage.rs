@@ -131,7 +131,7 @@ pub fn detect(
     let _span = tracing::info_span!("detection").entered();
     search.board.validate()?;
     check_size(white, search.sensor)?;
-    let levels = search.micro_images.levels();
+    let levels = search.micro_images.levels.as_ref();
     let white = white.grey_between(levels);
     let search_in = |image: &BoardImage, raw: &RawImage, micro_images: &MicroImages| {
         detect_frame(

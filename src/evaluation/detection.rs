@@ -92,7 +92,7 @@ impl DetectionScore {
         let mut score = Self::default();
         for (pose, shot) in data_set.subsets[0].iter().take(frames) {
             let image = shot.take(settings, &|| ())?;
-            let levels = micro_images.levels();
+            let levels = micro_images.levels.as_ref();
             let [image, white] = [&image, &reference.image].map(|raw| raw.grey_between(levels));
             let (result, _) = detect_frame(pose.frame, &image, &white, &search);
             score.frames += 1;

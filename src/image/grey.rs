@@ -30,6 +30,23 @@ impl RawImage {
         Grey::between(self, [1.0; 3], (0.0, self.full_scale()))
     }
 
+    /// The image with its samples, as parts of full scale, raised to a power.
+    pub(crate) fn to_the_power(&self, power: f64) -> Self {
+        let largest = f64::from(u16::MAX);
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+        // parts of the largest sample
+        let raised =
+            |sample: f64| (largest * (sample / self.full_scale()).powf(power)).round() as u16;
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 16 bits
+        let table: Vec<u16> =
+            (0..=self.full_scale() as u32).map(|s| raised(f64::from(s))).collect();
+        let samples = match &self.samples {
+            Samples::Bits8(all) => all.iter().map(|&s| table[usize::from(s)]).collect(),
+            Samples::Bits16(all) => all.iter().map(|&s| table[usize::from(s)]).collect(),
+        };
+        Self { samples: Samples::Bits16(samples), ..*self }
+    }
+
     /// Samples without light and of full pixels.
     pub(super) fn range(&self, levels: Option<&SampleLevels>) -> (f64, f64) {
         let full = self.full_scale();

@@ -29,6 +29,8 @@ const STEP: f64 = 1e-4;
 /// many standard deviations of it.
 const NEIGHBOUR_PX: f64 = 0.3;
 const NEIGHBOUR_SPREADS: f64 = 2.5;
+/// Where all blurs are smaller, edges are as pixels make them, px.
+const RESOLVED_PX: f64 = 1.0;
 /// Weight of what is held, larger than that of any light.
 const HELD: f64 = 1e15;
 /// Least radius of a disc, px.
@@ -211,8 +213,13 @@ impl<'a> Fit<'a> {
         all
     }
 
-    /// The power of the samples that light is, less 1, and its σ: what one step of the fit finds where that is free too.
+    /// The power of the samples that light is, less 1, and its σ: what one step of the fit finds where that is free too. `None` where pixels
+    /// hide it.
     fn exponent(&self) -> Option<(f64, f64)> {
+        let blurs = self.at.rows(self.whites(), self.known.q_px.len());
+        if blurs.max() < RESOLVED_PX {
+            return None;
+        }
         let (normal, right) = self.system()?;
         let size = self.at.len();
         let (mut normal, mut right) =
@@ -332,7 +339,7 @@ impl<'a> Fit<'a> {
             within_per_px2: (within.0 * known, within.1.hypot(WITHIN_MODEL) * known.abs()),
             sine: of(c),
             f_number_error: self.f_number_error,
-            exponent: self.exponent()?,
+            exponent: self.exponent(),
             point_spread: PointSpread {
                 variance_px2: spread.0,
                 std_dev_px2: spread.1.hypot(SPREAD_MODEL),

@@ -16,6 +16,7 @@ mod indexing;
 mod internal;
 mod lean;
 mod levers;
+mod linearity;
 mod nodes;
 mod pattern;
 mod profile;

@@ -12,6 +12,7 @@ use super::discs::Discs;
 use super::fall_off::{Light, Measured};
 use super::internal::{InternalFit, RadiusMeasurement};
 use super::levers::Levers;
+use super::linearity::{explained, not_linear, power_for_discs, power_of_discs};
 use super::radii::{RadiusEstimator, TypeRadius};
 use super::roundness::oblong;
 use super::samples::Samples;
@@ -111,6 +112,28 @@ pub fn precalibrate(
     let _span = tracing::info_span!("pre-calibration").entered();
     positive(options.pixel_size_mm, "the pixel size (mm)")?;
     let reference = reference_of(whites, reference, options.stated.as_ref())?;
+    let of_strong_gamma = || power_for_discs(whites, reference, options);
+    let (mut result, discs) = measured(whites, reference, options, progress)
+        .map_err(|error| explained(error, of_strong_gamma()))?;
+    let power = discs.as_ref().map_or_else(of_strong_gamma, power_of_discs);
+    if let Some(sheet) = &options.stated {
+        result.check_stated(sheet).map_err(|error| explained(error, power))?;
+    }
+    if let Some(power) = power {
+        // All others rest on how bright something is.
+        result.warnings = vec![not_linear(power)];
+    }
+    result.log();
+    Ok(result)
+}
+
+/// The measurement, and the discs if the light shows them.
+pub(super) fn measured(
+    whites: &[White],
+    reference: &White,
+    options: &PrecalibrationOptions,
+    progress: &(dyn Fn() + Sync),
+) -> Result<(Precalibration, Option<Discs>)> {
     let pattern = patterns(&reference.image.grey()).next();
     let black = black_level(whites, pattern.as_ref(), options.black_level)?;
     let levels = levels_of(whites, reference, &black);
@@ -138,8 +161,8 @@ pub fn precalibrate(
     let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
     let mut first = light.fall_off(&lines, options, &cos4);
     // Straight lines are near enough to begin with.
-    let discs = samples.discs(&by_profile, &lines, first.fall_off.within_per_px2, seen_pitch_px);
-    let discs = discs.as_ref();
+    let of_light = samples.discs(&by_profile, &lines, first.fall_off.within_per_px2, seen_pitch_px);
+    let discs = of_light.as_ref();
     take_within(&mut first.fall_off, discs);
     let obliquity = in_the_middle(Some(&first.fall_off), &lines, seen_pitch_px, options);
     let internal_of = |by_type: &[Vec<TypeRadius>]| {
@@ -188,11 +211,7 @@ pub fn precalibrate(
     let warnings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
     let measured =
         Precalibration { array, lens_types, radii, internal, pitch_correction, warnings };
-    if let Some(sheet) = &options.stated {
-        measured.check_stated(sheet)?;
-    }
-    measured.log();
-    Ok(measured)
+    Ok((measured, of_light))
 }
 
 /// The levels of the white images.

@@ -1,6 +1,7 @@
 //! A pre-calibration as text.
 
 use super::table::{Table, table};
+use crate::model::full_scale;
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
 /// The result of a pre-calibration on a terminal: array, lens types, radii, internal parameters.
@@ -11,12 +12,29 @@ pub fn precalibration_text(result: &Precalibration) -> String {
         "The pitch is corrected for vignetting, which had changed it by {:.1e}.",
         -result.pitch_correction
     );
+    let levels: String = levels_text(result).into_iter().map(|line| format!("\n{line}")).collect();
     [
-        format!("{}\n{correction}\n{types}", array_text(&result.array)),
+        format!("{}\n{correction}\n{types}{levels}", array_text(&result.array)),
         radii_table(result).to_string(),
         internal_table(result).to_string(),
     ]
     .join("\n\n")
+}
+
+/// Black level and saturation level in a line, unless samples go from 0 to full scale.
+pub(super) fn levels_text(result: &Precalibration) -> Option<String> {
+    let levels = result.internal.parameters.levels?;
+    let black = (levels.black_level > 0.0).then(|| match levels.black_level_std_dev {
+        Some(std_dev) => {
+            format!("Black level {:.2} ± {std_dev:.2} grey levels.", levels.black_level)
+        }
+        None => format!("Black level {} grey levels, as stated.", levels.black_level),
+    });
+    let full = levels.saturation_level.map(|level| {
+        format!("Pixels are full at {level:.0} of {:.0} grey levels.", full_scale(levels.bits))
+    });
+    let parts: Vec<String> = black.into_iter().chain(full).collect();
+    (!parts.is_empty()).then(|| parts.join(" "))
 }
 
 /// Lens types on a terminal.

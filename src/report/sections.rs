@@ -6,7 +6,7 @@ use super::assessment::{
 use super::calibration::{errors_table, parameters_table, summary};
 use super::detection::{detection_table, dropped_text};
 use super::html::{Figure, HtmlTable, Part, Section};
-use super::precalibration::{array_text, internal_table, radii_table, types_text};
+use super::precalibration::{array_text, internal_table, levels_text, radii_table, types_text};
 use crate::assessment::Assessment;
 use crate::calibration::Calibration;
 use crate::detection::DetectedBoards;
@@ -31,6 +31,7 @@ fn warnings_part(warnings: &[String]) -> Option<Part> {
 pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> Section {
     let mut parts: Vec<Part> = paragraphs(&array_text(&result.array)).collect();
     parts.extend(paragraphs(&types_text(&result.lens_types)));
+    parts.extend(levels_text(result).map(Part::Text));
     parts.extend(warnings_part(&result.warnings));
     parts.push(Part::Table(
         internal_table(result).captioned("Internal parameters (paper, Table 2)"),
