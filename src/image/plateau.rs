@@ -5,11 +5,12 @@
 
 use super::{RawImage, Samples};
 
-/// Width of the spike, in 255ths of the largest sample.
-const WIDTH: f64 = 2.0;
+/// Width of the spike, in 255ths of the largest sample: of samples that are cut, and of full wells with the noise of their
+/// read-out.
+const WIDTHS: [f64; 2] = [1.0, 2.0];
 /// It is looked for so far below the largest sample, in the same unit.
 const REACH: f64 = 6.0;
-/// Steps of the search in that unit: single grey levels of 8 bits.
+/// Steps of the search to that unit, of a grey level at least.
 const STEPS: f64 = 4.0;
 /// It is denser than the samples just below, over twice its width, by this factor.
 const DENSER: f64 = 3.0;
@@ -90,19 +91,20 @@ impl RawImage {
         let largest =
             histogram.below.iter().rposition(|&below| histogram.all() - below >= least)?;
         let unit = (largest as f64 / 255.0).max(1.0);
-        let steps = (REACH * STEPS.min(unit)).round();
-        let step = unit / STEPS.min(unit);
-        let is_plateau = |low: &f64| {
-            let high = low + WIDTH * unit;
-            let own = histogram.count(*low, high);
-            let before = histogram.count(low - 2.0 * WIDTH * unit, *low) / 2.0;
-            own >= least.max(DENSER * before) && histogram.count(high, f64::INFINITY) <= ABOVE * own
+        let step = (unit / STEPS).max(1.0);
+        let is_plateau = |low: f64, width: f64| {
+            let own = histogram.count(low, low + width);
+            let before = histogram.count(low - 2.0 * width, low) / 2.0;
+            let above = histogram.count(low + width, f64::INFINITY);
+            low > LOWEST && own >= least.max(DENSER * before) && above <= ABOVE * own
         };
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few
-        let low = (0..=steps as u32)
-            .map(|i| largest as f64 - f64::from(i) * step)
-            .find(|low| *low > LOWEST && is_plateau(low))?;
-        let (mean, std_dev) = histogram.moments(low, low + WIDTH * unit);
+        let mut width_and_low = WIDTHS.into_iter().flat_map(|width| {
+            let lows = std::iter::successors(Some(largest as f64), move |low| Some(low - step));
+            let reached = move |low: &f64| largest as f64 - low <= REACH * unit;
+            lows.take_while(reached).map(move |low| (width * unit, low))
+        });
+        let (width, low) = width_and_low.find(|(width, low)| is_plateau(*low, *width))?;
+        let (mean, std_dev) = histogram.moments(low, low + width);
         Some((mean - SCATTER * std_dev).max(low))
     }
 
@@ -110,6 +112,64 @@ impl RawImage {
     pub(super) fn exceeds(&self, sample: f64) -> bool {
         let histogram = Histogram::of(self);
         let unit = self.full_scale() / 255.0;
-        histogram.count(sample + WIDTH * unit, f64::INFINITY) > LEAST_PART * histogram.all()
+        histogram.count(sample + WIDTHS[1] * unit, f64::INFINITY) > LEAST_PART * histogram.all()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Color;
+    use super::*;
+
+    /// Samples that thin out upwards over a tenth of the largest, cut at `full`, with some at `hot`.
+    fn image(largest: f64, full: f64, hot: f64) -> RawImage {
+        let sample = |i: usize| {
+            let part = (i as f64 + 0.5) / 40_000.0;
+            let sample =
+                if i < 10 { hot } else { largest * (0.9 + 0.1 * (1.0 - (1.0 - part).sqrt())) };
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 16 bits
+            let sample = sample.min(full).round() as u16;
+            sample
+        };
+        let samples = (0..40_000).map(sample);
+        let samples = if largest < 256.0 {
+            #[allow(clippy::cast_possible_truncation)] // 8 bits
+            Samples::Bits8(samples.map(|s| s as u8).collect())
+        } else {
+            Samples::Bits16(samples.collect())
+        };
+        RawImage { width: 200, height: 200, color: Color::Grey, samples }
+    }
+
+    #[test]
+    fn full_pixels_make_a_plateau_at_any_depth() {
+        for (largest, full) in
+            [(240.0, 230.0), (255.0, 245.0), (4200.0, 4095.0), (60_000.0, 58_000.0)]
+        {
+            let found = image(largest, full, full).plateau().unwrap();
+            assert!((found - full).abs() <= 0.002 * full, "{found} for {full}");
+        }
+    }
+
+    #[test]
+    fn bright_samples_and_hot_pixels_make_none() {
+        for (largest, hot) in [(240.0, 255.0), (4000.0, 4095.0), (60_000.0, 65_535.0)] {
+            assert_eq!(image(largest, 65_535.0, hot).plateau(), None);
+        }
+        assert_eq!(image(20.0, 19.0, 19.0).plateau(), None);
+    }
+
+    /// The camera's saturation holds unless the image has more light.
+    #[test]
+    fn an_image_without_full_pixels_takes_the_cameras_levels() {
+        use crate::model::SampleLevels;
+        let levels = SampleLevels {
+            black_level: 10.0,
+            saturation_level: Some(230.0),
+            ..SampleLevels::full_range(8)
+        };
+        assert_eq!(image(220.0, 255.0, 0.0).range(Some(&levels)), (10.0, 230.0));
+        assert_eq!(image(250.0, 255.0, 0.0).range(Some(&levels)), (10.0, 255.0));
+        assert_eq!(image(250.0, 240.0, 240.0).range(Some(&levels)), (10.0, 240.0));
     }
 }

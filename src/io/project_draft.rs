@@ -204,6 +204,8 @@ impl ProjectDraft<'_> {
         let color = self.color.map(|color| format!("\"{}\"", color.name()));
         let what = "\"grey\", \"rgb\", or the mosaic: \"bayer-rggb\", \"bayer-grbg\", ...";
         draft.value("images", "color", color, what);
+        let what = "grey levels without light; measured on the white images if left out";
+        draft.commented("# black_level = ...", what);
         match images.devignetting.as_slice() {
             [] => {
                 let what = "a white image in the light and at the f-number of the boards";

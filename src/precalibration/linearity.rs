@@ -52,7 +52,7 @@ fn power_from(
         let (exponent, std_dev) = discs?.exponent?;
         debug!("samples to the power of {power:.3}: another {:.3} ± {std_dev:.3}", 1.0 + exponent);
         if exponent.abs() < LINEAR {
-            return ((power - 1.0).abs() > LINEAR).then_some(power);
+            return ((power - 1.0).abs() > LINEAR).then_some(power * (1.0 + exponent));
         }
         power *= 1.0 + exponent;
     }

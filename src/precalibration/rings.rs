@@ -18,8 +18,10 @@ use crate::image::Grey;
 
 /// Width of the rings, px.
 const RING_PX: f64 = 0.25;
-/// Samples above this part of full scale may be clipped; so may the mean of a ring with one.
+/// Samples above this part of full scale may be clipped; so may the mean of a ring with more than this part of them. Fewer
+/// are hot pixels.
 const CLIPPED: f32 = 0.97;
+const HOT: f64 = 0.01;
 /// The smallest plateau across which light falls off by enough to be seen, px.
 const LEAST_PLATEAU_PX: f64 = 1.5;
 /// Variance of a pixel without light, over that of the brightest.
@@ -163,7 +165,7 @@ impl Alike {
                 light,
                 unclipped: here.2 / here.0,
                 slope: (after - before) / (2.0 * RING_PX),
-                whole: near.iter().all(|(.., clipped)| *clipped == 0.0),
+                whole: near.iter().all(|(count, .., clipped)| *clipped <= HOT * count),
             })
         };
         let mean = (0..sums.len()).map(|i| ring(i).unwrap_or_default()).collect();

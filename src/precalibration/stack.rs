@@ -4,8 +4,10 @@ use super::profile::{BIN_PX, Bin, Profile};
 
 /// Fewest samples in a bin for a standard deviation worth having.
 const FEWEST: f64 = 8.0;
-/// Samples above this part of full scale may be clipped; a bin with such a sample is left out.
+/// Samples above this part of full scale may be clipped and are left out, and so are bins with more than this part of
+/// them: fewer are hot pixels.
 const CLIPPED: f64 = 0.97;
+const HOT: f64 = 0.01;
 /// Where noise is clipped at 0, bins with more than this part of their samples there are brighter than their light, and
 /// left out. An image with a black level has none.
 const BLACK: f64 = 0.02;
@@ -25,8 +27,8 @@ pub(super) struct Stack {
     level: f64,
 }
 
-/// Sums over the samples of a bin: their number, distances, light, its square, and the numbers of those that may be
-/// clipped at white and at black.
+/// Sums over the samples of a bin that are not clipped at white: their number, distances, light, its square; the number
+/// of the others; and of those that may be clipped at black.
 type Sums = [f64; 6];
 
 impl Stack {
@@ -46,11 +48,14 @@ impl Stack {
             self.level = above;
         }
         if let Some(bin) = self.bins.get_mut(bin) {
+            if light > CLIPPED {
+                bin[4] += 1.0;
+                return;
+            }
             bin[0] += 1.0;
             bin[1] += radius;
             bin[2] += light;
             bin[3] += light * light;
-            bin[4] += f64::from(u8::from(light > CLIPPED));
             bin[5] += f64::from(u8::from(above <= 0.0));
         }
     }
@@ -66,7 +71,8 @@ impl Stack {
         let bin = |&[count, radius, light, square, white, black]: &Sums| {
             let mean = light / count;
             let variance = (square / count - mean * mean).max(0.0);
-            (count >= FEWEST && white == 0.0 && black <= most_black * count).then(|| Bin {
+            let hot = HOT * (count + white);
+            (count >= FEWEST && white <= hot && black <= most_black * count).then(|| Bin {
                 radius: radius / count,
                 light: mean,
                 std_dev: (variance / count).sqrt(),
@@ -76,7 +82,7 @@ impl Stack {
             })
         };
         let bins: Vec<Bin> = self.bins.iter().filter_map(bin).collect();
-        let clipped = self.bins.iter().any(|bin| bin[4] > 0.0);
+        let clipped = self.bins.iter().any(|bin| bin[4] > HOT * (bin[0] + bin[4]));
         let brightest = bins.iter().map(|bin| bin.light).fold(0.0, f64::max);
         let limit = OUTER_LIGHT * if clipped { 1.0 } else { brightest };
         let (bins, bright) = bins.into_iter().partition(|bin| bin.light <= limit);

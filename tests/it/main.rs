@@ -22,6 +22,7 @@ mod independent;
 mod init;
 #[cfg(unix)]
 mod interrupt;
+mod linear_light;
 mod manners;
 mod micro_images;
 mod models;

@@ -1,0 +1,199 @@
+//! Black level, saturation below full scale, gamma: what keeps samples from being linear in light from 0 to full scale.
+
+use std::fs;
+use std::path::Path;
+
+use plenocal::detection::DepthEstimator;
+use plenocal::evaluation::DetectionScore;
+use plenocal::model::{InternalParameters, SampleLevels};
+use plenocal::precalibration::{Precalibration, PrecalibrationOptions, White, precalibrate};
+use plenocal::simulation::{DataSet, Settings};
+use predicates::prelude::*;
+use tempfile::tempdir;
+
+use crate::support::{plenocal, preset};
+
+const BLACK_16: &str = "imaging.black_level=0.06274509803921569";
+
+fn whites(settings: &Settings) -> Vec<White> {
+    let data_set = DataSet::plan(settings, None).unwrap();
+    let white = |shot: &plenocal::simulation::Shot| White {
+        name: format!("f/{:.2}", shot.stated_f_number),
+        f_number: shot.stated_f_number,
+        image: shot.take(settings, &|| ()).unwrap(),
+    };
+    data_set.whites.iter().map(white).collect()
+}
+
+fn measured(settings: &Settings, black_level: Option<f64>) -> plenocal::Result<Precalibration> {
+    let of_sheet = PrecalibrationOptions::of_datasheet(&settings.datasheet());
+    let options = PrecalibrationOptions { black_level, ..of_sheet };
+    precalibrate(&whites(settings), None, &options, &|| ())
+}
+
+fn levels(found: &Precalibration) -> SampleLevels {
+    found.internal.parameters.levels.unwrap()
+}
+
+/// m and q' within 3 σ and half a per cent.
+fn assert_right(settings: &Settings, found: &InternalParameters) {
+    let truth = settings.tracer(settings.board_f_number()).unwrap().internal_parameters();
+    let q_prime = found.q_prime_mm.iter().zip(&truth.q_prime_mm).zip(&found.q_prime_std_dev_mm);
+    let all = q_prime.map(|((found, truth), std_dev)| (*found, *truth, *std_dev)).chain([(
+        found.m_mm,
+        truth.m_mm,
+        found.m_std_dev_mm.unwrap(),
+    )]);
+    for (found, truth, std_dev) in all {
+        let off = (found - truth).abs();
+        assert!(off < 3.0 * std_dev && off < 5e-3 * truth, "{found} ± {std_dev} for {truth}");
+    }
+}
+
+#[test]
+fn the_black_level_is_found_between_micro_images() {
+    for (replaced, expected) in [
+        (vec![BLACK_16, "imaging.hot_pixels=400", "imperfections.dead_micro_lenses=6"], 16.0),
+        // Noise of two grey levels, clipped at 0.
+        (
+            vec!["imaging.black_level=0.008", "imaging.gain=4", "imaging.read_noise_electrons=30"],
+            2.04,
+        ),
+        (vec![BLACK_16, "imaging.color=bayer-grbg"], 16.0),
+        (vec!["imaging.bits=16", "imaging.gain=0.06", "imaging.black_level=0.004"], 262.14),
+        (vec![], 0.0),
+    ] {
+        let settings = preset("mini", &[&["seed=31", "rays=32"][..], &replaced].concat());
+        let found = measured(&settings, None).unwrap();
+        let SampleLevels { black_level, black_level_std_dev, .. } = levels(&found);
+        let std_dev = black_level_std_dev.unwrap();
+        assert!((black_level - expected).abs() < 3.0 * std_dev, "{replaced:?}: {black_level}");
+        assert!(std_dev < 0.3 || expected > 255.0, "{replaced:?}: ± {std_dev}");
+        assert!(found.warnings.is_empty(), "{replaced:?}: {:?}", found.warnings);
+    }
+}
+
+#[test]
+fn a_stated_black_level_is_taken_unless_it_is_impossible() {
+    let settings = preset("mini", &["seed=32", "rays=32", BLACK_16]);
+    let found = measured(&settings, Some(15.0)).unwrap();
+    assert_eq!((levels(&found).black_level, levels(&found).black_level_std_dev), (15.0, None));
+    assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+    let doubted = measured(&settings, Some(20.0)).unwrap().warnings.join("\n");
+    assert!(doubted.contains("stated as 20 grey levels, but between the micro-images of f/16.00"));
+    let error = measured(&settings, Some(300.0)).unwrap_err().to_string();
+    assert!(error.contains("a black level of 300 is not possible"), "{error}");
+}
+
+/// Where light reaches from one micro-image to the next at every aperture, nothing is dark.
+#[test]
+fn without_darkness_the_black_level_is_not_known() {
+    let stops = "white_images.f_numbers=[4.0, 5.657]";
+    let wide = ["seed=33", "rays=32", stops, "imperfections.point_spread_px=2.5", BLACK_16];
+    let found = measured(&preset("mini", &wide), None).unwrap();
+    assert_eq!((levels(&found).black_level, levels(&found).black_level_std_dev), (0.0, None));
+    let told = found.warnings.join("\n");
+    assert!(told.contains("the black level cannot be measured"), "{told}");
+    assert!(levels(&measured(&preset("mini", &wide), Some(16.0)).unwrap()).black_level == 16.0);
+}
+
+/// Full pixels below full scale: clipped samples, and those of a full well.
+#[test]
+fn full_pixels_show_below_full_scale() {
+    for (full, expected) in [("imaging.saturation=0.9", 230.0), ("imaging.gain=0.9", 229.0)] {
+        let settings = preset("mini", &["seed=34", "rays=64", "imaging.exposure=1.3", full]);
+        let found = measured(&settings, None).unwrap();
+        assert_eq!(levels(&found).saturation_level, Some(expected));
+        assert_right(&settings, &found.internal.parameters);
+        assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+    }
+    let not_full = preset("mini", &["seed=34", "rays=32"]);
+    assert_eq!(levels(&measured(&not_full, None).unwrap()).saturation_level, None);
+}
+
+#[test]
+fn gamma_is_noticed() {
+    for (gamma, power) in [("2.2", "2.2"), ("1.4", "1.4"), ("1.2", "1.2"), ("0.8", "0.8")] {
+        let gamma = format!("imaging.gamma={gamma}");
+        let found = measured(&preset("mini", &["seed=35", "rays=32", &gamma]), None);
+        let told = match found {
+            Ok(found) => found.warnings.join("\n"),
+            Err(error) => error.to_string(),
+        };
+        let expected = format!("light is about their power of {power}");
+        assert!(told.contains(&expected), "{gamma}: {told}");
+    }
+}
+
+/// Edges in the boards are as sharp as the white images say, so that the fill factor comes out.
+#[test]
+fn boards_are_seen_above_black_and_below_full_pixels() {
+    let score = |replaced: &[&str]| {
+        let replaced = [&["seed=36", "rays=32"][..], replaced].concat();
+        DetectionScore::of_simulation(&preset("mini", &replaced), 3, DepthEstimator::Line).unwrap()
+    };
+    let plain = score(&[]);
+    for replaced in [
+        &[BLACK_16][..],
+        &["imaging.exposure=1.1", "imaging.saturation=0.85"],
+        &["target.uneven_light=[-0.2, 0.2]"],
+        &["imaging.hot_pixels=200", "imperfections.dust_specks=10"],
+    ] {
+        let found = score(replaced);
+        let summary = |score: &DetectionScore| {
+            let DetectionScore { labelled, .. } = *score;
+            (labelled, score.recall(), score.rms_px(), score.rho_rms_px(), score.depth_rms())
+        };
+        println!("{replaced:?}: {:?} for {:?}", summary(&found), summary(&plain));
+        assert_eq!(found.labelled, plain.labelled);
+        assert!(found.recall() > plain.recall() - 0.02, "{replaced:?}");
+        assert!(found.rms_px() < 1.2 * plain.rms_px(), "{replaced:?}");
+        assert!(found.rho_rms_px() < 1.2 * plain.rho_rms_px(), "{replaced:?}");
+        assert!(found.depth_rms() < 1.2 * plain.depth_rms() + 1e-3, "{replaced:?}");
+    }
+}
+
+fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+/// From the project through precalibration.json to the detection.
+#[test]
+fn the_program_carries_the_levels_to_the_boards() {
+    let folder = tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let set = ["seed=37", "rays=32", BLACK_16, "boards.calibration=2", "boards.evaluation=0"];
+    let set = set.iter().chain(&["translation.images=0"]).flat_map(|s| ["--set", s]);
+    let mut simulate = plenocal();
+    simulate.args(["simulate", "--preset", "mini"]).args(set).arg("--out").arg(at("data"));
+    simulate.assert().success();
+    let project = at("data/project.toml");
+    let precalibrate = |out: &str| {
+        let mut command = plenocal();
+        command.arg("precalibrate").arg(&project).arg("--out").arg(at(out));
+        command.assert().success()
+    };
+    precalibrate("white").stdout(predicate::str::contains("Black level 16.00 ± 0.29 grey levels."));
+    let path = at("white/precalibration.json");
+    let mut document = json(&path);
+    let levels = &document["internal_parameters"]["levels"];
+    assert_eq!((levels["bits"].as_u64(), levels["saturation_level"].as_f64()), (Some(8), None));
+    let features = |out: &str| {
+        let mut command = plenocal();
+        command.arg("detect").arg(&project).arg("--no-pictures");
+        command.arg("--precalibration").arg(at("white")).arg("--out").arg(at(out));
+        command.assert().success();
+        json(&at(out).join("detection.json"))["fill_factor"].clone()
+    };
+    let with = features("with")["value"].as_f64().unwrap();
+    assert!((with - 1.0).abs() < 0.02, "{with}");
+    document["internal_parameters"]["levels"] = serde_json::Value::Null;
+    fs::write(&path, document.to_string()).unwrap();
+    let without = features("without")["value"].as_f64();
+    assert!(without.is_none_or(|value| (value - 1.0).abs() > 0.05), "{without:?}");
+
+    let text = fs::read_to_string(&project).unwrap();
+    fs::write(&project, text.replace("[images]\n", "[images]\nblack_level = 15.5\n")).unwrap();
+    let stated = "Black level 15.5 grey levels, as stated.";
+    precalibrate("stated").stdout(predicate::str::contains(stated));
+}
