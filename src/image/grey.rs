@@ -17,8 +17,8 @@ impl RawImage {
 
     /// The same between the levels of the camera.
     ///
-    /// Pixels are full where the image itself shows it, see [`Self::plateau`], or else at the saturation level of the
-    /// camera, unless the image has more light: the gain may have been another.
+    /// Pixels are full where the image itself shows it, see [`Self::plateau`], or else at the
+    /// saturation level of the camera, unless the image has more light: the gain may have been another.
     #[must_use]
     pub fn grey_between(&self, levels: Option<&SampleLevels>) -> Grey<'_> {
         let range = self.range(levels);
@@ -52,9 +52,10 @@ impl RawImage {
         let full = self.full_scale();
         let (black, saturation) = levels.map_or((0.0, None), SampleLevels::parts);
         let of_camera = || saturation.map(|part| part * full).filter(|level| !self.exceeds(*level));
-        let white = self.plateau().or_else(of_camera).unwrap_or(full);
-        // An image that is full below the camera's black level is not of this camera.
-        (if black * full < white { black * full } else { 0.0 }, white)
+        let black = black * full;
+        // An image without light has a plateau at the black level.
+        let own = self.plateau().filter(|level| *level > black);
+        (black, own.or_else(of_camera).unwrap_or(full))
     }
 
     /// The whole image in grey, see [`Grey`].
@@ -84,7 +85,8 @@ impl RawImage {
 
 /// A raw image as grey values, linear from 0 to 1, at full resolution.
 ///
-/// Black level and saturation level become 0 and 1. Noise about black is kept: values may be negative.
+/// Black level and saturation level become 0 and 1. Noise about black is kept: values may be
+/// negative.
 ///
 /// The light is taken to be neutral: channels are amplified so that all respond like the strongest
 /// one, by their means over places where none is saturated. Then all are clipped at 1, where the

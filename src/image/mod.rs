@@ -88,8 +88,8 @@ impl RawImage {
     }
 
     /// Means of the samples at even and odd columns of even rows, then of odd rows, over places
-    /// where none is saturated or dark, as fractions of the range of the image; `None` if there are no such
-    /// places. Behind a colour mosaic they differ, except for the two greens; in a grey image they
+    /// where none is saturated or dark, as fractions of the range of the image; `None` if there are no
+    /// such places. Behind a colour mosaic they differ, except for the two greens; in a grey image they
     /// do not.
     #[must_use]
     pub fn parity_means(&self) -> Option<[f64; 4]> {

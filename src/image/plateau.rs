@@ -1,12 +1,13 @@
 //! The plateau of full pixels at the upper end of a histogram.
 //!
-//! Photon noise and the fall-off of light make the upper end of a histogram thin out over several grey levels. Full
-//! pixels all have the same sample, up to the noise of the read-out: a spike with hardly anything above it.
+//! Photon noise and the fall-off of light make the upper end of a histogram thin out over several grey
+//! levels. Full pixels all have the same sample, up to the noise of the read-out: a spike with hardly
+//! anything above it.
 
 use super::{RawImage, Samples};
 
-/// Width of the spike, in 255ths of the largest sample: of samples that are cut, and of full wells with the noise of their
-/// read-out.
+/// Width of the spike, in 255ths of the largest sample: of samples that are cut, and of full wells with
+/// the noise of their read-out.
 const WIDTHS: [f64; 2] = [1.0, 2.0];
 /// It is looked for so far below the largest sample, in the same unit.
 const REACH: f64 = 6.0;
@@ -83,7 +84,8 @@ impl Histogram {
 }
 
 impl RawImage {
-    /// The sample from which on pixels are full, by the plateau in the histogram of this image; `None` if it shows none.
+    /// The sample from which on pixels are full, by the plateau in the histogram of this image; `None`
+    /// if it shows none.
     #[must_use]
     pub fn plateau(&self) -> Option<f64> {
         let histogram = Histogram::of(self);
@@ -121,7 +123,8 @@ mod tests {
     use super::super::Color;
     use super::*;
 
-    /// Samples that thin out upwards over a tenth of the largest, cut at `full`, with some at `hot`.
+    /// Samples that thin out upwards over a tenth of the largest, cut at `full`, with some at
+    /// `hot`.
     fn image(largest: f64, full: f64, hot: f64) -> RawImage {
         let sample = |i: usize| {
             let part = (i as f64 + 0.5) / 40_000.0;

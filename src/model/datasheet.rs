@@ -73,7 +73,8 @@ pub struct InternalParameters {
     pub point_spread: Option<PointSpread>,
     /// The fill factor that q'ᵢ go with, where it is known; 1 otherwise. White images show its product with qᵢ = q'ᵢ − Δc/2.
     pub fill_factor: Option<FillFactor>,
-    /// Black and saturation level of the images, where they are known; otherwise samples are linear from 0 to full scale.
+    /// Black and saturation level of the images, where they are known; otherwise samples are linear
+    /// from 0 to full scale.
     pub levels: Option<SampleLevels>,
 }
 

@@ -8,13 +8,15 @@ use crate::error::{Error, Result};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SampleLevels {
-    /// Bits of a sample in these files, 8 or 16. In files with others the levels are the same parts of full scale.
+    /// Bits of a sample in these files, 8 or 16. In files with others the levels are the same parts of
+    /// full scale.
     pub bits: u32,
     /// The black level: the mean sample of a pixel without light; 0 where it is not known.
     pub black_level: f64,
     /// Its σ, where it was measured.
     pub black_level_std_dev: Option<f64>,
-    /// The saturation level: pixels with this sample or a larger one are full. `None` at full scale.
+    /// The saturation level: pixels with this sample or a larger one are full. `None` at full
+    /// scale.
     pub saturation_level: Option<f64>,
 }
 
@@ -54,8 +56,8 @@ impl SampleLevels {
         }
         if !(0.0..largest).contains(&self.black_level) {
             return Err(Error::invalid(format!(
-                "a black level of {} grey levels is not possible in files of {} bits whose pixels are full at \
-                 {largest}: give the mean sample of an image without light",
+                "a black level of {} grey levels is not possible in files of {} bits whose pixels are \
+                 full at {largest}: give the mean sample of an image without light",
                 self.black_level, self.bits
             )));
         }

@@ -125,7 +125,8 @@ impl FoundArray {
     }
 }
 
-/// Finds and measures all micro-images, as [`measure_array`] does, with the pattern where it is known.
+/// Finds and measures all micro-images, as [`measure_array`] does, with the pattern where it is
+/// known.
 pub(super) fn found_array(
     image: &Grey,
     known: Option<Pattern>,
@@ -219,7 +220,8 @@ pub(super) fn patterns(image: &Grey) -> impl Iterator<Item = Pattern> {
     found.filter(|pattern| pattern.explained >= PATTERN)
 }
 
-/// The pattern that goes on over the image, and its micro-images; the first one that is tried may be known.
+/// The pattern that goes on over the image, and its micro-images; the first one that is tried may be
+/// known.
 fn find(image: &Grey, known: Option<Pattern>) -> Result<(Pattern, Vec<Blob>)> {
     let mut tried = known.into_iter().chain(patterns(image));
     if let Some(found) = tried.find_map(|pattern| measure(image, &pattern)) {

@@ -1,8 +1,8 @@
 //! The black level, from the places between micro-images that no light reaches.
 //!
-//! At small apertures micro-images are far apart. Going away from all of them the light falls to where it no longer
-//! changes: what is left there are the samples of pixels without light. Stray light can only add to them; how
-//! much the darkest two f-numbers differ tells how much of it there still is.
+//! At small apertures micro-images are far apart. Going away from all of them the light falls to
+//! where it no longer changes: what is left there are the samples of pixels without light. Stray light
+//! can only add to them; how much the darkest two f-numbers differ tells how much of it there still is.
 
 use nalgebra::Vector2;
 use tracing::debug;
@@ -24,12 +24,13 @@ const REACH: f64 = 6.0;
 const RING_PX: f64 = 0.5;
 /// Pixels that have a say in where it is darkest, and in the black level.
 const FEWEST: usize = 200;
-/// The light no longer changes where it is within this part of that of the micro-images of the darkest.
+/// The light no longer changes where it is within this part of that of the micro-images of the
+/// darkest.
 const FLAT: f64 = 2e-3;
 /// It does so over this distance, px; the nearer part of it is left out for the tail of the light.
 const DARK_PX: f64 = 1.5;
 const TAIL_PX: f64 = 1.0;
-/// Where even the darkest places have this part of the light of the micro-images, they are no darkness.
+/// Where even the darkest places have this part of the light of the micro-images, they are not dark.
 const BRIGHT: f64 = 0.25;
 /// Where they have less than this part, the black level does not matter.
 const HARMLESS: f64 = 0.01;
@@ -37,9 +38,10 @@ const HARMLESS: f64 = 0.01;
 const OUTLIERS: f64 = 6.0;
 /// With more than this part of the samples at 0, noise is clipped there.
 const CLIPPED: f64 = 0.02;
-/// A stated black level is wrong where the darkness is darker by more than so many standard deviations and half a
-/// grey level.
-const DARKER: f64 = 3.0;
+/// A stated black level is wrong if it is off by more than so many standard deviations and so many grey
+/// levels. Stray light may make the darkness brighter, by as much as does not matter.
+const CONTRADICTION: f64 = 3.0;
+const SLACK: f64 = 0.5;
 
 /// The black level, grey levels of the first white image.
 pub(super) struct Black {
@@ -52,21 +54,33 @@ pub(super) struct Black {
     pub warning: Option<String>,
 }
 
-/// The darkness of a white image, as parts of full scale.
-struct Darkness {
+/// The darkest places of a white image, as parts of full scale.
+struct Darkest {
+    /// Their mean sample and its σ.
     level: f64,
     std_dev: f64,
+    /// The light of the micro-images above it.
+    light: f64,
+    /// No light reaches them. Else micro-images touch, and the black level is below.
+    is_dark: bool,
 }
 
-/// What a white image shows.
-enum Shown {
-    Dark(Darkness),
-    /// Micro-images touch; this is the part of their light at the darkest places.
-    Touching(f64),
+impl Darkest {
+    /// Whether this cannot be the black level.
+    fn contradicts(&self, stated: f64, grey_level: f64) -> bool {
+        let noise = CONTRADICTION * self.std_dev + SLACK * grey_level;
+        let above = self.level - stated;
+        above < -noise || self.is_dark && above > noise + HARMLESS * self.light
+    }
+
+    /// Whether the images would be much the same with another black level.
+    fn is_harmless(&self) -> bool {
+        self.is_dark || self.level < HARMLESS * (self.level + self.light)
+    }
 }
 
-/// The black level as it is stated, or else as the white images show it between the micro-images of a pattern. An error
-/// if it is not possible.
+/// The black level as it is stated, or else as the white images show it between the micro-images of
+/// a pattern. An error if it is not possible.
 pub(super) fn black_level(
     whites: &[White],
     pattern: Option<&Pattern>,
@@ -77,54 +91,52 @@ pub(super) fn black_level(
     let mut by_f_number: Vec<&White> = whites.iter().collect();
     by_f_number.sort_by(|a, b| b.f_number.total_cmp(&a.f_number));
     let looked_at = by_f_number.into_iter().take(IMAGES);
-    let shown: Vec<(&White, Shown)> =
+    let mut shown: Vec<(&White, Darkest)> =
         looked_at.filter_map(|white| Some((white, shown_by(&white.image, pattern?)?))).collect();
-    let mut dark = shown.iter().filter_map(|(white, shown)| match shown {
-        Shown::Dark(dark) => Some((*white, dark)),
-        Shown::Touching(_) => None,
-    });
-    let (first, second) = (dark.next(), dark.next());
-    let measured = first.map(|(white, dark)| {
-        let change = second.map_or(0.0, |(_, other)| other.level - dark.level);
-        debug!("{}: black level {:.4}, at the next f-number {change:+.4}", white.name, dark.level);
-        (white, dark.level * full, dark.std_dev.hypot(change) * full)
-    });
+    let mut dark = shown.iter().filter(|(_, darkest)| darkest.is_dark);
+    if let (Some((white, first)), Some((_, second))) = (dark.next(), dark.next()) {
+        let change = second.level - first.level;
+        debug!("{}: black level {:.6}, then {change:+.6} of full scale", white.name, first.level);
+        shown[0].1.std_dev = shown[0].1.std_dev.hypot(change);
+    }
+    let darkest = shown.iter().find(|(_, darkest)| darkest.is_dark);
     if let Some(level) = stated {
         if !(0.0..full).contains(&level) {
             return Err(Error::invalid(format!(
-                "a black level of {level} is not possible: give the mean sample of an image without light, from \
-                 0 to {full}"
+                "a black level of {level} is not possible: give the mean sample of an image without \
+                 light, from 0 to {full}"
             )));
         }
-        let warning = measured.and_then(|(white, darkness, std_dev)| {
-            (darkness + DARKER * std_dev + 0.5 < level).then(|| {
-                format!(
-                    "the black level is stated as {level} grey levels, but between the micro-images of {} samples \
-                     are {darkness:.2}: correct black_level in [images], or leave it out",
-                    white.name
-                )
-            })
+        let wrong = darkest
+            .or(shown.first())
+            .filter(|(_, darkest)| darkest.contradicts(level / full, 1.0 / full));
+        let warning = wrong.map(|(white, darkest)| {
+            format!(
+                "the black level is stated as {level} grey levels, but between the micro-images of {} \
+                 samples are {:.2}: correct black_level in [images], or leave it out",
+                white.name,
+                darkest.level * full
+            )
         });
         return Ok(Black { level, bits, std_dev: None, warning });
     }
-    if let Some((_, level, std_dev)) = measured {
+    if let Some((_, darkest)) = darkest {
+        let [level, std_dev] = [darkest.level, darkest.std_dev].map(|part| part * full);
         return Ok(Black { level, bits, std_dev: Some(std_dev), warning: None });
     }
-    let matters = |(_, shown): &(&White, Shown)| match shown {
-        Shown::Dark(_) => false,
-        Shown::Touching(part) => *part > HARMLESS,
-    };
-    let warning = shown.iter().all(matters).then(|| {
-        "the black level cannot be measured, since at no f-number it is dark between the micro-images: samples are \
-         taken to be 0 without light. If they are not, give black_level in [images], the mean sample of an image with \
-         the lens covered, or add a white image at a larger f-number"
+    let warning = shown.iter().all(|(_, darkest)| !darkest.is_harmless()).then(|| {
+        "the black level cannot be measured, since at no f-number it is dark between the \
+         micro-images: samples are taken to be 0 without light. If they are not, give black_level in \
+         [images], the mean sample of an image with the lens covered, or add a white image at a \
+         larger f-number"
             .to_owned()
     });
     Ok(Black { level: 0.0, bits, std_dev: None, warning })
 }
 
-/// What a white image shows between the micro-images about the origin of a pattern; `None` if there are none.
-fn shown_by(raw: &RawImage, found: &Pattern) -> Option<Shown> {
+/// What a white image shows between the micro-images about the origin of a pattern; `None` if there
+/// are none.
+fn shown_by(raw: &RawImage, found: &Pattern) -> Option<Darkest> {
     let grey = raw.as_they_are();
     let mut nodes = nodes_in(grey.size(), found);
     let reach = REACH * found.pitch();
@@ -159,8 +171,8 @@ fn neighbours(pattern: &Pattern) -> Vec<Vector2<f64>> {
     [a, b, other, a - b].into_iter().flat_map(|step| [step, -step]).collect()
 }
 
-/// The darkness by the samples in rings about the middles of micro-images.
-fn darkness(rings: &[Vec<f64>], full_scale: f64) -> Option<Shown> {
+/// The darkest places by the samples in rings about the middles of micro-images.
+fn darkness(rings: &[Vec<f64>], full_scale: f64) -> Option<Darkest> {
     let grey_level = 1.0 / full_scale;
     let brightest =
         rings.iter().filter_map(|ring| median(ring.iter().copied())).fold(0.0, f64::max);
@@ -171,9 +183,9 @@ fn darkness(rings: &[Vec<f64>], full_scale: f64) -> Option<Shown> {
         first = first.checked_sub(1)?;
         furthest.extend(&rings[first]);
     }
-    let (darkest, ..) = mean(&furthest, grey_level)?;
+    let (darkest, std_dev, _) = mean(&furthest, grey_level)?;
     let light = brightest - darkest;
-    let touching = Some(Shown::Touching(darkest / brightest));
+    let touching = Some(Darkest { level: darkest, std_dev, light, is_dark: false });
     if darkest > BRIGHT * brightest {
         return touching;
     }
@@ -197,7 +209,8 @@ fn darkness(rings: &[Vec<f64>], full_scale: f64) -> Option<Shown> {
     // The mean of rounded samples is off where noise does not spread them over several grey levels.
     let noise = ((scatter / grey_level).powi(2) - 1.0 / 12.0).max(0.0);
     let rounding = (1.0_f64 / 12.0).sqrt() * (-2.0 * std::f64::consts::PI.powi(2) * noise).exp();
-    Some(Shown::Dark(Darkness { level, std_dev: std_dev.hypot(rounding * grey_level) }))
+    let std_dev = std_dev.hypot(rounding * grey_level);
+    Some(Darkest { level, std_dev, light, is_dark: true })
 }
 
 /// Mean of samples without hot pixels, its σ, and their scatter.
@@ -211,8 +224,8 @@ fn mean(samples: &[f64], grey_level: f64) -> Option<(f64, f64, f64)> {
     Some((mean, (variance / count).sqrt(), variance.sqrt()))
 }
 
-/// The median of whole grey levels as if each were spread over its width: samples that are clipped at 0 have no part in
-/// it as long as they are fewer than half. 0 if they are not.
+/// The median of whole grey levels as if each were spread over its width: samples that are clipped at 0
+/// have no part in it as long as they are fewer than half. 0 if they are not.
 fn grouped_median(samples: &[f64], grey_level: f64) -> f64 {
     let Some(middle) = median(samples.iter().copied()) else { return 0.0 };
     if middle < 0.5 * grey_level {

@@ -213,8 +213,8 @@ impl<'a> Fit<'a> {
         all
     }
 
-    /// The power of the samples that light is, less 1, and its σ: what one step of the fit finds where that is free too. `None` where pixels
-    /// hide it.
+    /// The power of the samples that light is, less 1, and its σ: what one step of the fit finds where
+    /// that is free too. `None` where pixels hide it.
     fn exponent(&self) -> Option<(f64, f64)> {
         let blurs = self.at.rows(self.whites(), self.known.q_px.len());
         if blurs.max() < RESOLVED_PX {

@@ -56,8 +56,8 @@ pub(super) struct Discs {
     pub sine: (f64, f64),
     /// Relative error of the f-numbers.
     pub f_number_error: f64,
-    /// The power of the samples that light is, less 1, and its σ: 0 for samples that are linear in light. `None` where
-    /// the discs are too small to tell.
+    /// The power of the samples that light is, less 1, and its σ: 0 for samples that are linear in
+    /// light. `None` where the discs are too small to tell.
     pub exponent: Option<(f64, f64)>,
     /// The point spread.
     pub point_spread: PointSpread,

@@ -1,9 +1,10 @@
 //! Whether samples are linear in light.
 //!
-//! The light of a micro-image is the overlap of two discs, whose radii all f-numbers share. A gamma or another tone curve
-//! raises its dim part: that is the light of no discs. So the discs are fitted with a power of the samples that is free, to
-//! the first order ([`Discs::exponent`](super::discs::Discs)). Where a strong gamma leaves no discs to begin with, the samples
-//! are raised to the power that undoes the usual one, and then it is seen whether discs appear.
+//! The light of a micro-image is the overlap of two discs, whose radii all f-numbers share. A gamma or
+//! another tone curve raises its dim part: that is the light of no discs. So the discs are fitted with a
+//! power of the samples that is free, to the first order ([`Discs::exponent`](super::discs::Discs)).
+//! Where a strong gamma leaves no discs to begin with, the samples are raised to the power that undoes
+//! the usual one, and then it is seen whether discs appear.
 
 use tracing::debug;
 
@@ -11,24 +12,28 @@ use super::discs::Discs;
 use super::stage::{PrecalibrationOptions, White, measured};
 use crate::error::Error;
 
-/// Powers this close to 1 are linear: on simulated cameras discs tell them to 0.01, with JPEG to 0.03, and with a point
-/// spread as wide as half the narrowest blur to 0.06. At this limit q' has an error of up to 2 %.
+/// Powers this close to 1 are linear: on simulated cameras discs tell them to 0.01, with JPEG to 0.03,
+/// and with a point spread as wide as half the narrowest blur to 0.06. At this limit q' has an error of up
+/// to 2 %. Where noise hides more, so many of its standard deviations are linear.
 const LINEAR: f64 = 0.08;
-/// Where the power is looked for: what undoes the gamma of pictures, a weaker one, and the opposite.
+const SIGNIFICANT: f64 = 3.0;
+/// Where the power is looked for: what undoes the gamma of pictures, a weaker one, and the
+/// opposite.
 const STARTS: [f64; 3] = [2.2, 1.5, 0.5];
 /// From each it is followed so many times.
 const ROUNDS: usize = 3;
 
-/// The power of the samples that light is, where that is not 1; 1 within what discs tell is `None`, and so are
-/// discs too small to tell.
+/// The power of the samples that light is, where that is not 1; 1 within what discs tell is `None`, and
+/// so are discs too small to tell.
 pub(super) fn power_of_discs(discs: &Discs) -> Option<f64> {
     discs
         .exponent
-        .filter(|(exponent, _)| exponent.abs() > LINEAR)
+        .filter(|(exponent, std_dev)| exponent.abs() > LINEAR.max(SIGNIFICANT * std_dev))
         .map(|(exponent, _)| 1.0 + exponent)
 }
 
-/// The power to which samples have to be raised for discs to appear in them; `None` if they appear with none.
+/// The power to which samples have to be raised for discs to appear in them; `None` if they appear with
+/// none.
 pub(super) fn power_for_discs(
     whites: &[White],
     reference: &White,
@@ -43,12 +48,14 @@ fn power_from(
     reference: &White,
     options: &PrecalibrationOptions,
 ) -> Option<f64> {
+    // What was stated is of the samples as they are.
+    let options = PrecalibrationOptions { black_level: None, ..*options };
     let mut power = start;
     for _ in 0..ROUNDS {
         let raised =
             |white: &White| White { image: white.image.to_the_power(power), ..white.clone() };
         let all: Vec<White> = whites.iter().map(raised).collect();
-        let (_, discs) = measured(&all, &raised(reference), options, &|| ()).ok()?;
+        let (_, discs) = measured(&all, &raised(reference), &options, &|| ()).ok()?;
         let (exponent, std_dev) = discs?.exponent?;
         debug!("samples to the power of {power:.3}: another {:.3} ± {std_dev:.3}", 1.0 + exponent);
         if exponent.abs() < LINEAR {
@@ -62,9 +69,10 @@ fn power_from(
 /// That samples are not linear, and what to do.
 pub(super) fn not_linear(power: f64) -> String {
     format!(
-        "the samples of the white images are not linear in light: light is about their power of {power:.1} (gamma, or \
-         another tone curve). What is measured on them is wrong. Switch gamma, tone curves and sRGB off in the camera and its \
-         software, and take or export all images again, boards too"
+        "the samples of the white images are not linear in light: light is about their power of \
+         {power:.1} (gamma, or another tone curve). What is measured on them is wrong. Switch gamma, tone \
+         curves and sRGB off in the camera and its software, and take or export all images again, boards \
+         too"
     )
 }
 

@@ -82,7 +82,8 @@ pub(super) fn middle_nodes(
     nodes
 }
 
-/// The radius of the micro-images at some nodes, in light that is clipped at `floor`; `None` if they show no edge.
+/// The radius of the micro-images at some nodes, in light that is clipped at `floor`; `None` if they
+/// show no edge.
 pub(super) fn radius_at(
     (image, floor): (&Image, f64),
     pattern: &Pattern,

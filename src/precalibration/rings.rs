@@ -18,8 +18,8 @@ use crate::image::Grey;
 
 /// Width of the rings, px.
 const RING_PX: f64 = 0.25;
-/// Samples above this part of full scale may be clipped; so may the mean of a ring with more than this part of them. Fewer
-/// are hot pixels.
+/// Samples above this part of full scale may be clipped; so may the mean of a ring with more than this
+/// part of them. Fewer are hot pixels.
 const CLIPPED: f32 = 0.97;
 const HOT: f64 = 0.01;
 /// The smallest plateau across which light falls off by enough to be seen, px.

@@ -42,8 +42,8 @@ pub(super) struct Sample<'a> {
 }
 
 impl<'a> Samples<'a> {
-    /// Measures every white image, between these levels, where the reference has micro-images; an error if one of them has
-    /// them elsewhere.
+    /// Measures every white image, between these levels, where the reference has micro-images; an error
+    /// if one of them has them elsewhere.
     pub fn measure(
         whites: &'a [White],
         (reference, levels): (&White, &SampleLevels),
@@ -79,8 +79,9 @@ impl<'a> Samples<'a> {
     /// Radii by white image and by group of nodes.
     pub fn radii(&self, estimator: RadiusEstimator) -> Result<Vec<Vec<TypeRadius>>> {
         let of_white = |(white, sample): (&White, &Sample<'_>)| {
+            let middle = (&sample.middle, sample.grey.floor());
             let radius = |nodes: &Vec<(i32, i32)>| {
-                radius_at((&sample.middle, sample.grey.floor()), &sample.pattern, nodes, estimator).ok_or_else(|| {
+                radius_at(middle, &sample.pattern, nodes, estimator).ok_or_else(|| {
                     Error::invalid(format!(
                         "{}: the micro-images in the middle show no edge: the image is too dark, or \
                          saturated all over",

@@ -4,12 +4,12 @@ use super::profile::{BIN_PX, Bin, Profile};
 
 /// Fewest samples in a bin for a standard deviation worth having.
 const FEWEST: f64 = 8.0;
-/// Samples above this part of full scale may be clipped and are left out, and so are bins with more than this part of
-/// them: fewer are hot pixels.
+/// Samples above this part of full scale may be clipped and are left out, and so are bins with more than
+/// this part of them: fewer are hot pixels.
 const CLIPPED: f64 = 0.97;
 const HOT: f64 = 0.01;
-/// Where noise is clipped at 0, bins with more than this part of their samples there are brighter than their light, and
-/// left out. An image with a black level has none.
+/// Where noise is clipped at 0, bins with more than this part of their samples there are brighter than
+/// their light, and left out. An image with a black level has none.
 const BLACK: f64 = 0.02;
 /// Rounding makes black brighter by less than this part of a grey level.
 const ROUNDED: f64 = 0.1;
@@ -27,8 +27,8 @@ pub(super) struct Stack {
     level: f64,
 }
 
-/// Sums over the samples of a bin that are not clipped at white: their number, distances, light, its square; the number
-/// of the others; and of those that may be clipped at black.
+/// Sums over the samples of a bin that are not clipped at white: their number, distances, light, its
+/// square; the number of the others; and of those that may be clipped at black.
 type Sums = [f64; 6];
 
 impl Stack {

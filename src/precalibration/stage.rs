@@ -120,8 +120,8 @@ pub fn precalibrate(
         result.check_stated(sheet).map_err(|error| explained(error, power))?;
     }
     if let Some(power) = power {
-        // All others rest on how bright something is.
-        result.warnings = vec![not_linear(power)];
+        // It may be the reason for others.
+        result.warnings.insert(0, not_linear(power));
     }
     result.log();
     Ok(result)
@@ -136,7 +136,7 @@ pub(super) fn measured(
 ) -> Result<(Precalibration, Option<Discs>)> {
     let pattern = patterns(&reference.image.grey()).next();
     let black = black_level(whites, pattern.as_ref(), options.black_level)?;
-    let levels = levels_of(whites, reference, &black);
+    let levels = levels_of(whites, reference, &black)?;
     let grey = reference.image.grey_between(Some(&levels));
     let found =
         found_array(&grey, pattern, options.array_size).map_err(|e| named(&reference.name, &e))?;
@@ -214,8 +214,8 @@ pub(super) fn measured(
     Ok((measured, of_light))
 }
 
-/// The levels of the white images.
-fn levels_of(whites: &[White], reference: &White, black: &Black) -> SampleLevels {
+/// The levels of the white images; an error if they are full below a stated black level.
+fn levels_of(whites: &[White], reference: &White, black: &Black) -> Result<SampleLevels> {
     let full = |white: &White| Some(white.image.plateau()? / white.image.full_scale());
     let full = whites.iter().chain([reference]).filter_map(full).fold(1.0, f64::min);
     let levels = SampleLevels {
@@ -224,8 +224,9 @@ fn levels_of(whites: &[White], reference: &White, black: &Black) -> SampleLevels
         black_level_std_dev: black.std_dev,
         saturation_level: (full < 1.0).then_some(full * full_scale(black.bits)),
     };
+    levels.validate()?;
     debug!("{levels:?}");
-    levels
+    Ok(levels)
 }
 
 /// How far off straight lines through the radii are where the light is not that of discs, relative.

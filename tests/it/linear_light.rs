@@ -1,4 +1,5 @@
-//! Black level, saturation below full scale, gamma: what keeps samples from being linear in light from 0 to full scale.
+//! Black level, saturation below full scale, gamma: what keeps samples from being linear in light from
+//! 0 to full scale.
 
 use std::fs;
 use std::path::Path;
