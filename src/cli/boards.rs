@@ -9,7 +9,7 @@ use plenocal::detection::{
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
-use plenocal::model::{Board, Datasheet, Subset};
+use plenocal::model::{Board, Datasheet, InternalParameters, Subset};
 use plenocal::report::Figure;
 use plenocal::{Error, Result, report};
 
@@ -73,13 +73,27 @@ impl Shoot {
     }
 
     /// The micro-images from a folder written by `precalibrate`; an error if it belongs to another
-    /// camera.
+    /// camera, or to another black level than the project states.
     pub fn read_precalibration(&self, folder: &Path) -> Result<MicroImages> {
         let (internal, centers) = (folder.join("precalibration.json"), folder.join("centers.csv"));
         let (sheet, pixel) = (&self.sheet, Some(self.sheet.sensor.pixel_size_mm));
         let internal = io::read_internal_parameters(&internal, pixel)?;
+        self.check_black_level(&internal).map_err(|e| e.in_file(folder))?;
         let measured = io::read_centers(&centers)?;
         MicroImages::of_measurements(&measured, &internal, sheet).map_err(|e| e.in_file(folder))
+    }
+
+    fn check_black_level(&self, internal: &InternalParameters) -> Result<()> {
+        const SAME: f64 = 1e-9;
+        let Some(stated) = self.images.black_level else { return Ok(()) };
+        let subtracted = internal.levels.map_or(0.0, |levels| levels.black_level);
+        if (subtracted - stated).abs() < SAME {
+            return Ok(());
+        }
+        Err(Error::invalid(format!(
+            "it was measured with a black level of {subtracted}, but [images] says black_level = \
+             {stated}: run `plenocal precalibrate` again"
+        )))
     }
 }
 

@@ -174,5 +174,7 @@ mod tests {
         assert_eq!(image(220.0, 255.0, 0.0).range(Some(&levels)), (10.0, 230.0));
         assert_eq!(image(250.0, 255.0, 0.0).range(Some(&levels)), (10.0, 255.0));
         assert_eq!(image(250.0, 240.0, 240.0).range(Some(&levels)), (10.0, 240.0));
+        let without_light = SampleLevels { black_level: 230.0, ..SampleLevels::full_range(8) };
+        assert_eq!(image(250.0, 230.0, 230.0).range(Some(&without_light)), (230.0, 255.0));
     }
 }

@@ -238,3 +238,27 @@ fn grouped_median(samples: &[f64], grey_level: f64) -> f64 {
     let here = part(&|sample| (sample - middle).abs() <= 0.5 * grey_level);
     middle + ((0.5 - below) / here.max(f64::MIN_POSITIVE) - 0.5) * grey_level
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stray_light_contradicts_no_black_level_but_darker_places_do() {
+        let grey_level = 1.0 / 255.0;
+        let darkest = |is_dark| Darkest {
+            level: 16.0 * grey_level,
+            std_dev: 0.3 * grey_level,
+            light: 0.8,
+            is_dark,
+        };
+        for (stated, in_the_dark, between_touching) in
+            [(20.0, true, true), (16.5, false, false), (14.5, false, false), (8.0, true, false)]
+        {
+            let contradicts =
+                |is_dark| darkest(is_dark).contradicts(stated * grey_level, grey_level);
+            assert_eq!(contradicts(true), in_the_dark, "{stated}");
+            assert_eq!(contradicts(false), between_touching, "{stated}");
+        }
+    }
+}

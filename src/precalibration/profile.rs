@@ -127,13 +127,12 @@ impl Profile {
         }
     }
 
-    /// All of the light that is not clipped, up to a distance from the centre, px.
+    /// All of the light that is not clipped, up to a distance from the centre, px, from there outwards.
     pub fn whole(&self, reach_px: f64) -> Self {
-        let bins = self.bins.iter().chain(&self.bright);
-        Self {
-            bins: bins.copied().filter(|bin| bin.radius < reach_px).collect(),
-            bright: Vec::new(),
-        }
+        let all = self.bright.iter().chain(&self.bins);
+        let mut bins: Vec<Bin> = all.copied().filter(|bin| bin.radius < reach_px).collect();
+        bins.sort_by(|a, b| a.radius.total_cmp(&b.radius));
+        Self { bins, bright: Vec::new() }
     }
 
     /// This profile of light that is some power of what was taken for it.

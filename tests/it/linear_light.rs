@@ -80,8 +80,12 @@ fn a_stated_black_level_is_taken_unless_it_is_impossible() {
     let found = measured(&settings, Some(15.0)).unwrap();
     assert_eq!((levels(&found).black_level, levels(&found).black_level_std_dev), (15.0, None));
     assert!(found.warnings.is_empty(), "{:?}", found.warnings);
-    let doubted = measured(&settings, Some(20.0)).unwrap().warnings.join("\n");
-    assert!(doubted.contains("stated as 20 grey levels, but between the micro-images of f/16.00"));
+    for wrong in [20, 8, 0] {
+        let doubted = measured(&settings, Some(f64::from(wrong))).unwrap().warnings.join("\n");
+        let expected =
+            format!("stated as {wrong} grey levels, but between the micro-images of f/16.00");
+        assert!(doubted.contains(&expected), "{doubted}");
+    }
     let error = measured(&settings, Some(300.0)).unwrap_err().to_string();
     assert!(error.contains("a black level of 300 is not possible"), "{error}");
 }
@@ -101,8 +105,13 @@ fn without_darkness_the_black_level_is_not_known() {
 /// Full pixels below full scale: clipped samples, and those of a full well.
 #[test]
 fn full_pixels_show_below_full_scale() {
-    for (full, expected) in [("imaging.saturation=0.9", 230.0), ("imaging.gain=0.9", 229.0)] {
-        let settings = preset("mini", &["seed=34", "rays=64", "imaging.exposure=1.3", full]);
+    for (name, full, expected) in [
+        ("mini", "imaging.saturation=0.9", 230.0),
+        ("mini", "imaging.gain=0.9", 229.0),
+        ("keplerian", "imaging.saturation=0.9", 230.0),
+    ] {
+        let spread = "imperfections.point_spread_px=0.4";
+        let settings = preset(name, &["seed=34", "rays=64", "imaging.exposure=1.3", spread, full]);
         let found = measured(&settings, None).unwrap();
         assert_eq!(levels(&found).saturation_level, Some(expected));
         assert_right(&settings, &found.internal.parameters);
@@ -145,12 +154,12 @@ fn boards_are_seen_above_black_and_below_full_pixels() {
             let DetectionScore { labelled, .. } = *score;
             (labelled, score.recall(), score.rms_px(), score.rho_rms_px(), score.depth_rms())
         };
-        println!("{replaced:?}: {:?} for {:?}", summary(&found), summary(&plain));
-        assert_eq!(found.labelled, plain.labelled);
-        assert!(found.recall() > plain.recall() - 0.02, "{replaced:?}");
-        assert!(found.rms_px() < 1.2 * plain.rms_px(), "{replaced:?}");
-        assert!(found.rho_rms_px() < 1.2 * plain.rho_rms_px(), "{replaced:?}");
-        assert!(found.depth_rms() < 1.2 * plain.depth_rms() + 1e-3, "{replaced:?}");
+        let told = format!("{replaced:?}: {:?} for {:?}", summary(&found), summary(&plain));
+        assert_eq!(found.labelled, plain.labelled, "{told}");
+        assert!(found.recall() > plain.recall() - 0.02, "{told}");
+        assert!(found.rms_px() < 1.2 * plain.rms_px(), "{told}");
+        assert!(found.rho_rms_px() < 1.2 * plain.rho_rms_px(), "{told}");
+        assert!(found.depth_rms() < 1.2 * plain.depth_rms() + 1e-3, "{told}");
     }
 }
 
@@ -195,6 +204,10 @@ fn the_program_carries_the_levels_to_the_boards() {
 
     let text = fs::read_to_string(&project).unwrap();
     fs::write(&project, text.replace("[images]\n", "[images]\nblack_level = 15.5\n")).unwrap();
+    let mut other = plenocal();
+    other.arg("detect").arg(&project).arg("--precalibration").arg(at("white"));
+    let told = predicate::str::contains("[images] says black_level = 15.5: run `plenocal precali");
+    other.arg("--out").arg(at("other")).assert().code(1).stderr(told);
     let stated = "Black level 15.5 grey levels, as stated.";
     precalibrate("stated").stdout(predicate::str::contains(stated));
 }
