@@ -153,7 +153,6 @@ impl MicroImages {
                 )));
             }
         }
-        let middle = sheet.sensor.center_px();
         let (lens_to_mla, mla_to_sensor) = optics::initial_distances(
             sheet.focal_length_mm,
             sheet.focus_distance_mm,
@@ -162,7 +161,7 @@ impl MicroImages {
             0.0,
         );
         let lens_to_sensor_px = (lens_to_mla + mla_to_sensor) / pixel_size_mm;
-        let mla_to_sensor_px = mla_to_sensor / pixel_size_mm;
+        let (mla_to_sensor_px, middle) = (mla_to_sensor / pixel_size_mm, sheet.sensor.center_px());
         let cos4 = || FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, middle);
         let (fall_off, fill_factor) = (internal.fall_off.unwrap_or_else(cos4), internal.fill());
         let (within, half_pitch_px) = (fall_off.within_per_px2, grid.pitch_px / 2.0 * fill_factor);
@@ -244,8 +243,7 @@ impl MicroImages {
         internal: &InternalParameters,
         sheet: &Datasheet,
     ) -> Result<Self> {
-        let array = (sheet.columns, sheet.rows);
-        check_centers(centers, &sheet.sensor, array)?;
+        check_centers(centers, &sheet.sensor, (sheet.columns, sheet.rows))?;
         let grid = fit_grid(centers, sheet.lattice_kind, sheet.columns, sheet.rows)?;
         internal.validate(sheet.lens_types)?;
         check_stated_pitch(sheet, internal, &grid)?;
@@ -394,8 +392,8 @@ impl MicroImages {
             LatticeKind::HexagonalColumns => (ROW_DISTANCE, 1.0),
         };
         let columns = range(at.x, middle.x, along_u, lattice.columns);
-        let rows = range(at.y, middle.y, along_v, lattice.rows);
-        rows.flat_map(|l| columns.clone().map(move |k| (k, l)))
+        range(at.y, middle.y, along_v, lattice.rows)
+            .flat_map(|l| columns.clone().map(move |k| (k, l)))
             .filter(|&(k, l)| (self.center(k, l) - place).norm() <= reach)
             .collect()
     }

@@ -22,6 +22,9 @@ const SIGNIFICANT: f64 = 3.0;
 const STARTS: [f64; 3] = [2.2, 1.5, 0.5];
 /// From each it is followed so many times.
 const ROUNDS: usize = 3;
+/// Discs that appear tell their power to 0.002 to 0.007. A power makes a wide point spread sharper too, and
+/// discs of that tell theirs to 0.02 at best.
+const CERTAIN: f64 = 0.01;
 
 /// The power of the samples that light is, where that is not 1; 1 within what discs tell is `None`, and
 /// so are discs too small to tell.
@@ -58,6 +61,9 @@ fn power_from(
         let (_, discs) = measured(&all, &raised(reference), &options, &|| ()).ok()?;
         let (exponent, std_dev) = discs?.exponent?;
         debug!("samples to the power of {power:.3}: another {:.3} ± {std_dev:.3}", 1.0 + exponent);
+        if std_dev > CERTAIN {
+            return None;
+        }
         if exponent.abs() < LINEAR {
             return ((power - 1.0).abs() > LINEAR).then_some(power * (1.0 + exponent));
         }

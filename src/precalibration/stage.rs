@@ -3,7 +3,7 @@
 use tracing::{debug, info};
 
 use super::array::{ArrayMeasurement, found_array, patterns};
-use super::black::{Black, black_level};
+use super::black::black_level;
 use super::checks::{
     contradictions, different_aperture, disagreeing_types, doubtful_colors, named, reference_of,
 };
@@ -13,6 +13,7 @@ use super::fall_off::{Light, Measured};
 use super::internal::{InternalFit, RadiusMeasurement};
 use super::levers::Levers;
 use super::linearity::{explained, not_linear, power_for_discs, power_of_discs};
+use super::pattern::Pattern;
 use super::radii::{RadiusEstimator, TypeRadius};
 use super::roundness::oblong;
 use super::samples::Samples;
@@ -135,8 +136,7 @@ pub(super) fn measured(
     progress: &(dyn Fn() + Sync),
 ) -> Result<(Precalibration, Option<Discs>)> {
     let pattern = patterns(&reference.image.grey()).next();
-    let black = black_level(whites, pattern.as_ref(), options.black_level)?;
-    let levels = levels_of(whites, reference, &black)?;
+    let (levels, black) = levels_of(whites, reference, pattern.as_ref(), options.black_level)?;
     let grey = reference.image.grey_between(Some(&levels));
     let found =
         found_array(&grey, pattern, options.array_size).map_err(|e| named(&reference.name, &e))?;
@@ -200,22 +200,23 @@ pub(super) fn measured(
     let oblong = oblong(&grey, &array.centers, array.grid.pitch_px);
     let types = disagreeing_types(&lens_types);
     // A wrong f-number is reason enough for there being no discs.
-    let told = [
-        wrong_f_number.or(by_lines),
-        wrong_aperture,
-        oblong,
-        types,
-        unknown_fall_off,
-        black.warning,
-    ];
+    let by_light = wrong_f_number.or(by_lines);
+    let told = [by_light, wrong_aperture, oblong, types, unknown_fall_off, black];
     let warnings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
     let measured =
         Precalibration { array, lens_types, radii, internal, pitch_correction, warnings };
     Ok((measured, of_light))
 }
 
-/// The levels of the white images; an error if they are full below a stated black level.
-fn levels_of(whites: &[White], reference: &White, black: &Black) -> Result<SampleLevels> {
+/// The levels of the white images, and what is doubtful about the black level; an error if they are full
+/// below a stated one.
+fn levels_of(
+    whites: &[White],
+    reference: &White,
+    pattern: Option<&Pattern>,
+    stated: Option<f64>,
+) -> Result<(SampleLevels, Option<String>)> {
+    let black = black_level(whites, pattern, stated)?;
     let full = |white: &White| Some(white.image.plateau()? / white.image.full_scale());
     let full = whites.iter().chain([reference]).filter_map(full).fold(1.0, f64::min);
     let levels = SampleLevels {
@@ -226,7 +227,7 @@ fn levels_of(whites: &[White], reference: &White, black: &Black) -> Result<Sampl
     };
     levels.validate()?;
     debug!("{levels:?}");
-    Ok(levels)
+    Ok((levels, black.warning))
 }
 
 /// How far off straight lines through the radii are where the light is not that of discs, relative.
