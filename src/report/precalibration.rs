@@ -12,7 +12,7 @@ pub fn precalibration_text(result: &Precalibration) -> String {
         "The pitch is corrected for vignetting, which had changed it by {:.1e}.",
         -result.pitch_correction
     );
-    let levels: String = levels_text(result).into_iter().map(|line| format!("\n{line}")).collect();
+    let levels = levels_text(result).map_or_else(String::new, |line| format!("\n{line}"));
     [
         format!("{}\n{correction}\n{types}{levels}", array_text(&result.array)),
         radii_table(result).to_string(),
