@@ -102,8 +102,8 @@ const FEW_FRAMES: usize = 4;
 /// Frames that are in memory at once.
 const AT_ONCE: usize = 4;
 
-/// The first frames are searched so many times, until the fill factor that their edges show is that which corners are
-/// fitted with.
+/// The first frames with a board are searched so many times, until the fill factor that their edges show is that which
+/// corners are fitted with.
 const ROUNDS: usize = 4;
 /// Fill factors that are the same for that, relative, or within so many standard deviations.
 const SAME_FILL: f64 = 0.004;
@@ -121,8 +121,8 @@ const MOTION: f64 = 24.0;
 /// `inspect` is called once for every image, from several threads, with the image if it could be
 /// read. An error if the white image does not have the size of the sensor, or from `inspect`; a
 /// frame without a board, or that cannot be read, is left out with a warning.
-pub fn detect(
-    images: &[BoardImage],
+pub fn detect<'i>(
+    images: &[BoardImage<'i>],
     white: &RawImage,
     search: &Search,
     subset: Subset,
@@ -142,50 +142,52 @@ pub fn detect(
         )
     };
     let mut micro_images = Cow::Borrowed(search.micro_images);
-    let mut frames = Vec::new();
+    let (mut frames, mut fill_is_known) = (Vec::new(), false);
     // Reading takes one core, so that a few frames at once keep all of them busy.
-    for some in images.chunks(rayon::current_num_threads().min(AT_ONCE)) {
-        let read: Vec<_> = some.par_iter().map(|image| (image.read)()).collect();
-        let mut rounds = if frames.is_empty() { ROUNDS } else { 1 };
-        let found = loop {
-            let of_image = |(image, raw): (&BoardImage, &Result<Cow<RawImage>>)| {
-                raw.as_ref().ok().map(|raw| search_in(image, raw, &micro_images))
-            };
-            let found: Vec<Option<Found>> = some.par_iter().zip(&read).map(of_image).collect();
-            rounds -= 1;
-            let detections = found.iter().flatten().filter_map(|(found, _)| found.as_ref().ok());
-            let fill = fill_factor(detections);
-            let Some(fill) = fill.filter(|fill| rounds > 0 && differs(fill, &micro_images)) else {
-                break found;
-            };
+    for some in images.chunks(AT_ONCE) {
+        let read = |image: &BoardImage<'i>| {
+            let raw = (image.read)()?;
+            let found = search_in(image, &raw, &micro_images);
+            Ok((raw, found))
+        };
+        let mut found: Vec<Result<(Cow<RawImage>, Found)>> = some.par_iter().map(read).collect();
+        for _ in 1..ROUNDS {
+            let searched = found.iter().filter_map(|found| found.as_ref().ok());
+            let fill = fill_factor(searched.filter_map(|(_, (found, _))| found.as_ref().ok()));
+            let clearly = |fill: &FillFactor| differs(fill, micro_images.fill_factor());
+            let Some(fill) = fill.filter(|fill| !fill_is_known && clearly(fill)) else { break };
             debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
             micro_images = Cow::Owned(micro_images.with_fill_factor(fill.value));
-        };
-        let of_image =
-            |((image, raw), found): ((&BoardImage, Result<Cow<RawImage>>), Option<Found>)| {
-                let (frame, name) = (image.frame, image.name.clone());
-                // What could be read was searched.
-                let (raw, result, counts) = match raw.map(|raw| (raw, found)) {
-                    Ok((raw, found)) => {
-                        let (found, counts) =
-                            found.unwrap_or_else(|| search_in(image, &raw, &micro_images));
-                        (Some(raw), found.map_err(NoFeatures::Rejected), counts)
-                    }
-                    Err(error) => {
-                        (None, Err(NoFeatures::Unreadable(error)), FrameCounts::default())
-                    }
-                };
-                let detected = DetectedFrame { frame, name, result, counts };
-                inspect(&detected, raw.as_deref())?;
-                Ok(detected)
+            some.par_iter().zip(&mut found).for_each(|(image, found)| {
+                if let Ok((raw, found)) = found {
+                    *found = search_in(image, raw, &micro_images);
+                }
+            });
+        }
+        let of_image = |(image, found): (&BoardImage, Result<(Cow<RawImage>, Found)>)| {
+            let (raw, result, counts) = match found {
+                Ok((raw, (found, counts))) => {
+                    (Some(raw), found.map_err(NoFeatures::Rejected), counts)
+                }
+                Err(error) => (None, Err(NoFeatures::Unreadable(error)), FrameCounts::default()),
             };
-        let done = some.par_iter().zip(read).zip(found).map(of_image);
+            let (frame, name) = (image.frame, image.name.clone());
+            let detected = DetectedFrame { frame, name, result, counts };
+            inspect(&detected, raw.as_deref())?;
+            Ok(detected)
+        };
+        let done = some.par_iter().zip(found).map(of_image);
         frames.extend(done.collect::<Result<Vec<DetectedFrame>>>()?);
+        fill_is_known = fill_factor(detections(&frames)).is_some();
     }
-    let detections = frames.iter().filter_map(|frame| frame.result.as_ref().ok());
-    let fill_factor = fill_factor(detections);
-    let warnings = warnings(&frames, search.board, subset);
-    Ok(DetectedBoards { frames, fill_factor, fitted_with: micro_images.fill_factor(), warnings })
+    let (fill_factor, fitted_with) = (fill_factor(detections(&frames)), micro_images.fill_factor());
+    let mut warnings = warnings(&frames, search.board, subset);
+    warnings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, fitted_with)));
+    Ok(DetectedBoards { frames, fill_factor, fitted_with, warnings })
+}
+
+fn detections(frames: &[DetectedFrame]) -> impl Iterator<Item = &Detection> {
+    frames.iter().filter_map(|frame| frame.result.as_ref().ok())
 }
 
 /// What was found in an image.
@@ -202,9 +204,20 @@ fn fill_factor<'a>(frames: impl Iterator<Item = &'a Detection>) -> Option<FillFa
 }
 
 /// Whether corners should be fitted with another fill factor.
-fn differs(found: &FillFactor, micro_images: &MicroImages) -> bool {
-    let change = (found.value - micro_images.fill_factor()).abs();
+fn differs(found: &FillFactor, fitted_with: f64) -> bool {
+    let change = (found.value - fitted_with).abs();
     change > SAME_FILL * found.value && change > SIGNIFICANT * found.std_dev
+}
+
+/// A warning if corners were fitted with another fill factor than all frames show.
+fn fitted_otherwise(found: &FillFactor, fitted_with: f64) -> Option<String> {
+    differs(found, fitted_with).then(|| {
+        format!(
+            "corners were fitted with the fill factor {fitted_with:.4}, as the first frames show it, but all frames show \
+             {:.4} ± {:.4}: the first frames are unlike the others; leave them out if they are blurred or moved",
+            found.value, found.std_dev
+        )
+    })
 }
 
 fn check_size(white: &RawImage, sensor: &Sensor) -> Result<()> {

@@ -107,6 +107,20 @@ fn the_true_camera_is_found_from_images() {
     assert_eq!(calibration["warnings"], Value::Array(Vec::new()));
 }
 
+/// The fill factor that corners are fitted with is that of the first frames, however many are searched at once.
+#[test]
+fn features_do_not_depend_on_the_number_of_threads() {
+    let features = |threads: &str| {
+        let out = FILES.path(&format!("threads-{threads}"));
+        let mut detect = plenocal();
+        detect.env("RAYON_NUM_THREADS", threads).arg("detect").arg(FILES.path("set/project.toml"));
+        detect.arg("--precalibration").arg(FILES.path("found")).arg("--no-pictures");
+        detect.arg("--out").arg(&out).assert().success();
+        fs::read(out.join("features.csv")).unwrap()
+    };
+    assert!(features("1") == features("3"));
+}
+
 /// White images alone cannot tell how the array leans: they show how φq'ᵢ grows.
 #[test]
 fn the_lean_goes_with_the_fill_factor() {
