@@ -1,7 +1,7 @@
 //! Errors that observations have in common, because something was taken from the white images.
 //!
 //! Where a corner is found depends a little on the pupil of the main lens, on q'ᵢ, on how light falls off inside a
-//! micro-image, and on how the array leans. All features share the errors of these, and no scatter shows them. All
+//! micro-image, on the point spread, and on how the array leans. All features share the errors of these, and no scatter shows them. All
 //! centres share how far the fall-off shifts the centroids of micro-images.
 
 use nalgebra::Vector2;
@@ -9,7 +9,9 @@ use nalgebra::Vector2;
 use crate::calibration::anchors::{LEAN, intercept_name};
 use crate::calibration::{CalibrationOptions, Mode, Start};
 use crate::error::Result;
-use crate::model::{BapFeature, InternalParameters, MicroImageCenter, PlenopticCamera, TAKEN};
+use crate::model::{
+    BapFeature, InternalParameters, MicroImageCenter, PlenopticCamera, TAKEN, taken,
+};
 use crate::solver::{self, Anchor, CommonError, CostOptions};
 
 /// How well the model of a blurred corner keeps its distance from the centre of the micro-image, relative: corners in
@@ -52,28 +54,30 @@ pub(super) fn common_errors(
             errors.push(CommonError { source, features_px, centers_px, anchors, in_anchors });
         }
     };
-    let [pupil, within, fill] = relative_std_devs(internal);
-    add("pupil", Vec::new(), &|_, f| {
-        let [u, v] = levers(f)[0];
-        [u * pupil, v * pupil, 0.0]
-    });
+    let [pupil, within, fill, spread_px2] = std_devs(internal);
+    for (name, taken, std_dev) in [
+        ("pupil", taken::PUPIL, pupil),
+        ("fall-off", taken::FALL_OFF, within),
+        ("point spread", taken::POINT_SPREAD, spread_px2),
+    ] {
+        add(name, Vec::new(), &|_, f| {
+            let [u, v] = levers(f)[taken];
+            [u * std_dev, v * std_dev, 0.0]
+        });
+    }
     for (lens_type, std_dev_mm) in internal.q_prime_std_dev_mm.iter().enumerate() {
         let name = intercept_name(lens_type);
         let relative = std_dev_mm / internal.q_prime_mm[lens_type];
         // ρ = q'ᵢ − Δc/2ν.
         let rho = if cost.rho { std_dev_mm / pixel_mm } else { 0.0 };
         add(&name, anchored(&name), &|i, f| {
-            let [u, v] = levers(f)[1];
+            let [u, v] = levers(f)[taken::INTERCEPT];
             if types[i] == lens_type { [u * relative, v * relative, rho] } else { [0.0; 3] }
         });
     }
-    add("fall-off", Vec::new(), &|_, f| {
-        let [u, v] = levers(f)[2];
-        [u * within, v * within, 0.0]
-    });
     let (q_mm, of_anchors) = by_fill_factor(internal, &cost.anchors, pixel_mm);
     add(FILL_FACTOR, of_anchors.iter().map(|by| by * fill).collect(), &|i, f| {
-        let [u, v] = levers(f)[3];
+        let [u, v] = levers(f)[taken::FILL_FACTOR];
         let rho = if cost.rho { -q_mm[types[i]] / pixel_mm } else { 0.0 };
         [u * fill, v * fill, rho * fill]
     });
@@ -141,13 +145,15 @@ fn of_centroids(
     })
 }
 
-/// σ of the pupil's radius, of the fall-off inside micro-images and of the fill factor, relative.
-fn relative_std_devs(internal: &InternalParameters) -> [f64; 3] {
+/// σ of the pupil's radius, of the fall-off inside micro-images and of the fill factor, relative; and of the variance of the
+/// point spread, px².
+fn std_devs(internal: &InternalParameters) -> [f64; 4] {
     let pupil = internal.m_std_dev_mm.map_or(0.0, |std_dev| std_dev / internal.m_mm.abs());
     // Without a fall-off there is no lever either.
     let known = internal.fall_off.filter(|fall_off| fall_off.within_per_px2 != 0.0);
     let within = known
         .map_or(0.0, |fall_off| fall_off.within_std_dev_per_px2 / fall_off.within_per_px2.abs());
     let fill = internal.fill_factor.map_or(0.0, |fill| fill.std_dev / fill.value);
-    [pupil, within, fill]
+    let spread_px2 = internal.point_spread.map_or(0.0, |spread| spread.std_dev_px2);
+    [pupil, within, fill, spread_px2]
 }

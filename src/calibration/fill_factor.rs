@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use crate::calibration::anchors::INTERCEPTS;
 use crate::calibration::{Start, Warning};
 use crate::error::{Error, Result};
+use crate::model::taken::FILL_FACTOR;
 use crate::model::{BapFeature, FillFactor, InternalParameters, Lattice, optics};
 use crate::numerics::{median, weighted_mean};
 use crate::precalibration::MicroImageArray;
@@ -222,7 +223,8 @@ pub(super) fn with_that_of_start(
         if let (Some(rho), Some(q)) = (&mut f.rho_px, q) {
             *rho += q * (1.0 - fill.value / blur.fill_factor);
         }
-        if let Some([.., [by_u, by_v]]) = f.levers_px {
+        if let Some(levers) = f.levers_px {
+            let [by_u, by_v] = levers[FILL_FACTOR];
             let change = (fill.value / blur.fill_factor).ln();
             f.u_px += by_u * change;
             f.v_px += by_v * change;

@@ -13,7 +13,7 @@ use pulp::{Arch, NullaryFnOnce};
 use super::aberration::Bend;
 use super::blur::Rays;
 use super::corner::{Corner, step};
-use super::micro_images::OTHERWISE;
+use super::micro_images::STEPS;
 use super::patch::Patch;
 use crate::model::TAKEN;
 use crate::numerics::NormalEquations;
@@ -39,7 +39,7 @@ const COLUMNS: usize = 7;
 
 impl Corner {
     /// The levers of a corner that was fitted; `None` if the light does not determine its place. `others` are its
-    /// rays if what is taken from white images is larger by the part [`OTHERWISE`] of it, or none.
+    /// rays if what is taken from white images is larger by [`STEPS`], or none.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn levers(
         &self,
@@ -66,7 +66,7 @@ impl Corner {
                     None => given[k][i] * per_point,
                     Some(k) => shapes
                         .get(k)
-                        .map_or(0.0, |other| (shape[i] - other[i]) * per_point / OTHERWISE as f32),
+                        .map_or(0.0, |other| (shape[i] - other[i]) * per_point / STEPS[k] as f32),
                 });
             equations.add(&row, &moved, patch.weight[i]);
         }
@@ -285,9 +285,9 @@ mod tests {
             Blur::new(&optics, SLOPE, bend, vignetting).rays(&patch)
         });
         let by_taken = truth.levers(&patch, &known, SLOPE, &bend, &others).unwrap().by_taken;
-        for (other, lever) in others.iter().zip(by_taken.column_iter()) {
+        for ((other, lever), step) in others.iter().zip(by_taken.column_iter()).zip(STEPS) {
             let moved = truth.fitted(&patch, other, Free::Place).unwrap().place - place;
-            close(moved, lever.into_owned(), OTHERWISE);
+            close(moved, lever.into_owned(), step);
         }
         assert!(by_taken.column(0).norm() > 0.5, "{by_taken}");
     }

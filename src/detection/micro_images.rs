@@ -5,9 +5,10 @@ use std::collections::HashMap;
 use nalgebra::Vector2;
 
 use crate::error::{Error, Result};
+use crate::model::taken::{FALL_OFF, INTERCEPT, POINT_SPREAD, PUPIL};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, MicroImageCenter,
-    ROW_DISTANCE, SampleLevels, Sensor, check_centers, growth_per_px, optics,
+    ROW_DISTANCE, SampleLevels, Sensor, TAKEN, check_centers, growth_per_px, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::vignetting::{Obliquity, Pixel, Vignetting};
@@ -42,8 +43,8 @@ pub struct MicroImages {
     lens_to_sensor: f64,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
-    /// Vignetting by lens type and by growth of d: as it is, with another pupil, and with another q'ᵢ.
-    vignetting: [Vec<Vec<Vignetting>>; 3],
+    /// Vignetting by lens type and by growth of d: as it is, with another pupil, another q'ᵢ, and another point spread.
+    vignetting: [Vec<Vec<Vignetting>>; 4],
     /// First step of that growth.
     first_step: i32,
 }
@@ -119,6 +120,14 @@ const MOST_PITCHES: f64 = 10.0;
 const GROWTH_STEP: f64 = 0.005;
 /// By which part of itself what is taken from white images is changed to see what depends on it.
 pub(super) const OTHERWISE: f64 = 0.01;
+/// By how much the variance of the point spread is, which may be 0, px².
+const SPREAD_PX2: f64 = 0.02;
+/// Both, by index of [`TAKEN_FROM_WHITES`](crate::model::TAKEN_FROM_WHITES).
+pub(super) const STEPS: [f64; TAKEN] = {
+    let mut steps = [OTHERWISE; TAKEN];
+    steps[POINT_SPREAD] = SPREAD_PX2;
+    steps
+};
 /// d changes less than this across an array that was meant to be parallel to the sensor.
 const MOST_GROWTH: f64 = 0.3;
 
@@ -208,11 +217,13 @@ impl MicroImages {
         most
     }
 
-    /// The vignetting by what is [`OTHERWISE`], by lens type and by growth of d.
-    fn tables(&self) -> [Vec<Vec<Vignetting>>; 3] {
-        let (half_pitch, pixel) = (self.grid.pitch_px / 2.0, Pixel::new(self.point_spread_px2));
-        let other = 1.0 + OTHERWISE;
-        [[1.0, 1.0], [other, 1.0], [1.0, other]].map(|[pupil, intercept]| {
+    /// The vignetting by what is otherwise, by lens type and by growth of d.
+    fn tables(&self) -> [Vec<Vec<Vignetting>>; 4] {
+        let half_pitch = self.grid.pitch_px / 2.0;
+        let (other, wider) = (1.0 + OTHERWISE, SPREAD_PX2);
+        let changes = [[1.0, 1.0, 0.0], [other, 1.0, 0.0], [1.0, other, 0.0], [1.0, 1.0, wider]];
+        changes.map(|[pupil, intercept, wider]| {
+            let pixel = Pixel::new(self.point_spread_px2 + wider);
             let of_type = |q_prime: &f64| {
                 let of_step = |step: i32| {
                     let scale = 1.0 + f64::from(step) * GROWTH_STEP;
@@ -323,24 +334,26 @@ impl MicroImages {
     }
 
     /// The optics and the vignetting if one of [`TAKEN_FROM_WHITES`](crate::model::TAKEN_FROM_WHITES), by its
-    /// index, is larger by the part [`OTHERWISE`] of it.
+    /// index, is larger by [`STEPS`].
     pub(super) fn otherwise(
         &self,
         optics: &MicroOptics,
         taken: usize,
     ) -> (MicroOptics, &Vignetting) {
         let (mut other, factor) = (*optics, 1.0 + OTHERWISE);
+        let mut table = 0;
         match taken {
-            0 => other.pupil_px *= factor,
-            1 => other.q_prime_px *= factor,
-            2 => other.obliquity.within_per_px2 *= factor,
+            PUPIL => (other.pupil_px, table) = (other.pupil_px * factor, 1),
+            INTERCEPT => (other.q_prime_px, table) = (other.q_prime_px * factor, 2),
+            FALL_OFF => other.obliquity.within_per_px2 *= factor,
+            POINT_SPREAD => table = 3,
             _ => {
                 other.q_prime_px =
                     other.half_pitch_px + optics.q_px() / optics.fill_factor / factor;
                 other.fill_factor *= factor;
             }
         }
-        (other, self.vignetting_with(if taken < 2 { taken + 1 } else { 0 }, optics))
+        (other, self.vignetting_with(table, optics))
     }
 
     fn vignetting_with(&self, which: usize, optics: &MicroOptics) -> &Vignetting {

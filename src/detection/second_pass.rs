@@ -15,7 +15,7 @@ use super::frame::{Frame, FrameCounts, MARGIN};
 use super::grouping::Group;
 use super::levers::{ByTaken, Levers};
 use super::line::possible_slope;
-use super::micro_images::OTHERWISE;
+use super::micro_images::STEPS;
 use super::patch::{Pair, Patch};
 use super::seen::Seen;
 use super::slope_field::SlopeField;
@@ -23,6 +23,7 @@ use super::{CornerLine, CornerObservation, MicroOptics};
 #[cfg(doc)]
 use crate::model::BapFeature;
 use crate::model::TAKEN;
+use crate::model::taken::FILL_FACTOR;
 use crate::numerics::median;
 
 /// Rounds in which every corner is searched for; in the second one its line is that of the first.
@@ -31,8 +32,6 @@ const ROUNDS: usize = 2;
 const EXPECTED_PX: f64 = 1.2;
 /// One pixel of so many shows how a corner depends on what is taken from white images: that is summed over all corners.
 const FEW: usize = 5;
-/// Index of the fill factor among [`crate::model::TAKEN_FROM_WHITES`].
-const FILL_FACTOR: usize = 3;
 /// Boards with edges that are wider than this, px², are not sharp enough to be found.
 const MOST_WIDER_PX2: f64 = 9.0;
 /// Least part of the light of its micro-image that a corner explains.
@@ -334,7 +333,7 @@ impl SecondPass<'_> {
             // With other places the line has another slope, and that blurs otherwise.
             for taken in 0..TAKEN {
                 let other = CornerLine::fit(seen.iter().map(|seen| seen.on_line_with(taken)))?;
-                let slope = (other.slope - line.slope) / OTHERWISE;
+                let slope = (other.slope - line.slope) / STEPS[taken];
                 for seen in &mut seen {
                     seen.take_slope(taken, slope);
                 }

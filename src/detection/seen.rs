@@ -6,7 +6,7 @@ use super::CornerObservation;
 use super::corner::Corner;
 use super::edge_width::EdgeWidth;
 use super::levers::Levers;
-use super::micro_images::OTHERWISE;
+use super::micro_images::STEPS;
 
 /// An observation of a corner, made with the slope and the aberration that were known before. Places are
 /// straightened, see [`super::aberration`].
@@ -33,10 +33,10 @@ impl Seen {
         }
     }
 
-    /// [`Seen::on_line`] if one of what is taken from white images is larger by the part [`OTHERWISE`] of it.
+    /// [`Seen::on_line`] if one of what is taken from white images is larger by its part of [`STEPS`].
     pub fn on_line_with(&self, taken: usize) -> CornerObservation {
         let on_line = self.on_line();
-        let moved = self.levers.by_taken.column(taken) * OTHERWISE;
+        let moved = self.levers.by_taken.column(taken) * STEPS[taken];
         CornerObservation { position: on_line.position + moved, ..on_line }
     }
 

@@ -83,6 +83,7 @@ const LEVERS: [[&str; 2]; TAKEN] = [
     ["du_intercept", "dv_intercept"],
     ["du_fall_off", "dv_fall_off"],
     ["du_fill_factor", "dv_fill_factor"],
+    ["du_point_spread", "dv_point_spread"],
 ];
 
 /// Columns of [`BapFeature::blur`].

@@ -37,7 +37,8 @@ pub(crate) use levels::full_scale;
 pub use noise::{Noise, NoiseSource};
 pub(crate) use observations::check_centers;
 pub use observations::{
-    BapFeature, MIN_CORNERS, MeasuredBlur, MicroImageCenter, Observations, TAKEN, TAKEN_FROM_WHITES,
+    BapFeature, MIN_CORNERS, MeasuredBlur, MicroImageCenter, Observations, TAKEN,
+    TAKEN_FROM_WHITES, taken,
 };
 pub use parameters::{
     MAX_LENS_TYPES, Named, Parameter, SHAPE, SHAPE_PARAMETERS, intrinsic_parameters,

@@ -42,7 +42,7 @@ pub struct BapFeature {
     /// Standard deviation of ρ, px, where it was measured.
     pub rho_std_dev_px: Option<f64>,
     /// How far u and v move if what the detection takes from the white images is wrong, where that is known: px
-    /// per relative change of each of [`TAKEN_FROM_WHITES`].
+    /// per relative change of each of [`TAKEN_FROM_WHITES`], and per px² of the point spread.
     pub levers_px: Option<[[f64; 2]; TAKEN]>,
     /// The blur radius as the width of its edges shows it, where it was measured.
     pub blur: Option<MeasuredBlur>,
@@ -60,10 +60,25 @@ pub struct MeasuredBlur {
 }
 
 /// Number of the quantities of white images that a corner's place depends on.
-pub const TAKEN: usize = 4;
+pub const TAKEN: usize = 5;
 /// Their names: a, the radius of the main lens's pupil seen through the middle of a micro-lens; q'ᵢ; H, how light falls off
-/// inside a micro-image; and the fill factor, with the qᵢ that white images show.
-pub const TAKEN_FROM_WHITES: [&str; TAKEN] = ["pupil", "intercept", "fall_off", "fill_factor"];
+/// inside a micro-image; the fill factor, with the qᵢ that white images show; and the variance of the point spread.
+pub const TAKEN_FROM_WHITES: [&str; TAKEN] =
+    ["pupil", "intercept", "fall_off", "fill_factor", "point_spread"];
+
+/// Their indices.
+pub mod taken {
+    /// a.
+    pub const PUPIL: usize = 0;
+    /// q'ᵢ.
+    pub const INTERCEPT: usize = 1;
+    /// H.
+    pub const FALL_OFF: usize = 2;
+    /// φ.
+    pub const FILL_FACTOR: usize = 3;
+    /// The variance of the point spread along an axis.
+    pub const POINT_SPREAD: usize = 4;
+}
 
 /// The observations of a calibration.
 #[derive(Debug, Clone, Default, PartialEq)]

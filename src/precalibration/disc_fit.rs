@@ -327,9 +327,10 @@ impl<'a> Fit<'a> {
     }
 
     fn discs(&self, normal: &DMatrix<f64>) -> Option<Discs> {
-        let covariance = normal.clone().cholesky()?.inverse();
-        let of = |i: usize| (self.at[i], covariance[(i, i)].sqrt());
         let ([h, spread], [m, c]) = (self.of_all(), self.law());
+        let covariance =
+            with_model_error(normal.clone().cholesky()?.inverse(), spread, SPREAD_MODEL);
+        let of = |i: usize| (self.at[i], covariance[(i, i)].sqrt());
         let (within, spread) = (of(h), of(spread));
         let known = self.known.within_per_px2;
         Some(Discs {
@@ -340,10 +341,39 @@ impl<'a> Fit<'a> {
             sine: of(c),
             f_number_error: self.f_number_error,
             exponent: self.exponent(),
-            point_spread: PointSpread {
-                variance_px2: spread.0,
-                std_dev_px2: spread.1.hypot(SPREAD_MODEL),
-            },
+            point_spread: PointSpread { variance_px2: spread.0, std_dev_px2: spread.1 },
         })
+    }
+}
+
+/// A covariance with an error of one quantity that is not in it: all others follow as they do in the fit, by their
+/// covariance with it over its variance.
+fn with_model_error(mut covariance: DMatrix<f64>, quantity: usize, std_dev: f64) -> DMatrix<f64> {
+    let follow = covariance.column(quantity) / covariance[(quantity, quantity)] * std_dev;
+    covariance += &follow * follow.transpose();
+    covariance
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The second goes half as far as the first, with scatter of its own; the third knows nothing of it.
+    #[test]
+    fn what_follows_a_quantity_has_its_error() {
+        let covariance = DMatrix::from_row_slice(
+            3,
+            3,
+            &[
+                0.04, 0.02, 0.0, //
+                0.02, 0.02, 0.0, //
+                0.0, 0.0, 1.0,
+            ],
+        );
+        let found = with_model_error(covariance, 0, 0.3);
+        let variances: Vec<f64> = found.diagonal().iter().copied().collect();
+        for (found, expected) in variances.iter().zip([0.04 + 0.09, 0.02 + 0.0225, 1.0]) {
+            assert!((found - expected).abs() < 1e-12, "{variances:?}");
+        }
     }
 }

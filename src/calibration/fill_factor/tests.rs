@@ -3,6 +3,7 @@
 use nalgebra::Vector2;
 
 use super::*;
+use crate::model::taken::FILL_FACTOR;
 use crate::model::{Configuration, Datasheet, LatticeKind, MeasuredBlur, TAKEN};
 use crate::solver::small_camera;
 
@@ -65,7 +66,7 @@ fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
             let noise = 0.05 * (f64::from(i * 7 % 11) / 5.0 - 1.0);
             let blur = TRUE_FILL * q + fill * growth + noise + f64::from(i / 59) * 9.0;
             let mut levers_px = [[0.0; 2]; TAKEN];
-            levers_px[TAKEN - 1] = [2.0, -1.0];
+            levers_px[FILL_FACTOR] = [2.0, -1.0];
             features.push(BapFeature {
                 frame: frame.try_into().unwrap(),
                 corner: i,
