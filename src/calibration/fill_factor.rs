@@ -51,6 +51,8 @@ struct Measured {
     lens_type: usize,
     /// The fill factor by this feature alone, and its σ.
     fill: [f64; 2],
+    /// By how much it changes with one σ of what all features share.
+    shared: f64,
     /// (1 − γ) Δc/2, px: by how much its blur radius grows with the fill factor.
     growth_px: f64,
 }
@@ -85,25 +87,33 @@ impl InPixels<'_> {
         let fill = blur.fill_factor + (blur.radius_px - blur.fill_factor * rho) / growth_px;
         let std_dev = blur.std_dev_px / growth_px.abs();
         let usable = fill.is_finite() && std_dev.is_finite();
-        usable.then_some(Measured { frame: f.frame, lens_type, fill: [fill, std_dev], growth_px })
+        usable.then_some(Measured {
+            frame: f.frame,
+            lens_type,
+            fill: [fill, std_dev],
+            shared: blur.shared_px / growth_px,
+            growth_px,
+        })
     }
 
     /// The fill factor by some features. Those of a frame have errors in common, so the scatter of frames is its σ, with
-    /// what the σ of q'ᵢ and the model make of it.
+    /// what features of all frames share, and what the σ of q'ᵢ and the model make of it.
     fn fill_factor<'a>(
         &self,
         some: impl Iterator<Item = &'a Measured> + Clone,
     ) -> Option<FillFactor> {
         let [value, std_dev] = by_frames(some.clone().map(|m| (m.frame, m.fill)))?;
-        let (mut weights, mut by_type) = (0.0, BTreeMap::<usize, f64>::new());
+        let (mut weights, mut shared, mut by_type) = (0.0, 0.0, BTreeMap::<usize, f64>::new());
         for m in some {
             let weight = m.fill[1].powi(-2);
             weights += weight;
+            shared += weight * m.shared;
             *by_type.entry(m.lens_type).or_default() += weight / m.growth_px;
         }
         let of_type = |(lens_type, by): (&usize, &f64)| self.std_dev(*lens_type) * by / weights;
         let of_white_images = by_type.iter().map(of_type).fold(0.0, f64::hypot);
-        let std_dev = std_dev.hypot(of_white_images).hypot(FillFactor::MODEL * value);
+        let of_all = (shared / weights).hypot(of_white_images).hypot(FillFactor::MODEL * value);
+        let std_dev = std_dev.hypot(of_all);
         Some(FillFactor { value, std_dev })
     }
 }

@@ -11,6 +11,7 @@ use super::blur::Rays;
 use super::corner::Corner;
 use super::micro_images::OTHERWISE;
 use super::patch::Patch;
+use crate::model::FillFactor;
 use crate::numerics::{NormalEquations, median};
 
 /// By how much edges are made wider to see what depends on it, px².
@@ -31,6 +32,18 @@ pub(super) struct EdgeWidth {
 pub(super) struct WidthChange {
     pub change: Vector2<f64>,
     pub covariance: Matrix2<f64>,
+    /// What the corners alone say of both, as much as their scatter allows.
+    pub corners: EdgeWidth,
+}
+
+/// ln φ and v of all frames together.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct OfFrames {
+    pub fill: FillFactor,
+    /// v with its σ, px².
+    pub wider_px2: [f64; 2],
+    /// Which frames have that v: the others have moved.
+    pub alike: Vec<bool>,
 }
 
 impl EdgeWidth {
@@ -64,6 +77,33 @@ impl EdgeWidth {
         (variance > 0.0 && finite).then_some(Self { information, right })
     }
 
+    /// Of ln φ and v themselves, if it is of their changes from these.
+    pub fn about(self, at: &Vector2<f64>) -> Self {
+        Self { right: self.right + self.information * at, ..self }
+    }
+
+    /// By how much ln φ of this corner alone changes with v, px⁻².
+    pub fn fill_by_width(&self) -> f64 {
+        -self.information[(0, 1)] / self.information[(0, 0)]
+    }
+
+    /// v with its variance, if ln φ is known; `None` if it shows none.
+    fn of_width(&self, log_fill: f64) -> Option<(f64, f64)> {
+        let information = self.information[(1, 1)];
+        let left = self.right.y - self.information[(0, 1)] * log_fill;
+        (information > 0.0).then(|| (left / information, 1.0 / information))
+    }
+
+    /// What it says of ln φ if nothing is known of v.
+    fn of_fill_alone(&self) -> Self {
+        let Self { information: n, right } = *self;
+        let share = n[(0, 1)] / n[(1, 1)];
+        Self {
+            information: Matrix2::new(n[(0, 0)] - share * n[(0, 1)], 0.0, 0.0, 0.0),
+            right: Vector2::new(right.x - share * right.y, 0.0),
+        }
+    }
+
     /// The change of ln φ by this corner alone, with its variance, after `change` of all; `None` if it shows none.
     pub fn of_fill(&self, change: &Vector2<f64>) -> Option<(f64, f64)> {
         let information = self.information[(0, 0)];
@@ -81,6 +121,10 @@ const CLEARLY: f64 = 2.0;
 /// not known well yet make them wider.)
 const SAME_PX2: f64 = 0.1;
 const SIGNIFICANT: f64 = 3.0;
+/// The board has moved in a frame whose edges are wider or narrower than those of the others by this, px², and by so many
+/// standard deviations.
+pub(super) const MOVED_PX2: f64 = 0.05;
+pub(super) const MOVED: f64 = 5.0;
 /// Rounds in which they are left out.
 const ROUNDS: usize = 5;
 
@@ -95,8 +139,7 @@ impl WidthChange {
     /// By all corners together, of which edges are taken to be wider by `wider_px2` already; `None` if they do not determine
     /// it. The covariance is by their scatter.
     ///
-    /// Edges of boards are as sharp as those of white images unless they clearly are not (a Cauchy distribution): where all
-    /// corners have a similar blur they cannot tell both.
+    /// Where all corners have a similar blur they cannot tell both, see [`prior`].
     pub fn fit(all: &[EdgeWidth], wider_px2: f64) -> Option<Self> {
         let mut kept = vec![true; all.len()];
         let mut found: Option<Self> = None;
@@ -106,8 +149,8 @@ impl WidthChange {
                 information += one.information;
                 right += one.right;
             }
-            let wider = wider_px2 + found.map_or(0.0, |found| found.change.y);
-            let prior = 1.0 / (AS_SHARP_PX2.powi(2) + (wider / CLEARLY).powi(2));
+            let corners = EdgeWidth { information, right };
+            let prior = prior(wider_px2 + found.map_or(0.0, |found| found.change.y));
             information[(1, 1)] += prior;
             right.y -= prior * wider_px2;
             let covariance = information.cholesky()?.inverse();
@@ -120,9 +163,64 @@ impl WidthChange {
             // The median of |x| for a normal distribution.
             let typical = median(distances.iter().copied())? / 0.6745;
             kept = distances.iter().map(|far| *far <= OUTLIERS * typical.max(1.0)).collect();
-            found = Some(Self { change, covariance: covariance * typical.powi(2).max(1.0) });
+            let excess = typical.powi(2).max(1.0);
+            found =
+                Some(Self { change, covariance: covariance * excess, corners: corners / excess });
         }
         found
+    }
+}
+
+/// Edges of boards are as sharp as those of white images unless they clearly are not (a Cauchy distribution): the weight of
+/// that, px⁻⁴, where they are wider by a variance.
+fn prior(wider_px2: f64) -> f64 {
+    1.0 / (AS_SHARP_PX2.powi(2) + (wider_px2 / CLEARLY).powi(2))
+}
+
+impl OfFrames {
+    /// By what the corners of each frame say of ln φ and v; `None` if they do not determine them. All boards have the same
+    /// print and are seen by the same pixels, so they have one v, but for those that moved.
+    pub fn fit(frames: &[EdgeWidth]) -> Option<Self> {
+        let mut alike = vec![true; frames.len()];
+        let mut found: Option<(Vector2<f64>, Matrix2<f64>)> = None;
+        for _ in 0..ROUNDS {
+            let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
+            for (frame, alike) in frames.iter().zip(&alike) {
+                let of_both = if *alike { *frame } else { frame.of_fill_alone() };
+                information += of_both.information;
+                right += of_both.right;
+            }
+            information[(1, 1)] += prior(found.map_or(0.0, |(at, _)| at.y));
+            let covariance = information.cholesky()?.inverse();
+            let at = covariance * right;
+            found = Some((at, covariance));
+            let widths: Vec<Option<(f64, f64)>> = frames.iter().map(|f| f.of_width(at.x)).collect();
+            let usual = median(widths.iter().flatten().map(|(width, _)| *width))?;
+            let is_usual = |(width, variance): (f64, f64)| {
+                (width - usual).abs() <= MOVED_PX2.max(MOVED * variance.sqrt())
+            };
+            alike = widths.into_iter().map(|width| width.is_some_and(is_usual)).collect();
+        }
+        let (at, covariance) = found?;
+        let scatter = |(frame, alike): (&EdgeWidth, &bool)| {
+            let own = if *alike { *frame } else { frame.of_fill_alone() };
+            let (from, variance) = own.of_fill(&at)?;
+            Some(from * from / variance)
+        };
+        let scatter: f64 = frames.iter().zip(&alike).filter_map(scatter).sum();
+        let excess = (scatter / (frames.len() as f64 - 1.0).max(1.0)).max(1.0);
+        let std_dev = |i: usize| (excess * covariance[(i, i)]).sqrt();
+        let value = at.x.exp();
+        let fill = FillFactor { value, std_dev: value * std_dev(0).hypot(FillFactor::MODEL) };
+        Some(Self { fill, wider_px2: [at.y, std_dev(1)], alike })
+    }
+}
+
+impl std::ops::Div<f64> for EdgeWidth {
+    type Output = Self;
+
+    fn div(self, by: f64) -> Self {
+        Self { information: self.information / by, right: self.right / by }
     }
 }
 
@@ -143,5 +241,27 @@ mod tests {
         let found = WidthChange::fit(&all, 0.0).unwrap();
         assert!((found.change - Vector2::new(-0.08, 0.2)).norm() < 0.01, "{found:?}");
         assert!(WidthChange::fit(&[], 0.0).is_none());
+    }
+
+    /// Corners that cannot tell ln φ from v well: what is known of v beforehand counts once, however many frames there are.
+    #[test]
+    fn what_is_known_beforehand_counts_once() {
+        let truth = Vector2::new(-0.08, 0.06);
+        let of_frame = |width: f64| {
+            let information = Matrix2::new(4e4, 6e3, 6e3, 1.2e3);
+            EdgeWidth { information, right: information * Vector2::new(truth.x, width) }
+        };
+        let of = |count: usize| OfFrames::fit(&vec![of_frame(truth.y); count]).unwrap();
+        let off = |found: &OfFrames| (found.fill.value.ln() - truth.x).abs();
+        let (one, many) = (of(1), of(40));
+        assert!(off(&one) > 1.5e-3 && off(&many) < 5e-4, "{one:?} {many:?}");
+        assert!(many.wider_px2[1] < one.wider_px2[1] / 3.0);
+        // A frame that moved says nothing of the others' v.
+        let mut frames = vec![of_frame(truth.y); 40];
+        frames[7] = of_frame(0.6);
+        let found = OfFrames::fit(&frames).unwrap();
+        assert!((0..40).all(|i| found.alike[i] == (i != 7)));
+        assert!((found.wider_px2[0] - many.wider_px2[0]).abs() < 1e-3, "{found:?}");
+        assert!(OfFrames::fit(&[]).is_none());
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::edge_width::WidthChange;
+use super::edge_width::{EdgeWidth, WidthChange};
 use super::frame::Frame;
 use super::line::median_inverse_virtual_depth;
 use super::second_pass::{Found, SecondPassed};
@@ -35,6 +35,8 @@ pub struct Detection {
     pub aberration: Aberration,
     /// How sharp its edges are, where they show it.
     pub edges: Option<Edges>,
+    /// By how much the measured blur of each feature grows with the variance of edges, px⁻¹.
+    blur_by_width: Vec<f64>,
 }
 
 /// What the widths of edges in a frame say.
@@ -45,9 +47,25 @@ pub struct Edges {
     /// Variance along an axis by which edges are wider than the blur of a whole pixel makes them, px², with its σ: the point
     /// spread, with what print and motion add.
     pub spread_px2: [f64; 2],
+    /// What its corners say of ln φ and of by how much edges are wider than those of white images.
+    pub(super) corners: EdgeWidth,
+    /// That, px².
+    wider_px2: f64,
 }
 
 impl Detection {
+    /// Measures blur with edges that are as wide as those of other frames, by this variance with its σ, px², over white
+    /// images.
+    pub(super) fn take_width(&mut self, [wider_px2, std_dev]: [f64; 2]) {
+        let Some(edges) = &self.edges else { return };
+        for (feature, by) in self.features.iter_mut().zip(&self.blur_by_width) {
+            if let Some(blur) = &mut feature.blur {
+                blur.radius_px += by * (wider_px2 - edges.wider_px2);
+                blur.shared_px = by * std_dev;
+            }
+        }
+    }
+
     /// Pinhole image of a place on the board in columns and rows, px.
     #[must_use]
     pub fn pinhole(&self, column: f64, row: f64) -> Vector2<f64> {
@@ -63,6 +81,7 @@ impl Frame<'_> {
         let change = passed.width.map(|width| width.change);
         let half_pitch = micro_images.grid.pitch_px / 2.0;
         let (mut features, mut corners) = (Vec::new(), Vec::new());
+        let mut blur_by_width = Vec::new();
         for found in &passed.corners {
             let observations: Vec<CornerObservation> =
                 found.observations.iter().map(|found| found.observation).collect();
@@ -80,15 +99,17 @@ impl Frame<'_> {
                     DepthEstimator::Median => optics.rho_of_depth_px(median),
                     DepthEstimator::Line => optics.rho_px(found.line.slope),
                 };
+                let per = optics.blur_by_fill_px(found.line.slope);
                 let blur = change.zip(*width).and_then(|(change, width)| {
                     let (by, variance) = width.of_fill(&Vector2::new(0.0, change.y))?;
-                    let per = optics.blur_by_fill_px(found.line.slope);
                     Some(MeasuredBlur {
                         radius_px: optics.blur_radius_px(found.line.slope) + by * per,
                         std_dev_px: variance.sqrt() * per.abs(),
+                        shared_px: 0.0,
                         fill_factor: optics.fill_factor,
                     })
                 });
+                blur_by_width.push(width.map_or(0.0, |width| width.fill_by_width() * per));
                 features.push(BapFeature {
                     frame: self.frame,
                     corner: found.corner,
@@ -108,16 +129,21 @@ impl Frame<'_> {
             }
         }
         let edges = passed.width.map(|width| self.edges(&width, passed.wider_px2));
-        Detection { features, corners, homography, aberration: passed.aberration, edges }
+        let aberration = passed.aberration;
+        Detection { features, corners, homography, aberration, edges, blur_by_width }
     }
+
     fn edges(&self, width: &WidthChange, wider_px2: f64) -> Edges {
         let micro_images = self.search.micro_images;
         let std_dev = |i: usize| width.covariance[(i, i)].sqrt();
         let value = micro_images.fill_factor() * width.change.x.exp();
-        let spread = micro_images.point_spread_px2() + wider_px2 + width.change.y;
+        let about = Vector2::new(micro_images.fill_factor().ln(), wider_px2);
+        let wider_px2 = wider_px2 + width.change.y;
         Edges {
             fill_factor: FillFactor { value, std_dev: value * std_dev(0) },
-            spread_px2: [spread, std_dev(1)],
+            spread_px2: [micro_images.point_spread_px2() + wider_px2, std_dev(1)],
+            corners: width.corners.about(&about),
+            wider_px2,
         }
     }
 }

@@ -13,7 +13,7 @@ use pulp::{Arch, NullaryFnOnce};
 use super::aberration::Bend;
 use super::blur::Rays;
 use super::corner::{Corner, step};
-use super::micro_images::STEPS;
+use super::micro_images::OTHERWISE;
 use super::patch::Patch;
 use crate::model::TAKEN;
 use crate::numerics::NormalEquations;
@@ -31,6 +31,10 @@ pub(super) struct Levers {
     /// By what is taken from white images; 0 where it was not asked for.
     pub by_taken: ByTaken,
 }
+
+/// By how much what is taken from white images is changed, by its index: the part [`OTHERWISE`] of it, and the variance of the
+/// point spread, which may be 0, by px².
+pub(super) const STEPS: [f64; TAKEN] = [OTHERWISE, OTHERWISE, OTHERWISE, OTHERWISE, 0.02];
 
 /// What is taken for granted: γ, S, C and T, and what is taken from white images.
 const GIVEN: usize = 4 + TAKEN;

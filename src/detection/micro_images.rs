@@ -4,11 +4,13 @@ use std::collections::HashMap;
 
 use nalgebra::Vector2;
 
+use super::MicroOptics;
+use super::levers::STEPS;
 use crate::error::{Error, Result};
-use crate::model::taken::{FALL_OFF, INTERCEPT, POINT_SPREAD, PUPIL};
+use crate::model::taken::{FALL_OFF, FILL_FACTOR, INTERCEPT, POINT_SPREAD, PUPIL};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, MicroImageCenter,
-    ROW_DISTANCE, SampleLevels, Sensor, TAKEN, check_centers, growth_per_px, optics,
+    ROW_DISTANCE, SampleLevels, Sensor, check_centers, growth_per_px, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::vignetting::{Obliquity, Pixel, Vignetting};
@@ -49,85 +51,12 @@ pub struct MicroImages {
     first_step: i32,
 }
 
-/// How one micro-lens blurs.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MicroOptics {
-    /// Lens type, from 0.
-    pub lens_type: usize,
-    /// a: radius of the main lens's pupil seen through the middle of the micro-lens, px.
-    pub pupil_px: f64,
-    /// q'ᵢ, px.
-    pub q_prime_px: f64,
-    /// Δc/2, px.
-    pub half_pitch_px: f64,
-    /// φ, the fill factor.
-    pub fill_factor: f64,
-    /// The angles at which light arrives.
-    pub obliquity: Obliquity,
-    /// d over that in the middle of the image, less 1.
-    growth: f64,
-}
-
-impl MicroOptics {
-    /// ρ of a point with slope γ, px: Eq. (radiusfinal) with 1/ν = 1 − γ/λ, in which λ drops out. It is the blur radius of
-    /// micro-lenses whose openings fill the distance between them.
-    #[must_use]
-    pub fn rho_px(&self, slope: f64) -> f64 {
-        self.q_prime_px - slope * self.half_pitch_px
-    }
-
-    /// ρ by Eq. (radiusfinal) from 1/ν, with λ = 1 as the paper has it, px.
-    #[must_use]
-    pub fn rho_of_depth_px(&self, inverse_virtual_depth: f64) -> f64 {
-        self.rho_px(1.0 - inverse_virtual_depth)
-    }
-
-    /// The blur radius of a point with slope γ, φρ, px.
-    #[must_use]
-    pub fn blur_radius_px(&self, slope: f64) -> f64 {
-        self.fill_factor * self.rho_px(slope)
-    }
-
-    /// How much the blur radius of a point with slope γ grows with ln φ, px, while that of the pupil stays as white images
-    /// show it.
-    #[must_use]
-    pub fn blur_by_fill_px(&self, slope: f64) -> f64 {
-        self.fill_factor * self.half_pitch_px * (1.0 - slope)
-    }
-
-    /// φqᵢ, px: the blur radius of the pupil itself, which has the slope 1.
-    #[must_use]
-    pub fn q_px(&self) -> f64 {
-        self.blur_radius_px(1.0)
-    }
-
-    /// Outer radius a + |φqᵢ| of the white micro-image, px.
-    #[must_use]
-    pub fn outer_radius_px(&self) -> f64 {
-        self.pupil_px + self.q_px().abs()
-    }
-
-    /// How far from the centre a point of blur radius ρ has light that comes through the pupil, px.
-    #[must_use]
-    pub fn lit_px(&self, rho_px: f64) -> f64 {
-        (self.pupil_px + (rho_px - self.q_px()).abs()).min(self.half_pitch_px)
-    }
-}
-
 /// Discs of light and blur are smaller than this many pitches.
 const MOST_PITCHES: f64 = 10.0;
 /// Step of the growth of d at which the vignetting is tabulated: the blur changes by 0.02 px.
 const GROWTH_STEP: f64 = 0.005;
 /// By which part of itself what is taken from white images is changed to see what depends on it.
 pub(super) const OTHERWISE: f64 = 0.01;
-/// By how much the variance of the point spread is, which may be 0, px².
-const SPREAD_PX2: f64 = 0.02;
-/// Both, by index of [`TAKEN_FROM_WHITES`](crate::model::TAKEN_FROM_WHITES).
-pub(super) const STEPS: [f64; TAKEN] = {
-    let mut steps = [OTHERWISE; TAKEN];
-    steps[POINT_SPREAD] = SPREAD_PX2;
-    steps
-};
 /// d changes less than this across an array that was meant to be parallel to the sensor.
 const MOST_GROWTH: f64 = 0.3;
 
@@ -220,7 +149,7 @@ impl MicroImages {
     /// The vignetting by what is otherwise, by lens type and by growth of d.
     fn tables(&self) -> [Vec<Vec<Vignetting>>; 4] {
         let half_pitch = self.grid.pitch_px / 2.0;
-        let (other, wider) = (1.0 + OTHERWISE, SPREAD_PX2);
+        let (other, wider) = (1.0 + OTHERWISE, STEPS[POINT_SPREAD]);
         let changes = [[1.0, 1.0, 0.0], [other, 1.0, 0.0], [1.0, other, 0.0], [1.0, 1.0, wider]];
         changes.map(|[pupil, intercept, wider]| {
             let pixel = Pixel::new(self.point_spread_px2 + wider);
@@ -341,19 +270,19 @@ impl MicroImages {
         taken: usize,
     ) -> (MicroOptics, &Vignetting) {
         let (mut other, factor) = (*optics, 1.0 + OTHERWISE);
-        let mut table = 0;
         match taken {
-            PUPIL => (other.pupil_px, table) = (other.pupil_px * factor, 1),
-            INTERCEPT => (other.q_prime_px, table) = (other.q_prime_px * factor, 2),
+            PUPIL => other.pupil_px *= factor,
+            INTERCEPT => other.q_prime_px *= factor,
             FALL_OFF => other.obliquity.within_per_px2 *= factor,
-            POINT_SPREAD => table = 3,
-            _ => {
+            FILL_FACTOR => {
                 other.q_prime_px =
                     other.half_pitch_px + optics.q_px() / optics.fill_factor / factor;
                 other.fill_factor *= factor;
             }
+            _ => {}
         }
-        (other, self.vignetting_with(table, optics))
+        let table = [PUPIL, INTERCEPT, POINT_SPREAD].iter().position(|i| *i == taken);
+        (other, self.vignetting_with(table.map_or(0, |i| i + 1), optics))
     }
 
     fn vignetting_with(&self, which: usize, optics: &MicroOptics) -> &Vignetting {

@@ -13,9 +13,8 @@ use super::edge_width::{EdgeWidth, WIDER_PX2, WidthChange};
 use super::first_pass::{LEAST_CONTRAST, REACH};
 use super::frame::{Frame, FrameCounts, MARGIN};
 use super::grouping::Group;
-use super::levers::{ByTaken, Levers};
+use super::levers::{ByTaken, Levers, STEPS};
 use super::line::possible_slope;
-use super::micro_images::STEPS;
 use super::patch::{Pair, Patch};
 use super::seen::Seen;
 use super::slope_field::SlopeField;
@@ -331,9 +330,9 @@ impl SecondPass<'_> {
         let line = CornerLine::fit(seen.iter().map(Seen::on_line))?;
         if self.last {
             // With other places the line has another slope, and that blurs otherwise.
-            for taken in 0..TAKEN {
+            for (taken, step) in STEPS.into_iter().enumerate() {
                 let other = CornerLine::fit(seen.iter().map(|seen| seen.on_line_with(taken)))?;
-                let slope = (other.slope - line.slope) / STEPS[taken];
+                let slope = (other.slope - line.slope) / step;
                 for seen in &mut seen {
                     seen.take_slope(taken, slope);
                 }

@@ -5,8 +5,7 @@ use nalgebra::{Vector2, Vector3};
 use super::CornerObservation;
 use super::corner::Corner;
 use super::edge_width::EdgeWidth;
-use super::levers::Levers;
-use super::micro_images::STEPS;
+use super::levers::{Levers, STEPS};
 
 /// An observation of a corner, made with the slope and the aberration that were known before. Places are
 /// straightened, see [`super::aberration`].

@@ -5,11 +5,12 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 use tracing::debug;
 
+use super::edge_width::{EdgeWidth, MOVED, MOVED_PX2, OfFrames};
 use super::{Detection, FrameCounts, MicroImages, Rejection, Search, detect_frame};
 use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::model::{BapFeature, Board, FillFactor, Sensor, Subset};
-use crate::numerics::{median, weighted_mean};
+use crate::numerics::median;
 
 /// An image of a board.
 pub struct BoardImage<'a> {
@@ -109,9 +110,6 @@ const ROUNDS: usize = 4;
 const SAME_FILL: f64 = 0.004;
 const SIGNIFICANT: f64 = 3.0;
 
-/// Edges of a frame are wider than those of the others if their variance is larger by this, px², and by so many σ.
-const WIDER_PX2: f64 = 0.05;
-const CLEARLY: f64 = 5.0;
 /// The variance of both axes together of an even motion is a twelfth of its square, that along an axis half of it.
 const MOTION: f64 = 24.0;
 
@@ -153,9 +151,10 @@ pub fn detect<'i>(
         let mut found: Vec<Result<(Cow<RawImage>, Found)>> = some.par_iter().map(read).collect();
         for _ in 1..ROUNDS {
             let searched = found.iter().filter_map(|found| found.as_ref().ok());
-            let fill = fill_factor(searched.filter_map(|(_, (found, _))| found.as_ref().ok()));
+            let fill = widths(searched.filter_map(|(_, (found, _))| found.as_ref().ok()));
             let clearly = |fill: &FillFactor| differs(fill, micro_images.fill_factor());
-            let Some(fill) = fill.filter(|fill| !fill_is_known && clearly(fill)) else { break };
+            let fill = fill.map(|widths| widths.fill).filter(clearly);
+            let Some(fill) = fill.filter(|_| !fill_is_known) else { break };
             debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
             micro_images = Cow::Owned(micro_images.with_fill_factor(fill.value));
             some.par_iter().zip(&mut found).for_each(|(image, found)| {
@@ -178,9 +177,17 @@ pub fn detect<'i>(
         };
         let done = some.par_iter().zip(found).map(of_image);
         frames.extend(done.collect::<Result<Vec<DetectedFrame>>>()?);
-        fill_is_known = fill_factor(detections(&frames)).is_some();
+        fill_is_known = widths(detections(&frames)).is_some();
     }
-    let (fill_factor, fitted_with) = (fill_factor(detections(&frames)), micro_images.fill_factor());
+    let fitted_with = micro_images.fill_factor();
+    let fill_factor = widths(detections(&frames)).map(|widths| {
+        let found = frames.iter_mut().filter_map(|frame| frame.result.as_mut().ok());
+        let with_edges = found.filter(|found| found.edges.is_some());
+        for (found, _) in with_edges.zip(widths.alike).filter(|(_, alike)| *alike) {
+            found.take_width(widths.wider_px2);
+        }
+        widths.fill
+    });
     let mut warnings = warnings(&frames, search.board, subset);
     warnings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, fitted_with)));
     Ok(DetectedBoards { frames, fill_factor, fitted_with, warnings })
@@ -193,14 +200,10 @@ fn detections(frames: &[DetectedFrame]) -> impl Iterator<Item = &Detection> {
 /// What was found in an image.
 type Found = (std::result::Result<Detection, Rejection>, FrameCounts);
 
-/// The mean fill factor of frames, with σ by their own or by their scatter, whichever is larger, and that of the model.
-fn fill_factor<'a>(frames: impl Iterator<Item = &'a Detection>) -> Option<FillFactor> {
-    let of_frames = frames.filter_map(|frame| {
-        let fill = frame.edges?.fill_factor;
-        Some([fill.value, fill.std_dev])
-    });
-    let [value, std_dev] = weighted_mean(of_frames)?;
-    Some(FillFactor { value, std_dev: std_dev.hypot(FillFactor::MODEL * value) })
+/// What the edges of frames say together; `None` where they do not tell it.
+fn widths<'a>(frames: impl Iterator<Item = &'a Detection>) -> Option<OfFrames> {
+    let of_frames: Vec<EdgeWidth> = frames.filter_map(|frame| Some(frame.edges?.corners)).collect();
+    OfFrames::fit(&of_frames)
 }
 
 /// Whether corners should be fitted with another fill factor.
@@ -268,7 +271,7 @@ fn blurred(frames: &[DetectedFrame]) -> Vec<String> {
         return Vec::new();
     };
     let wider = |(_, [spread, std_dev]): &&(&DetectedFrame, [f64; 2])| {
-        edges.len() >= FEW_FRAMES && spread - usual > WIDER_PX2.max(CLEARLY * std_dev)
+        edges.len() >= FEW_FRAMES && spread - usual > MOVED_PX2.max(MOVED * std_dev)
     };
     let words = |(frame, [spread, _]): &(&DetectedFrame, [f64; 2])| {
         format!(

@@ -1,7 +1,7 @@
 //! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP
 //! features, u, v and ρ in px; the same columns as COMPOTE's. Standard deviations, px, may follow:
 //! `std_dev` of centres, `std_u`, `std_v` and `std_rho` of features. Columns are found by their names
-//! in the first line; others are ignored. `blur`, `std_blur` and `fill_factor` of features are their [`BapFeature::blur`], and columns
+//! in the first line; others are ignored. `blur`, `std_blur`, `shared_blur` and `fill_factor` of features are their [`BapFeature::blur`], and columns
 //! such as `du_pupil` and `dv_pupil` their [`BapFeature::levers_px`]. Gzip-compressed files are COMPOTE's binary form.
 
 use std::io::{self, Write};
@@ -87,7 +87,7 @@ const LEVERS: [[&str; 2]; TAKEN] = [
 ];
 
 /// Columns of [`BapFeature::blur`].
-const BLUR: [&str; 3] = ["blur", "std_blur", "fill_factor"];
+const BLUR: [&str; 4] = ["blur", "std_blur", "shared_blur", "fill_factor"];
 
 /// Writes BAP features as CSV, with their standard deviations and levers if they have any.
 pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Result<()> {
@@ -109,11 +109,11 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
         }
         if with_blur {
             match &f.blur {
-                Some(MeasuredBlur { radius_px, std_dev_px, fill_factor }) => {
+                Some(MeasuredBlur { radius_px, std_dev_px, shared_px, fill_factor }) => {
                     let std_dev = std_dev_text(Some(*std_dev_px));
-                    write!(out, ",{radius_px:.4},{std_dev},{fill_factor:.6}")?;
+                    write!(out, ",{radius_px:.4},{std_dev},{shared_px:.5},{fill_factor:.6}")?;
                 }
-                None => write!(out, ",,,")?,
+                None => write!(out, ",,,,")?,
             }
         }
         for lever in f.levers_px.unwrap_or_default().as_flattened().iter().filter(|_| with_levers) {
@@ -194,15 +194,16 @@ impl Row<'_> {
 
     /// The measured blur radius, or `None` where there is none.
     fn blur(&self) -> Result<Option<MeasuredBlur>> {
-        let [blur, std_dev, fill] = BLUR;
-        match (self.measured(blur)?, self.std_dev(std_dev)?, self.measured(fill)?) {
-            (Some(radius_px), Some(std_dev_px), Some(fill_factor)) => {
+        let [blur, std_dev, shared, fill] = BLUR;
+        let std_dev = self.std_dev(std_dev)?;
+        match (self.measured(blur)?, std_dev, self.measured(shared)?, self.measured(fill)?) {
+            (Some(radius_px), Some(std_dev_px), Some(shared_px), Some(fill_factor)) => {
                 FillFactor { value: fill_factor, std_dev: 0.0 }
                     .validate()
                     .map_err(|e| self.error(&e.to_string()))?;
-                Ok(Some(MeasuredBlur { radius_px, std_dev_px, fill_factor }))
+                Ok(Some(MeasuredBlur { radius_px, std_dev_px, shared_px, fill_factor }))
             }
-            (None, None, None) => Ok(None),
+            (None, None, None, None) => Ok(None),
             _ => Err(self.error(&format!("{} go together, but one is missing", BLUR.join(", ")))),
         }
     }

@@ -53,8 +53,11 @@ pub struct BapFeature {
 pub struct MeasuredBlur {
     /// φρ with the sign of ρ, px.
     pub radius_px: f64,
-    /// Its standard deviation, px.
+    /// Its standard deviation, px, without what follows.
     pub std_dev_px: f64,
+    /// By how much it changes, px, with one standard deviation of how much wider edges of boards are than those of white
+    /// images: an error that all features share.
+    pub shared_px: f64,
     /// The fill factor that u, v and ρ of the feature were found with.
     pub fill_factor: f64,
 }

@@ -188,8 +188,12 @@ fn columns_of_blur_go_together() {
     let text = fs::read_to_string(FILES.path("found/features.csv")).unwrap();
     let features = FILES.path("broken.csv");
     for (from, to, words) in [
-        ("std_blur,fill_factor", "std_blur,other", "go together"),
-        ("blur,std_blur,fill_factor", "fill_factor,std_blur,blur", "a fill factor of"),
+        ("shared_blur,fill_factor", "shared_blur,other", "go together"),
+        (
+            "blur,std_blur,shared_blur,fill_factor",
+            "fill_factor,std_blur,shared_blur,blur",
+            "a fill factor of",
+        ),
     ] {
         assert!(text.contains(from));
         fs::write(&features, text.replacen(from, to, 1)).unwrap();

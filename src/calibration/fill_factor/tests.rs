@@ -81,6 +81,7 @@ fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
                 blur: Some(MeasuredBlur {
                     radius_px: blur,
                     std_dev_px: 0.04,
+                    shared_px: 0.0,
                     fill_factor: FOUND_WITH,
                 }),
             });
@@ -91,6 +92,23 @@ fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
 
 fn measured(features: &[BapFeature]) -> FillMeasurement {
     FillMeasurement::of(&start(), Some(&grid()), features).unwrap().unwrap()
+}
+
+/// One σ of how wide edges are changes all blur alike, and no scatter shows that.
+#[test]
+fn what_all_features_share_is_in_the_fill_factor() {
+    let mut features = features(0.0, 0.0);
+    let alone = measured(&features).fill_factor;
+    // As if the fill factor were larger by 0.01.
+    for f in &mut features {
+        let blur = f.blur.as_mut().unwrap();
+        let growth = f.rho_px.unwrap() - Q_PRIME_MM[grid().lattice.lens_type(f.k, f.l, 3)] / 0.0055;
+        blur.shared_px = 0.01 * (growth + PITCH_MM / 0.0055 / 2.0);
+    }
+    let shared = measured(&features).fill_factor;
+    assert!((shared.value - alone.value).abs() < 1e-12);
+    let added = (shared.std_dev.powi(2) - alone.std_dev.powi(2)).sqrt();
+    assert!((added - 0.01).abs() < 2e-3, "{added}");
 }
 
 #[test]
