@@ -15,7 +15,7 @@
 //! use plenocal::detection::{BoardImage, DepthEstimator, MicroImages, Search, detect};
 //! use plenocal::evaluation::{Candidate, EvaluationInput, evaluate};
 //! use plenocal::image::RawImage;
-//! use plenocal::model::{Observations, Subset};
+//! use plenocal::model::{BoardShape, Observations, Subset};
 //! use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
 //! use plenocal::simulation::{Content, Settings, simulate};
 //!
@@ -63,11 +63,13 @@
 //!     name: "simulated".to_owned(),
 //!     std_devs: calibration.uncertainty.intrinsic_std_devs(calibration.camera.lens_types()),
 //!     board_shape: calibration.board.bent.shape,
+//!     shape_std_devs: calibration.board.std_devs,
 //!     camera: calibration.camera,
 //! };
 //! let mut input = EvaluationInput::new(board);
 //! input.evaluation = find(&others, Subset::Evaluation)?.features();
 //! input.truth = Some(simulated.truth.camera);
+//! input.true_board = Some(BoardShape::default());
 //! let evaluation = evaluate(&[candidate], &input, &|| ());
 //! assert!(evaluation.problems.is_empty());
 //! let errors = evaluation.candidates[0].truth.as_ref().expect("the truth is known");

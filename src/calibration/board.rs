@@ -12,7 +12,9 @@ use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{AnchorSource, Warning};
 use crate::error::Result;
 use crate::model::{BentBoard, BoardShape, SHAPE, SHAPE_PARAMETERS};
-use crate::solver::{Anchor, CostOptions, Iteration, Problem, Termination, shape_names};
+use crate::solver::{
+    Anchor, CostOptions, Iteration, Problem, Refinement, Termination, shape_names,
+};
 
 /// How flat boards are: σ of sags and twist as a fraction of the diagonal, and σ of the aspect.
 const FLAT: f64 = 1e-3;
@@ -39,40 +41,80 @@ pub enum BoardModel {
 }
 
 /// The board as a calibration has found it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BoardResult {
     /// Its size and shape.
     pub bent: BentBoard,
     /// σ of its shape, in the order of [`SHAPE_PARAMETERS`]; `None` for what was not estimated.
     pub std_devs: [Option<f64>; SHAPE],
-    /// Value and σ of each parameter when all were free; `None` if that was not tried.
-    pub tried: Option<[(f64, f64); SHAPE]>,
+    /// What came of trying whether it is flat.
+    pub trial: Trial,
+    /// What was refined only to find out.
+    pub aside: Effort,
+}
+
+/// What came of trying whether a board is flat.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Trial {
+    /// It was not tried: the shape of the board is stated, or is to be found whatever comes out.
+    NotTried,
+    /// So few frames do not show it.
+    TooFewFrames,
+    /// Its shape could not be found, for this reason.
+    Failed(String),
+    /// It was tried.
+    Tried {
+        /// Value and σ of each parameter with all of them free; `None` for what is fixed.
+        values: [Option<(f64, f64)>; SHAPE],
+        /// How far the bend and the aspect are from 0, in σ of a normal variable; `None` for what is not determined.
+        std_devs_from_zero: [Option<f64>; 2],
+    },
+}
+
+/// Refinements whose result was not kept.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Effort {
+    /// Their iterations.
+    pub iterations: usize,
+    /// The time that they took, s.
+    pub time_s: f64,
+}
+
+impl Effort {
+    fn of(refinement: &Refinement) -> Self {
+        let iterations = refinement.iterations.len().saturating_sub(1);
+        Self { iterations, time_s: refinement.time_s }
+    }
 }
 
 impl BoardResult {
+    /// Value and σ of each parameter when all were free; `None` for what was fixed or not tried.
+    #[must_use]
+    pub fn tried(&self) -> [Option<(f64, f64)>; SHAPE] {
+        match self.trial {
+            Trial::Tried { values, .. } => values,
+            Trial::NotTried | Trial::TooFewFrames | Trial::Failed(_) => [None; SHAPE],
+        }
+    }
+
     /// A limit (2 σ) of each parameter that was tried and is taken to be 0.
     #[must_use]
     pub fn limits(&self) -> [Option<f64>; SHAPE] {
+        let tried = self.tried();
         let limit = |i: usize| {
-            let (value, std_dev) = self.tried?[i];
+            let (value, std_dev) = tried[i]?;
             self.std_devs[i].is_none().then_some(value.abs() + 2.0 * std_dev)
         };
         std::array::from_fn(limit)
     }
-
-    /// The limit of both sags, mm, if the board was tried and found flat.
-    #[must_use]
-    pub fn sag_limit_mm(&self) -> Option<f64> {
-        let [x, y, ..] = self.limits();
-        Some(x?.max(y?))
-    }
 }
 
-/// A refinement with the anchors that it had, and what came out when all of the shape was free.
+/// A refinement with the anchors that it had, and what was tried before.
 pub(super) struct Settled {
     pub refined: Refined,
     pub anchors: Vec<(Anchor, AnchorSource)>,
-    pub tried: Option<[(f64, f64); SHAPE]>,
+    pub trial: Trial,
+    pub aside: Effort,
 }
 
 /// Which parameters of a shape are free, and σ of their anchors.
@@ -114,34 +156,45 @@ impl Settings<'_> {
             return self.settle(problem, trial, (cost, anchors), (&free, free), progress);
         }
         let mut flat = self.refine(problem, with_fixed(cost, |_| true), progress)?;
-        let known = |refined, tried| Settled { refined, anchors: anchors.to_vec(), tried };
+        let known =
+            |refined, trial, aside| Settled { refined, anchors: anchors.to_vec(), trial, aside };
+        let none = Effort::default();
         let stopped = flat.refinement.termination == Termination::Stopped;
-        let possible = free.parameters.contains(&true) && flat.uncertainty.shared;
-        if model != BoardModel::Auto || stopped || !possible {
-            return Ok(known(flat, None));
+        if model != BoardModel::Auto || stopped || !free.parameters.contains(&true) {
+            return Ok(known(flat, Trial::NotTried, none));
+        }
+        if !flat.uncertainty.shared {
+            return Ok(known(flat, Trial::TooFewFrames, none));
         }
         let start = at_end(problem, Some(&flat.refinement));
         // If a trial fails, the present result stands.
-        let trial = match self.refine_free(&start, (cost, anchors), &free, progress) {
+        let free_trial = match self.refine_free(&start, (cost, anchors), &free, progress) {
             Ok(trial) => trial,
-            Err(error) => {
-                info!("the shape of the board was not found: {error}");
-                return Ok(known(flat, None));
-            }
+            Err(error) => return Ok(known(flat, Trial::Failed(error.to_string()), none)),
         };
-        if trial.refined.refinement.termination == Termination::Stopped {
+        let aside = Effort::of(&free_trial.refined.refinement);
+        if free_trial.refined.refinement.termination == Termination::Stopped {
             flat.refinement.termination = Termination::Stopped;
-            return Ok(known(flat, None));
+            return Ok(known(flat, Trial::NotTried, aside));
         }
-        let found = Free { parameters: significant(&trial.refined), ..free };
-        info!("the frames show of the board: {:?}", trial.tried);
-        if found.parameters == [false; SHAPE] {
-            return Ok(known(flat, trial.tried));
+        let std_devs_from_zero = std_devs_from_zero(&free_trial.refined);
+        let clear = std_devs_from_zero.map(|from| from.is_some_and(|from| from > SIGNIFICANT));
+        let parameters =
+            std::array::from_fn(|i| free.parameters[i] && clear[usize::from(i == ASPECT)]);
+        let trial = Trial::Tried { values: values(&free_trial.refined), std_devs_from_zero };
+        info!("the frames show of the board: {trial:?}");
+        if parameters == [false; SHAPE] {
+            return Ok(known(flat, trial, aside));
         }
-        let mut settled = self.settle(&start, trial, (cost, anchors), (&free, found), progress)?;
-        let refinement = flat.refinement.followed_by(settled.refined.refinement);
-        settled.refined.refinement = refinement;
-        Ok(settled)
+        let found = Free { parameters, ..free };
+        match self.settle(&start, free_trial, (cost, anchors), (&free, found), progress) {
+            Ok(mut settled) => {
+                let refinement = flat.refinement.followed_by(settled.refined.refinement);
+                settled.refined.refinement = refinement;
+                Ok(Settled { trial, ..settled })
+            }
+            Err(error) => Ok(known(flat, Trial::Failed(error.to_string()), aside)),
+        }
     }
 
     /// Refines with parameters of the shape free that have an anchor at 0 each, unless another is stated.
@@ -171,8 +224,7 @@ impl Settings<'_> {
             error.anchors.resize(cost.anchors.len(), 0.0);
         }
         let refined = Settings { common, ..*self }.refine(problem, cost, progress)?;
-        let tried = values(&refined);
-        Ok(Settled { refined, anchors, tried })
+        Ok(Settled { refined, anchors, trial: Trial::NotTried, aside: Effort::default() })
     }
 
     /// The same again, if only some of the parameters that were tried stay free, or if the board is bent by more
@@ -199,9 +251,8 @@ impl Settings<'_> {
         if free == *before || trial.refined.refinement.termination == Termination::Stopped {
             return Ok(trial);
         }
-        let mut settled = self.refine_free(problem, known, &free, progress)?;
-        settled.tried = trial.tried;
-        Ok(settled)
+        let settled = self.refine_free(problem, known, &free, progress)?;
+        Ok(Settled { aside: Effort::of(&trial.refined.refinement), ..settled })
     }
 }
 
@@ -220,28 +271,24 @@ fn with_fixed(cost: &CostOptions, fixed: impl Fn(usize) -> bool) -> CostOptions 
     cost
 }
 
-/// Value and σ of each parameter of a shape; `None` if one is fixed.
-fn values(refined: &Refined) -> Option<[(f64, f64); SHAPE]> {
+/// Value and σ of each parameter of a shape; `None` for those that are fixed.
+fn values(refined: &Refined) -> [Option<(f64, f64)>; SHAPE] {
     let Refined { refinement, uncertainty, .. } = refined;
     let std_devs = uncertainty.shape_std_devs(refinement.camera.lens_types());
-    let all: Option<Vec<(f64, f64)>> = SHAPE_PARAMETERS
-        .iter()
-        .zip(std_devs)
-        .map(|(parameter, std_dev)| Some((parameter.value(&refinement.shape), std_dev?)))
-        .collect();
-    all?.try_into().ok()
+    std::array::from_fn(|i| Some((SHAPE_PARAMETERS[i].value(&refinement.shape), std_devs[i]?)))
 }
 
-/// Which parameters the frames show not to be 0: those of the bend together, and the aspect. Sum and difference of
-/// the sags count too, since one of them may be well known where the other is not.
-fn significant(refined: &Refined) -> [bool; SHAPE] {
+/// How far from 0 the frames show the bend and the aspect to be, in σ of a normal variable. Of the bend that is the
+/// furthest of its parameters, and of sum and difference of the sags: one of them may be well known where the other is not.
+fn std_devs_from_zero(refined: &Refined) -> [Option<f64>; 2] {
     let Refined { refinement, uncertainty, .. } = refined;
     let rows = uncertainty.shape_rows(refinement.camera.lens_types());
     let value = |i: usize| SHAPE_PARAMETERS[i].value(&refinement.shape);
-    let is_significant = |weights: &[(usize, f64)]| {
-        let terms: Option<Vec<(usize, f64, f64)>> =
-            weights.iter().map(|&(i, weight)| Some((rows[i]?, weight, value(i)))).collect();
-        let Some(terms) = terms else { return false };
+    let from_zero = |weights: &[(usize, f64)]| {
+        let terms: Vec<(usize, f64, f64)> = weights
+            .iter()
+            .map(|&(i, weight)| Some((rows[i]?, weight, value(i))))
+            .collect::<Option<_>>()?;
         let sum: f64 = terms.iter().map(|(_, weight, value)| weight * value).sum();
         let variance: f64 = terms
             .iter()
@@ -251,18 +298,17 @@ fn significant(refined: &Refined) -> [bool; SHAPE] {
         let known = terms.iter().all(|&(row, ..)| uncertainty.determined[row]);
         let freedom = terms.iter().map(|&(row, ..)| uncertainty.freedom[row]);
         let freedom = freedom.fold(f64::INFINITY, f64::min);
-        known && std_devs_from_zero(sum / variance.sqrt(), freedom) > SIGNIFICANT
+        known.then(|| normal_deviate(sum / variance.sqrt(), freedom))
     };
-    let one = |i: usize| is_significant(&[(i, 1.0)]);
-    let bent = (0..ASPECT).any(one)
-        || is_significant(&[(0, 1.0), (1, 1.0)])
-        || is_significant(&[(0, 1.0), (1, -1.0)]);
-    std::array::from_fn(|i| rows[i].is_some() && if i == ASPECT { one(i) } else { bent })
+    let one = |i: usize| from_zero(&[(i, 1.0)]);
+    let of_sags = [1.0, -1.0].map(|sign| from_zero(&[(0, 1.0), (1, sign)]));
+    let bend = (0..ASPECT).map(one).chain(of_sags).flatten().reduce(f64::max);
+    [bend, one(ASPECT)]
 }
 
 /// The normal deviate that is as rare as a value of `ratio` times its σ, if σ has so many degrees of freedom: few
 /// frames often differ by several of the σ that they show (Student's t, by the approximation of Wallace 1959).
-fn std_devs_from_zero(ratio: f64, freedom: f64) -> f64 {
+fn normal_deviate(ratio: f64, freedom: f64) -> f64 {
     if freedom.is_infinite() {
         return ratio.abs();
     }
@@ -270,10 +316,20 @@ fn std_devs_from_zero(ratio: f64, freedom: f64) -> f64 {
     scale * (freedom * (ratio * ratio / freedom).ln_1p()).sqrt()
 }
 
-/// A warning if a board bends so far that it should be replaced.
-pub(super) fn warped(bent: &BentBoard) -> Option<Warning> {
-    let (bend_mm, diagonal_mm) = (bent.bend_mm(), bent.board.diagonal_mm());
-    (bend_mm > WARPED * diagonal_mm).then_some(Warning::WarpedBoard { bend_mm, diagonal_mm })
+/// Warnings if a board bends so far that it should be replaced, and if its shape was not found.
+pub(super) fn warnings_of(board: &BoardResult) -> impl Iterator<Item = Warning> {
+    let (bend_mm, diagonal_mm) = (board.bent.bend_mm(), board.bent.board.diagonal_mm());
+    let estimated = board.std_devs.iter().any(Option::is_some);
+    let warped = (bend_mm > WARPED * diagonal_mm).then_some(Warning::WarpedBoard {
+        bend_mm,
+        diagonal_mm,
+        estimated,
+    });
+    let failed = match &board.trial {
+        Trial::Failed(reason) => Some(Warning::BoardShapeNotFound { reason: reason.clone() }),
+        Trial::NotTried | Trial::TooFewFrames | Trial::Tried { .. } => None,
+    };
+    warped.into_iter().chain(failed)
 }
 
 #[cfg(test)]
@@ -284,9 +340,9 @@ mod tests {
     #[test]
     fn few_frames_need_a_larger_ratio() {
         for (freedom, ratio) in [(4.0, 6.62), (5.0, 5.507), (10.0, 3.957), (30.0, 3.270)] {
-            let deviate = std_devs_from_zero(ratio, freedom);
+            let deviate = normal_deviate(ratio, freedom);
             assert!((deviate - 3.0).abs() < 0.03, "{freedom}: {deviate}");
         }
-        assert!((std_devs_from_zero(-3.0, f64::INFINITY) - 3.0).abs() < 1e-12);
+        assert!((normal_deviate(-3.0, f64::INFINITY) - 3.0).abs() < 1e-12);
     }
 }

@@ -17,7 +17,7 @@ mod warning;
 mod words;
 
 pub use anchors::{AnchorResult, AnchorSource, SLOPE, intercept_name};
-pub use board::{BoardModel, BoardResult};
+pub use board::{BoardModel, BoardResult, Effort, Trial};
 pub use fill_factor::{FillMeasurement, TypeBlur};
 pub use initial::initial_camera;
 pub use options::{CalibrationOptions, Mode, Start, Weights};

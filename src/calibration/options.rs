@@ -1,13 +1,13 @@
 //! Input of a calibration: its start, what it estimates, and its cost.
 
-use crate::calibration::BoardModel;
 use crate::calibration::anchors::check_anchors;
+use crate::calibration::{BoardModel, BoardResult};
 use crate::error::{Error, Result};
 use crate::model::{
-    BoardShape, Datasheet, InternalParameters, LatticeKind, PlenopticCamera, Sensor, positive,
-    shared_parameters,
+    BoardShape, Datasheet, InternalParameters, LatticeKind, PlenopticCamera, SHAPE, Sensor,
+    positive, shared_parameters,
 };
-use crate::solver::{CostOptions, SolverOptions, shape_names};
+use crate::solver::{BEYOND_THE_PAPER, CostOptions, SolverOptions, shape_names};
 use serde::{Deserialize, Serialize};
 
 /// What is estimated.
@@ -176,7 +176,10 @@ impl CalibrationOptions {
             exit_pupil_mm: Some(0.0),
             field_curvature_per_mm: Some(0.0),
             field_curvature_growth_per_mm: Some(0.0),
-            cost: CostOptions::default(),
+            cost: CostOptions {
+                fixed: BEYOND_THE_PAPER.map(str::to_owned).to_vec(),
+                ..CostOptions::default()
+            },
             ..Self::default()
         }
     }
@@ -195,6 +198,21 @@ impl CalibrationOptions {
             cost: CostOptions { anchors: Vec::new(), ..self.cost.clone() },
             ..self.clone()
         }
+    }
+
+    /// These options with what a calibration has found of whether the board is flat: bent in what it was found to be, or
+    /// flat.
+    #[must_use]
+    pub fn with_decision(&self, found: &BoardResult) -> Self {
+        let mut decided = self.clone();
+        let kept = shape_names().zip(found.std_devs).filter(|(_, std_dev)| std_dev.is_none());
+        let kept: Vec<String> = kept.map(|(name, _)| name.to_owned()).collect();
+        decided.board = if kept.len() == SHAPE { BoardModel::Flat } else { BoardModel::Bent };
+        if decided.board == BoardModel::Bent {
+            let new = kept.into_iter().filter(|name| !self.cost.fixed.contains(name));
+            decided.cost.fixed.extend(new);
+        }
+        decided
     }
 
     /// The shape of the board to begin with, or to keep.
@@ -229,6 +247,14 @@ impl CalibrationOptions {
                 "the board is to be bent by what comes out, but the shape of a board is estimated together with a \
                  camera: give the shape that it had there",
             ));
+        }
+        let is_fixed = |name: &str| self.cost.fixed.iter().any(|fixed| fixed == name);
+        if self.board == BoardModel::Bent && shape_names().all(is_fixed) {
+            return Err(Error::invalid(format!(
+                "the board is to be bent by what comes out, but {} are fixed: free one of them, or take the board to \
+                 be flat",
+                shape_names().collect::<Vec<_>>().join(", ")
+            )));
         }
         positive(self.cost.uv_std_dev_px, "the standard deviation of (u, v) (px)")?;
         positive(self.cost.rho_std_dev_px, "the standard deviation of rho (px)")?;

@@ -4,7 +4,7 @@ use nalgebra::Isometry3;
 use tracing::debug;
 
 use crate::calibration::anchors::{anchors, pulled, results};
-use crate::calibration::board::{Settled, warped};
+use crate::calibration::board::{Settled, warnings_of};
 use crate::calibration::checks::{
     array_beyond_image, bad_fit, check_indices, check_observations, fronto_parallel,
     outlying_centers, undetermined, without_frames,
@@ -78,13 +78,13 @@ pub fn calibrate(
     let all = (frames.features.as_slice(), observations.centers.as_slice());
     let common = common_errors(&start, &initial, all, &cost, options)?;
     let settings = Settings { frames: &frames, options, common };
-    let Settled { refined, anchors, tried } =
+    let Settled { refined, anchors, trial, aside } =
         settings.refine_with_board(&problem, &cost, &anchors, progress)?;
     let Refined { refinement, uncertainty, cost } = refined;
 
     let refined = at_end(&problem, Some(&refinement));
     let std_devs = uncertainty.shape_std_devs(initial.lens_types());
-    let board = BoardResult { bent: refined.board, std_devs, tried };
+    let board = BoardResult { bent: refined.board, std_devs, trial, aside };
     let reprojection = Reprojection {
         features: feature_residuals(&refined, &frames.features)?,
         centers: center_residuals(&refinement.camera, &observations.centers)?,
@@ -98,7 +98,7 @@ pub fn calibrate(
     warnings.extend(bad_fit(&refinement.camera, &reprojection));
     warnings.extend(fronto_parallel(&poses, options.mode));
     warnings.extend(fill.as_ref().and_then(FillMeasurement::contradiction));
-    warnings.extend(warped(&board.bent).filter(|_| options.mode != Mode::PosesOnly));
+    warnings.extend(warnings_of(&board).filter(|_| options.mode != Mode::PosesOnly));
     Ok(Calibration {
         camera: refinement.camera.clone(),
         board,

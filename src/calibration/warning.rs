@@ -65,6 +65,13 @@ pub enum Warning {
         bend_mm: f64,
         /// Its diagonal, mm.
         diagonal_mm: f64,
+        /// Whether its shape is estimated, and not known.
+        estimated: bool,
+    },
+    /// The shape of the board could not be found, and it is taken to be flat.
+    BoardShapeNotFound {
+        /// Why.
+        reason: String,
     },
     /// All boards are nearly parallel to the image plane.
     FrontoParallel {
@@ -123,23 +130,20 @@ impl fmt::Display for Warning {
                     meaning(quantity)
                 )
             }
-            Self::FillFactorsDiffer { lens_types: [a, b], fill_factors: [of_a, of_b] } => write!(
+            Self::FillFactorsDiffer { lens_types, fill_factors } => {
+                f.write_str(&fill_factors_text(lens_types, fill_factors))
+            }
+            Self::WarpedBoard { bend_mm, diagonal_mm, estimated } => write!(
                 f,
-                "the edges of lens type {} say that micro-lenses fill {:.3} ± {:.3} of their pitch, those of type {} \
-                 {:.3} ± {:.3}: the camera has one fill factor for all, so the focal lengths of both types are off; \
-                 check the white images, and that lens types are in the same order everywhere",
-                a + 1,
-                of_a.value,
-                of_a.std_dev,
-                b + 1,
-                of_b.value,
-                of_b.std_dev
+                "the board is bent by {bend_mm:.2} mm, {:.1} % of its diagonal: its shape is {}, but as a smooth bend \
+                 that is the same in all frames; take a flatter board",
+                100.0 * bend_mm / diagonal_mm,
+                if *estimated { "estimated with the camera" } else { "taken as known" }
             ),
-            Self::WarpedBoard { bend_mm, diagonal_mm } => write!(
+            Self::BoardShapeNotFound { reason } => write!(
                 f,
-                "the board is bent by {bend_mm:.2} mm, {:.1} % of its diagonal: its shape is estimated with the \
-                 camera, but as a smooth bend that is the same in all frames; take a flatter board",
-                100.0 * bend_mm / diagonal_mm
+                "whether the board is flat could not be found out, and it is taken to be flat: {reason}. If you know \
+                 that it is, say so; else check it, and the frames with large residuals"
             ),
             Self::FrontoParallel { largest_tilt_deg } => write!(
                 f,
@@ -149,6 +153,21 @@ impl fmt::Display for Warning {
             ),
         }
     }
+}
+
+/// That two lens types, from 0, have other fill factors.
+fn fill_factors_text([a, b]: &[usize; 2], [of_a, of_b]: &[FillFactor; 2]) -> String {
+    format!(
+        "the edges of lens type {} say that micro-lenses fill {:.3} ± {:.3} of their pitch, those of type {} {:.3} ± \
+         {:.3}: the camera has one fill factor for all, so the focal lengths of both types are off; check the white \
+         images, and that lens types are in the same order everywhere",
+        a + 1,
+        of_a.value,
+        of_a.std_dev,
+        b + 1,
+        of_b.value,
+        of_b.std_dev
+    )
 }
 
 /// What a contradiction of an anchor may mean.

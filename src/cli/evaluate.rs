@@ -76,8 +76,8 @@ pub fn read_candidate(
     let camera = calibrated(path)?;
     // COMPOTE's files have none.
     let std_devs = io::read_std_devs(path, camera.lens_types()).unwrap_or_default();
-    let board_shape = board_shape(shape, Some(path), board)?.unwrap_or_default();
-    Ok(Candidate { name: name.to_owned(), camera, std_devs, board_shape })
+    let (board_shape, shape_std_devs) = board_shape(shape, Some(path), board)?.unwrap_or_default();
+    Ok(Candidate { name: name.to_owned(), camera, std_devs, board_shape, shape_std_devs })
 }
 
 /// Reads a calibrated camera.
@@ -147,6 +147,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let step_mm = shoot.images.translation.as_ref().map(|t| t.step_mm);
     let true_camera = arguments.truth.as_deref();
     let true_camera = true_camera.or(project.truth.as_ref().map(|t| t.camera.as_path()));
+    let true_board = project.truth.as_ref().and_then(|t| t.board.as_deref());
     let true_poses = project.truth.as_ref().and_then(|t| t.evaluation_poses.as_deref());
     let input = EvaluationInput {
         board: shoot.board,
@@ -154,6 +155,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         translation: step_mm.filter(|_| !translation.is_empty()).map(|step| (translation, step)),
         clouds_mm: clouds(&shoot)?,
         truth: true_camera.map(calibrated).transpose()?,
+        true_board: true_board.map(io::read_true_board).transpose()?,
         poses: Vec::new(),
         evaluation_poses: true_poses.map(io::read_poses).transpose()?,
         folds,

@@ -69,7 +69,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let shoot = Shoot::of(path, &Project::read(path)?)?;
     let camera = calibrated(&arguments.camera)?;
     let stated = arguments.board_shape.as_deref();
-    let shape = board_shape(stated, Some(&arguments.camera), &shoot.board)?.unwrap_or_default();
+    let (shape, _) =
+        board_shape(stated, Some(&arguments.camera), &shoot.board)?.unwrap_or_default();
     let micro_images = shoot.read_precalibration(&arguments.precalibration)?;
     let search = Options {
         subset: arguments.subset,

@@ -5,7 +5,7 @@ use std::path::Path;
 use plenocal::calibration::{BoardModel, CalibrationOptions, Mode, Start};
 use plenocal::error::Input as Part;
 use plenocal::io::{self, BoardChoice, CalibrationSection, CameraSource, Project};
-use plenocal::model::{Board, BoardShape, Datasheet, Observations};
+use plenocal::model::{Board, BoardShape, Datasheet, Observations, SHAPE};
 use plenocal::solver::LossKind;
 use plenocal::{Error, Result};
 
@@ -41,16 +41,18 @@ impl Input {
                 "a loss scale is given, but no loss: choose one with --loss".to_owned(),
             ));
         }
-        let is_flat = section.board == Some(BoardChoice::Flat);
+        let stated = section.board.filter(|choice| *choice != BoardChoice::Auto);
         let mut options = section.options();
+        refuse_shape(stated, files.board_shape, options.mode)?;
         let start = start(files, project.as_ref(), options.mode)?;
         let board = match (files.scene, project.as_ref().and_then(|p| p.board)) {
             (Some(path), _) => io::read_board(path)?,
             (None, Some(board)) => board,
             (None, None) => return Err(missing(Part::Board)),
         };
-        let of_camera = files.camera.filter(|_| options.mode == Mode::PosesOnly && !is_flat);
-        if let Some(shape) = board_shape(files.board_shape, of_camera, &board)? {
+        let poses_only = options.mode == Mode::PosesOnly && stated.is_none();
+        let of_camera = files.camera.filter(|_| poses_only);
+        if let Some((shape, _)) = board_shape(files.board_shape, of_camera, &board)? {
             options.board = BoardModel::Known(shape);
         }
         let rho = options.cost.rho && options.mode != Mode::CornersOnly && start.lens_types() > 0;
@@ -59,13 +61,38 @@ impl Input {
     }
 }
 
-/// The shape of a board that is stated, or that the calibration of a camera has found and left beside it; `None` if
-/// nothing is known.
+/// An error if a shape of the board, which a file states, contradicts what the board is taken for, or if a bent board is
+/// asked for where only poses are estimated.
+fn refuse_shape(stated: Option<BoardChoice>, shape: Option<&Path>, mode: Mode) -> Result<()> {
+    let word = match stated {
+        Some(BoardChoice::Flat) => "flat",
+        Some(BoardChoice::Bent) => "bent",
+        Some(BoardChoice::Auto) | None => return Ok(()),
+    };
+    if let Some(shape) = shape {
+        return Err(Error::invalid(format!(
+            "the project says board = \"{word}\", but --board-shape gives the board the shape of {}: leave one of the two \
+             out",
+            shape.display()
+        )));
+    }
+    if mode == Mode::PosesOnly && word == "bent" {
+        return Err(Error::invalid(
+            "the board is to be bent by what comes out, but the shape of a board is estimated together with a camera, \
+             which is fixed here: say --board auto for the shape in the calibration.json beside the camera, or give \
+             --board-shape instead of a bent board",
+        ));
+    }
+    Ok(())
+}
+
+/// The shape of a board with its σ that is stated, or that the calibration of a camera has found and left beside it; `None`
+/// if nothing is known.
 pub fn board_shape(
     stated: Option<&Path>,
     camera: Option<&Path>,
     board: &Board,
-) -> Result<Option<BoardShape>> {
+) -> Result<Option<(BoardShape, [Option<f64>; SHAPE])>> {
     if let Some(path) = stated {
         let shape = io::read_board_shape(path, board)?;
         return shape.map(Some).ok_or_else(|| {

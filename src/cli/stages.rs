@@ -101,6 +101,8 @@ struct CalibrationInput<'a> {
 struct EvaluationStageInput<'a> {
     calibration: CalibrationInput<'a>,
     cameras: Vec<InputFile>,
+    /// Beside them, for the shape of the board.
+    calibrations: Vec<InputFile>,
     poses: InputFile,
     evaluation: Option<InputFile>,
     translation: Option<InputFile>,
@@ -113,6 +115,7 @@ struct EvaluationStageInput<'a> {
 #[derive(Serialize)]
 struct TruthInput {
     camera: InputFile,
+    board: Option<InputFile>,
     calibration_poses: Option<InputFile>,
     evaluation_poses: Option<InputFile>,
 }
@@ -121,6 +124,7 @@ impl TruthInput {
     fn of(truth: &TruthSection, ledger: &mut Ledger) -> Self {
         Self {
             camera: ledger.file(&truth.camera),
+            board: truth.board.as_ref().map(|path| ledger.file(path)),
             calibration_poses: truth.calibration_poses.as_ref().map(|path| ledger.file(path)),
             evaluation_poses: truth.evaluation_poses.as_ref().map(|path| ledger.file(path)),
         }
@@ -310,17 +314,19 @@ impl Stages<'_> {
     }
 
     pub fn evaluation(&self, ledger: &mut Ledger) -> Result<()> {
-        let camera = |stage: &str| self.folder(stage).join("camera.json");
         let has_corners = ledger.has(CORNERS_ONLY);
-        let cameras =
-            [CALIBRATION, CORNERS_ONLY].map(camera).into_iter().take(1 + usize::from(has_corners));
+        let own = |name: &'static str| {
+            let folders = [CALIBRATION, CORNERS_ONLY].map(|stage| self.folder(stage).join(name));
+            folders.into_iter().take(1 + usize::from(has_corners))
+        };
         let features = [Subset::Evaluation, Subset::Translation]
             .map(|subset| ledger.has(boards_stage(subset)).then(|| self.features(subset)));
         let [evaluation, translation] = features.map(|path| path.map(|path| ledger.file(path)));
         let stage = self.shoot.images.translation.as_ref();
         let input = EvaluationStageInput {
             calibration: self.calibration_input(ledger, self.options.clone()),
-            cameras: ledger.files(cameras),
+            cameras: ledger.files(own("camera.json")),
+            calibrations: ledger.files(own("calibration.json")),
             poses: ledger.file(self.folder(CALIBRATION).join("poses.json")),
             evaluation,
             translation,
@@ -352,6 +358,8 @@ impl Stages<'_> {
         subjects.clouds_mm = clouds(self.shoot)?;
         if let Some(truth) = truth {
             subjects.truth = Some(calibrated(&truth.camera.path)?);
+            let board = truth.board.as_ref().map(|file| io::read_true_board(&file.path));
+            subjects.true_board = board.transpose()?;
             subjects.evaluation_poses = poses(&truth.evaluation_poses)?;
             if let Some(truth) = poses(&truth.calibration_poses)? {
                 let (name, found) = ("calibration".to_owned(), io::read_poses(&input.poses.path)?);

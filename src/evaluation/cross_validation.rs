@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
-use crate::calibration::{Calibration, CalibrationOptions, Start, calibrate};
+use crate::calibration::{BoardModel, Calibration, CalibrationOptions, Start, calibrate};
 use crate::error::{Error, Result};
 use crate::model::{Board, FeatureResidual, Observations, PlenopticCamera, Rmse};
 
@@ -51,7 +51,8 @@ impl CrossValidation {
 
 /// Calibrates once for every fold without the frames of that fold, and reprojects those frames.
 ///
-/// Fold i of n has frames i, i + n, i + 2n and so on. `progress` is called after every fold. An error
+/// Fold i of n has frames i, i + n, i + 2n and so on. What the board is taken for, flat or bent, is decided with all frames.
+/// `progress` is called after every fold. An error
 /// if there are fewer frames than folds, fewer than two folds, or if a calibration fails.
 pub fn cross_validate(
     start: &Start,
@@ -62,8 +63,15 @@ pub fn cross_validate(
     progress: &(dyn Fn() + Sync),
 ) -> Result<CrossValidation> {
     let frames = foldable_frames(observations, options, folds)?;
+    // Whether the board is flat is not asked again in each fold.
+    let mut options = match options.board {
+        BoardModel::Auto => {
+            let all = calibrate(start, board, observations, options, &mut |_| true)?;
+            options.with_decision(&all.board)
+        }
+        _ => options.clone(),
+    };
     // Every fold has its own thread.
-    let mut options = options.clone();
     options.solver.threads = 1;
     let options = &options;
     let fold = |number: usize| -> Result<(Fold, Vec<FeatureResidual>)> {

@@ -17,4 +17,4 @@ pub use stage::{
     pose_boards,
 };
 pub use translation::{Displacement, Displacements, Spread};
-pub use truth::{ParameterError, PoseErrors, parameter_errors, pose_errors};
+pub use truth::{ParameterError, PoseErrors, parameter_errors, pose_errors, shape_errors};

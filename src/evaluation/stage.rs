@@ -4,13 +4,13 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use super::{
     CrossValidation, Displacements, ParameterError, PoseErrors, cross_validate, parameter_errors,
-    pose_errors,
+    pose_errors, shape_errors,
 };
 use crate::calibration::{Calibration, CalibrationOptions, LeftOut, Start, calibrate};
 use crate::error::Result;
 use crate::model::{
     BapFeature, BentBoard, Board, BoardShape, FramePose, Observations, PlenopticCamera,
-    Reprojection,
+    Reprojection, SHAPE,
 };
 
 /// A camera to evaluate.
@@ -24,6 +24,9 @@ pub struct Candidate {
     pub std_devs: Vec<Option<f64>>,
     /// The shape that its calibration has found of the board, or what else is known of it.
     pub board_shape: BoardShape,
+    /// Standard deviations of its parameters, in the order of [`SHAPE_PARAMETERS`](crate::model::SHAPE_PARAMETERS); `None` for
+    /// those that are not estimated.
+    pub shape_std_devs: [Option<f64>; SHAPE],
 }
 
 /// True and estimated poses of the boards of a subset.
@@ -63,6 +66,8 @@ pub struct EvaluationInput {
     pub clouds_mm: Vec<(u32, f64)>,
     /// The true camera, if it is known.
     pub truth: Option<PlenopticCamera>,
+    /// The true shape of the board, if it is known.
+    pub true_board: Option<BoardShape>,
     /// True and estimated poses of other subsets.
     pub poses: Vec<PosePairs>,
     /// True poses of the boards of `evaluation`; the first candidate's are compared with them.
@@ -81,6 +86,7 @@ impl EvaluationInput {
             translation: None,
             clouds_mm: Vec::new(),
             truth: None,
+            true_board: None,
             poses: Vec::new(),
             evaluation_poses: None,
             folds: None,
@@ -110,7 +116,7 @@ pub struct CandidateResult {
     pub evaluation: Option<Posed>,
     /// A board moved in known steps (Table 3).
     pub translation: Option<Displacements>,
-    /// Its parameters against the true ones.
+    /// Its parameters, and those of the board, against the true ones.
     pub truth: Option<Vec<ParameterError>>,
 }
 
@@ -199,10 +205,15 @@ fn candidate_result(
         let found = Displacements::of_poses(&posed.poses, &input.board, step_mm);
         kept(&format!("{name}, known displacement"), found, problems)
     });
-    let truth = input.truth.as_ref().and_then(|truth| {
+    let of_camera = input.truth.as_ref().and_then(|truth| {
         let errors = parameter_errors(truth, &candidate.camera, &candidate.std_devs);
         kept(&format!("{name}, truth"), errors, problems)
     });
+    let of_board = input
+        .true_board
+        .map(|truth| shape_errors(&truth, &candidate.board_shape, candidate.shape_std_devs));
+    let known: Vec<_> = of_camera.into_iter().chain(of_board).flatten().collect();
+    let truth = (!known.is_empty()).then_some(known);
     CandidateResult { name: name.clone(), evaluation, translation, truth }
 }
 

@@ -3,7 +3,10 @@
 use nalgebra::Isometry3;
 
 use crate::error::{Error, Result};
-use crate::model::{FramePose, PlenopticCamera, intrinsic_parameters};
+use crate::model::{
+    BoardShape, FramePose, Parameter, PlenopticCamera, SHAPE, SHAPE_PARAMETERS,
+    intrinsic_parameters,
+};
 
 /// An intrinsic parameter against its true value.
 #[derive(Debug, Clone, PartialEq)]
@@ -64,6 +67,23 @@ pub fn parameter_errors(
             std_dev,
         })
         .collect())
+}
+
+/// Errors of every parameter of the shape of a board, with their standard deviations.
+#[must_use]
+pub fn shape_errors(
+    truth: &BoardShape,
+    estimate: &BoardShape,
+    std_devs: [Option<f64>; SHAPE],
+) -> Vec<ParameterError> {
+    let error = |(parameter, std_dev): (&Parameter<BoardShape>, Option<f64>)| ParameterError {
+        name: parameter.name.to_owned(),
+        unit: parameter.unit,
+        truth: parameter.value(truth),
+        estimate: parameter.value(estimate),
+        std_dev,
+    };
+    SHAPE_PARAMETERS.iter().zip(std_devs).map(error).collect()
 }
 
 /// Errors of poses, as root mean squares over the frames that both have.

@@ -1,12 +1,13 @@
 //! `board_shape` of `calibration.json`: the board as the calibration has found it.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
 use super::read_text;
-use crate::calibration::BoardResult;
+use crate::calibration::{BoardResult, Trial};
 use crate::error::{Error, Result};
 use crate::model::{Board, BoardShape, SHAPE, SHAPE_PARAMETERS};
 
@@ -14,6 +15,30 @@ use crate::model::{Board, BoardShape, SHAPE, SHAPE_PARAMETERS};
 struct ShapeSection {
     board: Board,
     shape: BoardShape,
+    #[serde(default)]
+    standard_deviations: BTreeMap<String, StdDev>,
+}
+
+#[derive(Deserialize)]
+struct StdDev {
+    value: f64,
+}
+
+/// `truth/board.toml` of a simulation.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TrueBoard {
+    sag_mm: [f64; 2],
+    twist_mm: f64,
+    aspect: f64,
+}
+
+/// Reads the true shape of a board: the `board.toml` of a simulation.
+pub fn read_true_board(path: &Path) -> Result<BoardShape> {
+    let TrueBoard { sag_mm: [sag_x_mm, sag_y_mm], twist_mm, aspect } =
+        toml::from_str(&read_text(path)?)
+            .map_err(|e| Error::content(path, format!("not the true shape of a board: {e}")))?;
+    Ok(BoardShape { sag_x_mm, sag_y_mm, twist_mm, aspect })
 }
 
 /// Board and shape as JSON, with σ of what was estimated, and limits (2 σ) of what was found to be 0.
@@ -25,20 +50,39 @@ pub(super) fn board_shape_document(result: &BoardResult) -> Value {
         };
         SHAPE_PARAMETERS.iter().zip(values).filter_map(of).collect()
     };
+    let (outcome, reason, [bend, aspect]) = match &result.trial {
+        Trial::NotTried => ("not-tried", None, [None; 2]),
+        Trial::TooFewFrames => ("too-few-frames", None, [None; 2]),
+        Trial::Failed(reason) => ("failed", Some(reason), [None; 2]),
+        Trial::Tried { std_devs_from_zero, .. } => ("tried", None, *std_devs_from_zero),
+    };
     json!({
         "board": result.bent.board,
         "shape": result.bent.shape,
         "standard_deviations": by_name(result.std_devs),
         "limits": by_name(result.limits()),
+        "trial": {
+            "outcome": outcome,
+            "reason": reason,
+            "bend_std_devs": bend,
+            "aspect_std_devs": aspect,
+            "iterations": result.aside.iterations,
+            "time_s": result.aside.time_s,
+        },
     })
 }
 
-/// Reads the shape of a board from a `calibration.json`; `None` if it is of another board, or of none.
-pub fn read_board_shape(path: &Path, board: &Board) -> Result<Option<BoardShape>> {
+/// Reads the shape of a board from a `calibration.json`, with its σ in the order of [`SHAPE_PARAMETERS`], `None` for what was
+/// not estimated; `None` if it is of another board ([`Board::is_same`]), or of none.
+pub fn read_board_shape(
+    path: &Path,
+    board: &Board,
+) -> Result<Option<(BoardShape, [Option<f64>; SHAPE])>> {
     let value: Value = serde_json::from_str(&read_text(path)?)
         .map_err(|e| Error::content(path, format!("this is not valid JSON: {e}")))?;
     let Some(section) = value.get("board_shape") else { return Ok(None) };
     let section: ShapeSection = serde_json::from_value(section.clone())
         .map_err(|e| Error::content(path, format!("its board_shape is not valid: {e}")))?;
-    Ok((section.board == *board).then_some(section.shape))
+    let std_dev = |i: usize| Some(section.standard_deviations.get(SHAPE_PARAMETERS[i].name)?.value);
+    Ok(section.board.is_same(board).then(|| (section.shape, std::array::from_fn(std_dev))))
 }

@@ -8,7 +8,7 @@ use super::camera_file::errors_text;
 use super::{camera_document, poses_document};
 use crate::assessment::{Assessment, Distance, PointTrust};
 use crate::calibration::{AnchorResult, Calibration, termination_text, weakest_directions_text};
-use crate::model::{Rmse, intrinsic_parameters, shared_parameters};
+use crate::model::{Rmse, shared_parameters};
 use crate::solver::LossKind;
 
 /// The content of `camera.json` for a calibration, `converged` included.
@@ -130,16 +130,11 @@ fn common_errors_document(calibration: &Calibration) -> Vec<Value> {
 fn std_devs_document(calibration: &Calibration) -> Value {
     let lens_types = calibration.camera.lens_types();
     let uncertainty = &calibration.uncertainty;
-    let both = uncertainty
-        .intrinsic_std_devs(lens_types)
-        .into_iter()
-        .zip(uncertainty.independent_std_devs(lens_types))
-        .zip(uncertainty.std_dev_uncertainties(lens_types));
-    let parameters: Map<String, Value> = intrinsic_parameters(lens_types)
+    let parameters: Map<String, Value> = shared_parameters(lens_types)
         .iter()
-        .zip(both)
-        .filter_map(|(p, ((used, independent), relative))| {
-            let (used, independent) = (used?, independent?);
+        .zip(uncertainty.shared_std_devs(lens_types))
+        .filter_map(|(p, std_devs)| {
+            let (used, independent, relative) = std_devs?;
             let value = json!({
                 "used": used,
                 "independent": independent,

@@ -82,10 +82,8 @@ fn stage_truth(output: &mut OutputFolder, target: &Target, simulated: &Simulated
         );
         output.stage("truth/main_lens.toml", |out| out.write_all(text.as_bytes()))?;
     }
-    if !target.is_flat_and_exact() {
-        let text = shape_text(target);
-        output.stage("truth/board.toml", |out| out.write_all(text.as_bytes()))?;
-    }
+    let shape = shape_text(target);
+    output.stage("truth/board.toml", |out| out.write_all(shape.as_bytes()))?;
     let boards = Subset::ALL.into_iter().zip(&data_set.subsets).zip(&truth.features);
     for ((subset, boards), features) in boards.filter(|((_, boards), _)| !boards.is_empty()) {
         let folder = PathBuf::from("truth").join(subset.name());
@@ -221,7 +219,8 @@ fn project_text(settings: &Settings, data_set: &DataSet) -> String {
         ));
     }
     table(
-        "\n[truth]                      # to compare with\ncamera = \"truth/camera.json\"\n"
+        "\n[truth]                      # to compare with\ncamera = \"truth/camera.json\"\n\
+         board = \"truth/board.toml\"\n"
             .to_owned(),
     );
     for (subset, boards) in [(Subset::Calibration, calibration), (Subset::Evaluation, evaluation)] {

@@ -29,7 +29,7 @@ use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
-pub use board_shape_file::read_board_shape;
+pub use board_shape_file::{read_board_shape, read_true_board};
 pub use calibration_file::{calibrated_camera_document, calibration_document};
 pub use calibration_section::{
     AnchorEntry, AnchorValue, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil,

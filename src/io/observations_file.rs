@@ -186,7 +186,8 @@ impl Row<'_> {
             0 => Ok(Some(levers)),
             missing if missing == 2 * TAKEN => Ok(None),
             _ => Err(self.error(&format!(
-                "{} go together, but some are missing",
+                "{} go together, but some are missing: if an older version wrote the file, detect the boards again; else leave \
+                 all of these columns out",
                 LEVERS.as_flattened().join(", ")
             ))),
         }
@@ -204,7 +205,11 @@ impl Row<'_> {
                 Ok(Some(MeasuredBlur { radius_px, std_dev_px, shared_px, fill_factor }))
             }
             (None, None, None, None) => Ok(None),
-            _ => Err(self.error(&format!("{} go together, but one is missing", BLUR.join(", ")))),
+            _ => Err(self.error(&format!(
+                "{} go together, but one is missing: if an older version wrote the file, detect the boards again; else leave \
+                 all of these columns out",
+                BLUR.join(", ")
+            ))),
         }
     }
 

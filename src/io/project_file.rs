@@ -45,6 +45,8 @@ pub struct Project {
 pub struct TruthSection {
     /// The camera, `camera.json` or COMPOTE's `intrinsics.js`.
     pub camera: PathBuf,
+    /// The shape of the board, the simulation's `board.toml`.
+    pub board: Option<PathBuf>,
     /// Poses of the boards of `calibration`.
     pub calibration_poses: Option<PathBuf>,
     /// Poses of the boards of `evaluation`.
@@ -214,7 +216,7 @@ impl Project {
         }
         if let Some(truth) = &mut project.truth {
             let poses = truth.calibration_poses.iter_mut().chain(&mut truth.evaluation_poses);
-            for file in poses.chain([&mut truth.camera]) {
+            for file in poses.chain(&mut truth.board).chain([&mut truth.camera]) {
                 *file = folder.join(&file);
             }
         }

@@ -9,6 +9,9 @@ use crate::error::{Error, Result};
 /// The largest number of inner corners along a side of a board.
 const MAX_BOARD_CORNERS: i32 = 10_000;
 
+/// Edges of squares of the same board, as stated twice, differ by less than this part.
+const SAME_SQUARE: f64 = 0.01;
+
 /// A checkerboard, by its inner corners.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -53,6 +56,14 @@ impl Board {
     #[must_use]
     pub fn diagonal_mm(&self) -> f64 {
         self.point_mm(self.corners() - 1).coords.norm()
+    }
+
+    /// Whether a board stated elsewhere is this one: edges of squares that were measured twice differ by less than 1 %.
+    #[must_use]
+    pub fn is_same(&self, other: &Self) -> bool {
+        let of = |board: &Self| (board.columns, board.rows);
+        of(self) == of(other)
+            && (self.square_mm - other.square_mm).abs() <= SAME_SQUARE * self.square_mm
     }
 
     /// An error unless the board has corners and a size.

@@ -230,8 +230,9 @@ fn levels_of(
     Ok((levels, black.warning))
 }
 
-/// How far off straight lines through the radii are where the light is not that of discs, relative.
-const BY_LINES: f64 = 0.015;
+/// How far off m and q' are by straight lines through the radii with f-numbers 2 % off at random, relative
+/// (docs/precalibration.md).
+const BY_LINES: (f64, f64) = (0.06, 0.03);
 
 /// A warning if m and q' are from straight lines for want of discs, and not because the paper's estimator was asked for;
 /// their standard deviations are made to know it.
@@ -243,14 +244,18 @@ fn by_lines(
     if discs.is_some() || estimator == RadiusEstimator::Moments {
         return None;
     }
-    internal.m_std_dev_mm = internal.m_std_dev_mm.map(|x| x.hypot(BY_LINES * internal.m_mm));
+    internal.m_std_dev_mm = internal.m_std_dev_mm.map(|x| x.hypot(BY_LINES.0 * internal.m_mm));
     for (std_dev, q) in internal.q_prime_std_dev_mm.iter_mut().zip(&internal.q_prime_mm) {
-        *std_dev = std_dev.hypot(BY_LINES * q);
+        *std_dev = std_dev.hypot(BY_LINES.1 * q);
     }
-    let warning = "the light inside the micro-images is not that of two discs, as where noise is clipped at black or \
-                   white: m and q' are from straight lines through the radii, and can be 2 % off. Take white images \
-                   with less gain";
-    Some(warning.to_owned())
+    let (m, q) = BY_LINES;
+    Some(format!(
+        "the light inside the micro-images is not that of two discs, as where noise is clipped at black: m and q' are from \
+         straight lines through the radii, and with f-numbers 2 % off they are {:.0} % and {:.0} % off. Expose white \
+         images longer with less gain, and keep their black level above 0",
+        100.0 * m,
+        100.0 * q
+    ))
 }
 
 /// H as the discs show it, if they do.

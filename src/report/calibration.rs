@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use super::assessment::{
     OBJECT_SPACE, anchors_table, object_space_table, outliers_text, verdict_lines,
 };
-use super::board::board_text;
+use super::board::{aside_text, board_text};
 use super::common_errors::{COMMON_ERRORS, common_errors_table};
 use super::fill_factor::fill_factor_text;
 use super::table::{Table, table};
@@ -207,11 +207,12 @@ pub(super) fn summary(calibration: &Calibration) -> String {
     let _ = writeln!(text, "{}", termination_text(calibration));
     let _ = writeln!(
         text,
-        "Cost {:.6} (initially {:.6}) after {} iterations in {:.3} s.",
+        "Cost {:.6} (initially {:.6}) after {} iterations in {:.3} s.{}",
         refinement.cost,
         refinement.initial_cost,
         refinement.iterations.last().map_or(0, |i| i.number),
-        refinement.time_s
+        refinement.time_s,
+        aside_text(&calibration.board.aside)
     );
     let [uv, rho, centers] = calibration.uncertainty.residual_std_dev_px;
     let sigma = |name: &str, value: f64| {

@@ -139,6 +139,18 @@ impl Uncertainty {
         self.free_intrinsics.iter().zip(&self.determined).filter_map(of_row).collect()
     }
 
+    /// Of each parameter of camera and board its standard deviation, that if errors are taken as independent, and by what
+    /// fraction of itself the first is uncertain, if it is known; `None` for fixed parameters.
+    #[must_use]
+    pub fn shared_std_devs(&self, lens_types: usize) -> Vec<Option<(f64, f64, Option<f64>)>> {
+        let of_row = |row: usize| {
+            let independent = self.std_dev_in(&self.independent_covariance, row);
+            let relative = self.freedom.get(row).map(|freedom| (0.5 / freedom).sqrt());
+            (self.std_dev(row), independent, relative)
+        };
+        self.by_shared(lens_types, of_row)
+    }
+
     /// Standard deviation of each parameter of the board's shape; likewise.
     #[must_use]
     pub fn shape_std_devs(&self, lens_types: usize) -> [Option<f64>; SHAPE] {

@@ -1,26 +1,20 @@
 //! Boards that are not flat.
 
-use std::path::Path;
-
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use plenocal::assessment::assess;
 use plenocal::calibration::{
-    AnchorSource, BoardModel, Calibration, CalibrationOptions, Mode, Start, Warning, calibrate,
+    AnchorSource, BoardModel, Calibration, CalibrationOptions, Mode, Start, Trial, Warning,
+    calibrate,
 };
 use plenocal::evaluation::{Group, Posed, Worth, compare_models, pose_boards};
-use plenocal::io::read_board_shape;
 use plenocal::model::{
     BentBoard, Board, BoardShape, FramePose, Noise, NoiseSource, Observations, PlenopticCamera,
     SHAPE_PARAMETERS, optics,
 };
 use plenocal::report::calibration_text;
 use plenocal::solver::{Anchor, synthesize_bent};
-use serde_json::Value;
-use tempfile::TempDir;
 
-use crate::support::{
-    anchored, board, datasheet_start, pairs, plenocal, synthetic_folder, true_camera,
-};
+use crate::support::{anchored, datasheet_start, pairs, true_camera};
 
 const NOISE: Noise = Noise { uv_px: 0.1, rho_px: 0.02, centers_px: 0.05 };
 
@@ -185,13 +179,19 @@ fn with_a_flat_board_nothing_changes() {
     assert_eq!(auto.uncertainty.covariance, flat.uncertainty.covariance);
     assert_eq!((&auto.anchors, &auto.cost), (&flat.anchors, &flat.cost));
     assert_eq!(auto.board.bent, flat.board.bent);
-    assert_eq!((flat.board.tried, flat.board.sag_limit_mm()), (None, None));
-    let limit = auto.board.sag_limit_mm().unwrap();
-    assert!((1e-4..0.03).contains(&limit), "{limit} mm");
-    assert_eq!(auto.board.limits().map(|limit| limit.is_some()), [true; 4]);
+    assert_eq!((&flat.board.trial, flat.board.limits()), (&Trial::NotTried, [None; 4]));
+    let limits = auto.board.limits().map(Option::unwrap);
+    assert!(limits[..2].iter().all(|limit| (1e-4..0.03).contains(limit)), "{limits:?} mm");
+    assert!(auto.board.aside.iterations > 0 && auto.board.aside.time_s > 0.0);
     let assessment = assess(&auto, &scene.board).unwrap();
     let text = calibration_text(&auto, &assessment);
     assert!(text.contains("The board is flat: below sag_x 0.0"), "{text}");
+    assert!(text.contains("From 0 differ the bend by "), "{text}");
+    // A parameter that is fixed has no limit, and takes none from the others.
+    let mut options = anchored();
+    options.cost.fixed.push("twist".to_owned());
+    let limits = scene.with(&observations, &options).board.limits();
+    assert_eq!(limits.map(|limit| limit.is_some()), [true, true, false, true]);
 }
 
 /// A board of which only the ratio of the spacings is off stays flat.
@@ -207,6 +207,12 @@ fn bend_and_aspect_are_told_apart() {
     let bent = BoardShape { sag_y_mm: 0.1, ..BoardShape::default() };
     let found = scene.calibrated(&scene.observed(bent, 8), BoardModel::Auto).board;
     assert_eq!(found.std_devs.map(|s| s.is_some()), [true, true, true, false]);
+    // Folds take that over.
+    let decided = anchored().with_decision(&found);
+    assert_eq!(decided.board, BoardModel::Bent);
+    assert!(decided.cost.fixed.contains(&"aspect".to_owned()));
+    let again = scene.with(&scene.observed(BoardShape::default(), 9), &decided).board;
+    assert_eq!(again.std_devs.map(|s| s.is_some()), [true, true, true, false]);
 }
 
 #[test]
@@ -215,7 +221,10 @@ fn few_frames_do_not_show_that_a_board_is_bent() {
     scene.poses.truncate(5);
     let observations = scene.observed(BENT, 5);
     let found = scene.calibrated(&observations, BoardModel::Auto);
-    assert_eq!((found.board.bent.shape, found.board.tried), (BoardShape::default(), None));
+    assert_eq!(
+        (found.board.bent.shape, found.board.trial),
+        (BoardShape::default(), Trial::TooFewFrames)
+    );
     // It can be asked for.
     let asked = scene.calibrated(&observations, BoardModel::Bent);
     assert!((asked.board.bent.shape.sag_x_mm - BENT.sag_x_mm).abs() < 0.03, "{:?}", asked.board);
@@ -256,6 +265,11 @@ fn a_board_that_is_bent_too_far_is_a_warning() {
     let found = scene.calibrated(&scene.observed(shape, 5), BoardModel::Auto);
     let is_warped = |w: &Warning| matches!(w, Warning::WarpedBoard { bend_mm, .. } if (bend_mm - 0.3).abs() < 0.02);
     assert!(found.warnings.iter().any(is_warped), "{:?}", found.warnings);
+    let of =
+        |found: &Calibration| found.warnings.iter().map(ToString::to_string).collect::<String>();
+    assert!(of(&found).contains("its shape is estimated with the camera"));
+    let known = scene.calibrated(&scene.observed(shape, 5), BoardModel::Known(shape));
+    assert!(of(&known).contains("its shape is taken as known"), "{:?}", known.warnings);
     // The anchor that boards are flat to 0.1 % does not pull it back.
     assert!(found.anchors.iter().all(|known| known.pull().abs() < 3.0), "{:?}", found.anchors);
     let assessment = assess(&found, &scene.board).unwrap();
@@ -274,6 +288,14 @@ fn what_is_known_of_a_board_can_be_stated() {
     let found = scene.with(&observations, &options).board;
     assert!((found.bent.shape.sag_x_mm - 0.1).abs() < 1e-4, "{found:?}");
     assert_eq!((found.bent.shape.twist_mm, found.std_devs[2]), (0.0, None));
+    // The paper's options have a flat board, but a bent one can be asked for.
+    let paper = CalibrationOptions { board: BoardModel::Bent, ..CalibrationOptions::paper() };
+    assert!(scene.with(&observations, &paper).board.std_devs.iter().all(Option::is_some));
+    let mut fixed = paper;
+    fixed.cost.fixed.extend(SHAPE_PARAMETERS.iter().map(|p| p.name.to_owned()));
+    let error = calibrate(&scene.start(), &scene.board, &observations, &fixed, &mut |_| true);
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains("sag_x, sag_y, twist, aspect are fixed"), "{error}");
     options.board = BoardModel::Flat;
     let error = calibrate(&scene.start(), &scene.board, &observations, &options, &mut |_| true)
         .unwrap_err();
@@ -293,69 +315,4 @@ fn models_are_compared_without_the_shape_of_a_bent_board() {
     assert_eq!(shape.parameters, ["sag_x", "sag_y", "twist", "aspect"]);
     assert_eq!(shape.worth(), Worth::EarnsItsKeep, "{:?}", shape.mean_growth());
     assert!(shape.converged && shape.cost_growth[0] > 100.0, "{:?}", shape.cost_growth);
-}
-
-/// `calibrate` leaves the shape beside the camera, and what poses boards with that camera takes it.
-#[test]
-fn the_shape_of_a_board_is_read_beside_its_camera() {
-    let folder = TempDir::new().unwrap();
-    let path = |name: &str| folder.path().join(name);
-    let out = path("calibration");
-    let project = synthetic_folder().join("project.toml");
-    let run = |arguments: &[&str]| {
-        let output = plenocal().args(arguments).output().unwrap();
-        (output.status.success(), String::from_utf8(output.stderr).unwrap())
-    };
-    let [project, out_text] = [&project, &out].map(|p| p.to_str().unwrap());
-    let (done, stderr) = run(&["calibrate", project, "--board", "bent", "--out", out_text]);
-    assert!(done, "{stderr}");
-    let file = out.join("calibration.json");
-    let written: Value = serde_json::from_str(&std::fs::read_to_string(&file).unwrap()).unwrap();
-    let shape = read_board_shape(&file, &board()).unwrap().unwrap();
-    let section = &written["board_shape"];
-    assert_eq!(section["shape"]["sag_x_mm"], shape.sag_x_mm);
-    assert!(section["standard_deviations"]["aspect"]["value"].as_f64().unwrap() > 0.0);
-    assert!(written["camera"]["uncertainty"]["standard_deviations"]["sag_x"].is_null());
-    let other = Board { rows: 6, ..board() };
-    assert_eq!(read_board_shape(&file, &other).unwrap(), None);
-
-    // The same boards, with this camera and with it alone.
-    let camera = out.join("camera.json");
-    let pose = |camera: &Path, more: &[&str], to: &str| {
-        let (camera, to) = (camera.to_str().unwrap().to_owned(), path(to));
-        let mut arguments = vec!["calibrate", project, "--mode", "poses-only", "--camera", &camera];
-        let to_text = to.to_str().unwrap().to_owned();
-        arguments.extend(["--out", &to_text]);
-        arguments.extend(more);
-        let (done, stderr) = run(&arguments);
-        assert!(done, "{stderr}");
-        assert!(!to.join("calibration.json").exists());
-        std::fs::read(to.join("poses.json")).unwrap()
-    };
-    let alone = path("camera.json");
-    std::fs::copy(&camera, &alone).unwrap();
-    let shape_file = file.to_str().unwrap();
-    let beside = pose(&camera, &[], "beside");
-    assert_eq!(beside, pose(&alone, &["--board-shape", shape_file], "stated"));
-    assert_ne!(beside, pose(&alone, &[], "flat"));
-    assert_eq!(pose(&camera, &["--board", "flat"], "asked"), pose(&alone, &[], "flat"));
-
-    let scene = path("project.toml");
-    let text = std::fs::read_to_string(project).unwrap().replace("rows = 5\n", "rows = 6\n");
-    std::fs::write(
-        &scene,
-        text.replace("\"features.csv", &format!("\"{}/features.csv", synthetic_folder().display()))
-            .replace("\"centers.csv", &format!("\"{}/centers.csv", synthetic_folder().display())),
-    )
-    .unwrap();
-    let scene = scene.to_str().unwrap();
-    let (done, stderr) = run(&[
-        "calibrate",
-        scene,
-        "--board-shape",
-        shape_file,
-        "--out",
-        path("x").to_str().unwrap(),
-    ]);
-    assert!(!done && stderr.contains("it has no board_shape of a board of 9 x 6"), "{stderr}");
 }

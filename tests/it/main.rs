@@ -10,6 +10,7 @@ mod anchors;
 mod assessment;
 mod bad_input;
 mod board;
+mod board_files;
 mod board_scatter;
 mod command_line;
 mod compote;

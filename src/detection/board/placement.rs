@@ -17,6 +17,8 @@ type NodePoint = ((i32, i32), usize);
 const PLACE_ERROR: f64 = 0.15;
 /// Of the points of a lattice that no homography agrees with one in so many is dropped at a time.
 const DROPPED: usize = 40;
+/// A row of corners may be missing between others, as where each is seen in a single micro-image.
+const GAP: i32 = 2;
 /// Outer corners less than this part of a step apart are at the same place.
 const SAME_PLACE: f64 = 0.4;
 
@@ -44,6 +46,7 @@ impl View<'_> {
     /// Every way to place a lattice on the board.
     pub fn placements(&self, nodes: &Nodes) -> Vec<Placement> {
         let Some((nodes, homography)) = self.regular(nodes) else { return Vec::new() };
+        let nodes = self.across_gaps(nodes, &homography);
         let of_turn = |quarter_turns: u8| {
             let turned: Vec<NodePoint> =
                 nodes.iter().map(|&(at, i)| (turned(at, quarter_turns), i)).collect();
@@ -120,6 +123,28 @@ impl View<'_> {
         }
     }
 
+    /// These and the points that a lattice cannot grow to, since all corners of a row between are missing.
+    fn across_gaps(&self, mut nodes: Vec<NodePoint>, homography: &Matrix3<f64>) -> Vec<NodePoint> {
+        let Some(inverse) = homography.try_inverse() else { return nodes };
+        let known: BTreeMap<(i32, i32), usize> = nodes.iter().copied().collect();
+        let mut free: Vec<usize> = (0..self.points.len()).collect();
+        free.retain(|i| nodes.iter().all(|(_, known)| known != i));
+        for i in free {
+            let at = project(&inverse, &self.points[i].place);
+            let rounded = at.map(f64::round);
+            #[allow(clippy::cast_possible_truncation)] // saturates far from the lattice
+            let (x, y) = (rounded.x as i32, rounded.y as i32);
+            let near = || {
+                let reach = |of: i32| of.saturating_sub(GAP)..=of.saturating_add(GAP);
+                reach(y).any(|y| reach(x).any(|x| known.contains_key(&(x, y))))
+            };
+            if (at - rounded).norm() < PLACE_ERROR && !known.contains_key(&(x, y)) && near() {
+                nodes.push(((x, y), i));
+            }
+        }
+        nodes
+    }
+
     /// Points by place on the board (column, row), some of them beyond it.
     fn placement(
         &self,
@@ -131,11 +156,13 @@ impl View<'_> {
         let mut found = vec![false; usize::try_from(board.corners()).unwrap_or(0)];
         let mut score = 0.0;
         for ((column, row), i) in points {
+            // A corner beyond the board is none of it.
+            score -= 1.0;
             if (0..board.columns).contains(&column) && (0..board.rows).contains(&row) {
                 let corner = row * board.columns + column;
                 corners[i] = Some(corner);
                 found[usize::try_from(corner).unwrap_or(0)] = true;
-                score += 1.0;
+                score += 2.0;
                 let at = coordinates(board, corner);
                 let diagonal = project(&homography, &(at + Vector2::new(1.0, 1.0)))
                     - project(&homography, &at);

@@ -136,6 +136,20 @@ fn missing_corners_and_clutter_do_not_matter() {
     assert_eq!(labelled(&points, &BOARD).unwrap(), expected);
 }
 
+/// A part of the board that would fit in two ways, if all corners behind a missing column did not count.
+#[test]
+fn corners_behind_a_missing_column_tell_which_part_of_the_board_is_in_view() {
+    // Its last rows would be in view, if the board were turned by 90 degrees, but for the border below.
+    let shift = Vector2::new(0.0, 500.0 - 374.5);
+    let all = seen(&BOARD, 0.0, shift);
+    let points: Vec<(i32, LatticePoint)> =
+        (0..).zip(all).filter(|(corner, _)| corner % 8 != 5 && corner % 8 != 7).collect();
+    let (corners, points): (Vec<i32>, Vec<LatticePoint>) = points.into_iter().unzip();
+    let below = |place: &Vector2<f64>| place.y < 700.0 && place.x < 900.0;
+    let found = LabelledBoard::label(&points, &BOARD, &below).unwrap().corners;
+    assert_eq!(found, corners.into_iter().map(Some).collect::<Vec<_>>());
+}
+
 #[test]
 fn what_is_no_board_is_rejected_with_the_reason() {
     let points = seen(&BOARD, 0.0, Vector2::zeros());
