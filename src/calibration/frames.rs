@@ -246,18 +246,20 @@ mod tests {
         Isometry3::from_parts(Translation3::from(place), rotation)
     }
 
-    fn projections(pose: &Isometry3<f64>, features: &[BapFeature]) -> Vec<FeatureResidual> {
-        let camera = camera();
+    /// What `solve` makes of one frame at this pose.
+    fn of_frame<T>(
+        pose: &Isometry3<f64>,
+        features: &[BapFeature],
+        solve: impl Fn(&Problem) -> T,
+    ) -> T {
         let start = [FramePose { frame: 0, camera_from_board: *pose }];
         let rows = solver_features(features, &start, &BOARD);
-        let problem = Problem {
-            camera: &camera,
-            board: BOARD.into(),
-            poses: &[*pose],
-            features: &rows,
-            centers: &[],
-        };
-        feature_residuals(&problem, features).unwrap()
+        let (camera, board, poses) = (&camera(), BOARD.into(), &[*pose]);
+        solve(&Problem { camera, board, poses, features: &rows, centers: &[] })
+    }
+
+    fn projections(pose: &Isometry3<f64>, features: &[BapFeature]) -> Vec<FeatureResidual> {
+        of_frame(pose, features, |problem| feature_residuals(problem, features).unwrap())
     }
 
     fn refined(
@@ -265,19 +267,11 @@ mod tests {
         features: &[BapFeature],
         cost: &CostOptions,
     ) -> Isometry3<f64> {
-        let camera = camera();
-        let start = [FramePose { frame: 0, camera_from_board: *pose }];
-        let rows = solver_features(features, &start, &BOARD);
-        let problem = Problem {
-            camera: &camera,
-            board: BOARD.into(),
-            poses: &[*pose],
-            features: &rows,
-            centers: &[],
-        };
         let solver =
             SolverOptions { max_iterations: CHOICE_ITERATIONS, ..SolverOptions::default() };
-        solver::refine(&problem, cost, &solver, &mut |_| true).unwrap().poses[0]
+        of_frame(pose, features, |problem| {
+            solver::refine(problem, cost, &solver, &mut |_| true).unwrap().poses[0]
+        })
     }
 
     fn sum_of_squares(residuals: &[FeatureResidual]) -> f64 {

@@ -308,3 +308,36 @@ impl Precalibration {
         );
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn straight_lines_have_larger_standard_deviations_and_a_warning() {
+        let measured = InternalParameters {
+            m_mm: 0.15,
+            q_prime_mm: vec![0.036, 0.041],
+            m_std_dev_mm: Some(1e-4),
+            q_prime_std_dev_mm: vec![1e-5, 1e-5],
+            micro_image_pitch_mm: None,
+            pupil_growth: 0.0,
+            fall_off: None,
+            lean: None,
+            point_spread: None,
+            fill_factor: None,
+        };
+        let of = |estimator| {
+            let mut internal = measured.clone();
+            (by_lines(None, estimator, &mut internal), internal)
+        };
+        let (warning, internal) = of(RadiusEstimator::Profile);
+        assert!(warning.unwrap().contains("they are 6 % and 3 % off"));
+        assert!((internal.m_std_dev_mm.unwrap() / measured.m_mm - 0.06).abs() < 1e-4);
+        for (std_dev, q) in internal.q_prime_std_dev_mm.iter().zip(&internal.q_prime_mm) {
+            assert!((std_dev / q - 0.03).abs() < 1e-4);
+        }
+        // That is what was asked for.
+        assert_eq!(of(RadiusEstimator::Moments), (None, measured.clone()));
+    }
+}

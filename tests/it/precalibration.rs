@@ -293,3 +293,28 @@ fn the_second_moments_of_the_paper_are_too_small_on_linear_images() {
     let part = result.internal.parameters.m_mm / truth.m_mm;
     assert!((0.7..0.8).contains(&part), "second moments of linear images give {part} of m");
 }
+
+/// Discs that no f-numbers have are not believed: here the f-numbers are wrong. Straight lines are left, whose σ holds that.
+#[test]
+fn straight_lines_are_left_where_discs_are_not_believed() {
+    let settings = preset("mini", &["rays=32", "seed=43"]);
+    let (mut whites, reference) = taken(&settings);
+    let of = |whites: &[White]| {
+        let options = PrecalibrationOptions { stated: None, ..options(&settings) };
+        precalibrate(whites, Some(&reference), &options, &|| ()).unwrap().internal.parameters
+    };
+    let by_discs = of(&whites);
+    for (white, part) in whites.iter_mut().zip([1.1, 0.9, 1.1, 0.9, 1.1]) {
+        white.f_number *= part;
+    }
+    let by_lines = of(&whites);
+    assert!(by_discs.point_spread.is_some() && by_lines.point_spread.is_none());
+    let truth = optics::internal_parameters(&settings.camera).q_prime_mm;
+    for (i, truth) in truth.iter().enumerate() {
+        let [q, std_dev] = [by_lines.q_prime_mm[i], by_lines.q_prime_std_dev_mm[i]];
+        assert!(
+            std_dev > 0.02 * q && (q - truth).abs() < 3.0 * std_dev,
+            "{q} ± {std_dev}, {truth}"
+        );
+    }
+}

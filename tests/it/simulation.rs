@@ -124,7 +124,7 @@ fn every_preset_gives_a_data_set_without_imperfections_but_those_of_real_lenses(
 
 /// What is engraved on the lens is off by 2 %, and the board is neither flat nor exact.
 #[test]
-fn presets_of_real_cameras_have_all_that_these_have() {
+fn presets_of_real_cameras_have_what_a_careful_shoot_has() {
     for name in ["real-a", "real-b"] {
         let few = ["boards.calibration=1", "boards.evaluation=1", "translation.images=1"];
         let settings = preset(name, &few);
@@ -142,7 +142,13 @@ fn presets_of_real_cameras_have_all_that_these_have() {
         }
         let imperfections = settings.imperfections;
         assert!(imperfections.point_spread_px > 0.3 && imperfections.fill_factor < 1.0);
-        assert!(settings.imaging.black_level > 0.0 && !settings.target.is_flat_and_exact());
+        assert!(imperfections.dead_micro_lenses > 0 && imperfections.dust_specks > 0);
+        let (imaging, target) = (&settings.imaging, &settings.target);
+        assert!(imaging.black_level > 0.0 && imaging.crosstalk > 0.0 && imaging.hot_pixels > 0);
+        let brightest = imaging.exposure + imaging.black_level;
+        assert!((brightest..1.0).contains(&imaging.saturation), "{name}: {brightest}");
+        let [x, y] = target.sag_mm;
+        assert!([x, y, target.twist_mm, target.aspect].iter().all(|shape| shape.abs() > 0.0));
         assert!(settings.prescription.is_some());
     }
 }
