@@ -21,9 +21,8 @@ use crate::simulation::{
 ///
 /// - `whites/`, `devignetting.png`, `calibration/`, `evaluation/`, `translation/`: the images, PNG or JPEG;
 /// - `project.toml`: what a user would write about them; `simulation.toml`: the settings;
-/// - `truth/`: camera, what a real main lens comes to, internal parameters, the shape of a board that is not
-///   flat and exact, centres with lens types, and for every subset poses and features with the fraction of
-///   their light that is `visible`;
+/// - `truth/`: camera, what a real main lens comes to, internal parameters, the shape of the board, centres with
+///   lens types, and for every subset poses and features with the fraction of their light that is `visible`;
 /// - `observed/`, if there are calibration boards: the observations with noise, and a project file
 ///   of its own for `calibrate`.
 pub fn stage_data_set(

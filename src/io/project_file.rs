@@ -107,7 +107,7 @@ pub struct InternalSection {
     pub lean: Option<Lean>,
     /// The point spread.
     pub point_spread: Option<PointSpread>,
-    /// The fill factor.
+    /// The fill factor that q'ᵢ go with; 1 if it is not stated.
     pub fill_factor: Option<FillFactor>,
     /// Black and saturation level of the images.
     pub levels: Option<SampleLevels>,
