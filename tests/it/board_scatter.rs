@@ -71,9 +71,9 @@ impl Kind {
         }
     }
 
-    /// Draws boards, prints how they came out, and returns scatter over σ of the shape, and how often a bend and an
-    /// aspect were found.
-    fn draw(&self) -> ([f64; 4], [f64; 2]) {
+    /// Draws boards, prints how they came out, and returns scatter over σ of the shape and of F, D and d with the shape as it
+    /// was found, and how often a bend and an aspect were found.
+    fn draw(&self) -> ([f64; 4], [f64; 3], [f64; 2]) {
         let all: Vec<Outcome> =
             (0..self.draws).into_par_iter().map(|seed| self.outcome(seed)).collect();
         let count = all.len() as f64;
@@ -92,9 +92,11 @@ impl Kind {
                 rms(&|o| o.tried[i].0)
             );
         }
+        let mut lengths = [0.0; 3];
         for (i, name) in ["F", "D", "d"].into_iter().enumerate() {
             let [found, known] =
                 [0, 1].map(|m| (rms(&|o| o.lengths[m][i].0), 100.0 * rms(&|o| o.lengths[m][i].1)));
+            lengths[i] = found.0;
             println!(
                 "  {name} error/σ {:.2}, {:.2} %; with the true shape {:.2}, {:.2} %",
                 found.0, found.1, known.0, known.1
@@ -102,7 +104,7 @@ impl Kind {
         }
         let found = [0, 3].map(|i| all.iter().filter(|o| o.found[i]).count() as f64 / count);
         println!("  bend found in {:.1} %, aspect in {:.1} %", 100.0 * found[0], 100.0 * found[1]);
-        (ratios, found)
+        (ratios, lengths, found)
     }
 }
 
@@ -123,10 +125,16 @@ fn monte_carlo_of_boards() {
         (Kind { alike: true, draws: 40, name: "flat, all alike", ..plain }, [0.0, 0.0]),
         (Kind { alike: true, ..of("bent, all alike", 40, bent) }, [1.0, 1.0]),
     ] {
-        let (ratios, found) = kind.draw();
+        let (ratios, lengths, found) = kind.draw();
+        // σ is neither too small nor too large.
         for (ratio, parameter) in ratios.iter().zip(&SHAPE_PARAMETERS) {
-            assert!(*ratio < 1.4, "{}: {} {ratio}", kind.name, parameter.name);
+            assert!((0.5..1.4).contains(ratio), "{}: {} {ratio}", kind.name, parameter.name);
         }
+        assert!(
+            lengths.iter().all(|ratio| (0.4..1.3).contains(ratio)),
+            "{}: {lengths:?}",
+            kind.name
+        );
         for (found, expected) in found.into_iter().zip(expected) {
             assert!((found - expected).abs() <= 0.05, "{}: {found}", kind.name);
         }
