@@ -127,3 +127,22 @@ pub fn pose_errors(
         rotation_rad: root(sum.rotation_rad),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_shape_is_compared_parameter_by_parameter() {
+        let truth = BoardShape { sag_x_mm: 0.1, aspect: 1e-3, ..BoardShape::default() };
+        let found = BoardShape { sag_x_mm: 0.12, twist_mm: -0.01, ..BoardShape::default() };
+        let errors = shape_errors(&truth, &found, [Some(0.01), Some(0.02), Some(0.01), None]);
+        let names: Vec<&str> = errors.iter().map(|e| e.name.as_str()).collect();
+        assert_eq!(names, ["sag_x", "sag_y", "twist", "aspect"]);
+        let standardised: Vec<Option<f64>> =
+            errors.iter().map(ParameterError::standardised).collect();
+        assert!((standardised[0].unwrap() - 2.0).abs() < 1e-9);
+        assert!((standardised[2].unwrap() + 1.0).abs() < 1e-9 && standardised[3].is_none());
+        assert!((errors[3].error() + 1e-3).abs() < 1e-12);
+    }
+}
