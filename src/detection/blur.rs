@@ -22,17 +22,19 @@ use crate::vignetting::{DISC, Field, Obliquity, POINTS, PartPoints, ROOM, Vignet
 #[derive(Debug, Clone)]
 pub(super) struct Blur<'a> {
     /// ρ, px.
-    rho: f64,
+    pub(super) rho: f64,
     /// qᵢ, px.
-    q: f64,
+    pub(super) q: f64,
+    /// a, the radius of the pupil, px.
+    pub(super) pupil: f64,
     /// What the aberrations add.
-    bend: Bend,
+    pub(super) bend: Bend,
     /// Which part of the micro-lens the pupil leaves visible.
-    vignetting: &'a Vignetting,
+    pub(super) vignetting: &'a Vignetting,
     /// The angles at which the light arrives.
-    obliquity: Obliquity,
+    pub(super) obliquity: Obliquity,
     /// Variance along an axis by which edges are wider than blur and pixels make them, px².
-    wider_px2: f32,
+    pub(super) wider_px2: f32,
 }
 
 /// The rays that arrive at the pixels of a micro-image.
@@ -69,7 +71,15 @@ impl<'a> Blur<'a> {
     /// For a point with the slope γ, seen through a micro-lens of which `vignetting` tells the visible parts.
     pub fn new(optics: &MicroOptics, slope: f64, bend: Bend, vignetting: &'a Vignetting) -> Self {
         let (rho, q) = (optics.blur_radius_px(slope), optics.q_px());
-        Self { rho, q, bend, vignetting, obliquity: optics.obliquity, wider_px2: 0.0 }
+        Self {
+            rho,
+            q,
+            pupil: optics.pupil_px,
+            bend,
+            vignetting,
+            obliquity: optics.obliquity,
+            wider_px2: 0.0,
+        }
     }
 
     /// With edges that are wider by a variance along an axis, px².
@@ -201,49 +211,13 @@ fn inverse_width(variance: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::corner::Corner;
     use super::super::corner_fit::Free;
-    use super::super::patch::{USABLE, weight};
+    use super::super::exact_light::ExactLight;
     use super::*;
-    use crate::vignetting::Pixel;
-
-    /// The lens of an R12 whose micro-images are most vignetted, px, with cos⁴.
-    const RHO: f64 = -3.4;
-    const Q: f64 = -4.19;
-    const PUPIL: f64 = 6.48;
-    const HALF_PITCH: f64 = 11.65;
-    const WITHIN: f64 = 4.0 / (59.0 * 59.0);
-
-    /// Weight and origin, p − ρ w, of the light of the pixel at (x, y): from so many points of the pixel along each axis,
-    /// and so many rings of the micro-lens, of equal area.
-    fn summed(
-        [x, y]: [f64; 2],
-        [rho, q]: [f64; 2],
-        [of_pixel, rings]: [i32; 2],
-    ) -> Vec<(f64, Vector2<f64>)> {
-        let step = |i: i32| (f64::from(i) + 0.5) / f64::from(of_pixel) - 0.5;
-        let on_lens = |i: i32| {
-            let radius = ((f64::from(i % rings) + 0.5) / f64::from(rings)).sqrt();
-            // By the golden angle no two rings are alike.
-            let (sin, cos) = (f64::from(i) * 2.399_963_229_728_653).sin_cos();
-            Vector2::new(cos, sin) * radius
-        };
-        let lens: Vec<Vector2<f64>> = (0..3 * rings * rings).map(on_lens).collect();
-        let mut light = Vec::new();
-        for i in 0..of_pixel * of_pixel {
-            let p = Vector2::new(x + step(i % of_pixel), y + step(i / of_pixel));
-            let seen = lens.iter().filter(|w| (p - *w * q).norm() < PUPIL);
-            light.extend(seen.map(|w| {
-                let oblique = (p + w * HALF_PITCH).norm_squared();
-                ((1.0 + WITHIN * oblique / 4.0).powi(-2), p - w * rho)
-            }));
-        }
-        light
-    }
 
     /// Mean and variances of where the light of the pixel at (x, 0) comes from.
-    fn moments(x: f64) -> [f64; 3] {
-        let light = summed([x, 0.0], [RHO, Q], [8, 40]);
+    fn moments(light: &ExactLight, x: f64) -> [f64; 3] {
+        let light = light.of_pixel([x, 0.0]);
         let all: f64 = light.iter().map(|(weight, _)| weight).sum();
         let mean_of = |of: &dyn Fn(&Vector2<f64>) -> f64| {
             light.iter().map(|(weight, origin)| weight * of(origin)).sum::<f64>() / all
@@ -252,56 +226,17 @@ mod tests {
         [mean, mean_of(&|o| (o.x - mean).powi(2)), mean_of(&|o| o.y * o.y)]
     }
 
-    fn blur(rho: f64, q: f64, vignetting: &Vignetting) -> Blur<'_> {
-        let obliquity =
-            Obliquity { within_per_px2: WITHIN, half_pitch_px: HALF_PITCH, ..Obliquity::default() };
-        Blur { rho, q, bend: Bend::none(), vignetting, obliquity, wider_px2: 0.0 }
-    }
-
     /// By how much corners of summed light at a distance from the centre are found further outwards, px: the mean of
     /// several directions.
-    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn misplaced(rho: f64, q: f64, distance: f64) -> f64 {
-        const DIRECTIONS: i32 = 6;
-        const PARTS: [i32; 2] = [3, 18];
-        let vignetting = Vignetting::new(PUPIL, q, &Pixel::default());
-        let blur = blur(rho, q, &vignetting);
-        let outer = (PUPIL + q.abs()).min(HALF_PITCH);
-        let sum = |light: &[(f64, Vector2<f64>)]| light.iter().map(|(weight, _)| weight).sum();
-        let brightest: f64 = sum(&summed([0.0; 2], [rho, q], PARTS));
-        let of_direction = |direction: i32| {
-            let turn = f64::from(direction) * std::f64::consts::TAU / f64::from(DIRECTIONS) + 0.1;
-            let place = Vector2::new(turn.cos(), turn.sin()) * distance;
-            let start = Corner {
-                place,
-                angles: [0.3 + 1.7 * turn, 1.8 + 1.7 * turn],
-                level: 0.5,
-                contrast: 0.4,
-                width: 1.0,
-                covariance: nalgebra::Matrix2::zeros(),
-                explained: 0.0,
-            };
-            let [a, b] = start.angles.map(|angle| Vector2::new(-angle.sin(), angle.cos()));
-            let mut patch = Patch::default();
-            for i in 0..25 * 25 {
-                let (x, y) = (f64::from(i % 25) - 11.79, f64::from(i / 25) - 12.37);
-                let light = summed([x, y], [rho, q], PARTS);
-                let white: f64 = sum(&light);
-                let part = (white / brightest) as f32;
-                if x.hypot(y) > outer || part < USABLE {
-                    continue;
-                }
-                let side = |o: &Vector2<f64>| (a.dot(&(o - place)) * b.dot(&(o - place))).signum();
-                let board: f64 = light.iter().map(|(weight, o)| weight * side(o)).sum();
-                patch.x.push(x as f32);
-                patch.y.push(y as f32);
-                patch.light.push((0.5 + 0.4 * board / white) as f32);
-                patch.weight.push(weight(part));
-            }
+        let light = ExactLight { rho, q, ..ExactLight::default() };
+        let vignetting = light.vignetting();
+        let blur = light.blur(&vignetting);
+        let all = light.corners(distance).map(|(start, patch)| {
             let found = start.fitted(&patch, &blur.rays(&patch), Free::Place).unwrap();
-            (found.place - place).dot(&place) / distance
-        };
-        (0..DIRECTIONS).map(of_direction).sum::<f64>() / f64::from(DIRECTIONS)
+            (found.place - start.place).dot(&start.place) / distance
+        });
+        all.iter().sum::<f64>() / all.len() as f64
     }
 
     #[test]
@@ -316,8 +251,9 @@ mod tests {
 
     #[test]
     fn rays_come_from_where_the_light_does() {
-        let vignetting = Vignetting::new(PUPIL, Q, &Pixel::default());
-        let blur = blur(RHO, Q, &vignetting);
+        let light = ExactLight { of_pixel: 8, rings: 40, ..ExactLight::default() };
+        let vignetting = light.vignetting();
+        let blur = light.blur(&vignetting);
         let places = [0.5_f32, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0];
         let patch = Patch { x: places.into(), y: vec![0.0; places.len()], ..Patch::default() };
         let rays = blur.rays(&patch);
@@ -329,7 +265,7 @@ mod tests {
             let left_out = mean_of(&|p| f64::from(p[4][i]).powi(-2) / 5.0);
             let along = mean_of(&|p| (f64::from(p[0][i]) - mean).powi(2)) + left_out;
             let across = mean_of(&|p| f64::from(p[1][i]).powi(2)) + left_out;
-            let [expected, expected_along, expected_across] = moments(f64::from(x));
+            let [expected, expected_along, expected_across] = moments(&light, f64::from(x));
             assert!((mean - expected).abs() < 0.003, "{x}: {mean} for {expected}");
             let spread = |variance: f64| variance.sqrt();
             assert!(

@@ -5,7 +5,7 @@
 //! Openings that do not fill the distance between micro-lenses, φ < 1, blur less; a point spread, printed edges that are not
 //! sharp and boards that move make all edges wider by the same variance v.
 
-use nalgebra::{Matrix1x3, Matrix2, Matrix3, RowVector3, Vector2, Vector4};
+use nalgebra::{Matrix1x3, Matrix1x4, Matrix2, Matrix3, RowVector3, Vector2, Vector4};
 
 use super::blur::Rays;
 use super::corner::Corner;
@@ -47,34 +47,50 @@ pub(super) struct OfFrames {
 }
 
 impl EdgeWidth {
-    /// Of a corner that was fitted with `rays`; the others are those with a fill factor that is larger by the part
+    /// Of a corner that was fitted with `rays`, and by how much its place is off because of these, px: `summed` is its shape as
+    /// it is, see [`super::summed`]. The others are those with a fill factor that is larger by the part
     /// [`OTHERWISE`], and with edges that are wider by [`WIDER_PX2`]. `None` if the light does not determine its place.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    pub fn of(corner: &Corner, patch: &Patch, rays: &Rays, others: [&Rays; 2]) -> Option<Self> {
+    pub fn of(
+        corner: &Corner,
+        patch: &Patch,
+        rays: &Rays,
+        others: [&Rays; 2],
+        summed: &[f32],
+    ) -> Option<(Self, Vector2<f64>)> {
         let pixels = patch.x.len();
         let share = 1.0 / rays.points().len() as f32;
         let (level, contrast) = (corner.level as f32, corner.contrast as f32);
         let [by_u, by_v, shape] = corner.derivatives(pixels, rays);
         let moved = others.map(|rays| corner.shape(pixels, rays));
         let per = [1.0 / OTHERWISE as f32, 1.0 / WIDER_PX2 as f32].map(|x| x * contrast * share);
-        let mut equations = NormalEquations::<f32, 4, 3>::new();
+        let mut equations = NormalEquations::<f32, 4, 4>::new();
         let mut products = Matrix3::<f64>::zeros();
         for i in 0..pixels {
             let (along_u, along_v) = (by_u[i] * contrast * share, by_v[i] * contrast * share);
             let row = Vector4::new(along_u, along_v, 1.0, shape[i] * share);
             let [by_fill, by_width] = [0, 1].map(|k: usize| (moved[k][i] - shape[i]) * per[k]);
-            let residual = patch.light[i] - level - contrast * shape[i] * share;
+            let residual = patch.light[i] - level - contrast * summed[i];
             let of_pixel = Matrix1x3::new(residual, by_fill, by_width);
-            equations.add(&row, &of_pixel, patch.weight[i]);
+            let approximation = contrast * (shape[i] * share - summed[i]);
+            let all = Matrix1x4::new(residual, by_fill, by_width, approximation);
+            equations.add(&row, &all, patch.weight[i]);
             let of_pixel: RowVector3<f64> = of_pixel.map(f64::from);
             products += of_pixel.transpose() * of_pixel * f64::from(patch.weight[i]);
         }
-        let left = products - equations.in_double().explained()?;
+        let off = equations.solve()?.fixed_view::<2, 1>(0, 3).map(f64::from);
+        let left = products - equations.in_double().explained()?.fixed_view::<3, 3>(0, 0);
         let variance = left[(0, 0)] / (pixels as f64 - USED).max(1.0);
         let information = left.fixed_view::<2, 2>(1, 1) / variance;
         let right = left.fixed_view::<2, 1>(1, 0) / variance;
-        let finite = information.iter().chain(right.iter()).all(|x| x.is_finite());
-        (variance > 0.0 && finite).then_some(Self { information, right })
+        let finite = information.iter().chain(&right).chain(&off).all(|x| x.is_finite());
+        (variance > 0.0 && finite).then_some((Self { information, right }, off))
+    }
+
+    /// Its information of ln φ and v, and that times the change.
+    #[cfg(test)]
+    pub fn equations(&self) -> (Matrix2<f64>, Vector2<f64>) {
+        (self.information, self.right)
     }
 
     /// Of ln φ and v themselves, if it is of their changes from these.

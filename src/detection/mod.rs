@@ -13,6 +13,8 @@ mod corner_fit;
 mod dbscan;
 mod distortion;
 mod edge_width;
+#[cfg(test)]
+mod exact_light;
 mod exposure;
 mod features;
 mod first_pass;
@@ -30,6 +32,7 @@ mod second_pass;
 mod seen;
 mod slope_field;
 mod stage;
+mod summed;
 #[cfg(test)]
 mod tests;
 

@@ -224,9 +224,13 @@ impl SecondPass<'_> {
             let fitted = pair.patch(micro_images, node).ok().and_then(|patch| {
                 let start = self.expected_corner(sought, &center, patch.mean());
                 let rays = blur.rays(&patch);
-                let corner = self.fitted(&start, &patch, &rays)?;
+                let mut corner = self.fitted(&start, &patch, &rays)?;
                 let mut levers = corner.levers(&patch, &rays, slope, &bend, &[])?;
                 let width = self.by_few(&corner, &patch, (&optics, slope, &bend), &mut levers);
+                let width = width.map(|(width, off)| {
+                    corner.place += off;
+                    width
+                });
                 Some((corner, levers, width, corner.imbalance(&patch, &rays)))
             });
             let Some((corner, levers, width, imbalance)) = fitted else {
@@ -251,15 +255,15 @@ impl SecondPass<'_> {
         Outcome { found, unclear, misplaced, given_up }
     }
 
-    /// What a few pixels of a corner say of the width of its edges; and, in the last round, its levers by what is taken from
-    /// white images.
+    /// What a few pixels of a corner say of the width of its edges, and by how much its place is off, px; and, in the last
+    /// round, its levers by what is taken from white images.
     fn by_few(
         &self,
         corner: &Corner,
         patch: &Patch,
         (optics, slope, bend): (&MicroOptics, f64, &Bend),
         levers: &mut Levers,
-    ) -> Option<EdgeWidth> {
+    ) -> Option<(EdgeWidth, Vector2<f64>)> {
         let micro_images = self.frame.search.micro_images;
         let few = patch.thinned(FEW);
         let as_is = |optics: &MicroOptics, vignetting| {
@@ -270,15 +274,16 @@ impl SecondPass<'_> {
             let (optics, vignetting) = micro_images.otherwise(optics, taken);
             as_is(&optics, vignetting).rays(&few)
         };
-        let (rays, wider) = (blur.rays(&few), blur.wider(WIDER_PX2).rays(&few));
+        let (rays, summed) = (blur.rays(&few), blur.summed_shape(corner, &few));
+        let wider = blur.wider(WIDER_PX2).rays(&few);
         if !self.last {
-            return EdgeWidth::of(corner, &few, &rays, [&otherwise(FILL_FACTOR), &wider]);
+            return EdgeWidth::of(corner, &few, &rays, [&otherwise(FILL_FACTOR), &wider], &summed);
         }
         let others: [Rays; TAKEN] = std::array::from_fn(otherwise);
         if let Some(by_few) = corner.levers(&few, &rays, slope, bend, &others) {
             levers.by_taken = by_few.by_taken;
         }
-        EdgeWidth::of(corner, &few, &rays, [&others[FILL_FACTOR], &wider])
+        EdgeWidth::of(corner, &few, &rays, [&others[FILL_FACTOR], &wider], &summed)
     }
 
     /// A corner as it should show in the micro-image about `center`, whose mean light is `level`.

@@ -10,5 +10,5 @@ mod visible_part;
 pub(crate) use obliquity::{Field, Obliquity};
 pub(crate) use overlap::{Overlap, overlap, overlap_area};
 pub(crate) use pixel::Pixel;
-pub(crate) use points::{DISC, POINTS, ROOM};
+pub(crate) use points::{DISC, POINTS, ROOM, cells_of_disc};
 pub(crate) use visible_part::{PartPoints, Vignetting};

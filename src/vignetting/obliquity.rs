@@ -61,6 +61,17 @@ impl Obliquity {
             * (-self.of_pixels_per_px2 * square / 2.0).exp()
     }
 
+    /// In single precision, as the light.
+    #[allow(clippy::cast_possible_truncation)]
+    pub(crate) fn in_single(&self) -> Falling {
+        Falling {
+            gradient: self.gradient_per_px.map(|x| x as f32).into(),
+            natural: ((self.within_per_px2 - self.of_pixels_per_px2) / 4.0) as f32,
+            of_pixels: (self.of_pixels_per_px2 / 2.0) as f32,
+            half_pitch: self.half_pitch_px as f32,
+        }
+    }
+
     /// The mean of [`Obliquity::light`] where squares have a variance, px⁴.
     pub(crate) fn mean_light(&self, square: f64, variance: f64) -> f64 {
         let pixels = self.of_pixels_per_px2;
@@ -79,6 +90,35 @@ impl Obliquity {
         // Without any fall-off there is none to compare with: all is as at normal incidence.
         let slope = if within == 0.0 { 1.0 } else { (natural / oblique + pixels) / within };
         (light, light * slope)
+    }
+}
+
+/// How light falls off between the points of a micro-lens and those of its micro-image: see [`Obliquity::light`].
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Falling {
+    gradient: [f32; 2],
+    /// n/(4d²) of a law cosⁿ, px⁻².
+    natural: f32,
+    /// Half the part of pixels, px⁻².
+    of_pixels: f32,
+    half_pitch: f32,
+}
+
+impl Falling {
+    /// The light through the point w of the micro-lens (a disc of radius 1) at a point y from the middle of the
+    /// micro-image, px, over that at normal incidence in the middle of the image; and the gradient of its logarithm
+    /// there, px⁻¹.
+    #[inline(always)]
+    pub fn light(&self, y: (f32, f32), w: (f32, f32)) -> (f32, f32, f32) {
+        // Points of the micro-lens are half a turn away from where they lie.
+        let (x, y) = (y.0 + w.0 * self.half_pitch, y.1 + w.1 * self.half_pitch);
+        let square = x * x + y * y;
+        let natural = (1.0 + (self.natural * square).max(-0.5)).recip();
+        // exp(−z) to the third order: z is small.
+        let z = self.gradient[0] * x + self.gradient[1] * y + self.of_pixels * square;
+        let light = natural * natural * (1.0 - z * (1.0 - z * (0.5 - z / 6.0)));
+        let by_px = -4.0 * self.natural * natural - 2.0 * self.of_pixels;
+        (light, by_px * x - self.gradient[0], by_px * y - self.gradient[1])
     }
 }
 

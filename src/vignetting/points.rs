@@ -33,12 +33,18 @@ pub(crate) fn in_room(of: impl Fn(usize) -> f64) -> [f32; ROOM] {
     std::array::from_fn(|j| if j < POINTS { of(j) as f32 } else { 0.0 })
 }
 
-/// The centroids of cells of equal area that the unit disc is cut into: rings, and equal sectors of them.
+/// The points of the disc.
 pub(crate) fn of_disc() -> [Vector2<f64>; POINTS] {
-    let all = POINTS as f64;
-    let mut points = [Vector2::zeros(); POINTS];
+    cells_of_disc(&RINGS)
+}
+
+/// The centroids of cells of equal area that the unit disc is cut into: rings, and equal sectors of them. There are as
+/// many in each ring as the numbers say, N in all.
+pub(crate) fn cells_of_disc<const N: usize>(rings: &[usize]) -> [Vector2<f64>; N] {
+    let all = N as f64;
+    let mut points = [Vector2::zeros(); N];
     let mut inside = 0;
-    for count in RINGS {
+    for &count in rings {
         let sector = std::f64::consts::TAU / count as f64;
         // The centroid of a sector of a ring: 2/3 (r₂³ − r₁³)/(r₂² − r₁²), by sin(θ/2)/(θ/2).
         let (inner, outer) = ((inside as f64 / all).sqrt(), ((inside + count) as f64 / all).sqrt());

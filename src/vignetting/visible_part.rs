@@ -92,6 +92,11 @@ impl Vignetting {
         Self { moments, points, sign, pixel }
     }
 
+    /// Variance along an axis of what a pixel collects, px².
+    pub fn pixel_variance(&self) -> f32 {
+        self.pixel
+    }
+
     /// The part of the micro-lens through which the pixel at an offset from the centre, px, sees.
     #[inline]
     pub fn at(&self, offset: &Vector2<f64>) -> VisiblePart<'_> {

@@ -1,0 +1,280 @@
+//! The light of a corner, summed over many points of the micro-lens.
+//!
+//! The fit of a corner stands for what a pixel sees by few points of the visible part of the micro-lens, and for the step
+//! of an edge by a cubic. That is right to a few hundredths of a pixel of a place, but not to a thousandth of a blur radius.
+//! Here each of more points w of the whole micro-lens stands for a cell of it. Over that cell, and over the light that a
+//! pixel at p collects (its square and the point spread), two places vary together: y = p − qᵢ w in the pupil, and the origin
+//! o = p − ρ w on the board. Both are taken to be normally distributed. Light arrives where |y| < a, so
+//! - its part is Φ(z), z = (a − r)/σ, with r² = E|y|² and σ² the variance of y along an axis;
+//! - given that, y has along y/|y| the mean, variance and third moment of a normal distribution that is cut off at z, and
+//!   the origin follows it by cov(o, y)/σ²;
+//! - the mean of the two steps of a corner is that of normal edges, with the terms of Edgeworth's series for third moments and
+//!   for edges that are not perpendicular.
+
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
+use std::sync::LazyLock;
+
+use nalgebra::Vector2;
+use pulp::{Arch, NullaryFnOnce};
+
+use super::blur::Blur;
+use super::corner::Corner;
+use super::patch::Patch;
+use crate::vignetting::cells_of_disc;
+
+/// Numbers of points of the micro-lens in rings, from the middle.
+const RINGS: [usize; 4] = [1, 6, 12, 18];
+const POINTS: usize = 37;
+/// Room for them that fills registers.
+const ROOM: usize = POINTS.next_multiple_of(8);
+
+/// The points in single precision, as the light.
+struct Lens {
+    x: [f32; ROOM],
+    y: [f32; ROOM],
+    /// 1 for a point, 0 in the room behind them.
+    is_one: [f32; ROOM],
+    /// Variance of a cell along an axis.
+    cell: f32,
+}
+
+#[allow(clippy::cast_possible_truncation)] // single precision, as the light
+static LENS: LazyLock<Lens> = LazyLock::new(|| {
+    let points = cells_of_disc::<POINTS>(&RINGS);
+    let of = |of: &dyn Fn(&Vector2<f64>) -> f64| {
+        std::array::from_fn(|j| points.get(j).map_or(0.0, |point| of(point) as f32))
+    };
+    // That of the disc along an axis is a quarter.
+    let square = points.iter().map(Vector2::norm_squared).sum::<f64>() / 2.0 / POINTS as f64;
+    Lens { x: of(&|w| w.x), y: of(&|w| w.y), is_one: of(&|_| 1.0), cell: (0.25 - square) as f32 }
+});
+
+/// Smaller parts of the light are none: of their tails the series say nothing.
+const LEAST: f32 = 1e-3;
+/// Variances along a normal are not below this, px².
+const LEAST_PX2: f32 = 1e-3;
+
+impl Blur<'_> {
+    /// The mean over the light of each pixel of the two steps of a corner, each from −1 to 1.
+    pub fn summed_shape(&self, corner: &Corner, patch: &Patch) -> Vec<f32> {
+        let mut shape = vec![0.0; patch.x.len()];
+        Arch::new().dispatch(Sum { blur: self, corner, patch, shape: &mut shape });
+        shape
+    }
+}
+
+struct Sum<'a> {
+    blur: &'a Blur<'a>,
+    corner: &'a Corner,
+    patch: &'a Patch,
+    shape: &'a mut [f32],
+}
+
+impl NullaryFnOnce for Sum<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn call(self) {
+        let Self { blur, corner, patch, shape } = self;
+        let lens = &*LENS;
+        let bend = blur.bend.bends().then(|| blur.bend.in_single());
+        let [rho, q, pupil] = [blur.rho as f32, blur.q as f32, blur.pupil as f32];
+        let pixel = blur.vignetting.pixel_variance();
+        let seen = pixel + q * q * lens.cell;
+        let origin = pixel + blur.wider_px2 + rho * rho * lens.cell;
+        let per_spread = seen.sqrt().recip();
+        // By standard deviations of the place in the pupil.
+        let follows = (pixel + rho * q * lens.cell) * per_spread;
+        let (place_x, place_y) = (corner.place.x as f32, corner.place.y as f32);
+        let [(s1, c1), (s2, c2)] = [unit(corner.angles[0]), unit(corner.angles[1])];
+        let cosine = c1 * c2 + s1 * s2;
+        let falling = blur.obliquity.in_single();
+        for ((&x, &y), shape) in patch.x.iter().zip(&patch.y).zip(shape) {
+            let mut bent = [[0.0_f32; ROOM]; 2];
+            if let Some(bend) = &bend {
+                for j in 0..ROOM {
+                    let at = bend.at(&Vector2::new(x - q * lens.x[j], y - q * lens.y[j]));
+                    (bent[0][j], bent[1][j]) = (at.x, at.y);
+                }
+            }
+            let (mut all, mut sum) = ([0.0_f32; ROOM], [0.0_f32; ROOM]);
+            for j in 0..ROOM {
+                let (w_x, w_y) = (lens.x[j], lens.y[j]);
+                let (light, by_x, by_y) = falling.light((x, y), (w_x, w_y));
+                // More light comes from the brighter side of the pixel.
+                let (x, y) = (x + pixel * by_x, y + pixel * by_y);
+                let (seen_x, seen_y) = (x - q * w_x, y - q * w_y);
+                let square = seen_x * seen_x + seen_y * seen_y;
+                let inverse = square.max(1e-6).sqrt().recip();
+                let (out_x, out_y) = (seen_x * inverse, seen_y * inverse);
+                let z = (pupil - (square + seen).sqrt()) * per_spread;
+                let (visible, density) = normal(z);
+                let lit = if visible > LEAST { 1.0 } else { 0.0 };
+                // Less the mean, what is lost of the variance, and less the third moment.
+                let first = lit * density / visible.max(LEAST);
+                let second = first * (z + first);
+                let third = first * ((z + first) * (z + 2.0 * first) - 1.0);
+                let inwards = follows * first;
+                let narrower = follows * follows * second;
+                let skew = -follows * follows * follows * third;
+                let o_x = x - rho * w_x - inwards * out_x + bent[0][j] - place_x;
+                let o_y = y - rho * w_y - inwards * out_y + bent[1][j] - place_y;
+                let (n1, n2) = (c1 * out_y - s1 * out_x, c2 * out_y - s2 * out_x);
+                let a = Step::new(c1 * o_y - s1 * o_x, origin - narrower * n1 * n1);
+                let b = Step::new(c2 * o_y - s2 * o_x, origin - narrower * n2 * n2);
+                let both = origin * cosine - narrower * n1 * n2;
+                let value = (a.value + skew / 6.0 * n1 * n1 * n1 * a.third)
+                    * (b.value + skew / 6.0 * n2 * n2 * n2 * b.third)
+                    + both * a.first * b.first
+                    + 0.5 * both * both * a.second * b.second
+                    + 0.5 * skew * n1 * n2 * (n1 * a.second * b.first + n2 * a.first * b.second);
+                let light = lens.is_one[j] * lit * light * visible;
+                all[j] = light;
+                sum[j] = light * value;
+            }
+            *shape = sum.iter().sum::<f32>() / all.iter().sum::<f32>().max(f32::MIN_POSITIVE);
+        }
+    }
+}
+
+/// Sine and cosine in single precision.
+#[inline(always)]
+#[allow(clippy::cast_possible_truncation)]
+fn unit(angle: f64) -> (f32, f32) {
+    let (sin, cos) = angle.sin_cos();
+    (sin as f32, cos as f32)
+}
+
+/// A step from −1 to 1 seen through a normal spread, and its derivatives, px⁻¹ to px⁻³.
+struct Step {
+    value: f32,
+    first: f32,
+    second: f32,
+    third: f32,
+}
+
+impl Step {
+    /// At a distance from it, px, with a variance, px².
+    #[inline(always)]
+    fn new(distance: f32, variance: f32) -> Self {
+        let inverse = variance.max(LEAST_PX2).sqrt().recip();
+        let distance = distance * inverse;
+        let (below, density) = normal(distance);
+        let first = 2.0 * density * inverse;
+        let second = -distance * inverse * first;
+        let third = (distance * distance - 1.0) * inverse * inverse * first;
+        Self { value: 2.0 * below - 1.0, first, second, third }
+    }
+}
+
+/// The normal distribution below x, to 2e-7, and its density there: Abramowitz and Stegun (1964), Eq. 7.1.28, and its
+/// derivative.
+#[inline(always)]
+fn normal(x: f32) -> (f32, f32) {
+    const A: [f32; 6] = [
+        0.070_523_08,
+        0.042_282_01,
+        0.009_270_527,
+        0.000_152_014_3,
+        0.000_276_567_2,
+        0.000_043_063_8,
+    ];
+    const SCALE: f32 = std::f32::consts::FRAC_1_SQRT_2;
+    let z = (x.abs() * SCALE).min(4.0);
+    let series = 1.0 + z * (A[0] + z * (A[1] + z * (A[2] + z * (A[3] + z * (A[4] + z * A[5])))));
+    let slope = A[0]
+        + z * (2.0 * A[1]
+            + z * (3.0 * A[2] + z * (4.0 * A[3] + z * (5.0 * A[4] + z * 6.0 * A[5]))));
+    let inverse = series.recip();
+    let squared = inverse * inverse;
+    let fourth = squared * squared;
+    let eighth = fourth * fourth;
+    let tail = 0.5 * eighth * eighth;
+    (if x < 0.0 { tail } else { 1.0 - tail }, 16.0 * SCALE * tail * inverse * slope)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix2;
+
+    use super::super::corner_fit::Free;
+    use super::super::edge_width::{EdgeWidth, WIDER_PX2};
+    use super::super::exact_light::{DIRECTIONS, ExactLight};
+    use super::super::micro_images::OTHERWISE;
+    use super::*;
+
+    /// By how much corners of exact light seem further outwards, px; ln |ρ|, its change where edges are known not to be
+    /// wider, and the variance by which they seem wider, px².
+    fn errors(light: &ExactLight, distance: f64) -> [f64; 4] {
+        let vignetting = light.vignetting();
+        let blur = light.blur(&vignetting);
+        let other = ExactLight { rho: light.rho * (1.0 + OTHERWISE), ..*light };
+        let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
+        let mut outwards = 0.0;
+        for (corner, patch) in light.corners(distance) {
+            let rays = blur.rays(&patch);
+            let found = corner.fitted(&patch, &rays, Free::Place).unwrap();
+            let wider = blur.clone().wider(WIDER_PX2).rays(&patch);
+            let others = [&other.blur(&vignetting).rays(&patch), &wider];
+            let summed = blur.summed_shape(&found, &patch);
+            let (width, off) = EdgeWidth::of(&found, &patch, &rays, others, &summed).unwrap();
+            let (own, own_right) = width.equations();
+            information += own;
+            right += own_right;
+            let place = found.place + off - corner.place;
+            outwards += place.dot(&corner.place) / distance / DIRECTIONS as f64;
+        }
+        let both = information.try_inverse().unwrap() * right;
+        [outwards, both.x, right.x / information[(0, 0)], both.y]
+    }
+
+    #[test]
+    fn exact_light_has_the_blur_and_the_place_that_it_has() {
+        for (rho, q, pupil) in [(-3.4, -4.19, 20.0), (-4.2, -5.1, 6.48), (3.0, 4.0, 6.5)] {
+            for distance in [1.0, 3.0, 5.0] {
+                let light = ExactLight { rho, q, pupil, of_pixel: 5, ..ExactLight::default() };
+                let [outwards, free, known, wider] = errors(&light, distance);
+                assert!(outwards.abs() < 0.002, "{outwards} px at {distance} for {rho}");
+                assert!(free.abs() < 0.001, "{free} at {distance} for {rho}");
+                assert!(known.abs() < 0.001, "{known} at {distance} for {rho}");
+                // Five places along a pixel have 0.003 px² less than a pixel.
+                assert!(wider.abs() < 0.006, "{wider} px² at {distance} for {rho}");
+            }
+        }
+    }
+
+    #[test]
+    fn light_with_a_wide_point_spread_too() {
+        let wide = |rho, q, pupil| ExactLight {
+            rho,
+            q,
+            pupil,
+            point_spread_px2: 1.0,
+            of_pixel: 17,
+            rings: 8,
+        };
+        for (rho, q, pupil) in [(-3.4, -4.19, 20.0), (-4.2, -5.1, 6.48), (2.0, 1.5, 9.0)] {
+            for distance in [1.0, 5.0] {
+                let [outwards, _, known, _] = errors(&wide(rho, q, pupil), distance);
+                assert!(outwards.abs() < 0.015, "{outwards} px at {distance} for {rho}");
+                assert!(known.abs() < 0.007, "{known} at {distance} for {rho}");
+            }
+        }
+    }
+
+    #[test]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn normal_distribution() {
+        for i in -60..=60_i16 {
+            let x = f64::from(i) / 15.0;
+            let (below, density) = normal(x as f32);
+            let expected = 0.5 * libm::erfc(-x * std::f64::consts::FRAC_1_SQRT_2);
+            assert!((f64::from(below) - expected).abs() < 1e-6, "{x}: {below} for {expected}");
+            let expected = (-x * x / 2.0).exp() / std::f64::consts::TAU.sqrt();
+            assert!((f64::from(density) - expected).abs() < 1e-5, "{x}: {density} for {expected}");
+        }
+    }
+}
