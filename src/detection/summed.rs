@@ -93,11 +93,12 @@ impl NullaryFnOnce for Sum<'_> {
         let cosine = c1 * c2 + s1 * s2;
         let falling = blur.obliquity.in_single();
         for ((&x, &y), shape) in patch.x.iter().zip(&patch.y).zip(shape) {
-            let mut bent = [[0.0_f32; ROOM]; 2];
+            let (mut bent_x, mut bent_y) = ([0.0_f32; ROOM], [0.0_f32; ROOM]);
             if let Some(bend) = &bend {
-                for j in 0..ROOM {
-                    let at = bend.at(&Vector2::new(x - q * lens.x[j], y - q * lens.y[j]));
-                    (bent[0][j], bent[1][j]) = (at.x, at.y);
+                let bent = bent_x.iter_mut().zip(&mut bent_y);
+                for ((bent_x, bent_y), (w_x, w_y)) in bent.zip(lens.x.iter().zip(&lens.y)) {
+                    let by = bend.at(&Vector2::new(x - q * w_x, y - q * w_y));
+                    (*bent_x, *bent_y) = (by.x, by.y);
                 }
             }
             let (mut all, mut sum) = ([0.0_f32; ROOM], [0.0_f32; ROOM]);
@@ -120,8 +121,8 @@ impl NullaryFnOnce for Sum<'_> {
                 let inwards = follows * first;
                 let narrower = follows * follows * second;
                 let skew = -follows * follows * follows * third;
-                let o_x = x - rho * w_x - inwards * out_x + bent[0][j] - place_x;
-                let o_y = y - rho * w_y - inwards * out_y + bent[1][j] - place_y;
+                let o_x = x - rho * w_x - inwards * out_x + bent_x[j] - place_x;
+                let o_y = y - rho * w_y - inwards * out_y + bent_y[j] - place_y;
                 let (n1, n2) = (c1 * out_y - s1 * out_x, c2 * out_y - s2 * out_x);
                 let a = Step::new(c1 * o_y - s1 * o_x, origin - narrower * n1 * n1);
                 let b = Step::new(c2 * o_y - s2 * o_x, origin - narrower * n2 * n2);

@@ -326,6 +326,7 @@ mod tests {
             lean: None,
             point_spread: None,
             fill_factor: None,
+            levels: None,
         };
         let of = |estimator| {
             let mut internal = measured.clone();
