@@ -98,7 +98,9 @@ impl RawImage {
             let own = histogram.count(low, low + width);
             let before = histogram.count(low - 2.0 * width, low) / 2.0;
             let above = histogram.count(low + width, f64::INFINITY);
-            low > LOWEST && own >= least.max(DENSER * before) && above <= ABOVE * own
+            // An image of one grey has no upper end.
+            let has_darker = histogram.count(0.0, low) >= least;
+            low > LOWEST && has_darker && own >= least.max(DENSER * before) && above <= ABOVE * own
         };
         let mut width_and_low = WIDTHS.into_iter().flat_map(|width| {
             let lows = std::iter::successors(Some(largest as f64), move |low| Some(low - step));
@@ -160,6 +162,7 @@ mod tests {
             assert_eq!(image(largest, 65_535.0, hot).plateau(), None);
         }
         assert_eq!(image(20.0, 19.0, 19.0).plateau(), None);
+        assert_eq!(image(240.0, 128.0, 128.0).plateau(), None);
     }
 
     /// The camera's saturation holds unless the image has more light.
