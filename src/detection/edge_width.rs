@@ -66,7 +66,7 @@ impl EdgeWidth {
         let per = [1.0 / OTHERWISE as f32, 1.0 / WIDER_PX2 as f32].map(|x| x * contrast * share);
         let mut equations = NormalEquations::<f32, 4, 4>::new();
         let mut products = Matrix3::<f64>::zeros();
-        for i in 0..pixels {
+        for i in (0..pixels).filter(|i| summed[*i].is_finite()) {
             let (along_u, along_v) = (by_u[i] * contrast * share, by_v[i] * contrast * share);
             let row = Vector4::new(along_u, along_v, 1.0, shape[i] * share);
             let [by_fill, by_width] = [0, 1].map(|k: usize| (moved[k][i] - shape[i]) * per[k]);
@@ -113,7 +113,7 @@ impl EdgeWidth {
     /// What it says of ln φ if nothing is known of v.
     fn of_fill_alone(&self) -> Self {
         let Self { information: n, right } = *self;
-        let share = n[(0, 1)] / n[(1, 1)];
+        let share = if n[(1, 1)] > 0.0 { n[(0, 1)] / n[(1, 1)] } else { 0.0 };
         Self {
             information: Matrix2::new(n[(0, 0)] - share * n[(0, 1)], 0.0, 0.0, 0.0),
             right: Vector2::new(right.x - share * right.y, 0.0),
@@ -199,7 +199,7 @@ impl OfFrames {
     pub fn fit(frames: &[EdgeWidth]) -> Option<Self> {
         let mut alike = vec![true; frames.len()];
         let mut found: Option<(Vector2<f64>, Matrix2<f64>)> = None;
-        for _ in 0..ROUNDS {
+        for round in 1..=ROUNDS {
             let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
             for (frame, alike) in frames.iter().zip(&alike) {
                 let of_both = if *alike { *frame } else { frame.of_fill_alone() };
@@ -215,7 +215,10 @@ impl OfFrames {
             let is_usual = |(width, variance): (f64, f64)| {
                 (width - usual).abs() <= MOVED_PX2.max(MOVED * variance.sqrt())
             };
-            alike = widths.into_iter().map(|width| width.is_some_and(is_usual)).collect();
+            // Those that the last solution is of stay.
+            if round < ROUNDS {
+                alike = widths.into_iter().map(|width| width.is_some_and(is_usual)).collect();
+            }
         }
         let (at, covariance) = found?;
         let scatter = |(frame, alike): (&EdgeWidth, &bool)| {

@@ -23,6 +23,8 @@ pub(super) struct ExactLight {
     pub pupil: f64,
     /// Variance of the point spread along an axis, px².
     pub point_spread_px2: f64,
+    /// What pixels add to cos⁴, px⁻².
+    pub of_pixels_per_px2: f64,
     /// Number of places in a pixel along an axis.
     pub of_pixel: i32,
     /// Its square times three is the number of points of the micro-lens.
@@ -35,7 +37,15 @@ const WITHIN: f64 = 4.0 / (59.0 * 59.0);
 impl Default for ExactLight {
     /// The lens of an R12 whose micro-images are most vignetted.
     fn default() -> Self {
-        Self { rho: -3.4, q: -4.19, pupil: 6.48, point_spread_px2: 0.0, of_pixel: 3, rings: 18 }
+        Self {
+            rho: -3.4,
+            q: -4.19,
+            pupil: 6.48,
+            point_spread_px2: 0.0,
+            of_pixels_per_px2: 0.0,
+            of_pixel: 3,
+            rings: 18,
+        }
     }
 }
 
@@ -45,17 +55,24 @@ impl ExactLight {
         Vignetting::new(self.pupil, self.q, &Pixel::new(self.point_spread_px2))
     }
 
+    fn obliquity(&self) -> Obliquity {
+        Obliquity {
+            within_per_px2: WITHIN + self.of_pixels_per_px2,
+            of_pixels_per_px2: self.of_pixels_per_px2,
+            half_pitch_px: HALF_PITCH,
+            ..Obliquity::default()
+        }
+    }
+
     /// Its blur.
     pub fn blur<'a>(&self, vignetting: &'a Vignetting) -> Blur<'a> {
-        let obliquity =
-            Obliquity { within_per_px2: WITHIN, half_pitch_px: HALF_PITCH, ..Obliquity::default() };
         Blur {
             rho: self.rho,
             q: self.q,
             pupil: self.pupil,
             bend: Bend::none(),
             vignetting,
-            obliquity,
+            obliquity: self.obliquity(),
             wider_px2: 0.0,
         }
     }
@@ -82,14 +99,15 @@ impl ExactLight {
             Vector2::new(cos, sin) * radius
         };
         let lens: Vec<Vector2<f64>> = (0..count).map(on_lens).collect();
-        let along = self.along();
+        let (along, law) = (self.along(), self.obliquity());
         let places = along.iter().flat_map(|a| along.iter().map(move |b| (a, b)));
         let light = places.flat_map(|((i, of_i), (j, of_j))| {
             let p = Vector2::new(x + i, y + j);
             let seen = lens.iter().filter(move |w| (p - *w * self.q).norm() < self.pupil);
+            let law = &law;
             seen.map(move |w| {
                 let oblique = (p + w * HALF_PITCH).norm_squared();
-                (of_i * of_j * (1.0 + WITHIN * oblique / 4.0).powi(-2), p - w * self.rho)
+                (of_i * of_j * law.light(oblique), p - w * self.rho)
             })
         });
         light.collect()

@@ -226,11 +226,12 @@ impl SecondPass<'_> {
                 let rays = blur.rays(&patch);
                 let mut corner = self.fitted(&start, &patch, &rays)?;
                 let mut levers = corner.levers(&patch, &rays, slope, &bend, &[])?;
-                let width = self.by_few(&corner, &patch, (&optics, slope, &bend), &mut levers);
-                let width = width.map(|(width, off)| {
-                    corner.place += off;
-                    width
-                });
+                let known = (&optics, slope, &bend);
+                let (width, off) = self.by_few(&corner, &patch, known, &mut levers)?;
+                corner.place += off;
+                if (corner.place - start.place).norm() > EXPECTED_PX {
+                    return None;
+                }
                 Some((corner, levers, width, corner.imbalance(&patch, &rays)))
             });
             let Some((corner, levers, width, imbalance)) = fitted else {
@@ -242,7 +243,7 @@ impl SecondPass<'_> {
                 observation: self.frame.observation(node, &corner),
                 slope_before: slope,
                 levers,
-                width,
+                width: Some(width),
                 corner,
             });
         }

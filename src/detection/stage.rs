@@ -217,7 +217,8 @@ fn fitted_otherwise(found: &FillFactor, fitted_with: f64) -> Option<String> {
     differs(found, fitted_with).then(|| {
         format!(
             "corners were fitted with the fill factor {fitted_with:.4}, as the first frames show it, but all frames show \
-             {:.4} ± {:.4}: the first frames are unlike the others; leave them out if they are blurred or moved",
+             {:.4} ± {:.4}. If the first frames are blurred or moved, leave them out; or else state the fill factor that \
+             all frames show in the project",
             found.value, found.std_dev
         )
     })

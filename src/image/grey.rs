@@ -30,13 +30,11 @@ impl RawImage {
         Grey::between(self, [1.0; 3], (0.0, self.full_scale()))
     }
 
-    /// The image with its samples, as parts of full scale, raised to a power.
+    /// The image with its samples, as parts of the largest one, raised to a power.
     pub(crate) fn to_the_power(&self, power: f64) -> Self {
-        let largest = f64::from(u16::MAX);
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-        // parts of the largest sample
-        let raised =
-            |sample: f64| (largest * (sample / self.full_scale()).powf(power)).round() as u16;
+        let (largest, full) = (self.largest_and_step()[0].max(1.0), f64::from(u16::MAX));
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to 16 bits
+        let raised = |sample: f64| (full * (sample / largest).powf(power)).round() as u16;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 16 bits
         let table: Vec<u16> =
             (0..=self.full_scale() as u32).map(|s| raised(f64::from(s))).collect();
@@ -45,6 +43,27 @@ impl RawImage {
             Samples::Bits16(all) => all.iter().map(|&s| table[usize::from(s)]).collect(),
         };
         Self { samples: Samples::Bits16(samples), ..*self }
+    }
+
+    /// The largest sample, and the largest step that all samples are multiples of: 16 of samples of 12 bits that are shifted
+    /// into 16.
+    pub(crate) fn largest_and_step(&self) -> [f64; 2] {
+        fn of(samples: impl Iterator<Item = u16>) -> [f64; 2] {
+            let (mut largest, mut step) = (0, 0);
+            for sample in samples {
+                largest = largest.max(sample);
+                let (mut a, mut b) = (step, sample);
+                while step != 1 && b != 0 {
+                    (a, b) = (b, a % b);
+                }
+                step = if step == 1 { 1 } else { a };
+            }
+            [largest, step.max(1)].map(f64::from)
+        }
+        match &self.samples {
+            Samples::Bits8(all) => of(all.iter().map(|&sample| u16::from(sample))),
+            Samples::Bits16(all) => of(all.iter().copied()),
+        }
     }
 
     /// Samples without light and of full pixels.

@@ -201,6 +201,26 @@ mod tests {
     use super::*;
 
     /// Grey levels behind a mosaic, with channels that respond with 0.5, 1 and 0.25.
+    #[test]
+    fn samples_of_12_bits_in_16_have_a_step() {
+        let of = |samples: Vec<u16>| RawImage {
+            width: samples.len(),
+            height: 1,
+            color: Color::Grey,
+            samples: Samples::Bits16(samples),
+        };
+        assert_eq!(of(vec![0, 4080, 65_520, 32]).largest_and_step(), [65_520.0, 16.0]);
+        assert_eq!(of(vec![0, 4095, 12]).largest_and_step(), [4095.0, 3.0]);
+        assert_eq!(of(vec![7, 4095, 12]).largest_and_step(), [4095.0, 1.0]);
+        assert_eq!(of(vec![0, 0]).largest_and_step(), [0.0, 1.0]);
+        // Raised to a power the largest one stays full.
+        let raised = of(vec![0, 1000, 4095]).to_the_power(2.2);
+        let expected = (65_535.0 * (1000.0_f64 / 4095.0).powf(2.2)).round();
+        assert_eq!(raised.largest_and_step()[0], 65_535.0);
+        let Samples::Bits16(samples) = raised.samples else { unreachable!() };
+        assert_eq!(f64::from(samples[1]), expected);
+    }
+
     fn mosaic(color: Color, levels: &[f64]) -> RawImage {
         let width = 2 * levels.len();
         let response = [0.5, 1.0, 0.25];

@@ -61,14 +61,16 @@ struct Darkest {
     std_dev: f64,
     /// The light of the micro-images above it.
     light: f64,
+    /// Step from one sample to the next.
+    grey_level: f64,
     /// No light reaches them. Else micro-images touch, and the black level is below.
     is_dark: bool,
 }
 
 impl Darkest {
     /// Whether this cannot be the black level.
-    fn contradicts(&self, stated: f64, grey_level: f64) -> bool {
-        let noise = CONTRADICTION * self.std_dev + SLACK * grey_level;
+    fn contradicts(&self, stated: f64) -> bool {
+        let noise = CONTRADICTION * self.std_dev + SLACK * self.grey_level;
         let above = self.level - stated;
         above < -noise || self.is_dark && above > noise + HARMLESS * self.light
     }
@@ -107,9 +109,8 @@ pub(super) fn black_level(
                  light, from 0 to {full}"
             )));
         }
-        let wrong = darkest
-            .or(shown.first())
-            .filter(|(_, darkest)| darkest.contradicts(level / full, 1.0 / full));
+        let wrong =
+            darkest.or(shown.first()).filter(|(_, darkest)| darkest.contradicts(level / full));
         let warning = wrong.map(|(white, darkest)| {
             format!(
                 "the black level is stated as {level} grey levels, but between the micro-images of {} \
@@ -161,7 +162,8 @@ fn shown_by(raw: &RawImage, found: &Pattern) -> Option<Darkest> {
             }
         });
     }
-    darkness(&rings, raw.full_scale())
+    let [_, step] = raw.largest_and_step();
+    darkness(&rings, step / raw.full_scale())
 }
 
 /// Steps to the nearest nodes about any.
@@ -172,8 +174,7 @@ fn neighbours(pattern: &Pattern) -> Vec<Vector2<f64>> {
 }
 
 /// The darkest places by the samples in rings about the middles of micro-images.
-fn darkness(rings: &[Vec<f64>], full_scale: f64) -> Option<Darkest> {
-    let grey_level = 1.0 / full_scale;
+fn darkness(rings: &[Vec<f64>], grey_level: f64) -> Option<Darkest> {
     let brightest =
         rings.iter().filter_map(|ring| median(ring.iter().copied())).fold(0.0, f64::max);
     // The furthest rings have few pixels.
@@ -185,7 +186,7 @@ fn darkness(rings: &[Vec<f64>], full_scale: f64) -> Option<Darkest> {
     }
     let (darkest, std_dev, _) = mean(&furthest, grey_level)?;
     let light = brightest - darkest;
-    let touching = Some(Darkest { level: darkest, std_dev, light, is_dark: false });
+    let touching = Some(Darkest { level: darkest, std_dev, light, grey_level, is_dark: false });
     if darkest > BRIGHT * brightest {
         return touching;
     }
@@ -210,7 +211,7 @@ fn darkness(rings: &[Vec<f64>], full_scale: f64) -> Option<Darkest> {
     let noise = ((scatter / grey_level).powi(2) - 1.0 / 12.0).max(0.0);
     let rounding = (1.0_f64 / 12.0).sqrt() * (-2.0 * std::f64::consts::PI.powi(2) * noise).exp();
     let std_dev = std_dev.hypot(rounding * grey_level);
-    Some(Darkest { level, std_dev, light, is_dark: true })
+    Some(Darkest { level, std_dev, light, grey_level, is_dark: true })
 }
 
 /// Mean of samples without hot pixels, its σ, and their scatter.
@@ -250,13 +251,13 @@ mod tests {
             level: 16.0 * grey_level,
             std_dev: 0.3 * grey_level,
             light: 0.8,
+            grey_level,
             is_dark,
         };
         for (stated, in_the_dark, between_touching) in
             [(20.0, true, true), (16.5, false, false), (14.5, false, false), (8.0, true, false)]
         {
-            let contradicts =
-                |is_dark| darkest(is_dark).contradicts(stated * grey_level, grey_level);
+            let contradicts = |is_dark| darkest(is_dark).contradicts(stated * grey_level);
             assert_eq!(contradicts(true), in_the_dark, "{stated}");
             assert_eq!(contradicts(false), between_touching, "{stated}");
         }

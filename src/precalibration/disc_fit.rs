@@ -3,8 +3,9 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::discs::{Discs, Known};
+use super::discs::{Discs, Known, with_model_error};
 use super::profile::Profile;
+use super::seen::{Angles, Seen};
 use crate::model::PointSpread;
 use crate::vignetting::{Obliquity, Pixel};
 
@@ -38,6 +39,8 @@ const LEAST_PX: f64 = 0.05;
 
 /// What a profile depends on: both radii, H and the point spread.
 const OF_LIGHT: usize = 4;
+/// The same without the point spread, which is in what pixels see.
+const BESIDE_SEEN: usize = OF_LIGHT - 1;
 
 /// The radii, H over what was known of it, the variance of the point spread, |m| and c, in one vector.
 pub(super) struct Fit<'a> {
@@ -53,6 +56,15 @@ struct Light {
     white: usize,
     lens_type: usize,
     profile: Profile,
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// A derivative by a [`STEP`].
+fn by_step(moved: &[f64], residuals: &[f64]) -> Vec<f64> {
+    moved.iter().zip(residuals).map(|(moved, residual)| (moved - residual) / STEP).collect()
 }
 
 impl<'a> Fit<'a> {
@@ -154,7 +166,7 @@ impl<'a> Fit<'a> {
         self.lights.par_iter_mut().for_each(|light| {
             let (a, b) = (at[light.white], at[whites + light.lens_type]);
             let q = b * known.q_px[light.lens_type].signum();
-            light.profile.set_angles(a, q, known.pitch_px / 2.0);
+            light.profile.angles = Angles::new(a, q, known.pitch_px / 2.0);
         });
     }
 
@@ -164,24 +176,51 @@ impl<'a> Fit<'a> {
         [light.white, self.whites() + light.lens_type, within, spread]
     }
 
-    /// Weighted residuals of one profile, with what it depends on changed a little.
-    fn residuals(&self, light: &Light, by: [f64; OF_LIGHT]) -> Option<Vec<f64>> {
-        self.residuals_of(light, &light.profile, by)
+    /// What pixels see with the point spread, changed a little.
+    fn seen(&self, by: f64) -> Seen {
+        let [_, spread] = self.of_all();
+        let furthest = self.lights.iter().map(|light| light.profile.furthest_px());
+        Seen::new(&Pixel::new(self.at[spread] + by), furthest.fold(0.0, f64::max))
     }
 
-    /// The same of another profile in its place.
+    /// Weighted residuals of one profile.
+    fn residuals(&self, light: &Light, seen: &Seen) -> Option<Vec<f64>> {
+        self.residuals_of(light, &light.profile, [0.0; BESIDE_SEEN], seen)
+    }
+
+    /// Derivatives of weighted residuals by what one profile depends on. `seen` is what pixels see, and with a point spread
+    /// that is larger by [`STEP`].
+    fn derivatives(
+        &self,
+        light: &Light,
+        residuals: &[f64],
+        seen: [&Seen; 2],
+    ) -> Option<[Vec<f64>; OF_LIGHT]> {
+        let mut columns: [Vec<f64>; OF_LIGHT] = Default::default();
+        for (i, column) in columns.iter_mut().enumerate() {
+            let mut by = [0.0; BESIDE_SEEN];
+            by.iter_mut().skip(i).take(1).for_each(|by| *by = STEP);
+            let seen = seen[usize::from(i == BESIDE_SEEN)];
+            let moved = self.residuals_of(light, &light.profile, by, seen)?;
+            *column = by_step(&moved, residuals);
+        }
+        Some(columns)
+    }
+
+    /// The same of another profile in its place, with radii and H changed a little.
     fn residuals_of(
         &self,
         light: &Light,
         profile: &Profile,
-        by: [f64; OF_LIGHT],
+        by: [f64; BESIDE_SEEN],
+        seen: &Seen,
     ) -> Option<Vec<f64>> {
         let places = self.places(light);
-        let [a, b, within, spread] = std::array::from_fn(|i| self.at[places[i]] + by[i]);
+        let [a, b, within] = std::array::from_fn(|i| self.at[places[i]] + by[i]);
         let Known { within_per_px2, mla_to_sensor_px, pitch_px, .. } = self.known;
         let within = within * within_per_px2;
         let law = Obliquity::in_the_middle(within, *mla_to_sensor_px, pitch_px / 2.0);
-        profile.residuals_of_discs([a, b], &law, &Pixel::new(spread))
+        profile.residuals_of_discs([a, b], &law, seen)
     }
 
     /// a by the law, and its derivatives by |m| and c.
@@ -224,20 +263,16 @@ impl<'a> Fit<'a> {
         let size = self.at.len();
         let (mut normal, mut right) =
             (normal.resize(size + 1, size + 1, 0.0), right.resize_vertically(size + 1, 0.0));
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let (mut squares, mut count) = (0.0, 0.0);
+        let seen = [&self.seen(0.0), &self.seen(STEP)];
         for light in &self.lights {
-            let residuals = self.residuals(light, [0.0; OF_LIGHT])?;
-            let derivative = |moved: Vec<f64>| -> Vec<f64> {
-                moved.iter().zip(&residuals).map(|(m, r)| (m - r) / STEP).collect()
-            };
+            let residuals = self.residuals(light, seen[0])?;
             let raised = light.profile.to_the_power(1.0 + STEP);
-            let own = derivative(self.residuals_of(light, &raised, [0.0; OF_LIGHT])?);
-            for (i, place) in self.places(light).into_iter().enumerate() {
-                let mut by = [0.0; OF_LIGHT];
-                by[i] = STEP;
-                let other = derivative(self.residuals(light, by)?);
-                normal[(place, size)] += dot(&own, &other);
+            let raised = self.residuals_of(light, &raised, [0.0; BESIDE_SEEN], seen[0])?;
+            let own = by_step(&raised, &residuals);
+            let others = self.derivatives(light, &residuals, seen)?;
+            for (place, other) in self.places(light).into_iter().zip(&others) {
+                normal[(place, size)] += dot(&own, other);
                 normal[(size, place)] = normal[(place, size)];
             }
             normal[(size, size)] += dot(&own, &own);
@@ -259,22 +294,14 @@ impl<'a> Fit<'a> {
     /// Half the gradient's opposite, and the normal matrix.
     fn system(&self) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let size = self.at.len();
+        let seen = [&self.seen(0.0), &self.seen(STEP)];
         let of_light = |light: &Light| {
-            let residuals = self.residuals(light, [0.0; OF_LIGHT])?;
-            let places = self.places(light);
-            let mut columns = Vec::with_capacity(OF_LIGHT);
-            for i in 0..OF_LIGHT {
-                let mut by = [0.0; OF_LIGHT];
-                by[i] = STEP;
-                let moved = self.residuals(light, by)?;
-                let column = moved.iter().zip(&residuals).map(|(m, r)| (m - r) / STEP);
-                columns.push(column.collect::<Vec<f64>>());
-            }
-            Some((places, columns, residuals))
+            let residuals = self.residuals(light, seen[0])?;
+            let columns = self.derivatives(light, &residuals, seen)?;
+            Some((self.places(light), columns, residuals))
         };
         let parts = self.lights.par_iter().map(of_light).collect::<Option<Vec<_>>>()?;
         let (mut normal, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         for (places, columns, residuals) in &parts {
             for (i, own) in places.iter().zip(columns) {
                 right[*i] -= dot(own, residuals);
@@ -295,9 +322,9 @@ impl<'a> Fit<'a> {
     }
 
     fn cost(&self) -> Option<f64> {
-        let of_light = |light: &Light| {
-            Some(self.residuals(light, [0.0; OF_LIGHT])?.iter().map(|r| r * r).sum::<f64>())
-        };
+        let seen = self.seen(0.0);
+        let of_light =
+            |light: &Light| Some(self.residuals(light, &seen)?.iter().map(|r| r * r).sum::<f64>());
         let light: f64 =
             self.lights.par_iter().map(of_light).collect::<Option<Vec<_>>>()?.iter().sum();
         Some(light + self.expectations().iter().map(|(r, _)| r * r).sum::<f64>())
@@ -343,37 +370,5 @@ impl<'a> Fit<'a> {
             exponent: self.exponent(),
             point_spread: PointSpread { variance_px2: spread.0, std_dev_px2: spread.1 },
         })
-    }
-}
-
-/// A covariance with an error of one quantity that is not in it: all others follow as they do in the fit, by their
-/// covariance with it over its variance.
-fn with_model_error(mut covariance: DMatrix<f64>, quantity: usize, std_dev: f64) -> DMatrix<f64> {
-    let follow = covariance.column(quantity) / covariance[(quantity, quantity)] * std_dev;
-    covariance += &follow * follow.transpose();
-    covariance
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The second goes half as far as the first, with scatter of its own; the third knows nothing of it.
-    #[test]
-    fn what_follows_a_quantity_has_its_error() {
-        let covariance = DMatrix::from_row_slice(
-            3,
-            3,
-            &[
-                0.04, 0.02, 0.0, //
-                0.02, 0.02, 0.0, //
-                0.0, 0.0, 1.0,
-            ],
-        );
-        let found = with_model_error(covariance, 0, 0.3);
-        let variances: Vec<f64> = found.diagonal().iter().copied().collect();
-        for (found, expected) in variances.iter().zip([0.04 + 0.09, 0.02 + 0.0225, 1.0]) {
-            assert!((found - expected).abs() < 1e-12, "{variances:?}");
-        }
     }
 }

@@ -14,6 +14,8 @@
 //! as the pupil, which is proportional to 1/N; where it is larger, as wide as the blur. So the edges of a few f-numbers
 //! tell the variance of the point spread from the discs.
 
+use nalgebra::DMatrix;
+
 use super::disc_fit::Fit;
 use super::profile::Profile;
 use crate::model::PointSpread;
@@ -76,9 +78,22 @@ pub(super) fn fit_discs(profiles: &[Vec<&Profile>], known: &Known) -> Option<Dis
     (possible && discs.f_number_error < MOST_F_NUMBER_ERROR).then_some(discs)
 }
 
+/// A covariance with an error of one quantity that is not in it: all others follow as they do in the fit, by their
+/// covariance with it over its variance.
+pub(super) fn with_model_error(
+    mut covariance: DMatrix<f64>,
+    quantity: usize,
+    std_dev: f64,
+) -> DMatrix<f64> {
+    let follow = covariance.column(quantity) / covariance[(quantity, quantity)] * std_dev;
+    covariance += &follow * follow.transpose();
+    covariance
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::profile::{Bin, seen};
+    use super::super::profile::Bin;
+    use super::super::seen::{Angles, Seen};
     use super::*;
     use crate::vignetting::{Obliquity, Pixel};
 
@@ -92,22 +107,15 @@ mod tests {
     /// The light of discs of radii a and b through a Galilean micro-lens with this point spread, px², up to where it is
     /// clipped.
     fn light([a, b]: [f64; 2], spread: f64, clipped: f64) -> Profile {
-        let bin = |i: u32| Bin {
-            radius: 0.125 * (f64::from(i) + 0.5),
-            std_dev: 1e-4,
-            fall_off: [1.0, 0.0],
-            ..Bin::default()
-        };
-        let mut profile = Profile { bins: (0..96).map(bin).collect(), bright: Vec::new() };
-        profile.set_angles(a, -b, PITCH_PX / 2.0);
-        let (law, pixel) =
-            (Obliquity::in_the_middle(WITHIN, D_PX, PITCH_PX / 2.0), Pixel::new(spread));
+        let bin =
+            |i: u32| Bin { radius: 0.125 * (f64::from(i) + 0.5), std_dev: 1e-4, ..Bin::default() };
+        let mut profile = Profile { bins: (0..96).map(bin).collect(), ..Profile::default() };
+        let law = Obliquity::in_the_middle(WITHIN, D_PX, PITCH_PX / 2.0);
+        let oblique = Angles::new(a, -b, PITCH_PX / 2.0).oblique(&law);
+        let seen = Seen::new(&Pixel::new(spread), profile.furthest_px());
+        let seen = seen.discs(a + b, (a - b).abs(), &oblique);
         for bin in &mut profile.bins {
-            let [square, growth] = bin.square;
-            let fall_off =
-                [-0.1, 0.0, 0.1].map(|x| law.mean_light(square + x * growth, bin.variance));
-            let fall_off = [fall_off[1], (fall_off[2] - fall_off[0]) / 0.2];
-            bin.light = 0.02 + 0.8 * seen(bin.radius, a + b, (a - b).abs(), &pixel, fall_off);
+            bin.light = 0.02 + 0.8 * seen.at(bin.radius);
         }
         profile.bins.retain(|bin| bin.light < clipped);
         profile
@@ -216,5 +224,24 @@ mod tests {
         let two = found(&[4.0, 8.0], 1.0, &[0.02, -0.02], 0.2);
         assert!(errors(&two).1 < 3.0, "{two:?}");
         assert!(two.blur_px[0].1 > 3.0 * clipped.blur_px[0].1, "{two:?} {clipped:?}");
+    }
+
+    /// The second goes half as far as the first, with scatter of its own; the third knows nothing of it.
+    #[test]
+    fn what_follows_a_quantity_has_its_error() {
+        let covariance = DMatrix::from_row_slice(
+            3,
+            3,
+            &[
+                0.04, 0.02, 0.0, //
+                0.02, 0.02, 0.0, //
+                0.0, 0.0, 1.0,
+            ],
+        );
+        let found = with_model_error(covariance, 0, 0.3);
+        let variances: Vec<f64> = found.diagonal().iter().copied().collect();
+        for (found, expected) in variances.iter().zip([0.04 + 0.09, 0.02 + 0.0225, 1.0]) {
+            assert!((found - expected).abs() < 1e-12, "{variances:?}");
+        }
     }
 }

@@ -24,6 +24,7 @@ mod radii;
 mod rings;
 mod roundness;
 mod samples;
+mod seen;
 mod stack;
 mod stage;
 mod types;

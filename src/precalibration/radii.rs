@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::array::FoundArray;
 use super::centroid::{Blob, darkest_neighbourhood, measure_blob, pixels_about};
 use super::pattern::Pattern;
-use super::profile::{Edge, Profile, seen};
+use super::profile::{Edge, Profile};
+use super::seen::{Oblique, Seen};
 use super::stack::Stack;
 use crate::image::Image;
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight, median};
@@ -202,18 +203,17 @@ impl Template {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
         let count = (reach / TEMPLATE_PX) as usize + 3;
         let place = |i: usize| i as f64 * TEMPLATE_PX;
-        let pixel = Pixel::default();
-        let shape = |outer: f64, r: f64| seen(r, outer, edge.inner, &pixel, [1.0, 0.0]);
+        let seen = Seen::new(&Pixel::default(), place(count));
+        let shape = |outer: f64| -> Vec<f64> {
+            let discs = seen.discs(outer, edge.inner, &Oblique::default());
+            (0..count).map(|i| discs.at(place(i))).collect()
+        };
+        let (more, less) = (shape(edge.outer + STEP), shape(edge.outer - STEP));
         Self {
             edge: *edge,
             reach,
-            shape: (0..count).map(|i| shape(edge.outer, place(i))).collect(),
-            by_outer: (0..count)
-                .map(|i| {
-                    let (more, less) = (edge.outer + STEP, edge.outer - STEP);
-                    (shape(more, place(i)) - shape(less, place(i))) / (2.0 * STEP)
-                })
-                .collect(),
+            shape: shape(edge.outer),
+            by_outer: more.iter().zip(&less).map(|(m, l)| (m - l) / (2.0 * STEP)).collect(),
         }
     }
 

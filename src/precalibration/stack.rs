@@ -76,9 +76,6 @@ impl Stack {
                 radius: radius / count,
                 light: mean,
                 std_dev: (variance / count).sqrt(),
-                fall_off: [1.0, 0.0],
-                square: [0.0; 2],
-                variance: 0.0,
             })
         };
         let bins: Vec<Bin> = self.bins.iter().filter_map(bin).collect();
@@ -86,7 +83,7 @@ impl Stack {
         let brightest = bins.iter().map(|bin| bin.light).fold(0.0, f64::max);
         let limit = OUTER_LIGHT * if clipped { 1.0 } else { brightest };
         let (bins, bright) = bins.into_iter().partition(|bin| bin.light <= limit);
-        Profile { bins, bright }
+        Profile { bins, bright, ..Profile::default() }
     }
 
     /// Whether noise about black is clipped by enough to matter: the darkest bins are brighter than rounding makes them.

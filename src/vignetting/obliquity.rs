@@ -101,7 +101,8 @@ pub(crate) struct Falling {
     natural: f32,
     /// Half the part of pixels, px⁻².
     of_pixels: f32,
-    half_pitch: f32,
+    /// Δc/2, px.
+    pub half_pitch: f32,
 }
 
 impl Falling {
@@ -114,9 +115,13 @@ impl Falling {
         let (x, y) = (y.0 + w.0 * self.half_pitch, y.1 + w.1 * self.half_pitch);
         let square = x * x + y * y;
         let natural = (1.0 + (self.natural * square).max(-0.5)).recip();
-        // exp(−z) to the third order: z is small.
+        // exp(−z) as a power that is not below 0; z is below 0.5 on sensors.
         let z = self.gradient[0] * x + self.gradient[1] * y + self.of_pixels * square;
-        let light = natural * natural * (1.0 - z * (1.0 - z * (0.5 - z / 6.0)));
+        let root = (1.0 - z / 16.0 * (1.0 - z / 32.0)).max(0.0);
+        let (second, light) = (root * root, natural * natural);
+        let fourth = second * second;
+        let eighth = fourth * fourth;
+        let light = light * eighth * eighth;
         let by_px = -4.0 * self.natural * natural - 2.0 * self.of_pixels;
         (light, by_px * x - self.gradient[0], by_px * y - self.gradient[1])
     }

@@ -4,6 +4,14 @@
 const ALONG: usize = 9;
 /// They reach so many standard deviations to either side.
 const REACH: f64 = 3.2;
+/// Number of places where there are many, and how far they reach beyond the square, in standard deviations of the point
+/// spread.
+const MANY: usize = 24;
+const BEYOND: f64 = 4.5;
+/// Where they would change too fast with the point spread, px².
+const SMOOTH_PX2: f64 = 0.0025;
+/// Variance of a square of 1 px along an axis, px².
+const SQUARE_PX2: f64 = 1.0 / 12.0;
 
 /// The light that a pixel collects, as a few places with weights along each axis: a square of 1 px convolved with a normal
 /// point spread.
@@ -51,10 +59,12 @@ impl Pixel {
 fn along(spread: f64, variance: f64) -> [(f64, f64); ALONG] {
     let step = 2.0 * REACH * variance.sqrt() / (ALONG - 1) as f64;
     let below = |x: f64| libm::erf(x / (spread.max(1e-6) * std::f64::consts::SQRT_2));
-    let mut rule: [(f64, f64); ALONG] = std::array::from_fn(|i| {
-        let x = (i as f64 - (ALONG - 1) as f64 / 2.0) * step;
-        (x, below(x + 0.5) - below(x - 0.5))
-    });
+    let places = std::array::from_fn(|i| (i as f64 - (ALONG - 1) as f64 / 2.0) * step);
+    with_variance(places.map(|x| (x, below(x + 0.5) - below(x - 0.5))), variance)
+}
+
+/// A rule with weights that sum up to 1, and places moved until it has a variance.
+fn with_variance<const N: usize>(mut rule: [(f64, f64); N], variance: f64) -> [(f64, f64); N] {
     let sum: f64 = rule.iter().map(|(_, weight)| weight).sum();
     let square: f64 = rule.iter().map(|(x, weight)| x * x * weight).sum();
     let wider = (variance * sum / square).sqrt();
@@ -62,6 +72,29 @@ fn along(spread: f64, variance: f64) -> [(f64, f64); ALONG] {
         (*x, *weight) = (*x * wider, *weight / sum);
     }
     rule
+}
+
+impl Pixel {
+    /// Many places along an axis, px, with weights, even on both sides of the middle. They change smoothly with the point
+    /// spread, down to none.
+    pub fn places(&self) -> [(f64, f64); MANY] {
+        let spread = (self.variance - SQUARE_PX2).max(1e-12);
+        let reach = 0.5 + BEYOND * (spread + SMOOTH_PX2).sqrt();
+        let step = 2.0 * reach / MANY as f64;
+        let spread = spread.sqrt();
+        // The integral of the normal distribution, and of the square with its spread.
+        let integral = |x: f64| {
+            let z = x / spread;
+            let below = 0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2);
+            x * below + spread * (-z * z / 2.0).exp() / std::f64::consts::TAU.sqrt()
+        };
+        let up_to = |x: f64| integral(x + 0.5) - integral(x - 0.5);
+        let rule = std::array::from_fn(|i| {
+            let left = i as f64 * step - reach;
+            (left + step / 2.0, up_to(left + step) - up_to(left))
+        });
+        with_variance(rule, self.variance)
+    }
 }
 
 impl Default for Pixel {

@@ -126,19 +126,26 @@ impl View<'_> {
     /// These and the points that a lattice cannot grow to, since all corners of a row between are missing.
     fn across_gaps(&self, mut nodes: Vec<NodePoint>, homography: &Matrix3<f64>) -> Vec<NodePoint> {
         let Some(inverse) = homography.try_inverse() else { return nodes };
-        let known: BTreeMap<(i32, i32), usize> = nodes.iter().copied().collect();
-        let mut free: Vec<usize> = (0..self.points.len()).collect();
-        free.retain(|i| nodes.iter().all(|(_, known)| known != i));
-        for i in free {
+        let mut known: BTreeMap<(i32, i32), usize> = nodes.iter().copied().collect();
+        let at_node = |i: usize| {
             let at = project(&inverse, &self.points[i].place);
             let rounded = at.map(f64::round);
+            ((at - rounded).norm(), rounded, i)
+        };
+        let mut free: Vec<usize> = (0..self.points.len()).collect();
+        free.retain(|i| nodes.iter().all(|(_, known)| known != i));
+        let mut free: Vec<_> = free.into_iter().map(at_node).collect();
+        // Of several at one node the nearest counts.
+        free.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (error, rounded, i) in free {
             #[allow(clippy::cast_possible_truncation)] // saturates far from the lattice
             let (x, y) = (rounded.x as i32, rounded.y as i32);
             let near = || {
                 let reach = |of: i32| of.saturating_sub(GAP)..=of.saturating_add(GAP);
                 reach(y).any(|y| reach(x).any(|x| known.contains_key(&(x, y))))
             };
-            if (at - rounded).norm() < PLACE_ERROR && !known.contains_key(&(x, y)) && near() {
+            if error < PLACE_ERROR && !known.contains_key(&(x, y)) && near() {
+                known.insert((x, y), i);
                 nodes.push(((x, y), i));
             }
         }
