@@ -32,7 +32,8 @@ impl RawImage {
 
     /// The image with its samples, as parts of the largest one, raised to a power.
     pub(crate) fn to_the_power(&self, power: f64) -> Self {
-        let (largest, full) = (self.largest_and_step()[0].max(1.0), f64::from(u16::MAX));
+        let [largest, _] = self.largest_and_step();
+        let (largest, full) = (f64::from(largest).max(1.0), f64::from(u16::MAX));
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to 16 bits
         let raised = |sample: f64| (full * (sample / largest).powf(power)).round() as u16;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 16 bits
@@ -47,8 +48,8 @@ impl RawImage {
 
     /// The largest sample, and the largest step that all samples are multiples of: 16 of samples of 12 bits that are shifted
     /// into 16.
-    pub(crate) fn largest_and_step(&self) -> [f64; 2] {
-        fn of(samples: impl Iterator<Item = u16>) -> [f64; 2] {
+    pub(crate) fn largest_and_step(&self) -> [u16; 2] {
+        fn of(samples: impl Iterator<Item = u16>) -> [u16; 2] {
             let (mut largest, mut step) = (0, 0);
             for sample in samples {
                 largest = largest.max(sample);
@@ -58,7 +59,7 @@ impl RawImage {
                 }
                 step = if step == 1 { 1 } else { a };
             }
-            [largest, step.max(1)].map(f64::from)
+            [largest, step.max(1)]
         }
         match &self.samples {
             Samples::Bits8(all) => of(all.iter().map(|&sample| u16::from(sample))),

@@ -163,7 +163,7 @@ fn shown_by(raw: &RawImage, found: &Pattern) -> Option<Darkest> {
         });
     }
     let [_, step] = raw.largest_and_step();
-    darkness(&rings, step / raw.full_scale())
+    darkness(&rings, f64::from(step) / raw.full_scale())
 }
 
 /// Steps to the nearest nodes about any.
