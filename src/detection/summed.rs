@@ -25,8 +25,8 @@ use super::patch::Patch;
 use crate::vignetting::cells_of_disc;
 
 /// Numbers of points of the micro-lens in rings, from the middle.
-const RINGS: [usize; 4] = [1, 6, 12, 18];
-const POINTS: usize = 37;
+const RINGS: [usize; 5] = [1, 6, 12, 18, 24];
+const POINTS: usize = 61;
 /// Room for them that fills registers.
 const ROOM: usize = POINTS.next_multiple_of(8);
 
@@ -254,10 +254,11 @@ mod tests {
                     ..ExactLight::default()
                 };
                 let [outwards, free, known, wider] = errors(&light, distance);
-                assert!(outwards.abs() < 0.0015, "{outwards} px at {distance} for {rho}");
-                assert!(free.abs() < 0.002, "{free} at {distance} for {rho}");
-                assert!(known.abs() < 0.002, "{known} at {distance} for {rho}");
-                assert!(wider.abs() < 0.01, "{wider} px² at {distance} for {rho}");
+                assert!(outwards.abs() < 0.001, "{outwards} px at {distance} for {rho}");
+                assert!(free.abs() < 0.001, "{free} at {distance} for {rho}");
+                assert!(known.abs() < 0.001, "{known} at {distance} for {rho}");
+                // Eight places along a pixel have 0.001 px² less than a pixel.
+                assert!(wider.abs() < 0.006, "{wider} px² at {distance} for {rho}");
             }
         }
     }
