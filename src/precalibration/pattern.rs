@@ -87,8 +87,8 @@ const PEAKS: usize = 16;
 const REGULAR: f64 = 0.06;
 /// Cells of a folded image along each step.
 const FOLD: usize = 12;
-/// One row in so many shows enough of a cell.
-const FOLDED_ROWS: usize = 5;
+/// One row in so many shows enough of a cell, if rows do not keep step with those of the lattice.
+const FOLDED_ROWS: f64 = 5.0;
 /// Lens types repeat on a lattice of three times the area, which explains more of the image. The lattice
 /// of all micro-images explains at least this part of that, and a finer one less: 0.6 where micro-images
 /// just fill their cells, which leaves the fundamental frequency dark.
@@ -240,7 +240,10 @@ impl Crop {
             bin.min(FOLD - 1)
         };
         let mut total = 0.0;
-        for (v, row) in self.values.chunks_exact(self.size).enumerate().step_by(FOLDED_ROWS) {
+        let golden = f64::midpoint(1.0, 5.0_f64.sqrt());
+        let is_folded = |v: usize| (v as f64 * golden).fract() < 1.0 / FOLDED_ROWS;
+        let rows = self.values.chunks_exact(self.size).enumerate();
+        for (v, row) in rows.filter(|(v, _)| is_folded(*v)) {
             for (u, value) in row.iter().enumerate() {
                 let cell = to_cell * Vector2::new(u as f64, v as f64);
                 let (x, y) = (bin(cell.x), bin(cell.y));
@@ -346,4 +349,31 @@ fn nearest(steps: &[Vector2<f64>], direction: &Vector2<f64>) -> Vector2<f64> {
 
 fn pattern(kind: LatticeKind, along: Vector2<f64>, across: Vector2<f64>) -> Pattern {
     Pattern { kind, origin: Vector2::zeros(), along, across, explained: 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::{Color, RawImage, Samples};
+
+    /// Spots of 10 px whose rows are whole numbers of pixels apart: pixels that keep step with them would show a
+    /// lattice of a third of the area too.
+    #[test]
+    fn rows_that_are_whole_pixels_apart_hide_no_darkness() {
+        for row_px in [15.0, 20.0, 25.0] {
+            let pitch = row_px / ROW_DISTANCE;
+            let spot = |n: usize| {
+                let (u, v) = ((n % 600) as f64, (n / 600) as f64);
+                let row = (v / row_px).round();
+                let along = u / pitch - 0.5 * row.rem_euclid(2.0);
+                let off = ((along - along.round()) * pitch).hypot(v - row * row_px);
+                if off < 5.0 { 200 } else { 5 }
+            };
+            let samples = Samples::Bits8((0..600 * 600).map(spot).collect());
+            let image = RawImage { width: 600, height: 600, color: Color::Grey, samples };
+            let found = find_pattern(&image.grey(), (300, 300)).unwrap();
+            assert!((found.pitch() - pitch).abs() < 0.02 * pitch, "{} for {pitch}", found.pitch());
+            assert_eq!(found.kind, LatticeKind::HexagonalRows);
+        }
+    }
 }
