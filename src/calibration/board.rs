@@ -10,7 +10,7 @@ use tracing::info;
 
 use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{AnchorSource, Warning};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::model::{BentBoard, BoardShape, SHAPE, SHAPE_PARAMETERS};
 use crate::solver::{
     Anchor, CostOptions, Iteration, Problem, Refinement, Termination, shape_names,
@@ -68,6 +68,8 @@ pub enum Trial {
         values: [Option<(f64, f64)>; SHAPE],
         /// How far the bend and the aspect are from 0, in σ of a normal variable; `None` for what is not determined.
         std_devs_from_zero: [Option<f64>; 2],
+        /// Why what is not flat keeps the values of the trial: the refinement of these alone failed.
+        unsettled: Option<String>,
     },
 }
 
@@ -153,7 +155,9 @@ impl Settings<'_> {
         };
         if model == BoardModel::Bent {
             let trial = self.refine_free(problem, (cost, anchors), &free, progress)?;
-            return self.settle(problem, trial, (cost, anchors), (&free, free), progress);
+            let (settled, failed) =
+                self.settle(problem, trial, (cost, anchors), (&free, free), progress);
+            return failed.map_or(Ok(settled), Err);
         }
         let mut flat = self.refine(problem, with_fixed(cost, |_| true), progress)?;
         let known =
@@ -181,20 +185,21 @@ impl Settings<'_> {
         let clear = std_devs_from_zero.map(|from| from.is_some_and(|from| from > SIGNIFICANT));
         let parameters =
             std::array::from_fn(|i| free.parameters[i] && clear[usize::from(i == ASPECT)]);
-        let trial = Trial::Tried { values: values(&free_trial.refined), std_devs_from_zero };
-        info!("the frames show of the board: {trial:?}");
+        let values = values(&free_trial.refined);
+        let tried = |failed: Option<Error>| {
+            let unsettled = failed.map(|error| error.to_string());
+            let trial = Trial::Tried { values, std_devs_from_zero, unsettled };
+            info!("the frames show of the board: {trial:?}");
+            trial
+        };
         if parameters == [false; SHAPE] {
-            return Ok(known(flat, trial, aside));
+            return Ok(known(flat, tried(None), aside));
         }
         let found = Free { parameters, ..free };
-        match self.settle(&start, free_trial, (cost, anchors), (&free, found), progress) {
-            Ok(mut settled) => {
-                let refinement = flat.refinement.followed_by(settled.refined.refinement);
-                settled.refined.refinement = refinement;
-                Ok(Settled { trial, ..settled })
-            }
-            Err(error) => Ok(known(flat, Trial::Failed(error.to_string()), aside)),
-        }
+        let (mut settled, failed) =
+            self.settle(&start, free_trial, (cost, anchors), (&free, found), progress);
+        settled.refined.refinement = flat.refinement.followed_by(settled.refined.refinement);
+        Ok(Settled { trial: tried(failed), ..settled })
     }
 
     /// Refines with parameters of the shape free that have an anchor at 0 each, unless another is stated.
@@ -228,7 +233,7 @@ impl Settings<'_> {
     }
 
     /// The same again, if only some of the parameters that were tried stay free, or if the board is bent by more
-    /// than its anchors allow for: then the anchors have to allow for as much.
+    /// than its anchors allow for: then the anchors have to allow for as much. If that fails, the trial with the reason.
     fn settle(
         &self,
         problem: &Problem,
@@ -236,7 +241,7 @@ impl Settings<'_> {
         known: (&CostOptions, &[(Anchor, AnchorSource)]),
         (before, found): (&Free, Free),
         progress: &mut dyn FnMut(&Iteration) -> bool,
-    ) -> Result<Settled> {
+    ) -> (Settled, Option<Error>) {
         let BentBoard { shape, .. } = at_end(problem, Some(&trial.refined.refinement)).board;
         let bend_mm = BentBoard { shape, ..problem.board }.bend_mm();
         let free = Free {
@@ -249,10 +254,14 @@ impl Settings<'_> {
             ..found
         };
         if free == *before || trial.refined.refinement.termination == Termination::Stopped {
-            return Ok(trial);
+            return (trial, None);
         }
-        let settled = self.refine_free(problem, known, &free, progress)?;
-        Ok(Settled { aside: Effort::of(&trial.refined.refinement), ..settled })
+        match self.refine_free(problem, known, &free, progress) {
+            Ok(settled) => {
+                (Settled { aside: Effort::of(&trial.refined.refinement), ..settled }, None)
+            }
+            Err(error) => (trial, Some(error)),
+        }
     }
 }
 
@@ -327,7 +336,10 @@ pub(super) fn warnings_of(board: &BoardResult) -> impl Iterator<Item = Warning> 
     });
     let failed = match &board.trial {
         Trial::Failed(reason) => Some(Warning::BoardShapeNotFound { reason: reason.clone() }),
-        Trial::NotTried | Trial::TooFewFrames | Trial::Tried { .. } => None,
+        Trial::Tried { unsettled: Some(reason), .. } => {
+            Some(Warning::BoardShapeNotSettled { reason: reason.clone() })
+        }
+        Trial::NotTried | Trial::TooFewFrames | Trial::Tried { unsettled: None, .. } => None,
     };
     warped.into_iter().chain(failed)
 }

@@ -118,16 +118,12 @@ impl InPixels<'_> {
     }
 }
 
-/// Openings are taken to fill the pitch unless the measured fill factor is further from 1 than this many σ.
-const SIGNIFICANT: f64 = 3.0;
-
 impl FillMeasurement {
-    /// The fill factor that a camera is calibrated with, with the measured σ: 1 unless the measured one clearly differs.
+    /// The fill factor that a camera is calibrated with: openings end where their neighbours begin, so it is 1 if more was
+    /// measured.
     #[must_use]
     pub fn taken(&self) -> FillFactor {
-        let measured = self.fill_factor;
-        let full = (measured.value - 1.0).abs() < SIGNIFICANT * measured.std_dev;
-        FillFactor { value: if full { 1.0 } else { measured.value }, ..measured }
+        FillFactor { value: self.fill_factor.value.min(1.0), ..self.fill_factor }
     }
 
     /// By features that state their measured blur, with internal parameters of a datasheet; `None` if there are none. An

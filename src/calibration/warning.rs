@@ -73,6 +73,11 @@ pub enum Warning {
         /// Why.
         reason: String,
     },
+    /// The shape of the board was found once, and refining that alone failed.
+    BoardShapeNotSettled {
+        /// Why.
+        reason: String,
+    },
     /// All boards are nearly parallel to the image plane.
     FrontoParallel {
         /// The largest tilt, degrees.
@@ -144,6 +149,11 @@ impl fmt::Display for Warning {
                 f,
                 "whether the board is flat could not be found out, and it is taken to be flat: {reason}. If you know \
                  that it is, say so; else check it, and the frames with large residuals"
+            ),
+            Self::BoardShapeNotSettled { reason } => write!(
+                f,
+                "the board is not flat, and has the shape of a first trial, with anchors that hold it to be flat; \
+                 a second refinement without them failed: {reason}. Measure the board, and state its shape"
             ),
             Self::FrontoParallel { largest_tilt_deg } => write!(
                 f,

@@ -151,6 +151,7 @@ impl<T: RealField + Copy> Bend<T> {
 
 impl Bend {
     /// An ideal main lens.
+    #[cfg(test)]
     pub fn none() -> Self {
         Self { field: Vector2::zeros(), zone2: 0.0, coefficients: Vector3::zeros() }
     }

@@ -9,13 +9,11 @@ use nalgebra::{Matrix1x3, Matrix1x4, Matrix2, Matrix3, RowVector3, Vector2, Vect
 
 use super::blur::Rays;
 use super::corner::Corner;
-use super::micro_images::OTHERWISE;
 use super::patch::Patch;
+use super::summed::SummedShape;
 use crate::model::FillFactor;
 use crate::numerics::{NormalEquations, median};
 
-/// By how much edges are made wider to see what depends on it, px².
-pub(super) const WIDER_PX2: f64 = 0.1;
 /// Pixels that are used up by place, levels, fill factor and width.
 const USED: f64 = 6.0;
 
@@ -47,32 +45,31 @@ pub(super) struct OfFrames {
 }
 
 impl EdgeWidth {
-    /// Of a corner that was fitted with `rays`, and by how much its place is off because of these, px: `summed` is its shape as
-    /// it is, see [`super::summed`]. The others are those with a fill factor that is larger by the part
-    /// [`OTHERWISE`], and with edges that are wider by [`WIDER_PX2`]. `None` if the light does not determine its place.
+    /// Of a corner that was fitted with `rays`, and by how much its place is off because of these, px: `summed` is how pixels
+    /// see it, and its blur radius grows by `by_fill_px` with ln φ. `None` if the light does not determine its place.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn of(
         corner: &Corner,
         patch: &Patch,
         rays: &Rays,
-        others: [&Rays; 2],
-        summed: &[f32],
+        summed: &[SummedShape],
+        by_fill_px: f64,
     ) -> Option<(Self, Vector2<f64>)> {
         let pixels = patch.x.len();
         let share = 1.0 / rays.points().len() as f32;
         let (level, contrast) = (corner.level as f32, corner.contrast as f32);
-        let [by_u, by_v, shape] = corner.derivatives(pixels, rays);
-        let moved = others.map(|rays| corner.shape(pixels, rays));
-        let per = [1.0 / OTHERWISE as f32, 1.0 / WIDER_PX2 as f32].map(|x| x * contrast * share);
+        let by_few = corner.shape(pixels, rays);
+        let radius_by_fill = by_fill_px as f32;
         let mut equations = NormalEquations::<f32, 4, 4>::new();
         let mut products = Matrix3::<f64>::zeros();
-        for i in (0..pixels).filter(|i| summed[*i].is_finite()) {
-            let (along_u, along_v) = (by_u[i] * contrast * share, by_v[i] * contrast * share);
-            let row = Vector4::new(along_u, along_v, 1.0, shape[i] * share);
-            let [by_fill, by_width] = [0, 1].map(|k: usize| (moved[k][i] - shape[i]) * per[k]);
-            let residual = patch.light[i] - level - contrast * summed[i];
+        for (i, seen) in summed.iter().enumerate().filter(|(_, seen)| seen.shape.is_finite()) {
+            let [along_u, along_v] = seen.by_place.map(|by| by * contrast);
+            let row = Vector4::new(along_u, along_v, 1.0, seen.shape);
+            let residual = patch.light[i] - level - contrast * seen.shape;
+            let by_fill = contrast * radius_by_fill * seen.by_radius;
+            let by_width = contrast * seen.by_width;
             let of_pixel = Matrix1x3::new(residual, by_fill, by_width);
-            let approximation = contrast * (shape[i] * share - summed[i]);
+            let approximation = contrast * (by_few[i] * share - seen.shape);
             let all = Matrix1x4::new(residual, by_fill, by_width, approximation);
             equations.add(&row, &all, patch.weight[i]);
             let of_pixel: RowVector3<f64> = of_pixel.map(f64::from);
@@ -143,6 +140,10 @@ pub(super) const MOVED_PX2: f64 = 0.05;
 pub(super) const MOVED: f64 = 5.0;
 /// Rounds in which they are left out.
 const ROUNDS: usize = 5;
+/// How well the model of a corner tells v, as a part of the variance of the point spread: light at the rim of the pupil is
+/// summed to the first order of the point spread over the radius of the pupil (`summed.rs`). Corners of exact light and of
+/// simulated images are off by so much at 1 px², and by a third of it at 0.25 px².
+const OF_POINT_SPREAD: f64 = 0.03;
 
 impl WidthChange {
     /// Whether edges are wider or narrower than they were taken to be, by what matters and is no chance: print that is not
@@ -194,11 +195,12 @@ fn prior(wider_px2: f64) -> f64 {
 }
 
 impl OfFrames {
-    /// By what the corners of each frame say of ln φ and v; `None` if they do not determine them. All boards have the same
-    /// print and are seen by the same pixels, so they have one v, but for those that moved.
-    pub fn fit(frames: &[EdgeWidth]) -> Option<Self> {
+    /// By what the corners of each frame say of ln φ and v, with this variance of the point spread, px²; `None` if they do not
+    /// determine them. All boards have the same print and are seen by the same pixels, so they have one v, but for those
+    /// that moved.
+    pub fn fit(frames: &[EdgeWidth], point_spread_px2: f64) -> Option<Self> {
         let mut alike = vec![true; frames.len()];
-        let mut found: Option<(Vector2<f64>, Matrix2<f64>)> = None;
+        let mut found: Option<(Vector2<f64>, Matrix2<f64>, f64)> = None;
         for round in 1..=ROUNDS {
             let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
             for (frame, alike) in frames.iter().zip(&alike) {
@@ -206,10 +208,10 @@ impl OfFrames {
                 information += of_both.information;
                 right += of_both.right;
             }
-            information[(1, 1)] += prior(found.map_or(0.0, |(at, _)| at.y));
+            information[(1, 1)] += prior(found.map_or(0.0, |(at, ..)| at.y));
             let covariance = information.cholesky()?.inverse();
             let at = covariance * right;
-            found = Some((at, covariance));
+            found = Some((at, covariance, -information[(0, 1)] / information[(0, 0)]));
             let widths: Vec<Option<(f64, f64)>> = frames.iter().map(|f| f.of_width(at.x)).collect();
             let usual = median(widths.iter().flatten().map(|(width, _)| *width))?;
             let is_usual = |(width, variance): (f64, f64)| {
@@ -220,7 +222,7 @@ impl OfFrames {
                 alike = widths.into_iter().map(|width| width.is_some_and(is_usual)).collect();
             }
         }
-        let (at, covariance) = found?;
+        let (at, covariance, fill_by_width) = found?;
         let scatter = |(frame, alike): (&EdgeWidth, &bool)| {
             let own = if *alike { *frame } else { frame.of_fill_alone() };
             let (from, variance) = own.of_fill(&at)?;
@@ -230,8 +232,11 @@ impl OfFrames {
         let excess = (scatter / (frames.len() as f64 - 1.0).max(1.0)).max(1.0);
         let std_dev = |i: usize| (excess * covariance[(i, i)]).sqrt();
         let value = at.x.exp();
-        let fill = FillFactor { value, std_dev: value * std_dev(0).hypot(FillFactor::MODEL) };
-        Some(Self { fill, wider_px2: [at.y, std_dev(1)], alike })
+        // Where blur and point spread look alike, one is as wrong as the other.
+        let of_width = OF_POINT_SPREAD * point_spread_px2;
+        let of_fill = std_dev(0).hypot(FillFactor::MODEL).hypot(of_width * fill_by_width);
+        let fill = FillFactor { value, std_dev: value * of_fill };
+        Some(Self { fill, wider_px2: [at.y, std_dev(1).hypot(of_width)], alike })
     }
 }
 
@@ -270,7 +275,7 @@ mod tests {
             let information = Matrix2::new(4e4, 6e3, 6e3, 1.2e3);
             EdgeWidth { information, right: information * Vector2::new(truth.x, width) }
         };
-        let of = |count: usize| OfFrames::fit(&vec![of_frame(truth.y); count]).unwrap();
+        let of = |count: usize| OfFrames::fit(&vec![of_frame(truth.y); count], 0.0).unwrap();
         let off = |found: &OfFrames| (found.fill.value.ln() - truth.x).abs();
         let (one, many) = (of(1), of(40));
         assert!(off(&one) > 1.5e-3 && off(&many) < 5e-4, "{one:?} {many:?}");
@@ -278,9 +283,15 @@ mod tests {
         // A frame that moved says nothing of the others' v.
         let mut frames = vec![of_frame(truth.y); 40];
         frames[7] = of_frame(0.6);
-        let found = OfFrames::fit(&frames).unwrap();
+        let found = OfFrames::fit(&frames, 0.0).unwrap();
         assert!((0..40).all(|i| found.alike[i] == (i != 7)));
         assert!((found.wider_px2[0] - many.wider_px2[0]).abs() < 1e-3, "{found:?}");
-        assert!(OfFrames::fit(&[]).is_none());
+        assert!(OfFrames::fit(&[], 0.0).is_none());
+        // A wide point spread says less of both.
+        let spread = OfFrames::fit(&frames, 1.0).unwrap();
+        assert!(spread.wider_px2[1] > OF_POINT_SPREAD);
+        assert!((spread.wider_px2[0] - found.wider_px2[0]).abs() < 1e-12);
+        let added = (spread.fill.std_dev.powi(2) - found.fill.std_dev.powi(2)).sqrt();
+        assert!((added / found.fill.value / (0.15 * OF_POINT_SPREAD) - 1.0).abs() < 0.2, "{added}");
     }
 }

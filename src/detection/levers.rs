@@ -83,21 +83,6 @@ impl Corner {
         })
     }
 
-    /// The derivatives of its light by u and v, and its shape, summed over all rays, pixel by pixel.
-    pub fn derivatives(&self, pixels: usize, rays: &Rays) -> [Vec<f32>; 3] {
-        let mut columns = [const { Vec::new() }; COLUMNS].map(|_: Vec<f32>| vec![0.0; pixels]);
-        let bend = Bend::none().in_single();
-        Arch::new().dispatch(Sums {
-            columns: &mut columns,
-            corner: self,
-            rays,
-            bend,
-            nearness: 1.0,
-        });
-        let [by_u, by_v, shape, ..] = columns;
-        [by_u, by_v, shape]
-    }
-
     /// The sum of the shapes of all rays, pixel by pixel.
     pub fn shape(&self, pixels: usize, rays: &Rays) -> Vec<f32> {
         let mut shape = vec![0.0; pixels];

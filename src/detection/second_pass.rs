@@ -9,7 +9,7 @@ use super::board::LabelledBoard;
 use super::corner::Corner;
 use super::corner_fit::Free;
 use super::distortion::Distortion;
-use super::edge_width::{EdgeWidth, WIDER_PX2, WidthChange};
+use super::edge_width::{EdgeWidth, WidthChange};
 use super::first_pass::{LEAST_CONTRAST, REACH};
 use super::frame::{Frame, FrameCounts, MARGIN};
 use super::grouping::Group;
@@ -22,7 +22,6 @@ use super::{CornerLine, CornerObservation, MicroOptics};
 #[cfg(doc)]
 use crate::model::BapFeature;
 use crate::model::TAKEN;
-use crate::model::taken::FILL_FACTOR;
 use crate::numerics::median;
 
 /// Rounds in which every corner is searched for; in the second one its line is that of the first.
@@ -271,20 +270,23 @@ impl SecondPass<'_> {
             Blur::new(optics, slope, *bend, vignetting).wider(self.wider_px2)
         };
         let blur = as_is(optics, micro_images.vignetting(optics));
-        let otherwise = |taken: usize| {
-            let (optics, vignetting) = micro_images.otherwise(optics, taken);
-            as_is(&optics, vignetting).rays(&few)
-        };
-        let (rays, summed) = (blur.rays(&few), blur.summed_shape(corner, &few));
-        let wider = blur.wider(WIDER_PX2).rays(&few);
-        if !self.last {
-            return EdgeWidth::of(corner, &few, &rays, [&otherwise(FILL_FACTOR), &wider], &summed);
+        let rays = blur.rays(&few);
+        if self.last {
+            let others: [Rays; TAKEN] = std::array::from_fn(|taken| {
+                let (optics, vignetting) = micro_images.otherwise(optics, taken);
+                as_is(&optics, vignetting).rays(&few)
+            });
+            if let Some(by_few) = corner.levers(&few, &rays, slope, bend, &others) {
+                levers.by_taken = by_few.by_taken;
+            }
         }
-        let others: [Rays; TAKEN] = std::array::from_fn(otherwise);
-        if let Some(by_few) = corner.levers(&few, &rays, slope, bend, &others) {
-            levers.by_taken = by_few.by_taken;
-        }
-        EdgeWidth::of(corner, &few, &rays, [&others[FILL_FACTOR], &wider], &summed)
+        EdgeWidth::of(
+            corner,
+            &few,
+            &rays,
+            &blur.summed(corner, &few),
+            optics.blur_by_fill_px(slope),
+        )
     }
 
     /// A corner as it should show in the micro-image about `center`, whose mean light is `level`.

@@ -106,9 +106,11 @@ const AT_ONCE: usize = 4;
 /// The first frames with a board are searched so many times, until the fill factor that their edges show is that which
 /// corners are fitted with.
 const ROUNDS: usize = 4;
-/// Fill factors that are the same for that, relative, or within so many standard deviations.
+/// Fill factors that are the same for that, relative, or within so many standard deviations; and within so many that this may
+/// be chance.
 const SAME_FILL: f64 = 0.004;
-const SIGNIFICANT: f64 = 3.0;
+const SAME: f64 = 1.0;
+const CHANCE: f64 = 3.0;
 
 /// The variance of both axes together of an even motion is a twelfth of its square, that along an axis half of it.
 const MOTION: f64 = 24.0;
@@ -140,6 +142,7 @@ pub fn detect<'i>(
         )
     };
     let mut micro_images = Cow::Borrowed(search.micro_images);
+    let spread = micro_images.point_spread_px2();
     let (mut frames, mut fill_is_known) = (Vec::new(), false);
     // Reading takes one core, so that a few frames at once keep all of them busy.
     for some in images.chunks(AT_ONCE) {
@@ -151,9 +154,9 @@ pub fn detect<'i>(
         let mut found: Vec<Result<(Cow<RawImage>, Found)>> = some.par_iter().map(read).collect();
         for _ in 1..ROUNDS {
             let searched = found.iter().filter_map(|found| found.as_ref().ok());
-            let fill = widths(searched.filter_map(|(_, (found, _))| found.as_ref().ok()));
-            let clearly = |fill: &FillFactor| differs(fill, micro_images.fill_factor());
-            let fill = fill.map(|widths| widths.fill).filter(clearly);
+            let fill = widths(searched.filter_map(|(_, (found, _))| found.as_ref().ok()), spread);
+            let other = |fill: &FillFactor| differs(fill, micro_images.fill_factor(), SAME);
+            let fill = fill.map(|widths| widths.fill).filter(other);
             let Some(fill) = fill.filter(|_| !fill_is_known) else { break };
             debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
             micro_images = Cow::Owned(micro_images.with_fill_factor(fill.value));
@@ -177,10 +180,10 @@ pub fn detect<'i>(
         };
         let done = some.par_iter().zip(found).map(of_image);
         frames.extend(done.collect::<Result<Vec<DetectedFrame>>>()?);
-        fill_is_known = widths(detections(&frames)).is_some();
+        fill_is_known = widths(detections(&frames), spread).is_some();
     }
     let fitted_with = micro_images.fill_factor();
-    let fill_factor = widths(detections(&frames)).map(|widths| {
+    let fill_factor = widths(detections(&frames), spread).map(|widths| {
         let found = frames.iter_mut().filter_map(|frame| frame.result.as_mut().ok());
         let with_edges = found.filter(|found| found.edges.is_some());
         for (found, _) in with_edges.zip(widths.alike).filter(|(_, alike)| *alike) {
@@ -200,21 +203,24 @@ fn detections(frames: &[DetectedFrame]) -> impl Iterator<Item = &Detection> {
 /// What was found in an image.
 type Found = (std::result::Result<Detection, Rejection>, FrameCounts);
 
-/// What the edges of frames say together; `None` where they do not tell it.
-fn widths<'a>(frames: impl Iterator<Item = &'a Detection>) -> Option<OfFrames> {
+/// What the edges of frames say together, with this variance of the point spread, px²; `None` where they do not tell it.
+fn widths<'a>(
+    frames: impl Iterator<Item = &'a Detection>,
+    point_spread_px2: f64,
+) -> Option<OfFrames> {
     let of_frames: Vec<EdgeWidth> = frames.filter_map(|frame| Some(frame.edges?.corners)).collect();
-    OfFrames::fit(&of_frames)
+    OfFrames::fit(&of_frames, point_spread_px2)
 }
 
-/// Whether corners should be fitted with another fill factor.
-fn differs(found: &FillFactor, fitted_with: f64) -> bool {
+/// Whether a fill factor is another one than that which corners were fitted with, by so many standard deviations.
+fn differs(found: &FillFactor, fitted_with: f64, std_devs: f64) -> bool {
     let change = (found.value - fitted_with).abs();
-    change > SAME_FILL * found.value && change > SIGNIFICANT * found.std_dev
+    change > SAME_FILL * found.value && change > std_devs * found.std_dev
 }
 
 /// A warning if corners were fitted with another fill factor than all frames show.
 fn fitted_otherwise(found: &FillFactor, fitted_with: f64) -> Option<String> {
-    differs(found, fitted_with).then(|| {
+    differs(found, fitted_with, CHANCE).then(|| {
         format!(
             "corners were fitted with the fill factor {fitted_with:.4}, as the first frames show it, but all frames show \
              {:.4} ± {:.4}. If the first frames are blurred or moved, leave them out; or else state the fill factor that \

@@ -56,13 +56,25 @@ const LEAST: f32 = 1e-3;
 /// Variances along a normal are not below this, px².
 const LEAST_PX2: f32 = 1e-3;
 
+/// The two steps of a corner, each from −1 to 1, as a pixel sees their product.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct SummedShape {
+    /// The mean over the light of the pixel; not a number where it should have no light.
+    pub shape: f32,
+    /// Its derivative by the place of the corner (x, y), px⁻¹.
+    pub by_place: [f32; 2],
+    /// By the blur radius, px⁻¹.
+    pub by_radius: f32,
+    /// By the variance of edges, px⁻².
+    pub by_width: f32,
+}
+
 impl Blur<'_> {
-    /// The mean over the light of each pixel of the two steps of a corner, each from −1 to 1; not a number where the
-    /// pixel should have no light.
-    pub fn summed_shape(&self, corner: &Corner, patch: &Patch) -> Vec<f32> {
-        let mut shape = vec![0.0; patch.x.len()];
-        Arch::new().dispatch(Sum { blur: self, corner, patch, shape: &mut shape });
-        shape
+    /// How the pixels of a patch see a corner. Derivatives leave out third moments, and how the light of a pixel changes.
+    pub fn summed(&self, corner: &Corner, patch: &Patch) -> Vec<SummedShape> {
+        let mut shapes = vec![SummedShape::default(); patch.x.len()];
+        Arch::new().dispatch(Sum { blur: self, corner, patch, shapes: &mut shapes });
+        shapes
     }
 }
 
@@ -70,7 +82,7 @@ struct Sum<'a> {
     blur: &'a Blur<'a>,
     corner: &'a Corner,
     patch: &'a Patch,
-    shape: &'a mut [f32],
+    shapes: &'a mut [SummedShape],
 }
 
 impl NullaryFnOnce for Sum<'_> {
@@ -79,21 +91,26 @@ impl NullaryFnOnce for Sum<'_> {
     #[inline(always)]
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn call(self) {
-        let Self { blur, corner, patch, shape } = self;
+        let Self { blur, corner, patch, shapes } = self;
         let lens = &*LENS;
         let bend = blur.bend.bends().then(|| blur.bend.in_single());
         let [rho, q, pupil] = [blur.rho as f32, blur.q as f32, blur.pupil as f32];
         let pixel = blur.vignetting.pixel_variance();
         let seen = pixel + q * q * lens.cell;
         let origin = pixel + blur.wider_px2 + rho * rho * lens.cell;
-        let per_spread = seen.sqrt().recip();
+        let spread = seen.sqrt();
+        let per_spread = spread.recip();
+        let per_pupil = spread / pupil;
+        let of_sides = (0.5 * per_pupil).powi(2);
         // By standard deviations of the place in the pupil.
         let follows = (pixel + rho * q * lens.cell) * per_spread;
+        let follows_by_radius = q * lens.cell * per_spread;
+        let origin_by_radius = 2.0 * rho * lens.cell;
         let (place_x, place_y) = (corner.place.x as f32, corner.place.y as f32);
         let [(s1, c1), (s2, c2)] = [unit(corner.angles[0]), unit(corner.angles[1])];
         let cosine = c1 * c2 + s1 * s2;
         let falling = blur.obliquity.in_single();
-        for ((&x, &y), shape) in patch.x.iter().zip(&patch.y).zip(shape) {
+        for ((&x, &y), shape) in patch.x.iter().zip(&patch.y).zip(shapes) {
             let (mut bent_x, mut bent_y) = ([0.0_f32; ROOM], [0.0_f32; ROOM]);
             if let Some(bend) = &bend {
                 let bent = bent_x.iter_mut().zip(&mut bent_y);
@@ -102,7 +119,8 @@ impl NullaryFnOnce for Sum<'_> {
                     (*bent_x, *bent_y) = (by.x, by.y);
                 }
             }
-            let (mut all, mut sum) = ([0.0_f32; ROOM], [0.0_f32; ROOM]);
+            let mut all = [0.0_f32; ROOM];
+            let mut sums = [[0.0_f32; ROOM]; 5];
             for j in 0..ROOM {
                 let (w_x, w_y) = (lens.x[j], lens.y[j]);
                 let (light, by_x, by_y) = falling.light((x, y), (w_x, w_y));
@@ -116,31 +134,67 @@ impl NullaryFnOnce for Sum<'_> {
                 let (out_x, out_y) = (seen_x * inverse, seen_y * inverse);
                 let z = (pupil - (square + seen).sqrt()) * per_spread;
                 let (visible, density) = normal(z);
+                let (visible, density) = (
+                    (visible - of_sides * z * density).max(0.0),
+                    density * (1.0 - of_sides * (1.0 - z * z)),
+                );
                 let lit = if visible > LEAST { 1.0 } else { 0.0 };
                 // Less the mean, what is lost of the variance, and less the third moment.
                 let first = lit * density / visible.max(LEAST);
                 let second = first * (z + first);
                 let third = first * ((z + first) * (z + 2.0 * first) - 1.0);
-                let inwards = follows * first;
-                let narrower = follows * follows * second;
-                let skew = -follows * follows * follows * third;
+                // The rim is bent, so that light at the sides of y/|y| is cut off sooner.
+                let of_rim = first * per_pupil;
+                let at_sides = of_rim / (1.0 + of_rim);
+                let mean = first - 0.5 * at_sides * per_pupil;
+                let inwards = follows * mean;
+                let squared = follows * follows;
+                let sideways = squared * at_sides;
+                let narrower = squared * second - sideways;
+                let origin = origin - sideways;
+                let skew = -squared * follows * third;
+                let skew_sideways = -squared * follows * second * per_pupil;
                 let o_x = x - rho * w_x - inwards * out_x + bent_x[j] - place_x;
                 let o_y = y - rho * w_y - inwards * out_y + bent_y[j] - place_y;
                 let (n1, n2) = (c1 * out_y - s1 * out_x, c2 * out_y - s2 * out_x);
+                let (t1, t2) = (c1 * out_x + s1 * out_y, c2 * out_x + s2 * out_y);
                 let a = Step::new(c1 * o_y - s1 * o_x, origin - narrower * n1 * n1);
                 let b = Step::new(c2 * o_y - s2 * o_x, origin - narrower * n2 * n2);
                 let both = origin * cosine - narrower * n1 * n2;
-                let value = (a.value + skew / 6.0 * n1 * n1 * n1 * a.third)
-                    * (b.value + skew / 6.0 * n2 * n2 * n2 * b.third)
+                let third_1 = n1 * (skew * n1 * n1 + 3.0 * skew_sideways * t1 * t1);
+                let third_2 = n2 * (skew * n2 * n2 + 3.0 * skew_sideways * t2 * t2);
+                let mixed = skew * n1 * n2 + 2.0 * skew_sideways * t1 * t2;
+                let mixed_1 = n1 * mixed + skew_sideways * t1 * t1 * n2;
+                let mixed_2 = n2 * mixed + skew_sideways * t2 * t2 * n1;
+                let value = (a.value + third_1 / 6.0 * a.third)
+                    * (b.value + third_2 / 6.0 * b.third)
                     + both * a.first * b.first
                     + 0.5 * both * both * a.second * b.second
-                    + 0.5 * skew * n1 * n2 * (n1 * a.second * b.first + n2 * a.first * b.second);
+                    + 0.5 * (mixed_1 * a.second * b.first + mixed_2 * a.first * b.second);
                 let light = lens.is_one[j] * lit * light * visible;
+                // By the distance from either step, and by the variance.
+                let by_1 = a.first * b.value + both * a.second * b.first;
+                let by_2 = a.value * b.first + both * a.first * b.second;
+                let by_width = 0.5 * (a.second * b.value + a.value * b.second)
+                    + cosine * a.first * b.first
+                    + 0.5 * both * (a.third * b.first + a.first * b.third)
+                    + both * cosine * a.second * b.second;
+                let moved = follows_by_radius * mean;
+                let (moved_x, moved_y) = (w_x + moved * out_x, w_y + moved * out_y);
+                let by_radius = by_1 * (s1 * moved_x - c1 * moved_y)
+                    + by_2 * (s2 * moved_x - c2 * moved_y)
+                    + origin_by_radius * by_width;
                 all[j] = light;
-                sum[j] = light * value;
+                sums[0][j] = light * value;
+                sums[1][j] = light * (by_1 * s1 + by_2 * s2);
+                sums[2][j] = -light * (by_1 * c1 + by_2 * c2);
+                sums[3][j] = light * by_radius;
+                sums[4][j] = light * by_width;
             }
-            // Not a number without light.
-            *shape = sum.iter().sum::<f32>() / all.iter().sum::<f32>();
+            let per_light = all.iter().sum::<f32>().recip();
+            let [value, by_x, by_y, by_radius, by_width] =
+                sums.map(|sum| sum.iter().sum::<f32>() * per_light);
+            *shape = SummedShape { shape: value, by_place: [by_x, by_y], by_radius, by_width };
         }
     }
 }
@@ -206,26 +260,24 @@ mod tests {
     use nalgebra::Matrix2;
 
     use super::super::corner_fit::Free;
-    use super::super::edge_width::{EdgeWidth, WIDER_PX2};
+    use super::super::edge_width::EdgeWidth;
     use super::super::exact_light::{DIRECTIONS, ExactLight};
-    use super::super::micro_images::OTHERWISE;
     use super::*;
 
     /// By how much corners of exact light seem further outwards, px; ln |ρ|, its change where edges are known not to be
-    /// wider, and the variance by which they seem wider, px².
-    fn errors(light: &ExactLight, distance: f64) -> [f64; 4] {
+    /// wider, and the variance by which they seem wider, px². They are fitted with a blur radius that is larger by the part
+    /// `off`.
+    fn errors_with(light: &ExactLight, distance: f64, off: f64) -> [f64; 4] {
         let vignetting = light.vignetting();
-        let blur = light.blur(&vignetting);
-        let other = ExactLight { rho: light.rho * (1.0 + OTHERWISE), ..*light };
+        let taken = ExactLight { rho: light.rho * (1.0 + off), ..*light };
+        let blur = taken.blur(&vignetting);
         let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
         let mut outwards = 0.0;
         for (corner, patch) in light.corners(distance) {
             let rays = blur.rays(&patch);
             let found = corner.fitted(&patch, &rays, Free::Place).unwrap();
-            let wider = blur.clone().wider(WIDER_PX2).rays(&patch);
-            let others = [&other.blur(&vignetting).rays(&patch), &wider];
-            let summed = blur.summed_shape(&found, &patch);
-            let (width, off) = EdgeWidth::of(&found, &patch, &rays, others, &summed).unwrap();
+            let summed = blur.summed(&found, &patch);
+            let (width, off) = EdgeWidth::of(&found, &patch, &rays, &summed, taken.rho).unwrap();
             let (own, own_right) = width.equations();
             information += own;
             right += own_right;
@@ -234,6 +286,10 @@ mod tests {
         }
         let both = information.try_inverse().unwrap() * right;
         [outwards, both.x, right.x / information[(0, 0)], both.y]
+    }
+
+    fn errors(light: &ExactLight, distance: f64) -> [f64; 4] {
+        errors_with(light, distance, 0.0)
     }
 
     #[test]
@@ -257,8 +313,8 @@ mod tests {
                 assert!(outwards.abs() < 0.001, "{outwards} px at {distance} for {rho}");
                 assert!(free.abs() < 0.001, "{free} at {distance} for {rho}");
                 assert!(known.abs() < 0.001, "{known} at {distance} for {rho}");
-                // Eight places along a pixel have 0.001 px² less than a pixel.
-                assert!(wider.abs() < 0.006, "{wider} px² at {distance} for {rho}");
+                // What ln |ρ| and it cannot tell apart: 0.0005 of a ρ of 4 px is 0.004 px².
+                assert!(wider.abs() < 0.008, "{wider} px² at {distance} for {rho}");
             }
         }
     }
@@ -279,6 +335,27 @@ mod tests {
                 let [outwards, _, known, _] = errors(&wide(rho, q, pupil), distance);
                 assert!(outwards.abs() < 0.015, "{outwards} px at {distance} for {rho}");
                 assert!(known.abs() < 0.007, "{known} at {distance} for {rho}");
+            }
+        }
+    }
+
+    /// The derivatives are those of the light: a blur radius that is a tenth off is found in one step.
+    #[test]
+    fn a_wrong_blur_radius_is_set_right() {
+        for point_spread_px2 in [0.0, 1.0] {
+            for (rho, q, pupil) in [(2.0, 4.1, 6.57), (-2.6, -3.9, 6.57)] {
+                let light = ExactLight { rho, q, pupil, point_spread_px2, ..ExactLight::default() };
+                let light = ExactLight { of_pixel: 17, rings: 8, ..light };
+                for (distance, off) in [(1.0, 0.1), (5.0, -0.1)] {
+                    let [_, free, known, _] = errors_with(&light, distance, off);
+                    let expected = -f64::ln(1.0 + off);
+                    for found in [free, known] {
+                        assert!(
+                            (found - expected).abs() < 0.016,
+                            "{found} for {expected} at {rho}"
+                        );
+                    }
+                }
             }
         }
     }

@@ -22,7 +22,7 @@ const LEAST_PART: f64 = 1e-4;
 const LEAST: f64 = 40.0;
 /// Samples of full pixels scatter by up to so many standard deviations.
 const SCATTER: f64 = 3.0;
-/// Full pixels have more than so many grey levels: a spike below is darkness.
+/// With fewer grey levels than this every one of them is a spike.
 const LOWEST: f64 = 64.0;
 /// Rows that show it.
 const ROWS: usize = 512;

@@ -54,7 +54,9 @@ pub(super) fn board_shape_document(result: &BoardResult) -> Value {
         Trial::NotTried => ("not-tried", None, [None; 2]),
         Trial::TooFewFrames => ("too-few-frames", None, [None; 2]),
         Trial::Failed(reason) => ("failed", Some(reason), [None; 2]),
-        Trial::Tried { std_devs_from_zero, .. } => ("tried", None, *std_devs_from_zero),
+        Trial::Tried { std_devs_from_zero, unsettled, .. } => {
+            ("tried", unsettled.as_ref(), *std_devs_from_zero)
+        }
     };
     json!({
         "board": result.bent.board,

@@ -77,7 +77,7 @@ impl FillFactor {
 
     /// How well the model of a blurred corner tells the fill factor, relative: the σ of what is found from corners is not
     /// less.
-    pub const MODEL: f64 = 2e-3;
+    pub const MODEL: f64 = 3e-3;
 
     /// The standard deviation of blurred light along an axis over the blur radius ρ of full openings, φ/2, with its σ:
     /// that of a uniform disc is half its radius.

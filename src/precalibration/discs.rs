@@ -39,8 +39,15 @@ pub(super) struct Known {
     pub mla_to_sensor_px: f64,
     /// Δc, px.
     pub pitch_px: f64,
-    /// H, px⁻².
-    pub within_per_px2: f64,
+    /// H over that of cos⁴.
+    pub within: f64,
+}
+
+impl Known {
+    /// H of cos⁴, px⁻².
+    pub fn cos4_per_px2(&self) -> f64 {
+        4.0 / self.mla_to_sensor_px.powi(2)
+    }
 }
 
 /// The discs, with standard deviations.
@@ -148,7 +155,7 @@ mod tests {
             q_px: BLUR_PX.iter().map(|b| 0.02 - b).collect(),
             mla_to_sensor_px: D_PX,
             pitch_px: PITCH_PX,
-            within_per_px2: 2e-3,
+            within: 1.8,
         };
         let profiles: Vec<Vec<&Profile>> = whites.iter().map(|of| of.iter().collect()).collect();
         fit_discs(&profiles, &known)

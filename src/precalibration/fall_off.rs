@@ -34,6 +34,9 @@ const ROUNDS: usize = 4;
 /// A fall-off is known if its σ is below this part of that of cos⁴: corners near the border of an R12 are then
 /// right to 0.01 px.
 const KNOWN: f64 = 0.2;
+/// How well H follows from G by the law of the angle, relative: the pupil may be off the lens, and pixels see the two
+/// angles differently.
+pub(super) const WITHIN: f64 = 0.25;
 
 /// A fill factor between 1 and those of micro-lenses with wide gaps: the lean is linear in ln φ to a per cent of itself.
 const OTHERWISE: FillFactor = FillFactor { value: 0.9, std_dev: 0.0 };
@@ -99,8 +102,8 @@ impl Light {
         self.of_images.last().map_or(&[], |(_, types)| types)
     }
 
-    /// The fall-off that the images show, or else that of cos⁴ with a warning. Light changes by what depends a
-    /// little on the `law` inside micro-images, as far as it is known.
+    /// The fall-off that the images show, or else that of cos⁴ with a warning; inside micro-images as it would be by the
+    /// same law. Light changes by what depends a little on the `law` inside micro-images, as far as it is known.
     pub fn fall_off(
         &self,
         internal: &InternalParameters,
@@ -110,7 +113,7 @@ impl Light {
         let (lens_to_sensor_px, mla_to_sensor_px) = options.distances_px(internal.m_mm);
         let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, self.middle);
         let known = |fall_off: &FallOff| fall_off.std_dev_per_px2 < KNOWN * cos4.growth_per_px2;
-        let (gradients, within) = self.measured(internal, options, law);
+        let gradients = self.gradients(internal, options, law);
         let lean = self.lean(&gradients);
         debug!("{lean:?}");
         let Some(measured) = plane(&gradients.concat()).filter(known) else {
@@ -119,18 +122,15 @@ impl Light {
                            that are not clipped";
             return Measured { fall_off: cos4, lean, warning: Some(warning.to_owned()) };
         };
-        let within = mean_within(&within);
         let [growth, std_dev] =
             [measured.growth_per_px2, measured.std_dev_per_px2].map(|x| x / cos4.growth_per_px2);
         debug!(
-            "light falls off by {growth:.3} ± {std_dev:.3} of cos⁴ over the image, about {:.1?} px, and inside \
-             micro-images by {:.3?}",
+            "light falls off by {growth:.3} ± {std_dev:.3} of cos⁴ over the image, about {:.1?} px",
             measured.middle_px,
-            within.map(|(h, std_dev)| [h, std_dev].map(|x| x / cos4.within_per_px2)),
         );
-        let (within_per_px2, within_std_dev_per_px2) = within
-            .filter(|(_, std_dev)| *std_dev < KNOWN * cos4.within_per_px2)
-            .unwrap_or((measured.growth_per_px2 * lens_to_sensor_px / mla_to_sensor_px, 0.0));
+        // The same law inside micro-images, as if the pupil were in the lens.
+        let within_per_px2 = measured.growth_per_px2 * lens_to_sensor_px / mla_to_sensor_px;
+        let within_std_dev_per_px2 = WITHIN * within_per_px2.abs();
         Measured {
             fall_off: FallOff { within_per_px2, within_std_dev_per_px2, ..measured },
             lean,
@@ -155,40 +155,30 @@ impl Light {
     ) -> Option<Lean> {
         let pitch_mm = self.seen_pitch_px * options.pixel_size_mm;
         let otherwise = internal.with_fill_factor(OTHERWISE, pitch_mm);
-        let other = self.lean(&self.measured(&otherwise, options, law).0)?;
+        let other = self.lean(&self.gradients(&otherwise, options, law))?;
         let change = (OTHERWISE.value / internal.fill()).ln();
         let of_axis = |i: usize| (other.growth_per_px[i] - lean.growth_per_px[i]) / change;
         Some(Lean { by_fill_factor_per_px: [of_axis(0), of_axis(1)], ..lean })
     }
 
-    /// The gradients of all micro-images by image and type, and H with its variance.
-    fn measured(
+    /// The gradients of all micro-images by image and type.
+    fn gradients(
         &self,
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
         law: &Obliquity,
-    ) -> (Vec<Vec<Gradient>>, Vec<(f64, f64)>) {
-        let (mut gradients, mut within) = (Vec::new(), Vec::new());
-        for (f_number, types) in &self.of_images {
+    ) -> Vec<Vec<Gradient>> {
+        let of_image = |(f_number, types): &(f64, Vec<Alike>)| {
             let levers = Levers::new(internal, *f_number, self.seen_pitch_px, options);
-            for (lens_type, alike) in types.iter().enumerate() {
+            let of_type = |(lens_type, alike): (usize, &Alike)| {
                 let lever = |r| levers.lever(lens_type, r, law);
                 let light = |r| levers.light_and_growth(lens_type, r, law);
-                gradients.push(alike.gradients(self.reach_px, lever, light));
-                within.extend(alike.within(levers.plateau(lens_type)));
-            }
-        }
-        (gradients, within)
+                alike.gradients(self.reach_px, lever, light)
+            };
+            types.iter().enumerate().map(of_type).collect::<Vec<_>>()
+        };
+        self.of_images.iter().flat_map(of_image).collect()
     }
-}
-
-/// The mean of all H, and its σ by their scatter or their variances, whichever is larger.
-fn mean_within(all: &[(f64, f64)]) -> Option<(f64, f64)> {
-    let weights: f64 = all.iter().map(|(_, variance)| 1.0 / variance).sum();
-    let mean = all.iter().map(|(h, variance)| h / variance).sum::<f64>() / weights;
-    let scatter: f64 = all.iter().map(|(h, variance)| (h - mean).powi(2) / variance).sum();
-    let freedom = (all.len() as f64 - 1.0).max(1.0);
-    (!all.is_empty()).then(|| (mean, ((scatter / freedom).max(1.0) / weights).sqrt()))
 }
 
 /// G and c₀ of g = G (c − c₀) over all gradients.

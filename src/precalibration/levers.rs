@@ -8,9 +8,6 @@ use super::stage::PrecalibrationOptions;
 use crate::model::{InternalParameters, Lean, growth_per_px};
 use crate::vignetting::{Obliquity, Pixel};
 
-/// What a pixel takes from the plateau of a micro-image, px, and what a point spread does, in its standard deviations.
-const PLATEAU_MARGIN: (f64, f64) = (1.2, 2.5);
-
 /// Slices that a part of a micro-lens is summed over, and places in them: Gauss and Legendre, one of both sides.
 const SLICES: u32 = 24;
 const GAUSS: [(f64, f64); 2] = [(0.0, 8.0 / 9.0), (0.774_596_669_241_483_4, 10.0 / 9.0)];
@@ -135,16 +132,5 @@ impl Levers {
                 }
             }
         }
-    }
-
-    /// How far from the centre all pixels see the whole pupil, or the whole micro-lens, px, and |y − M|/|y|
-    /// there.
-    pub fn plateau(&self, lens_type: usize) -> (f64, f64) {
-        let (a, q) = (self.pupil_px, self.q_px[lens_type]);
-        let lever = if a < q.abs() { 1.0 + self.lens_px / q } else { 1.0 };
-        let (of_pixel, of_spread) = PLATEAU_MARGIN;
-        let margin =
-            of_pixel + of_spread * (self.pixel.variance - Pixel::default().variance).sqrt();
-        ((a - q.abs()).abs() - margin, lever)
     }
 }

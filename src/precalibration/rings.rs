@@ -22,8 +22,6 @@ const RING_PX: f64 = 0.25;
 /// part of them. Fewer are hot pixels.
 const CLIPPED: f32 = 0.97;
 const HOT: f64 = 0.01;
-/// The smallest plateau across which light falls off by enough to be seen, px.
-const LEAST_PLATEAU_PX: f64 = 1.5;
 /// Variance of a pixel without light, over that of the brightest.
 const READ_NOISE: f64 = 0.02;
 /// Fewest pixels that determine the six numbers of a micro-image.
@@ -210,36 +208,6 @@ impl Alike {
         };
         let design: Vec<Option<Design>> = of_rings.iter().map(design).collect();
         self.images.par_iter().filter_map(|image| gradient(image, &design)).collect()
-    }
-
-    /// H with its variance, from how much darker the plateaus of micro-images become away from their
-    /// centres; `None` if those are too small or clipped. Every micro-image is compared with its own mean.
-    pub fn within(&self, (plateau_px, lever): (f64, f64)) -> Option<(f64, f64)> {
-        if plateau_px < LEAST_PLATEAU_PX {
-            return None;
-        }
-        let inside = count_of(plateau_px) - 1;
-        let x = |i: usize| (lever * (i as f64 + 0.5) * RING_PX).powi(2) / 2.0;
-        let (mut square, mut product, mut residual, mut count) = (0.0, 0.0, 0.0, 0.0);
-        for image in &self.images {
-            let rings = &image.rings[..inside.min(image.rings.len())];
-            let n: f64 = rings.iter().map(|ring| ring.count).sum();
-            if n < 2.0 || rings.iter().any(|ring| ring.clipped > 0.0) {
-                continue;
-            }
-            let mean = rings.iter().map(|ring| ring.light).sum::<f64>() / n;
-            let mean_x =
-                rings.iter().enumerate().map(|(i, ring)| x(i) * ring.count).sum::<f64>() / n;
-            for (i, ring) in rings.iter().enumerate() {
-                let x = x(i) - mean_x;
-                square += x * x * ring.count;
-                product += x * ring.light / mean;
-                residual += ring.square / (mean * mean);
-            }
-            residual -= n;
-            count += n;
-        }
-        (count > FEWEST).then(|| (-product / square, residual / count / square))
     }
 }
 

@@ -124,6 +124,7 @@ impl<'a> Samples<'a> {
         micro_image_pitch_px: f64,
     ) -> Option<Discs> {
         let pixel = self.options.pixel_size_mm;
+        let mla_to_sensor_px = self.options.distances_px(internal.m_mm).1;
         let known = Known {
             f_numbers: self.whites.iter().map(|white| white.f_number).collect(),
             m_px: internal.m_mm / pixel,
@@ -132,9 +133,9 @@ impl<'a> Samples<'a> {
                 .iter()
                 .map(|q_prime| q_prime / pixel - micro_image_pitch_px / 2.0)
                 .collect(),
-            mla_to_sensor_px: self.options.distances_px(internal.m_mm).1,
+            mla_to_sensor_px,
             pitch_px: micro_image_pitch_px,
-            within_per_px2,
+            within: within_per_px2 * mla_to_sensor_px.powi(2) / 4.0,
         };
         let profiles: Vec<Vec<_>> =
             radii.iter().map(|radii| radii.iter().map(|r| &r.profile).collect()).collect();
