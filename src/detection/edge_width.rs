@@ -141,9 +141,9 @@ pub(super) const MOVED: f64 = 5.0;
 /// Rounds in which they are left out.
 const ROUNDS: usize = 5;
 /// How well the model of a corner tells v, as a part of the variance of the point spread: light at the rim of the pupil is
-/// summed to the first order of the point spread over the radius of the pupil (`summed.rs`). Corners of exact light and of
-/// simulated images are off by so much at 1 px², and by a third of it at 0.25 px².
-const OF_POINT_SPREAD: f64 = 0.03;
+/// summed to the first order of the point spread over the radius of the pupil ([`super::cut_normal`]). At 1 px², corners of
+/// exact light are off by up to 0.03 px², and fill factors of simulated images by 0 to 5 %.
+const OF_POINT_SPREAD: f64 = 0.05;
 
 impl WidthChange {
     /// Whether edges are wider or narrower than they were taken to be, by what matters and is no chance: print that is not

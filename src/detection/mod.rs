@@ -10,6 +10,7 @@ mod board;
 mod cells;
 mod corner;
 mod corner_fit;
+mod cut_normal;
 mod dbscan;
 mod distortion;
 mod edge_width;

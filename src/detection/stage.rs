@@ -109,8 +109,10 @@ const ROUNDS: usize = 4;
 /// Fill factors that are the same for that, relative, or within so many standard deviations; and within so many that this may
 /// be chance.
 const SAME_FILL: f64 = 0.004;
-const SAME: f64 = 1.0;
+const SAME: f64 = 0.3;
 const CHANCE: f64 = 3.0;
+/// Largest part of the fill factor that corners are fitted with which their edges show again.
+const MOST_FOLLOWS: f64 = 0.75;
 
 /// The variance of both axes together of an even motion is a twelfth of its square, that along an axis half of it.
 const MOTION: f64 = 24.0;
@@ -152,14 +154,18 @@ pub fn detect<'i>(
             Ok((raw, found))
         };
         let mut found: Vec<Result<(Cow<RawImage>, Found)>> = some.par_iter().map(read).collect();
+        let mut before = None;
         for _ in 1..ROUNDS {
             let searched = found.iter().filter_map(|found| found.as_ref().ok());
-            let fill = widths(searched.filter_map(|(_, (found, _))| found.as_ref().ok()), spread);
-            let other = |fill: &FillFactor| differs(fill, micro_images.fill_factor(), SAME);
-            let fill = fill.map(|widths| widths.fill).filter(other);
+            let fitted_with = micro_images.fill_factor();
+            let other = |fill: &FillFactor| differs(fill, fitted_with, SAME);
+            let shown = widths(searched.filter_map(|(_, (found, _))| found.as_ref().ok()), spread);
+            let fill = shown.map(|widths| widths.fill).filter(other);
             let Some(fill) = fill.filter(|_| !fill_is_known) else { break };
             debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
-            micro_images = Cow::Owned(micro_images.with_fill_factor(fill.value));
+            let step = [fitted_with, fill.value];
+            micro_images = Cow::Owned(micro_images.with_fill_factor(following(before, step)));
+            before = Some(step);
             some.par_iter().zip(&mut found).for_each(|(image, found)| {
                 if let Ok((raw, found)) = found {
                     *found = search_in(image, raw, &micro_images);
@@ -210,6 +216,14 @@ fn widths<'a>(
 ) -> Option<OfFrames> {
     let of_frames: Vec<EdgeWidth> = frames.filter_map(|frame| Some(frame.edges?.corners)).collect();
     OfFrames::fit(&of_frames, point_spread_px2)
+}
+
+/// The fill factor to fit corners with after one step, from that which they were fitted with to that which their edges showed,
+/// or two. Where the blur is not much wider than the point spread, edges show only a part of the change, and each step the
+/// same part of what is left (Aitken).
+fn following(before: Option<[f64; 2]>, [fitted_with, shown]: [f64; 2]) -> f64 {
+    let follows = before.map_or(0.0, |before| (shown - before[1]) / (fitted_with - before[0]));
+    fitted_with + (shown - fitted_with) / (1.0 - follows.clamp(0.0, MOST_FOLLOWS))
 }
 
 /// Whether a fill factor is another one than that which corners were fitted with, by so many standard deviations.

@@ -21,6 +21,7 @@ use pulp::{Arch, NullaryFnOnce};
 
 use super::blur::Blur;
 use super::corner::Corner;
+use super::cut_normal::{Rim, Step};
 use super::patch::Patch;
 use crate::vignetting::cells_of_disc;
 
@@ -50,11 +51,6 @@ static LENS: LazyLock<Lens> = LazyLock::new(|| {
     let square = points.iter().map(Vector2::norm_squared).sum::<f64>() / 2.0 / POINTS as f64;
     Lens { x: of(&|w| w.x), y: of(&|w| w.y), is_one: of(&|_| 1.0), cell: (0.25 - square) as f32 }
 });
-
-/// Smaller parts of the light are none: of their tails the series say nothing.
-const LEAST: f32 = 1e-3;
-/// Variances along a normal are not below this, px².
-const LEAST_PX2: f32 = 1e-3;
 
 /// The two steps of a corner, each from −1 to 1, as a pixel sees their product.
 #[derive(Debug, Clone, Copy, Default)]
@@ -94,14 +90,12 @@ impl NullaryFnOnce for Sum<'_> {
         let Self { blur, corner, patch, shapes } = self;
         let lens = &*LENS;
         let bend = blur.bend.bends().then(|| blur.bend.in_single());
-        let [rho, q, pupil] = [blur.rho as f32, blur.q as f32, blur.pupil as f32];
+        let [rho, q] = [blur.rho as f32, blur.q as f32];
         let pixel = blur.vignetting.pixel_variance();
         let seen = pixel + q * q * lens.cell;
         let origin = pixel + blur.wider_px2 + rho * rho * lens.cell;
-        let spread = seen.sqrt();
-        let per_spread = spread.recip();
-        let per_pupil = spread / pupil;
-        let of_sides = (0.5 * per_pupil).powi(2);
+        let rim = Rim::new(blur.pupil as f32, seen);
+        let per_spread = rim.per_spread;
         // By standard deviations of the place in the pupil.
         let follows = (pixel + rho * q * lens.cell) * per_spread;
         let follows_by_radius = q * lens.cell * per_spread;
@@ -132,46 +126,22 @@ impl NullaryFnOnce for Sum<'_> {
                 let square = seen_x * seen_x + seen_y * seen_y;
                 let inverse = square.max(1e-6).sqrt().recip();
                 let (out_x, out_y) = (seen_x * inverse, seen_y * inverse);
-                let z = (pupil - (square + seen).sqrt()) * per_spread;
-                let (visible, density) = normal(z);
-                let (visible, density) = (
-                    (visible - of_sides * z * density).max(0.0),
-                    density * (1.0 - of_sides * (1.0 - z * z)),
-                );
-                let lit = if visible > LEAST { 1.0 } else { 0.0 };
-                // Less the mean, what is lost of the variance, and less the third moment.
-                let first = lit * density / visible.max(LEAST);
-                let second = first * (z + first);
-                let third = first * ((z + first) * (z + 2.0 * first) - 1.0);
-                // The rim is bent, so that light at the sides of y/|y| is cut off sooner.
-                let of_rim = first * per_pupil;
-                let at_sides = of_rim / (1.0 + of_rim);
-                let mean = first - 0.5 * at_sides * per_pupil;
-                let inwards = follows * mean;
-                let squared = follows * follows;
-                let sideways = squared * at_sides;
-                let narrower = squared * second - sideways;
-                let origin = origin - sideways;
-                let skew = -squared * follows * third;
-                let skew_sideways = -squared * follows * second * per_pupil;
+                let cut = rim.cut(square, follows);
+                let (inwards, origin) = (follows * cut.mean, origin - cut.sideways);
                 let o_x = x - rho * w_x - inwards * out_x + bent_x[j] - place_x;
                 let o_y = y - rho * w_y - inwards * out_y + bent_y[j] - place_y;
                 let (n1, n2) = (c1 * out_y - s1 * out_x, c2 * out_y - s2 * out_x);
                 let (t1, t2) = (c1 * out_x + s1 * out_y, c2 * out_x + s2 * out_y);
-                let a = Step::new(c1 * o_y - s1 * o_x, origin - narrower * n1 * n1);
-                let b = Step::new(c2 * o_y - s2 * o_x, origin - narrower * n2 * n2);
-                let both = origin * cosine - narrower * n1 * n2;
-                let third_1 = n1 * (skew * n1 * n1 + 3.0 * skew_sideways * t1 * t1);
-                let third_2 = n2 * (skew * n2 * n2 + 3.0 * skew_sideways * t2 * t2);
-                let mixed = skew * n1 * n2 + 2.0 * skew_sideways * t1 * t2;
-                let mixed_1 = n1 * mixed + skew_sideways * t1 * t1 * n2;
-                let mixed_2 = n2 * mixed + skew_sideways * t2 * t2 * n1;
+                let a = Step::new(c1 * o_y - s1 * o_x, origin - cut.narrower * n1 * n1);
+                let b = Step::new(c2 * o_y - s2 * o_x, origin - cut.narrower * n2 * n2);
+                let both = origin * cosine - cut.narrower * n1 * n2;
+                let [third_1, third_2, mixed_1, mixed_2] = cut.thirds([n1, t1], [n2, t2]);
                 let value = (a.value + third_1 / 6.0 * a.third)
                     * (b.value + third_2 / 6.0 * b.third)
                     + both * a.first * b.first
                     + 0.5 * both * both * a.second * b.second
                     + 0.5 * (mixed_1 * a.second * b.first + mixed_2 * a.first * b.second);
-                let light = lens.is_one[j] * lit * light * visible;
+                let light = lens.is_one[j] * light * cut.visible;
                 // By the distance from either step, and by the variance.
                 let by_1 = a.first * b.value + both * a.second * b.first;
                 let by_2 = a.value * b.first + both * a.first * b.second;
@@ -179,7 +149,7 @@ impl NullaryFnOnce for Sum<'_> {
                     + cosine * a.first * b.first
                     + 0.5 * both * (a.third * b.first + a.first * b.third)
                     + both * cosine * a.second * b.second;
-                let moved = follows_by_radius * mean;
+                let moved = follows_by_radius * cut.mean;
                 let (moved_x, moved_y) = (w_x + moved * out_x, w_y + moved * out_y);
                 let by_radius = by_1 * (s1 * moved_x - c1 * moved_y)
                     + by_2 * (s2 * moved_x - c2 * moved_y)
@@ -205,54 +175,6 @@ impl NullaryFnOnce for Sum<'_> {
 fn unit(angle: f64) -> (f32, f32) {
     let (sin, cos) = angle.sin_cos();
     (sin as f32, cos as f32)
-}
-
-/// A step from −1 to 1 seen through a normal spread, and its derivatives, px⁻¹ to px⁻³.
-struct Step {
-    value: f32,
-    first: f32,
-    second: f32,
-    third: f32,
-}
-
-impl Step {
-    /// At a distance from it, px, with a variance, px².
-    #[inline(always)]
-    fn new(distance: f32, variance: f32) -> Self {
-        let inverse = variance.max(LEAST_PX2).sqrt().recip();
-        let distance = distance * inverse;
-        let (below, density) = normal(distance);
-        let first = 2.0 * density * inverse;
-        let second = -distance * inverse * first;
-        let third = (distance * distance - 1.0) * inverse * inverse * first;
-        Self { value: 2.0 * below - 1.0, first, second, third }
-    }
-}
-
-/// The normal distribution below x, to 2e-7, and its density there: Abramowitz and Stegun (1964), Eq. 7.1.28, and its
-/// derivative.
-#[inline(always)]
-fn normal(x: f32) -> (f32, f32) {
-    const A: [f32; 6] = [
-        0.070_523_08,
-        0.042_282_01,
-        0.009_270_527,
-        0.000_152_014_3,
-        0.000_276_567_2,
-        0.000_043_063_8,
-    ];
-    const SCALE: f32 = std::f32::consts::FRAC_1_SQRT_2;
-    let z = (x.abs() * SCALE).min(4.0);
-    let series = 1.0 + z * (A[0] + z * (A[1] + z * (A[2] + z * (A[3] + z * (A[4] + z * A[5])))));
-    let slope = A[0]
-        + z * (2.0 * A[1]
-            + z * (3.0 * A[2] + z * (4.0 * A[3] + z * (5.0 * A[4] + z * 6.0 * A[5]))));
-    let inverse = series.recip();
-    let squared = inverse * inverse;
-    let fourth = squared * squared;
-    let eighth = fourth * fourth;
-    let tail = 0.5 * eighth * eighth;
-    (if x < 0.0 { tail } else { 1.0 - tail }, 16.0 * SCALE * tail * inverse * slope)
 }
 
 #[cfg(test)]
@@ -357,19 +279,6 @@ mod tests {
                     }
                 }
             }
-        }
-    }
-
-    #[test]
-    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    fn normal_distribution() {
-        for i in -60..=60_i16 {
-            let x = f64::from(i) / 15.0;
-            let (below, density) = normal(x as f32);
-            let expected = 0.5 * libm::erfc(-x * std::f64::consts::FRAC_1_SQRT_2);
-            assert!((f64::from(below) - expected).abs() < 1e-6, "{x}: {below} for {expected}");
-            let expected = (-x * x / 2.0).exp() / std::f64::consts::TAU.sqrt();
-            assert!((f64::from(density) - expected).abs() < 1e-5, "{x}: {density} for {expected}");
         }
     }
 }
