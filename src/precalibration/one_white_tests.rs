@@ -24,7 +24,7 @@ fn fitted(profiles: &[Profile], pitch: f64, variance: f64) -> Option<(Vec<[f64; 
     for profile in profiles {
         let edge = profile.fit(REACH * pitch, &pixel)?;
         let seen = Seen::new(&pixel, profile.furthest_px());
-        let radii = [(edge.outer + edge.inner) / 2.0, (edge.outer - edge.inner) / 2.0];
+        let radii = [f64::midpoint(edge.outer, edge.inner), f64::midpoint(edge.outer, -edge.inner)];
         let residuals = profile.residuals_of_discs(radii, &Obliquity::default(), &seen)?;
         sum += residuals.iter().map(|r| r * r).sum::<f64>();
         discs.push([edge.outer, edge.inner]);
