@@ -27,6 +27,8 @@ const SPREAD_MODEL: f64 = 0.006;
 const BLUR_MODEL: f64 = 0.003;
 /// Rounds of the descent; the error of the f-numbers follows in each.
 const ROUNDS: usize = 16;
+/// It is at its end where a round changes the sum of squares, and the error of the f-numbers relatively, by less.
+const SETTLED: f64 = 1e-3;
 /// Steps of the numerical derivatives, px and px²; of H, relative.
 const STEP: f64 = 1e-4;
 /// Light this close to the edge of a neighbour may be the neighbour's, px; with a point spread, light that is nearer by so
@@ -106,14 +108,18 @@ impl<'a> Fit<'a> {
         for _ in 0..ROUNDS {
             let step = self.step(&system, damping)?;
             let cost = self.cost()?;
-            let before = self.at.clone();
+            let (before, f_number_error) = (self.at.clone(), self.f_number_error);
             self.at = self.bounded(&before + step);
-            if self.cost().is_some_and(|moved| moved <= cost) {
+            if let Some(moved) = self.cost().filter(|moved| *moved <= cost) {
                 damping = (damping / 10.0_f64).max(1e-9);
                 self.light_at_angles();
                 system = self.system()?;
                 self.f_number_error = self.expected_error(&system.0)?;
                 system = self.system()?;
+                let change = (self.f_number_error / f_number_error - 1.0).abs();
+                if cost - moved < SETTLED && change < SETTLED {
+                    break;
+                }
             } else {
                 self.at = before;
                 damping = (damping * 10.0).max(1e-6);

@@ -9,6 +9,8 @@ use crate::vignetting::{Obliquity, Overlap, Pixel, overlap, overlap_area};
 /// Steps of the distances from the middle that light is seen at, and of those that it comes from, px.
 const SEEN_PX: f64 = 0.0625;
 const FROM_PX: f64 = 0.031_25;
+/// Pixels of a larger variance along an axis, px², blur what steps of twice that would miss.
+const WIDE_PX2: f64 = 0.25;
 
 /// Steps of the distances at which angles are known, px.
 const ANGLES_PX: f64 = 0.125;
@@ -72,7 +74,8 @@ impl Oblique {
 #[derive(Debug)]
 pub(super) struct Seen {
     rows: Vec<Row>,
-    /// Number of distances that light comes from.
+    /// Step of the distances that light comes from, px, and their number.
+    from_px: f64,
     from: usize,
 }
 
@@ -94,15 +97,17 @@ impl Seen {
         let places = pixel.places();
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // some pixels
         let count = (reach_px / SEEN_PX).ceil() as usize + 4;
-        let rows: Vec<Row> = (0..count).map(|i| Row::new(i as f64 * SEEN_PX, &places)).collect();
+        let from_px = if pixel.variance > WIDE_PX2 { 2.0 * FROM_PX } else { FROM_PX };
+        let row = |i: usize| Row::new(i as f64 * SEEN_PX, &places, from_px);
+        let rows: Vec<Row> = (0..count).map(row).collect();
         let from = rows.iter().map(|row| row.first + row.weights.len()).max().unwrap_or_default();
-        Self { rows, from }
+        Self { rows, from_px, from }
     }
 
     /// The light of discs with these sum and difference of radii, px.
     pub fn discs(&self, outer: f64, inner: f64, oblique: &Oblique) -> SeenDiscs {
         let light = |i: usize| {
-            let t = i as f64 * FROM_PX;
+            let t = i as f64 * self.from_px;
             if t < outer { overlap_area(t, outer, inner) * oblique.at(t) } else { 0.0 }
         };
         let light: Vec<f64> = (0..self.from).map(light).collect();
@@ -115,12 +120,12 @@ impl Seen {
 }
 
 impl Row {
-    fn new(r: f64, places: &[(f64, f64)]) -> Self {
+    fn new(r: f64, places: &[(f64, f64)], from_px: f64) -> Self {
         let widest = places.iter().map(|(x, _)| x.abs()).fold(0.0, f64::max);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // some pixels
         let (first, last) = (
-            ((r - widest).max(0.0) / FROM_PX) as usize,
-            ((r + widest).hypot(widest) / FROM_PX) as usize + 1,
+            ((r - widest).max(0.0) / from_px) as usize,
+            ((r + widest).hypot(widest) / from_px) as usize + 1,
         );
         // Where the pixel contains the middle, light comes from everywhere up to its corner.
         let first = if r > widest { first } else { 0 };
@@ -128,7 +133,7 @@ impl Row {
         for &(x, of_x) in places {
             // Both sides together.
             for &(y, of_y) in &places[places.len() / 2..] {
-                let at = (r + x).hypot(y) / FROM_PX;
+                let at = (r + x).hypot(y) / from_px;
                 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
                 let below = at as usize;
                 let (part, weight) = (at - below as f64, 2.0 * of_x * of_y);
