@@ -72,6 +72,21 @@ impl Blur<'_> {
         Arch::new().dispatch(Sum { blur: self, corner, patch, shapes: &mut shapes });
         shapes
     }
+
+    /// By how much the main lens bends the rays of a pixel at (x, y), px.
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn bent(&self, lens: &Lens, [x, y]: [f32; 2]) -> [[f32; ROOM]; 2] {
+        let mut bent = [[0.0; ROOM]; 2];
+        if self.bend.bends() {
+            let (bend, q) = (self.bend.in_single(), self.q as f32);
+            for j in 0..ROOM {
+                let by = bend.at(&Vector2::new(x - q * lens.x[j], y - q * lens.y[j]));
+                (bent[0][j], bent[1][j]) = (by.x, by.y);
+            }
+        }
+        bent
+    }
 }
 
 struct Sum<'a> {
@@ -89,7 +104,6 @@ impl NullaryFnOnce for Sum<'_> {
     fn call(self) {
         let Self { blur, corner, patch, shapes } = self;
         let lens = &*LENS;
-        let bend = blur.bend.bends().then(|| blur.bend.in_single());
         let [rho, q] = [blur.rho as f32, blur.q as f32];
         let pixel = blur.vignetting.pixel_variance();
         let seen = pixel + q * q * lens.cell;
@@ -105,14 +119,7 @@ impl NullaryFnOnce for Sum<'_> {
         let cosine = c1 * c2 + s1 * s2;
         let falling = blur.obliquity.in_single();
         for ((&x, &y), shape) in patch.x.iter().zip(&patch.y).zip(shapes) {
-            let (mut bent_x, mut bent_y) = ([0.0_f32; ROOM], [0.0_f32; ROOM]);
-            if let Some(bend) = &bend {
-                let bent = bent_x.iter_mut().zip(&mut bent_y);
-                for ((bent_x, bent_y), (w_x, w_y)) in bent.zip(lens.x.iter().zip(&lens.y)) {
-                    let by = bend.at(&Vector2::new(x - q * w_x, y - q * w_y));
-                    (*bent_x, *bent_y) = (by.x, by.y);
-                }
-            }
+            let [bent_x, bent_y] = blur.bent(lens, [x, y]);
             let mut all = [0.0_f32; ROOM];
             let mut sums = [[0.0_f32; ROOM]; 5];
             for j in 0..ROOM {

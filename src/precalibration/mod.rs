@@ -18,8 +18,6 @@ mod lean;
 mod levers;
 mod linearity;
 mod nodes;
-#[cfg(test)]
-mod one_white_tests;
 mod pattern;
 mod profile;
 mod radii;

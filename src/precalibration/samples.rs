@@ -242,11 +242,7 @@ fn sample<'a>(
 }
 
 /// The part of an image that shows some nodes, and the pattern there.
-pub(super) fn middle_of(
-    grey: &Grey,
-    pattern: &Pattern,
-    nodes: &[Vec<(i32, i32)>],
-) -> (Image, Pattern) {
+fn middle_of(grey: &Grey, pattern: &Pattern, nodes: &[Vec<(i32, i32)>]) -> (Image, Pattern) {
     let places = nodes.iter().flatten().map(|&(i, j)| pattern.place(i, j));
     let (part, corner) = part_with(grey, places, 2.0 * pattern.pitch());
     (part, pattern.seen_from(&corner))
