@@ -77,15 +77,16 @@ impl Blur<'_> {
     #[inline(always)]
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn bent(&self, lens: &Lens, [x, y]: [f32; 2]) -> [[f32; ROOM]; 2] {
-        let mut bent = [[0.0; ROOM]; 2];
+        let (mut bent_x, mut bent_y) = ([0.0; ROOM], [0.0; ROOM]);
         if self.bend.bends() {
             let (bend, q) = (self.bend.in_single(), self.q as f32);
-            for j in 0..ROOM {
-                let by = bend.at(&Vector2::new(x - q * lens.x[j], y - q * lens.y[j]));
-                (bent[0][j], bent[1][j]) = (by.x, by.y);
+            let bent = bent_x.iter_mut().zip(&mut bent_y);
+            for ((bent_x, bent_y), (w_x, w_y)) in bent.zip(lens.x.iter().zip(&lens.y)) {
+                let by = bend.at(&Vector2::new(x - q * w_x, y - q * w_y));
+                (*bent_x, *bent_y) = (by.x, by.y);
             }
         }
-        bent
+        [bent_x, bent_y]
     }
 }
 
