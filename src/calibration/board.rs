@@ -347,6 +347,7 @@ pub(super) fn warnings_of(board: &BoardResult) -> impl Iterator<Item = Warning> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::Board;
 
     /// From tables of Student's t: these are exceeded as rarely as 3 σ of a normal variable, by 0.27 %.
     #[test]
@@ -356,5 +357,28 @@ mod tests {
             assert!((deviate - 3.0).abs() < 0.03, "{freedom}: {deviate}");
         }
         assert!((normal_deviate(-3.0, f64::INFINITY) - 3.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_shape_that_did_not_settle_is_a_warning() {
+        let warnings = |unsettled: Option<&str>| {
+            let board = BoardResult {
+                bent: BentBoard {
+                    board: Board { columns: 8, rows: 5, square_mm: 10.0 },
+                    shape: BoardShape { sag_x_mm: 0.2, ..BoardShape::default() },
+                },
+                std_devs: [Some(0.01); SHAPE],
+                trial: Trial::Tried {
+                    values: [None; SHAPE],
+                    std_devs_from_zero: [Some(9.0), Some(0.1)],
+                    unsettled: unsettled.map(str::to_owned),
+                },
+                aside: Effort::default(),
+            };
+            warnings_of(&board).collect::<Vec<_>>()
+        };
+        assert_eq!(warnings(None), []);
+        let reason = "no minimum".to_owned();
+        assert_eq!(warnings(Some("no minimum")), [Warning::BoardShapeNotSettled { reason }]);
     }
 }

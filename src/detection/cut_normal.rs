@@ -19,18 +19,19 @@ pub(super) struct Rim {
     per_pupil: f32,
 }
 
-/// What the rim leaves of the light, and of the origins of what is left, by their distance from where they would be.
+/// What the rim leaves of the light about a place, in powers of σ. With λ = φ(z)/Φ(z), κ = λσ/a and to the first order of
+/// σ/a, since places at t along the rim are t²/2a nearer to it.
 pub(super) struct Cut {
-    /// Its part.
+    /// Its part: the mean over t of Φ.
     pub visible: f32,
-    /// How far places in the pupil are inwards on average, in σ.
+    /// How far what is left is inwards on average: λ − κ/(1 + κ) σ/2a.
     pub mean: f32,
-    /// By how much the variance of origins is less across the rim than along it, and less along it, px².
-    pub narrower: f32,
+    /// By how much its variance is less along the rim, κ/(1 + κ), and across it beyond that, λ (z + λ) − κ/(1 + κ).
     pub sideways: f32,
-    /// Third moments of origins: across the rim, and once across and twice along it, px³.
-    skew: f32,
-    skew_sideways: f32,
+    pub narrower: f32,
+    /// Third moments: across the rim, −λ ((z + λ)(z + 2λ) − 1), and once across and twice along it, −λ (z + λ) σ/a.
+    pub skew: f32,
+    pub skew_sideways: f32,
 }
 
 impl Rim {
@@ -40,38 +41,33 @@ impl Rim {
         Self { pupil, seen, per_spread: spread.recip(), per_pupil: spread / pupil }
     }
 
-    /// About a place at a distance from the middle of the pupil, by its square, px². Origins move by `follows` with a place
-    /// that moves by σ.
+    /// About a place at a distance from the middle of the pupil, by its square, px².
     #[inline(always)]
-    pub fn cut(&self, square: f32, follows: f32) -> Cut {
+    pub fn cut(&self, square: f32) -> Cut {
         let z = (self.pupil - (square + self.seen).sqrt()) * self.per_spread;
         let (visible, density) = normal(z);
-        // The rim is bent: places along it are at several distances from it.
+        // Distances from the rim vary with t by σ²/2a, about a mean that r has.
         let of_sides = (0.5 * self.per_pupil).powi(2);
         let visible = (visible - of_sides * z * density).max(0.0);
         let density = density * (1.0 - of_sides * (1.0 - z * z));
         let lit = if visible > LEAST { 1.0 } else { 0.0 };
-        // Less the mean, what is lost of the variance, and less the third moment.
-        let first = lit * density / visible.max(LEAST);
-        let second = first * (z + first);
-        let third = first * ((z + first) * (z + 2.0 * first) - 1.0);
-        let of_rim = first * self.per_pupil;
-        let at_sides = of_rim / (1.0 + of_rim);
-        let squared = follows * follows;
-        let sideways = squared * at_sides;
+        let lambda = lit * density / visible.max(LEAST);
+        let lost = lambda * (z + lambda);
+        let kappa = lambda * self.per_pupil;
+        let sideways = kappa / (1.0 + kappa);
         Cut {
             visible: lit * visible,
-            mean: first - 0.5 * at_sides * self.per_pupil,
-            narrower: squared * second - sideways,
+            mean: lambda - 0.5 * sideways * self.per_pupil,
             sideways,
-            skew: -squared * follows * third,
-            skew_sideways: -squared * follows * second * self.per_pupil,
+            narrower: lost - sideways,
+            skew: -lambda * ((z + lambda) * (z + 2.0 * lambda) - 1.0),
+            skew_sideways: -lost * self.per_pupil,
         }
     }
 }
 
 impl Cut {
-    /// Third moments of the distances of origins from two edges, and the mixed ones with the first or the second squared:
+    /// Third moments of the distances of places from two edges, and the mixed ones with the first or the second squared:
     /// their normals have these parts across the rim and along it.
     #[inline(always)]
     pub fn thirds(&self, [n1, t1]: [f32; 2], [n2, t2]: [f32; 2]) -> [f32; 4] {
@@ -86,12 +82,13 @@ impl Cut {
     }
 }
 
-/// A step from −1 to 1 seen through a normal spread, and its derivatives, px⁻¹ to px⁻³.
+/// A step from −1 to 1 seen through a normal spread, and its derivatives, px⁻¹ to px⁻⁴.
 pub(super) struct Step {
     pub value: f32,
     pub first: f32,
     pub second: f32,
     pub third: f32,
+    fourth: f32,
 }
 
 impl Step {
@@ -104,7 +101,14 @@ impl Step {
         let first = 2.0 * density * inverse;
         let second = -distance * inverse * first;
         let third = (distance * distance - 1.0) * inverse * inverse * first;
-        Self { value: 2.0 * below - 1.0, first, second, third }
+        let fourth = distance * (3.0 - distance * distance) * inverse * inverse * inverse * first;
+        Self { value: 2.0 * below - 1.0, first, second, third, fourth }
+    }
+
+    /// The step seen through a spread with a third and a fourth cumulant, px³ and px⁴.
+    #[inline(always)]
+    pub fn of_cumulants(&self, third: f32, fourth: f32) -> f32 {
+        self.value + third / 6.0 * self.third + fourth / 24.0 * self.fourth
     }
 }
 
@@ -142,7 +146,7 @@ mod tests {
     #[test]
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn a_cut_normal_distribution_has_the_moments_of_its_places() {
-        let (pupil, spread, from_middle) = (6.5, 1.1, 6.9);
+        let (pupil, spread, from_middle) = (6.5, 1.1_f64, 6.9);
         let [mut all, mut sum, mut s1, mut s2, mut t2, mut st2] = [0.0_f64; 6];
         for i in -150..=150 {
             for j in -150..=150 {
@@ -160,15 +164,16 @@ mod tests {
         }
         let [mean, square, along, mixed] = [s1, s2, t2, st2].map(|x| x / sum);
         let rim = Rim::new(pupil as f32, (spread * spread) as f32);
-        let cut = rim.cut((from_middle * from_middle) as f32, spread as f32);
+        let cut = rim.cut((from_middle * from_middle) as f32);
         let found = |value: f32, expected: f64, limit: f64| {
             assert!((f64::from(value) - expected).abs() < limit, "{value} for {expected}");
         };
         found(cut.visible, sum / all, 5e-3);
-        found(-cut.mean * spread as f32, mean, 0.03);
-        found(cut.sideways, spread * spread - along, 0.03);
-        found(cut.narrower + cut.sideways, spread * spread - (square - mean * mean), 0.03);
-        found(cut.skew_sideways, mixed - mean * along, 0.05);
+        found(-cut.mean, mean / spread, 0.03);
+        let variance = |of: f64| 1.0 - of / (spread * spread);
+        found(cut.sideways, variance(along), 0.025);
+        found(cut.narrower + cut.sideways, variance(square - mean * mean), 0.025);
+        found(cut.skew_sideways, (mixed - mean * along) / spread.powi(3), 0.04);
     }
 
     #[test]

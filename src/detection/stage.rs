@@ -319,3 +319,29 @@ fn shows_all_sides(frames: &[DetectedFrame], board: &Board) -> bool {
     spans(|corner, columns| corner % columns, board.columns - 1)
         && spans(|corner, columns| corner / columns, board.rows - 1)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Edges that show 60 % of a wrong fill factor again.
+    #[test]
+    fn two_steps_find_the_fill_factor_where_edges_show_a_part_of_it() {
+        let shown = |fitted_with: f64| 0.9 + 0.6 * (fitted_with - 0.9);
+        let first = [1.0, shown(1.0)];
+        let second = following(None, first);
+        assert!((second - first[1]).abs() < 1e-12, "{second}");
+        let third = following(Some(first), [second, shown(second)]);
+        assert!((third - 0.9).abs() < 1e-12, "{third}");
+    }
+
+    #[test]
+    fn chance_makes_no_step_backwards_or_more_than_four_times_as_long() {
+        let step = [0.98, 0.97];
+        // What was shown before: as if all that corners are fitted with showed again, and as if its contrary did.
+        for (before, expected) in [([1.0, 0.99], 0.98 - 4.0 * 0.01), ([1.0, 0.96], 0.97)] {
+            let found = following(Some(before), step);
+            assert!((found - expected).abs() < 1e-12, "{found} for {expected}");
+        }
+    }
+}

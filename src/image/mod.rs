@@ -200,7 +200,6 @@ pub(crate) fn bounds(
 mod tests {
     use super::*;
 
-    /// Grey levels behind a mosaic, with channels that respond with 0.5, 1 and 0.25.
     #[test]
     fn samples_of_12_bits_in_16_have_a_step() {
         let of = |samples: Vec<u16>| RawImage {
@@ -221,6 +220,7 @@ mod tests {
         assert!((f64::from(samples[1]) - expected).abs() < 0.5);
     }
 
+    /// Grey levels behind a mosaic, with channels that respond with 0.5, 1 and 0.25.
     fn mosaic(color: Color, levels: &[f64]) -> RawImage {
         let width = 2 * levels.len();
         let response = [0.5, 1.0, 0.25];

@@ -133,6 +133,16 @@ fn blur_tells_the_fill_factor_and_that_tells_the_true_intercepts() {
     }
 }
 
+/// Openings end where their neighbours begin.
+#[test]
+fn no_more_than_full_openings_are_taken() {
+    for (value, taken) in [(0.92, 0.92), (1.0, 1.0), (1.01, 1.0)] {
+        let fill_factor = FillFactor { value, std_dev: 0.006 };
+        let measured = FillMeasurement { fill_factor, types: Vec::new() };
+        assert_eq!(measured.taken(), FillFactor { value: taken, std_dev: 0.006 });
+    }
+}
+
 #[test]
 fn the_scatter_of_frames_is_in_its_uncertainty() {
     let [alike, scattered] = [0.0, 0.02].map(|s| measured(&features(s, 0.0)).fill_factor);
