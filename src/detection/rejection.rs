@@ -140,6 +140,17 @@ pub enum Rejection {
         /// Stated rows of inner corners.
         rows: i32,
     },
+    /// Corners that were labelled as those of the board were not found where it should have them.
+    #[error(
+        "{lost} of the {labelled} corners that were taken for those of the board are not where it should have them: show \
+         more of the board, or more sharply"
+    )]
+    Lost {
+        /// Corners not found again.
+        lost: usize,
+        /// Corners labelled.
+        labelled: usize,
+    },
     /// Too few corners were confirmed for a pose.
     #[error(
         "only {corners} corners of the board were found again in the second pass, but a pose takes \
