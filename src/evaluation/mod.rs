@@ -5,6 +5,7 @@ pub mod bias;
 mod cross_validation;
 mod detection;
 mod models;
+mod reconstruction;
 mod stage;
 mod translation;
 mod truth;
@@ -12,6 +13,7 @@ mod truth;
 pub use cross_validation::{CrossValidation, Fold, cross_validate, foldable_frames};
 pub use detection::{DetectionScore, INSIDE_PX, SMALL_RHO_PX, TRUE_PX};
 pub use models::{Group, ModelComparison, WithoutGroup, Worth, compare_models, comparison_steps};
+pub use reconstruction::Reconstruction;
 pub use stage::{
     Candidate, CandidateResult, Evaluation, EvaluationInput, Folds, PosePairs, Posed, evaluate,
     pose_boards,

@@ -3,8 +3,8 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use super::{
-    CrossValidation, Displacements, ParameterError, PoseErrors, cross_validate, parameter_errors,
-    pose_errors, shape_errors,
+    CrossValidation, Displacements, ParameterError, PoseErrors, Reconstruction, cross_validate,
+    parameter_errors, pose_errors, shape_errors,
 };
 use crate::calibration::{Calibration, CalibrationOptions, LeftOut, Start, calibrate};
 use crate::error::Result;
@@ -114,6 +114,8 @@ pub struct CandidateResult {
     pub name: String,
     /// Boards not used in its calibration (Table 4).
     pub evaluation: Option<Posed>,
+    /// Their corners, each reconstructed alone.
+    pub reconstruction: Option<Reconstruction>,
     /// A board moved in known steps (Table 3).
     pub translation: Option<Displacements>,
     /// Its parameters, and those of the board, against the true ones.
@@ -183,8 +185,8 @@ fn candidate_result(
     problems: &mut Vec<String>,
 ) -> CandidateResult {
     let name = &candidate.name;
+    let board = BentBoard { board: input.board, shape: candidate.board_shape };
     let mut posed = |subset: &str, features: &[BapFeature]| {
-        let board = BentBoard { board: input.board, shape: candidate.board_shape };
         let posed = pose_boards(&candidate.camera, &board, features);
         let what = format!("{name}, boards of {subset}");
         if let Ok(posed) = &posed {
@@ -205,6 +207,10 @@ fn candidate_result(
         let found = Displacements::of_poses(&posed.poses, &input.board, step_mm);
         kept(&format!("{name}, known displacement"), found, problems)
     });
+    let reconstruction = evaluation.as_ref().and_then(|posed| {
+        let found = Reconstruction::of(&candidate.camera, &board, posed);
+        kept(&format!("{name}, reconstructed points"), found, problems).flatten()
+    });
     let of_camera = input.truth.as_ref().and_then(|truth| {
         let errors = parameter_errors(truth, &candidate.camera, &candidate.std_devs);
         kept(&format!("{name}, truth"), errors, problems)
@@ -214,7 +220,7 @@ fn candidate_result(
         .map(|truth| shape_errors(&truth, &candidate.board_shape, candidate.shape_std_devs));
     let known: Vec<_> = of_camera.into_iter().chain(of_board).flatten().collect();
     let truth = (!known.is_empty()).then_some(known);
-    CandidateResult { name: name.clone(), evaluation, translation, truth }
+    CandidateResult { name: name.clone(), evaluation, reconstruction, translation, truth }
 }
 
 fn poses_against_truth(

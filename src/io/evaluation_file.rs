@@ -3,7 +3,9 @@
 use serde_json::{Value, json};
 
 use super::calibration_file::rmse_document;
-use crate::evaluation::{Displacement, Displacements, Evaluation, ParameterError, Spread};
+use crate::evaluation::{
+    Displacement, Displacements, Evaluation, ParameterError, Reconstruction, Spread,
+};
 
 /// The content of `evaluation.json`: values in px, mm, rad; relative errors as fractions.
 #[must_use]
@@ -20,6 +22,7 @@ pub fn evaluation_document(evaluation: &Evaluation) -> Value {
                     value["frames_left_out"] = json!(found.left_out.len());
                     value
                 }),
+                "reconstruction": candidate.reconstruction.as_ref().map(reconstruction_json),
                 "translation": candidate.translation.as_ref().map(displacements_json),
                 "truth": candidate.truth.as_ref().map(|errors| {
                     errors.iter().map(parameter_json).collect::<Vec<_>>()
@@ -67,6 +70,17 @@ fn parameter_json(e: &ParameterError) -> Value {
         "truth": e.truth,
         "estimate": e.estimate,
         "standard_deviation": e.std_dev,
+    })
+}
+
+fn reconstruction_json(r: &Reconstruction) -> Value {
+    json!({
+        "frames": r.frames,
+        "points": r.points,
+        "left_out": r.left_out,
+        "distances_too_long": { "mean": r.too_long, "standard_deviation": r.too_long_std_dev },
+        "across_mm": r.across_mm,
+        "along_mm": r.along_mm,
     })
 }
 

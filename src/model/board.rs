@@ -118,6 +118,16 @@ impl BentBoard {
         [sag_x_mm, sag_y_mm, twist_mm].into_iter().map(f64::abs).fold(0.0, f64::max)
     }
 
+    /// Place of a corner in the board frame, mm, by the formula of [`BoardShape`].
+    #[must_use]
+    pub fn point_mm(&self, corner: i32) -> Point3<f64> {
+        let BoardShape { sag_x_mm, sag_y_mm, twist_mm, aspect } = self.shape;
+        let (flat, middle) = (self.board.point_mm(corner), self.board.middle_mm());
+        let (xi, eta) = (flat.x / middle.x - 1.0, flat.y / middle.y - 1.0);
+        let z = sag_x_mm * xi * xi + sag_y_mm * eta * eta + twist_mm * xi * eta;
+        Point3::new(flat.x * (1.0 + aspect / 2.0), flat.y * (1.0 - aspect / 2.0), z)
+    }
+
     /// By how much its corners are moved in the mean by a small change of each parameter of its shape, mm per
     /// unit of the parameter, in the board frame; in the order of [`SHAPE_PARAMETERS`](super::SHAPE_PARAMETERS).
     #[must_use]

@@ -4,6 +4,7 @@ use super::html::HtmlTable;
 use super::table::table;
 use crate::evaluation::{
     Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors,
+    Reconstruction,
 };
 use crate::model::{
     PlenopticCamera, Rmse, display_unit, intrinsic_parameters, signed, with_std_dev,
@@ -25,6 +26,10 @@ pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> V
         &["Camera", "Steps", "Mean error, %", "± σ", "Mean error, mm", "± σ", "Overall error, %"],
         &[0],
     );
+    let mut space = table(
+        &["Camera", "Points", "Distances, %", "± σ", "Across, mm", "Along, mm", "Left out"],
+        &[0],
+    );
     let (mut posed, mut moved) = (false, false);
     for candidate in &evaluation.candidates {
         if let Some(found) = &candidate.evaluation {
@@ -35,6 +40,9 @@ pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> V
                     .into_iter()
                     .chain(rmse_cells(&rmse, true)),
             );
+        }
+        if let Some(found) = &candidate.reconstruction {
+            space.add_row(reconstruction_row(&candidate.name, found));
         }
         if let Some(displacements) = &candidate.translation {
             moved = true;
@@ -47,6 +55,12 @@ pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> V
     if posed {
         tables.push(reprojection.captioned(
             "Boards not used in the calibration; poses refined with the camera fixed (paper, Table 4)",
+        ));
+    }
+    if evaluation.candidates.iter().any(|candidate| candidate.reconstruction.is_some()) {
+        tables.push(space.captioned(
+            "Their corners, each reconstructed alone: error of the distances between them, and RMS distance from the \
+             posed board across and along the axis",
         ));
     }
     if moved {
@@ -86,6 +100,18 @@ fn rmse_cells(rmse: &Rmse, with_sum: bool) -> Vec<String> {
         rmse.rho_px.map_or("-".to_owned(), number),
     ]);
     cells
+}
+
+fn reconstruction_row(name: &str, found: &Reconstruction) -> Vec<String> {
+    vec![
+        name.to_owned(),
+        found.points.to_string(),
+        format!("{:+.3}", 100.0 * found.too_long),
+        format!("{:.3}", 100.0 * found.too_long_std_dev),
+        number(found.across_mm),
+        number(found.along_mm),
+        found.left_out.to_string(),
+    ]
 }
 
 fn displacement_row(name: &str, displacements: &Displacements) -> Vec<String> {
