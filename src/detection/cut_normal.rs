@@ -12,56 +12,60 @@ const LEAST_PX2: f32 = 1e-3;
 pub(super) struct Rim {
     /// a, px.
     pupil: f32,
-    /// σ², px², and 1/σ.
-    seen: f32,
+    /// 1/σ, px⁻¹.
     pub per_spread: f32,
     /// σ/a.
     per_pupil: f32,
 }
 
-/// What the rim leaves of the light about a place, in powers of σ. With λ = φ(z)/Φ(z), κ = λσ/a and to the first order of
-/// σ/a, since places at t along the rim are t²/2a nearer to it.
+/// What the rim leaves of the light about a place, in powers of σ. Places at t along the rim are t²/2a nearer to it than
+/// those at 0, so the distance z of the rim in σ has the variance σ²/2a²; angle brackets are means over that, to its first
+/// order. λ = ⟨φ(z)⟩/⟨Φ(z)⟩ and κ = λσ/a.
 pub(super) struct Cut {
-    /// Its part: the mean over t of Φ.
+    /// Its part, ⟨Φ⟩.
     pub visible: f32,
-    /// How far what is left is inwards on average: λ − κ/(1 + κ) σ/2a.
+    /// How far what is left is inwards on average: λ.
     pub mean: f32,
-    /// By how much its variance is less along the rim, κ/(1 + κ), and across it beyond that, λ (z + λ) − κ/(1 + κ).
+    /// By how much its variance is less along the rim: κ (1 + (z + λ) σ/a)/(1 + κ).
     pub sideways: f32,
+    /// By how much more it is less across the rim: ⟨zφ⟩/⟨Φ⟩ + λ², less that.
     pub narrower: f32,
-    /// Third moments: across the rim, −λ ((z + λ)(z + 2λ) − 1), and once across and twice along it, −λ (z + λ) σ/a.
-    pub skew: f32,
-    pub skew_sideways: f32,
+    /// Third central moment across the rim: −⟨(z² + 2) φ⟩/⟨Φ⟩ + 3λ (1 − ⟨zφ⟩/⟨Φ⟩) − 2λ³.
+    skew: f32,
+    /// Third moment once across and twice along it: −(⟨zφ⟩/⟨Φ⟩ + λ²) σ/a (1 + κ)⁻².
+    skew_sideways: f32,
 }
 
 impl Rim {
     #[inline(always)]
     pub fn new(pupil: f32, seen: f32) -> Self {
         let spread = seen.sqrt();
-        Self { pupil, seen, per_spread: spread.recip(), per_pupil: spread / pupil }
+        Self { pupil, per_spread: spread.recip(), per_pupil: spread / pupil }
     }
 
     /// About a place at a distance from the middle of the pupil, by its square, px².
     #[inline(always)]
     pub fn cut(&self, square: f32) -> Cut {
-        let z = (self.pupil - (square + self.seen).sqrt()) * self.per_spread;
-        let (visible, density) = normal(z);
-        // Distances from the rim vary with t by σ²/2a, about a mean that r has.
-        let of_sides = (0.5 * self.per_pupil).powi(2);
-        let visible = (visible - of_sides * z * density).max(0.0);
-        let density = density * (1.0 - of_sides * (1.0 - z * z));
+        let z = (self.pupil - square.sqrt()) * self.per_spread - 0.5 * self.per_pupil;
+        let (below, density) = normal(z);
+        let (squared, half_variance) = (z * z, 0.25 * self.per_pupil * self.per_pupil);
+        let visible = (below - half_variance * z * density).max(0.0);
         let lit = if visible > LEAST { 1.0 } else { 0.0 };
-        let lambda = lit * density / visible.max(LEAST);
-        let lost = lambda * (z + lambda);
+        let density = lit * density / visible.max(LEAST);
+        let lambda = density * (1.0 + half_variance * (squared - 1.0));
+        let first = density * z * (1.0 + half_variance * (squared - 3.0));
+        let second = density * (squared + half_variance * (2.0 + squared * (squared - 5.0)));
+        let lost = first + lambda * lambda;
         let kappa = lambda * self.per_pupil;
-        let sideways = kappa / (1.0 + kappa);
+        let per_kappa = (1.0 + kappa).recip();
+        let sideways = kappa * (1.0 + (z + lambda) * self.per_pupil) * per_kappa;
         Cut {
             visible: lit * visible,
-            mean: lambda - 0.5 * sideways * self.per_pupil,
+            mean: lambda,
             sideways,
             narrower: lost - sideways,
-            skew: -lambda * ((z + lambda) * (z + 2.0 * lambda) - 1.0),
-            skew_sideways: -lost * self.per_pupil,
+            skew: lambda * (3.0 * (1.0 - first) - 2.0 * (1.0 + lambda * lambda)) - second,
+            skew_sideways: -lost * self.per_pupil * per_kappa * per_kappa,
         }
     }
 }
@@ -147,7 +151,7 @@ mod tests {
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn a_cut_normal_distribution_has_the_moments_of_its_places() {
         let (pupil, spread, from_middle) = (6.5, 1.1_f64, 6.9);
-        let [mut all, mut sum, mut s1, mut s2, mut t2, mut st2] = [0.0_f64; 6];
+        let [mut all, mut sum, mut s1, mut s2, mut s3, mut t2, mut st2] = [0.0_f64; 7];
         for i in -150..=150 {
             for j in -150..=150 {
                 let [s, t] = [i, j].map(|k| f64::from(k) * 0.03 * spread);
@@ -158,22 +162,25 @@ mod tests {
                     s1 += weight * s;
                     s2 += weight * s * s;
                     t2 += weight * t * t;
+                    s3 += weight * s * s * s;
                     st2 += weight * s * t * t;
                 }
             }
         }
-        let [mean, square, along, mixed] = [s1, s2, t2, st2].map(|x| x / sum);
+        let [mean, square, cube, along, mixed] = [s1, s2, s3, t2, st2].map(|x| x / sum);
         let rim = Rim::new(pupil as f32, (spread * spread) as f32);
         let cut = rim.cut((from_middle * from_middle) as f32);
-        let found = |value: f32, expected: f64, limit: f64| {
+        let found = |value: f32, moment: f64, power: i32, limit: f64| {
+            let expected = moment / spread.powi(power);
             assert!((f64::from(value) - expected).abs() < limit, "{value} for {expected}");
         };
-        found(cut.visible, sum / all, 5e-3);
-        found(-cut.mean, mean / spread, 0.03);
-        let variance = |of: f64| 1.0 - of / (spread * spread);
-        found(cut.sideways, variance(along), 0.025);
-        found(cut.narrower + cut.sideways, variance(square - mean * mean), 0.025);
-        found(cut.skew_sideways, (mixed - mean * along) / spread.powi(3), 0.04);
+        let variance = square - mean * mean;
+        found(cut.visible, sum / all, 0, 1.5e-3);
+        found(-cut.mean, mean, 1, 3e-3);
+        found(1.0 - cut.sideways, along, 2, 3e-3);
+        found(1.0 - cut.narrower - cut.sideways, variance, 2, 3e-3);
+        found(cut.skew, cube - mean * (3.0 * variance + mean * mean), 3, 4e-3);
+        found(cut.skew_sideways, mixed - mean * along, 3, 4e-3);
     }
 
     #[test]

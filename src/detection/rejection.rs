@@ -140,10 +140,10 @@ pub enum Rejection {
         /// Stated rows of inner corners.
         rows: i32,
     },
-    /// Corners that were labelled as those of the board were not found where it should have them.
+    /// Many labelled corners were not found again where their labels put them.
     #[error(
-        "{lost} of the {labelled} corners that were taken for those of the board are not where it should have them: show \
-         more of the board, or more sharply"
+        "{lost} of {labelled} corners were not found again as their labels have them, so the labels are hardly right: \
+         show more of the board, or more sharply"
     )]
     Lost {
         /// Corners not found again.

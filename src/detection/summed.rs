@@ -5,11 +5,11 @@
 //! Here each of more points w of the whole micro-lens stands for a cell of it. Over that cell, and over the light that a
 //! pixel at p collects (its square and the point spread), two places vary together: y = p − qᵢ w in the pupil, and the origin
 //! o = p − ρ w on the board. Both are taken to be normally distributed. Light arrives where |y| < a, so
-//! - its part is Φ(z), z = (a − r)/σ, with the variance σ² of y along an axis, and r² = ȳ² + σ², about the mean of |y|;
-//! - given that, y has along y/|y| the mean, variance and third moment of a normal distribution that is cut off at z, and
-//!   the origin follows it by cov(o, y)/σ²;
+//! - with the variance σ² of y along an axis and z = (a − |ȳ|)/σ − σ/2a, since the rim is bent, its part is Φ(z);
+//! - given that, y has the mean, variance and third moments of a normal distribution that the rim cuts off ([`Rim`]), and the
+//!   origin follows it by cov(o, y)/σ²;
 //! - the mean of the two steps of a corner is that of normal edges, with the terms of Edgeworth's series for third moments, for
-//!   the fourth of the pixel, which has ends, and for edges that are not perpendicular, without their third order.
+//!   the fourth ones of the pixel, which has ends, and for edges that are not perpendicular, without their third order.
 
 // Only what is inlined into a dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
@@ -66,7 +66,8 @@ pub(super) struct SummedShape {
 }
 
 impl Blur<'_> {
-    /// How the pixels of a patch see a corner. Derivatives leave out third and fourth moments, and how the light of a pixel changes.
+    /// How the pixels of a patch see a corner. Derivatives leave out third and fourth moments, and how the light of a pixel
+    /// changes.
     pub fn summed(&self, corner: &Corner, patch: &Patch) -> Vec<SummedShape> {
         let mut shapes = vec![SummedShape::default(); patch.x.len()];
         Arch::new().dispatch(Sum { blur: self, corner, patch, shapes: &mut shapes });
@@ -119,7 +120,7 @@ impl NullaryFnOnce for Sum<'_> {
         let (place_x, place_y) = (corner.place.x as f32, corner.place.y as f32);
         let [(s1, c1), (s2, c2)] = [unit(corner.angles[0]), unit(corner.angles[1])];
         let cosine = c1 * c2 + s1 * s2;
-        let (fourth_1, fourth_2) = (fourth_of_pixel(s1, c1), fourth_of_pixel(s2, c2));
+        let fourths = of_pixel([s1, c1], [s2, c2]);
         let falling = blur.obliquity.in_single();
         for ((&x, &y), shape) in patch.x.iter().zip(&patch.y).zip(shapes) {
             let [bent_x, bent_y] = blur.bent(lens, [x, y]);
@@ -147,11 +148,7 @@ impl NullaryFnOnce for Sum<'_> {
                 let b = Step::new(c2 * o_y - s2 * o_x, origin - narrower * n2 * n2);
                 let both = origin * cosine - narrower * n1 * n2;
                 let thirds = cut.thirds([n1, t1], [n2, t2]);
-                let [third_1, third_2, mixed_1, mixed_2] = thirds.map(|x| cubed * x);
-                let value = a.of_cumulants(third_1, fourth_1) * b.of_cumulants(third_2, fourth_2)
-                    + both * a.first * b.first
-                    + 0.5 * both * both * a.second * b.second
-                    + 0.5 * (mixed_1 * a.second * b.first + mixed_2 * a.first * b.second);
+                let value = mean_of_product([&a, &b], both, thirds.map(|x| cubed * x), fourths);
                 let light = lens.is_one[j] * light * cut.visible;
                 // By the distance from either step, their variances and their covariance.
                 let by_1 = a.first * b.value + both * a.second * b.first;
@@ -184,10 +181,31 @@ impl NullaryFnOnce for Sum<'_> {
     }
 }
 
-/// The fourth cumulant of places in a pixel across an edge, px⁴: it is −1/120 along either axis.
+/// The mean of the product of two steps whose edges vary together, by the covariance of their distances and the third and
+/// fourth cumulants.
 #[inline(always)]
-fn fourth_of_pixel(sin: f32, cos: f32) -> f32 {
-    -(sin.powi(4) + cos.powi(4)) / 120.0
+fn mean_of_product(
+    [a, b]: [&Step; 2],
+    both: f32,
+    [third_1, third_2, mixed_1, mixed_2]: [f32; 4],
+    [fourth_1, fourth_31, fourth_22, fourth_13, fourth_2]: [f32; 5],
+) -> f32 {
+    a.of_cumulants(third_1, fourth_1) * b.of_cumulants(third_2, fourth_2)
+        + both * a.first * b.first
+        + 0.5 * both * both * a.second * b.second
+        + 0.5 * (mixed_1 * a.second * b.first + mixed_2 * a.first * b.second)
+        + (fourth_31 * a.third * b.first + fourth_13 * a.first * b.third) / 6.0
+        + 0.25 * fourth_22 * a.second * b.second
+}
+
+/// The fourth cumulants of places in a pixel across two edges, px⁴: of the first four, three, two, one and no times. Along
+/// either axis it is −1/120, and the axes are independent.
+#[inline(always)]
+fn of_pixel([s1, c1]: [f32; 2], [s2, c2]: [f32; 2]) -> [f32; 5] {
+    let of = |first: i32, second: i32| {
+        -(s1.powi(first) * s2.powi(second) + c1.powi(first) * c2.powi(second)) / 120.0
+    };
+    [of(4, 0), of(3, 1), of(2, 2), of(1, 3), of(0, 4)]
 }
 
 /// Sine and cosine in single precision.

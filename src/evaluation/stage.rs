@@ -209,7 +209,12 @@ fn candidate_result(
     });
     let reconstruction = evaluation.as_ref().and_then(|posed| {
         let found = Reconstruction::of(&candidate.camera, &board, posed);
-        kept(&format!("{name}, reconstructed points"), found, problems).flatten()
+        let what = format!("{name}, reconstructed points");
+        let found = kept(&what, found, problems)?;
+        if found.is_none() {
+            problems.push(format!("{what}: no frame tells distances"));
+        }
+        found
     });
     let of_camera = input.truth.as_ref().and_then(|truth| {
         let errors = parameter_errors(truth, &candidate.camera, &candidate.std_devs);

@@ -27,7 +27,16 @@ pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> V
         &[0],
     );
     let mut space = table(
-        &["Camera", "Points", "Distances, %", "± σ", "Across, mm", "Along, mm", "Left out"],
+        &[
+            "Camera",
+            "Frames",
+            "Points",
+            "Distances, %",
+            "± σ",
+            "Across, mm",
+            "Along, mm",
+            "Left out",
+        ],
         &[0],
     );
     let (mut posed, mut moved) = (false, false);
@@ -59,8 +68,8 @@ pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> V
     }
     if evaluation.candidates.iter().any(|candidate| candidate.reconstruction.is_some()) {
         tables.push(space.captioned(
-            "Their corners, each reconstructed alone: error of the distances between them, and RMS distance from the \
-             posed board across and along the axis",
+            "Their corners, each reconstructed alone from u and v: error of the distances between them, and RMS \
+             distance from the posed board across and along the axis",
         ));
     }
     if moved {
@@ -105,6 +114,7 @@ fn rmse_cells(rmse: &Rmse, with_sum: bool) -> Vec<String> {
 fn reconstruction_row(name: &str, found: &Reconstruction) -> Vec<String> {
     vec![
         name.to_owned(),
+        found.frames.to_string(),
         found.points.to_string(),
         format!("{:+.3}", 100.0 * found.too_long),
         format!("{:.3}", 100.0 * found.too_long_std_dev),

@@ -3,7 +3,7 @@
 use super::*;
 use crate::calibration::{BoardModel, CalibrationOptions, Mode, Start, calibrate};
 use crate::model::{
-    BoardShape, FramePose, Noise, Observations, SHAPE_PARAMETERS, intrinsic_parameters,
+    BentBoard, BoardShape, FramePose, Noise, Observations, SHAPE_PARAMETERS, intrinsic_parameters,
 };
 use crate::solver::{small_camera as camera, synthesize};
 
@@ -51,20 +51,10 @@ fn rigid_motion(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> (Matrix3<f64>, Ve
 
 /// Where the corners of boards of this shape are.
 fn bent_corners(calibration: &Calibration, shape: &BoardShape) -> Vec<Vector3<f64>> {
-    let middle = BOARD.middle_mm();
-    let corner = |i: i32| {
-        let p = BOARD.point_mm(i);
-        let (xi, eta) = (p.x / middle.x - 1.0, p.y / middle.y - 1.0);
-        let bend = shape.sag_x_mm * xi * xi + shape.sag_y_mm * eta * eta;
-        Point3::new(
-            p.x * (1.0 + shape.aspect / 2.0),
-            p.y * (1.0 - shape.aspect / 2.0),
-            bend + shape.twist_mm * xi * eta,
-        )
-    };
+    let bent = BentBoard { board: BOARD, shape: *shape };
     let of_pose = |p: &FramePose| {
         let place = p.camera_from_board;
-        (0..BOARD.corners()).map(move |i| (place * corner(i)).coords)
+        (0..BOARD.corners()).map(move |i| (place * bent.point_mm(i)).coords)
     };
     calibration.poses.iter().flat_map(of_pose).collect()
 }
