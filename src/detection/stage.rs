@@ -105,11 +105,11 @@ const AT_ONCE: usize = 4;
 
 /// The first frames with a board are searched so many times, until the fill factor that their edges show is that which
 /// corners are fitted with.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 8;
 /// Fill factors that are the same for that, relative, or within so many standard deviations; and within so many that this may
 /// be chance.
-const SAME_FILL: f64 = 0.004;
-const SAME: f64 = 0.3;
+const SAME_FILL: f64 = 0.002;
+const SAME: f64 = 0.1;
 const CHANCE: f64 = 3.0;
 /// Largest part of the fill factor that corners are fitted with which their edges show again.
 const MOST_FOLLOWS: f64 = 0.75;
