@@ -247,6 +247,13 @@ mod tests {
         seen.features
     }
 
+    fn stated(mut features: Vec<BapFeature>, std_dev_px: Option<[f64; 2]>) -> Vec<BapFeature> {
+        for feature in &mut features {
+            feature.std_dev_px = std_dev_px;
+        }
+        features
+    }
+
     fn reconstructed(camera: &PlenopticCamera, features: &[BapFeature]) -> Reconstruction {
         let posed = pose_boards(camera, &bent(), features).unwrap();
         Reconstruction::of(camera, &bent(), &posed).unwrap().unwrap()
@@ -281,10 +288,6 @@ mod tests {
     #[test]
     fn noise_does_not_make_distances_longer() {
         const SEEDS: u64 = 40;
-        let stated = |mut features: Vec<BapFeature>, std_dev: Option<[f64; 2]>| {
-            features.iter_mut().for_each(|f| f.std_dev_px = std_dev);
-            features
-        };
         for std_dev in [Some([0.05; 2]), None] {
             let (mut sum, mut square) = (0.0, 0.0);
             for seed in 0..SEEDS {
@@ -303,8 +306,7 @@ mod tests {
 
     #[test]
     fn a_false_feature_hardly_counts() {
-        let mut features = features(0.0, 1);
-        features.iter_mut().for_each(|f| f.std_dev_px = Some([0.05; 2]));
+        let mut features = stated(features(0.0, 1), Some([0.05; 2]));
         features[20].u_px += 3.0;
         let found = reconstructed(&small_camera(), &features);
         assert!(found.too_long.abs() < 1e-4, "{found:?}");
