@@ -5,7 +5,9 @@
 //! linear: with the features r off, and their derivatives J by the place, in σ, it is at q + (JᵀJ)⁻¹ Jᵀr. By how much distances
 //! between the points of a frame come out too long is the s of
 //!
-//!     Σ |r − J (c + ω × (q − q̄) + s (q − q̄))|² = min,
+//! ```text
+//! Σ |r − J (c + ω × (q − q̄) + s (q − q̄))|² = min,
+//! ```
 //!
 //! in which c and ω move the board as a whole. So each point counts with what its features know of it: along the axis far less
 //! than across. All of it comes from u and v alone, not from ρ.
