@@ -35,6 +35,9 @@ impl LensTypes {
 /// this part of the radius.
 const DIFFERENT: f64 = 8.0;
 const DIFFERENT_PART: f64 = 0.005;
+/// Or by that part, if so large a part of the micro-images has the size of neighbours of its own type: by chance a third has.
+/// σ of radii has noise, and errors that all types share.
+const AGREE: f64 = 0.8;
 /// Neighbours up to so many nodes away show the local size of a type.
 const NEAR: i32 = 3;
 
@@ -71,7 +74,7 @@ pub(super) fn judge_single(found: &FoundArray) -> LensTypes {
 /// Judges the radii of the three colours in every white image.
 pub(super) fn judge_types(images: &[Vec<TypeRadius>], found: &FoundArray) -> LensTypes {
     let pairs = [(0, 1), (1, 2), (2, 0)];
-    let mut different = false;
+    let (mut clear, mut apart) = (false, false);
     let mut best: f64 = 0.0;
     for radii in images.iter().filter(|radii| radii.len() == 3) {
         let significance = |(a, b): (usize, usize)| {
@@ -81,14 +84,18 @@ pub(super) fn judge_types(images: &[Vec<TypeRadius>], found: &FoundArray) -> Len
             (apart / std_dev, apart / a.radius_px)
         };
         let all = pairs.map(significance);
-        different |= all.iter().any(|&(s, part)| s > DIFFERENT && part > DIFFERENT_PART);
+        clear |= all.iter().any(|&(s, part)| s > DIFFERENT && part > DIFFERENT_PART);
+        apart |= all.iter().any(|&(_, part)| part > DIFFERENT_PART);
         best = best.max(all.iter().map(|&(s, _)| s).fold(f64::INFINITY, f64::min));
     }
-    if !different {
+    if !apart {
         return LensTypes::ONE;
     }
     // The reference image was judged already, unless its types did not show.
     let agreement = found.array.lens_types.agreement.unwrap_or_else(|| agreement(found));
+    if !clear && agreement < AGREE {
+        return LensTypes::ONE;
+    }
     LensTypes { types: 3, separation: Some(best), agreement: Some(agreement) }
 }
 
