@@ -21,6 +21,8 @@ use crate::support::plenocal;
 
 /// Largest error of a displacement on ideal images; the paper has 3.33 % on real ones.
 const TRANSLATION: f64 = 0.005;
+/// Limit for distances between the corners of other boards, relative.
+const DISTANCES: f64 = 0.005;
 const FOUR_SIGMA: f64 = 4.0;
 /// No board is further away.
 const FAR_MM: f64 = 100.0;
@@ -136,6 +138,12 @@ fn the_evaluation_of_a_run_agrees_with_the_truth() {
         assert_eq!(camera["translation"]["steps"].as_array().unwrap().len(), 3);
         assert!(camera["evaluation"]["uv"].as_f64().unwrap() < 0.15);
         assert_eq!(camera["evaluation"]["frames"], 2);
+        let reconstruction = &camera["reconstruction"];
+        assert_eq!(reconstruction["frames"], 2);
+        let distances = &reconstruction["distances_too_long"];
+        let [error, std_dev] =
+            ["mean", "standard_deviation"].map(|name| distances[name].as_f64().unwrap());
+        assert!(error.abs() < DISTANCES && std_dev < DISTANCES, "{error} ± {std_dev}");
     }
     assert_eq!(evaluation["cross_validation"]["folds"].as_array().unwrap().len(), 3);
     let along = evaluation["poses_against_truth"][0]["along_mm"].as_f64().unwrap();
