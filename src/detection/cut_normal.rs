@@ -20,7 +20,8 @@ pub(super) struct Rim {
 
 /// What the rim leaves of the light about a place, in powers of σ. Places at t along the rim are t²/2a nearer to it than
 /// those at 0, so the distance z of the rim in σ has the variance σ²/2a²; angle brackets are means over that, to its first
-/// order. λ = ⟨φ(z)⟩/⟨Φ(z)⟩ and κ = λσ/a.
+/// order. λ = ⟨φ(z)⟩/⟨Φ(z)⟩ and κ = λσ/a. What is said of the direction along the rim is an
+/// interpolation: right to the first order of σ/a near it, and in the limit far outside, where the variance is 1/(1 + κ).
 pub(super) struct Cut {
     /// Its part, ⟨Φ⟩.
     pub visible: f32,

@@ -142,8 +142,8 @@ pub enum Rejection {
     },
     /// Many labelled corners were not found again where their labels put them.
     #[error(
-        "{lost} of {labelled} corners were not found again as their labels have them, so the labels are hardly right: \
-         show more of the board, or more sharply"
+        "{lost} of the {labelled} labelled corners were not found again where their labels put them, so the labels are \
+         probably wrong: show more of the board, or take a sharper image"
     )]
     Lost {
         /// Corners not found again.

@@ -12,6 +12,8 @@
 //! in which c and ω move the board as a whole. So each point counts with what its features know of it: along the axis far less
 //! than across. All of it comes from u and v alone, not from ρ.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Isometry3, Matrix3, Point3, SMatrix, SVector, Vector3};
 
 use super::Posed;
@@ -67,12 +69,12 @@ impl Reconstruction {
     ///
     /// An error if the camera is not valid.
     pub fn of(camera: &PlenopticCamera, bent: &BentBoard, posed: &Posed) -> Result<Option<Self>> {
-        let seen = seen(camera, bent, posed)?;
-        let weighed = posed.reprojection.features.iter().all(states_std_dev);
+        let stated = posed.reprojection.features.iter().all(|r| r.feature.std_dev_px.is_some());
+        let seen = seen(camera, bent, posed, stated)?;
         let (mut of_frames, mut points) = (Vec::new(), Vec::new());
         for frame in seen.chunk_by(|a, b| a.frame == b.frame) {
             let of_frame: Vec<&Seen> = frame.iter().filter(|s| s.off_mm.is_some()).collect();
-            if let Some(found) = too_long(&of_frame, weighed) {
+            if let Some(found) = too_long(&of_frame, stated) {
                 of_frames.push(found);
                 points.extend(of_frame.iter().filter_map(|seen| seen.off_mm));
             }
@@ -94,16 +96,16 @@ impl Reconstruction {
     }
 }
 
-fn states_std_dev(residual: &FeatureResidual) -> bool {
-    residual.feature.std_dev_px.is_some()
-}
-
-/// The corners of posed boards by frame, with what their features say of them.
-fn seen(camera: &PlenopticCamera, bent: &BentBoard, posed: &Posed) -> Result<Vec<Seen>> {
+/// The corners of posed boards by frame, with what their features say of them; whether all of these state their σ.
+fn seen(
+    camera: &PlenopticCamera,
+    bent: &BentBoard,
+    posed: &Posed,
+    stated: bool,
+) -> Result<Vec<Seen>> {
     let mut residuals = posed.reprojection.features.clone();
     residuals.sort_by_key(|r| (r.feature.frame, r.feature.corner));
     let derivatives = by_place(camera, bent, posed, &residuals)?;
-    let robust = residuals.iter().all(states_std_dev);
     let together: Vec<_> = residuals.iter().zip(derivatives).collect();
     let of_corner = |a: &FeatureResidual| (a.feature.frame, a.feature.corner);
     let corners = together.chunk_by(|(a, _), (b, _)| of_corner(a) == of_corner(b));
@@ -117,7 +119,7 @@ fn seen(camera: &PlenopticCamera, bent: &BentBoard, posed: &Posed) -> Result<Vec
             let std_dev = residual.feature.std_dev_px.unwrap_or([1.0; 2]);
             let off = [residual.du_px / std_dev[0], residual.dv_px / std_dev[1]];
             let far = off[0].hypot(off[1]) / LOSS;
-            let weight = if robust && far > 1.0 { far.recip() } else { 1.0 };
+            let weight = if stated && far > 1.0 { far.recip() } else { 1.0 };
             for (off, by, std_dev) in [(off[0], by_u, std_dev[0]), (off[1], by_v, std_dev[1])] {
                 let by = by / std_dev;
                 information += weight * by * by.transpose();
@@ -149,7 +151,7 @@ fn by_place(
     let sides = axes.map(|axis| [axis, -axis]).concat();
     // Boards one step nearer or further along each axis.
     let mut poses = Vec::new();
-    let mut first_of_frame = std::collections::BTreeMap::new();
+    let mut first_of_frame = BTreeMap::new();
     for pose in &posed.poses {
         let step_mm = STEP * pose.camera_from_board.translation.vector.norm();
         first_of_frame.insert(pose.frame, (poses.len(), step_mm));

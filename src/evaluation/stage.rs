@@ -212,7 +212,7 @@ fn candidate_result(
         let what = format!("{name}, reconstructed points");
         let found = kept(&what, found, problems)?;
         if found.is_none() {
-            problems.push(format!("{what}: no frame tells distances"));
+            problems.push(format!("{what}: no frame has enough points"));
         }
         found
     });
