@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::discs::{Discs, Known, with_model_error};
 use super::fall_off::WITHIN;
-use super::profile::Profile;
+use super::profile::{Profile, own_light_px};
 use super::seen::{Angles, Seen};
 use crate::model::PointSpread;
 use crate::vignetting::{Obliquity, Pixel};
@@ -31,10 +31,6 @@ const ROUNDS: usize = 16;
 const SETTLED: f64 = 1e-3;
 /// Steps of the numerical derivatives, px and px²; of H, relative.
 const STEP: f64 = 1e-4;
-/// Light this close to the edge of a neighbour may be the neighbour's, px; with a point spread, light that is nearer by so
-/// many standard deviations of it.
-const NEIGHBOUR_PX: f64 = 0.3;
-const NEIGHBOUR_SPREADS: f64 = 2.5;
 /// Where all blurs are smaller, edges are as pixels make them, px.
 const RESOLVED_PX: f64 = 1.0;
 /// Weight of what is held, larger than that of any light.
@@ -89,8 +85,7 @@ impl<'a> Fit<'a> {
         let (known, whites) = (self.known, self.whites());
         let widest = self.at.rows(whites, known.q_px.len()).max();
         let lights = profiles.iter().enumerate().flat_map(|(white, profiles)| {
-            let reach = known.pitch_px - self.at[white] - widest + NEIGHBOUR_PX
-                - NEIGHBOUR_SPREADS * spread_px;
+            let reach = own_light_px(known.pitch_px, self.at[white] + widest, spread_px);
             profiles.iter().enumerate().map(move |(lens_type, profile)| Light {
                 white,
                 lens_type,
@@ -99,6 +94,14 @@ impl<'a> Fit<'a> {
         });
         self.lights = lights.collect();
         self.light_at_angles();
+        let seen = self.seen(0.0);
+        let middle = |light: &Light| {
+            let (discs, law) = self.discs_of(light, [0.0; BESIDE_SEEN]);
+            light.profile.light_in_the_middle(discs, &law, &seen)
+        };
+        let middles: Vec<f64> = self.lights.iter().map(middle).collect();
+        let lights = self.lights.iter_mut().zip(middles);
+        lights.for_each(|(light, middle)| light.profile.middle = middle);
     }
 
     /// Follows the discs down; `None` if the light does not determine them.
@@ -169,7 +172,7 @@ impl<'a> Fit<'a> {
         self.of_all().map(|i| i + 2)
     }
 
-    /// Sets the angles that light arrives at, which change little with the radii.
+    /// Sets the angles of the light, which change little with the radii.
     fn light_at_angles(&mut self) {
         let (whites, at, known) = (self.whites(), &self.at, self.known);
         self.lights.par_iter_mut().for_each(|light| {
@@ -224,12 +227,18 @@ impl<'a> Fit<'a> {
         by: [f64; BESIDE_SEEN],
         seen: &Seen,
     ) -> Option<Vec<f64>> {
+        let (discs, law) = self.discs_of(light, by);
+        profile.residuals_of_discs(discs, &law, seen)
+    }
+
+    /// Both radii of one profile and the law of its light, changed a little.
+    fn discs_of(&self, light: &Light, by: [f64; BESIDE_SEEN]) -> ([f64; 2], Obliquity) {
         let places = self.places(light);
         let [a, b, within] = std::array::from_fn(|i| self.at[places[i]] + by[i]);
         let Known { mla_to_sensor_px, pitch_px, .. } = self.known;
         let within = within * self.known.cos4_per_px2();
         let law = Obliquity::in_the_middle(within, *mla_to_sensor_px, pitch_px / 2.0);
-        profile.residuals_of_discs([a, b], &law, seen)
+        ([a, b], law)
     }
 
     /// a by the law, and its derivatives by |m| and c.

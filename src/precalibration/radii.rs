@@ -38,12 +38,18 @@ pub(super) struct TypeRadius {
 }
 
 impl TypeRadius {
-    /// The radius with oblique light taken into account, see [`Profile::oblique`], as pixels see it; unchanged if that
-    /// shows no edge.
-    pub fn oblique(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity, pixel: &Pixel) -> Self {
+    /// The radius with oblique light taken into account, see [`Profile::oblique`], by light up to `reach_px` from the centre as
+    /// pixels see it; unchanged if that shows no edge.
+    pub fn oblique(
+        &self,
+        (pupil_px, q_px): (f64, f64),
+        reach_px: f64,
+        obliquity: &Obliquity,
+        pixel: &Pixel,
+    ) -> Self {
         let mut again = self.clone();
         let largest = REACH * 2.0 * obliquity.half_pitch_px;
-        let whole = self.profile.whole(f64::INFINITY);
+        let whole = self.profile.whole(reach_px);
         if let Some(edge) = whole.oblique(pupil_px, q_px, obliquity).fit(largest, pixel) {
             let change = edge.outer - self.radius_px;
             again.radius_px += change;
@@ -54,9 +60,11 @@ impl TypeRadius {
     }
 }
 
-/// Micro-images of each type that radii are measured on, those nearest to the middle of the image: enough
-/// for a hundredth of a pixel, and not so far out that the main lens vignettes them.
-const OF_EACH_TYPE: usize = 150;
+/// Micro-images of each type that radii are measured on, those nearest to the middle of the image: one of so many in the image,
+/// but at least and at most this many. Enough for a hundredth of a pixel where white images are clipped, and not so far out
+/// that the main lens vignettes them.
+const ONE_OF: usize = 40;
+const OF_EACH_TYPE: (usize, usize) = (150, 600);
 /// Light up to so far from the centre counts as the micro-image's own, in pitches.
 pub(super) const REACH: f64 = 0.52;
 /// α of the paper: 2.357 standard deviations hold 98 % of a normal distribution.
@@ -72,11 +80,12 @@ pub(super) fn middle_nodes(
     let distance = |blob: &Blob| (blob.center - middle).norm_squared();
     let mut blobs: Vec<&Blob> = found.blobs.iter().collect();
     blobs.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+    let of_each_type = (blobs.len() / ONE_OF).clamp(OF_EACH_TYPE.0, OF_EACH_TYPE.1);
     let mut nodes = vec![Vec::new(); colors];
     for blob in blobs {
         let (k, l) = found.index(blob.node);
         let of_color = &mut nodes[found.array.grid.lattice.lens_type(k, l, colors)];
-        if of_color.len() < OF_EACH_TYPE {
+        if of_color.len() < of_each_type {
             of_color.push(blob.node);
         }
     }

@@ -9,6 +9,7 @@ use super::centroid::Blob;
 use super::discs::{Discs, Known, fit_discs};
 use super::internal::{InternalFit, RadiusMeasurement, fit_internal, internal_of_discs};
 use super::pattern::Pattern;
+use super::profile::own_light_px;
 use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
 use super::stage::{PrecalibrationOptions, White};
 use crate::error::{Error, Result};
@@ -103,13 +104,18 @@ impl<'a> Samples<'a> {
     ) -> Vec<Vec<TypeRadius>> {
         let half_pitch_px = obliquity.half_pitch_px;
         let pixel_size_mm = self.options.pixel_size_mm;
-        let pixel = Pixel::new(internal.point_spread_px2());
+        let spread_px2 = internal.point_spread_px2();
+        let pixel = Pixel::new(spread_px2);
+        let of_types = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm - half_pitch_px);
+        let q_px: Vec<f64> = of_types.collect();
+        let widest = q_px.iter().map(|q| q.abs()).fold(0.0, f64::max);
         let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
             let pupil_px = internal.pupil_radius_mm(white.f_number) / pixel_size_mm;
-            let again = |(radius, q_prime): (&TypeRadius, &f64)| {
-                radius.oblique(pupil_px, q_prime / pixel_size_mm - half_pitch_px, obliquity, &pixel)
+            let reach = own_light_px(2.0 * half_pitch_px, pupil_px + widest, spread_px2.sqrt());
+            let again = |(radius, q): (&TypeRadius, &f64)| {
+                radius.oblique((pupil_px, *q), reach, obliquity, &pixel)
             };
-            radii.iter().zip(&internal.q_prime_mm).map(again).collect()
+            radii.iter().zip(&q_px).map(again).collect()
         };
         self.whites.par_iter().zip(radii).map(of_white).collect()
     }
