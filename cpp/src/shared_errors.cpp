@@ -61,6 +61,7 @@ Contradiction contradiction(const MatrixXd& boards, const MatrixXd& centers, dou
                             double of_centers, const VectorXd& gradient_of_centers,
                             const VectorXd& variance) {
   const ScaledInverse sum(boards + centers);
+  if (sum.rank == 0) return {};
   const MatrixXd root =
       sum.basis.rightCols(sum.rank) * sum.inverse.tail(sum.rank).cwiseSqrt().asDiagonal();
   const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(root.transpose() * boards * root);

@@ -320,6 +320,22 @@ mod tests {
         }
     }
 
+    /// Micro-images that touch, clipped, with a point spread of 1 px: neighbours light a third of the circle.
+    #[test]
+    fn light_of_neighbours_does_not_move_the_outer_radius() {
+        const PITCH: f64 = 23.3;
+        let (outer, inner, pixel) = (11.6, 1.4, Pixel::new(1.0));
+        let mut profile = drawn(outer, inner, 3.0);
+        let seen = Seen::new(&pixel, PITCH).discs(outer, inner, &Oblique::default());
+        for bin in profile.bins.iter_mut().chain(&mut profile.bright) {
+            bin.light = 0.02 + 3.0 * (seen.at(bin.radius) + seen.at(PITCH - bin.radius) / 3.0);
+        }
+        let off =
+            |reach: f64| (profile.whole(reach).fit(12.0, &pixel).unwrap().outer - outer).abs();
+        let (own, all) = (off(own_light_px(PITCH, outer, 1.0)), off(f64::INFINITY));
+        assert!(own < 0.05 && all > 0.2, "off by {own} px, and by {all} px with all light");
+    }
+
     #[test]
     fn the_outer_radius_comes_back_at_any_exposure() {
         for amplitude in [0.3, 0.8, 1.5, 3.0, 6.0] {
