@@ -44,7 +44,7 @@ class Accumulator {
     equations_.corners.resize(frames);
     equations_.by_common_observations.setZero(size, static_cast<Eigen::Index>(common.size()));
     equations_.by_common_anchors = equations_.by_common_observations;
-    equations_.in_anchors = equations_.by_common_observations;
+    equations_.in_anchors.setZero(size, anchors);
     equations_.anchors.setZero(anchors, intrinsics);
   }
 
@@ -168,15 +168,17 @@ class Accumulator {
 
   void add_anchor(const Eigen::RowVectorXd& jacobian, const RowOrigin& row) {
     equations_.anchors.row(row.group) = jacobian;
+    double contained = 0.0;
     for (std::size_t k = 0; k < common_.size(); ++k) {
       const std::vector<double>& moved = common_[k].anchors;
       if (moved.empty()) continue;
       const Eigen::VectorXd change = moved[row.group] * jacobian.transpose();
       const auto column = static_cast<Eigen::Index>(k);
       equations_.by_common_anchors.col(column).head(equations_.intrinsics) += change;
-      if (!common_[k].in_anchors) continue;
-      equations_.in_anchors.col(column).head(equations_.intrinsics) += change;
+      if (common_[k].in_anchors) contained += moved[row.group] * moved[row.group];
     }
+    equations_.in_anchors.col(row.group).head(equations_.intrinsics) =
+        std::sqrt(contained) * jacobian.transpose();
   }
 
   const std::vector<CommonError>& common_;

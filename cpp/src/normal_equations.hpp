@@ -31,8 +31,11 @@ struct NormalEquations {
   std::vector<Group> patches;               ///< of the centres, on the free intrinsics
   std::vector<std::vector<Group>> corners;  ///< of every frame, on its pose
   /// By how much common errors change the gradient, negative, a column for each: those of
-  /// observations, those of anchors, and of these what the sigma of the anchors contains.
-  Eigen::MatrixXd by_common_observations, by_common_anchors, in_anchors;
+  /// observations, those of anchors.
+  Eigen::MatrixXd by_common_observations, by_common_anchors;
+  /// What of an anchor's own error these errors are, as a change of the gradient; a column for each
+  /// anchor.
+  Eigen::MatrixXd in_anchors;
 
   /// Derivatives of the anchored quantities, in arbitrary units: a row for each anchor, a column
   /// for each free intrinsic.

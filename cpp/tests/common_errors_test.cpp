@@ -99,5 +99,25 @@ TEST(CommonErrors, CountOnceWhereAnchorsContainThem) {
   EXPECT_GT(added[0], 1.0001 * without[0]);
 }
 
+// Two anchors whose errors are one and the same say less than two that differ: the covariance is
+// that of both moved at once.
+TEST(CommonErrors, AreNotAveragedAwayByAnchorsThatShareThem) {
+  const Scene scene = test::make_scene(3);
+  CostOptions options = paper();
+  const double f = scene.camera.main_lens.focal_length;
+  options.anchors = {{"F", f, 1e-3}, {"F", f, 1e-3}};
+  CommonError error;
+  error.features.resize(scene.observations.features.size());
+  const auto std_dev = [&](const std::vector<double>& anchors) {
+    error.anchors = anchors;
+    const Uncertainty u =
+        uncertainty(scene.camera, scene.poses, scene.observations, options, {error});
+    return std::sqrt(u.independent_covariance[0]);
+  };
+  const double apart = std_dev({1.0, 0.0}), half = std_dev({0.5, 0.5}), whole = std_dev({1.0, 1.0});
+  EXPECT_NEAR(whole / apart, std::sqrt(2.0), 0.02);
+  EXPECT_NEAR(half / apart, std::sqrt(1.25), 0.02);
+}
+
 }  // namespace
 }  // namespace plenocal

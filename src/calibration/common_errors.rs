@@ -84,10 +84,18 @@ pub(super) fn common_errors(
     let own_centers = solver::project_centers(camera, features.iter().map(|f| (f.k, f.l)))?;
     if let Some(lean) = &internal.lean {
         let middle = camera.sensor.center_px();
-        for (axis, name) in LEAN.into_iter().enumerate() {
+        // Of σ, what each axis has of its own, and what both share.
+        let own =
+            |i: usize| (lean.std_dev_per_px[i].powi(2) - lean.shared_per_px[i].powi(2)).sqrt();
+        let leans = [[own(0), 0.0], [0.0, own(1)], lean.shared_per_px];
+        for (per_px, name) in leans.into_iter().zip([LEAN[0], LEAN[1], "lean"]) {
+            let of_anchors = cost.anchors.iter().map(|anchor| {
+                let axis = LEAN.iter().position(|name| anchor.quantity == *name);
+                axis.map_or(0.0, |i| per_px[i] / lean.std_dev_per_px[i])
+            });
             // Both discs grow with d.
-            add(name, anchored(name), &|i, f| {
-                let growth = lean.std_dev_per_px[axis] * (own_centers[i][axis] - middle[axis]);
+            add(name, of_anchors.collect(), &|i, f| {
+                let growth = (Vector2::from(own_centers[i]) - middle).dot(&Vector2::from(per_px));
                 let [pupil, intercept, ..] = levers(f);
                 [0, 1, 2].map(|c| if c < 2 { (pupil[c] + intercept[c]) * growth } else { 0.0 })
             });

@@ -13,6 +13,10 @@ pub struct Lean {
     pub growth_per_px: [f64; 2],
     /// σ of both, px⁻¹.
     pub std_dev_per_px: [f64; 2],
+    /// What of σ is one and the same error along both, px⁻¹, with its signs: the model of the discs, and the law of the
+    /// fall-off.
+    #[serde(default)]
+    pub shared_per_px: [f64; 2],
     /// How much both grow with ln φ, px⁻¹: white images show how the discs of blur grow, which is the lean by φq'ᵢ, and of
     /// that only φqᵢ.
     #[serde(default)]
@@ -47,9 +51,15 @@ impl Lean {
                 "growth_per_px of the lean of the array is {growth}"
             )));
         }
-        match self.std_dev_per_px.iter().find(|s| !possible(s)) {
-            Some(std_dev) => Err(Error::invalid(format!(
+        if let Some(std_dev) = self.std_dev_per_px.iter().find(|s| !possible(s)) {
+            return Err(Error::invalid(format!(
                 "std_dev_per_px of the lean of the array is {std_dev}: it has to be above 0"
+            )));
+        }
+        let mut parts = self.shared_per_px.iter().zip(&self.std_dev_per_px);
+        match parts.find(|(shared, std_dev)| !(shared.abs() <= **std_dev)) {
+            Some((shared, _)) => Err(Error::invalid(format!(
+                "shared_per_px of the lean of the array is {shared}: it has to be within its σ"
             ))),
             None => Ok(()),
         }

@@ -10,7 +10,7 @@ use tracing::debug;
 
 use super::array::FoundArray;
 use super::centroid::{Blob, WINDOW};
-use super::lean::{Growth, lean};
+use super::lean::{Growth, lean, with_shared};
 use super::levers::Levers;
 use super::rings::{Alike, Gradient};
 use super::samples::Samples;
@@ -120,7 +120,9 @@ impl Light {
             let warning = "how light falls off with its angle does not show in the white images: it is taken \
                            to be cos⁴, and corners far from the axis may be off by 0.1 px; take white images \
                            that are not clipped";
-            return Measured { fall_off: cos4, lean, warning: Some(warning.to_owned()) };
+            let within_std_dev_per_px2 = cos4.within_per_px2;
+            let fall_off = FallOff { within_std_dev_per_px2, ..cos4 };
+            return Measured { fall_off, lean, warning: Some(warning.to_owned()) };
         };
         let [growth, std_dev] =
             [measured.growth_per_px2, measured.std_dev_per_px2].map(|x| x / cos4.growth_per_px2);
@@ -144,21 +146,26 @@ impl Light {
         lean(&growths, &self.middle)
     }
 
-    /// A lean with how it changes with the fill factor, which white images do not show; `None` if it does not show with
-    /// another one.
-    pub fn by_fill_factor(
+    /// A lean with what the `law` inside micro-images takes for known: how the lean changes with the fill factor, which white
+    /// images do not show, and with H, whose σ goes into that of both axes. In the law `otherwise` H is that σ larger.
+    /// `None` if the lean does not show with either.
+    pub fn complete(
         &self,
         lean: Lean,
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
         law: &Obliquity,
+        otherwise: &Obliquity,
     ) -> Option<Lean> {
         let pitch_mm = self.seen_pitch_px * options.pixel_size_mm;
-        let otherwise = internal.with_fill_factor(OTHERWISE, pitch_mm);
-        let other = self.lean(&self.gradients(&otherwise, options, law))?;
+        let narrower = internal.with_fill_factor(OTHERWISE, pitch_mm);
+        let by_fill = self.lean(&self.gradients(&narrower, options, law))?;
         let change = (OTHERWISE.value / internal.fill()).ln();
-        let of_axis = |i: usize| (other.growth_per_px[i] - lean.growth_per_px[i]) / change;
-        Some(Lean { by_fill_factor_per_px: [of_axis(0), of_axis(1)], ..lean })
+        let by_law = self.lean(&self.gradients(internal, options, otherwise))?;
+        debug!("with H by its σ larger: {by_law:?}");
+        let than = |other: &Lean| [0, 1].map(|i| other.growth_per_px[i] - lean.growth_per_px[i]);
+        let by_fill_factor_per_px = than(&by_fill).map(|by| by / change);
+        Some(Lean { by_fill_factor_per_px, ..with_shared(&lean, than(&by_law)) })
     }
 
     /// The gradients of all micro-images by image and type.

@@ -110,7 +110,9 @@ impl Levers {
         add: &mut dyn FnMut(Vector2<f64>, f64, f64),
     ) {
         let (a, q) = (self.pupil_px, self.q_px[lens_type]);
-        let (a, q) = (a * (1.0 + growth), q + (q + self.lens_px) * growth);
+        // The sensor stays where it is, so the pupil comes nearer: a is (pupil's radius) d/D.
+        let nearer = self.lens_to_sensor / (self.lens_to_sensor - 1.0);
+        let (a, q) = (a * (1.0 + growth * nearer), q + (q + self.lens_px) * growth);
         let size = q.abs().max(1e-6);
         for (along, weight) in self.pixel.along {
             // Across the direction to the middle the mean square will do.
