@@ -56,8 +56,10 @@ impl Lean {
                 "std_dev_per_px of the lean of the array is {std_dev}: it has to be above 0"
             )));
         }
+        let within =
+            |(shared, std_dev): &(&f64, &f64)| shared.is_finite() && shared.abs() <= **std_dev;
         let mut parts = self.shared_per_px.iter().zip(&self.std_dev_per_px);
-        match parts.find(|(shared, std_dev)| !(shared.abs() <= **std_dev)) {
+        match parts.find(|part| !within(part)) {
             Some((shared, _)) => Err(Error::invalid(format!(
                 "shared_per_px of the lean of the array is {shared}: it has to be within its σ"
             ))),
