@@ -147,21 +147,24 @@ impl Light {
     }
 
     /// A lean with what the `law` inside micro-images takes for known: how the lean changes with the fill factor, which white
-    /// images do not show, and with H, whose σ goes into that of both axes. In the law `otherwise` H is that σ larger.
-    /// `None` if the lean does not show with either.
+    /// images do not show, and with H, whose σ goes into that of both axes. `None` if the lean does not show with either.
     pub fn complete(
         &self,
         lean: Lean,
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
         law: &Obliquity,
-        otherwise: &Obliquity,
+        fall_off: &FallOff,
     ) -> Option<Lean> {
         let pitch_mm = self.seen_pitch_px * options.pixel_size_mm;
         let narrower = internal.with_fill_factor(OTHERWISE, pitch_mm);
         let by_fill = self.lean(&self.gradients(&narrower, options, law))?;
         let change = (OTHERWISE.value / internal.fill()).ln();
-        let by_law = self.lean(&self.gradients(internal, options, otherwise))?;
+        let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
+        let within = fall_off.within_per_px2 + fall_off.within_std_dev_per_px2;
+        let otherwise =
+            Obliquity::in_the_middle(within, mla_to_sensor_px, self.seen_pitch_px / 2.0);
+        let by_law = self.lean(&self.gradients(internal, options, &otherwise))?;
         debug!("with H by its σ larger: {by_law:?}");
         let than = |other: &Lean| [0, 1].map(|i| other.growth_per_px[i] - lean.growth_per_px[i]);
         let by_fill_factor_per_px = than(&by_fill).map(|by| by / change);

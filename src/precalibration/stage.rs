@@ -189,12 +189,8 @@ pub(super) fn measured(
     let mut radii = samples.measurements(&by_type);
     let mut internal = samples.internal(discs, &mut radii, &by_type, array.grid.pitch_px)?;
     internal.parameters.fall_off = Some(fall_off);
-    internal.parameters.lean = lean.and_then(|lean| {
-        let within_per_px2 = fall_off.within_per_px2 + fall_off.within_std_dev_per_px2;
-        let otherwise = FallOff { within_per_px2, ..fall_off };
-        let otherwise = in_the_middle(Some(&otherwise), &lines, seen_pitch_px, options);
-        light.complete(lean, &oblique.parameters, options, &obliquity, &otherwise)
-    });
+    internal.parameters.lean = lean
+        .and_then(|lean| light.complete(lean, &oblique.parameters, options, &obliquity, &fall_off));
     internal.parameters.levels = Some(levels);
     let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
