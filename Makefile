@@ -12,14 +12,15 @@ MAKEFLAGS += --no-print-directory
 # rebuilt between them.
 export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
 
-.PHONY: help deps deps-all build demo cpp test test-all test-slow test-cpp test-rust lint bench doc \
-        data figures format clean
+.PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-cpp test-rust \
+        lint bench doc data figures format clean
 
 help:
 	@echo "make demo       simulate a camera, calibrate it from its images, write a report"
 	@echo "make test       the tests; PLENOCAL_R12A=DIR and PLENOCAL_WHITES=DIR add real data"
 	@echo "make test-all   also reports in a browser, shell completions, manual pages; installs Chromium"
 	@echo "make test-slow  the slow tests (Monte Carlo, bias of corners)"
+	@echo "make test-mistakes  what becomes of 470 users' mistakes and 100 clean sets (an hour)"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program"
 	@echo "make doc        API documentation in target/doc"
@@ -69,6 +70,10 @@ test-rust: cpp
 
 test-slow: cpp
 	cargo test --release --test it -- --ignored --nocapture monte_carlo bias
+
+# MISTAKES="part of a name" runs some of them.
+test-mistakes: deps
+	cargo test --release --test mistakes -- $(if $(MISTAKES),"$(MISTAKES)")
 
 # The cmake crate silences C++ warnings; the plain build shows them, as errors.
 lint: deps

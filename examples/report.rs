@@ -40,8 +40,12 @@ fn main() -> Result<()> {
         plenocal::calibration::weakest_directions_text(&calibration).into_iter().map(Part::Text),
     );
     let sections = vec![
-        Section { title: "Result".into(), parts: result },
-        Section { title: "Figures".into(), parts: figures.into_iter().map(Part::Figure).collect() },
+        Section { title: "Result".into(), parts: result, ..Section::default() },
+        Section {
+            title: "Figures".into(),
+            parts: figures.into_iter().map(Part::Figure).collect(),
+            ..Section::default()
+        },
     ];
     let page = HtmlReport {
         title: "Calibration report".into(),

@@ -6,6 +6,7 @@ mod outliers;
 mod patterns;
 mod stage;
 mod verdict;
+mod words;
 
 pub use next_board::NextBoard;
 pub use object_space::{Distance, ObjectSpace, PointTrust};

@@ -1,8 +1,6 @@
 //! The verdict on a calibration, and its reasons.
 
-use std::fmt;
-
-use super::outliers::{Influence, OutlyingFrame};
+use super::outliers::OutlyingFrame;
 use super::{Outliers, Patterns};
 use crate::calibration::{Calibration, Mode, SLOPE, Warning};
 use crate::model::intrinsic_parameters;
@@ -32,11 +30,13 @@ pub enum Reason {
         /// By so many σ.
         pull: f64,
     },
-    /// m of the white images and of the camera differ, where m is no anchor.
+    /// m of the white images and of the camera differ.
     SlopeContradicts {
         /// (m* − m)/m*.
         error: f64,
     },
+    /// The features scatter by so many times as much as their σ says.
+    Scatter(f64),
     /// A frame that does not fit the others.
     Frame(OutlyingFrame),
     /// Features that do not fit.
@@ -92,6 +92,12 @@ pub(super) const PULLED: f64 = 3.0;
 const TORN: f64 = 6.0;
 /// What m of the white images is worth besides its own σ: that of f-numbers.
 const SLOPE_FLOOR: f64 = 0.02;
+/// m of simulated cameras is within 1 % of that of their white images.
+const SLOPES_AGREE: f64 = 0.015;
+/// The features of clean images, of real lenses too, scatter by 1.1 to 1.4 times as much as their σ says.
+const SCATTER: f64 = 1.6;
+/// Single features far off do nothing, as the loss weights them down; more than this part says that more is wrong.
+const OUTLYING_PART: f64 = 0.002;
 /// Patterns above these fractions of the residuals are named.
 const IMAGE_PATTERN: f64 = 0.3;
 const MICRO_IMAGE_PATTERN: f64 = 0.1;
@@ -110,16 +116,6 @@ const UNCERTAIN: f64 = 0.01;
 const UNKNOWN: f64 = 0.1;
 /// The parameters whose relative σ matters.
 const LENGTHS: [&str; 6] = ["F", "D", "d", "f_1", "f_2", "f_3"];
-
-impl fmt::Display for Verdict {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Good => "good",
-            Self::UsableWithCare => "usable with care",
-            Self::DoNotUse => "do not use",
-        })
-    }
-}
 
 impl Reason {
     /// The verdict that this reason alone leads to.
@@ -151,6 +147,7 @@ impl Reason {
             Self::Pulled { pull, .. } => 2.0 * pull.abs(),
             Self::SlopeContradicts { error } => 2.0 * error.abs() / SLOPE_FLOOR,
             Self::Frame(frame) => 5.0 + frame.influence_std_devs().max(frame.residual_ratio),
+            Self::Scatter(ratio) => 5.0 * ratio / SCATTER,
             Self::Uncertain { relative, .. } => (4.0 * relative / UNCERTAIN).min(40.0),
             Self::ImagePattern(part) => 4.0 * part / IMAGE_PATTERN,
             Self::MicroImagePattern(part) => 4.0 * part / MICRO_IMAGE_PATTERN,
@@ -177,7 +174,7 @@ pub(super) fn reasons(
     reasons.extend(calibration.warnings.iter().filter(counts).cloned().map(Reason::Warning));
     reasons.extend(outliers.frames.iter().cloned().map(Reason::Frame));
     let (outlying, all) = (outliers.features.len(), calibration.reprojection.features.len());
-    if outlying > 0 {
+    if outlying as f64 > OUTLYING_PART * all as f64 {
         reasons.push(Reason::Features { outlying, all });
     }
     if calibration.options.mode != Mode::PosesOnly {
@@ -198,9 +195,13 @@ fn of_anchors(calibration: &Calibration) -> Vec<Reason> {
         .filter(|anchor| anchor.pull().abs() > PULLED)
         .map(|a| Reason::Pulled { quantity: a.anchor.quantity.clone(), pull: a.pull() })
         .collect();
-    let anchored = calibration.anchors.iter().any(|a| a.anchor.quantity == SLOPE);
-    let error = calibration.m_error().filter(|e| !anchored && e.abs() > PULLED * SLOPE_FLOOR);
+    let pulled =
+        reasons.iter().any(|r| matches!(r, Reason::Pulled { quantity, .. } if quantity == SLOPE));
+    let error = calibration.m_error().filter(|e| !pulled && e.abs() > SLOPES_AGREE);
     reasons.extend(error.map(|error| Reason::SlopeContradicts { error }));
+    let scatter = calibration.uncertainty.std_dev_factors[0];
+    let stated = calibration.reprojection.features.iter().any(|r| r.feature.std_dev_px.is_some());
+    reasons.extend((stated && scatter > SCATTER).then_some(Reason::Scatter(scatter)));
     reasons
 }
 
@@ -274,87 +275,4 @@ fn of_parameters(calibration: &Calibration) -> Vec<Reason> {
     let uncertain = uncertain
         .map(|(index, relative)| Reason::Uncertain { parameter: parameters[index].name, relative });
     dominant.into_iter().chain(uncertain).collect()
-}
-
-impl fmt::Display for Reason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NotConverged => f.write_str("it has not converged"),
-            Self::Warning(warning) => warning.fmt(f),
-            Self::Pulled { quantity, pull } => {
-                write!(
-                    f,
-                    "the observations pull {quantity} by {pull:+.1} σ from what is known of it"
-                )
-            }
-            Self::SlopeContradicts { error } => write!(
-                f,
-                "|m| of the white images is {:.1} % off that of the camera, far more than f-numbers \
-                 can explain",
-                100.0 * error.abs()
-            ),
-            Self::Frame(frame) => frame.fmt(f),
-            Self::Features { outlying, all } => write!(
-                f,
-                "{outlying} of {all} features lie far from where the camera projects them"
-            ),
-            Self::ImagePattern(part) => write!(
-                f,
-                "the residuals have a pattern over the image, {:.0} % of their size: the model lacks \
-                 something, or the board is not flat",
-                100.0 * part
-            ),
-            Self::MicroImagePattern(part) => write!(
-                f,
-                "the residuals change with the distance from the centre of the micro-image, by {:.0} % \
-                 of their size: the corners are biased",
-                100.0 * part
-            ),
-            Self::LensTypes(ratio) => {
-                write!(f, "the residuals of one lens type are {ratio:.1} times those of another")
-            }
-            Self::FewFrames(frames) => write!(
-                f,
-                "with only {frames} frame(s), shared errors cannot be seen: σ takes all observations \
-                 as independent"
-            ),
-            Self::FewTilts { tilted, frames } => write!(
-                f,
-                "only {tilted} of {frames} boards are tilted by more than 10 degrees: F and the distances \
-                 are hardly told apart"
-            ),
-            Self::OneDistance { ratio } => write!(
-                f,
-                "all boards are at nearly the same distance (the largest is {ratio:.2} times the \
-                 smallest)"
-            ),
-            Self::Coverage(part) => {
-                write!(f, "boards cover {:.0} % of the image", 100.0 * part)
-            }
-            Self::DominantFrame { frame, parameter, share } => write!(
-                f,
-                "frame {frame} alone has {:.0} % of what is known of {parameter}",
-                100.0 * share
-            ),
-            Self::Uncertain { parameter, relative } => {
-                write!(f, "{parameter} is known to {:.1} % only", 100.0 * relative)
-            }
-        }
-    }
-}
-
-impl fmt::Display for OutlyingFrame {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { frame, residual_ratio, influence } = self;
-        write!(
-            f,
-            "frame {frame} does not fit the others: its residuals are {residual_ratio:.1} times theirs"
-        )?;
-        match influence {
-            Some(Influence { parameter, std_devs }) => {
-                write!(f, ", and without it {parameter} moves by {std_devs:.1} σ")
-            }
-            None => Ok(()),
-        }
-    }
 }

@@ -10,7 +10,7 @@ use crate::calibration::anchors::{LEAN, intercept_name};
 use crate::calibration::{CalibrationOptions, Mode, Start};
 use crate::error::Result;
 use crate::model::{
-    BapFeature, InternalParameters, MicroImageCenter, PlenopticCamera, TAKEN, taken,
+    BapFeature, InternalParameters, Lean, MicroImageCenter, PlenopticCamera, TAKEN, taken,
 };
 use crate::solver::{self, Anchor, CommonError, CostOptions};
 
@@ -47,7 +47,9 @@ pub(super) fn common_errors(
     let mut add = |source: &str, anchors: Vec<f64>, by: &dyn Fn(usize, &BapFeature) -> [f64; 3]| {
         let features_px: Vec<[f64; 3]> =
             features.iter().enumerate().map(|(i, f)| by(i, f)).collect();
-        if features_px.iter().flatten().any(|by| *by != 0.0) {
+        // The error of one anchor alone is in its σ.
+        let of_several = anchors.iter().filter(|by| **by != 0.0).count() > 1;
+        if of_several || features_px.iter().flatten().any(|by| *by != 0.0) {
             let (source, centers_px) = (source.to_owned(), Vec::new());
             // White images do not know the fill factor, so what they say has no σ of it.
             let in_anchors = source != FILL_FACTOR;
@@ -84,17 +86,12 @@ pub(super) fn common_errors(
     let own_centers = solver::project_centers(camera, features.iter().map(|f| (f.k, f.l)))?;
     if let Some(lean) = &internal.lean {
         let middle = camera.sensor.center_px();
-        // Of σ, what each axis has of its own, and what both share.
-        let own =
-            |i: usize| (lean.std_dev_per_px[i].powi(2) - lean.shared_per_px[i].powi(2)).sqrt();
-        let leans = [[own(0), 0.0], [0.0, own(1)], lean.shared_per_px];
-        for (per_px, name) in leans.into_iter().zip([LEAN[0], LEAN[1], "lean"]) {
-            let of_anchors = cost.anchors.iter().map(|anchor| {
-                let axis = LEAN.iter().position(|name| anchor.quantity == *name);
-                axis.map_or(0.0, |i| per_px[i] / lean.std_dev_per_px[i])
-            });
+        for (name, per_px) in of_lean(lean) {
+            let in_std_devs = [0, 1].map(|axis| per_px[axis] / lean.std_dev_per_px[axis]);
+            let axis = |a: &Anchor| LEAN.iter().position(|name| a.quantity == *name);
+            let of_anchor = |a: &Anchor| axis(a).map_or(0.0, |axis| in_std_devs[axis]);
             // Both discs grow with d.
-            add(name, of_anchors.collect(), &|i, f| {
+            add(name, cost.anchors.iter().map(of_anchor).collect(), &|i, f| {
                 let growth = (Vector2::from(own_centers[i]) - middle).dot(&Vector2::from(per_px));
                 let [pupil, intercept, ..] = levers(f);
                 [0, 1, 2].map(|c| if c < 2 { (pupil[c] + intercept[c]) * growth } else { 0.0 })
@@ -111,6 +108,15 @@ pub(super) fn common_errors(
     });
     errors.extend(of_centroids(internal, features.len(), centers));
     Ok(errors)
+}
+
+/// Errors of the lean along both axes, px⁻¹: what each has of its own, and what they share.
+fn of_lean(lean: &Lean) -> [(&'static str, [f64; 2]); 3] {
+    let own = |axis: usize| {
+        let variance = lean.std_dev_per_px[axis].powi(2) - lean.shared_per_px[axis].powi(2);
+        variance.max(0.0).sqrt()
+    };
+    [(LEAN[0], [own(0), 0.0]), (LEAN[1], [0.0, own(1)]), ("lean", lean.shared_per_px)]
 }
 
 /// qᵢ by lens type, mm, by which q'ᵢ fall with ln φ: white images show the product of φ and qᵢ = q'ᵢ − Δc/2. And by how much

@@ -43,6 +43,14 @@ impl Shoot {
         Ok(Self { sheet, board, images })
     }
 
+    /// For each image of a subset, an earlier one that is the same; for those of the evaluation also one of the
+    /// calibration.
+    pub fn repeated(&self, subset: Subset) -> Vec<Option<String>> {
+        let before: &[PathBuf] =
+            if subset == Subset::Evaluation { &self.images.calibration } else { &[] };
+        io::repeated(before, images_of(subset, &self.images))
+    }
+
     /// The devignetting image, or else the white image at the f-number of the boards.
     pub fn white_image(&self) -> Result<PathBuf> {
         // f/11 is engraved for f/11.31, f/22 for f/22.63.
@@ -156,9 +164,11 @@ pub fn detect_subset(
     };
     let boards: Vec<BoardImage> = (0..)
         .zip(images)
-        .map(|(frame, path)| {
-            BoardImage::read_by(frame, file_name(path), || {
-                io::read_image(path, Some(shoot.images.color))
+        .zip(shoot.repeated(options.subset))
+        .map(|((frame, path), same)| {
+            BoardImage::read_by(frame, file_name(path), move || match &same {
+                Some(before) => Err(Error::invalid(format!("it is the same image as {before}"))),
+                None => io::read_image(path, Some(shoot.images.color)),
             })
         })
         .collect();

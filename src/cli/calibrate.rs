@@ -21,7 +21,7 @@ use super::choices::{
 };
 use super::input::{Files, Input};
 use super::progress;
-use super::talk::{print_result, say, warn, warn_of_calibration, warn_of_frames};
+use super::talk::{self, print_result, say, warn};
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///
@@ -213,8 +213,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     }
     let paths = output.commit()?;
     warn(&calibration.left_out);
-    warn_of_calibration(&calibration.warnings);
-    warn_of_frames(&assessment);
+    warn(&talk::of_calibration(&calibration.warnings));
+    warn(&talk::of_frames(&assessment));
     print_result(json, &document, &text, &paths);
     if calibration.converged {
         return Ok(ExitCode::SUCCESS);

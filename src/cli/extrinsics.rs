@@ -16,7 +16,7 @@ use super::calibrate::{not_converged, stage_results};
 use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::evaluate::calibrated;
 use super::input::board_shape;
-use super::talk::{print_result, warn, warn_of_calibration, warn_of_frames};
+use super::talk::{self, print_result, warn};
 
 /// Find the poses of boards in raw images with a calibrated camera.
 ///
@@ -88,8 +88,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let paths = output.commit()?;
     warn(&found.warnings);
     warn(&result.left_out);
-    warn_of_calibration(&result.warnings);
-    warn_of_frames(&assessment);
+    warn(&talk::of_calibration(&result.warnings));
+    warn(&talk::of_frames(&assessment));
     let document = io::calibration_document(&result, &assessment, begun.elapsed().as_secs_f64());
     print_result(
         arguments.json,

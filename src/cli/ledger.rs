@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::json;
 
-use super::talk::say;
+use super::talk::{say, warn};
 
 /// The file with a stage's section of the report.
 pub const SECTION: &str = "section.json";
@@ -37,6 +37,8 @@ pub struct Ledger {
     pub stages: Vec<(String, bool)>,
     /// What could not be done, and why.
     pub missing: Vec<String>,
+    /// Warnings, each with its stage.
+    pub warnings: Vec<(String, String)>,
 }
 
 impl Ledger {
@@ -48,8 +50,16 @@ impl Ledger {
             .map_err(|source| Error::Read { path: "the running program".into(), source })?;
         let mut manifest = Manifest::new(project, io::hash_file(&program)?);
         manifest.stages = Manifest::read(out).map(|m| m.stages).unwrap_or_default();
-        let (hashes, stages, missing) = (HashMap::new(), Vec::new(), Vec::new());
-        Ok(Self { out: out.to_owned(), manifest, force, quiet, hashes, stages, missing })
+        Ok(Self {
+            out: out.to_owned(),
+            manifest,
+            force,
+            quiet,
+            hashes: HashMap::new(),
+            stages: Vec::new(),
+            missing: Vec::new(),
+            warnings: Vec::new(),
+        })
     }
 
     /// Files as the input of a stage.
@@ -106,12 +116,14 @@ impl Ledger {
             && record.key == key
             && record.is_intact(&folder)
         {
+            self.warn(name, &said_before(&folder));
             self.say(&format!("{name}: unchanged"));
             self.stages.push((name.to_owned(), false));
             return Ok(());
         }
         let mut output = OutputFolder::new(&folder)?;
         let section = work(input, &mut output)?;
+        self.warn(name, &section.warnings);
         output.stage_json(SECTION, &json(serde_json::to_value(&section))?)?;
         let mut files = BTreeMap::new();
         for path in output.commit()? {
@@ -132,11 +144,18 @@ impl Ledger {
         Ok(())
     }
 
+    /// Says what a stage warns of, and remembers it for the verdict.
+    pub fn warn(&mut self, stage: &str, warnings: &[String]) {
+        warn(warnings);
+        self.warnings.extend(warnings.iter().map(|text| (stage.to_owned(), text.clone())));
+    }
+
     /// Records the failure of a part that the rest can do without.
     pub fn tolerate(&mut self, what: &str, result: Result<()>) {
         if let Err(error) = result {
             let text = format!("{what}: {error}");
             say(&format!("warning: {text}"));
+            self.warnings.push((what.to_owned(), error.to_string()));
             self.missing.push(text);
         }
     }
@@ -150,4 +169,10 @@ impl Ledger {
             say(line);
         }
     }
+}
+
+/// The warnings of a stage that an earlier run has done.
+fn said_before(folder: &Path) -> Vec<String> {
+    let text = fs::read(folder.join(SECTION)).unwrap_or_default();
+    serde_json::from_slice::<Section>(&text).map(|section| section.warnings).unwrap_or_default()
 }

@@ -20,6 +20,7 @@ mod run;
 mod simulate;
 mod stages;
 mod talk;
+mod verdict;
 
 use std::process::ExitCode;
 

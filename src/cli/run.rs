@@ -6,8 +6,9 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Args;
+use plenocal::calibration::{CalibrationOptions, Mode};
 use plenocal::detection::DepthEstimator;
-use plenocal::io::{OutputFolder, Project};
+use plenocal::io::{OutputFolder, Project, first_look};
 use plenocal::model::Subset;
 use plenocal::report::{HtmlReport, HtmlTable, Part, Section};
 use plenocal::{Error, Result, report};
@@ -16,8 +17,9 @@ use serde_json::{Value, json};
 use super::boards::{Shoot, images_of};
 use super::choices::{DEPTH_ESTIMATORS, choice};
 use super::ledger::{Ledger, SECTION};
-use super::stages::{CALIBRATION, CORNERS_ONLY, EVALUATION, Stages, VERDICT, calibration_options};
+use super::stages::{CALIBRATION, CORNERS_ONLY, EVALUATION, IMAGES, Stages, VERDICT};
 use super::talk::{print_result, say};
+use super::verdict::RunVerdict;
 
 /// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
 ///
@@ -75,6 +77,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
             "one fold leaves nothing to calibrate with: give --folds 0 for none, or 2 or more",
         ));
     }
+    let doubtful = first_look(&shoot.images).map_err(|e| e.in_file(path))?;
     // A folder that cannot be written is reported before the work, not after it.
     OutputFolder::new(&arguments.out)?;
     let mut ledger = Ledger::open(&arguments.out, path, arguments.force, arguments.json)?;
@@ -89,6 +92,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         pictures: !arguments.no_pictures,
         quiet: arguments.json,
     };
+    ledger.warn(IMAGES, &doubtful);
     stages.precalibration(&mut ledger)?;
     stages.boards(&mut ledger, Subset::Calibration)?;
     for subset in [Subset::Evaluation, Subset::Translation] {
@@ -106,9 +110,10 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let result = stages.evaluation(&mut ledger);
     ledger.tolerate("evaluation", result);
     ledger.manifest.write(&arguments.out)?;
-    let report = write_report(arguments, &ledger, begun.elapsed().as_secs_f64())?;
+    let verdict = verdict(arguments, &ledger)?;
+    let report = write_report(arguments, &ledger, &verdict, begun.elapsed().as_secs_f64())?;
 
-    print_results(arguments, &ledger, &report)?;
+    print_results(arguments, &ledger, &verdict, &report)?;
     let camera = read_json(&arguments.out.join(CALIBRATION).join("camera.json"))?;
     if camera["converged"].as_bool().unwrap_or(false) {
         return Ok(ExitCode::SUCCESS);
@@ -117,11 +122,24 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     Ok(ExitCode::from(3))
 }
 
+fn verdict(arguments: &Arguments, ledger: &Ledger) -> Result<RunVerdict> {
+    let folder = arguments.out.join(CALIBRATION);
+    let calibration = read_json(&folder.join("calibration.json"))?;
+    let section = read_json_section(&folder.join(VERDICT))?;
+    Ok(RunVerdict::of(&calibration, &section, &ledger.warnings))
+}
+
 /// Prints the camera and how good it is, or everything as JSON.
-fn print_results(arguments: &Arguments, ledger: &Ledger, report: &Path) -> Result<()> {
+fn print_results(
+    arguments: &Arguments,
+    ledger: &Ledger,
+    verdict: &RunVerdict,
+    report: &Path,
+) -> Result<()> {
     let folder = &arguments.out;
     let document = json!({
         "report": report.display().to_string(),
+        "verdict": verdict.document(),
         "calibration": read_json(&folder.join(CALIBRATION).join("calibration.json"))?,
         "evaluation": if ledger.has(EVALUATION) {
             read_json(&folder.join(EVALUATION).join("evaluation.json"))?
@@ -138,12 +156,7 @@ fn print_results(arguments: &Arguments, ledger: &Ledger, report: &Path) -> Resul
     if ledger.has(EVALUATION) {
         tables.extend(tables_of(&read_section(&folder.join(EVALUATION))?));
     }
-    let verdict = read_json_section(&folder.join(CALIBRATION).join(VERDICT))?;
-    let lines = verdict.parts.into_iter().filter_map(|part| match part {
-        Part::Text(line) => Some(line),
-        _ => None,
-    });
-    let mut texts = vec![lines.collect::<Vec<_>>().join("\n")];
+    let mut texts = vec![verdict.lines().join("\n")];
     texts.extend(tables.iter().map(ToString::to_string));
     print_result(arguments.json, &document, &texts.join("\n\n"), &[report.to_owned()]);
     Ok(())
@@ -183,9 +196,13 @@ fn tables_of(section: &Section) -> Vec<HtmlTable> {
 }
 
 /// Writes report.html from what the stages have written.
-fn write_report(arguments: &Arguments, ledger: &Ledger, time_s: f64) -> Result<PathBuf> {
-    let verdict = read_json_section(&arguments.out.join(CALIBRATION).join(VERDICT))?;
-    let mut sections = vec![verdict, overview(&arguments.project, ledger, time_s)];
+fn write_report(
+    arguments: &Arguments,
+    ledger: &Ledger,
+    verdict: &RunVerdict,
+    time_s: f64,
+) -> Result<PathBuf> {
+    let mut sections = vec![verdict.section(), overview(&arguments.project, ledger, time_s)];
     // First the results, then what they came from.
     let is_result = |name: &str| [CALIBRATION, EVALUATION].contains(&name);
     let (results, rest): (Vec<_>, Vec<_>) =
@@ -209,6 +226,7 @@ fn write_report(arguments: &Arguments, ledger: &Ledger, time_s: f64) -> Result<P
     };
     let mut output = OutputFolder::new(&arguments.out)?;
     output.stage(REPORT, |out| out.write_all(report.to_html().as_bytes()))?;
+    output.stage_json(VERDICT, &verdict.document())?;
     output.commit()?;
     Ok(arguments.out.join(REPORT))
 }
@@ -242,4 +260,16 @@ fn overview(project: &Path, ledger: &Ledger, time_s: f64) -> Section {
     );
     let texts: Vec<String> = ledger.missing.iter().cloned().chain([text]).collect();
     report::tables_section("Overview", vec![table], &texts)
+}
+
+/// The calibration options of a project; an error if they ask for poses only.
+fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOptions> {
+    if project.calibration.mode == Some(Mode::PosesOnly) {
+        return Err(Error::invalid(
+            "[calibration] says mode = \"poses-only\", but a run calibrates: leave it out, or use \
+             `plenocal extrinsics`",
+        )
+        .in_file(path));
+    }
+    Ok(project.calibration.options())
 }

@@ -15,7 +15,7 @@ use plenocal::io::{self, OutputFolder, Project, TruthSection, WhiteImage};
 use plenocal::model::{BapFeature, Board, Datasheet, Observations, Subset};
 use plenocal::precalibration::PrecalibrationOptions;
 use plenocal::report::{Figure, Part, Section};
-use plenocal::{Error, Result, report};
+use plenocal::{Result, report};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -24,8 +24,10 @@ use super::calibrate::{compared, stage_results};
 use super::evaluate::{calibrated, clouds, evaluated, read_candidate};
 use super::ledger::{InputFile, Ledger};
 use super::precalibrate;
-use super::talk::{warn, warn_of_calibration, warn_of_frames};
+use super::talk;
 
+/// The images that the project lists, before anything is done with them.
+pub const IMAGES: &str = "images";
 /// Names of the stages and of their folders.
 pub const PRECALIBRATION: &str = "precalibration";
 pub const CALIBRATION: &str = "calibration";
@@ -81,6 +83,8 @@ struct PrecalibrationInput<'a> {
 struct BoardsInput<'a> {
     camera: CameraInput<'a>,
     images: Vec<InputFile>,
+    /// Images that are the same as earlier ones.
+    repeated: Vec<Option<String>>,
     white: InputFile,
     precalibration: Vec<InputFile>,
     estimator: DepthEstimator,
@@ -163,7 +167,6 @@ impl Stages<'_> {
             };
             let (result, whites) =
                 precalibrate::measure(self.path, images, sheet, &options, self.quiet)?;
-            warn(&result.warnings);
             let document = io::precalibration_document(&result);
             output.stage_json("precalibration.json", &document)?;
             let figures = precalibrate::stage(output, &result, sheet, &whites)?;
@@ -182,6 +185,7 @@ impl Stages<'_> {
         let input = BoardsInput {
             camera: self.camera(),
             images: ledger.files(images_of(subset, &self.shoot.images)),
+            repeated: self.shoot.repeated(subset),
             white: ledger.file(white),
             precalibration: self.measured(ledger),
             estimator: self.estimator,
@@ -197,7 +201,6 @@ impl Stages<'_> {
             };
             let found =
                 boards::detect_subset(self.path, self.shoot, &micro_images, options, output)?;
-            warn(&found.warnings);
             let figures = boards::figures(&found, options);
             Ok(report::detection_section(subset.name(), &found, figures))
         })
@@ -260,13 +263,15 @@ impl Stages<'_> {
             let board = input.camera.board;
             let result = calibrate(&start, board, &observations, &options, &mut |_| true)?;
             let assessment = assess(&result, board)?;
-            if stage == CALIBRATION {
-                warn(&result.left_out);
-                warn_of_calibration(&result.warnings);
-                warn_of_frames(&assessment);
-            } else if !result.converged {
-                warn(&["the calibration with corners only has not converged"]);
-            }
+            let warnings = if stage == CALIBRATION {
+                let left_out = result.left_out.iter().map(ToString::to_string).collect();
+                [left_out, talk::of_calibration(&result.warnings), talk::of_frames(&assessment)]
+                    .concat()
+            } else if result.converged {
+                Vec::new()
+            } else {
+                vec!["the calibration with corners only has not converged".to_owned()]
+            };
             stage_results(output, &result, false)?;
             let time_s = begun.elapsed().as_secs_f64();
             let mut document = io::calibration_document(&result, &assessment, time_s);
@@ -281,6 +286,7 @@ impl Stages<'_> {
             output.stage_json(VERDICT, &json!(report::verdict_section(&assessment)))?;
             let mut section = report::calibration_section(title, &result, &assessment, figures);
             section.parts.extend(models);
+            section.warnings = warnings;
             Ok(section)
         })
     }
@@ -371,11 +377,11 @@ impl Stages<'_> {
         let (options, count) = (self.options.clone(), input.folds.min(frames));
         subjects.folds = (count > 1).then_some(Folds { start, observations, options, count });
         let found = evaluated(&candidates, &subjects, self.quiet);
-        warn(&found.problems);
         output.stage_json("evaluation.json", &io::evaluation_document(&found))?;
         let mut tables = vec![report::cameras_table(&initial, &candidates)];
         tables.extend(report::evaluation_tables(&found, &candidates));
-        Ok(report::tables_section("Evaluation", tables, &found.problems))
+        let section = report::tables_section("Evaluation", tables, &found.problems);
+        Ok(Section { warnings: found.problems, ..section })
     }
 }
 
@@ -383,16 +389,4 @@ fn stage_figures(output: &mut OutputFolder, figures: &[Figure]) -> Result<()> {
     figures.iter().try_for_each(|figure| {
         output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))
     })
-}
-
-/// The calibration options of a project; an error if they ask for poses only.
-pub fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOptions> {
-    if project.calibration.mode == Some(Mode::PosesOnly) {
-        return Err(Error::invalid(
-            "[calibration] says mode = \"poses-only\", but a run calibrates: leave it out, or use \
-             `plenocal extrinsics`",
-        )
-        .in_file(path));
-    }
-    Ok(project.calibration.options())
 }

@@ -22,24 +22,24 @@ pub fn warn(warnings: &[impl Display]) {
     }
 }
 
-/// Prints the warnings of a calibration, each with the option that helps.
-pub fn warn_of_calibration(warnings: &[Warning]) {
-    for warning in warnings {
+/// The warnings of a calibration, each with the option that helps.
+pub fn of_calibration(warnings: &[Warning]) -> Vec<String> {
+    let with_option = |warning: &Warning| {
         let option = match warning {
             Warning::OutlyingCenters { .. } => " (--loss)",
             Warning::Undetermined { .. } => " (--fix)",
             Warning::AnchorPulled(_) => " (--anchor)",
             _ => "",
         };
-        say(&format!("warning: {warning}{option}"));
-    }
+        format!("{warning}{option}")
+    };
+    warnings.iter().map(with_option).collect()
 }
 
-/// Names the frames that do not fit, each with the option that leaves it out.
-pub fn warn_of_frames(assessment: &Assessment) {
-    for frame in &assessment.outliers.frames {
-        say(&format!("warning: {frame} (--exclude {})", frame.frame));
-    }
+/// The frames that do not fit, each with the option that leaves it out.
+pub fn of_frames(assessment: &Assessment) -> Vec<String> {
+    let frames = assessment.outliers.frames.iter();
+    frames.map(|frame| format!("{frame} (--exclude {})", frame.frame)).collect()
 }
 
 /// Says what went wrong, and what helps.

@@ -18,5 +18,5 @@ pub use stage::{
     Candidate, CandidateResult, Evaluation, EvaluationInput, Folds, PosePairs, Posed, evaluate,
     pose_boards,
 };
-pub use translation::{Displacement, Displacements, Spread};
+pub use translation::{Displacement, Displacements, Spread, StepDoubt};
 pub use truth::{ParameterError, PoseErrors, parameter_errors, pose_errors, shape_errors};

@@ -133,7 +133,7 @@ pub struct Evaluation {
     pub poses: Vec<(String, PoseErrors)>,
     /// The result of the cross-validation.
     pub folds: Option<CrossValidation>,
-    /// What could not be evaluated, and why.
+    /// What could not be evaluated, and why; and what known steps speak against.
     pub problems: Vec<String>,
 }
 
@@ -166,6 +166,9 @@ pub fn evaluate(
         .iter()
         .map(|candidate| candidate_result(candidate, input, &mut problems))
         .collect();
+    let moved = results.first().and_then(|result| result.translation.as_ref());
+    let doubts = moved.into_iter().flat_map(Displacements::doubts);
+    problems.extend(doubts.map(|doubt| doubt.text(input.board.square_mm)));
     let step_mm = input.translation.as_ref().map(|(_, step_mm)| *step_mm);
     let clouds = step_mm.filter(|_| !input.clouds_mm.is_empty()).and_then(|step_mm| {
         kept("point clouds", Displacements::of(&input.clouds_mm, step_mm), &mut problems)

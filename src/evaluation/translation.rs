@@ -3,6 +3,7 @@
 
 use crate::error::{Error, Result};
 use crate::model::{Board, FramePose};
+use crate::numerics::median;
 
 /// Displacement of the board between two frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,6 +58,61 @@ pub struct Displacements {
     pub steps: Vec<Displacement>,
     /// From the first frame to the last.
     pub whole: Displacement,
+    /// Whether poses moved against the sign of the step. Distances of other software have a direction of their own.
+    pub reversed: bool,
+}
+
+/// What known steps say against a camera, its board, or themselves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum StepDoubt {
+    /// The board moved the other way.
+    Reversed,
+    /// One step is so many times as long as the others.
+    Uneven {
+        /// That step.
+        step: Displacement,
+        /// Its length over that of the others.
+        ratio: f64,
+    },
+    /// All steps together come out so many times as long as they are known to be.
+    Scale {
+        /// Measured over known.
+        ratio: f64,
+        /// The known step, mm.
+        step_mm: f64,
+    },
+}
+
+/// A step that differs by more than this from the typical one is no step of the series.
+const UNEVEN: f64 = 0.3;
+/// Steps that are more than this off, and more than so many of their σ, contradict the scale.
+const SCALE: f64 = 0.01;
+const SCALE_STD_DEVS: f64 = 3.0;
+
+impl StepDoubt {
+    /// What it means for squares of this edge, mm.
+    #[must_use]
+    pub fn text(&self, square_mm: f64) -> String {
+        match self {
+            Self::Reversed => {
+                "the board of the translation moved the other way: step_mm is negative towards the \
+                               camera; change its sign, or the order of the images"
+                    .to_owned()
+            }
+            Self::Uneven { step, ratio } => format!(
+                "the step of the translation from frame {} to {} is {ratio:.2} times as long as the others: an image is \
+                 missing, there twice, or out of order",
+                step.from, step.to
+            ),
+            Self::Scale { ratio, step_mm } => format!(
+                "the known steps of the translation come out {ratio:.3} times as long as they are: if step_mm is right, \
+                 the squares of the board are {:.4} mm and not {square_mm} mm (square_mm); if these are right, the step \
+                 is {:.4} mm and not {step_mm} mm (step_mm). Measure both",
+                square_mm / ratio,
+                step_mm * ratio
+            ),
+        }
+    }
 }
 
 impl Displacements {
@@ -90,7 +146,39 @@ impl Displacements {
         Ok(Self {
             steps: sorted.windows(2).map(|pair| between(pair[0], pair[1])).collect(),
             whole: between(first, last),
+            reversed: false,
         })
+    }
+
+    /// What they say against the camera, the board, or themselves.
+    #[must_use]
+    pub fn doubts(&self) -> Vec<StepDoubt> {
+        let ratio = |step: &Displacement| step.measured_mm / step.true_mm;
+        let mut doubts = Vec::new();
+        if self.reversed {
+            doubts.push(StepDoubt::Reversed);
+        }
+        // Images that are out of order leave the whole way nearly as it is.
+        let whole = ratio(&self.whole);
+        let of_steps = || median(self.steps.iter().map(ratio)).unwrap_or(whole);
+        let typical = if (whole - 1.0).abs() < UNEVEN { 1.0 } else { of_steps() };
+        let uneven = |step: &&Displacement| (ratio(step) / typical - 1.0).abs() > UNEVEN;
+        let mut even: Vec<f64> = Vec::new();
+        for step in &self.steps {
+            if self.steps.len() > 2 && uneven(&step) {
+                doubts.push(StepDoubt::Uneven { step: *step, ratio: ratio(step) / typical });
+            } else {
+                even.push(ratio(step));
+            }
+        }
+        let spread = Spread::of(even.iter().copied());
+        let std_dev = spread.std_dev.unwrap_or(0.0) / (even.len() as f64).sqrt();
+        let all = even.len() == self.steps.len();
+        if all && (spread.mean - 1.0).abs() > SCALE.max(SCALE_STD_DEVS * std_dev) {
+            let step_mm = self.whole.true_mm / f64::from(self.whole.to - self.whole.from);
+            doubts.push(StepDoubt::Scale { ratio: spread.mean, step_mm });
+        }
+        doubts
     }
 
     /// Displacements from poses, measured at the middle of the board, where the distance is most
@@ -100,7 +188,10 @@ impl Displacements {
         let middle = nalgebra::center(&corners[0], &corners[1]);
         let distances: Vec<(u32, f64)> =
             poses.iter().map(|p| (p.frame, (p.camera_from_board * middle).z)).collect();
-        Self::of(&distances, step_mm)
+        let found = Self::of(&distances, step_mm)?;
+        let distance = |frame: u32| distances.iter().find(|d| d.0 == frame).map_or(0.0, |d| d.1);
+        let way_mm = distance(found.whole.to) - distance(found.whole.from);
+        Ok(Self { reversed: way_mm * step_mm < 0.0, ..found })
     }
 
     /// Relative errors of the steps.
@@ -135,5 +226,37 @@ mod tests {
         assert_eq!(Displacements::of(&turned, 10.0).unwrap(), all);
         assert!(Displacements::of(&distances[..1], 10.0).is_err());
         assert!(Displacements::of(&distances, 0.0).is_err());
+    }
+
+    /// Distances of 300 mm and on, whose steps are these.
+    fn moved(steps_mm: &[f64]) -> Displacements {
+        let place = |i: usize| 300.0 + steps_mm[..i].iter().sum::<f64>();
+        let places = (0..=steps_mm.len()).map(place);
+        let distances: Vec<(u32, f64)> = (0..).zip(places).collect();
+        Displacements::of(&distances, 10.0).unwrap()
+    }
+
+    #[test]
+    fn steps_tell_what_is_wrong_with_them() {
+        assert!(moved(&[10.0, 10.01, 9.99, 10.02]).doubts().is_empty());
+        let [StepDoubt::Scale { ratio, step_mm }] = moved(&[9.0, 9.01, 8.99, 9.0]).doubts()[..]
+        else {
+            panic!("no scale");
+        };
+        assert!((ratio - 0.9).abs() < 1e-9 && (step_mm - 10.0).abs() < 1e-12);
+        let text = StepDoubt::Scale { ratio, step_mm }.text(3.0);
+        assert!(text.contains("3.3333 mm") && text.contains("9.0000 mm"), "{text}");
+        // An image is missing between frames 1 and 2.
+        let [StepDoubt::Uneven { step, ratio }] = moved(&[10.0, 20.0, 10.0, 10.0]).doubts()[..]
+        else {
+            panic!("no uneven step");
+        };
+        assert!((step.from, step.to) == (1, 2) && (ratio - 2.0).abs() < 1e-9);
+        // Two images in the other's place.
+        let swapped = moved(&[20.0, -10.0, 20.0, 10.0]).doubts();
+        assert_eq!(swapped.len(), 3);
+        assert!(swapped.iter().all(|doubt| matches!(doubt, StepDoubt::Uneven { .. })));
+        // Scattering steps do not contradict the scale.
+        assert!(moved(&[10.9, 9.6, 10.8, 9.4]).doubts().is_empty());
     }
 }

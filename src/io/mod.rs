@@ -10,6 +10,7 @@ pub mod compote;
 mod data_set_folder;
 mod detection_file;
 mod evaluation_file;
+mod first_look;
 mod image_file;
 mod image_folder;
 mod input;
@@ -39,6 +40,7 @@ pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camer
 pub use data_set_folder::{image_name, stage_data_set};
 pub use detection_file::detection_document;
 pub use evaluation_file::evaluation_document;
+pub use first_look::{first_look, repeated};
 pub use image_file::{read_image, write_jpeg, write_png};
 pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{

@@ -137,6 +137,14 @@ pub struct ImagesSection {
 }
 
 impl ImagesSection {
+    /// All image files.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        let whites = self.whites.iter().map(|white| &white.image).chain(&self.devignetting);
+        let moved = self.translation.iter().flat_map(|t| &t.images);
+        let boards = self.calibration.iter().chain(&self.evaluation).chain(moved);
+        whites.chain(boards).map(PathBuf::as_path)
+    }
+
     fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let whites = self.whites.iter_mut().map(|white| &mut white.image);
         let moved =

@@ -127,5 +127,5 @@ pub(super) fn two_digits(value: f64) -> String {
 #[must_use]
 pub fn verdict_section(assessment: &Assessment) -> Section {
     let parts = verdict_lines(assessment).into_iter().map(Part::Text).collect();
-    Section { title: "Verdict".to_owned(), parts }
+    Section { title: "Verdict".to_owned(), parts, ..Section::default() }
 }

@@ -26,6 +26,9 @@ pub struct Section {
     pub title: String,
     /// In order.
     pub parts: Vec<Part>,
+    /// What was said as warnings when it was made, to be said again.
+    #[serde(default)]
+    pub warnings: Vec<String>,
 }
 
 /// A part of a section.
@@ -314,7 +317,7 @@ mod tests {
     }
 
     fn page(parts: Vec<Part>) -> String {
-        let sections = vec![Section { title: "R & D".into(), parts }];
+        let sections = vec![Section { title: "R & D".into(), parts, ..Section::default() }];
         HtmlReport { title: "<T>".into(), subtitle: String::new(), sections }.to_html()
     }
 

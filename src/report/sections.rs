@@ -40,7 +40,7 @@ pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> 
         radii_table(result).captioned("Radii of the micro-images by f-number and lens type"),
     ));
     parts.extend(figures.into_iter().map(Part::Figure));
-    Section { title: "Pre-calibration".to_owned(), parts }
+    Section { title: "Pre-calibration".to_owned(), parts, warnings: result.warnings.clone() }
 }
 
 /// The boards of a subset, frame by frame.
@@ -56,7 +56,7 @@ pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Fig
     if !others.is_empty() {
         parts.push(Part::Details { summary: "The other frames".to_owned(), parts: others });
     }
-    Section { title: format!("Boards: {subset}"), parts }
+    Section { title: format!("Boards: {subset}"), parts, warnings: boards.warnings.clone() }
 }
 
 /// Parameters with their standard deviations, errors, and figures.
@@ -87,7 +87,7 @@ pub fn calibration_section(
         errors_table(calibration).captioned("Reprojection errors, px, root mean square"),
     ));
     parts.extend(figures.into_iter().map(Part::Figure));
-    Section { title: title.to_owned(), parts }
+    Section { title: title.to_owned(), parts, ..Section::default() }
 }
 
 /// Tables under a title.
@@ -95,7 +95,7 @@ pub fn calibration_section(
 pub fn tables_section(title: &str, tables: Vec<HtmlTable>, texts: &[String]) -> Section {
     let texts = texts.iter().map(|text| Part::Text(text.clone()));
     let parts = tables.into_iter().map(Part::Table).chain(texts).collect();
-    Section { title: title.to_owned(), parts }
+    Section { title: title.to_owned(), parts, ..Section::default() }
 }
 
 impl Section {

@@ -96,10 +96,11 @@ fn report(figures: Vec<Figure>) -> HtmlReport {
         title: "Calibration".into(),
         subtitle: "The shipped feature set".into(),
         sections: vec![
-            Section { title: "Residuals".into(), parts: pictures(first) },
+            Section { title: "Residuals".into(), parts: pictures(first), ..Section::default() },
             Section {
                 title: "Camera".into(),
                 parts: vec![Part::Text("One.\n\nTwo.".into()), Part::Table(table), details],
+                ..Section::default()
             },
         ],
     }

@@ -148,7 +148,8 @@ fn errors(set: &Set, calibration: &Value, evaluation: Option<&Value>) -> (bool, 
     let way = evaluation.map(|e| &e["cameras"][0]["translation"]["whole_way"]);
     if let Some(way) = way.filter(|way| way.is_object() && set.step_mm != 0.0) {
         let steps = number(&way["to"]) - number(&way["from"]);
-        let error = number(&way["measured_mm"]) / (steps * set.step_mm) - 1.0;
+        // The sign is that of the stated step.
+        let error = number(&way["measured_mm"]).abs() / (steps * set.step_mm) - 1.0;
         let off = error.is_nan() || error.abs() > WRONG_SPACE;
         wrong |= off;
         text += &format!("space {:+.1} %{}", 100.0 * error, if off { "!" } else { "" });

@@ -20,7 +20,7 @@ fn change(
 }
 
 pub fn mistakes() -> Vec<Mistake> {
-    [tones(), compressed(), filtered(), placed(), marred(), formats()]
+    [tones(), compressed(), filtered(), placed(), resized(), marred(), formats()]
         .into_iter()
         .flatten()
         .collect()
@@ -187,6 +187,12 @@ fn placed() -> Vec<Mistake> {
             move |image| pixels::enlarged(image, by, by),
         ));
     }
+    all
+}
+
+/// Another number of pixels, or another side up.
+fn resized() -> Vec<Mistake> {
+    let mut all = Vec::new();
     let half = |image: image::GrayImage| {
         imageops::resize(&image, image.width() / 2, image.height() / 2, imageops::Triangle)
     };

@@ -1,0 +1,146 @@
+//! A first look at the image files of a project, before anything is computed with them.
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::ImagesSection;
+use super::manifest::hash_file;
+use crate::error::{Error, Result};
+
+/// What a JPEG file begins with.
+const JPEG: [u8; 2] = [0xff, 0xd8];
+
+/// Looks at all image files that a project lists. What is doubtful comes back, with its remedy.
+///
+/// An error if a file does not exist, or if two white images of different f-numbers are one and the same.
+pub fn first_look(images: &ImagesSection) -> Result<Vec<String>> {
+    if let Some(path) = images.files().find(|path| !path.exists()) {
+        let source = std::io::Error::from(std::io::ErrorKind::NotFound);
+        return Err(Error::Read { path: path.to_owned(), source });
+    }
+    let whites: Vec<&Path> = images.whites.iter().map(|white| white.image.as_path()).collect();
+    for (white, before) in whites.iter().zip(repeated(&[], &whites)) {
+        if let Some(before) = before {
+            return Err(Error::invalid(format!(
+                "{before} and {} are the same image: list the white image of each f-number once",
+                name(white)
+            )));
+        }
+    }
+    Ok(compressed(images).into_iter().collect())
+}
+
+/// For each image, the name of one with the same content among those `before` it or earlier in the list. A frame that
+/// counts twice makes σ too small, and one that was calibrated with evaluates nothing.
+#[must_use]
+pub fn repeated<P: AsRef<Path> + Sync>(before: &[P], images: &[P]) -> Vec<Option<String>> {
+    // One that cannot be read is reported when its turn comes.
+    let hash = |path: &P| hash_file(path.as_ref()).ok();
+    let all: Vec<&P> = before.iter().chain(images).collect();
+    let hashes: Vec<Option<String>> = all.par_iter().map(|path| hash(path)).collect();
+    let mut seen: HashMap<String, String> = HashMap::new();
+    let mut found = Vec::new();
+    for (path, hash) in all.into_iter().zip(hashes) {
+        let first = hash.and_then(|hash| match seen.entry(hash) {
+            Entry::Occupied(first) => Some(first.get().clone()),
+            Entry::Vacant(place) => {
+                place.insert(name(path.as_ref()));
+                None
+            }
+        });
+        found.push(first);
+    }
+    found.split_off(before.len())
+}
+
+/// JPEG files: their blocks of 8 px move edges and change the profile of micro-images.
+fn compressed(images: &ImagesSection) -> Option<String> {
+    let jpegs: Vec<&Path> = images.files().filter(|path| is_jpeg(path)).collect();
+    Some(format!(
+        "{} image(s) are JPEG (the first is {}): compression moves edges and widens them, and d, fᵢ and m come out wrong by \
+         per cents; take images without loss (PNG, TIFF)",
+        jpegs.len(),
+        name(jpegs.first()?)
+    ))
+}
+
+fn is_jpeg(path: &Path) -> bool {
+    let mut head = [0; 2];
+    File::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok() && head == JPEG
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::super::WhiteImage;
+    use super::*;
+    use crate::image::Color;
+
+    /// Files of these contents.
+    fn files(contents: &[&[u8]]) -> (tempfile::TempDir, Vec<PathBuf>) {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |(i, content): (usize, &&[u8])| {
+            let path = folder.path().join(format!("{i}.png"));
+            std::fs::write(&path, content).unwrap();
+            path
+        };
+        let paths = contents.iter().enumerate().map(write).collect();
+        (folder, paths)
+    }
+
+    fn section(whites: &[PathBuf], calibration: &[PathBuf]) -> ImagesSection {
+        let white =
+            |path: &PathBuf| WhiteImage { image: path.clone(), f_number: Some(8.0), stop: None };
+        ImagesSection {
+            color: Color::Grey,
+            black_level: None,
+            whites: whites.iter().map(white).collect(),
+            devignetting: None,
+            calibration: calibration.to_vec(),
+            evaluation: Vec::new(),
+            translation: None,
+        }
+    }
+
+    #[test]
+    fn images_that_came_before_are_named() {
+        let (_folder, paths) = files(&[b"a", b"b", b"a", b"c", b"b"]);
+        let before = |name: &str| Some(name.to_owned());
+        assert_eq!(repeated(&[], &paths[..3]), [None, None, before("0.png")]);
+        assert_eq!(repeated(&paths[..3], &paths[3..]), [None, before("1.png")]);
+        // Files that cannot be read are not the same.
+        let none = [paths[0].with_extension("x"), paths[0].with_extension("y")];
+        assert_eq!(repeated(&[], &none), [None, None]);
+    }
+
+    #[test]
+    fn whites_that_are_one_and_missing_files_are_errors() {
+        let (folder, paths) = files(&[b"a", b"a"]);
+        let error = first_look(&section(&paths, &[])).unwrap_err().to_string();
+        assert!(error.starts_with("0.png and 1.png are the same image"), "{error}");
+        let missing = [folder.path().join("none.png")];
+        let error = first_look(&section(&paths[..1], &missing)).unwrap_err().to_string();
+        assert!(error.contains("none.png"), "{error}");
+    }
+
+    #[test]
+    fn jpeg_files_are_named_whatever_they_are_called() {
+        let (_folder, paths) = files(&[b"a", &[0xff, 0xd8, 0xff]]);
+        let warnings = first_look(&section(&[], &paths)).unwrap();
+        assert_eq!(warnings.len(), 1);
+        assert!(
+            warnings[0].starts_with("1 image(s) are JPEG (the first is 1.png)"),
+            "{warnings:?}"
+        );
+    }
+}
