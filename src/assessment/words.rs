@@ -5,6 +5,11 @@ use std::fmt;
 use super::outliers::{Influence, OutlyingFrame};
 use super::{Reason, Verdict};
 
+/// Residuals of a frame that are as large as those of the others are not worth a word.
+const LARGER: f64 = 1.25;
+/// σ of what is hardly determined say nothing any more.
+const MOST_STD_DEVS: f64 = 1e3;
+
 impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -90,15 +95,41 @@ impl fmt::Display for Reason {
 impl fmt::Display for OutlyingFrame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { frame, residual_ratio, influence } = self;
-        write!(
-            f,
-            "frame {frame} does not fit the others: its residuals are {residual_ratio:.1} times theirs"
-        )?;
-        match influence {
-            Some(Influence { parameter, std_devs }) => {
-                write!(f, ", and without it {parameter} moves by {std_devs:.1} σ")
-            }
-            None => Ok(()),
+        write!(f, "frame {frame} does not fit the others: ")?;
+        let larger = *residual_ratio > LARGER;
+        if larger || influence.is_none() {
+            write!(f, "its residuals are {residual_ratio:.1} times theirs")?;
         }
+        let Some(Influence { parameter, std_devs }) = influence else { return Ok(()) };
+        f.write_str(if larger { ", and " } else { "" })?;
+        if *std_devs > MOST_STD_DEVS {
+            write!(f, "without it {parameter} is another one altogether")
+        } else {
+            write!(f, "without it {parameter} moves by {std_devs:.1} σ")
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_described_by_what_is_remarkable_about_them() {
+        let frame = |residual_ratio, influence: Option<f64>| {
+            let influence = influence.map(|std_devs| Influence { parameter: "F", std_devs });
+            OutlyingFrame { frame: 4, residual_ratio, influence }.to_string()
+        };
+        let begins = "frame 4 does not fit the others: ";
+        assert_eq!(frame(2.0, None), format!("{begins}its residuals are 2.0 times theirs"));
+        assert_eq!(frame(0.7, Some(7.0)), format!("{begins}without it F moves by 7.0 σ"));
+        assert_eq!(
+            frame(3.0, Some(5.0)),
+            format!("{begins}its residuals are 3.0 times theirs, and without it F moves by 5.0 σ")
+        );
+        assert_eq!(
+            frame(1.0, Some(1e9)),
+            format!("{begins}without it F is another one altogether")
+        );
     }
 }

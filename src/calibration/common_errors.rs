@@ -98,16 +98,15 @@ pub(super) fn common_errors(
             });
         }
     }
-    add("blur", Vec::new(), &|i, f| match f.levers_px {
-        Some(_) => [
-            (f.u_px - own_centers[i][0]) * BLUR_MODEL,
-            (f.v_px - own_centers[i][1]) * BLUR_MODEL,
-            0.0,
-        ],
-        None => [0.0; 3],
-    });
+    add("blur", Vec::new(), &|i, f| of_blur_model(f, own_centers[i]));
     errors.extend(of_centroids(internal, features.len(), centers));
     Ok(errors)
+}
+
+/// How far a corner may be from where it is, in proportion to its distance from the centre of its micro-image, px.
+fn of_blur_model(feature: &BapFeature, own_center: [f64; 2]) -> [f64; 3] {
+    let [u, v] = [feature.u_px - own_center[0], feature.v_px - own_center[1]];
+    feature.levers_px.map_or([0.0; 3], |_| [u * BLUR_MODEL, v * BLUR_MODEL, 0.0])
 }
 
 /// Errors of the lean along both axes, px⁻¹: what each has of its own, and what they share.

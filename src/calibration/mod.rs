@@ -5,6 +5,7 @@ mod board;
 mod checks;
 mod common_errors;
 mod fill_factor;
+mod focus;
 mod frames;
 mod initial;
 mod options;

@@ -1,6 +1,6 @@
 //! Initial poses: PnP on the barycentres of the observations of each corner (paper, section 5.2).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{
     Isometry3, Matrix3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector3,
@@ -27,6 +27,23 @@ pub fn initial_poses(
     board: &Board,
     features: &[BapFeature],
 ) -> Result<Vec<Isometry3<f64>>, NoPose> {
+    let mut candidates = poses_of_board(camera, board, features)?;
+    let seen: BTreeSet<i32> = features.iter().map(|f| f.corner).collect();
+    let points: Vec<Point3<f64>> = seen.into_iter().map(|corner| board.point_mm(corner)).collect();
+    candidates
+        .retain(|pose| points.iter().all(|p| (pose * p).z > camera.main_lens.focal_length_mm));
+    if candidates.is_empty() {
+        return Err(NoPose::BehindFocalPlane);
+    }
+    Ok(candidates)
+}
+
+/// The same, wherever they put the board.
+pub(super) fn poses_of_board(
+    camera: &PlenopticCamera,
+    board: &Board,
+    features: &[BapFeature],
+) -> Result<Vec<Isometry3<f64>>, NoPose> {
     let mut sums: BTreeMap<i32, (Point2<f64>, f64)> = BTreeMap::new();
     for f in features {
         let (sum, count) = sums.entry(f.corner).or_insert((Point2::origin(), 0.0));
@@ -44,12 +61,7 @@ pub fn initial_poses(
     }
     let mut candidates =
         solve_pnp(camera, &points, &pixels).map_err(|error| NoPose::PnpFailed(error.message))?;
-    candidates
-        .retain(|(pose, _)| points.iter().all(|p| (pose * p).z > camera.main_lens.focal_length_mm));
     candidates.sort_by(|a, b| a.1.total_cmp(&b.1));
-    if candidates.is_empty() {
-        return Err(NoPose::BehindFocalPlane);
-    }
     Ok(candidates.into_iter().map(|(pose, _)| pose).collect())
 }
 

@@ -11,6 +11,7 @@ use crate::calibration::checks::{
 };
 use crate::calibration::common_errors::common_errors;
 use crate::calibration::fill_factor::{with_fill_factor, with_that_of_start};
+use crate::calibration::focus::refocused;
 use crate::calibration::frames::{
     Frames, feature_residuals, initial_frames, solver_centers, solver_features,
 };
@@ -63,6 +64,9 @@ pub fn calibrate(
     let fill = FillMeasurement::of(&start, grid.as_ref(), &observations.features)?;
     let start = with_fill_factor(start, grid.as_ref(), fill.as_ref());
     let initial = checked_start(&start, grid.as_ref(), &observations, options)?;
+    let refocused = refocused(&start, &initial, board, &observations.features, options);
+    let (start, misfocused) = refocused.unwrap_or((start, None));
+    let initial = start_camera(&start, grid.as_ref(), options)?;
     observations.features = with_that_of_start(observations.features, &start, &initial.lattice);
     let board = BentBoard { board: *board, shape: options.known_shape() };
     let mut frames = frames_with_poses(&initial, &board, &observations, options)?;
@@ -93,6 +97,7 @@ pub fn calibrate(
     let converged = is_converged(&refinement, &uncertainty, &reprojection);
     let results = results(anchors, &refinement.camera, &refinement.shape);
     let mut warnings = warnings_before(&initial, grid.as_ref(), &observations);
+    warnings.extend(misfocused);
     warnings.extend(pulled(&results));
     warnings.extend(undetermined(&refinement.camera, &uncertainty));
     warnings.extend(bad_fit(&refinement.camera, &reprojection));
@@ -123,13 +128,18 @@ pub fn calibrate(
 /// The camera that a calibration of these observations starts from.
 pub fn initial_from(
     start: &Start,
+    board: &Board,
     observations: &Observations,
     options: &CalibrationOptions,
 ) -> Result<PlenopticCamera> {
     let grid = fitted_grid(start, observations)?;
     let fill = FillMeasurement::of(start, grid.as_ref(), &observations.features)?;
     let start = with_fill_factor(start.clone(), grid.as_ref(), fill.as_ref());
-    start_camera(&start, grid.as_ref(), options)
+    let initial = start_camera(&start, grid.as_ref(), options)?;
+    match refocused(&start, &initial, board, &observations.features, options) {
+        Some((start, _)) => start_camera(&start, grid.as_ref(), options),
+        None => Ok(initial),
+    }
 }
 
 /// The camera to start from; an error unless it, the grid of the centres, if there are any, and the observations belong

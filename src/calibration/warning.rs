@@ -78,6 +78,13 @@ pub enum Warning {
         /// Why.
         reason: String,
     },
+    /// The main lens is focused at another distance than stated.
+    FocusDistance {
+        /// As stated, mm from the sensor.
+        stated_mm: f64,
+        /// By the boards, mm.
+        by_boards_mm: f64,
+    },
     /// All boards are nearly parallel to the image plane.
     FrontoParallel {
         /// The largest tilt, degrees.
@@ -155,6 +162,9 @@ impl fmt::Display for Warning {
                 "the board is not flat, and has the shape of a first trial, with anchors that hold it to be flat; \
                  a second refinement without them failed: {reason}. Measure the board, and state its shape"
             ),
+            Self::FocusDistance { stated_mm, by_boards_mm } => {
+                f.write_str(&focus_text(*stated_mm, *by_boards_mm))
+            }
             Self::FrontoParallel { largest_tilt_deg } => write!(
                 f,
                 "all boards are fronto-parallel (tilted by at most {largest_tilt_deg:.1} degrees): \
@@ -163,6 +173,15 @@ impl fmt::Display for Warning {
             ),
         }
     }
+}
+
+/// That the lens is focused at another distance.
+fn focus_text(stated_mm: f64, by_boards_mm: f64) -> String {
+    format!(
+        "the boards say that the lens is focused at about {by_boards_mm:.0} mm and not at {stated_mm} mm: the calibration starts \
+         from there. Check the focus distance (focus_distance_mm), the focal length (focal_length_mm) and the size of the \
+         squares (square_mm)"
+    )
 }
 
 /// That two lens types, from 0, have other fill factors.

@@ -354,7 +354,7 @@ impl Stages<'_> {
         };
         let candidates = self.candidates(input)?;
         let (start, observations) = (self.start()?, self.observations()?);
-        let initial = initial_from(&start, &observations, &self.options)?;
+        let initial = initial_from(&start, &self.shoot.board, &observations, &self.options)?;
         let translation = features(&input.translation)?;
         let truth = input.truth.as_ref();
         let mut subjects = EvaluationInput::new(self.shoot.board);

@@ -19,9 +19,8 @@ const JPEG: [u8; 2] = [0xff, 0xd8];
 ///
 /// An error if a file does not exist, or if two white images of different f-numbers are one and the same.
 pub fn first_look(images: &ImagesSection) -> Result<Vec<String>> {
-    if let Some(path) = images.files().find(|path| !path.exists()) {
-        let source = std::io::Error::from(std::io::ErrorKind::NotFound);
-        return Err(Error::Read { path: path.to_owned(), source });
+    for path in images.files() {
+        path.metadata().map_err(|source| Error::Read { path: path.to_owned(), source })?;
     }
     let whites: Vec<&Path> = images.whites.iter().map(|white| white.image.as_path()).collect();
     for (white, before) in whites.iter().zip(repeated(&[], &whites)) {

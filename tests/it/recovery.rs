@@ -1,12 +1,12 @@
 //! A calibration recovers the known truth.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
-use plenocal::calibration::{CalibrationOptions, Mode, Start, initial_poses};
-use plenocal::model::{FramePose, Noise, intrinsic_parameters};
+use plenocal::calibration::{CalibrationOptions, Mode, Start, Warning, initial_poses};
+use plenocal::model::{Datasheet, FramePose, Noise, intrinsic_parameters};
 use plenocal::solver::{BEYOND_THE_PAPER, Loss, LossKind, synthesize};
 
 use crate::support::{
-    NO_NOISE, board, datasheet_start, drawn, options, pairs, run, shipped_observations,
+    NO_NOISE, anchored, board, datasheet_start, drawn, options, pairs, run, shipped_observations,
     true_camera, true_poses,
 };
 
@@ -221,4 +221,38 @@ fn the_covariance_agrees_with_monte_carlo() {
         }
     }
     assert!(failures.is_empty(), "{failures:?}");
+}
+
+/// The boards say where the lens is focused: with another distance stated, the refinement starts from there.
+#[test]
+fn a_wrong_focus_distance_is_noticed_and_mended() {
+    let observations = shipped_observations();
+    let right = run(&datasheet_start(), &observations, &anchored());
+    assert!(!right.warnings.iter().any(|w| matches!(w, Warning::FocusDistance { .. })));
+    let Start::Datasheet(sheet, internal) = datasheet_start() else { unreachable!() };
+    for wrong in [0.6, 2.0, 5.0, f64::INFINITY] {
+        let focus_distance_mm = wrong * sheet.focus_distance_mm;
+        let start = Start::Datasheet(Datasheet { focus_distance_mm, ..sheet }, internal.clone());
+        let found = run(&start, &observations, &anchored());
+        assert!(found.converged, "{wrong}");
+        // The weight of the anchors is measured on the way, so that the end depends on it a little.
+        let std_devs = right.uncertainty.intrinsic_std_devs(3);
+        let pairs = pairs(&found.camera, &right.camera);
+        for ((name, value, expected), std_dev) in pairs.iter().zip(&std_devs) {
+            let off = (value - expected).abs();
+            assert!(off <= 0.3 * std_dev.unwrap_or(1e-9), "{wrong}: {name} is {off} off");
+        }
+        let noticed = found.warnings.iter().find_map(|warning| match warning {
+            Warning::FocusDistance { by_boards_mm, .. } => Some(*by_boards_mm),
+            _ => None,
+        });
+        let by_boards = noticed.expect("it is noticed") / sheet.focus_distance_mm;
+        assert!((0.7..1.4).contains(&by_boards), "{wrong}: {by_boards} of the true distance");
+    }
+    // What is held to a value starts there.
+    let mut held = anchored();
+    held.cost.fixed = vec!["D".to_owned()];
+    held.default_anchors = false;
+    let found = run(&datasheet_start(), &observations, &held);
+    assert!(!found.warnings.iter().any(|w| matches!(w, Warning::FocusDistance { .. })));
 }
