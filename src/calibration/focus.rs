@@ -17,7 +17,7 @@ const FARTHEST: f64 = 1000.0;
 const TRIALS: u32 = 300;
 /// What is stated stands if D is within this of that by the boards, relative; thin lenses and poses from barycentres are no
 /// better. A difference of a few of it is that of F, and worth no word.
-const AGREES: f64 = 0.01;
+const AGREES: f64 = 0.015;
 const REMARKABLE: f64 = 0.03;
 /// Or if it explains the virtual depths as well as this, relative to what the boards say.
 const AS_WELL: f64 = 1.5;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use std::{env, fs};
 
-use plenocal::io::{self, Manifest, OutputFolder, StageRecord};
+use plenocal::io::{self, FolderLock, Manifest, OutputFolder, StageRecord};
 use plenocal::report::Section;
 use plenocal::{Error, Result};
 use rayon::prelude::*;
@@ -39,11 +39,14 @@ pub struct Ledger {
     pub missing: Vec<String>,
     /// Warnings, each with its stage.
     pub warnings: Vec<(String, String)>,
+    /// Two runs at once would mix their stages.
+    _held: FolderLock,
 }
 
 impl Ledger {
     /// Starts a run into a folder, in which an earlier run may have done some stages.
     pub fn open(out: &Path, project: &Path, force: bool, quiet: bool) -> Result<Self> {
+        let held = FolderLock::hold(out)?;
         // A different program may compute different results from the same input. Its version alone
         // does not identify it: it may have been built from changed sources.
         let program = env::current_exe()
@@ -59,6 +62,7 @@ impl Ledger {
             stages: Vec::new(),
             missing: Vec::new(),
             warnings: Vec::new(),
+            _held: held,
         })
     }
 
@@ -130,7 +134,8 @@ impl Ledger {
             let file = path.strip_prefix(&folder).unwrap_or(&path).display().to_string();
             files.insert(file, io::hash_file(&path)?);
         }
-        // From an earlier run, such as pictures of frames that no longer exist.
+        // From an earlier run, such as pictures of frames that no longer exist. Behind a link they are not ours.
+        let before = before.filter(|_| !folder.is_symlink());
         let stale = before.iter().flat_map(|record| record.files.keys());
         for file in stale.filter(|file| !files.contains_key(*file)) {
             let _ = fs::remove_file(folder.join(file));

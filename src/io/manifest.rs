@@ -1,10 +1,11 @@
 //! `manifest.json`: what a run was made from, so that it can be traced, checked and resumed.
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -101,11 +102,13 @@ impl Manifest {
     }
 
     /// Reads the manifest of a folder; `None` if there is none, or if it has another version: then
-    /// nothing in the folder is relied on.
+    /// nothing in the folder is relied on. Nor is a stage whose files are not plain names: what a later run removes has to
+    /// lie in the folder.
     #[must_use]
     pub fn read(folder: &Path) -> Option<Self> {
         let text = read_text(&folder.join(MANIFEST)).ok()?;
-        let manifest: Self = serde_json::from_str(&text).ok()?;
+        let mut manifest: Self = serde_json::from_str(&text).ok()?;
+        manifest.stages.retain(|stage| stage.files.keys().all(|name| is_plain(name)));
         (manifest.format == FORMAT && manifest.version == VERSION).then_some(manifest)
     }
 
@@ -129,6 +132,11 @@ impl Manifest {
         output.stage_json(MANIFEST, &value)?;
         output.commit().map(|_| ())
     }
+}
+
+/// Whether a name is that of a file in a folder, and leads nowhere else.
+fn is_plain(name: &str) -> bool {
+    Path::new(name).components().eq([Component::Normal(OsStr::new(name))])
 }
 
 impl StageRecord {
@@ -165,6 +173,12 @@ mod tests {
         manifest.note(record.clone());
         manifest.write(folder.path()).unwrap();
         assert_eq!(Manifest::read(folder.path()).unwrap(), manifest);
+        for elsewhere in ["../abc", "/abc", "a/../../abc", "", ".", ".."] {
+            let mut manifest = manifest.clone();
+            manifest.stages[0].files.insert(elsewhere.to_owned(), known.to_owned());
+            manifest.write(folder.path()).unwrap();
+            assert!(Manifest::read(folder.path()).unwrap().stages.is_empty(), "{elsewhere}");
+        }
         std::fs::write(&path, "abd").unwrap();
         assert!(!record.is_intact(folder.path()));
         std::fs::write(folder.path().join(MANIFEST), "{}").unwrap();

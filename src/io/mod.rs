@@ -11,6 +11,7 @@ mod data_set_folder;
 mod detection_file;
 mod evaluation_file;
 mod first_look;
+mod folder_lock;
 mod image_file;
 mod image_folder;
 mod input;
@@ -41,6 +42,7 @@ pub use data_set_folder::{image_name, stage_data_set};
 pub use detection_file::detection_document;
 pub use evaluation_file::evaluation_document;
 pub use first_look::{first_look, repeated};
+pub use folder_lock::FolderLock;
 pub use image_file::{read_image, write_jpeg, write_png};
 pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{

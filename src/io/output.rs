@@ -54,8 +54,25 @@ pub fn abandon_output() -> bool {
     committed
 }
 
+/// Enters the folders that have to be made for one into the registry, and returns them.
+fn entered(registry: &mut Registry, folder: &Path) -> Vec<PathBuf> {
+    let missing = folder.ancestors().take_while(|f| !f.as_os_str().is_empty() && !f.exists());
+    let mut missing: Vec<PathBuf> = missing.map(Path::to_owned).collect();
+    missing.reverse();
+    registry.folders.extend(missing.iter().cloned());
+    missing
+}
+
+/// Makes a folder, and those it lies in. Those that were not there are returned, and go again if the process is
+/// interrupted before anything is in them.
+pub(super) fn make_folder(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let created = entered(&mut registry(), folder);
+    fs::create_dir_all(folder)?;
+    Ok(created)
+}
+
 /// Removes folders, the last first; a folder that is not empty stays.
-fn remove_empty(folders: &[PathBuf]) {
+pub(super) fn remove_empty(folders: &[PathBuf]) {
     for folder in folders.iter().rev() {
         let _ = fs::remove_dir(folder);
     }
@@ -108,11 +125,7 @@ impl OutputFolder {
     /// A temporary file, its folder created if necessary, both entered in the registry.
     fn open(&mut self, folder: &Path) -> io::Result<NamedTempFile> {
         let mut registry = registry();
-        let missing = folder.ancestors().take_while(|f| !f.as_os_str().is_empty() && !f.exists());
-        let mut missing: Vec<PathBuf> = missing.map(Path::to_owned).collect();
-        missing.reverse();
-        registry.folders.extend(missing.iter().cloned());
-        self.created.extend(missing);
+        self.created.extend(entered(&mut registry, folder));
         fs::create_dir_all(folder)?;
         let file = temporary_file(folder)?;
         registry.files.push(file.path().to_owned());

@@ -219,6 +219,23 @@ fn another_build_of_the_program_repeats_the_stages() {
 }
 
 #[test]
+fn a_folder_belongs_to_one_run_and_a_damaged_manifest_deletes_nothing_elsewhere() {
+    let run = Run::copy();
+    let held = fs::File::open(run.path("results")).unwrap();
+    held.lock().unwrap();
+    run.again(&["--folds", "3"]).failure().stderr(contains("is in use by another run"));
+    held.unlock().unwrap();
+    let victim = run.path("victim.txt");
+    fs::write(&victim, "mine").unwrap();
+    let frame = "\"frame-00.svg\":";
+    run.edit("results/manifest.json", |text| {
+        text.replacen(frame, &format!("\"../../victim.txt\": \"\",\n{frame}"), 1)
+    });
+    run.again(&["--folds", "3", "--no-pictures"]).success();
+    assert_eq!(fs::read_to_string(victim).unwrap(), "mine");
+}
+
+#[test]
 fn a_missing_result_is_made_again_and_later_stages_are_kept() {
     let run = Run::copy();
     fs::remove_file(run.path("results/boards-evaluation/features.csv")).unwrap();
