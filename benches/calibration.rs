@@ -180,7 +180,8 @@ fn main() -> plenocal::Result<()> {
     let reading = median((0..RUNS).map(|_| seconds(|| read(&data))).collect());
     println!("  reading the CSV files      {reading:7.3} s");
     if let Start::Datasheet(sheet, _) = &data.start {
-        let fit = || fit_grid(&observations.centers, sheet.lattice_kind, sheet.columns, sheet.rows);
+        let (columns, rows) = sheet.array_size_by(&observations.centers);
+        let fit = || fit_grid(&observations.centers, sheet.lattice_kind, columns, rows);
         println!(
             "  fitting the grid           {:7.3} s",
             median((0..RUNS).map(|_| seconds(fit)).collect())

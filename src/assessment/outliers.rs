@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use crate::calibration::Calibration;
 use crate::model::{FeatureResidual, FramePose, shared_parameters};
 use crate::numerics::median;
+use crate::solver::Uncertainty;
 
 /// The norm of two independent standard normal numbers has this median.
 const MEDIAN_NORM: f64 = 1.1774;
@@ -18,8 +19,8 @@ const LEAST_SPREAD: f64 = 0.1;
 /// σ of a normal distribution over its median deviation.
 const FROM_MEDIAN_DEVIATION: f64 = 1.4826;
 /// Frames outlie if leaving them out moves a parameter by so many of the σ that the other frames alone
-/// predict. Noise gets to 2 with a frame that has a large share.
-const INFLUENTIAL: f64 = 4.0;
+/// predict. There are a few hundred changes, with heavy tails: noise gets to 4.
+const INFLUENTIAL: f64 = 5.0;
 /// So many frames are needed to tell that one is not like the others.
 const MIN_FRAMES: usize = 6;
 
@@ -111,9 +112,10 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     let badness = |f: &OutlyingFrame| {
         (f.residual_ratio.ln() / spread / OUTLYING_FRAME).max(f.influence_std_devs() / INFLUENTIAL)
     };
+    let scaled = scaled_changes(&calibration.uncertainty);
     let of_pose = |(i, pose): (usize, &FramePose)| {
         let residual_ratio = typical.get(&pose.frame)? / middle.exp();
-        let influence = influence(calibration, i);
+        let influence = influence(&scaled, i, calibration);
         Some(OutlyingFrame { frame: pose.frame, residual_ratio, influence })
     };
     let all = calibration.poses.iter().enumerate().filter_map(of_pose);
@@ -122,24 +124,34 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     found
 }
 
-/// The parameter that moves most if a frame is left out, in σ that the jackknife over the other frames
-/// gives. Frames without which the camera is not determined are left out of the comparison.
-fn influence(calibration: &Calibration, frame: usize) -> Option<Influence> {
-    let uncertainty = &calibration.uncertainty;
-    let changes = &uncertainty.left_out_changes;
+/// For each frame, by how much each parameter would change if it were left out, over the σ of that change if
+/// errors are as the weights claim: a frame with the share s of the information on a parameter of variance V
+/// moves it by √(V·s/(1 − s)).
+fn scaled_changes(uncertainty: &Uncertainty) -> Vec<Vec<f64>> {
+    let (changes, shares) = (&uncertainty.left_out_changes, &uncertainty.frame_shares);
+    let of_frame = |frame: usize| {
+        let of_row = |row: usize| {
+            let share = shares[(frame, row)];
+            let variance = uncertainty.independent_covariance[(row, row)] * share / (1.0 - share);
+            changes[(frame, row)] / variance.sqrt()
+        };
+        (0..changes.ncols()).map(of_row).collect()
+    };
+    (0..changes.nrows()).map(of_frame).collect()
+}
+
+/// The parameter that moves most if a frame is left out, in σ as the changes by the other frames give it, all
+/// parameters together. What a frame alone determines is left out of the comparison.
+fn influence(scaled: &[Vec<f64>], frame: usize, calibration: &Calibration) -> Option<Influence> {
+    let of_others = scaled.iter().enumerate().filter(|(i, _)| *i != frame);
+    let others: Vec<f64> =
+        of_others.flat_map(|(_, z)| z).copied().filter(|z| z.is_finite()).collect();
+    let typical = (others.iter().map(|z| z * z).sum::<f64>() / others.len() as f64).sqrt();
     let parameters = shared_parameters(calibration.camera.lens_types());
-    let of = |(row, &index): (usize, &usize)| {
-        let column = changes.column(row);
-        let rest: Vec<f64> = (0..changes.nrows())
-            .filter(|&i| i != frame && column[i].is_finite())
-            .map(|i| column[i])
-            .collect();
-        let others = rest.len() as f64;
-        let mean = rest.iter().sum::<f64>() / others;
-        let square: f64 = rest.iter().map(|c| (c - mean).powi(2)).sum();
-        let std_devs = (column[frame] - mean).abs() / ((others - 1.0) / others * square).sqrt();
+    let free = calibration.uncertainty.free_intrinsics.iter();
+    let of = |(&index, z): (&usize, &f64)| {
+        let std_devs = z.abs() / typical;
         std_devs.is_finite().then_some(Influence { parameter: parameters[index].name, std_devs })
     };
-    let free = uncertainty.free_intrinsics.iter().enumerate().filter_map(of);
-    free.max_by(|a, b| a.std_devs.total_cmp(&b.std_devs))
+    free.zip(scaled.get(frame)?).filter_map(of).max_by(|a, b| a.std_devs.total_cmp(&b.std_devs))
 }

@@ -40,7 +40,8 @@ impl fmt::Display for Reason {
             Self::Scatter(ratio) => write!(
                 f,
                 "the features scatter by {ratio:.1} times what the detection says of them: edges are not what it takes them \
-                 for (moved or processed images, another f-number), or frames are not of one and the same camera"
+                 for (moved, blurred, sharpened or otherwise processed images, another f-number), or frames are not of one \
+                 and the same camera at one focus"
             ),
             Self::Frame(frame) => frame.fmt(f),
             Self::Features { outlying, all } => write!(
@@ -56,7 +57,8 @@ impl fmt::Display for Reason {
             Self::MicroImagePattern(part) => write!(
                 f,
                 "the residuals change with the distance from the centre of the micro-image, by {:.0} % \
-                 of their size: the corners are biased",
+                 of their size: the corners are biased, as where boards are blurred, sharpened or taken at \
+                 another f-number than the white images",
                 100.0 * part
             ),
             Self::LensTypes(ratio) => {

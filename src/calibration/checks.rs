@@ -48,9 +48,9 @@ pub(super) fn check_observations(
     options: &CalibrationOptions,
 ) -> Result<()> {
     board.validate()?;
-    let (_, columns, rows) = start.array();
+    let (_, size) = start.array(&observations.centers);
     let needs_rho = options.cost.rho && start.lens_types() > 0;
-    observations.validate(start.sensor(), (columns, rows), board, needs_rho)?;
+    observations.validate(start.sensor(), size, board, needs_rho)?;
     if observations.features.is_empty() {
         return Err(Error::invalid("there are no features"));
     }

@@ -4,8 +4,8 @@ use crate::calibration::anchors::check_anchors;
 use crate::calibration::{BoardModel, BoardResult};
 use crate::error::{Error, Result};
 use crate::model::{
-    BoardShape, Datasheet, InternalParameters, LatticeKind, PlenopticCamera, SHAPE, Sensor,
-    positive, shared_parameters,
+    BoardShape, Datasheet, InternalParameters, LatticeKind, MicroImageCenter, PlenopticCamera,
+    SHAPE, Sensor, positive, shared_parameters,
 };
 use crate::solver::{BEYOND_THE_PAPER, CostOptions, SolverOptions, shape_names};
 use serde::{Deserialize, Serialize};
@@ -104,12 +104,12 @@ impl Default for CalibrationOptions {
 }
 
 impl Start {
-    /// Kind, columns and rows of the array.
-    pub(super) fn array(&self) -> (LatticeKind, i32, i32) {
+    /// Kind of the array, its columns and rows; where they are not stated, those of its centres.
+    pub(super) fn array(&self, centers: &[MicroImageCenter]) -> (LatticeKind, (i32, i32)) {
         match self {
-            Self::Datasheet(sheet, _) => (sheet.lattice_kind, sheet.columns, sheet.rows),
+            Self::Datasheet(sheet, _) => (sheet.lattice_kind, sheet.array_size_by(centers)),
             Self::Camera(camera) => {
-                (camera.lattice.kind(), camera.lattice.columns, camera.lattice.rows)
+                (camera.lattice.kind(), (camera.lattice.columns, camera.lattice.rows))
             }
         }
     }

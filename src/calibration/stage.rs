@@ -159,8 +159,8 @@ fn checked_start(
 }
 
 fn fitted_grid(start: &Start, observations: &Observations) -> Result<Option<MicroImageArray>> {
-    let (kind, columns, rows) = start.array();
     let centers = &observations.centers;
+    let (kind, (columns, rows)) = start.array(centers);
     (!centers.is_empty()).then(|| fit_grid(centers, kind, columns, rows)).transpose()
 }
 

@@ -5,7 +5,7 @@ use std::sync::Mutex;
 
 use plenocal::detection::{
     BoardImage, DepthEstimator, DetectedBoards, DetectedFrame, MicroImages, Search,
-    check_board_size, detect,
+    check_board_size, check_configuration, detect,
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
@@ -38,6 +38,7 @@ impl Shoot {
         let board = project
             .board
             .ok_or_else(|| Error::invalid("there is no board in it: add [board]").in_file(path))?;
+        check_configuration(&sheet).map_err(|e| e.in_file(path))?;
         let images = listed_images(path, project, "calibration = [...]")?;
         board.validate().and_then(|()| check_board_size(&board)).map_err(|e| e.in_file(path))?;
         Ok(Self { sheet, board, images })
@@ -192,8 +193,8 @@ pub fn detect_subset(
     let features = found.features();
     if features.is_empty() {
         return Err(Error::invalid(format!(
-            "no frame shows the board: check [board], the images, the f-number of their white image, \
-             and the configuration of the array\n  {}\n{}",
+            "no frame shows the board: check [board], the images, the configuration of the array, and that the \
+             white images are of the same camera and f-number, neither turned, cut nor resized\n  {}\n{}",
             found.warnings.join("\n  "),
             report::detection_text(&found.frames)
         )));

@@ -222,7 +222,9 @@ pub(super) fn stage(
     output.stage_json("params.js", &compote::parameters_document(internal, sheet))?;
     let camera = compote::camera_document(sheet, &result.array.grid, types);
     output.stage_json("camera.js", &camera)?;
-    let middle = whites.len() / 2;
+    let middle = result.images.len() / 2;
+    let of_middle = |white: &&White| white.name == result.images[middle];
+    let shown = whites.iter().find(of_middle).unwrap_or(&whites[0]);
     let figures = vec![
         Figure {
             name: "radii.svg".to_owned(),
@@ -238,7 +240,7 @@ pub(super) fn stage(
                 "The middle of a white image with the micro-images found, coloured by lens type."
                     .to_owned(),
             svg: report::micro_images_figure(
-                &whites[middle].image,
+                &shown.image,
                 &result.array,
                 &result.radii_px(middle),
             )?,

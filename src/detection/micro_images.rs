@@ -57,8 +57,30 @@ const MOST_PITCHES: f64 = 10.0;
 const GROWTH_STEP: f64 = 0.005;
 /// By which part of itself what is taken from white images is changed to see what depends on it.
 pub(super) const OTHERWISE: f64 = 0.01;
+/// d/f of an unfocused camera is within this of 1; that of focused ones differs by a tenth and more.
+const UNFOCUSED: f64 = 0.03;
 /// d changes less than this across an array that was meant to be parallel to the sensor.
 const MOST_GROWTH: f64 = 0.3;
+
+/// An error for a camera whose micro-lenses focus at infinity.
+pub fn check_configuration(sheet: &Datasheet) -> Result<()> {
+    if sheet.configuration == Configuration::Unfocused { Err(unfocused("stated")) } else { Ok(()) }
+}
+
+/// An error if the discs of the white images are those of an unfocused camera: d/fᵢ = 2q'ᵢ/ΔC.
+fn check_in_focus(internal: &InternalParameters, pitch_mm: f64) -> Result<()> {
+    let in_focus = |q: &f64| (2.0 * q / pitch_mm - 1.0).abs() < UNFOCUSED;
+    if internal.q_prime_mm.iter().all(in_focus) { Err(unfocused("measured")) } else { Ok(()) }
+}
+
+fn unfocused(how: &str) -> Error {
+    Error::invalid(format!(
+        "the camera is {how} to be unfocused (f = d): each of its micro-images shows one place of the scene, seen \
+         through all of the pupil, and no corner of a board. Corners are found in micro-images, so only focused \
+         cameras can be calibrated; white images of this one can be measured all the same. Calibrate it with \
+         software that finds corners in sub-aperture images"
+    ))
+}
 
 impl MicroImages {
     /// From a pre-calibration, at the f-number N of the boards. Micro-images without a measured centre
@@ -91,6 +113,7 @@ impl MicroImages {
                 )));
             }
         }
+        check_configuration(sheet)?;
         let (lens_to_mla, mla_to_sensor) = optics::initial_distances(
             sheet.focal_length_mm,
             sheet.focus_distance_mm,
@@ -98,6 +121,10 @@ impl MicroImages {
             sheet.configuration,
             0.0,
         );
+        check_in_focus(
+            internal,
+            grid.pitch_px * pixel_size_mm * lens_to_mla / (lens_to_mla + mla_to_sensor),
+        )?;
         let lens_to_sensor_px = (lens_to_mla + mla_to_sensor) / pixel_size_mm;
         let (mla_to_sensor_px, middle) = (mla_to_sensor / pixel_size_mm, sheet.sensor.center_px());
         let cos4 = || FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, middle);
@@ -183,8 +210,9 @@ impl MicroImages {
         internal: &InternalParameters,
         sheet: &Datasheet,
     ) -> Result<Self> {
-        check_centers(centers, &sheet.sensor, (sheet.columns, sheet.rows))?;
-        let grid = fit_grid(centers, sheet.lattice_kind, sheet.columns, sheet.rows)?;
+        let (columns, rows) = sheet.array_size_by(centers);
+        check_centers(centers, &sheet.sensor, (columns, rows))?;
+        let grid = fit_grid(centers, sheet.lattice_kind, columns, rows)?;
         internal.validate(sheet.lens_types)?;
         check_stated_pitch(sheet, internal, &grid)?;
         Self::new(&grid, centers, internal, sheet)
@@ -218,6 +246,10 @@ impl MicroImages {
     }
 
     /// a in the middle of the image, px.
+    pub(super) fn middle(&self) -> Vector2<f64> {
+        self.middle
+    }
+
     pub(super) fn pupil_px(&self) -> f64 {
         self.pupil_px
     }

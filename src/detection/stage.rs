@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use tracing::debug;
 
 use super::edge_width::{EdgeWidth, MOVED, MOVED_PX2, OfFrames};
+use super::likeness::{Likeness, unlike};
 use super::{Detection, FrameCounts, MicroImages, Rejection, Search, detect_frame};
 use crate::error::{Error, Result};
 use crate::image::RawImage;
@@ -66,6 +67,8 @@ pub struct DetectedFrame {
     pub result: std::result::Result<Detection, NoFeatures>,
     /// What was done with the micro-images.
     pub counts: FrameCounts,
+    /// How its light follows the white image.
+    pub(super) likeness: Option<Likeness>,
 }
 
 impl DetectedFrame {
@@ -151,15 +154,17 @@ pub fn detect<'i>(
         let read = |image: &BoardImage<'i>| {
             let raw = (image.read)()?;
             let found = search_in(image, &raw, &micro_images);
-            Ok((raw, found))
+            let likeness = Likeness::of(&raw.grey_between(levels), &white, &micro_images);
+            Ok((raw, found, likeness))
         };
-        let mut found: Vec<Result<(Cow<RawImage>, Found)>> = some.par_iter().map(read).collect();
+        let mut found: Vec<Result<Searched>> = some.par_iter().map(read).collect();
         let mut before = None;
         for _ in 1..ROUNDS {
             let searched = found.iter().filter_map(|found| found.as_ref().ok());
             let fitted_with = micro_images.fill_factor();
             let other = |fill: &FillFactor| differs(fill, fitted_with, SAME);
-            let shown = widths(searched.filter_map(|(_, (found, _))| found.as_ref().ok()), spread);
+            let shown =
+                widths(searched.filter_map(|(_, (found, _), _)| found.as_ref().ok()), spread);
             let fill = shown.map(|widths| widths.fill).filter(other);
             let Some(fill) = fill.filter(|_| !fill_is_known) else { break };
             debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
@@ -167,20 +172,22 @@ pub fn detect<'i>(
             micro_images = Cow::Owned(micro_images.with_fill_factor(following(before, step)));
             before = Some(step);
             some.par_iter().zip(&mut found).for_each(|(image, found)| {
-                if let Ok((raw, found)) = found {
+                if let Ok((raw, found, _)) = found {
                     *found = search_in(image, raw, &micro_images);
                 }
             });
         }
-        let of_image = |(image, found): (&BoardImage, Result<(Cow<RawImage>, Found)>)| {
-            let (raw, result, counts) = match found {
-                Ok((raw, (found, counts))) => {
-                    (Some(raw), found.map_err(NoFeatures::Rejected), counts)
+        let of_image = |(image, found): (&BoardImage, Result<Searched>)| {
+            let (raw, result, counts, likeness) = match found {
+                Ok((raw, (found, counts), likeness)) => {
+                    (Some(raw), found.map_err(NoFeatures::Rejected), counts, likeness)
                 }
-                Err(error) => (None, Err(NoFeatures::Unreadable(error)), FrameCounts::default()),
+                Err(error) => {
+                    (None, Err(NoFeatures::Unreadable(error)), FrameCounts::default(), None)
+                }
             };
             let (frame, name) = (image.frame, image.name.clone());
-            let detected = DetectedFrame { frame, name, result, counts };
+            let detected = DetectedFrame { frame, name, result, counts, likeness };
             inspect(&detected, raw.as_deref())?;
             Ok(detected)
         };
@@ -208,6 +215,8 @@ fn detections(frames: &[DetectedFrame]) -> impl Iterator<Item = &Detection> {
 
 /// What was found in an image.
 type Found = (std::result::Result<Detection, Rejection>, FrameCounts);
+/// The image as well, and how its light follows the white image.
+type Searched<'i> = (Cow<'i, RawImage>, Found, Option<Likeness>);
 
 /// What the edges of frames say together, with this variance of the point spread, px²; `None` where they do not tell it.
 fn widths<'a>(
@@ -262,6 +271,7 @@ fn warnings(frames: &[DetectedFrame], board: &Board, subset: Subset) -> Vec<Stri
         Some(format!("frame {} ({}) is left out: {why}", frame.frame, frame.name))
     };
     let mut warnings: Vec<String> = frames.iter().filter_map(left_out).collect();
+    warnings.extend(unlike(frames));
     let found = frames.iter().filter(|frame| frame.result.is_ok()).count();
     if found == 0 {
         return warnings;

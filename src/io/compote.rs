@@ -41,7 +41,6 @@ pub(super) use linked::{is_linked_observations, linked_observations};
 /// The datasheet values of a `camera.js`.
 pub(super) fn datasheet_from(value: Value) -> Result<Datasheet> {
     let file: CameraFile = parse(value, "camera.js, intrinsics.js or camera.json")?;
-    let (columns, rows) = file.mia.mesh.size()?;
     Ok(Datasheet {
         sensor: file.sensor.sensor()?,
         focal_length_mm: file.main_lens.f.0,
@@ -58,8 +57,7 @@ pub(super) fn datasheet_from(value: Value) -> Result<Datasheet> {
             }
         },
         lattice_kind: file.mia.mesh.lattice_kind()?,
-        columns,
-        rows,
+        array_size: Some(file.mia.mesh.size()?),
         lens_types: file.lens_types.count("I")?,
         micro_image_pitch_px: match &file.mia.mesh.pitch {
             Some(pitch) => Some(pitch.fixed::<2>("the pitch of the mia's mesh")?[0]),

@@ -169,10 +169,10 @@ impl ProjectDraft<'_> {
         let lattice = sheet.map(|s| format!("\"{}\"", s.lattice_kind.name()));
         let what = "\"hexagonal-rows\", \"hexagonal-columns\" or \"orthogonal\"";
         named("lattice", what, lattice, draft);
-        let columns = of_size.map(|s| s.columns.to_string());
-        named("columns", "micro-images along a row, cut ones too", columns, draft);
-        let rows = of_size.map(|s| s.rows.to_string());
-        named("rows", "micro-images along a column, cut ones too", rows, draft);
+        if let Some((columns, rows)) = of_size.and_then(|s| s.array_size) {
+            named("columns", "micro-lenses along a row", Some(columns.to_string()), draft);
+            named("rows", "micro-lenses along a column", Some(rows.to_string()), draft);
+        }
         let types = sheet.map(|s| s.lens_types.to_string());
         named("lens_types", "number of lens types, 0 for pinholes", types, draft);
     }

@@ -73,14 +73,28 @@ pub struct ArraySection {
     pub configuration: Configuration,
     /// Packing.
     pub lattice: LatticeKind,
-    /// Micro-lenses along a row.
-    pub columns: i32,
+    /// Micro-lenses along a row; with `rows`, or not at all.
+    pub columns: Option<i32>,
     /// Micro-lenses along a column.
-    pub rows: i32,
+    pub rows: Option<i32>,
     /// I.
     pub lens_types: usize,
     /// Distance between neighbouring micro-image centres, px; found if not stated.
     pub micro_image_pitch_px: Option<f64>,
+}
+
+impl ArraySection {
+    /// Columns and rows, where they are stated; an error if only one of them is.
+    fn size(&self) -> Result<Option<(i32, i32)>> {
+        match (self.columns, self.rows) {
+            (None, None) => Ok(None),
+            (Some(columns), Some(rows)) => Ok(Some((columns, rows))),
+            _ => Err(Error::invalid(
+                "[micro_lens_array] needs both columns and rows, or neither: they are found in the \
+                 white images",
+            )),
+        }
+    }
 }
 
 /// `[internal_parameters]`
@@ -245,8 +259,7 @@ impl Project {
                 f_number: lens.f_number,
                 configuration: array.configuration,
                 lattice_kind: array.lattice,
-                columns: array.columns,
-                rows: array.rows,
+                array_size: array.size()?,
                 lens_types: array.lens_types,
                 micro_image_pitch_px: array.micro_image_pitch_px,
             })),

@@ -10,6 +10,7 @@ use super::fall_off::FallOff;
 use super::lattice::LatticeKind;
 use super::lean::Lean;
 use super::levels::SampleLevels;
+use super::observations::MicroImageCenter;
 use crate::error::{Error, Result};
 
 /// Where the main lens focuses with respect to the micro-lens array.
@@ -39,10 +40,8 @@ pub struct Datasheet {
     pub configuration: Configuration,
     /// Packing of the micro-lenses.
     pub lattice_kind: LatticeKind,
-    /// Number of micro-lenses along a row.
-    pub columns: i32,
-    /// Number of micro-lenses along a column.
-    pub rows: i32,
+    /// Number of micro-lenses along a row and along a column, where it is stated.
+    pub array_size: Option<(i32, i32)>,
     /// Number I of lens types; 0 for an array of pinholes.
     pub lens_types: usize,
     /// Distance between neighbouring micro-image centres, px, where it is stated.
@@ -79,10 +78,22 @@ pub struct InternalParameters {
 }
 
 impl Datasheet {
+    /// Number of micro-lenses along a row and along a column: as stated, or else as many as the
+    /// indices of the centres reach.
+    #[must_use]
+    pub fn array_size_by(&self, centers: &[MicroImageCenter]) -> (i32, i32) {
+        self.array_size.unwrap_or_else(|| {
+            let reached = |n: i32, index: i32| n.max(index.saturating_add(1));
+            centers.iter().fold((1, 1), |(k, l), c| (reached(k, c.k), reached(l, c.l)))
+        })
+    }
+
     /// Checks all values; an error names the one that is not possible.
     pub fn validate(&self) -> Result<()> {
         self.sensor.validate()?;
-        check_array_size(self.columns, self.rows)?;
+        if let Some((columns, rows)) = self.array_size {
+            check_array_size(columns, rows)?;
+        }
         if let Some(pitch) = self.micro_image_pitch_px {
             positive(pitch, "the micro-image pitch (px)")?;
         }

@@ -6,10 +6,6 @@ use super::pattern::Pattern;
 use crate::error::{Error, Result};
 use crate::model::{Lattice, LatticeKind, MicroImageCenter, Packing, Parity};
 
-/// Micro-images at the rim of an array may lie beyond the sensor: so many columns or rows of them, both
-/// sides together.
-const BEYOND: i32 = 2;
-
 /// How the nodes of a pattern are counted.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Indexing {
@@ -73,28 +69,28 @@ impl Indexing {
             return Ok(both.into_iter().filter(|l| l.size == fewest).collect());
         };
         let beyond = |l: &Self| (columns - l.size.0, rows - l.size.1);
+        // An array may go on beyond the sensor, about as far on either side.
+        let before = |beyond: i32| beyond / 2 - 1.min(beyond / 2)..=(beyond / 2 + 1).min(beyond);
         let shifted = |l: Self| {
-            let (k, l_beyond) = beyond(&l);
+            let (beyond_k, beyond_l) = beyond(&l);
             let first = l.first;
-            (0..=k).flat_map(move |dk| {
-                (0..=l_beyond).map(move |dl| Self {
+            before(beyond_k).flat_map(move |dk| {
+                before(beyond_l).map(move |dl| Self {
                     first: (first.0 - dk, first.1 - dl),
                     size: (columns, rows),
                     ..l
                 })
             })
         };
-        let fits = |l: &Self| {
-            let (k, l) = beyond(l);
-            (0..=BEYOND).contains(&k) && (0..=BEYOND).contains(&l)
-        };
+        let fits = |l: &Self| beyond(l).0 >= 0 && beyond(l).1 >= 0;
         let possible: Vec<Self> = both.into_iter().filter(fits).flat_map(shifted).collect();
         if possible.is_empty() {
             let found = both.map(|l| format!("{} x {}", l.size.0, l.size.1));
             let found = if found[0] == found[1] { found[0].clone() } else { found.join(" or ") };
             return Err(Error::invalid(format!(
                 "the array is said to have {columns} x {rows} micro-lenses, but {found} \
-                 micro-images show in the image: correct that, or give the image of that camera"
+                 micro-images show in the image: leave columns and rows out, or give the image of \
+                 that camera"
             )));
         }
         Ok(possible)

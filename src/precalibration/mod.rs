@@ -10,6 +10,7 @@ mod checks;
 mod correction;
 mod disc_fit;
 mod discs;
+mod f_numbers;
 mod fall_off;
 mod grid;
 mod indexing;

@@ -84,8 +84,9 @@ impl<'a> Samples<'a> {
             let radius = |nodes: &Vec<(i32, i32)>| {
                 radius_at(middle, &sample.pattern, nodes, estimator).ok_or_else(|| {
                     Error::invalid(format!(
-                        "{}: the micro-images in the middle show no edge: the image is too dark, or \
-                         saturated all over",
+                        "{}: the micro-images in the middle show no edge: the image is too dark, \
+                         saturated all over, or taken at an opening so wide that they touch; leave it \
+                         out of the white images",
                         white.name
                     ))
                 })

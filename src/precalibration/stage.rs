@@ -2,13 +2,12 @@
 
 use tracing::{debug, info};
 
-use super::array::{ArrayMeasurement, found_array, patterns};
+use super::array::{ArrayMeasurement, FoundArray, found_array, patterns};
 use super::black::black_level;
-use super::checks::{
-    contradictions, different_aperture, disagreeing_types, doubtful_colors, named, reference_of,
-};
+use super::checks::{different_aperture, disagreeing_types, doubtful_colors, named, reference_of};
 use super::correction::{corrected_array, shift_moments};
 use super::discs::Discs;
+use super::f_numbers::{Doubt, doubtful};
 use super::fall_off::{Light, Measured};
 use super::internal::{InternalFit, RadiusMeasurement};
 use super::levers::Levers;
@@ -19,7 +18,7 @@ use super::roundness::oblong;
 use super::samples::Samples;
 use super::types::{LensTypes, judge_types};
 use crate::error::Result;
-use crate::image::RawImage;
+use crate::image::{Grey, RawImage};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, SampleLevels, full_scale, optics,
     positive,
@@ -64,7 +63,7 @@ impl PrecalibrationOptions {
         Self {
             pixel_size_mm: sheet.sensor.pixel_size_mm,
             configuration: sheet.configuration,
-            array_size: Some((sheet.columns, sheet.rows)),
+            array_size: sheet.array_size,
             estimator: RadiusEstimator::default(),
             lens_mm: (sheet.focal_length_mm, sheet.focus_distance_mm),
             black_level: None,
@@ -88,7 +87,9 @@ pub struct Precalibration {
     pub array: ArrayMeasurement,
     /// Lens types.
     pub lens_types: LensTypes,
-    /// Radii by f-number and lens type.
+    /// The white images that were measured.
+    pub images: Vec<String>,
+    /// Radii of these, by lens type.
     pub radii: Vec<RadiusMeasurement>,
     /// The internal parameters.
     pub internal: InternalFit,
@@ -138,20 +139,17 @@ pub(super) fn measured(
     let pattern = patterns(&reference.image.grey()).next();
     let (levels, black) = levels_of(whites, reference, pattern.as_ref(), options.black_level)?;
     let grey = reference.image.grey_between(Some(&levels));
-    let found =
-        found_array(&grey, pattern, options.array_size).map_err(|e| named(&reference.name, &e))?;
-    debug!(
-        "{}: a '{}' lattice with a pitch of {:.4} px, {} centres measured",
-        reference.name,
-        found.pattern.kind.name(),
-        found.pattern.pitch(),
-        found.array.centers.len()
-    );
-
+    let found = located(reference, &grey, pattern, options)?;
     let samples = Samples::measure(whites, (reference, &levels), &found, options, progress)?;
     let by_color = samples.radii(RadiusEstimator::Profile)?;
     let lens_types = judge_types(&by_color, &found);
     let (samples, by_profile) = samples.by_lens_type(lens_types.types, by_color)?;
+
+    let by_images = samples.measurements(&by_profile);
+    let doubt = doubtful(whites, &by_images, lens_types.types, options.configuration)?;
+    if let Some((doubt, f_number)) = doubt.as_ref().and_then(|d| Some((d, d.looks_like?))) {
+        return without((doubt, f_number), whites, reference, options);
+    }
 
     // The sizes of the discs decide how far centroids are shifted, whatever estimator is asked for.
     let seen_pitch_px = found.array.grid.pitch_px;
@@ -192,7 +190,7 @@ pub(super) fn measured(
     internal.parameters.lean = lean
         .and_then(|lean| light.complete(lean, &oblique.parameters, options, &obliquity, &fall_off));
     internal.parameters.levels = Some(levels);
-    let wrong_f_number = contradictions(whites, &radii, lens_types.types, options);
+    let wrong_f_number = doubt.map(|doubt| doubt.text);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
     let wrong_aperture = different_aperture((reference, &grey), &levers, &samples, &found.pattern)
         .filter(|_| wrong_f_number.is_none());
@@ -203,9 +201,46 @@ pub(super) fn measured(
     let by_light = wrong_f_number.or(by_lines);
     let told = [by_light, wrong_aperture, oblong, types, unknown_fall_off, black];
     let warnings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
+    let images = whites.iter().map(|white| white.name.clone()).collect();
     let measured =
-        Precalibration { array, lens_types, radii, internal, pitch_correction, warnings };
+        Precalibration { array, lens_types, images, radii, internal, pitch_correction, warnings };
     Ok((measured, of_light))
+}
+
+/// The array in the image that it is measured in.
+fn located(
+    reference: &White,
+    grey: &Grey,
+    pattern: Option<Pattern>,
+    options: &PrecalibrationOptions,
+) -> Result<FoundArray> {
+    let found =
+        found_array(grey, pattern, options.array_size).map_err(|e| named(&reference.name, &e))?;
+    debug!(
+        "{}: a '{}' lattice with a pitch of {:.4} px, {} centres measured",
+        reference.name,
+        found.pattern.kind.name(),
+        found.pattern.pitch(),
+        found.array.centers.len()
+    );
+    Ok(found)
+}
+
+/// The measurement without a white image whose f-number cannot be right.
+fn without(
+    (doubt, f_number): (&Doubt, f64),
+    whites: &[White],
+    reference: &White,
+    options: &PrecalibrationOptions,
+) -> Result<(Precalibration, Option<Discs>)> {
+    let mut others = whites.to_vec();
+    let doubtful = others.remove(doubt.white);
+    // The array shows in it all the same.
+    let f_number = if doubtful.name == reference.name { f_number } else { reference.f_number };
+    let reference = White { f_number, ..reference.clone() };
+    let (mut result, discs) = measured(&others, &reference, options, &|| ())?;
+    result.warnings.insert(0, doubt.text.clone());
+    Ok((result, discs))
 }
 
 /// The levels of the white images, and what is doubtful about the black level; an error if they are full

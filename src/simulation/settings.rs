@@ -195,8 +195,7 @@ impl Settings {
             f_number: self.engraved_f_number.unwrap_or(self.board_f_number()),
             configuration: camera.configuration().unwrap_or(Configuration::Unfocused),
             lattice_kind: camera.lattice.kind(),
-            columns: camera.lattice.columns,
-            rows: camera.lattice.rows,
+            array_size: Some((camera.lattice.columns, camera.lattice.rows)),
             lens_types: camera.lens_types(),
             micro_image_pitch_px: None,
         }

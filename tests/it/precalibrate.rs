@@ -82,7 +82,7 @@ fn a_project_is_precalibrated_and_its_files_serve_the_calibration() {
     let CameraSource::Datasheet(sheet) = read_camera_source(&out.join("camera.js")).unwrap() else {
         panic!("camera.js is a datasheet");
     };
-    assert_eq!((sheet.columns, sheet.rows, sheet.lens_types), (43, 37, 3));
+    assert_eq!((sheet.array_size, sheet.lens_types), (Some((43, 37)), 3));
     assert_eq!(sheet.configuration, Configuration::Galilean);
     for figure in ["radii.svg", "micro-images.svg"] {
         let text = fs::read_to_string(out.join(figure)).unwrap();

@@ -251,9 +251,26 @@ fn a_white_image_that_is_black_is_rejected() {
 #[test]
 fn a_stated_size_that_is_not_visible_is_rejected() {
     let Small { settings, whites } = &*SMALL;
-    let stated = PrecalibrationOptions { array_size: Some((60, 37)), ..options(settings) };
+    let stated = PrecalibrationOptions { array_size: Some((40, 37)), ..options(settings) };
     let error = precalibrate(whites, None, &stated, &|| ()).unwrap_err().to_string();
-    assert!(error.contains("said to have 60 x 37 micro-lenses"), "{error}");
+    assert!(error.contains("said to have 40 x 37 micro-lenses"), "{error}");
+}
+
+#[test]
+fn an_array_may_go_on_beyond_the_sensor_or_be_of_unknown_size() {
+    let Small { settings, whites } = &*SMALL;
+    let measured = |array_size| {
+        let options = PrecalibrationOptions { array_size, ..options(settings) };
+        precalibrate(whites, None, &options, &|| ()).unwrap()
+    };
+    let (larger, unknown) = (measured(Some((60, 51))), measured(None));
+    let lattice = |p: &Precalibration| (p.array.grid.lattice.columns, p.array.grid.lattice.rows);
+    assert_eq!((lattice(&larger), lattice(&unknown)), ((60, 51), (43, 37)));
+    let (a, b) = (&larger.internal.parameters, &unknown.internal.parameters);
+    assert!((a.m_mm / b.m_mm - 1.0).abs() < 1e-6, "{} {}", a.m_mm, b.m_mm);
+    // The middle of the larger array is where that of the visible one is, to half a micro-image.
+    let apart = larger.array.grid.center_px - unknown.array.grid.center_px;
+    assert!(apart.norm() < 0.75 * unknown.array.grid.pitch_px, "{apart}");
 }
 
 #[test]

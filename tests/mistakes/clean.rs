@@ -34,7 +34,7 @@ pub fn sets() -> Vec<Mistake> {
     }
     for seed in KEPLERIAN_SEEDS {
         all.push(mistake(format!("clean: keplerian seed {seed}"), Clean, move || {
-            of("keplerian", &[], seed)
+            of("keplerian", &["boards.min_in_view=1", "translation.images=0"], seed)
         }));
     }
     all

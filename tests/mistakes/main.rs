@@ -5,7 +5,7 @@
 //! that gives a wrong camera in silence fails the suite. Clean sets of other cameras, boards and exposures
 //! go the same way, and may not warn.
 //!
-//! Arguments: parts of names, to run only those; `--list` prints the names.
+//! Arguments: names or parts of names, to run only those; `--list` prints the names.
 
 mod clean;
 mod edits;
@@ -73,13 +73,17 @@ impl Expected {
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (options, parts): (Vec<_>, Vec<_>) = arguments.iter().partition(|a| a.starts_with("--"));
-    let mistakes: Vec<Mistake> =
+    let mut mistakes: Vec<Mistake> =
         [stated::mistakes(), listed::mistakes(), processed::mistakes(), shot::mistakes()]
             .into_iter()
             .chain([features::mistakes(), clean::sets()])
             .flatten()
-            .filter(|m| parts.is_empty() || parts.iter().any(|part| m.name.contains(*part)))
             .collect();
+    let names: Vec<String> = mistakes.iter().map(|m| m.name.clone()).collect();
+    let is_meant = |name: &String, part: &String| {
+        if names.contains(part) { name == part } else { name.contains(part) }
+    };
+    mistakes.retain(|m| parts.is_empty() || parts.iter().any(|part| is_meant(&m.name, part)));
     if options.iter().any(|option| *option == "--list") {
         mistakes.iter().for_each(|m| println!("{}", m.name));
         return ExitCode::SUCCESS;

@@ -92,9 +92,9 @@ fn refused(output: &Output) -> Option<i32> {
     output.status.code().filter(|code| !matches!(code, 0 | 3))
 }
 
-/// Warnings and errors of the program.
+/// Warnings and errors of the program, with the lines that belong to them.
 fn said(stderr: &str) -> String {
-    let told = |line: &&str| ["warning: ", "error: "].iter().any(|word| line.starts_with(word));
+    let told = |line: &&str| ["warning: ", "error: ", "  "].iter().any(|w| line.starts_with(w));
     stderr.lines().filter(told).map(|line| format!("{line}\n")).collect()
 }
 

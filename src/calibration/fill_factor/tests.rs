@@ -23,8 +23,7 @@ fn start() -> Start {
         f_number: 4.0,
         configuration: Configuration::Galilean,
         lattice_kind: LatticeKind::HexagonalRows,
-        columns: camera.lattice.columns,
-        rows: camera.lattice.rows,
+        array_size: Some((camera.lattice.columns, camera.lattice.rows)),
         lens_types: 3,
         micro_image_pitch_px: None,
     };

@@ -1,0 +1,313 @@
+//! Whether images of boards were taken as the white image was: where a square of the board fills a micro-image, its light
+//! is that of the white image times a number.
+//!
+//! Other light is compared with what a wrong black level, a tone curve, another aperture or a shift would make of the
+//! white image w: a constant, w ln w, the change of w along the radius, and its gradient.
+
+use nalgebra::{SMatrix, SVector};
+
+use super::MicroImages;
+use super::patch::{Pair, USABLE};
+use super::stage::DetectedFrame;
+use crate::image::Grey;
+use crate::numerics::median;
+
+/// The white image, its Laplacian, which takes up the noise that both have, and what may be wrong.
+const FIELDS: usize = 9;
+const WHITE: usize = 0;
+const NOISE: usize = 1;
+const BLACK: usize = 2;
+const TONE: usize = 3;
+const RADIUS: usize = 4;
+const SHIFT: [usize; 2] = [5, 6];
+const SCALE: usize = 7;
+const TURN: usize = 8;
+
+/// So many micro-images are looked at.
+const ENOUGH: usize = 600;
+/// At least one in so many.
+const LEAST_STEP: usize = 3;
+/// Bright squares are this part of the way from the darkest to the brightest micro-images.
+const BRIGHT: f64 = 0.6;
+const TAIL: f64 = 0.02;
+/// A micro-image shows nothing but one square if its light differs from all that can be explained by no more than so many
+/// times what it does in this part of the bright ones.
+const EVEN: f64 = 1.2;
+const MOST_EVEN: f64 = 0.05;
+/// Fewer even micro-images tell nothing.
+const FEWEST: usize = 8;
+const FEWEST_PIXELS: usize = 60;
+/// Read noise over photon noise, as in the weights of patches.
+const READ_NOISE: f64 = 0.25;
+/// An explanation has this part of what all of them together explain.
+const EXPLAINS: f64 = 0.7;
+/// Black levels that differ by this part of the light of a bright square, and powers by this.
+const BLACK_LIMIT: f64 = 0.02;
+const TONE_LIMIT: f64 = 0.06;
+/// Beyond this a strong gamma looks like another black level.
+const NO_BLACK_LEVEL: f64 = 0.2;
+/// Pupils that differ by this part: f/4.1 for f/4.
+const PUPIL_LIMIT: f64 = 0.03;
+/// Shifts of this much, px; scales that make as much at the border of the image, and turns.
+const SHIFT_LIMIT_PX: f64 = 0.1;
+/// A single frame is not like the others if it differs from them by so many times these limits.
+const OF_ONE: f64 = 3.0;
+const FEWEST_FRAMES: usize = 4;
+
+type Matrix = SMatrix<f64, FIELDS, FIELDS>;
+type Vector = SVector<f64, FIELDS>;
+
+/// Sums over the pixels of even micro-images, each with its bright light as 1.
+#[derive(Debug, Clone)]
+struct Sums {
+    normal: Matrix,
+    by: Vector,
+    square: f64,
+}
+
+/// How the light of a board's image follows the white image.
+#[derive(Debug, Clone)]
+pub(super) struct Likeness {
+    sums: Sums,
+    /// Radius of the pupil, and half the diagonal of the image, px.
+    pupil_px: f64,
+    half_diagonal_px: f64,
+}
+
+/// What explains that a board's image is not like the white image: a field, and its coefficient.
+#[derive(Debug, Clone, Copy)]
+struct Difference {
+    field: usize,
+    value: SVector<f64, FIELDS>,
+}
+
+impl Likeness {
+    /// Compares a board's image with the white image; `None` where too few micro-images show one square only.
+    pub fn of(board: &Grey, white: &Grey, micro_images: &MicroImages) -> Option<Self> {
+        if board.size() != white.size() {
+            return None;
+        }
+        let lattice = &micro_images.grid.lattice;
+        let nodes = (0..lattice.rows).flat_map(|l| (0..lattice.columns).map(move |k| (k, l)));
+        let nodes: Vec<(i32, i32)> = nodes.collect();
+        let step = (nodes.len() / ENOUGH).max(LEAST_STEP);
+        let compared: Vec<Compared> = nodes
+            .into_iter()
+            .step_by(step)
+            .filter_map(|node| Compared::of(board, white, micro_images, node))
+            .collect();
+        let at = |mut all: Vec<f64>, part: f64| {
+            all.sort_by(f64::total_cmp);
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+            // a part of the length
+            all.get((part * all.len() as f64) as usize).copied()
+        };
+        let light = || compared.iter().map(|c| c.light).collect();
+        let (dark, bright) = (at(light(), TAIL)?, at(light(), 1.0 - TAIL)?);
+        let is_bright = |c: &&Compared| c.light > dark + BRIGHT * (bright - dark);
+        let left = compared.iter().filter(is_bright).map(|c| c.left).collect();
+        let even = EVEN * at(left, MOST_EVEN)?;
+        let all: Vec<&Compared> =
+            compared.iter().filter(is_bright).filter(|c| c.left <= even).collect();
+        if all.len() < FEWEST {
+            return None;
+        }
+        let sums = all.iter().fold(Sums::none(), |sum, c| Sums {
+            normal: sum.normal + c.sums.normal,
+            by: sum.by + c.sums.by,
+            square: sum.square + c.sums.square,
+        });
+        let (width, height) = board.size();
+        let half_diagonal_px = (width as f64).hypot(height as f64) / 2.0;
+        Some(Self { sums, pupil_px: micro_images.pupil_px(), half_diagonal_px })
+    }
+
+    /// What some fields besides the white image leave of the sum of squares, and their coefficients relative to it.
+    fn fit(&self, fields: &[usize]) -> Option<(f64, Vector)> {
+        let mut used = vec![WHITE, NOISE];
+        used.extend(fields);
+        let normal = self.sums.normal.select_rows(&used).select_columns(&used);
+        let by = self.sums.by.select_rows(&used);
+        let solution = normal.cholesky()?.solve(&by);
+        let mut values = Vector::zeros();
+        for (field, value) in used.iter().zip(solution.iter()) {
+            values[*field] = value / solution[0];
+        }
+        Some((self.sums.square - by.dot(&solution), values))
+    }
+
+    /// The one thing that explains the difference best, if one does.
+    fn difference(&self) -> Option<Difference> {
+        let (without, _) = self.fit(&[])?;
+        let all: Vec<usize> = (BLACK..FIELDS).collect();
+        let (with_all, _) = self.fit(&all)?;
+        let explanations: [&[usize]; 6] = [&[BLACK], &[TONE], &[RADIUS], &SHIFT, &[SCALE], &[TURN]];
+        let fitted = explanations.iter().filter_map(|fields| Some((fields[0], self.fit(fields)?)));
+        let (field, (left, value)) = fitted.min_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
+        (without - left > EXPLAINS * (without - with_all)).then_some(Difference { field, value })
+    }
+
+    /// A difference in units of what is worth mentioning.
+    fn weight(&self, field: usize, value: &Vector) -> f64 {
+        match field {
+            BLACK => value[BLACK] / BLACK_LIMIT,
+            TONE => value[TONE] / TONE_LIMIT,
+            RADIUS => value[RADIUS] / (PUPIL_LIMIT * self.pupil_px),
+            SCALE | TURN => value[field] * self.half_diagonal_px / SHIFT_LIMIT_PX,
+            _ => value[SHIFT[0]].hypot(value[SHIFT[1]]) / SHIFT_LIMIT_PX,
+        }
+    }
+
+    fn words(&self, field: usize, value: &Vector) -> String {
+        match field {
+            BLACK => format!(
+                "samples without light are {:.1} % of a bright square {} than in the white image: another black level{}. \
+                 Take and export all images with the same settings, and without changing their contrast",
+                100.0 * value[BLACK].abs(),
+                if value[BLACK] > 0.0 { "higher" } else { "lower" },
+                if value[BLACK].abs() > NO_BLACK_LEVEL { ", or a gamma" } else { "" }
+            ),
+            TONE => format!(
+                "light goes with about the power {:.2} of that of the white image (gamma, contrast or another tone \
+                 curve). Take and export all images linear in light",
+                1.0 + value[TONE]
+            ),
+            RADIUS => format!(
+                "micro-images have an edge as at {:.3} times the f-number of the white image. Take the white image for \
+                 the boards (devignetting) and the boards at one f-number",
+                // They are as bright farther inside where the pupil is smaller.
+                self.pupil_px / (self.pupil_px - value[RADIUS]).max(0.1 * self.pupil_px)
+            ),
+            SCALE => format!(
+                "micro-images are {:.2} % {} each other than in the white image: one of them was resized, or is of another \
+                 focus or camera. Take both as the camera delivers them, with nothing moved between",
+                100.0 * value[SCALE].abs(),
+                if value[SCALE] < 0.0 { "farther from" } else { "nearer to" }
+            ),
+            TURN => format!(
+                "micro-images are turned by {:.3} degrees against the white image. Take both as the camera delivers them, \
+                 with nothing moved between",
+                value[TURN].to_degrees().abs()
+            ),
+            _ => format!(
+                "micro-images are shifted by ({:.2}, {:.2}) px against the white image: something has moved in the camera, \
+                 or one of the images was cut. Take white images with the camera as it is for the boards",
+                -value[SHIFT[0]], -value[SHIFT[1]]
+            ),
+        }
+    }
+}
+
+/// One micro-image of a board against the white image.
+struct Compared {
+    /// Its light, relative to the white image.
+    light: f64,
+    /// What no field explains, relative to its light, root mean square.
+    left: f64,
+    sums: Sums,
+}
+
+impl Compared {
+    fn of(board: &Grey, white: &Grey, all: &MicroImages, (k, l): (i32, i32)) -> Option<Self> {
+        let (place, reach) = (all.center(k, l), all.grid.pitch_px / 2.0);
+        let pair = Pair::about(board, white, std::iter::once(place), reach + 2.0);
+        let (width, height) = (pair.white.width, pair.white.height);
+        let center = place - pair.corner;
+        let inside = center.min() >= reach + 1.0
+            && center.x + reach + 1.0 < width as f64 - 1.0
+            && center.y + reach + 1.0 < height as f64 - 1.0;
+        if !inside {
+            return None;
+        }
+        let at = |u: usize, v: usize| f64::from(pair.white.pixels[v * width + u]);
+        let pixels = (1..height - 1).flat_map(|v| (1..width - 1).map(move |u| (u, v)));
+        let off = |&(u, v): &(usize, usize)| (u as f64 - center.x).hypot(v as f64 - center.y);
+        let pixels: Vec<(usize, usize)> = pixels.filter(|pixel| off(pixel) < reach).collect();
+        let brightest = pixels.iter().map(|&(u, v)| at(u, v)).fold(0.0, f64::max);
+        let (from_middle, mut sums) = (place - all.middle(), Sums::none());
+        let mut kept = 0;
+        for pixel @ &(u, v) in &pixels {
+            let (w, b) = (at(u, v), f64::from(pair.board.pixels[v * width + u]));
+            if w < f64::from(USABLE) * brightest || w >= 1.0 || b >= 1.0 {
+                continue;
+            }
+            let (du, dv) =
+                ((at(u + 1, v) - at(u - 1, v)) / 2.0, (at(u, v + 1) - at(u, v - 1)) / 2.0);
+            let laplacian = at(u + 1, v) + at(u - 1, v) + at(u, v + 1) + at(u, v - 1) - 4.0 * w;
+            let (x, y) = (u as f64 - center.x, v as f64 - center.y);
+            let along_radius = (du * x + dv * y) / off(pixel).max(1.0);
+            let fields = Vector::from([
+                w,
+                laplacian,
+                brightest,
+                w * (w / brightest).ln(),
+                along_radius,
+                du,
+                dv,
+                du * from_middle.x + dv * from_middle.y,
+                dv * from_middle.x - du * from_middle.y,
+            ]);
+            sums.add(&(fields / brightest), b / brightest, 1.0 / (w / brightest + READ_NOISE));
+            kept += 1;
+        }
+        if kept < FEWEST_PIXELS {
+            return None;
+        }
+        let light = sums.by[WHITE] / sums.normal[(WHITE, WHITE)];
+        let solution = sums.normal.cholesky()?.solve(&sums.by);
+        let left = (sums.square - sums.by.dot(&solution)).max(0.0) / kept as f64;
+        Some(Self { light, left: left.sqrt() / light, sums: sums.scaled(1.0 / light) })
+            .filter(|_| light > 0.0)
+    }
+}
+
+impl Sums {
+    fn none() -> Self {
+        Self { normal: Matrix::zeros(), by: Vector::zeros(), square: 0.0 }
+    }
+
+    fn add(&mut self, fields: &Vector, board: f64, weight: f64) {
+        self.normal += fields * fields.transpose() * weight;
+        self.by += fields * (board * weight);
+        self.square += board * board * weight;
+    }
+
+    /// The same for an image so many times as bright.
+    fn scaled(self, factor: f64) -> Self {
+        Self { by: self.by * factor, square: self.square * factor * factor, ..self }
+    }
+}
+
+/// What the user should know of frames that were not taken as the white image was.
+pub(super) fn unlike(frames: &[DetectedFrame]) -> Vec<String> {
+    let all: Vec<(&DetectedFrame, &Likeness)> =
+        frames.iter().filter_map(|frame| Some((frame, frame.likeness.as_ref()?))).collect();
+    let weighty = |(_, likeness): &(&DetectedFrame, &Likeness), limit: f64| {
+        let Difference { field, value } = likeness.difference()?;
+        (likeness.weight(field, &value).abs() > limit).then_some((field, value))
+    };
+    let found: Vec<Option<(usize, Vector)>> = all.iter().map(|one| weighty(one, 1.0)).collect();
+    let usual = (BLACK..FIELDS).max_by_key(|field| of_field(&found, *field).count());
+    if let Some(field) = usual
+        && 2 * of_field(&found, field).count() > all.len()
+    {
+        let values: Vec<Vector> = of_field(&found, field).collect();
+        let middle = Vector::from_fn(|row, _| median(values.iter().map(|v| v[row])).unwrap_or(0.0));
+        let words = all[0].1.words(field, &middle);
+        return vec![format!("boards are not like the white image: their {words}")];
+    }
+    if all.len() < FEWEST_FRAMES {
+        return Vec::new();
+    }
+    let of_one = |one: &(&DetectedFrame, &Likeness)| {
+        let (field, value) = weighty(one, OF_ONE)?;
+        let DetectedFrame { frame, name, .. } = one.0;
+        let words = one.1.words(field, &value);
+        Some(format!("frame {frame} ({name}) is not like the white image: its {words}"))
+    };
+    all.iter().filter_map(of_one).collect()
+}
+
+fn of_field(found: &[Option<(usize, Vector)>], field: usize) -> impl Iterator<Item = Vector> {
+    found.iter().flatten().filter(move |(f, _)| *f == field).map(|(_, value)| *value)
+}

@@ -1,0 +1,174 @@
+//! Whether the f-numbers of white images can be right: micro-images grow in a straight line with 1/N,
+//! Eq. (miradiusfnumber).
+
+use super::internal::{RadiusMeasurement, fit_internal};
+use super::stage::White;
+use crate::error::{Error, Result};
+use crate::model::Configuration;
+
+/// A radius this part away from where the other f-numbers put it is the sign of a wrong f-number: half a
+/// stop at f/4 changes a radius by 10 %.
+const CONTRADICTION: f64 = 0.05;
+/// This part is enough where it is so many times the root mean square distance of the others from their
+/// lines: f/9 for f/8.
+const NOTICEABLE: f64 = 0.01;
+const OUT_OF_LINE: f64 = 8.0;
+/// With more white images than this the others show how straight their lines are.
+const FEWEST_TO_JUDGE: usize = 4;
+/// Radii are on straight lines if they are this part of a radius off, root mean square.
+const STRAIGHT: f64 = 0.01;
+/// One explanation is better than another if its lines are so many times as straight.
+const BETTER: f64 = 2.0;
+
+/// A white image whose f-number contradicts the others.
+pub(super) struct Doubt {
+    /// Its index.
+    pub white: usize,
+    /// The f-number that its micro-images have the size of, by lines through the others, where these
+    /// agree without it.
+    pub looks_like: Option<f64>,
+    /// What the user should know.
+    pub text: String,
+}
+
+/// The white image that contradicts the others, if one does. An error if the f-numbers fit in another order: micro-images
+/// are larger at a smaller one.
+pub(super) fn doubtful(
+    whites: &[White],
+    radii: &[RadiusMeasurement],
+    types: usize,
+    configuration: Configuration,
+) -> Result<Option<Doubt>> {
+    let sizes = Sizes { whites, radii, types, configuration };
+    let stated: Vec<f64> = whites.iter().map(|white| white.f_number).collect();
+    let without: Vec<Option<Lines>> =
+        (0..whites.len()).map(|i| sizes.lines(&stated, Some(i))).collect();
+    let contradicts = |i: usize| {
+        let off = sizes.off(i, without[i].as_ref()?).abs();
+        let usual = without[i].as_ref()?.off;
+        let noticed = off > CONTRADICTION
+            || whites.len() > FEWEST_TO_JUDGE && off > NOTICEABLE.max(OUT_OF_LINE * usual);
+        noticed.then_some((i, off))
+    };
+    let worst = (0..whites.len()).filter_map(contradicts).max_by(|a, b| a.1.total_cmp(&b.1));
+    let Some((worst, _)) = worst.filter(|_| whites.len() > 2) else { return Ok(None) };
+
+    let off = |i: &usize| without[*i].as_ref().map_or(f64::INFINITY, |lines| lines.off);
+    let mut order: Vec<usize> = (0..whites.len()).collect();
+    order.sort_by(|a, b| off(a).total_cmp(&off(b)));
+    let (best, next) = (order[0], order[1]);
+    let by_size = sizes.by_size(&stated);
+    if let Some(lines) = sizes.lines(&by_size, None)
+        && by_size != stated
+        && lines.off < STRAIGHT
+        && lines.off < BETTER * off(&best)
+    {
+        return Err(sizes.in_another_order(&by_size));
+    }
+    if whites.len() >= FEWEST_TO_JUDGE && off(&best) < STRAIGHT && BETTER * off(&best) < off(&next)
+    {
+        return Ok(without[best].as_ref().map(|lines| sizes.misfit(best, lines)));
+    }
+    let text = without[worst].as_ref().map(|lines| {
+        let own = sizes.of(worst);
+        format!(
+            "{}: at f/{:.2} the radius of type 1 is {:.2} px, but the other images say {:.2} px: check its \
+             f-number",
+            whites[worst].name,
+            stated[worst],
+            own[0].radius_px,
+            lines.radius(stated[worst], 0)
+        )
+    });
+    Ok(text.map(|text| Doubt { white: worst, looks_like: None, text }))
+}
+
+/// Lines ϱ = m/N + |qᵢ|, px.
+struct Lines {
+    m: f64,
+    q: Vec<f64>,
+    /// How far radii are off, as a part of a radius, root mean square.
+    off: f64,
+}
+
+impl Lines {
+    fn radius(&self, f_number: f64, lens_type: usize) -> f64 {
+        self.m / f_number + self.q[lens_type]
+    }
+}
+
+/// The sizes of the micro-images in white images; rows are in the order of the images.
+struct Sizes<'a> {
+    whites: &'a [White],
+    radii: &'a [RadiusMeasurement],
+    types: usize,
+    configuration: Configuration,
+}
+
+impl Sizes<'_> {
+    fn of(&self, white: usize) -> &[RadiusMeasurement] {
+        &self.radii[white * self.types..(white + 1) * self.types]
+    }
+
+    fn mean(&self, white: usize) -> f64 {
+        self.of(white).iter().map(|m| m.radius_px).sum::<f64>() / self.types as f64
+    }
+
+    /// Lines through all radii, but those of one image, with these f-numbers.
+    fn lines(&self, f_numbers: &[f64], without: Option<usize>) -> Option<Lines> {
+        let kept = (0..self.whites.len()).filter(|i| Some(*i) != without);
+        let mut all: Vec<RadiusMeasurement> = kept
+            .flat_map(|i| self.of(i).iter().map(move |m| (i, m)))
+            .map(|(i, m)| RadiusMeasurement { f_number: f_numbers[i], ..m.clone() })
+            .collect();
+        let fit = fit_internal(&mut all, self.types, 1.0, 0.0, self.configuration)?;
+        let side = if self.configuration == Configuration::Keplerian { 1.0 } else { -1.0 };
+        let mean = all.iter().map(|m| m.radius_px).sum::<f64>() / all.len() as f64;
+        let q = fit.parameters.q_prime_mm.iter().map(|q| side * q).collect();
+        Some(Lines { m: fit.parameters.m_mm, q, off: fit.rms_px / mean })
+    }
+
+    /// How far the radii of an image are off, as a part of them.
+    fn off(&self, white: usize, lines: &Lines) -> f64 {
+        let f_number = self.whites[white].f_number;
+        let off = |m: &RadiusMeasurement| m.radius_px / lines.radius(f_number, m.lens_type) - 1.0;
+        self.of(white).iter().map(off).sum::<f64>() / self.types as f64
+    }
+
+    /// The stated f-numbers in the order of the sizes.
+    fn by_size(&self, stated: &[f64]) -> Vec<f64> {
+        let mut images: Vec<usize> = (0..stated.len()).collect();
+        images.sort_by(|a, b| self.mean(*b).total_cmp(&self.mean(*a)));
+        let mut sorted = stated.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let mut assigned = stated.to_vec();
+        for (image, f_number) in images.into_iter().zip(sorted) {
+            assigned[image] = f_number;
+        }
+        assigned
+    }
+
+    fn in_another_order(&self, by_size: &[f64]) -> Error {
+        let images = self.whites.iter().zip(by_size).filter(|(white, n)| white.f_number != **n);
+        let list: Vec<String> = images
+            .map(|(white, n)| format!("{} f/{n:.2} and not f/{:.2}", white.name, white.f_number))
+            .collect();
+        Error::invalid(format!(
+            "the f-numbers of white images are swapped: by the size of their micro-images {}. Correct their \
+             f-numbers",
+            list.join(", ")
+        ))
+    }
+
+    fn misfit(&self, white: usize, lines: &Lines) -> Doubt {
+        let own = self.of(white);
+        let f_number = |m: &RadiusMeasurement| lines.m / (m.radius_px - lines.q[m.lens_type]);
+        let looks_like = own.iter().map(f_number).sum::<f64>() / self.types as f64;
+        let White { name, f_number, .. } = &self.whites[white];
+        let text = format!(
+            "{name}: its micro-images have the size of f/{looks_like:.2} and not of f/{f_number:.2}, if the other \
+             white images are right, and is left out. Check its f-number, and that it is a white image of this camera"
+        );
+        Doubt { white, looks_like: Some(looks_like), text }
+    }
+}
