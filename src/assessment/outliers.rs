@@ -21,6 +21,8 @@ const FROM_MEDIAN_DEVIATION: f64 = 1.4826;
 /// Frames outlie if leaving them out moves a parameter by so many of the σ that the other frames alone
 /// predict. There are a few hundred changes, with heavy tails: noise gets to 4.
 const INFLUENTIAL: f64 = 5.0;
+/// A change of less than this many σ of the parameter is none to speak of, however unexpected.
+const MATERIAL: f64 = 0.0;
 /// So many frames are needed to tell that one is not like the others.
 const MIN_FRAMES: usize = 6;
 
@@ -49,15 +51,17 @@ pub struct OutlyingFrame {
 /// How a frame moves the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Influence {
-    /// The parameter that changes most if the frame is left out.
+    /// The parameter whose change is the least expected if the frame is left out.
     pub parameter: &'static str,
-    /// By how many σ, as the other frames predict it.
+    /// By how many of its σ it changes.
     pub std_devs: f64,
+    /// By how many times as much as the other frames let expect.
+    pub unexpected: f64,
 }
 
 impl OutlyingFrame {
-    pub(super) fn influence_std_devs(&self) -> f64 {
-        self.influence.map_or(0.0, |influence| influence.std_devs)
+    pub(super) fn unexpected_influence(&self) -> f64 {
+        self.influence.map_or(0.0, |influence| influence.unexpected)
     }
 }
 
@@ -110,7 +114,7 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     let deviation = median(logarithms().map(|l| (l - middle).abs())).unwrap_or(0.0);
     let spread = (FROM_MEDIAN_DEVIATION * deviation).max(LEAST_SPREAD);
     let badness = |f: &OutlyingFrame| {
-        (f.residual_ratio.ln() / spread / OUTLYING_FRAME).max(f.influence_std_devs() / INFLUENTIAL)
+        (f.residual_ratio.ln() / spread / OUTLYING_FRAME).max(f.unexpected_influence() / INFLUENTIAL)
     };
     let scaled = scaled_changes(&calibration.uncertainty);
     let of_pose = |(i, pose): (usize, &FramePose)| {
@@ -147,11 +151,14 @@ fn influence(scaled: &[Vec<f64>], frame: usize, calibration: &Calibration) -> Op
     let others: Vec<f64> =
         of_others.flat_map(|(_, z)| z).copied().filter(|z| z.is_finite()).collect();
     let typical = (others.iter().map(|z| z * z).sum::<f64>() / others.len() as f64).sqrt();
+    let Uncertainty { covariance, left_out_changes, free_intrinsics, .. } = &calibration.uncertainty;
     let parameters = shared_parameters(calibration.camera.lens_types());
-    let free = calibration.uncertainty.free_intrinsics.iter();
-    let of = |(&index, z): (&usize, &f64)| {
-        let std_devs = z.abs() / typical;
-        std_devs.is_finite().then_some(Influence { parameter: parameters[index].name, std_devs })
+    let of = |(row, (&index, z)): (usize, (&usize, &f64))| {
+        let std_devs = left_out_changes[(frame, row)].abs() / covariance[(row, row)].sqrt();
+        let unexpected = z.abs() / typical;
+        (unexpected.is_finite() && std_devs > MATERIAL)
+            .then_some(Influence { parameter: parameters[index].name, std_devs, unexpected })
     };
-    free.zip(scaled.get(frame)?).filter_map(of).max_by(|a, b| a.std_devs.total_cmp(&b.std_devs))
+    let free = free_intrinsics.iter().zip(scaled.get(frame)?).enumerate();
+    free.filter_map(of).max_by(|a, b| a.unexpected.total_cmp(&b.unexpected))
 }

@@ -146,7 +146,7 @@ impl Reason {
             Self::Warning(_) => 50.0,
             Self::Pulled { pull, .. } => 2.0 * pull.abs(),
             Self::SlopeContradicts { error } => 2.0 * error.abs() / SLOPE_FLOOR,
-            Self::Frame(frame) => 5.0 + frame.influence_std_devs().max(frame.residual_ratio),
+            Self::Frame(frame) => 5.0 + frame.unexpected_influence().max(frame.residual_ratio),
             Self::Scatter(ratio) => 5.0 * ratio / SCATTER,
             Self::Uncertain { relative, .. } => (4.0 * relative / UNCERTAIN).min(40.0),
             Self::ImagePattern(part) => 4.0 * part / IMAGE_PATTERN,

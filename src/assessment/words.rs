@@ -102,12 +102,15 @@ impl fmt::Display for OutlyingFrame {
         if larger || influence.is_none() {
             write!(f, "its residuals are {residual_ratio:.1} times theirs")?;
         }
-        let Some(Influence { parameter, std_devs }) = influence else { return Ok(()) };
+        let Some(Influence { parameter, std_devs, unexpected }) = influence else { return Ok(()) };
         f.write_str(if larger { ", and " } else { "" })?;
         if *std_devs > MOST_STD_DEVS {
             write!(f, "without it {parameter} is another one altogether")
         } else {
-            write!(f, "without it {parameter} moves by {std_devs:.1} σ")
+            write!(
+                f,
+                "without it {parameter} moves by {std_devs:.1} σ, {unexpected:.0} times as much as the others let expect"
+            )
         }
     }
 }
@@ -119,15 +122,22 @@ mod tests {
     #[test]
     fn frames_are_described_by_what_is_remarkable_about_them() {
         let frame = |residual_ratio, influence: Option<f64>| {
-            let influence = influence.map(|std_devs| Influence { parameter: "F", std_devs });
+            let influence = influence.map(|std_devs| Influence {
+                parameter: "F",
+                std_devs,
+                unexpected: 6.2,
+            });
             OutlyingFrame { frame: 4, residual_ratio, influence }.to_string()
         };
         let begins = "frame 4 does not fit the others: ";
         assert_eq!(frame(2.0, None), format!("{begins}its residuals are 2.0 times theirs"));
-        assert_eq!(frame(0.7, Some(7.0)), format!("{begins}without it F moves by 7.0 σ"));
+        let than = "6 times as much as the others let expect";
+        assert_eq!(frame(0.7, Some(7.0)), format!("{begins}without it F moves by 7.0 σ, {than}"));
         assert_eq!(
             frame(3.0, Some(5.0)),
-            format!("{begins}its residuals are 3.0 times theirs, and without it F moves by 5.0 σ")
+            format!(
+                "{begins}its residuals are 3.0 times theirs, and without it F moves by 5.0 σ, {than}"
+            )
         );
         assert_eq!(
             frame(1.0, Some(1e9)),

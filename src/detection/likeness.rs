@@ -44,14 +44,14 @@ const EXPLAINS: f64 = 0.7;
 /// Black levels that differ by this part of the light of a bright square, and powers by this.
 const BLACK_LIMIT: f64 = 0.02;
 const TONE_LIMIT: f64 = 0.06;
-/// Beyond this a strong gamma looks like another black level.
-const NO_BLACK_LEVEL: f64 = 0.2;
 /// Pupils that differ by this part: f/4.1 for f/4.
 const PUPIL_LIMIT: f64 = 0.03;
 /// Shifts of this much, px; scales that make as much at the border of the image, and turns.
 const SHIFT_LIMIT_PX: f64 = 0.1;
 /// A single frame is not like the others if it differs from them by so many times these limits.
 const OF_ONE: f64 = 3.0;
+/// More than so many times these limits one thing looks like another.
+const STRANGE: f64 = 12.0;
 const FEWEST_FRAMES: usize = 4;
 
 type Matrix = SMatrix<f64, FIELDS, FIELDS>;
@@ -159,13 +159,17 @@ impl Likeness {
     }
 
     fn words(&self, field: usize, value: &Vector) -> String {
+        if self.weight(field, value).abs() > STRANGE {
+            return "light is spread over the micro-images in another way: another f-number, a gamma, another black \
+                    level, or a white image of another camera. Take and export all images with the same settings"
+                .to_owned();
+        }
         match field {
             BLACK => format!(
-                "samples without light are {:.1} % of a bright square {} than in the white image: another black level{}. \
+                "samples without light are {:.1} % of a bright square {} than in the white image: another black level. \
                  Take and export all images with the same settings, and without changing their contrast",
                 100.0 * value[BLACK].abs(),
-                if value[BLACK] > 0.0 { "higher" } else { "lower" },
-                if value[BLACK].abs() > NO_BLACK_LEVEL { ", or a gamma" } else { "" }
+                if value[BLACK] > 0.0 { "higher" } else { "lower" }
             ),
             TONE => format!(
                 "light goes with about the power {:.2} of that of the white image (gamma, contrast or another tone \

@@ -203,8 +203,7 @@ pub(super) mod tests {
             f_number: 4.0,
             configuration: Configuration::Galilean,
             lattice_kind: LatticeKind::Orthogonal,
-            columns: 3,
-            rows: 3,
+            array_size: Some((3, 3)),
             lens_types: 1,
             micro_image_pitch_px: None,
         };

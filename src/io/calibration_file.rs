@@ -51,6 +51,7 @@ fn assessment_document(assessment: &Assessment) -> Value {
                 "residual_ratio": o.residual_ratio,
                 "parameter": o.influence.map(|i| i.parameter),
                 "influence": o.influence.map(|i| i.std_devs),
+                "unexpected": o.influence.map(|i| i.unexpected),
             })
         })
         .collect();

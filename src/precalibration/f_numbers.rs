@@ -61,7 +61,7 @@ pub(super) fn doubtful(
     if let Some(lines) = sizes.lines(&by_size, None)
         && by_size != stated
         && lines.off < STRAIGHT
-        && lines.off < BETTER * off(&best)
+        && (whites.len() < FEWEST_TO_JUDGE || lines.off < BETTER * off(&best))
     {
         return Err(sizes.in_another_order(&by_size));
     }
@@ -149,7 +149,9 @@ impl Sizes<'_> {
     }
 
     fn in_another_order(&self, by_size: &[f64]) -> Error {
-        let images = self.whites.iter().zip(by_size).filter(|(white, n)| white.f_number != **n);
+        #[allow(clippy::float_cmp)] // the same numbers, in another order
+        let is_other = |(white, n): &(&White, &f64)| white.f_number != **n;
+        let images = self.whites.iter().zip(by_size).filter(is_other);
         let list: Vec<String> = images
             .map(|(white, n)| format!("{} f/{n:.2} and not f/{:.2}", white.name, white.f_number))
             .collect();

@@ -23,6 +23,7 @@ mod independent;
 mod init;
 #[cfg(unix)]
 mod interrupt;
+mod likeness;
 mod linear_light;
 mod manners;
 mod micro_images;

@@ -164,10 +164,11 @@ fn the_size_of_an_array_smaller_than_the_sensor_is_that_of_its_visible_part() {
             let place = truth.center_of(c.k, c.l);
             assert!((place - Vector2::new(c.u_px, c.v_px)).norm() < 0.2, "{c:?} at {place}");
         }
-        // The true size may be stated, a size larger than what is visible may not.
+        // The true size may be stated, a size smaller than what is visible may not.
         let stated = measure_array(&image, Some((columns, rows))).unwrap();
         assert_eq!(stated.centers.len(), array.centers.len());
-        let error = measure_array(&image, Some((columns + 6, rows))).unwrap_err().to_string();
+        let error = measure_array(&image, Some((grid.lattice.columns - 1, rows)));
+        let error = error.unwrap_err().to_string();
         assert!(error.contains(&format!("{shown} x {rows}")), "{error}");
     }
 }

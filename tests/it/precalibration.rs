@@ -273,6 +273,34 @@ fn an_array_may_go_on_beyond_the_sensor_or_be_of_unknown_size() {
     assert!(apart.norm() < 0.75 * unknown.array.grid.pitch_px, "{apart}");
 }
 
+/// The result is that of the other four.
+#[test]
+fn a_white_image_at_another_f_number_than_stated_is_left_out() {
+    let settings = preset("mini", &["rays=8"]);
+    let (mut whites, _) = taken(&settings);
+    whites.iter_mut().zip(1..).for_each(|(white, i)| white.name = format!("white {i}"));
+    let of = |whites: &[White]| precalibrate(whites, None, &options(&settings), &|| ()).unwrap();
+    let mut others = whites.clone();
+    others.remove(2);
+    whites[2].f_number = 11.31;
+    let (found, expected) = (of(&whites), of(&others));
+    assert!(found.warnings[0].contains("white 3: its micro-images have the size of f/8.0"));
+    assert_eq!(found.internal, expected.internal);
+    assert_eq!(found.images, ["white 1", "white 2", "white 4", "white 5"]);
+}
+
+#[test]
+fn swapped_f_numbers_are_named() {
+    let small = &*SMALL;
+    small.is_rejected(&small.at([8.0, 4.0, 16.0]), "f/4.00 f/4.00 and not f/8.00");
+    let settings = preset("mini", &["rays=8"]);
+    let (mut whites, _) = taken(&settings);
+    let stated: Vec<f64> = whites.iter().map(|white| white.f_number).collect();
+    whites.iter_mut().zip(stated.iter().rev()).for_each(|(white, n)| white.f_number = *n);
+    let error = precalibrate(&whites, None, &options(&settings), &|| ()).unwrap_err().to_string();
+    assert!(error.contains("are swapped") && error.contains("f/16.00 and not f/4.00"), "{error}");
+}
+
 #[test]
 fn one_wrong_f_number_among_three_gives_a_warning() {
     let small = &*SMALL;

@@ -1,0 +1,105 @@
+//! Boards that were not taken, or not exported, as their white image was.
+
+use std::sync::LazyLock;
+
+use plenocal::detection::{BoardImage, DepthEstimator, MicroImages, Search, detect};
+use plenocal::image::{RawImage, Samples};
+use plenocal::model::Subset;
+use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
+use plenocal::simulation::{DataSet, Settings};
+
+use crate::support::preset;
+
+/// A small camera with its micro-images, a white image, and boards at two f-numbers.
+struct Shoot {
+    settings: Settings,
+    micro_images: MicroImages,
+    white: RawImage,
+    board: RawImage,
+    at_another_f_number: RawImage,
+}
+
+static SHOOT: LazyLock<Shoot> = LazyLock::new(|| {
+    let board_of =
+        |settings: &Settings, plan: &DataSet| plan.subsets[0][0].1.take(settings, &|| ()).unwrap();
+    let settings = preset("mini", &["seed=31"]);
+    let plan = DataSet::plan(&settings, None).unwrap();
+    let white = |shot: &plenocal::simulation::Shot| White {
+        name: "white".to_owned(),
+        f_number: shot.f_number,
+        image: shot.take(&settings, &|| ()).unwrap(),
+    };
+    let whites: Vec<White> = plan.whites.iter().map(white).collect();
+    let reference = white(&plan.devignetting);
+    let sheet = settings.datasheet();
+    let options = PrecalibrationOptions::of_datasheet(&sheet);
+    let measured = precalibrate(&whites, Some(&reference), &options, &|| ()).unwrap();
+    let other = preset("mini", &["seed=31", "camera.main_lens.f_number=4.3"]);
+    Shoot {
+        micro_images: MicroImages::of_precalibration(&measured, &sheet).unwrap(),
+        white: reference.image,
+        board: board_of(&settings, &plan),
+        at_another_f_number: board_of(&other, &DataSet::plan(&other, None).unwrap()),
+        settings,
+    }
+});
+
+/// What is said of a board.
+fn said_of(image: &RawImage) -> Vec<String> {
+    let Shoot { settings, micro_images, white, .. } = &*SHOOT;
+    let (board, sheet) = (settings.target.board(), settings.datasheet());
+    let estimator = DepthEstimator::Line;
+    let search = Search { micro_images, board: &board, sensor: &sheet.sensor, estimator };
+    let boards = [BoardImage::new(0, "board", image)];
+    let found = detect(&boards, white, &search, Subset::Evaluation, &|_, _| Ok(())).unwrap();
+    found.warnings.into_iter().filter(|w| w.contains("not like the white image")).collect()
+}
+
+/// The board with other samples, from those of its pixel and of the one before.
+fn changed(change: impl Fn(f64, f64) -> f64) -> RawImage {
+    let image = &SHOOT.board;
+    let Samples::Bits8(samples) = &image.samples else { panic!("mini has 8 bits") };
+    let before = std::iter::once(&samples[0]).chain(samples);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // clamped
+    let samples = samples
+        .iter()
+        .zip(before)
+        .map(|(&x, &before)| change(x.into(), before.into()).round().clamp(0.0, 255.0) as u8)
+        .collect();
+    RawImage { samples: Samples::Bits8(samples), ..image.clone() }
+}
+
+fn assert_said(image: &RawImage, words: &str) {
+    let said = said_of(image);
+    assert!(said.len() == 1 && said[0].contains(words), "{said:?}, not {words:?}");
+}
+
+#[test]
+fn a_board_that_was_taken_as_the_white_image_is_like_it() {
+    let said = said_of(&SHOOT.board);
+    assert!(said.is_empty(), "{said:?}");
+}
+
+#[test]
+fn another_black_level_is_named() {
+    assert_said(&changed(|x, _| 16.0 + x * 239.0 / 255.0), "higher than in the white image");
+    assert_said(&changed(|x, _| x - 12.0), "lower than in the white image");
+}
+
+#[test]
+fn a_gamma_is_named() {
+    let power = |power: f64| changed(move |x, _| 255.0 * (x / 255.0).powf(power));
+    assert_said(&power(1.25), "about the power 1.2");
+    assert_said(&power(0.83), "about the power 0.8");
+}
+
+#[test]
+fn a_shift_is_named_with_its_size() {
+    assert_said(&changed(|x, before| 0.7 * x + 0.3 * before), "shifted by (0.2");
+}
+
+/// 4.3/4 = 1.075.
+#[test]
+fn another_f_number_is_named() {
+    assert_said(&SHOOT.at_another_f_number, "as at 1.07");
+}
