@@ -22,7 +22,7 @@ const FROM_MEDIAN_DEVIATION: f64 = 1.4826;
 /// predict. There are a few hundred changes, with heavy tails: noise gets to 4.
 const INFLUENTIAL: f64 = 5.0;
 /// A change of less than this many σ of the parameter is none to speak of, however unexpected.
-const MATERIAL: f64 = 0.0;
+const MATERIAL: f64 = 1.0;
 /// So many frames are needed to tell that one is not like the others.
 const MIN_FRAMES: usize = 6;
 
@@ -114,7 +114,8 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     let deviation = median(logarithms().map(|l| (l - middle).abs())).unwrap_or(0.0);
     let spread = (FROM_MEDIAN_DEVIATION * deviation).max(LEAST_SPREAD);
     let badness = |f: &OutlyingFrame| {
-        (f.residual_ratio.ln() / spread / OUTLYING_FRAME).max(f.unexpected_influence() / INFLUENTIAL)
+        (f.residual_ratio.ln() / spread / OUTLYING_FRAME)
+            .max(f.unexpected_influence() / INFLUENTIAL)
     };
     let scaled = scaled_changes(&calibration.uncertainty);
     let of_pose = |(i, pose): (usize, &FramePose)| {
@@ -151,13 +152,17 @@ fn influence(scaled: &[Vec<f64>], frame: usize, calibration: &Calibration) -> Op
     let others: Vec<f64> =
         of_others.flat_map(|(_, z)| z).copied().filter(|z| z.is_finite()).collect();
     let typical = (others.iter().map(|z| z * z).sum::<f64>() / others.len() as f64).sqrt();
-    let Uncertainty { covariance, left_out_changes, free_intrinsics, .. } = &calibration.uncertainty;
+    let Uncertainty { covariance, left_out_changes, free_intrinsics, .. } =
+        &calibration.uncertainty;
     let parameters = shared_parameters(calibration.camera.lens_types());
     let of = |(row, (&index, z)): (usize, (&usize, &f64))| {
         let std_devs = left_out_changes[(frame, row)].abs() / covariance[(row, row)].sqrt();
         let unexpected = z.abs() / typical;
-        (unexpected.is_finite() && std_devs > MATERIAL)
-            .then_some(Influence { parameter: parameters[index].name, std_devs, unexpected })
+        (unexpected.is_finite() && std_devs > MATERIAL).then_some(Influence {
+            parameter: parameters[index].name,
+            std_devs,
+            unexpected,
+        })
     };
     let free = free_intrinsics.iter().zip(scaled.get(frame)?).enumerate();
     free.filter_map(of).max_by(|a, b| a.unexpected.total_cmp(&b.unexpected))

@@ -234,7 +234,8 @@ mod tests {
 
     use super::*;
     use crate::model::Noise;
-    use crate::solver::{Loss, LossKind, small_camera as camera, synthesize};
+    use crate::model::small_camera as camera;
+    use crate::solver::{Loss, LossKind, synthesize};
 
     const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
 

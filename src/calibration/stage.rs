@@ -1,5 +1,7 @@
 //! The calibration as one stage: from observations to a refined camera.
 
+use std::collections::BTreeSet;
+
 use nalgebra::Isometry3;
 use tracing::debug;
 
@@ -17,8 +19,8 @@ use crate::calibration::frames::{
 };
 use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{
-    AnchorSource, BoardResult, Calibration, CalibrationOptions, FillMeasurement, Mode, Start,
-    Warning, Weights, initial_camera,
+    AnchorSource, BoardResult, Calibration, CalibrationOptions, FillMeasurement, LeftOut, Mode,
+    NoPose, Start, Warning, Weights, initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::model::{
@@ -215,11 +217,26 @@ fn frames_with_poses(
 ) -> Result<Frames> {
     let frames = initial_frames(initial, board, observations, &options.cost, &options.solver)?;
     if frames.poses.is_empty() {
-        let reasons: Vec<String> =
-            frames.left_out.iter().map(|l| format!("frame {}: {}", l.frame, l.reason)).collect();
-        return Err(Error::invalid(format!("no frame could be used: {}", reasons.join("; "))));
+        return Err(Error::invalid(no_frame(&frames.left_out)));
     }
     Ok(frames)
+}
+
+/// Why no frame could be used.
+fn no_frame(left_out: &[LeftOut]) -> String {
+    let reasons: BTreeSet<&NoPose> = left_out.iter().map(|frame| &frame.reason).collect();
+    if reasons == BTreeSet::from([&NoPose::BehindFocalPlane]) {
+        return "no frame could be used: all boards would have to be nearer to the main lens than its focal length. Check \
+                the size of the squares (square_mm) and of a pixel (pixel_size_mm), and the focal length (focal_length_mm)"
+            .to_owned();
+    }
+    let of_reason = |reason: &&NoPose| {
+        let frames = left_out.iter().filter(|frame| frame.reason == **reason);
+        let frames: Vec<String> = frames.map(|frame| frame.frame.to_string()).collect();
+        format!("{reason} (frames {})", frames.join(", "))
+    };
+    let reasons: Vec<String> = reasons.iter().map(of_reason).collect();
+    format!("no frame could be used: {}", reasons.join("; "))
 }
 
 /// The cost with what depends on the input: default anchors, and the loss.

@@ -119,8 +119,8 @@ impl fmt::Display for Warning {
             Self::BadFit { rms_px, micro_image_pitch_px } => write!(
                 f,
                 "the residuals of the features are {rms_px:.2} px RMS, a large part of a micro-image \
-                 ({micro_image_pitch_px:.1} px): noise alone is far smaller; check the board, the \
-                 sign of rho and the frames with large residuals"
+                 ({micro_image_pitch_px:.1} px): noise alone is far smaller; check the board (columns, \
+                 rows, square_mm), the sign of rho and the frames with large residuals"
             ),
             Self::UnexplainedBlur { rms_px, spread_px } => write!(
                 f,
@@ -203,12 +203,12 @@ fn fill_factors_text([a, b]: &[usize; 2], [of_a, of_b]: &[FillFactor; 2]) -> Str
 fn meaning(quantity: &str) -> &'static str {
     match quantity {
         "F" | "D" => {
-            "Check the focal length and the size of the squares, and where the exit pupil of the lens is if you \
-             have stated that"
+            "Check the focal length (focal_length_mm), the size of the squares (square_mm) and of a pixel \
+             (pixel_size_mm), and where the exit pupil of the lens is if you have stated that"
         }
         SLOPE => {
-            "Check the f-numbers of the white images, the size of a pixel and of the squares, and where the \
-             exit pupil of the lens is if you have stated that"
+            "Check the f-numbers of the white images (f_number), the size of a pixel (pixel_size_mm) and of the \
+             squares (square_mm), and where the exit pupil of the lens is if you have stated that"
         }
         "u0" | "v0" => {
             "Check whether the images are cropped; with few tilted boards, or corners that are biased \
@@ -223,7 +223,7 @@ fn meaning(quantity: &str) -> &'static str {
 }
 
 /// Why a frame has no pose.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum NoPose {
     /// The caller left it out.
     Excluded,

@@ -9,8 +9,8 @@ use super::edge_width::{EdgeWidth, MOVED, MOVED_PX2, OfFrames};
 use super::likeness::{Likeness, unlike};
 use super::{Detection, FrameCounts, MicroImages, Rejection, Search, detect_frame};
 use crate::error::{Error, Result};
-use crate::image::RawImage;
-use crate::model::{BapFeature, Board, FillFactor, Sensor, Subset};
+use crate::image::{Grey, RawImage};
+use crate::model::{BapFeature, Board, FillFactor, SampleLevels, Sensor, Subset};
 use crate::numerics::median;
 
 /// An image of a board.
@@ -72,6 +72,19 @@ pub struct DetectedFrame {
 }
 
 impl DetectedFrame {
+    fn new<'i>(
+        image: &BoardImage,
+        found: Result<Searched<'i>>,
+    ) -> (Self, Option<Cow<'i, RawImage>>) {
+        let (raw, result, counts, likeness) = match found {
+            Ok((raw, (found, counts), likeness)) => {
+                (Some(raw), found.map_err(NoFeatures::Rejected), counts, likeness)
+            }
+            Err(error) => (None, Err(NoFeatures::Unreadable(error)), FrameCounts::default(), None),
+        };
+        (Self { frame: image.frame, name: image.name.clone(), result, counts, likeness }, raw)
+    }
+
     /// Number of its features; 0 where it is left out.
     #[must_use]
     pub fn features(&self) -> usize {
@@ -137,57 +150,19 @@ pub fn detect<'i>(
     search.board.validate()?;
     check_size(white, search.sensor)?;
     let levels = search.micro_images.levels.as_ref();
-    let white = white.grey_between(levels);
-    let search_in = |image: &BoardImage, raw: &RawImage, micro_images: &MicroImages| {
-        detect_frame(
-            image.frame,
-            &raw.grey_between(levels),
-            &white,
-            &Search { micro_images, ..*search },
-        )
-    };
+    let looking = Looking { search, white: white.grey_between(levels), levels };
     let mut micro_images = Cow::Borrowed(search.micro_images);
     let spread = micro_images.point_spread_px2();
     let (mut frames, mut fill_is_known) = (Vec::new(), false);
     // Reading takes one core, so that a few frames at once keep all of them busy.
     for some in images.chunks(AT_ONCE) {
-        let read = |image: &BoardImage<'i>| {
-            let raw = (image.read)()?;
-            let found = search_in(image, &raw, &micro_images);
-            let likeness = Likeness::of(&raw.grey_between(levels), &white, &micro_images);
-            Ok((raw, found, likeness))
-        };
+        let read = |image: &BoardImage<'i>| looking.read(image, &micro_images);
         let mut found: Vec<Result<Searched>> = some.par_iter().map(read).collect();
-        let mut before = None;
-        for _ in 1..ROUNDS {
-            let searched = found.iter().filter_map(|found| found.as_ref().ok());
-            let fitted_with = micro_images.fill_factor();
-            let other = |fill: &FillFactor| differs(fill, fitted_with, SAME);
-            let shown =
-                widths(searched.filter_map(|(_, (found, _), _)| found.as_ref().ok()), spread);
-            let fill = shown.map(|widths| widths.fill).filter(other);
-            let Some(fill) = fill.filter(|_| !fill_is_known) else { break };
-            debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
-            let step = [fitted_with, fill.value];
-            micro_images = Cow::Owned(micro_images.with_fill_factor(following(before, step)));
-            before = Some(step);
-            some.par_iter().zip(&mut found).for_each(|(image, found)| {
-                if let Ok((raw, found, _)) = found {
-                    *found = search_in(image, raw, &micro_images);
-                }
-            });
+        if !fill_is_known {
+            micro_images = looking.settle(some, &mut found, micro_images);
         }
         let of_image = |(image, found): (&BoardImage, Result<Searched>)| {
-            let (raw, result, counts, likeness) = match found {
-                Ok((raw, (found, counts), likeness)) => {
-                    (Some(raw), found.map_err(NoFeatures::Rejected), counts, likeness)
-                }
-                Err(error) => {
-                    (None, Err(NoFeatures::Unreadable(error)), FrameCounts::default(), None)
-                }
-            };
-            let (frame, name) = (image.frame, image.name.clone());
-            let detected = DetectedFrame { frame, name, result, counts, likeness };
+            let (detected, raw) = DetectedFrame::new(image, found);
             inspect(&detected, raw.as_deref())?;
             Ok(detected)
         };
@@ -207,6 +182,56 @@ pub fn detect<'i>(
     let mut warnings = warnings(&frames, search.board, subset);
     warnings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, fitted_with)));
     Ok(DetectedBoards { frames, fill_factor, fitted_with, warnings })
+}
+
+/// A search in several images.
+struct Looking<'a> {
+    search: &'a Search<'a>,
+    white: Grey<'a>,
+    levels: Option<&'a SampleLevels>,
+}
+
+impl Looking<'_> {
+    fn found(&self, image: &BoardImage, raw: &RawImage, micro_images: &MicroImages) -> Found {
+        let search = Search { micro_images, ..*self.search };
+        detect_frame(image.frame, &raw.grey_between(self.levels), &self.white, &search)
+    }
+
+    /// Reads an image and searches it.
+    fn read<'i>(&self, image: &BoardImage<'i>, micro_images: &MicroImages) -> Result<Searched<'i>> {
+        let raw = (image.read)()?;
+        let found = self.found(image, &raw, micro_images);
+        let likeness = Likeness::of(&raw.grey_between(self.levels), &self.white, micro_images);
+        Ok((raw, found, likeness))
+    }
+
+    /// Searches images again until the fill factor that their edges show is that which corners are fitted with.
+    fn settle<'m>(
+        &self,
+        images: &[BoardImage],
+        found: &mut [Result<Searched>],
+        mut micro_images: Cow<'m, MicroImages>,
+    ) -> Cow<'m, MicroImages> {
+        let (spread, mut before) = (micro_images.point_spread_px2(), None);
+        for _ in 1..ROUNDS {
+            let searched = found.iter().filter_map(|found| found.as_ref().ok());
+            let fitted_with = micro_images.fill_factor();
+            let other = |fill: &FillFactor| differs(fill, fitted_with, SAME);
+            let shown =
+                widths(searched.filter_map(|(_, (found, _), _)| found.as_ref().ok()), spread);
+            let Some(fill) = shown.map(|widths| widths.fill).filter(other) else { break };
+            debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
+            let step = [fitted_with, fill.value];
+            micro_images = Cow::Owned(micro_images.with_fill_factor(following(before, step)));
+            before = Some(step);
+            images.par_iter().zip(&mut *found).for_each(|(image, found)| {
+                if let Ok((raw, found, _)) = found {
+                    *found = self.found(image, raw, &micro_images);
+                }
+            });
+        }
+        micro_images
+    }
 }
 
 fn detections(frames: &[DetectedFrame]) -> impl Iterator<Item = &Detection> {

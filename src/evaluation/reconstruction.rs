@@ -226,8 +226,9 @@ mod tests {
 
     use super::super::pose_boards;
     use super::*;
+    use crate::model::small_camera;
     use crate::model::{Board, BoardShape, FramePose, Noise};
-    use crate::solver::{small_camera, synthesize_bent};
+    use crate::solver::synthesize_bent;
 
     fn bent() -> BentBoard {
         BentBoard {

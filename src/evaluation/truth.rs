@@ -38,20 +38,19 @@ impl ParameterError {
 }
 
 /// Errors of every parameter that both cameras have, in the order of [`intrinsic_parameters`];
-/// `std_devs` are those of the estimate in the same order. An error if the cameras are of different
-/// kinds.
+/// `std_devs` are those of the estimate in the same order. The estimate may know another part of the
+/// array. An error if the cameras are of different kinds.
 pub fn parameter_errors(
     truth: &PlenopticCamera,
     estimate: &PlenopticCamera,
     std_devs: &[Option<f64>],
 ) -> Result<Vec<ParameterError>> {
-    let (of_truth, of_estimate) = (truth.lattice, estimate.lattice);
-    if of_truth != of_estimate {
-        return Err(Error::invalid(format!(
-            "the true camera has {of_truth}, the estimated one {of_estimate}: they are not the same \
-             camera"
-        )));
-    }
+    let truth = truth.with_array_of(estimate).ok_or_else(|| {
+        Error::invalid(format!(
+            "the true camera has {}, the estimated one {}: they are not the same camera",
+            truth.lattice, estimate.lattice
+        ))
+    })?;
     let types = truth.lens_types().min(estimate.lens_types());
     let values = truth.intrinsics().into_iter().zip(estimate.intrinsics());
     let std_devs = std_devs.iter().copied().chain(std::iter::repeat(None));

@@ -45,9 +45,26 @@ impl Sensor {
                 self.width_px, self.height_px
             )));
         }
-        positive(self.pixel_size_mm, "the pixel size (mm)")
+        positive(self.pixel_size_mm, "the pixel size (mm)")?;
+        if (SMALLEST_PIXEL_MM..=LARGEST_PIXEL_MM).contains(&self.pixel_size_mm) {
+            return Ok(());
+        }
+        Err(Error::invalid(format!(
+            "a pixel of {} mm is that of no sensor: pixel_size_mm is the distance between neighbouring pixels in mm, \
+             0.0055 for 5.5 µm",
+            self.pixel_size_mm
+        )))
+    }
+
+    /// Half the diagonal, mm.
+    pub(crate) fn half_diagonal_mm(&self) -> f64 {
+        f64::from(self.width_px).hypot(f64::from(self.height_px)) / 2.0 * self.pixel_size_mm
     }
 }
+
+/// Pixels are larger than half the wavelength of light, and smaller than those of any sensor for images.
+const SMALLEST_PIXEL_MM: f64 = 2e-4;
+const LARGEST_PIXEL_MM: f64 = 0.2;
 
 /// The main lens: a thin lens with Brown-Conrady distortion of the image point, in mm, and a curved field.
 /// A thick lens does the same, with the origin at its image-side principal point, if all objects are moved
@@ -269,5 +286,28 @@ pub(crate) fn check_lens_types(types: usize, kind: LatticeKind) -> Result<()> {
              hexagonal lattice",
             kind.name()
         ))),
+    }
+}
+
+/// A small camera of three lens types, for tests.
+#[cfg(test)]
+pub(crate) fn small_camera() -> PlenopticCamera {
+    use super::lattice::{Packing, Parity};
+
+    PlenopticCamera {
+        sensor: Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 },
+        lattice: Lattice { packing: Packing::HexagonalRows(Parity::Even), columns: 43, rows: 37 },
+        main_lens: MainLens::thin(16.2),
+        mla: MicroLensArray {
+            principal_point_px: Vector2::new(499.5, 374.5),
+            mla_to_sensor_mm: 0.33,
+            rotation_rad: Vector3::zeros(),
+            offset_mm: Vector2::zeros(),
+            lens_to_mla_mm: 18.5,
+            pitch_mm: 0.126,
+            pitch_ratio: 1.0,
+            focal_lengths_mm: vec![0.578, 0.505, 0.552],
+        },
+        edge_spread: EdgeSpread::default(),
     }
 }

@@ -13,6 +13,9 @@ use super::levels::SampleLevels;
 use super::observations::MicroImageCenter;
 use crate::error::{Error, Result};
 
+/// Lenses that do not distort see at most this off the axis, as a tangent: 63 degrees.
+const WIDEST: f64 = 2.0;
+
 /// Where the main lens focuses with respect to the micro-lens array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -100,6 +103,17 @@ impl Datasheet {
         positive(self.focal_length_mm, "the focal length of the main lens (mm)")?;
         positive(self.f_number, "the f-number of the main lens")?;
         check_lens_types(self.lens_types, self.lattice_kind)?;
+        let half_diagonal_mm = self.sensor.half_diagonal_mm();
+        if half_diagonal_mm > WIDEST * self.focal_length_mm {
+            return Err(Error::invalid(format!(
+                "with F = {} mm the corners of a sensor with a diagonal of {:.1} mm would see {:.0} degrees off the axis, \
+                 which no lens shows: check the focal length (focal_length_mm) and the size of a pixel (pixel_size_mm), \
+                 both in mm",
+                self.focal_length_mm,
+                2.0 * half_diagonal_mm,
+                (half_diagonal_mm / self.focal_length_mm).atan().to_degrees()
+            )));
+        }
         // The sum of object and image distance of a thin lens is at least 4F.
         if self.focus_distance_mm.is_nan() || self.focus_distance_mm < 4.0 * self.focal_length_mm {
             return Err(Error::invalid(format!(

@@ -208,7 +208,7 @@ impl Lattice {
             Parity::Even => 1,
             Parity::Odd => 2,
         };
-        usize::try_from((along + step * (across % 2)).rem_euclid(3)).unwrap_or(0)
+        usize::try_from((along + step * across.rem_euclid(2)).rem_euclid(3)).unwrap_or(0)
     }
 }
 

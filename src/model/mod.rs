@@ -2,6 +2,7 @@
 //! observations in images, and the scalar relations between them. Nothing here reads, solves or
 //! prints.
 
+mod array_part;
 mod board;
 mod camera;
 mod camera_fields;
@@ -21,6 +22,8 @@ mod reprojection;
 
 pub use board::{BentBoard, Board, BoardShape, FramePose, Subset};
 pub(crate) use camera::check_lens_types;
+#[cfg(test)]
+pub(crate) use camera::small_camera;
 pub use camera::{
     LensSetting, MAX_MICRO_LENSES, MainLens, MicroLensArray, PlenopticCamera, Sensor,
 };

@@ -16,7 +16,5 @@ pub(crate) use options::shape_names;
 pub use options::{Anchor, BEYOND_THE_PAPER, CostOptions, Loss, LossKind, SolverOptions};
 pub(crate) use problem::{PointSensitivity, Problem, Projected, SolverCenter, SolverFeature};
 pub use refinement::{Iteration, Refinement, Termination};
-#[cfg(test)]
-pub(crate) use synthetic::small_camera;
 pub use synthetic::{synthesize, synthesize_bent};
 pub use uncertainty::{CommonError, Component, Uncertainty, WeakDirection};

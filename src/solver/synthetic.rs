@@ -117,27 +117,3 @@ fn project_corner(
         centers: &[],
     })
 }
-
-/// A small camera of three lens types, for the tests of rooms above.
-#[cfg(test)]
-pub(crate) fn small_camera() -> PlenopticCamera {
-    use crate::model::{EdgeSpread, Lattice, MainLens, MicroLensArray, Packing, Parity, Sensor};
-    use nalgebra::Vector3;
-
-    PlenopticCamera {
-        sensor: Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 },
-        lattice: Lattice { packing: Packing::HexagonalRows(Parity::Even), columns: 43, rows: 37 },
-        main_lens: MainLens::thin(16.2),
-        mla: MicroLensArray {
-            principal_point_px: Vector2::new(499.5, 374.5),
-            mla_to_sensor_mm: 0.33,
-            rotation_rad: Vector3::zeros(),
-            offset_mm: Vector2::zeros(),
-            lens_to_mla_mm: 18.5,
-            pitch_mm: 0.126,
-            pitch_ratio: 1.0,
-            focal_lengths_mm: vec![0.578, 0.505, 0.552],
-        },
-        edge_spread: EdgeSpread::default(),
-    }
-}

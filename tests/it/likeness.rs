@@ -95,7 +95,7 @@ fn a_gamma_is_named() {
 
 #[test]
 fn a_shift_is_named_with_its_size() {
-    assert_said(&changed(|x, before| 0.7 * x + 0.3 * before), "shifted by (0.2");
+    assert_said(&changed(|x, before| 0.7 * x + 0.3 * before), "shifted by (0.30");
 }
 
 /// 4.3/4 = 1.075.

@@ -137,7 +137,7 @@ fn projects_that_contradict_the_images_are_rejected() {
     set.with("width_px = 1000", "width_px = 1001")
         .code(1)
         .stderr(contains("but the sensor 1001 x 750"));
-    set.with("columns = 43", "columns = 50").code(1).stderr(contains("50 x 37 micro-lenses"));
+    set.with("columns = 43", "columns = 42").code(1).stderr(contains("42 x 37 micro-lenses"));
     set.with("hexagonal-rows", "hexagonal-columns").code(1).stderr(contains("'hexagonal-columns'"));
     assert!(!set.path("results").exists());
 }

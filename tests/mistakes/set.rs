@@ -1,21 +1,22 @@
 //! Copies of simulated sets, to make mistakes in.
 
-use std::collections::HashMap;
 use std::fs;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::{LazyLock, Mutex};
+use std::sync::LazyLock;
 
 use tempfile::TempDir;
 
 /// The program.
 pub const PLENOCAL: &str = env!("CARGO_BIN_EXE_plenocal");
 
-/// Simulated sets that were made already, by the arguments they were made with.
-static SIMULATED: LazyLock<Mutex<HashMap<Vec<String>, PathBuf>>> = LazyLock::new(Mutex::default);
+/// Copies of sets, and the simulated ones if no other folder is given for them.
 static FOLDER: LazyLock<TempDir> = LazyLock::new(|| {
     TempDir::new_in(env!("CARGO_TARGET_TMPDIR")).expect("the folder of the tests is writable")
 });
+/// A folder that keeps simulated sets for later runs. It has to be emptied after a change of the simulation.
+const SETS: &str = "PLENOCAL_SETS";
 
 /// What the program is asked to do with a set.
 #[derive(Debug, Clone)]
@@ -41,20 +42,24 @@ const STEP_MM: f64 = 5.0;
 
 /// The folder of a simulated set: preset and settings, or a settings file. `mini` if nothing is said.
 pub fn simulated(arguments: &[&str]) -> PathBuf {
-    let key: Vec<String> = arguments.iter().map(ToString::to_string).collect();
-    let mut made = SIMULATED.lock().expect("no set failed");
-    if let Some(folder) = made.get(&key) {
-        return folder.clone();
+    let sets = std::env::var_os(SETS).map_or_else(|| FOLDER.path().to_owned(), PathBuf::from);
+    let mut hash = DefaultHasher::new();
+    arguments.hash(&mut hash);
+    let (folder, begun) = (sets.join(format!("{:016x}", hash.finish())), sets.join("begun"));
+    if folder.exists() {
+        return folder;
     }
-    let folder = FOLDER.path().join(made.len().to_string());
     let mut command = Command::new(PLENOCAL);
     command.arg("simulate");
     if !arguments.iter().any(|a| *a == "--preset") {
         command.args(["--preset", "mini"]);
     }
-    let output = command.args(arguments).arg("--out").arg(&folder).output().expect("it runs");
+    if begun.exists() {
+        fs::remove_dir_all(&begun).expect("an unfinished set can be removed");
+    }
+    let output = command.args(arguments).arg("--out").arg(&begun).output().expect("it runs");
     assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    made.insert(key, folder.clone());
+    fs::rename(&begun, &folder).expect("the set is kept");
     folder
 }
 

@@ -2,10 +2,11 @@
 
 use super::*;
 use crate::calibration::{BoardModel, CalibrationOptions, Mode, Start, calibrate};
+use crate::model::small_camera as camera;
 use crate::model::{
     BentBoard, BoardShape, FramePose, Noise, Observations, SHAPE_PARAMETERS, intrinsic_parameters,
 };
-use crate::solver::{small_camera as camera, synthesize};
+use crate::solver::synthesize;
 
 const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
 const EXACT: Noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };

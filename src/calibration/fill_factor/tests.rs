@@ -3,9 +3,9 @@
 use nalgebra::Vector2;
 
 use super::*;
+use crate::model::small_camera;
 use crate::model::taken::FILL_FACTOR;
 use crate::model::{Configuration, Datasheet, LatticeKind, MeasuredBlur, TAKEN};
-use crate::solver::small_camera;
 
 const TRUE_FILL: f64 = 0.92;
 /// That which the features were found with.
