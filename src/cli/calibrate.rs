@@ -12,7 +12,7 @@ use plenocal::io::{
     self, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil, FieldCurvature,
     OutputFolder, Pitches, compote,
 };
-use plenocal::model::Board;
+use plenocal::model::{Board, shared_parameters};
 use plenocal::solver::{LossKind, Termination};
 use plenocal::{Error, Result, report};
 
@@ -216,10 +216,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     warn(&talk::of_calibration(&calibration.warnings));
     warn(&talk::of_frames(&assessment));
     print_result(json, &document, &text, &paths);
-    if calibration.converged {
-        return Ok(ExitCode::SUCCESS);
-    }
-    Ok(not_converged(&calibration))
+    Ok(status(&calibration))
 }
 
 /// Compares models in at most so many folds, with a progress bar.
@@ -236,13 +233,24 @@ pub(super) fn compared(
     comparison
 }
 
-/// Reports that a calibration has not converged, and returns the exit status.
-pub(super) fn not_converged(calibration: &Calibration) -> ExitCode {
-    let remedy = match calibration.refinement.termination {
-        Termination::IterationLimit => " Raise --max-iterations.",
-        _ => "",
+/// The exit status of a calibration, which says why if its result should not be used.
+pub(super) fn status(calibration: &Calibration) -> ExitCode {
+    let camera = &calibration.camera;
+    let names = shared_parameters(camera.lens_types());
+    let unknown = calibration.uncertainty.undetermined_intrinsics();
+    let unknown: Vec<&str> = unknown.into_iter().map(|index| names[index].name).collect();
+    let why = match calibration.refinement.termination {
+        _ if calibration.converged && unknown.is_empty() => return ExitCode::SUCCESS,
+        _ if calibration.converged => format!(
+            "not determined: {}. Take frames at other distances and tilts, or hold them (--fix)",
+            unknown.join(", ")
+        ),
+        Termination::IterationLimit => {
+            format!("not converged: {} Raise --max-iterations.", termination_text(calibration))
+        }
+        _ => format!("not converged: {}", termination_text(calibration)),
     };
-    say(&format!("error: not converged: {}{remedy}", termination_text(calibration)));
+    say(&format!("error: {why}"));
     ExitCode::from(3)
 }
 

@@ -14,7 +14,7 @@ use plenocal::{Error, Result, report};
 
 use super::boards::{self, Options, Shoot, images_of};
 use super::choices::{DEPTH_ESTIMATORS, choice};
-use super::input::{Files, Input, board_shape};
+use super::input::{Files, Input, board_shape, camera_source};
 use super::progress;
 use super::talk::{print_result, warn};
 
@@ -82,7 +82,7 @@ pub fn read_candidate(
 
 /// Reads a calibrated camera.
 pub fn calibrated(path: &Path) -> Result<PlenopticCamera> {
-    match io::read_camera_source(path)? {
+    match camera_source(path)? {
         CameraSource::Camera(camera) => Ok(*camera),
         CameraSource::Datasheet(_) => Err(Error::invalid(
             "this is the datasheet of a camera: give a calibrated one (camera.json or \

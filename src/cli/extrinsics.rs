@@ -12,7 +12,7 @@ use plenocal::model::{Observations, Subset};
 use plenocal::{Result, report};
 
 use super::boards::{self, Options, Shoot};
-use super::calibrate::{not_converged, stage_results};
+use super::calibrate::{stage_results, status};
 use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::evaluate::calibrated;
 use super::input::board_shape;
@@ -97,5 +97,5 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         &report::calibration_text(&result, &assessment),
         &paths,
     );
-    Ok(if result.converged { ExitCode::SUCCESS } else { not_converged(&result) })
+    Ok(status(&result))
 }

@@ -9,6 +9,8 @@ use plenocal::model::{Board, BoardShape, Datasheet, Observations, SHAPE};
 use plenocal::solver::LossKind;
 use plenocal::{Error, Result};
 
+use super::talk::warn;
+
 /// The files named on the command line.
 pub struct Files<'a> {
     pub project: Option<&'a Path>,
@@ -116,7 +118,7 @@ fn missing(missing: Part) -> Error {
 
 fn start(files: &Files, project: Option<&Project>, mode: Mode) -> Result<Start> {
     let path = files.camera.or(files.project).ok_or_else(|| missing(Part::Camera))?;
-    match io::read_camera_source(path)? {
+    match camera_source(path)? {
         CameraSource::Camera(_) if files.params.is_some() => Err(Error::Invalid(
             "--params is for a camera that is not calibrated yet; leave it out".to_owned(),
         )),
@@ -126,6 +128,15 @@ fn start(files: &Files, project: Option<&Project>, mode: Mode) -> Result<Start> 
         }
         CameraSource::Datasheet(sheet) => from_datasheet(sheet, files, project),
     }
+}
+
+/// A camera or a datasheet, with warnings about a camera that should not be used.
+pub fn camera_source(path: &Path) -> Result<CameraSource> {
+    let source = io::read_camera_source(path)?;
+    if matches!(source, CameraSource::Camera(_)) {
+        warn(&io::read_camera_doubts(path)?);
+    }
+    Ok(source)
 }
 
 fn from_datasheet(sheet: Datasheet, files: &Files, project: Option<&Project>) -> Result<Start> {

@@ -73,7 +73,7 @@ Exit status:
   0    done, and the result is converged and finite
   1    bad input or a failure: nothing was written; stages that a run had finished are kept
   2    the command line was not understood
-  3    not converged: results were written, marked as such
+  3    not converged, or parameters are not determined: results were written, marked as such
   130  interrupted (Ctrl-C, SIGTERM, SIGHUP): nothing half-written is left";
 
 /// Runs the command line of this process.

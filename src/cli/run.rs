@@ -8,7 +8,7 @@ use std::time::Instant;
 use clap::Args;
 use plenocal::calibration::{CalibrationOptions, Mode};
 use plenocal::detection::DepthEstimator;
-use plenocal::io::{OutputFolder, Project, first_look};
+use plenocal::io::{self, OutputFolder, Project, first_look};
 use plenocal::model::Subset;
 use plenocal::report::{HtmlReport, HtmlTable, Part, Section};
 use plenocal::{Error, Result, report};
@@ -115,10 +115,11 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
 
     print_results(arguments, &ledger, &verdict, &report)?;
     let camera = read_json(&arguments.out.join(CALIBRATION).join("camera.json"))?;
-    if camera["converged"].as_bool().unwrap_or(false) {
+    let doubts = io::camera_doubts(&camera);
+    if doubts.is_empty() {
         return Ok(ExitCode::SUCCESS);
     }
-    say(&format!("error: the calibration has not converged; see {}", report.display()));
+    say(&format!("error: {}; see {}", doubts.join("; "), report.display()));
     Ok(ExitCode::from(3))
 }
 

@@ -87,6 +87,35 @@ pub fn read_camera(path: &Path) -> Result<PlenopticCamera> {
     camera_from(value).map_err(|e| e.in_file(path))
 }
 
+/// Why the camera of a `camera.json` should not be used: its calibration did not converge, or did not determine some of its
+/// parameters. Empty for a camera that nothing speaks against, or of which no calibration is known.
+#[must_use]
+pub fn camera_doubts(document: &Value) -> Vec<String> {
+    let mut doubts = Vec::new();
+    if document["converged"] == Value::Bool(false) {
+        doubts.push("the calibration of this camera has not converged".to_owned());
+    }
+    let std_devs = document["uncertainty"]["standard_deviations"].as_object();
+    let unknown = |(name, entry): (&String, &Value)| {
+        entry.get("value").is_some_and(Value::is_null).then(|| name.clone())
+    };
+    let unknown: Vec<String> = std_devs.into_iter().flatten().filter_map(unknown).collect();
+    if !unknown.is_empty() {
+        doubts.push(format!(
+            "the calibration of this camera has not determined {}: frames at other distances and tilts would",
+            unknown.join(", ")
+        ));
+    }
+    doubts
+}
+
+/// The doubts of [`camera_doubts`] about the camera in a file, each with its path; none for COMPOTE's files.
+pub fn read_camera_doubts(path: &Path) -> Result<Vec<String>> {
+    let document: Value = serde_json::from_str(&read_text(path)?).unwrap_or_default();
+    let with_path = |doubt: String| format!("{}: {doubt}", path.display());
+    Ok(camera_doubts(&document).into_iter().map(with_path).collect())
+}
+
 /// Reads the standard deviations in a `camera.json`, in the order of
 /// [`PlenopticCamera::intrinsics`]; `None` for parameters that were fixed or not determined, and
 /// where the file has none.

@@ -37,7 +37,10 @@ pub use calibration_section::{
     AnchorEntry, AnchorValue, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil,
     FieldCurvature, NoAnchor, Pitches,
 };
-pub use camera_file::{CAMERA_FORMAT, CAMERA_VERSION, camera_document, read_camera, read_std_devs};
+pub use camera_file::{
+    CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_doubts, read_camera, read_camera_doubts,
+    read_std_devs,
+};
 pub use data_set_folder::{image_name, stage_data_set};
 pub use detection_file::detection_document;
 pub use evaluation_file::evaluation_document;

@@ -119,6 +119,31 @@ fn a_calibration_that_is_not_converged_is_written_and_exits_with_3() {
 }
 
 #[test]
+fn whoever_reads_a_doubtful_camera_says_so() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("camera.json");
+    let truth = synthetic_folder().join("truth/camera.json");
+    let mut camera: Value = serde_json::from_slice(&fs::read(truth).unwrap()).unwrap();
+    camera["converged"] = false.into();
+    camera["uncertainty"]["standard_deviations"] = serde_json::json!({
+        "F": { "value": 0.1, "unit": "mm" }, "D": { "value": null, "unit": "mm" },
+    });
+    fs::write(&path, camera.to_string()).unwrap();
+    let mut command = plenocal();
+    command.args(["calibrate", "--mode", "poses-only", "--camera"]).arg(&path);
+    command.arg("--scene").arg(synthetic_folder().join("project.toml"));
+    command.arg("--features").arg(synthetic_folder().join("features.csv"));
+    command.arg("--out").arg(folder.path().join("poses"));
+    command
+        .assert()
+        .success()
+        .stderr(predicate::str::contains(
+            "camera.json: the calibration of this camera has not converged",
+        ))
+        .stderr(predicate::str::contains("has not determined D:"));
+}
+
+#[test]
 fn poses_only_starts_from_a_calibrated_camera() {
     let folder = TempDir::new().unwrap();
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
