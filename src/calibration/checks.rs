@@ -7,7 +7,7 @@ use crate::model::{
     BapFeature, Board, FramePose, Observations, PlenopticCamera, Reprojection, shared_parameters,
 };
 use crate::precalibration::MicroImageArray;
-use crate::solver::{self, Refinement, Uncertainty};
+use crate::solver::{self, LossKind, Refinement, Uncertainty};
 
 /// Boards tilted by less than this, rad (5°), can hardly be distinguished in a projection.
 const FRONTO_PARALLEL_RAD: f64 = 0.087;
@@ -40,6 +40,9 @@ pub(super) fn without_frames(
     Ok((Observations { centers: observations.centers.clone(), features: kept }, excluded.collect()))
 }
 
+/// Losses act where residuals are; these are not much smaller than 1.
+const LEAST_SCALE: f64 = 0.01;
+
 /// An error unless there is enough to calibrate from, and every observation is possible.
 pub(super) fn check_observations(
     start: &Start,
@@ -52,7 +55,19 @@ pub(super) fn check_observations(
     let needs_rho = options.cost.rho && start.lens_types() > 0;
     observations.validate(start.sensor(), size, board, needs_rho)?;
     if observations.features.is_empty() {
-        return Err(Error::invalid("there are no features"));
+        return Err(Error::invalid(if options.exclude_frames.is_empty() {
+            "there are no features"
+        } else {
+            "there are no features: all frames that have some are left out (exclude_frames)"
+        }));
+    }
+    let loss = options.cost.loss;
+    if loss.kind != LossKind::None && loss.scale < LEAST_SCALE {
+        return Err(Error::invalid(format!(
+            "with a loss scale of {} nothing that has noise counts: it is the residual, in standard deviations (px where \
+             observations have none), beyond which an observation counts less; 2 to 5 is usual",
+            loss.scale
+        )));
     }
     if observations.centers.is_empty() && options.mode != Mode::PosesOnly {
         return Err(Error::NoCenters);

@@ -127,10 +127,11 @@ fn of_image(
 ) -> Result<(String, serde_json::Value)> {
     let path = &arguments.input;
     let image = io::read_image(path, arguments.color)?;
-    if let Some(doubt) = image.doubtful_color() {
+    let array = measure_array(&image, None).map_err(|e| e.in_file(path))?;
+    let of_color = image.doubtful_color().map(str::to_owned);
+    for doubt in of_color.into_iter().chain(array.doubts(&image)) {
         warn(&[format!("{}: {doubt}", path.display())]);
     }
-    let array = measure_array(&image, None).map_err(|e| e.in_file(path))?;
     let half_pitch = array.grid.pitch_px / 2.0;
     let types = array.lens_types.types;
     let figure = report::micro_images_figure(&image, &array, &vec![half_pitch; types])?;

@@ -231,6 +231,7 @@ impl Project {
             };
             Error::content(path, format!("not a valid project file: {e}{hint}"))
         })?;
+        project.check_step().map_err(|e| e.in_file(path))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         if let Some(observations) = &mut project.observations {
             observations.features = folder.join(&observations.features);
@@ -246,6 +247,17 @@ impl Project {
             *image = folder.join(&image);
         }
         Ok(project)
+    }
+
+    fn check_step(&self) -> Result<()> {
+        let translation = self.images.as_ref().and_then(|images| images.translation.as_ref());
+        match translation.map(|translation| translation.step_mm) {
+            Some(step) if !step.is_finite() || step == 0.0 => Err(Error::invalid(format!(
+                "step_mm is {step} mm: state by how much the board moved from image to image, negative towards the \
+                 camera, or leave [images.translation] out"
+            ))),
+            _ => Ok(()),
+        }
     }
 
     /// The datasheet, if its three tables are there; an error if only some are.

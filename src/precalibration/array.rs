@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
+use super::array_doubts::over_exposed;
 use super::centers::{measure, nodes_in};
 use super::centroid::Blob;
 use super::grid::{MicroImageArray, fit_grid};
@@ -132,6 +133,10 @@ pub(super) fn found_array(
     known: Option<Pattern>,
     stated: Option<(i32, i32)>,
 ) -> Result<FoundArray> {
+    search(image, known, stated).map_err(|error| over_exposed(image).unwrap_or(error))
+}
+
+fn search(image: &Grey, known: Option<Pattern>, stated: Option<(i32, i32)>) -> Result<FoundArray> {
     let (pattern, blobs) = find(image, known)?;
     let verdicts = judge(image, &pattern, &blobs);
     let (width, height) = image.size();

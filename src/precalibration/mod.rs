@@ -2,6 +2,7 @@
 //! section 3 and "Features extraction").
 
 mod array;
+mod array_doubts;
 mod black;
 mod centers;
 mod centroid;

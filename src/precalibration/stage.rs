@@ -121,6 +121,8 @@ pub fn precalibrate(
     if let Some(sheet) = &options.stated {
         result.check_stated(sheet).map_err(|error| explained(error, power))?;
     }
+    let doubts = result.array.doubts(&reference.image).into_iter();
+    result.warnings.extend(doubts.map(|doubt| format!("{}: {doubt}", reference.name)));
     if let Some(power) = power {
         // It may be the reason for others.
         result.warnings.insert(0, not_linear(power));

@@ -44,7 +44,7 @@ fn roles() -> Vec<Mistake> {
         ),
         instead(
             "a white at f/8 as devignetting image",
-            Warned(&["devignetting"]),
+            Refused(&["devignetting"]),
             vec![devignetting()],
             white(2),
         ),

@@ -94,7 +94,10 @@ fn refused(output: &Output) -> Option<i32> {
 
 /// Warnings and errors of the program, with the lines that belong to them.
 fn said(stderr: &str) -> String {
-    let told = |line: &&str| ["warning: ", "error: ", "  "].iter().any(|w| line.starts_with(w));
+    let told = |line: &&str| {
+        // A message about TOML shows the line that is meant.
+        ["warning: ", "error: ", "  "].iter().any(|w| line.starts_with(w)) || line.contains(" | ")
+    };
     stderr.lines().filter(told).map(|line| format!("{line}\n")).collect()
 }
 

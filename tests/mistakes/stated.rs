@@ -84,12 +84,11 @@ fn board() -> Vec<Mistake> {
             .into_iter()
             .map(|v| value("square_mm", v, size))
             .collect();
-    all.extend(
-        ["0.3", "30", "0.003", "300"].map(|v| value("square_mm", v, Refused(&["square_mm"]))),
-    );
+    all.extend(["30", "300"].map(|v| value("square_mm", v, size)));
+    all.extend(["0.3", "0.003"].map(|v| value("square_mm", v, Refused(&["square_mm"]))));
     let labels = Refused(&["columns", "board"]);
     // Frames that could show more than one part of it are left out; the others are right.
-    let some = Warned(&["check that"]);
+    let some = Warned(&["check that", "correct the size of the board"]);
     all.extend([
         board("5 x 8", "columns = 5\nrows = 8\n", Right),
         board("9 x 6, its squares", "columns = 9\nrows = 6\n", some),
@@ -206,7 +205,7 @@ fn options() -> Vec<Mistake> {
         option(
             "loss scale 1e-9",
             "[calibration]\nloss = \"cauchy\"\nloss_scale = 1e-9",
-            Refused(&["loss", "converge"]),
+            Refused(&["loss scale"]),
         ),
         option("a misspelt key", "[calibration]\nexitpupil = 1", Refused(&["exitpupil"])),
         option(

@@ -1,0 +1,91 @@
+//! Whether an image is a white image that shows its array well.
+
+use std::collections::HashMap;
+
+use super::array::ArrayMeasurement;
+use crate::error::Error;
+use crate::image::{Grey, Image, RawImage};
+use crate::model::MicroImageCenter;
+use crate::numerics::median;
+
+/// Images with this part of their pixels full are over-exposed.
+const MOSTLY_FULL: f64 = 0.85;
+/// Arrays are this regular, root mean square in pitches: real ones that were measured to 0.012.
+const IRREGULAR: f64 = 0.025;
+/// In a white image a micro-image is within this factor as bright as its neighbours, but for this part of them.
+const AS_BRIGHT: f64 = 2.0;
+const UNEVEN: f64 = 0.03;
+
+/// An error for an image that is full nearly all over.
+pub(super) fn over_exposed(image: &Grey) -> Option<Error> {
+    let (width, height) = image.size();
+    let full = full_part(&image.part(0, 0, width, height));
+    (full > MOSTLY_FULL).then(|| {
+        Error::invalid(format!(
+            "{:.0} % of its pixels are full, and no array of micro-images shows: expose it less, so that the light inside \
+             micro-images is below full scale",
+            100.0 * full
+        ))
+    })
+}
+
+fn full_part(image: &Image) -> f64 {
+    image.pixels.iter().filter(|light| **light >= 1.0).count() as f64 / image.pixels.len() as f64
+}
+
+impl ArrayMeasurement {
+    /// What is doubtful about the image that it was measured in: that it is no white image, over-exposed, or not regular.
+    #[must_use]
+    pub fn doubts(&self, image: &RawImage) -> Vec<String> {
+        let (grid, image) = (&self.grid, image.to_grey());
+        let (full, uneven) = (full_part(&image), self.uneven_part(&image));
+        let no_white_image = (uneven > UNEVEN).then(|| {
+            format!(
+                "{:.0} % of its micro-images are not nearly as bright as their neighbours: is this a white image, of \
+                 something bright and even right before the lens?",
+                100.0 * uneven
+            )
+        });
+        let irregular = (grid.rms_px > IRREGULAR * grid.pitch_px).then(|| {
+            format!(
+                "its micro-images are {:.2} px RMS off a regular grid, {:.1} % of their pitch: arrays are more regular. Give \
+                 a white image that is evenly lit, and neither processed nor put together from others",
+                grid.rms_px,
+                100.0 * grid.rms_px / grid.pitch_px
+            )
+        });
+        let over_exposed = (full > MOSTLY_FULL).then(|| {
+            format!(
+                "{:.0} % of its pixels are full: expose it less, so that edges show",
+                100.0 * full
+            )
+        });
+        [no_white_image, irregular, over_exposed].into_iter().flatten().collect()
+    }
+
+    /// Which part of the micro-images is not about as bright as its neighbours.
+    fn uneven_part(&self, image: &Image) -> f64 {
+        let of = |c: &MicroImageCenter| Some(((c.k, c.l), light_at(image, c)?));
+        let light: HashMap<(i32, i32), f64> = self.centers.iter().filter_map(of).collect();
+        let is_uneven = |(&(k, l), light_here): (&(i32, i32), &f64)| {
+            let around = (-1..=1).flat_map(|dk| (-1..=1).map(move |dl| (k + dk, l + dl)));
+            let around = around.filter(|node| *node != (k, l));
+            let usual = median(around.filter_map(|node| light.get(&node).copied()));
+            usual.is_some_and(|usual| {
+                *light_here > AS_BRIGHT * usual || *light_here < usual / AS_BRIGHT
+            })
+        };
+        light.iter().filter(|one| is_uneven(*one)).count() as f64 / light.len().max(1) as f64
+    }
+}
+
+/// The mean light of the nine pixels about a centre.
+fn light_at(image: &Image, center: &MicroImageCenter) -> Option<f64> {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a negative one is cut to 0
+    let [u, v] = [center.u_px, center.v_px].map(|x| x.round() as usize);
+    let inside = u > 0 && v > 0 && u + 1 < image.width && v + 1 < image.height;
+    let at = |u: usize, v: usize| f64::from(image.pixels[v * image.width + u]);
+    inside.then(|| {
+        (v - 1..=v + 1).flat_map(|v| (u - 1..=u + 1).map(move |u| at(u, v))).sum::<f64>() / 9.0
+    })
+}
