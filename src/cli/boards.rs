@@ -84,7 +84,16 @@ impl Shoot {
     /// The micro-images from a folder written by `precalibrate`; an error if it belongs to another
     /// camera, or to another black level than the project states.
     pub fn read_precalibration(&self, folder: &Path) -> Result<MicroImages> {
+        const STAGE: &str = "precalibration";
         let (internal, centers) = (folder.join("precalibration.json"), folder.join("centers.csv"));
+        let of_run = folder.join(STAGE);
+        if !internal.exists() && of_run.is_dir() {
+            return Err(Error::invalid(format!(
+                "this is the folder of a run: give its {STAGE}, {}",
+                of_run.display()
+            ))
+            .in_file(folder));
+        }
         let (sheet, pixel) = (&self.sheet, Some(self.sheet.sensor.pixel_size_mm));
         let internal = io::read_internal_parameters(&internal, pixel)?;
         self.check_black_level(&internal).map_err(|e| e.in_file(folder))?;

@@ -43,7 +43,7 @@ pub struct Arguments {
     /// start from (camera.json, COMPOTE's intrinsics.js).
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     camera: Option<PathBuf>,
-    /// Internal parameters m and q' from white images (COMPOTE's params.js, a project file).
+    /// Internal parameters m and q' from white images (precalibration.json, COMPOTE's params.js, a project file).
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     params: Option<PathBuf>,
     /// Board (COMPOTE's scene.js, a project file).

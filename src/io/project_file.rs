@@ -224,7 +224,7 @@ impl Project {
         let text = read_text(path)?;
         let mut project: Self = toml::from_str(&text).map_err(|e| {
             let waiting = text.lines().filter(|line| line.contains(FILL_IN)).count();
-            let hint = if waiting > 0 {
+            let hint = if waiting > 0 && e.message().starts_with("missing field") {
                 format!("\n{waiting} line(s) of it say {FILL_IN}: give these values first")
             } else {
                 String::new()

@@ -248,6 +248,9 @@ fn projects_with_an_absurd_camera_are_rejected() {
         ("lens_types = 3", "lens_types = 2000000000", &["2000000000 lens types"][..]),
         ("columns = 43", "columns = 2000000000", &["2000000000 x 37"]),
         ("columns = 9 ", "columns = 2000000000 ", &["2000000000 x 5"]),
+        ("pixel_size_mm = 0.0055", "pixel_size_mm = 5.5", &["pixel_size_mm", "5.5 mm"]),
+        ("focal_length_mm = 16.0", "focal_length_mm = 1.6", &["focal_length_mm", "65 degrees"]),
+        ("square_mm = 3.0", "square_mm = 0.3", &["nearer to the main lens", "square_mm"]),
         ("lens_types = 3", "lens_types = 3\nmicro_image_pitch_px = 24.0", &["24.0000 px", "23.3"]),
         ("q_prime_mm = [", "micro_image_pitch_mm = 0.1\nq_prime_mm = [", &["18.1818 px", "23.3"]),
     ] {

@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 use plenocal::detection::{BoardImage, DepthEstimator, MicroImages, Search, detect};
 use plenocal::image::{RawImage, Samples};
 use plenocal::model::Subset;
-use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
+use plenocal::precalibration::{PrecalibrationOptions, White, measure_array, precalibrate};
 use plenocal::simulation::{DataSet, Settings};
 
 use crate::support::preset;
@@ -102,4 +102,13 @@ fn a_shift_is_named_with_its_size() {
 #[test]
 fn another_f_number_is_named() {
     assert_said(&SHOOT.at_another_f_number, "as at 1.07");
+}
+
+#[test]
+fn a_board_is_no_white_image() {
+    let doubts = |image: &RawImage| measure_array(image, None).unwrap().doubts(image);
+    assert_eq!(doubts(&SHOOT.white), Vec::<String>::new());
+    let of_board = doubts(&SHOOT.board);
+    assert!(of_board[0].contains("is this a white image"), "{of_board:?}");
+    assert!(of_board[1].contains("off a regular grid"), "{of_board:?}");
 }
