@@ -295,8 +295,9 @@ fn warnings(frames: &[DetectedFrame], board: &Board, subset: Subset) -> Vec<Stri
         let why = frame.result.as_ref().err()?;
         Some(format!("frame {} ({}) is left out: {why}", frame.frame, frame.name))
     };
-    let mut warnings: Vec<String> = frames.iter().filter_map(left_out).collect();
-    warnings.extend(unlike(frames));
+    // Other light may be why frames are left out.
+    let mut warnings = unlike(frames);
+    warnings.extend(frames.iter().filter_map(left_out));
     let found = frames.iter().filter(|frame| frame.result.is_ok()).count();
     if found == 0 {
         return warnings;

@@ -73,7 +73,7 @@ pub(super) fn doubtful(
         let own = sizes.of(worst);
         format!(
             "{}: at f/{:.2} the radius of type 1 is {:.2} px, but the other images say {:.2} px: check its \
-             f-number",
+             f-number, and that neither contrast nor black level were changed",
             whites[worst].name,
             stated[worst],
             own[0].radius_px,
@@ -169,7 +169,8 @@ impl Sizes<'_> {
         let White { name, f_number, .. } = &self.whites[white];
         let text = format!(
             "{name}: its micro-images have the size of f/{looks_like:.2} and not of f/{f_number:.2}, if the other \
-             white images are right, and is left out. Check its f-number, and that it is a white image of this camera"
+             white images are right, and is left out. Check its f-number, that it is a white image of this camera, and \
+             that neither contrast nor black level were changed"
         );
         Doubt { white, looks_like: Some(looks_like), text }
     }

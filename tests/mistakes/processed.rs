@@ -2,7 +2,7 @@
 
 use image::{DynamicImage, ImageBuffer, Luma, imageops};
 
-use crate::Expected::{Refused, Right, Warned};
+use crate::Expected::{Refused, Right, Told, Warned};
 use crate::edits::{Of, changed, grey, jpeg};
 use crate::set::Set;
 use crate::{Expected, Mistake, mistake, pixels};
@@ -28,7 +28,7 @@ pub fn mistakes() -> Vec<Mistake> {
 
 fn tones() -> Vec<Mistake> {
     let mut all = Vec::new();
-    let gamma = Warned(&["gamma", "linear"]);
+    let gamma = Told(&["gamma", "linear"]);
     for (name, value, expected) in [
         ("gamma 1.2", 1.2, gamma),
         ("gamma 1.5", 1.5, gamma),
@@ -41,7 +41,7 @@ fn tones() -> Vec<Mistake> {
             all.push(change(name, of, expected, move |image| pixels::gamma(image, value)));
         }
     }
-    let levels = Warned(&["black", "level", "linear", "full"]);
+    let levels = Told(&["black", "level", "linear", "full"]);
     for (name, add) in
         [("4 grey levels more", 4.0), ("16 grey levels more", 16.0), ("40 grey levels more", 40.0)]
     {
@@ -54,7 +54,11 @@ fn tones() -> Vec<Mistake> {
     }
     for (name, most) in [("full at 180", 180.0), ("full at 120", 120.0), ("full at 60", 60.0)] {
         for of in [Of::All, Of::Boards, Of::Whites] {
-            all.push(change(name, of, Right, move |image| pixels::curve(image, |x| x.min(most))));
+            let expected =
+                if most > 100.0 { Right } else { Told(&["full", "saturated", "exposed"]) };
+            all.push(change(name, of, expected, move |image| {
+                pixels::curve(image, |x| x.min(most))
+            }));
         }
     }
     for (name, part) in
@@ -62,12 +66,12 @@ fn tones() -> Vec<Mistake> {
     {
         for of in [Of::All, Of::Boards, Of::Whites] {
             let expected =
-                if part > 0.2 { Right } else { Warned(&["dark", "light", "noise", "corners"]) };
+                if part > 0.05 { Right } else { Told(&["dark", "light", "noise", "f-number"]) };
             all.push(change(name, of, expected, move |image| pixels::curve(image, |x| part * x)));
         }
     }
     for of in [Of::All, Of::Boards, Of::Whites] {
-        all.push(change("inverted", of, Refused(&["white", "corners", "dark"]), |image| {
+        all.push(change("inverted", of, Refused(&["white", "corners", "micro-images"]), |image| {
             pixels::curve(image, |x| 255.0 - x)
         }));
         all.push(change("black below 20 cut off", of, levels, |image| {
@@ -76,19 +80,18 @@ fn tones() -> Vec<Mistake> {
         all.push(change(
             "contrast stretched by 1.5 about 128",
             of,
-            Warned(&["linear", "level", "black"]),
+            Told(&["linear", "level", "black"]),
             |image| pixels::curve(image, |x| 128.0 + 1.5 * (x - 128.0)),
         ));
-        all.push(change("16 grey levels only", of, Right, |image| {
+        let coarse = Warned(&["scatter", "linear"]);
+        all.push(change("16 grey levels only", of, coarse, |image| {
             pixels::curve(image, |x| (x / 17.0).round() * 17.0)
         }));
     }
     all.push(change("three times as bright", Of::OneBoard, Right, |image| {
         pixels::curve(image, |x| 3.0 * x)
     }));
-    all.push(change("dark", Of::OneBoard, Warned(&["calibration-04"]), |image| {
-        pixels::curve(image, |x| 0.02 * x)
-    }));
+    all.push(change("dark", Of::OneBoard, Right, |image| pixels::curve(image, |x| 0.02 * x)));
     all
 }
 
@@ -98,7 +101,7 @@ fn compressed() -> Vec<Mistake> {
         for of in [Of::All, Of::Boards, Of::Whites] {
             all.push(mistake(
                 format!("JPEG {quality}, {}", of.name()),
-                Warned(&["JPEG"]),
+                Told(&["JPEG"]),
                 move || jpeg(Set::mini(), of, quality),
             ));
         }
