@@ -115,10 +115,9 @@ fn filtered() -> Vec<Mistake> {
         [("blurred by 0.5 px", 0.5), ("blurred by 1 px", 1.0), ("blurred by 2 px", 2.0)]
     {
         for of in [Of::All, Of::Boards, Of::Whites] {
-            let expected = if of == Of::All {
-                Right
-            } else {
-                Warned(&["edges", "point spread", "sharp", "blur"])
+            let expected = match of {
+                Of::All if std_dev < 1.5 => Right,
+                _ => Told(&["edges", "point spread", "sharp", "blur", "white images"]),
             };
             all.push(change(name, of, expected, move |image| pixels::blur(image, std_dev)));
         }
