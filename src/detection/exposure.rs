@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::Rejection;
 use super::frame::Frame;
 use super::patch::{Pair, Unusable};
+use crate::numerics::median;
 
 /// One micro-image in so many shows how bright the frame is.
 const SAMPLED: usize = 5;
@@ -21,17 +22,32 @@ const SATURATED_WHITE: f32 = 0.5;
 /// A frame is rejected if more than this part of the micro-images are unusable for the same reason.
 const TOO_MANY: f64 = 0.25;
 
+/// The white image is covered where it has less than this part of its usual light.
+const COVERED: f64 = 0.1;
+
+/// How bright a micro-image is.
+#[derive(Debug, Clone, Copy)]
+struct Level {
+    /// Mean light, relative to the white image.
+    mean: f64,
+    /// The brightest light in the white image.
+    white: f64,
+}
+
 impl Frame<'_> {
     /// Half the difference between the bright and the dark squares, relative to the white image.
     pub(super) fn contrast(&self, nodes: &[(i32, i32)]) -> Result<f64, Rejection> {
         let mut levels = self.levels(nodes.iter().step_by(SAMPLED));
         // Those at the border say nothing of the light.
-        levels.retain(|level| *level != Err(Unusable::Cut));
+        levels.retain(|level| !matches!(level, Err(Unusable::Cut)));
         self.check_exposure(&levels)?;
-        let mut means: Vec<f64> = levels.into_iter().flatten().collect();
-        if means.is_empty() {
+        let lit: Vec<Level> = levels.into_iter().flatten().collect();
+        let Some(usual) = median(lit.iter().map(|level| level.white)) else {
             return Err(Rejection::NothingUsable);
-        }
+        };
+        // Where something covered the white image, light relative to it says nothing.
+        let uncovered = lit.iter().filter(|level| level.white > COVERED * usual);
+        let mut means: Vec<f64> = uncovered.map(|level| level.mean).collect();
         means.sort_by(f64::total_cmp);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a part of the length
         let at = |part: f64| means[(part * (means.len() - 1) as f64) as usize];
@@ -47,11 +63,11 @@ impl Frame<'_> {
         self.levels(nodes.iter()).iter().filter(|level| level.is_err()).count()
     }
 
-    /// Mean light of micro-images, relative to the white image, or why they are unusable.
+    /// How bright micro-images are, or why they are unusable.
     fn levels<'n>(
         &self,
         nodes: impl Iterator<Item = &'n (i32, i32)>,
-    ) -> Vec<Result<f64, Unusable>> {
+    ) -> Vec<Result<Level, Unusable>> {
         let micro_images = self.search.micro_images;
         let of_node = |&(k, l): &(i32, i32)| {
             let place = std::iter::once(micro_images.center(k, l));
@@ -63,18 +79,19 @@ impl Frame<'_> {
             if patch.saturated > SATURATED {
                 return Err(Unusable::Saturated);
             }
-            Ok(patch.mean())
+            Ok(Level { mean: patch.mean(), white: patch.brightest.into() })
         };
         nodes.collect::<Vec<_>>().into_par_iter().map(of_node).collect()
     }
 
     /// The reason if too many micro-images are unusable.
-    fn check_exposure(&self, levels: &[Result<f64, Unusable>]) -> Result<(), Rejection> {
+    fn check_exposure(&self, levels: &[Result<Level, Unusable>]) -> Result<(), Rejection> {
         if levels.is_empty() {
             return Err(Rejection::NoWholeMicroImage);
         }
         let part = |why: Unusable| {
-            let count = levels.iter().filter(|level| **level == Err(why)).count();
+            let unusable = levels.iter().filter_map(|level| level.err());
+            let count = unusable.filter(|reason| *reason == why).count();
             count as f64 / levels.len() as f64
         };
         let micro_image_pitch_px = self.search.micro_images.grid.pitch_px;

@@ -161,7 +161,7 @@ impl Likeness {
     fn words(&self, field: usize, value: &Vector) -> String {
         if self.weight(field, value).abs() > STRANGE {
             return "light is spread over the micro-images in another way: another f-number, a gamma, another black \
-                    level, or a white image of another camera. Take and export all images with the same settings"
+                    level, a shift, another size, or a white image of another camera. Take and export all images with the same settings"
                 .to_owned();
         }
         match field {

@@ -17,6 +17,8 @@ pub(super) struct Patch {
     pub saturated: f32,
     /// Part of them that is saturated in the white image.
     pub saturated_white: f32,
+    /// Its brightest light in the white image.
+    pub brightest: f32,
 }
 
 /// Why a micro-image shows nothing.
@@ -155,6 +157,7 @@ impl Pair {
         }
         let part =
             |light: &[f32]| light.iter().filter(|&&l| l >= 1.0).count() as f32 / light.len() as f32;
+        patch.brightest = brightest;
         patch.saturated = part(&patch.light);
         patch.saturated_white = part(&whites);
         let (mut kept, mut lit, mut lit_white) = (0, 0, 0);

@@ -205,8 +205,8 @@ pub(super) fn fit_found(
 
 fn no_grid(centers: &[MicroImageCenter]) -> Error {
     Error::invalid(format!(
-        "{} micro-images show in the image, but they make no grid: give a white image, sharp and \
-         undistorted, of a larger part of the array",
+        "{} micro-images show in the image, but they make no grid: give a white image, sharp, \
+         undistorted and not stretched, of a larger part of the array",
         centers.len()
     ))
 }

@@ -21,7 +21,9 @@ const SETS: [&[&str]; 12] = [
 ];
 /// Seeds of each.
 const SEEDS: std::ops::Range<u32> = 9201..9208;
-/// Those of the Keplerian camera.
+/// Settings of the Keplerian camera: boards that it sees whole and sharp enough. And its seeds.
+const KEPLERIAN: [&str; 3] =
+    ["boards.min_in_view=1", "boards.depth_mm=[200,400]", "translation.images=0"];
 const KEPLERIAN_SEEDS: std::ops::Range<u32> = 9301..9317;
 
 pub fn sets() -> Vec<Mistake> {
@@ -34,7 +36,7 @@ pub fn sets() -> Vec<Mistake> {
     }
     for seed in KEPLERIAN_SEEDS {
         all.push(mistake(format!("clean: keplerian seed {seed}"), Clean, move || {
-            of("keplerian", &["boards.min_in_view=1", "translation.images=0"], seed)
+            of("keplerian", &KEPLERIAN, seed)
         }));
     }
     all
