@@ -352,10 +352,8 @@ fn formats() -> Vec<Mistake> {
         written("written as colours", Right, Of::Boards, |image| {
             DynamicImage::ImageLuma8(image).to_rgb8().into()
         }),
-        mistake("grey images as a mosaic", Warned(&["mosaic", "color"]), || {
-            Set::mini().value("color", "\"bayer-rggb\"")
-        }),
-        mistake("grey images as another mosaic", Warned(&["mosaic", "color"]), || {
+        mistake("grey images as a mosaic", Right, || Set::mini().value("color", "\"bayer-rggb\"")),
+        mistake("grey images as another mosaic", Right, || {
             Set::mini().value("color", "\"bayer-gbrg\"")
         }),
         mistake("a mosaic as grey", Right, || {
