@@ -114,7 +114,8 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     let deviation = median(logarithms().map(|l| (l - middle).abs())).unwrap_or(0.0);
     let spread = (FROM_MEDIAN_DEVIATION * deviation).max(LEAST_SPREAD);
     let badness = |f: &OutlyingFrame| {
-        (f.residual_ratio.ln() / spread / OUTLYING_FRAME).max(f.unexpected_influence() / INFLUENTIAL)
+        (f.residual_ratio.ln() / spread / OUTLYING_FRAME)
+            .max(f.unexpected_influence() / INFLUENTIAL)
     };
     let scaled = scaled_changes(&calibration.uncertainty);
     let of_pose = |(i, pose): (usize, &FramePose)| {
@@ -151,13 +152,17 @@ fn influence(scaled: &[Vec<f64>], frame: usize, calibration: &Calibration) -> Op
     let others: Vec<f64> =
         of_others.flat_map(|(_, z)| z).copied().filter(|z| z.is_finite()).collect();
     let typical = (others.iter().map(|z| z * z).sum::<f64>() / others.len() as f64).sqrt();
-    let Uncertainty { covariance, left_out_changes, free_intrinsics, .. } = &calibration.uncertainty;
+    let Uncertainty { covariance, left_out_changes, free_intrinsics, .. } =
+        &calibration.uncertainty;
     let parameters = shared_parameters(calibration.camera.lens_types());
     let of = |(row, (&index, z)): (usize, (&usize, &f64))| {
         let std_devs = left_out_changes[(frame, row)].abs() / covariance[(row, row)].sqrt();
         let unexpected = z.abs() / typical;
-        (unexpected.is_finite() && std_devs > MATERIAL)
-            .then_some(Influence { parameter: parameters[index].name, std_devs, unexpected })
+        (unexpected.is_finite() && std_devs > MATERIAL).then_some(Influence {
+            parameter: parameters[index].name,
+            std_devs,
+            unexpected,
+        })
     };
     let free = free_intrinsics.iter().zip(scaled.get(frame)?).enumerate();
     free.filter_map(of).max_by(|a, b| a.unexpected.total_cmp(&b.unexpected))

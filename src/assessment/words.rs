@@ -122,11 +122,8 @@ mod tests {
     #[test]
     fn frames_are_described_by_what_is_remarkable_about_them() {
         let frame = |residual_ratio, influence: Option<f64>| {
-            let influence = influence.map(|std_devs| Influence {
-                parameter: "F",
-                std_devs,
-                unexpected: 6.2,
-            });
+            let influence =
+                influence.map(|std_devs| Influence { parameter: "F", std_devs, unexpected: 6.2 });
             OutlyingFrame { frame: 4, residual_ratio, influence }.to_string()
         };
         let begins = "frame 4 does not fit the others: ";

@@ -14,10 +14,13 @@ mod board_files;
 mod board_scatter;
 mod command_line;
 mod compote;
+mod damaged;
 mod detect;
 mod detection;
 mod fill_factor;
 mod floors;
+#[path = "../hostile/mod.rs"]
+mod hostile;
 mod house;
 mod independent;
 mod init;
