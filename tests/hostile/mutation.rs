@@ -52,10 +52,11 @@ const NESTS: [(&str, &str); 5] =
 /// Levels of nesting, and length of long strings.
 const LEVELS: [usize; 4] = [3, 100, 1_000, 20_000];
 
-/// A copy with one to four damages.
+/// A copy with one to four damages, mostly one.
 pub fn damaged(seed: &[u8], random: &mut StdRng) -> Vec<u8> {
     let mut bytes = seed.to_vec();
-    for _ in 0..random.random_range(1..=4) {
+    let damages = if random.random_bool(0.6) { 1 } else { random.random_range(2..=4) };
+    for _ in 0..damages {
         let text = std::str::from_utf8(&bytes).ok().filter(|text| !text.is_empty());
         bytes = match text {
             Some(text) if random.random_bool(0.75) => damaged_text(text, random).into_bytes(),
