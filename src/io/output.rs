@@ -204,19 +204,26 @@ impl Named {
         let folder = path.parent().unwrap_or(Path::new(""));
         let keep = |kept: &Path| fs::hard_link(&path, kept);
         let older = named_builder().make_in(folder, keep).ok();
-        match file.persist(&path) {
-            Ok(_) => Ok(Self { path, older }),
-            Err(e) => Err(Error::Write { path, source: plain(e.error) }),
+        match renamed(file, &path) {
+            Ok(()) => Ok(Self { path, older }),
+            Err(source) => Err(Error::Write { path, source: plain(source) }),
         }
     }
 
     /// As it was before.
     fn undo(self) {
         let _ = match self.older {
-            Some(older) => older.persist(&self.path).map_err(|e| e.error),
+            Some(older) => renamed(older, &self.path),
             None => fs::remove_file(&self.path),
         };
     }
+}
+
+/// Gives a temporary file another name. On an error it is removed.
+fn renamed<F>(file: NamedTempFile<F>, path: &Path) -> io::Result<()> {
+    fs::rename(file.path(), path)?;
+    // There is nothing left to remove.
+    file.into_temp_path().keep().map(|_| ()).map_err(|e| e.error)
 }
 
 fn named_builder() -> tempfile::Builder<'static, 'static> {

@@ -9,6 +9,7 @@
 mod anchors;
 mod assessment;
 mod bad_input;
+mod bad_values;
 mod board;
 mod board_files;
 mod board_scatter;
