@@ -175,6 +175,26 @@ impl Prepared {
         Self { files }
     }
 
+    /// Runs every command on the valid files, and says how it ends.
+    pub fn baseline(&self, place: &Path) -> Vec<String> {
+        let ends = |case: &Case| {
+            let folder = self.folder(place, &self.files).expect("files can be written");
+            format!("{:?}: {:?}", case.arguments, run(case, folder.path(), &self.files))
+        };
+        CASES.iter().map(ends).collect()
+    }
+
+    /// A new folder with files.
+    fn folder(&self, place: &Path, files: &Files) -> Result<TempDir, String> {
+        let folder = TempDir::new_in(place).map_err(|e| e.to_string())?;
+        for (name, bytes) in files {
+            let path = folder.path().join(name);
+            fs::create_dir_all(path.parent().unwrap_or(&path)).map_err(|e| e.to_string())?;
+            fs::write(path, bytes).map_err(|e| e.to_string())?;
+        }
+        Ok(folder)
+    }
+
     /// Runs the case of this number in a new folder.
     pub fn judge(&self, number: &[u8], place: &Path) -> Result<bool, String> {
         let number = u64::from_le_bytes(number.try_into().map_err(|_| "no number")?);
@@ -184,12 +204,7 @@ impl Prepared {
         let mut files = self.files.clone();
         let bytes = damaged(&files[name], &mut random);
         files.insert(name.to_owned(), bytes);
-        let folder = TempDir::new_in(place).map_err(|e| e.to_string())?;
-        for (name, bytes) in &files {
-            let path = folder.path().join(name);
-            fs::create_dir_all(path.parent().unwrap_or(&path)).map_err(|e| e.to_string())?;
-            fs::write(path, bytes).map_err(|e| e.to_string())?;
-        }
+        let folder = self.folder(place, &files)?;
         run(case, folder.path(), &files)
             .map_err(|e| format!("{:?} {}: {e}", case.arguments, name.display()))
     }
