@@ -18,7 +18,7 @@ fn a_full_disk_is_an_error_and_leaves_nothing() {
     for bytes in [0, 100, 5_000, 100_000] {
         let place = Place::set();
         let fault =
-            Fault { call: "space", at: bytes, path: "/calibrated", error: "ENOSPC", hook: "" };
+            Fault { call: "space", at: bytes, path: "calibrated", error: "ENOSPC", hook: "" };
         assert_error(&place.calibrate(&fault), &["cannot write", "calibrated", "space"]);
         assert!(!place.path("calibrated").exists(), "{bytes}");
     }
@@ -29,8 +29,7 @@ fn a_full_disk_is_an_error_and_leaves_nothing() {
 fn a_run_on_a_full_disk_goes_on_when_there_is_space() {
     for bytes in [0, 200_000, 500_000, 900_000] {
         let place = Place::set();
-        let fault =
-            Fault { call: "space", at: bytes, path: "/results/", error: "ENOSPC", hook: "" };
+        let fault = Fault { call: "space", at: bytes, path: "results/", error: "ENOSPC", hook: "" };
         let output = place.run(&fault);
         if output.status.success() {
             assert!(bytes > 200_000, "a run writes more");
@@ -49,8 +48,7 @@ fn a_broken_disk_keeps_older_results() {
     let place = Place::set();
     assert!(place.calibrate(&NONE).status.success());
     let before = Files::read(&place.path("calibrated"));
-    for (call, part) in
-        [("write", "/calibrated"), ("sync", "/calibrated"), ("rename", "/calibrated")]
+    for (call, part) in [("write", "calibrated"), ("sync", "calibrated"), ("rename", "calibrated")]
     {
         let mut failed = 0;
         for at in 1..MANY {
@@ -80,7 +78,7 @@ fn a_stage_that_cannot_be_written_ends_the_run() {
     for stage in ["calibration", "corners-only", "evaluation"] {
         for call in ["write", "sync", "rename"] {
             let place = Place::without(&[stage]);
-            let path = format!("/results/{stage}/");
+            let path = format!("results/{stage}/");
             let fault = Fault { call, at: 1, path: &path, error: "EIO", hook: "" };
             assert_error(&place.run(&fault), &["cannot write", stage]);
             assert_eq!(files(&place.path("results").join(stage)), 0, "{stage} {call}");
@@ -174,7 +172,7 @@ fn a_result_that_nobody_can_receive_is_an_error() {
 fn a_second_run_into_the_same_folder_is_refused() {
     let place = Place::without(&["evaluation"]);
     let fault =
-        Fault { call: "rename", at: 1, path: "/results/", error: "", hook: "touch held; sleep 4" };
+        Fault { call: "rename", at: 1, path: "results/", error: "", hook: "touch held; sleep 4" };
     let mut first = place.running(&fault);
     let child = first.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
     let mut child = child.spawn().unwrap();

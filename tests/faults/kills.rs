@@ -14,7 +14,7 @@ fn kill_at_each_rename(start: impl Fn() -> Place, until: Option<&str>) {
     for at in 1..MANY {
         let place = start();
         let error = if at % 2 == 0 { "KILL" } else { "KILLED" };
-        let fault = Fault { call: "rename", at, path: "/results/", error, hook: "" };
+        let fault = Fault { call: "rename", at, path: "results/", error, hook: "" };
         let output = place.run(&fault);
         if output.status.success() {
             assert!(at > 5, "a run has more renames");

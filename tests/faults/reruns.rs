@@ -12,7 +12,7 @@ fn a_failed_run_of_another_project_leaves_no_report_of_the_first() {
     let text = fs::read_to_string(&project).unwrap();
     // Other white images, which are measured, and a board that is not found.
     let other =
-        text.replace("f_number = 16\n", "f_number = 16.1\n").replace("rows = 5", "rows = 7");
+        text.replace("f_number = 16\n", "f_number = 16.1\n").replace("columns = 8", "columns = 25");
     assert_ne!(text, other);
     fs::write(&project, other).unwrap();
     assert_error(&place.run(&NONE), &["no frame shows the board"]);

@@ -175,7 +175,7 @@ impl Prepared {
         Self { files }
     }
 
-    /// Runs every command on the valid files, and says how it ends.
+    /// Runs every command on the valid files, and says how it ends: true for success.
     pub fn baseline(&self, place: &Path) -> Vec<String> {
         let ends = |case: &Case| {
             let folder = self.folder(place, &self.files).expect("files can be written");

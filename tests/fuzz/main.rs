@@ -5,7 +5,7 @@
 //! names no file, a number that is not finite, an exit status beyond 3, and a file left behind.
 //!
 //! Arguments: `--cases N` of the readers (a million); names of targets, to run only those; `--from N`, where the
-//! numbers of cases begin; `--show TARGET CASE` prints a case. The same number gives the same case.
+//! numbers of cases begin; `--show TARGET CASE` prints a case, `--valid` what comes of commands on valid files. The same number gives the same case.
 
 #[path = "../hostile/mod.rs"]
 mod hostile;
@@ -37,6 +37,9 @@ fn main() -> ExitCode {
     }
     if let ["--show", target, case] = words.as_slice() {
         return worker::show(target, number(case));
+    }
+    if words.as_slice() == ["--valid"] {
+        return worker::valid();
     }
     run(&arguments(&words))
 }

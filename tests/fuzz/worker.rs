@@ -95,6 +95,15 @@ fn say(line: &str) {
     writeln!(stdout, "{line}").and_then(|()| stdout.flush()).expect("somebody listens");
 }
 
+/// Prints how commands end on valid files.
+pub fn valid() -> ExitCode {
+    let folder = place();
+    for line in commands::Prepared::new().baseline(folder.path()) {
+        println!("{line}");
+    }
+    ExitCode::SUCCESS
+}
+
 /// Prints a case, and on stderr what comes of it.
 pub fn show(name: &str, number: u64) -> ExitCode {
     let folder = place();
