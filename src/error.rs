@@ -134,10 +134,8 @@ fn legible(text: &str) -> String {
         let (before, from) = rest.split_at(begin);
         let (number, after) = from.split_at(from.find(|c| !is_part(c)).unwrap_or(from.len()));
         legible.push_str(before);
-        match number.parse::<f64>() {
-            Ok(value) if number.len() > MOST_DIGITS => legible.push_str(&format!("{value:e}")),
-            _ => legible.push_str(number),
-        }
+        let short = number.parse::<f64>().ok().filter(|_| number.len() > MOST_DIGITS);
+        legible += &short.map_or_else(|| number.to_owned(), |value| format!("{value:e}"));
         rest = after;
     }
     legible + rest

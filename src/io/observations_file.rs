@@ -225,14 +225,14 @@ impl Row<'_> {
 }
 
 /// A column of another name that differs from that of a missing one by a letter or two: it would be ignored in silence.
-fn misspelt<'a>(
+fn misspelt(
     header: &StringRecord,
     columns: &[(&str, usize)],
-    known: impl Iterator<Item = &'a &'static str> + Clone,
+    known: &[&'static str],
 ) -> Option<(String, &'static str)> {
     let is_there = |name: &str| columns.iter().any(|(column, _)| *column == name);
     header.iter().filter(|found| !is_there(found)).find_map(|found| {
-        let absent = known.clone().copied().filter(|name| !is_there(name));
+        let absent = known.iter().copied().filter(|name| !is_there(name));
         let alike = absent.filter(|name| looks_like(&found.to_lowercase(), name));
         alike.map(|name| (found.to_owned(), name)).next()
     })
@@ -316,7 +316,7 @@ fn rows<T>(
             ));
         }
     }
-    if let Some((found, meant)) = misspelt(&header, &columns, required.iter().chain(optional)) {
+    if let Some((found, meant)) = misspelt(&header, &columns, &[required, optional].concat()) {
         return Err(Error::content(
             path,
             format!(

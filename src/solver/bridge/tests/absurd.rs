@@ -58,7 +58,13 @@ fn parts() -> Parts {
     assert!(features.len() > 20, "the board is seen");
     let nodes = (5..35).step_by(5).flat_map(|l| (5..40).step_by(7).map(move |k| (k, l)));
     let places = project_centers(&camera, nodes.clone()).unwrap();
-    let center = |((k, l), [u_px, v_px])| SolverCenter { k, l, u_px, v_px, std_dev_px: 1.0 };
+    let center = |((k, l), [u_px, v_px]): ((i32, i32), [f64; 2])| SolverCenter {
+        k,
+        l,
+        u_px,
+        v_px,
+        std_dev_px: 1.0,
+    };
     let centers = nodes.zip(places).map(center).collect();
     let anchor =
         |quantity: &str, value| Anchor { quantity: quantity.to_owned(), value, std_dev: 0.1 };
@@ -70,7 +76,7 @@ fn parts() -> Parts {
         poses,
         features,
         centers,
-        cost: CostOptions { anchors, loss, ..CostOptions::default() },
+        cost: CostOptions { loss, anchors, ..CostOptions::default() },
     }
 }
 
