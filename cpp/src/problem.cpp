@@ -50,10 +50,9 @@ CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<P
       lens_(to_block(camera.main_lens)),
       exit_pupil_(to_block(camera.exit_pupil)),
       array_(to_block(camera.mla)),
+      focal_lengths_(camera.micro_lens_focal_lengths),
       shape_(to_block(observations.board.shape)) {
   validate_problem(camera, poses, observations, options);
-  lens_types_ = camera.micro_lens_focal_lengths.size();
-  std::copy_n(camera.micro_lens_focal_lengths.begin(), lens_types_, focal_lengths_.begin());
   for (const Pose& pose : poses) poses_.push_back(pose_block(pose));
 
   problem_ = std::make_unique<ceres::Problem>();
@@ -85,8 +84,8 @@ std::vector<std::pair<double*, int>> CalibrationProblem::shared_blocks() {
   std::vector<std::pair<double*, int>> blocks = {{lens_.data(), kMainLensParameters},
                                                  {exit_pupil_.data(), kExitPupilParameters},
                                                  {array_.data(), kArrayParameters}};
-  if (lens_types_ > 0) {
-    blocks.emplace_back(focal_lengths_.data(), static_cast<int>(lens_types_));
+  if (!focal_lengths_.empty()) {
+    blocks.emplace_back(focal_lengths_.data(), static_cast<int>(focal_lengths_.size()));
   }
   if (shape_is_free_) blocks.emplace_back(shape_.data(), kBoardShapeParameters);
   return blocks;
@@ -295,7 +294,7 @@ Eigen::VectorXd CalibrationProblem::state() const {
   append(lens_);
   append(exit_pupil_);
   append(array_);
-  next = std::copy_n(focal_lengths_.begin(), lens_types_, next);
+  append(focal_lengths_);
   if (shape_is_free_) append(shape_);
   for (const auto& pose : poses_) append(pose);
   return state;
@@ -310,8 +309,7 @@ void CalibrationProblem::set_state(const Eigen::VectorXd& state) {
   take(lens_);
   take(exit_pupil_);
   take(array_);
-  std::copy_n(next, lens_types_, focal_lengths_.begin());
-  next += lens_types_;
+  take(focal_lengths_);
   if (shape_is_free_) take(shape_);
   for (auto& pose : poses_) take(pose);
 }
@@ -321,8 +319,7 @@ Camera CalibrationProblem::camera() const {
   camera.main_lens = from_block<MainLens>(lens_.data());
   camera.exit_pupil = from_block<ExitPupil>(exit_pupil_.data());
   camera.mla = from_block<MicroLensArray>(array_.data());
-  camera.micro_lens_focal_lengths.assign(focal_lengths_.begin(),
-                                         focal_lengths_.begin() + lens_types_);
+  camera.micro_lens_focal_lengths = focal_lengths_;
   return camera;
 }
 

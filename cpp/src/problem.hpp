@@ -114,13 +114,10 @@ class CalibrationProblem {
   Camera frame_;  // what is not a parameter: lattice, pixel size
   Board board_;   // its size
   bool shape_is_free_;
-  // The shared blocks lie beside each other: Ceres sorts them by address, and in another order the
-  // last bits of a result would be others.
   std::array<double, kMainLensParameters> lens_;
   std::array<double, kExitPupilParameters> exit_pupil_;
   std::array<double, kArrayParameters> array_;
-  std::array<double, kMaxLensTypes> focal_lengths_{};
-  std::size_t lens_types_ = 0;
+  std::vector<double> focal_lengths_;
   std::array<double, kBoardShapeParameters> shape_;
   std::vector<std::array<double, Pose::kSize>> poses_;
   std::vector<Place> places_;  // of all shared parameters

@@ -9,7 +9,7 @@ use crate::solver::options::{Anchor, Loss, LossKind};
 use crate::solver::problem::SolverCenter;
 use crate::solver::synthetic::small_camera;
 
-const CASES: u64 = 2_000;
+const CASES: u64 = 1_000;
 const VALUES: [f64; 20] = [
     0.0,
     -0.0,
@@ -133,6 +133,8 @@ fn any_mut<T, const N: usize>(items: [&mut T; N], i: usize) -> &mut T {
 
 #[test]
 fn absurd_values_come_back_as_errors_or_results() {
+    // Ceres shows what is not finite, at length.
+    silence_log();
     let (mut errors, mut results) = (0, 0);
     for case in 0..CASES {
         let mut random = StdRng::seed_from_u64(case);
