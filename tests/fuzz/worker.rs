@@ -18,6 +18,9 @@ use crate::hostile::verdict::judge;
 const SOLVED_PER: u64 = 50;
 const RUN_PER: u64 = 200;
 
+static READERS: [Target; TARGETS.len()] = TARGETS;
+static SOLVES: Target = SOLVING;
+
 /// Names of the targets, and how many cases each of them gets.
 pub fn shares(cases: u64) -> Vec<(&'static str, u64)> {
     let each = cases.div_ceil(TARGETS.len() as u64);
@@ -45,13 +48,11 @@ fn trial(name: &str, folder: &Path) -> Trial {
         Box::new(move |case: &[u8]| judge(target, &path, case))
     };
     if name == SOLVING.name {
-        static TARGET: Target = SOLVING;
         return Trial {
             case: Box::new(|number| solving::case(&mut StdRng::seed_from_u64(number))),
-            judge: of_target(&TARGET),
+            judge: of_target(&SOLVES),
         };
     }
-    static READERS: [Target; TARGETS.len()] = TARGETS;
     let target = READERS.iter().find(|target| target.name == name);
     let target = target.unwrap_or_else(|| panic!("there is no target '{name}'"));
     let seeds = (target.seeds)();
