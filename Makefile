@@ -12,8 +12,8 @@ MAKEFLAGS += --no-print-directory
 # rebuilt between them.
 export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
 
-.PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-cpp test-rust \
-        lint bench doc data figures format clean
+.PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-faults fuzz \
+        test-cpp test-rust lint bench doc data figures format clean
 
 help:
 	@echo "make demo       simulate a camera, calibrate it from its images, write a report"
@@ -21,6 +21,8 @@ help:
 	@echo "make test-all   also reports in a browser, shell completions, manual pages; installs Chromium"
 	@echo "make test-slow  the slow tests (Monte Carlo, bias of corners)"
 	@echo "make test-mistakes  what becomes of 470 users' mistakes and 100 clean sets (an hour)"
+	@echo "make test-faults  kills, full and broken disks, pipes and links (some minutes)"
+	@echo "make fuzz       a million damaged files, solves and runs (ten minutes); FUZZ=\"--cases N\" or a target"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program"
 	@echo "make doc        API documentation in target/doc"
@@ -74,6 +76,13 @@ test-slow: cpp
 # MISTAKES="part of a name" runs some of them.
 test-mistakes: deps
 	cargo test --release --test mistakes -- $(if $(MISTAKES),"$(MISTAKES)")
+
+test-faults: deps
+	cargo test --release --test faults
+
+# FUZZ="--cases N", "--from N", names of targets; "--show TARGET CASE" prints a case.
+fuzz: deps
+	cargo test --release --test fuzz -- $(FUZZ)
 
 # The cmake crate silences C++ warnings; the plain build shows them, as errors.
 lint: deps

@@ -33,8 +33,16 @@ pub enum Error {
         error: Box<Error>,
     },
     /// Values that contradict each other, or for which the model is not defined; with the remedy.
-    #[error("{0}")]
+    #[error("{}", legible(.0))]
     Invalid(String),
+    /// An observation that is impossible, alone or beside the others.
+    #[error("{}", legible(message))]
+    Observation {
+        /// Which one, to find its line.
+        observation: Observed,
+        /// What is wrong with it.
+        message: String,
+    },
     /// A feature without a blur radius, where the cost needs one.
     #[error("{feature} has no blur radius")]
     NoBlurRadius {
@@ -91,6 +99,48 @@ impl Input {
     }
 }
 
+/// What an observation is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Observed {
+    /// The centre of micro-image (k, l).
+    Center {
+        /// Index along u.
+        k: i32,
+        /// Index along v.
+        l: i32,
+    },
+    /// A board corner in micro-image (k, l) of a frame.
+    Feature {
+        /// Number of the frame.
+        frame: u32,
+        /// Number of the corner.
+        corner: i32,
+        /// Index along u.
+        k: i32,
+        /// Index along v.
+        l: i32,
+    },
+}
+
+/// Numbers of more digits than this are not legible.
+const MOST_DIGITS: usize = 24;
+
+/// Writes numbers of very many digits with an exponent: 1e308 rather than a 1 with 308 zeros.
+fn legible(text: &str) -> String {
+    let is_part = |c: char| c.is_ascii_digit() || c == '.';
+    let mut legible = String::new();
+    let mut rest = text;
+    while let Some(begin) = rest.find(|c: char| c.is_ascii_digit()) {
+        let (before, from) = rest.split_at(begin);
+        let (number, after) = from.split_at(from.find(|c| !is_part(c)).unwrap_or(from.len()));
+        legible.push_str(before);
+        let short = number.parse::<f64>().ok().filter(|_| number.len() > MOST_DIGITS);
+        legible += &short.map_or_else(|| number.to_owned(), |value| format!("{value:e}"));
+        rest = after;
+    }
+    legible + rest
+}
+
 /// Result of every fallible function of the crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
@@ -111,5 +161,19 @@ impl Error {
             Self::Read { .. } | Self::Write { .. } | Self::InFile { .. } => self,
             other => Self::InFile { path: path.to_owned(), error: Box::new(other) },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn very_long_numbers_are_written_with_an_exponent() {
+        let text =
+            |value: f64| Error::invalid(format!("it is {value}, not 1.5.2 or 12.5")).to_string();
+        assert_eq!(text(-1e308), "it is -1e308, not 1.5.2 or 12.5");
+        assert_eq!(text(5e-324), "it is 5e-324, not 1.5.2 or 12.5");
+        assert_eq!(text(0.125), "it is 0.125, not 1.5.2 or 12.5");
     }
 }

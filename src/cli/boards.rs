@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 use plenocal::detection::{
-    BoardImage, DepthEstimator, DetectedBoards, DetectedFrame, MicroImages, Search,
+    BoardImage, DepthEstimator, DetectedBoards, DetectedFrame, MicroImages, NoFeatures, Search,
     check_board_size, check_configuration, detect,
 };
 use plenocal::image::RawImage;
@@ -214,6 +214,12 @@ pub fn detect_subset(
     output.stage("features.csv", |out| io::write_features(out, &features))?;
     output.stage_json("detection.json", &io::detection_document(&found, &shoot.board))?;
     Ok(found)
+}
+
+/// Whether the image of a frame could not be read for a reason that may pass, such as a network drive that does not answer;
+/// a file that is no image stays so.
+pub fn may_be_readable(frame: &DetectedFrame) -> bool {
+    matches!(&frame.result, Err(NoFeatures::Unreadable(Error::Read { .. })))
 }
 
 /// The pictures that were staged, by name.

@@ -186,7 +186,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         },
     );
     bar.finish_and_clear();
-    let calibration = calibration?;
+    let calibration = calibration.map_err(|error| input.located(error))?;
     let assessment = assess(&calibration, &input.board)?;
     let compared =
         arguments.compare_models.then(|| compared(&calibration, &input.board, FOLDS, json));
@@ -215,7 +215,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     warn(&calibration.left_out);
     warn(&talk::of_calibration(&calibration.warnings));
     warn(&talk::of_frames(&assessment));
-    print_result(json, &document, &text, &paths);
+    print_result(json, &document, &text, &paths)?;
     Ok(status(&calibration))
 }
 

@@ -80,6 +80,6 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     warn(&found.warnings);
     let paths = output.commit()?;
     let document = io::detection_document(&found, &shoot.board);
-    print_result(arguments.json, &document, &report::detection_text(&found.frames), &paths);
+    print_result(arguments.json, &document, &report::detection_text(&found.frames), &paths)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -174,7 +174,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     output.stage_json("evaluation.json", &document)?;
     let paths = output.commit()?;
     let text: Vec<String> = tables.iter().map(ToString::to_string).collect();
-    print_result(arguments.json, &document, &text.join("\n\n"), &paths);
+    print_result(arguments.json, &document, &text.join("\n\n"), &paths)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -96,6 +96,6 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         &document,
         &report::calibration_text(&result, &assessment),
         &paths,
-    );
+    )?;
     Ok(status(&result))
 }

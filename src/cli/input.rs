@@ -1,9 +1,9 @@
 //! What a calibration reads: the files named individually, and the project for the rest.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use plenocal::calibration::{BoardModel, CalibrationOptions, Mode, Start};
-use plenocal::error::Input as Part;
+use plenocal::error::{Input as Part, Observed};
 use plenocal::io::{self, BoardChoice, CalibrationSection, CameraSource, Project};
 use plenocal::model::{Board, BoardShape, Datasheet, Observations, SHAPE};
 use plenocal::solver::LossKind;
@@ -28,6 +28,8 @@ pub struct Input {
     pub board: Board,
     pub observations: Observations,
     pub options: CalibrationOptions,
+    /// Files of the features and the centres.
+    sources: [PathBuf; 2],
 }
 
 impl Input {
@@ -58,8 +60,22 @@ impl Input {
             options.board = BoardModel::Known(shape);
         }
         let rho = options.cost.rho && options.mode != Mode::CornersOnly && start.lens_types() > 0;
-        let observations = observations(files, project.as_ref(), rho)?;
-        Ok(Self { start, board, observations, options })
+        let (observations, sources) = observations(files, project.as_ref(), rho)?;
+        Ok(Self { start, board, observations, options, sources })
+    }
+
+    /// Names the file of an observation that is impossible, and its line.
+    pub fn located(&self, error: Error) -> Error {
+        let Error::Observation { observation, .. } = &error else { return error };
+        let [features, centers] = &self.sources;
+        let path = match observation {
+            Observed::Feature { .. } => features,
+            Observed::Center { .. } => centers,
+        };
+        match io::line_of(path, *observation) {
+            Some(line) => Error::invalid(format!("line {line}: {error}")).in_file(path),
+            None => error.in_file(path),
+        }
     }
 }
 
@@ -148,7 +164,12 @@ fn from_datasheet(sheet: Datasheet, files: &Files, project: Option<&Project>) ->
     Ok(Start::Datasheet(sheet, internal))
 }
 
-fn observations(files: &Files, project: Option<&Project>, rho: bool) -> Result<Observations> {
+/// The observations, and the files of features and centres.
+fn observations(
+    files: &Files,
+    project: Option<&Project>,
+    rho: bool,
+) -> Result<(Observations, [PathBuf; 2])> {
     let section = project.and_then(|p| p.observations.as_ref());
     let features = files
         .features
@@ -172,5 +193,7 @@ fn observations(files: &Files, project: Option<&Project>, rho: bool) -> Result<O
         }
         observations.centers = io::read_centers(path)?;
     }
-    Ok(observations)
+    // Centres that have no file of their own are in that of the features.
+    let sources = [features, separate.unwrap_or(features)];
+    Ok((observations, sources.map(Path::to_owned)))
 }

@@ -21,7 +21,7 @@ pub fn handle() {
     let handler = || {
         if AGAIN.swap(true, Ordering::SeqCst) {
             thread::sleep(GRACE);
-            say("interrupted again: temporary files (.tmp…) may be left");
+            say("interrupted again: temporary files (.plenocal-….tmp) may be left");
             exit(INTERRUPTED);
         }
         // A thread of its own, so that a hanging file system does not block a second interrupt.

@@ -1,5 +1,6 @@
 //! The log on stderr with -v.
 
+use std::ffi::OsString;
 use std::io::IsTerminal;
 
 use tracing::Level;
@@ -20,9 +21,25 @@ pub fn begin(verbosity: u8) {
     tracing_subscriber::fmt()
         .with_max_level(level)
         .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
+        .with_ansi(is_coloured(std::io::stderr().is_terminal(), std::env::var_os("NO_COLOR")))
         .with_target(false)
         .with_span_events(FmtSpan::NEW | FmtSpan::CLOSE)
         .with_timer(uptime())
         .init();
+}
+
+/// Colours are for terminals, and not if NO_COLOR is set and not empty (<https://no-color.org>).
+fn is_coloured(terminal: bool, no_color: Option<OsString>) -> bool {
+    terminal && no_color.is_none_or(|value| value.is_empty())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_can_be_refused() {
+        assert!(is_coloured(true, None) && is_coloured(true, Some("".into())));
+        assert!(!is_coloured(true, Some("1".into())) && !is_coloured(false, None));
+    }
 }

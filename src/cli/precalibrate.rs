@@ -117,7 +117,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     }?;
     output.stage_json("precalibration.json", &document)?;
     let paths = output.commit()?;
-    print_result(arguments.json, &document, &text, &paths);
+    print_result(arguments.json, &document, &text, &paths)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -16,8 +16,8 @@ use serde_json::{Value, json};
 
 use super::boards::{Shoot, images_of};
 use super::choices::{DEPTH_ESTIMATORS, choice};
-use super::ledger::{Ledger, SECTION};
-use super::stages::{CALIBRATION, CORNERS_ONLY, EVALUATION, IMAGES, Stages, VERDICT};
+use super::ledger::{Ledger, REPORT, SECTION, VERDICT};
+use super::stages::{CALIBRATION, CORNERS_ONLY, EVALUATION, IMAGES, Stages};
 use super::talk::{print_result, say};
 use super::verdict::RunVerdict;
 
@@ -60,8 +60,6 @@ Examples:
   plenocal run project.toml --out results --exclude 3,7
   plenocal run project.toml --out results --force --folds 0";
 
-const REPORT: &str = "report.html";
-
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let begun = Instant::now();
@@ -99,17 +97,17 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         // Without these there is still a calibration.
         if !images_of(subset, &shoot.images).is_empty() {
             let result = stages.boards(&mut ledger, subset);
-            ledger.tolerate(&format!("boards for {}", subset.name()), result);
+            ledger.tolerate(&format!("boards for {}", subset.name()), result)?;
         }
     }
     stages.calibration(&mut ledger, CALIBRATION)?;
     if stages.has_both() {
         let result = stages.calibration(&mut ledger, CORNERS_ONLY);
-        ledger.tolerate("corners only", result);
+        ledger.tolerate("corners only", result)?;
     }
     let result = stages.evaluation(&mut ledger);
-    ledger.tolerate("evaluation", result);
-    ledger.manifest.write(&arguments.out)?;
+    ledger.tolerate("evaluation", result)?;
+    ledger.finish()?;
     let verdict = verdict(arguments, &ledger)?;
     let report = write_report(arguments, &ledger, &verdict, begun.elapsed().as_secs_f64())?;
 
@@ -159,8 +157,7 @@ fn print_results(
     }
     let mut texts = vec![verdict.lines().join("\n")];
     texts.extend(tables.iter().map(ToString::to_string));
-    print_result(arguments.json, &document, &texts.join("\n\n"), &[report.to_owned()]);
-    Ok(())
+    print_result(arguments.json, &document, &texts.join("\n\n"), &[report.to_owned()])
 }
 
 fn read_json(path: &Path) -> Result<Value> {

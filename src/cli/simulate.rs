@@ -31,6 +31,9 @@ pub struct Arguments {
     /// Folder for the data set.
     #[arg(long, value_name = "DIR", required_unless_present = "print")]
     out: Option<PathBuf>,
+    /// Replace a data set in the folder, its project file too.
+    #[arg(long)]
+    force: bool,
     /// Replace a setting, e.g. imaging.bits=16; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
@@ -46,12 +49,13 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// The first preset, unchanged.
+    /// The first preset, unchanged, in place of an earlier one.
     pub fn preset(out: &Path) -> Self {
         Self {
             file: None,
             preset: None,
             out: Some(out.to_owned()),
+            force: true,
             set: Vec::new(),
             poses: None,
             print: false,
@@ -101,11 +105,19 @@ pub fn simulate(arguments: &Arguments) -> Result<String> {
             .map_err(|e| Error::Invalid(format!("cannot start {threads} threads: {e}")))?;
     }
     let mut output = OutputFolder::new(out)?;
+    if !arguments.force && io::is_data_set(out) {
+        return Err(Error::invalid(
+            "there is a data set in this folder, and its project file may have been edited: choose another folder, or \
+             replace it (--force)",
+        )
+        .in_file(out));
+    }
     let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
     let progress = Bar::new(&settings, &DataSet::plan(&settings, poses.clone())?);
     let simulated = io::stage_data_set(&mut output, &settings, poses, &progress)?;
     progress.0.finish_and_clear();
-    output.commit()?;
+    let written = output.commit()?;
+    io::remove_older_data(out, &written);
     Ok(summary(&simulated.data_set, &out.display().to_string(), begun.elapsed()))
 }
 

@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 use super::boards::{self, Options, Shoot, images_of};
 use super::calibrate::{compared, stage_results};
 use super::evaluate::{calibrated, clouds, evaluated, read_candidate};
-use super::ledger::{InputFile, Ledger};
+use super::ledger::{InputFile, Ledger, VERDICT, Work};
 use super::precalibrate;
 use super::talk;
 
@@ -33,8 +33,6 @@ pub const PRECALIBRATION: &str = "precalibration";
 pub const CALIBRATION: &str = "calibration";
 pub const CORNERS_ONLY: &str = "corners-only";
 pub const EVALUATION: &str = "evaluation";
-/// The verdict of a calibration, as a section of the report.
-pub const VERDICT: &str = "verdict.json";
 /// Names of the two methods in tables.
 const BLUR_AWARE: &str = "blur aware";
 const CORNERS: &str = "corners only";
@@ -159,7 +157,7 @@ impl Stages<'_> {
             devignetting: images.devignetting.as_ref().map(|path| ledger.file(path)),
             black_level: images.black_level,
         };
-        ledger.stage(PRECALIBRATION, &input, |input, output| {
+        ledger.stage(PRECALIBRATION, &input, |input, Work { output, .. }| {
             let sheet = input.camera.datasheet;
             let options = PrecalibrationOptions {
                 black_level: input.black_level,
@@ -191,7 +189,7 @@ impl Stages<'_> {
             estimator: self.estimator,
             pictures: self.pictures,
         };
-        ledger.stage(boards_stage(subset), &input, |input, output| {
+        ledger.stage(boards_stage(subset), &input, |input, Work { output, again }| {
             let micro_images = self.shoot.read_precalibration(&self.folder(PRECALIBRATION))?;
             let options = Options {
                 subset,
@@ -201,6 +199,7 @@ impl Stages<'_> {
             };
             let found =
                 boards::detect_subset(self.path, self.shoot, &micro_images, options, output)?;
+            *again = found.frames.iter().any(boards::may_be_readable);
             let figures = boards::figures(&found, options);
             Ok(report::detection_section(subset.name(), &found, figures))
         })
@@ -255,7 +254,7 @@ impl Stages<'_> {
         }
         let mut input = self.calibration_input(ledger, options);
         input.model_folds = if stage == CALIBRATION { self.folds } else { 0 };
-        ledger.stage(stage, &input, |input, output| {
+        ledger.stage(stage, &input, |input, Work { output, .. }| {
             let begun = Instant::now();
             let (start, observations) = (self.start()?, self.observations()?);
             let mut options = input.options.clone();
@@ -341,7 +340,7 @@ impl Stages<'_> {
             truth: self.project.truth.as_ref().map(|truth| TruthInput::of(truth, ledger)),
             folds: self.folds,
         };
-        ledger.stage(EVALUATION, &input, |input, output| self.evaluate(input, output))
+        ledger.stage(EVALUATION, &input, |input, work| self.evaluate(input, &mut work.output))
     }
 
     fn evaluate(&self, input: &EvaluationStageInput, output: &mut OutputFolder) -> Result<Section> {

@@ -71,22 +71,26 @@ fn remedy(error: &Error) -> Option<String> {
             format!("give {option}, or a project file with it")
         }
         Error::NotCalibrated => "give a camera.json or an intrinsics.js (--camera)".to_owned(),
-        Error::Read { .. } | Error::Write { .. } | Error::Invalid(_) => return None,
+        Error::Read { .. }
+        | Error::Write { .. }
+        | Error::Invalid(_)
+        | Error::Observation { .. } => return None,
     };
     Some(remedy)
 }
 
 /// Prints the result of a command: one JSON object, or text and the files that were written.
 ///
-/// A reader that has gone away (a closed pipe) is not an error: the files are written.
-pub fn print_result(json: bool, document: &Value, text: &str, paths: &[PathBuf]) {
+/// A reader that has gone away (a closed pipe) is not an error: the files are written. A full disk is: whoever asked for
+/// the result does not have it.
+pub fn print_result(json: bool, document: &Value, text: &str, paths: &[PathBuf]) -> Result<()> {
     let text = if json {
         format!("{document}\n")
     } else {
         let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();
         format!("{}\n\nWritten:\n{}", text.trim_end(), files.concat())
     };
-    let _ = print(text.as_bytes());
+    print(text.as_bytes())
 }
 
 /// Prints the output of a command. A reader that has gone away is not an error.

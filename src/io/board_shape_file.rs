@@ -6,6 +6,8 @@ use std::path::Path;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
+use super::json_file::read_json;
+use super::project_file::check_finite;
 use super::read_text;
 use crate::calibration::{BoardResult, Trial};
 use crate::error::{Error, Result};
@@ -35,9 +37,10 @@ struct TrueBoard {
 
 /// Reads the true shape of a board: the `board.toml` of a simulation.
 pub fn read_true_board(path: &Path) -> Result<BoardShape> {
-    let TrueBoard { sag_mm: [sag_x_mm, sag_y_mm], twist_mm, aspect } =
-        toml::from_str(&read_text(path)?)
-            .map_err(|e| Error::content(path, format!("not the true shape of a board: {e}")))?;
+    let text = read_text(path)?;
+    let TrueBoard { sag_mm: [sag_x_mm, sag_y_mm], twist_mm, aspect } = toml::from_str(&text)
+        .map_err(|e| Error::content(path, format!("not the true shape of a board: {e}")))?;
+    check_finite(&text).map_err(|e| e.in_file(path))?;
     Ok(BoardShape { sag_x_mm, sag_y_mm, twist_mm, aspect })
 }
 
@@ -80,8 +83,7 @@ pub fn read_board_shape(
     path: &Path,
     board: &Board,
 ) -> Result<Option<(BoardShape, [Option<f64>; SHAPE])>> {
-    let value: Value = serde_json::from_str(&read_text(path)?)
-        .map_err(|e| Error::content(path, format!("this is not valid JSON: {e}")))?;
+    let value = read_json(path)?;
     let Some(section) = value.get("board_shape") else { return Ok(None) };
     let section: ShapeSection = serde_json::from_value(section.clone())
         .map_err(|e| Error::content(path, format!("its board_shape is not valid: {e}")))?;

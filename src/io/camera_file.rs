@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
 use super::blur_section::depth_from_blur_document;
-use super::read_text;
+use super::json_file::read_json;
 use crate::error::{Error, Result};
 use crate::model::{Parameter, PlenopticCamera, intrinsic_parameters};
 use crate::solver::Uncertainty;
@@ -82,8 +82,7 @@ pub(super) fn errors_text(uncertainty: &Uncertainty) -> &'static str {
 
 /// Reads the camera of a `camera.json`.
 pub fn read_camera(path: &Path) -> Result<PlenopticCamera> {
-    let value: Value = serde_json::from_str(&read_text(path)?)
-        .map_err(|e| Error::content(path, format!("this is not valid JSON: {e}")))?;
+    let value = read_json(path)?;
     camera_from(value).map_err(|e| e.in_file(path))
 }
 
@@ -109,9 +108,9 @@ pub fn camera_doubts(document: &Value) -> Vec<String> {
     doubts
 }
 
-/// The doubts of [`camera_doubts`] about the camera in a file, each with its path; none for COMPOTE's files.
+/// The doubts of [`camera_doubts`] about the camera in a file, each with its path; COMPOTE's files give none.
 pub fn read_camera_doubts(path: &Path) -> Result<Vec<String>> {
-    let document: Value = serde_json::from_str(&read_text(path)?).unwrap_or_default();
+    let document = read_json(path)?;
     let with_path = |doubt: String| format!("{}: {doubt}", path.display());
     Ok(camera_doubts(&document).into_iter().map(with_path).collect())
 }
@@ -120,8 +119,7 @@ pub fn read_camera_doubts(path: &Path) -> Result<Vec<String>> {
 /// [`PlenopticCamera::intrinsics`]; `None` for parameters that were fixed or not determined, and
 /// where the file has none.
 pub fn read_std_devs(path: &Path, lens_types: usize) -> Result<Vec<Option<f64>>> {
-    let value: Value = serde_json::from_str(&read_text(path)?)
-        .map_err(|e| Error::content(path, format!("this is not valid JSON: {e}")))?;
+    let value = read_json(path)?;
     let std_devs = &value["uncertainty"]["standard_deviations"];
     let of_parameter = |p: &Parameter| std_devs[p.name]["value"].as_f64();
     Ok(intrinsic_parameters(lens_types).iter().map(of_parameter).collect())
@@ -139,5 +137,6 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     }
     let file: CameraFile = serde_json::from_value(value)
         .map_err(|e| Error::invalid(format!("not a valid {CAMERA_FORMAT} file: {e}")))?;
+    file.camera.validate()?;
     Ok(file.camera)
 }

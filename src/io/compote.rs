@@ -26,6 +26,7 @@ mod linked;
 use nalgebra::{Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 use serde_json::{Value, json};
 
+use super::poses_file::possible;
 use crate::error::{Error, Result};
 use crate::model::{
     Board, Configuration, Datasheet, EdgeSpread, FramePose, InternalParameters, Lattice,
@@ -184,7 +185,7 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     }
     let origin = camera_from_sensor.translation.vector;
     let (roll, pitch, yaw) = camera_from_mesh.rotation.euler_angles();
-    Ok(PlenopticCamera {
+    let camera = PlenopticCamera {
         sensor,
         lattice,
         main_lens: MainLens {
@@ -207,7 +208,9 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
             focal_lengths_mm,
         },
         edge_spread: EdgeSpread::default(),
-    })
+    };
+    camera.validate()?;
+    Ok(camera)
 }
 
 fn last_pixel(sensor: &Sensor) -> Vector2<f64> {
@@ -222,7 +225,7 @@ pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
         .map(|f| {
             let frame = u32::try_from(f.frame.0)
                 .map_err(|_| Error::invalid(format!("frame {} is not a frame", f.frame.0)))?;
-            Ok(FramePose { frame, camera_from_board: f.pose.parent_from_own()?.inverse() })
+            possible(FramePose { frame, camera_from_board: f.pose.parent_from_own()?.inverse() })
         })
         .collect()
 }

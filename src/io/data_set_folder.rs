@@ -1,7 +1,8 @@
 //! A simulated data set as a folder: images, project file, truth, and observations drawn from it.
 
+use std::fs;
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -57,6 +58,49 @@ pub fn image_name(content: Content, shot: &Shot) -> String {
     };
     let extension = if shot.imaging.jpeg_quality.is_some() { "jpg" } else { "png" };
     format!("{name}.{extension}")
+}
+
+/// Whether a folder has a data set in it, which may have been edited.
+#[must_use]
+pub fn is_data_set(folder: &Path) -> bool {
+    ["project.toml", "simulation.toml"].iter().any(|name| folder.join(name).exists())
+}
+
+/// Folders of a data set, and what the names of their images begin with.
+const IMAGE_FOLDERS: [(&str, &str); 4] = [
+    ("whites", "white-"),
+    ("calibration", "calibration-"),
+    ("evaluation", "evaluation-"),
+    ("translation", "translation-"),
+];
+
+/// Removes what an earlier data set in the folder had and the one that was written does not: images of boards beyond the
+/// last would be taken for its own. Files of other names stay.
+pub fn remove_older_data(folder: &Path, written: &[PathBuf]) {
+    let is_image = |path: &Path| path.extension().is_some_and(|e| e == "png" || e == "jpg");
+    let mut older: Vec<PathBuf> = Vec::new();
+    for (name, begin) in IMAGE_FOLDERS {
+        let entries = fs::read_dir(folder.join(name)).into_iter().flatten().flatten();
+        let begins = |path: &Path| {
+            path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(begin))
+        };
+        older.extend(entries.map(|e| e.path()).filter(|path| begins(path) && is_image(path)));
+    }
+    let subsets = Subset::ALL.map(|subset| folder.join("truth").join(subset.name()));
+    let truth = subsets.iter().flat_map(|f| ["poses.json", "features.csv"].map(|n| f.join(n)));
+    older.extend(truth);
+    let observed = ["centers.csv", "features.csv", "project.toml"];
+    older.extend(observed.map(|name| folder.join("observed").join(name)));
+    let single = ["devignetting.png", "devignetting.jpg", "truth/main_lens.toml"];
+    older.extend(single.map(|name| folder.join(name)));
+    for path in older.iter().filter(|path| !written.contains(path)) {
+        let _ = fs::remove_file(path);
+    }
+    let folders = IMAGE_FOLDERS.map(|(name, _)| folder.join(name));
+    for empty in folders.into_iter().chain(subsets).chain([folder.join("observed")]) {
+        // One that is not empty stays.
+        let _ = fs::remove_dir(empty);
+    }
 }
 
 fn write_image(out: &mut dyn Write, shot: &Shot, image: &RawImage) -> io::Result<()> {

@@ -2,7 +2,6 @@
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -10,6 +9,7 @@ use rayon::prelude::*;
 
 use super::ImagesSection;
 use super::manifest::hash_file;
+use super::open;
 use crate::error::{Error, Result};
 
 /// What a JPEG file begins with.
@@ -20,7 +20,7 @@ const JPEG: [u8; 2] = [0xff, 0xd8];
 /// An error if a file does not exist, or if two white images of different f-numbers are one and the same.
 pub fn first_look(images: &ImagesSection) -> Result<Vec<String>> {
     for path in images.files() {
-        path.metadata().map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        open(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
     }
     let whites: Vec<&Path> = images.whites.iter().map(|white| white.image.as_path()).collect();
     for (white, before) in whites.iter().zip(repeated(&[], &whites)) {
@@ -70,7 +70,7 @@ fn compressed(images: &ImagesSection) -> Option<String> {
 
 fn is_jpeg(path: &Path) -> bool {
     let mut head = [0; 2];
-    File::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok() && head == JPEG
+    open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok() && head == JPEG
 }
 
 fn name(path: &Path) -> String {

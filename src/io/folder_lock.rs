@@ -3,7 +3,7 @@
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 
-use super::output::{make_folder, remove_empty};
+use super::output::{make_folder, remove_empty, remove_left_overs};
 use crate::error::{Error, Result};
 
 /// Holds a folder until it is dropped. The system lets go of it when the process ends, however it ends, so no file is
@@ -17,7 +17,8 @@ pub struct FolderLock {
 }
 
 impl FolderLock {
-    /// Makes the folder if necessary, and holds it; an error if another process does.
+    /// Makes the folder if necessary, and holds it; an error if another process does. Temporary files of a process that was
+    /// killed are removed.
     pub fn hold(folder: &Path) -> Result<Self> {
         let write_error = |source| Error::Write { path: folder.to_owned(), source };
         let created = make_folder(folder).map_err(write_error)?;
@@ -32,6 +33,10 @@ impl FolderLock {
             }
             Err(TryLockError::Error(_)) => None,
         };
+        // Without a lock, another process may still need its own.
+        if locked.is_some() {
+            remove_left_overs(folder);
+        }
         Ok(Self { _locked: locked, created })
     }
 }

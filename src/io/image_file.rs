@@ -1,15 +1,14 @@
 //! Image files.
 
 use std::borrow::Cow;
-use std::io::{self, BufReader, Write};
+use std::io::{self, Cursor, Write};
 use std::path::Path;
-use std::time::Instant;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageReader};
 
-use super::record_read;
+use super::read_bytes;
 use crate::error::{Error, Result};
 use crate::image::{Color, RawImage, Samples};
 
@@ -18,13 +17,11 @@ use crate::image::{Color, RawImage, Samples};
 /// `color` says what the samples stand for; without it they are grey or RGB, as in the file. A file
 /// with three channels cannot be a colour mosaic, and one with a single channel cannot be RGB.
 pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
-    let begun = Instant::now();
-    let unreadable = |source| Error::Read { path: path.to_owned(), source };
-    let file = std::fs::File::open(path).map_err(unreadable)?;
-    let bytes = file.metadata().map_err(unreadable)?.len();
-    let decoded = ImageReader::new(BufReader::new(file))
+    // Read whole before it is decoded: a failure of the disk is one of reading, not of the image.
+    let bytes = read_bytes(path)?;
+    let decoded = ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
-        .map_err(unreadable)?
+        .map_err(|source| Error::Read { path: path.to_owned(), source })?
         .decode()
         .map_err(|e| Error::content(path, format!("this image cannot be read: {e}")))?;
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
@@ -77,7 +74,6 @@ pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
             ));
         }
     };
-    record_read(path, bytes, begun);
     Ok(RawImage { width, height, color, samples })
 }
 

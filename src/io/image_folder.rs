@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use image::{ImageDecoder, ImageReader};
 
+use super::open;
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::optics;
@@ -295,7 +296,7 @@ impl SortedImages {
 /// Width, height and channels, from the first bytes of an image.
 fn format_of(path: &Path) -> Result<(u32, u32, Color)> {
     let unreadable = |source| Error::Read { path: path.to_owned(), source };
-    let file = fs::File::open(path).map_err(unreadable)?;
+    let file = open(path).map_err(unreadable)?;
     let reader =
         ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(unreadable)?;
     let decoder = reader

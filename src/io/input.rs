@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use super::json_file::json_from;
 use super::{
     PRECALIBRATION_FORMAT, Project, camera_file, compote, poses_file, precalibration_file,
     read_text,
@@ -34,15 +35,47 @@ fn read_document(path: &Path) -> Result<Document> {
         return Err(Error::content(path, "the file is empty"));
     }
     if text.trim_start().starts_with(['{', '[']) {
-        let value = serde_json::from_str(text)
-            .map_err(|e| Error::content(path, format!("this is not valid JSON: {e}")))?;
-        return Ok(Document::Json(value));
+        return json_from(text).map(Document::Json).map_err(|e| e.in_file(path));
     }
     Ok(Document::Project(Box::new(Project::read(path)?)))
 }
 
 fn is_format(value: &Value, format: &str) -> bool {
     value.get("format").and_then(Value::as_str) == Some(format)
+}
+
+/// What a JSON document seems to be, by its `format` or by a field that only this file of COMPOTE has.
+fn kind_of(value: &Value) -> Option<String> {
+    const FIELDS: [(&str, &str); 5] = [
+        ("poses", "poses.js of COMPOTE"),
+        ("checkerboards", "scene.js of COMPOTE"),
+        ("q_prime", "params.js of COMPOTE"),
+        ("mla", "intrinsics.js of COMPOTE"),
+        ("mia", "camera.js of COMPOTE"),
+    ];
+    let format = value.get("format").and_then(Value::as_str);
+    let of_field = || FIELDS.iter().find(|(field, _)| value.get(field).is_some());
+    let named = format.map(|format| format!("a file of the format {format}"));
+    named.or_else(|| of_field().map(|(_, file)| (*file).to_owned()))
+}
+
+/// The document, unless it is recognised as something else than one of the wanted files of COMPOTE.
+fn wanted(value: Value, files: &[&str]) -> Result<Value> {
+    match kind_of(&value) {
+        Some(kind) if !files.iter().any(|file| kind.starts_with(file)) => {
+            let ours = match files {
+                ["poses.js"] => "poses.json",
+                ["params.js"] => "precalibration.json",
+                ["scene.js"] => "a project file with [board]",
+                _ => "camera.json, a project file",
+            };
+            Err(Error::invalid(format!(
+                "this seems to be {kind}: give {ours} or COMPOTE's {}",
+                files.join(" or ")
+            )))
+        }
+        _ => Ok(value),
+    }
 }
 
 /// Reads a camera: `camera.json`, COMPOTE's `intrinsics.js` or `camera.js`, or the tables of a
@@ -63,7 +96,9 @@ pub fn read_camera_source(path: &Path) -> Result<CameraSource> {
         Document::Json(value) if value.get("mla").is_some() => {
             compote::camera_from(value).map(|camera| CameraSource::Camera(Box::new(camera)))
         }
-        Document::Json(value) => compote::datasheet_from(value).map(CameraSource::Datasheet),
+        Document::Json(value) => wanted(value, &["camera.js", "intrinsics.js"])
+            .and_then(compote::datasheet_from)
+            .map(CameraSource::Datasheet),
     };
     source.map_err(|e| e.in_file(path))
 }
@@ -81,7 +116,8 @@ pub fn read_internal_parameters(
         Document::Json(value) if is_format(&value, PRECALIBRATION_FORMAT) => {
             precalibration_file::internal_parameters_from(value)
         }
-        Document::Json(value) => compote::internal_parameters_from(value, pixel_size_mm),
+        Document::Json(value) => wanted(value, &["params.js"])
+            .and_then(|value| compote::internal_parameters_from(value, pixel_size_mm)),
     };
     internal.map_err(|e| e.in_file(path))
 }
@@ -92,7 +128,7 @@ pub fn read_board(path: &Path) -> Result<Board> {
         Document::Project(project) => {
             project.board.ok_or_else(|| Error::invalid("there is no table [board] in it"))
         }
-        Document::Json(value) => compote::board_from(value),
+        Document::Json(value) => wanted(value, &["scene.js"]).and_then(compote::board_from),
     };
     board.and_then(|board| board.validate().map(|()| board)).map_err(|e| e.in_file(path))
 }
@@ -104,7 +140,7 @@ pub fn read_poses(path: &Path) -> Result<Vec<FramePose>> {
         Document::Json(value) if is_format(&value, poses_file::POSES_FORMAT) => {
             poses_file::poses_from(value)
         }
-        Document::Json(value) => compote::poses_from(value),
+        Document::Json(value) => wanted(value, &["poses.js"]).and_then(compote::poses_from),
     };
     poses.map_err(|e| e.in_file(path))
 }

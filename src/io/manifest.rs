@@ -3,14 +3,13 @@
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fmt::Write as _;
-use std::fs::File;
 use std::io::{self, BufRead, BufReader};
 use std::path::{Component, Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::{OutputFolder, read_text};
+use super::{OutputFolder, open, read_text};
 use crate::error::{Error, Result};
 
 /// Name of the file in the folder of a run.
@@ -58,7 +57,7 @@ const CHUNK: usize = 1 << 20;
 pub fn hash_file(path: &Path) -> Result<String> {
     let digest = || -> io::Result<String> {
         let mut hasher = Sha256::new();
-        let mut reader = BufReader::with_capacity(CHUNK, File::open(path)?);
+        let mut reader = BufReader::with_capacity(CHUNK, open(path)?);
         loop {
             let chunk = reader.fill_buf()?;
             if chunk.is_empty() {

@@ -15,6 +15,7 @@ mod folder_lock;
 mod image_file;
 mod image_folder;
 mod input;
+mod json_file;
 mod manifest;
 mod models_file;
 mod observations_file;
@@ -27,7 +28,8 @@ mod project_file;
 mod raytrix;
 mod residuals_file;
 
-use std::fs;
+use std::fs::{self, File};
+use std::io::{self, Read};
 use std::path::Path;
 use std::time::Instant;
 
@@ -41,7 +43,7 @@ pub use camera_file::{
     CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_doubts, read_camera, read_camera_doubts,
     read_std_devs,
 };
-pub use data_set_folder::{image_name, stage_data_set};
+pub use data_set_folder::{image_name, is_data_set, remove_older_data, stage_data_set};
 pub use detection_file::detection_document;
 pub use evaluation_file::evaluation_document;
 pub use first_look::{first_look, repeated};
@@ -51,9 +53,10 @@ pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
 };
+pub use json_file::read_json;
 pub use manifest::{MANIFEST, Manifest, StageRecord, hash_file, hash_text};
 pub use models_file::models_document;
-pub use observations_file::{read_centers, read_features, write_centers, write_features};
+pub use observations_file::{line_of, read_centers, read_features, write_centers, write_features};
 pub use output::{OutputFolder, abandon_output};
 pub use point_cloud::read_point_cloud_distance;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
@@ -72,9 +75,26 @@ use crate::error::{Error, Result};
 
 fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     let begun = Instant::now();
-    let bytes = fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+    let mut bytes = Vec::new();
+    open(path)
+        .and_then(|mut file| file.read_to_end(&mut bytes))
+        .map_err(|source| Error::Read { path: path.to_owned(), source })?;
     record_read(path, bytes.len() as u64, begun);
     Ok(bytes)
+}
+
+/// What a shell or a caller has opened already, whatever it is.
+const OPENED: [&str; 3] = ["/dev/stdin", "/dev/fd", "/proc/self/fd"];
+
+/// Opens a file to read. An error if it is something else: nobody may ever write into a pipe of the file system, and
+/// devices have no end.
+fn open(path: &Path) -> io::Result<File> {
+    let kind = fs::metadata(path)?.file_type();
+    if kind.is_file() || OPENED.iter().any(|opened| path.starts_with(opened)) {
+        return File::open(path);
+    }
+    let what = if kind.is_dir() { "it is a folder" } else { "it is a pipe or a device" };
+    Err(io::Error::other(format!("{what}: give a file")))
 }
 
 fn record_read(path: &Path, bytes: u64, begun: Instant) {

@@ -10,7 +10,7 @@ use std::path::Path;
 use csv::{ReaderBuilder, StringRecord, Trim};
 
 use super::{compote, read_bytes};
-use crate::error::{Error, Result};
+use crate::error::{Error, Observed, Result};
 use crate::model::{BapFeature, FillFactor, MeasuredBlur, MicroImageCenter, Observations, TAKEN};
 
 /// Reads micro-image centres from CSV.
@@ -224,6 +224,77 @@ impl Row<'_> {
     }
 }
 
+/// A column of another name that differs from that of a missing one by a letter or two: it would be ignored in silence.
+fn misspelt(
+    header: &StringRecord,
+    columns: &[(&str, usize)],
+    known: &[&'static str],
+) -> Option<(String, &'static str)> {
+    let is_there = |name: &str| columns.iter().any(|(column, _)| *column == name);
+    header.iter().filter(|found| !is_there(found)).find_map(|found| {
+        let absent = known.iter().copied().filter(|name| !is_there(name));
+        let alike = absent.filter(|name| looks_like(&found.to_lowercase(), name));
+        alike.map(|name| (found.to_owned(), name)).next()
+    })
+}
+
+/// Whether a word is another one with a letter too many, too few or wrong, or with two letters exchanged; or, of a long
+/// word, any two of these.
+fn looks_like(found: &str, name: &str) -> bool {
+    const SHORTEST: usize = 3;
+    const LONG: usize = 6;
+    let most = if name.len() < LONG { 1 } else { 2 };
+    if name.len() < SHORTEST {
+        // Of the names of one letter, only the case may differ.
+        return found == name;
+    }
+    if found.len().abs_diff(name.len()) > most {
+        return false;
+    }
+    let (a, b): (Vec<char>, Vec<char>) = (found.chars().collect(), name.chars().collect());
+    let mut steps = vec![vec![0; b.len() + 1]; a.len() + 1];
+    for i in 0..=a.len() {
+        for j in 0..=b.len() {
+            steps[i][j] = if i == 0 || j == 0 {
+                i + j
+            } else {
+                let changed = steps[i - 1][j - 1] + usize::from(a[i - 1] != b[j - 1]);
+                let exchanged = if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
+                    steps[i - 2][j - 2] + 1
+                } else {
+                    usize::MAX
+                };
+                changed.min(exchanged).min(steps[i - 1][j] + 1).min(steps[i][j - 1] + 1)
+            };
+        }
+    }
+    steps[a.len()][b.len()] <= most
+}
+
+/// The line of an observation in its CSV file; the last one if it is given several times. `None` if the file is not CSV or
+/// has no such line.
+#[must_use]
+pub fn line_of(path: &Path, observation: Observed) -> Option<u64> {
+    let bytes = read_bytes(path).ok().filter(|bytes| !compote::is_linked_observations(bytes))?;
+    let required: &[&'static str] = match observation {
+        Observed::Center { .. } => &["k", "l"],
+        Observed::Feature { .. } => &["k", "l", "cluster", "frame"],
+    };
+    let lines = rows(path, &bytes, required, &[], |row| {
+        let (at, line) = ((row.integer("k")?, row.integer("l")?), row.line);
+        Ok(match observation {
+            Observed::Center { k, l } => (at == (k, l)).then_some(line),
+            Observed::Feature { frame, corner, k, l } => {
+                let same = at == (k, l)
+                    && row.integer::<u32>("frame")? == frame
+                    && row.integer::<i32>("cluster")? == corner;
+                same.then_some(line)
+            }
+        })
+    });
+    lines.ok()?.into_iter().flatten().last()
+}
+
 fn rows<T>(
     path: &Path,
     bytes: &[u8],
@@ -244,6 +315,15 @@ fn rows<T>(
                 format!("the first line names the column {name} twice"),
             ));
         }
+    }
+    if let Some((found, meant)) = misspelt(&header, &columns, &[required, optional].concat()) {
+        return Err(Error::content(
+            path,
+            format!(
+                "the first line names a column '{found}', which looks like a misspelt {meant}: correct it, or give the \
+                 column a name that is not mistaken for it"
+            ),
+        ));
     }
     let is_missing = |name: &&&str| columns.iter().all(|(column, _)| column != *name);
     let missing: Vec<&str> = required.iter().filter(is_missing).copied().collect();

@@ -12,6 +12,9 @@ use tracing::{debug, info};
 
 use crate::error::{Error, Result};
 
+/// What temporary files are called, with letters between; nobody else calls a file so.
+const TEMPORARY: [&str; 2] = [".plenocal-", ".tmp"];
+
 /// Collects files under temporary names in their folder; `commit` gives them their final names.
 /// Without a commit nothing is left behind, not even after [`abandon_output`].
 #[derive(Debug)]
@@ -153,19 +156,16 @@ impl OutputFolder {
             return Err(Error::content(path, "is a folder, but a result has this name"));
         }
         let begun = Instant::now();
-        let mut paths = Vec::new();
-        {
+        // A disk that is full or broken may say so only now.
+        for (file, path) in &self.staged {
+            written_through(file.as_file())
+                .map_err(|source| Error::Write { path: path.clone(), source: plain(source) })?;
+        }
+        let paths = {
             // No interrupt can come between the first and the last.
             let mut registry = registry();
-            for (file, path) in mem::take(&mut self.staged) {
-                let staged = file.path().to_owned();
-                file.persist(&path)
-                    .map_err(|e| Error::Write { path: path.clone(), source: e.error })?;
-                registry.files.retain(|file| *file != staged);
-                registry.committed = true;
-                paths.push(path);
-            }
-        }
+            name_all(mem::take(&mut self.staged), &mut registry)?
+        };
         for path in &paths {
             debug!("written: {}", path.display());
         }
@@ -191,6 +191,93 @@ impl Drop for OutputFolder {
     }
 }
 
+/// A file that has its name, and the older one that had it.
+struct Named {
+    path: PathBuf,
+    older: Option<NamedTempFile<()>>,
+}
+
+impl Named {
+    /// Gives a file its name. The older file is kept under another one until all have theirs, where the file system can
+    /// do so.
+    fn give(file: NamedTempFile, path: PathBuf) -> Result<Self> {
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let keep = |kept: &Path| fs::hard_link(&path, kept);
+        let older = named_builder().make_in(folder, keep).ok();
+        match renamed(file, &path) {
+            Ok(()) => Ok(Self { path, older }),
+            Err(source) => Err(Error::Write { path, source: plain(source) }),
+        }
+    }
+
+    /// As it was before.
+    fn undo(self) {
+        let _ = match self.older {
+            Some(older) => renamed(older, &self.path),
+            None => fs::remove_file(&self.path),
+        };
+    }
+}
+
+/// Gives a temporary file another name. On an error it is removed.
+fn renamed<F>(file: NamedTempFile<F>, path: &Path) -> io::Result<()> {
+    fs::rename(file.path(), path)?;
+    // There is nothing left to remove.
+    file.into_temp_path().keep().map(|_| ()).map_err(|e| e.error)
+}
+
+fn named_builder() -> tempfile::Builder<'static, 'static> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(TEMPORARY[0]).suffix(TEMPORARY[1]);
+    builder
+}
+
+/// Gives all files their names, or none of them.
+fn name_all(
+    staged: Vec<(NamedTempFile, PathBuf)>,
+    registry: &mut Registry,
+) -> Result<Vec<PathBuf>> {
+    let mut named: Vec<Named> = Vec::new();
+    for (file, path) in staged {
+        match Named::give(file, path) {
+            Ok(given) => named.push(given),
+            Err(error) => {
+                named.into_iter().rev().for_each(Named::undo);
+                return Err(error);
+            }
+        }
+    }
+    registry.files.retain(|file| file.exists());
+    registry.committed |= !named.is_empty();
+    Ok(named.into_iter().map(|named| named.path).collect())
+}
+
+/// Waits until a file is on the disk; file systems that cannot wait are taken at their word.
+fn written_through(file: &fs::File) -> io::Result<()> {
+    match file.sync_data() {
+        Err(e) if matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => Ok(()),
+        result => result,
+    }
+}
+
+/// Removes temporary files that a killed process has left in a folder and the folders in it. For whoever holds the folder.
+pub(super) fn remove_left_overs(folder: &Path) {
+    let [begin, end] = TEMPORARY;
+    let within = |folder: &Path| -> Vec<PathBuf> {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).collect()
+    };
+    for path in within(folder) {
+        let inner = if path.is_dir() && !path.is_symlink() { within(&path) } else { Vec::new() };
+        for file in inner.into_iter().chain([path]) {
+            let name = file.file_name().unwrap_or_default().to_string_lossy();
+            if name.starts_with(begin) && name.ends_with(end) && !file.is_dir() {
+                let _ = fs::remove_file(&file);
+            }
+        }
+    }
+}
+
 /// The system's reason alone: the temporary file's name would only mislead.
 fn plain(error: io::Error) -> io::Error {
     match error.kind() {
@@ -205,7 +292,7 @@ fn plain(error: io::Error) -> io::Error {
 
 /// Temporary files are private by default; results are as readable as any other new file.
 fn temporary_file(folder: &Path) -> io::Result<NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
+    let mut builder = named_builder();
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;

@@ -74,14 +74,30 @@ pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
             file.version
         )));
     }
-    let pose = |p: PoseFile| FramePose {
-        frame: p.frame,
-        camera_from_board: Isometry3::from_parts(
+    let pose = |p: PoseFile| {
+        let camera_from_board = Isometry3::from_parts(
             Translation3::from(Vector3::from(p.camera_from_board.translation_mm)),
             UnitQuaternion::from_scaled_axis(Vector3::from(
                 p.camera_from_board.rotation_vector_rad,
             )),
-        ),
+        );
+        possible(FramePose { frame: p.frame, camera_from_board })
     };
-    Ok(file.poses.into_iter().map(pose).collect())
+    file.poses.into_iter().map(pose).collect()
+}
+
+/// Squares of values far beyond this overflow.
+const FAR_MM: f64 = 1e100;
+
+/// A pose as it is; an error if it is not finite.
+pub(super) fn possible(pose: FramePose) -> Result<FramePose> {
+    let (place, turn) = (&pose.camera_from_board.translation, &pose.camera_from_board.rotation);
+    let is_near = place.vector.iter().all(|x| x.abs() < FAR_MM);
+    if is_near && turn.coords.iter().all(|x| x.is_finite()) {
+        return Ok(pose);
+    }
+    Err(Error::invalid(format!(
+        "the pose of frame {} is not finite, or further away than {FAR_MM:e} mm",
+        pose.frame
+    )))
 }

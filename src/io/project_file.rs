@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
     Board, Configuration, Datasheet, FallOff, FillFactor, InternalParameters, LatticeKind, Lean,
-    PointSpread, SampleLevels, Sensor, optics,
+    PointSpread, SampleLevels, Sensor, finite, optics,
 };
 
 /// A project file. Every table may be left out where a command gets its content another way.
@@ -218,6 +218,12 @@ pub struct ObservationsSection {
     pub features: PathBuf,
 }
 
+/// An error that names a value of a TOML text that is not a finite number.
+pub(super) fn check_finite(text: &str) -> Result<()> {
+    let table = text.parse().map_err(|e: toml::de::Error| Error::invalid(e.to_string()))?;
+    finite(&table)
+}
+
 impl Project {
     /// Reads a project file; paths in it become relative to the working folder.
     pub fn read(path: &Path) -> Result<Self> {
@@ -232,6 +238,7 @@ impl Project {
             Error::content(path, format!("not a valid project file: {e}{hint}"))
         })?;
         project.check_step().map_err(|e| e.in_file(path))?;
+        check_finite(&text).map_err(|e| e.in_file(path))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         if let Some(observations) = &mut project.observations {
             observations.features = folder.join(&observations.features);

@@ -35,7 +35,9 @@ impl Board {
     /// along the rows, z = 0.
     #[must_use]
     pub fn point_mm(&self, corner: i32) -> Point3<f64> {
-        let (row, column) = (corner.div_euclid(self.columns), corner.rem_euclid(self.columns));
+        // Of a board without columns nothing is asked that means anything.
+        let columns = self.columns.max(1);
+        let (row, column) = (corner.div_euclid(columns), corner.rem_euclid(columns));
         Point3::new(f64::from(column) * self.square_mm, f64::from(row) * self.square_mm, 0.0)
     }
 

@@ -214,6 +214,12 @@ impl PlenopticCamera {
         check_lens_types(self.lens_types(), self.lattice.kind())?;
         if let Some(setting) = self.main_lens.setting {
             positive(setting.f_number, "the f-number of the main lens")?;
+            if setting.focus_distance_mm.is_nan() || setting.focus_distance_mm <= 0.0 {
+                return Err(Error::invalid(format!(
+                    "the focus distance of the main lens (mm) is {}: it has to be positive, or inf",
+                    setting.focus_distance_mm
+                )));
+            }
         }
         let mla = &self.mla;
         positive(self.main_lens.focal_length_mm, "the camera's F (mm)")?;

@@ -27,7 +27,7 @@ pub(crate) use camera::small_camera;
 pub use camera::{
     LensSetting, MAX_MICRO_LENSES, MainLens, MicroLensArray, PlenopticCamera, Sensor,
 };
-pub(crate) use checks::positive;
+pub(crate) use checks::{finite, positive};
 pub use datasheet::{Configuration, Datasheet, InternalParameters};
 pub(crate) use display::{display_unit, signed, with_std_dev};
 pub use edge_spread::{EdgeSpread, FillFactor, PointSpread};

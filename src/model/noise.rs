@@ -36,12 +36,30 @@ pub struct NoiseSource {
     centers: Normal<f64>,
 }
 
+/// More noise hides everything, and far more makes infinite numbers, px.
+const MOST_NOISE_PX: f64 = 1e4;
+
+impl Noise {
+    /// An error if a standard deviation is negative, not finite, or wider than any image.
+    pub fn validate(&self) -> Result<()> {
+        let Self { uv_px, rho_px, centers_px } = *self;
+        match [uv_px, rho_px, centers_px].iter().find(|s| !(0.0..=MOST_NOISE_PX).contains(*s)) {
+            Some(std_dev) => Err(Error::invalid(format!(
+                "a noise of {std_dev} px is not possible: give 0 to {MOST_NOISE_PX}"
+            ))),
+            None => Ok(()),
+        }
+    }
+}
+
 impl NoiseSource {
-    /// An error if a standard deviation is negative or not finite.
+    /// An error if [`Noise::validate`] finds one.
     pub fn new(noise: &Noise, seed: u64) -> Result<Self> {
-        let normal = |std_dev: f64| match Normal::new(0.0, std_dev) {
-            Ok(normal) if std_dev >= 0.0 => Ok(normal),
-            _ => Err(Error::invalid(format!("a noise of {std_dev} px is not possible"))),
+        noise.validate()?;
+        let normal = |std_dev: f64| {
+            Normal::new(0.0, std_dev).map_err(|e| {
+                Error::invalid(format!("a noise of {std_dev} px is not possible: {e}"))
+            })
         };
         Ok(Self {
             generator: StdRng::seed_from_u64(seed),

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Observed, Result};
 use crate::model::{Board, Sensor};
 
 /// Centre of micro-image (k, l) in a white image.
@@ -125,26 +125,11 @@ impl Observations {
         let mut seen = HashSet::new();
         let mut corners: BTreeMap<u32, BTreeSet<i32>> = BTreeMap::new();
         for f in &self.features {
-            let what = format!(
-                "corner {} in micro-image ({}, {}) of frame {}",
-                f.corner, f.k, f.l, f.frame
-            );
-            check_position(&what, (f.k, f.l), (f.u_px, f.v_px), array, sensor)?;
-            if needs_rho {
-                check_rho(f.rho_px, &what, sensor)?;
-            }
-            let of_blur = f.blur.as_ref().map(|blur| &blur.std_dev_px);
-            let std_devs = f.std_dev_px.iter().flatten().chain(&f.rho_std_dev_px);
-            check_std_devs(std_devs.chain(of_blur), &what)?;
-            if !(0..board.corners()).contains(&f.corner) {
-                return Err(Error::invalid(format!(
-                    "{what} is not on the board of {} x {} inner corners",
-                    board.columns, board.rows
-                )));
-            }
-            if !seen.insert((f.frame, f.corner, f.k, f.l)) {
-                return Err(Error::invalid(format!("{what} is given twice")));
-            }
+            let key = (f.frame, f.corner, f.k, f.l);
+            let is_new = seen.insert(key);
+            check_feature(f, sensor, array, board, needs_rho)
+                .and_then(|()| once(is_new, || feature_text(f)))
+                .map_err(|error| of_observation(f.observed(), error))?;
             corners.entry(f.frame).or_default().insert(f.corner);
         }
         match corners.into_iter().find(|(_, corners)| corners.len() < MIN_CORNERS) {
@@ -157,6 +142,56 @@ impl Observations {
     }
 }
 
+impl BapFeature {
+    /// What this is an observation of.
+    fn observed(&self) -> Observed {
+        let Self { frame, corner, k, l, .. } = *self;
+        Observed::Feature { frame, corner, k, l }
+    }
+}
+
+fn feature_text(f: &BapFeature) -> String {
+    format!("corner {} in micro-image ({}, {}) of frame {}", f.corner, f.k, f.l, f.frame)
+}
+
+/// An error unless a feature is possible by itself.
+fn check_feature(
+    f: &BapFeature,
+    sensor: &Sensor,
+    array: (i32, i32),
+    board: &Board,
+    needs_rho: bool,
+) -> Result<()> {
+    let what = feature_text(f);
+    check_position(&what, (f.k, f.l), (f.u_px, f.v_px), array, sensor)?;
+    if needs_rho {
+        check_rho(f.rho_px, &what, sensor)?;
+    }
+    let of_blur = f.blur.as_ref().map(|blur| &blur.std_dev_px);
+    let std_devs = f.std_dev_px.iter().flatten().chain(&f.rho_std_dev_px);
+    check_std_devs(std_devs.chain(of_blur), &what)?;
+    if !(0..board.corners()).contains(&f.corner) {
+        return Err(Error::invalid(format!(
+            "{what} is not on the board of {} x {} inner corners",
+            board.columns, board.rows
+        )));
+    }
+    Ok(())
+}
+
+/// An error unless an observation is the first of its kind.
+fn once(is_new: bool, what: impl Fn() -> String) -> Result<()> {
+    if is_new { Ok(()) } else { Err(Error::invalid(format!("{} is given twice", what()))) }
+}
+
+/// Says which observation an error is about. A missing blur radius has a remedy of its own.
+fn of_observation(observation: Observed, error: Error) -> Error {
+    match error {
+        Error::Invalid(message) => Error::Observation { observation, message },
+        other => other,
+    }
+}
+
 /// Checks micro-image centres; an error names the first that is impossible or given twice.
 pub(crate) fn check_centers(
     centers: &[MicroImageCenter],
@@ -165,12 +200,12 @@ pub(crate) fn check_centers(
 ) -> Result<()> {
     let mut seen = HashSet::new();
     for c in centers {
-        let what = format!("the centre of micro-image ({}, {})", c.k, c.l);
-        check_position(&what, (c.k, c.l), (c.u_px, c.v_px), array, sensor)?;
-        check_std_devs(&c.std_dev_px, &what)?;
-        if !seen.insert((c.k, c.l)) {
-            return Err(Error::invalid(format!("{what} is given twice")));
-        }
+        let what = || format!("the centre of micro-image ({}, {})", c.k, c.l);
+        let is_new = seen.insert((c.k, c.l));
+        check_position(&what(), (c.k, c.l), (c.u_px, c.v_px), array, sensor)
+            .and_then(|()| check_std_devs(&c.std_dev_px, &what()))
+            .and_then(|()| once(is_new, what))
+            .map_err(|error| of_observation(Observed::Center { k: c.k, l: c.l }, error))?;
     }
     Ok(())
 }

@@ -7,6 +7,7 @@ use toml::{Table, Value};
 
 use super::settings::Settings;
 use crate::error::{Error, Result};
+use crate::model::finite;
 
 /// A simulation file that comes with plenocal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -136,6 +137,7 @@ fn settings_from(
         })?;
         table.insert("prescription".to_owned(), Value::Table(surfaces));
     }
+    finite(&table)?;
     // Without replaced values, errors can name the line.
     let mut unknown = Vec::new();
     let mut note = |path: serde_ignored::Path| unknown.push(path.to_string());

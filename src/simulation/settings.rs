@@ -148,6 +148,7 @@ impl Settings {
             ));
         }
         self.boards.validate(self.camera.main_lens.focal_length_mm)?;
+        self.observation_noise.validate()?;
         self.translation.validate()
     }
 

@@ -36,6 +36,8 @@ pub fn synthesize_bent(
     noise: &Noise,
     seed: u64,
 ) -> Result<Observations> {
+    camera.validate()?;
+    board.board.validate()?;
     let mut source = NoiseSource::new(noise, seed)?;
     let centers = whole_micro_images(camera)?;
     let radius = camera.micro_image_pitch_px() / 2.0 - EDGE_MARGIN_PX;

@@ -255,7 +255,7 @@ fn bad_anchors_are_errors_that_name_them() {
     calibrate(&["--anchor", "F=16:1", "--fix", "F"], "").code(1).stderr(contains("F is anchored"));
     for (table, words) in [
         ("\n[calibration.anchors]\nF = { value = 16.0, std_dev = 0.0 }\n", "F has σ = 0"),
-        ("\n[calibration.anchors]\nF = { value = nan, std_dev = 0.1 }\n", "F has the value NaN"),
+        ("\n[calibration.anchors]\nF = { value = nan, std_dev = 0.1 }\n", "value is NaN"),
         ("\n[calibration.anchors]\nF = 16.0\n", "std_dev"),
         ("\n[calibration.anchors]\nFF = \"none\"\n", "'FF'"),
         ("\n[calibration.anchors]\nF = { value = 16.0 }\n", "std_dev"),

@@ -79,14 +79,14 @@ fn an_interrupt_leaves_nothing_behind() {
 #[test]
 fn an_interrupt_keeps_older_files() {
     let folder = TempDir::new().unwrap();
-    let project = folder.path().join("project.toml");
-    fs::write(&project, "older").unwrap();
+    let older = folder.path().join("devignetting.png");
+    fs::write(&older, "older").unwrap();
     let child = simulation(folder.path());
     send("-INT", &child);
     // A second interrupt changes nothing.
     let _ = Command::new("kill").args(["-INT", &child.id().to_string()]).output();
     assert_interrupted(&child.wait_with_output().unwrap());
-    assert_eq!(fs::read_to_string(&project).unwrap(), "older");
+    assert_eq!(fs::read_to_string(&older).unwrap(), "older");
     assert_eq!(files(folder.path()), 1);
 }
 

@@ -9,15 +9,19 @@
 mod anchors;
 mod assessment;
 mod bad_input;
+mod bad_values;
 mod board;
 mod board_files;
 mod board_scatter;
 mod command_line;
 mod compote;
+mod damaged;
 mod detect;
 mod detection;
 mod fill_factor;
 mod floors;
+#[path = "../hostile/mod.rs"]
+mod hostile;
 mod house;
 mod independent;
 mod init;

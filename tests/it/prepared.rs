@@ -45,9 +45,15 @@ impl Files {
         &found.unwrap_or_else(|| panic!("there is no {name}")).1
     }
 
+    /// The names of all files.
+    pub fn names(&self) -> impl Iterator<Item = &Path> {
+        self.0.iter().map(|(name, _)| name.as_path())
+    }
+
     /// The names of the files that differ from those of the same name in `other`.
     pub fn differing(&self, other: &Self) -> Vec<&Path> {
-        assert!(self.0.iter().map(|f| &f.0).eq(other.0.iter().map(|f| &f.0)), "the names differ");
+        let (ours, theirs): (Vec<_>, Vec<_>) = (self.names().collect(), other.names().collect());
+        assert_eq!(ours, theirs, "the names differ");
         self.0
             .iter()
             .zip(&other.0)

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use serde::Deserialize;
 
-use super::json::{Integer, Number, Vector};
+use super::json::{Distance, Integer, Number, Vector};
 use crate::error::{Error, Result};
 use crate::model::{LatticeKind, Sensor};
 
@@ -37,7 +37,7 @@ pub(super) struct CameraFile {
     pub(super) mia: MiaFile,
     pub(super) sensor: SensorFile,
     pub(super) main_lens: LensFile,
-    pub(super) dist_focus: Number,
+    pub(super) dist_focus: Distance,
     #[serde(rename = "I")]
     pub(super) lens_types: Integer,
     pub(super) mode: Integer,
@@ -54,7 +54,7 @@ pub(super) struct SensorFile {
 pub(super) struct IntrinsicsFile {
     #[serde(rename = "I")]
     pub(super) lens_types: Integer,
-    pub(super) dist_focus: Number,
+    pub(super) dist_focus: Distance,
     pub(super) distortions: DistortionsFile,
     pub(super) main_lens: LensFile,
     pub(super) mla: MlaFile,

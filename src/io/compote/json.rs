@@ -7,9 +7,13 @@ use serde_json::{Value, json};
 
 use crate::error::{Error, Result};
 
-/// A number, written as a number or as a string.
+/// A finite number, written as a number or as a string.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Number(pub f64);
+
+/// A distance, which may be infinite, written like a [`Number`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Distance(pub f64);
 
 /// A whole number, written as a number or as a string.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,6 +32,16 @@ fn text(value: &Value) -> std::result::Result<String, String> {
 }
 
 impl<'de> Deserialize<'de> for Number {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        let Distance(value) = Distance::deserialize(deserializer)?;
+        if value.is_finite() {
+            return Ok(Self(value));
+        }
+        Err(D::Error::custom(format!("'{value}' is not a finite number")))
+    }
+}
+
+impl<'de> Deserialize<'de> for Distance {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
         let text = text(&Value::deserialize(deserializer)?).map_err(D::Error::custom)?;
         match text.parse::<f64>() {

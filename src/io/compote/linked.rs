@@ -32,13 +32,18 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
             MAX_BYTES >> 20
         )));
     }
-    let mut rest = data.as_slice();
+    sections(&data)
+}
+
+/// Centres, corners and features.
+fn sections(data: &[u8]) -> Result<Observations> {
+    let mut rest = data;
     let centers: Vec<MicroImageCenter> = section(&mut rest, "centres", CENTER_BYTES, |r| {
         Ok(MicroImageCenter {
             k: i32_at(r, 0),
             l: i32_at(r, 4),
-            u_px: f64_at(r, 8),
-            v_px: f64_at(r, 16),
+            u_px: f64_at(r, 8)?,
+            v_px: f64_at(r, 16)?,
             std_dev_px: None,
         })
     })?;
@@ -47,9 +52,9 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
         Ok(BapFeature {
             k: i32_at(r, 0),
             l: i32_at(r, 4),
-            u_px: f64_at(r, 8),
-            v_px: f64_at(r, 16),
-            rho_px: Some(f64_at(r, 24)),
+            u_px: f64_at(r, 8)?,
+            v_px: f64_at(r, 16)?,
+            rho_px: Some(f64_at(r, 24)?),
             std_dev_px: None,
             rho_std_dev_px: None,
             levers_px: None,
@@ -102,6 +107,15 @@ fn i32_at(record: &[u8], offset: usize) -> i32 {
     i32::from_le_bytes(bytes_at(record, offset))
 }
 
-fn f64_at(record: &[u8], offset: usize) -> f64 {
-    f64::from_le_bytes(bytes_at(record, offset))
+/// An error if it is not finite.
+fn f64_at(record: &[u8], offset: usize) -> Result<f64> {
+    let value = f64::from_le_bytes(bytes_at(record, offset));
+    if value.is_finite() {
+        return Ok(value);
+    }
+    Err(Error::invalid(format!(
+        "the observation of micro-image ({}, {}) contains {value}, not a finite number",
+        i32_at(record, 0),
+        i32_at(record, 4)
+    )))
 }

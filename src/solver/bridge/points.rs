@@ -18,6 +18,7 @@ pub fn distortion_mm(
     camera: &PlenopticCamera,
     image_points_mm: &[Vector2<f64>],
 ) -> Result<Vec<Vector2<f64>>> {
+    camera.validate()?;
     let points: Vec<_> = image_points_mm.iter().map(|p| ffi::PairRow { x: p.x, y: p.y }).collect();
     let shifts = ffi::distortion(&camera.into(), &points).map_err(solver_error)?;
     Ok(shifts.iter().map(|shift| Vector2::new(shift.x, shift.y)).collect())

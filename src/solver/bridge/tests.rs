@@ -1,5 +1,7 @@
 //! The bridge against the Rust side of the model.
 
+mod absurd;
+
 use nalgebra::{Point3, Vector2, Vector3};
 
 use super::ffi::NodeRow;

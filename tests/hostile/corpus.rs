@@ -1,0 +1,181 @@
+//! The valid files that are damaged.
+
+use std::fs;
+use std::io::{Cursor, Write};
+use std::path::{Path, PathBuf};
+
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use image::{DynamicImage, GrayImage, ImageFormat};
+use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
+use plenocal::model::{Board, Datasheet, FramePose, Observations, PlenopticCamera};
+
+use super::documents::{self, FEW};
+
+/// A file of the repository's data.
+pub fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name)
+}
+
+fn shipped(name: &str) -> PathBuf {
+    data("synthetic").join(name)
+}
+
+fn bytes(path: &Path) -> Vec<u8> {
+    fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// The first lines of a file.
+fn head(path: &Path) -> Vec<u8> {
+    let text = String::from_utf8(bytes(path)).expect("a text");
+    text.lines().take(FEW).flat_map(|line| [line, "\n"]).collect::<String>().into_bytes()
+}
+
+fn project() -> Project {
+    Project::read(&shipped("project.toml")).expect("the shipped project is valid")
+}
+
+/// The shipped board.
+pub const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
+
+/// The shipped datasheet.
+pub fn datasheet() -> Datasheet {
+    project().datasheet().expect("the tables are complete").expect("the project has a camera")
+}
+
+/// The shipped truth.
+pub fn true_camera() -> PlenopticCamera {
+    read_camera(&shipped("truth/camera.json")).expect("the truth is valid")
+}
+
+/// The shipped truth.
+pub fn true_poses() -> Vec<FramePose> {
+    read_poses(&shipped("truth/poses.json")).expect("the truth is valid")
+}
+
+/// The shipped observations.
+pub fn observations() -> Observations {
+    let read = read_features(&shipped("features.csv"), true);
+    let mut observations = read.expect("the shipped features are valid");
+    observations.centers = read_centers(&shipped("centers.csv")).expect("so are the centres");
+    observations
+}
+
+fn pretty(document: &serde_json::Value) -> Vec<u8> {
+    serde_json::to_vec_pretty(document).expect("a document is written")
+}
+
+pub fn projects() -> Vec<Vec<u8>> {
+    vec![bytes(&shipped("project.toml")), documents::PROJECT.as_bytes().to_vec()]
+}
+
+pub fn features() -> Vec<Vec<u8>> {
+    vec![head(&shipped("features.csv")), documents::full_features(), linked()]
+}
+
+pub fn centers() -> Vec<Vec<u8>> {
+    let with_std_dev = "k,l,u,v,std_dev,type\n5,5,120.5,100.25,0.01,1\n6,5,143.5,100.5,,2\n";
+    vec![head(&shipped("centers.csv")), with_std_dev.into(), linked()]
+}
+
+fn linked() -> Vec<u8> {
+    let mut packed = GzEncoder::new(Vec::new(), Compression::fast());
+    packed.write_all(&documents::linked()).expect("memory can be written");
+    packed.finish().expect("memory can be written")
+}
+
+/// Not compressed: damage to the packed bytes is found by their checksum.
+pub fn unpacked() -> Vec<Vec<u8>> {
+    vec![documents::linked()]
+}
+
+/// Cameras of plenocal and COMPOTE.
+pub fn cameras() -> Vec<Vec<u8>> {
+    let [intrinsics, camera, ..] = documents::compote_documents();
+    let [calibrated, ..] = &*documents::CALIBRATED;
+    let shipped = bytes(&shipped("truth/camera.json"));
+    let mut cameras = vec![shipped, pretty(calibrated), pretty(&intrinsics), pretty(&camera)];
+    cameras.extend(projects());
+    cameras
+}
+
+pub fn poses() -> Vec<Vec<u8>> {
+    let [.., compote] = documents::compote_documents();
+    let [_, calibrated, _] = &*documents::CALIBRATED;
+    vec![pretty(calibrated), pretty(&compote)]
+}
+
+pub fn internal_parameters() -> Vec<Vec<u8>> {
+    let [_, _, compote, _] = documents::compote_documents();
+    vec![pretty(&documents::precalibration()), pretty(&compote), documents::PROJECT.into()]
+}
+
+pub fn boards() -> Vec<Vec<u8>> {
+    vec![documents::SCENE.into(), documents::PROJECT.into()]
+}
+
+pub fn board_shapes() -> Vec<Vec<u8>> {
+    let [_, _, calibration] = &*documents::CALIBRATED;
+    vec![pretty(calibration)]
+}
+
+pub fn true_boards() -> Vec<Vec<u8>> {
+    vec![documents::BOARD_SHAPE.into()]
+}
+
+pub fn clouds() -> Vec<Vec<u8>> {
+    vec![b"x y z\n# points\n1 2 3 255 0 0\n1\t2  5\n\n1,2,-4.5\n// end\n0;0;7.25\n".to_vec()]
+}
+
+pub fn raytrix() -> Vec<Vec<u8>> {
+    vec![documents::raytrix().into_bytes()]
+}
+
+pub fn manifests() -> Vec<Vec<u8>> {
+    let manifest = serde_json::to_value(documents::manifest()).expect("a manifest is written");
+    vec![pretty(&manifest)]
+}
+
+pub fn simulations() -> Vec<Vec<u8>> {
+    let presets = documents::toml_files("presets");
+    presets.iter().chain(&documents::toml_files("simulations")).map(|path| bytes(path)).collect()
+}
+
+pub fn prescriptions() -> Vec<Vec<u8>> {
+    documents::toml_files("lenses").iter().map(|path| bytes(path)).collect()
+}
+
+/// Small images of every kind that is read.
+pub fn images() -> Vec<Vec<u8>> {
+    let pixel = |x, y| image::Luma([u8::try_from((7 * x + 13 * y) % 256).unwrap_or_default()]);
+    let grey = DynamicImage::ImageLuma8(GrayImage::from_fn(24, 16, pixel));
+    let kinds = [
+        grey.clone(),
+        DynamicImage::ImageLuma16(grey.to_luma16()),
+        DynamicImage::ImageRgb8(grey.to_rgb8()),
+        DynamicImage::ImageRgb16(grey.to_rgb16()),
+        DynamicImage::ImageLumaA8(grey.to_luma_alpha8()),
+        DynamicImage::ImageRgba16(grey.to_rgba16()),
+        DynamicImage::ImageRgb32F(grey.to_rgb32f()),
+    ];
+    let formats = [
+        ImageFormat::Png,
+        ImageFormat::Tiff,
+        ImageFormat::Bmp,
+        ImageFormat::Pnm,
+        ImageFormat::Jpeg,
+    ];
+    let encoded = |(image, format): (&DynamicImage, ImageFormat)| {
+        let mut bytes = Cursor::new(Vec::new());
+        // Not every format takes every kind of sample.
+        image.write_to(&mut bytes, format).ok().map(|()| bytes.into_inner())
+    };
+    let mut files: Vec<Vec<u8>> = kinds
+        .iter()
+        .flat_map(|image| formats.map(|format| (image, format)))
+        .filter_map(encoded)
+        .collect();
+    files.push(b"P2\n3 2\n255\n0 10 20\n30 40 50\n".to_vec());
+    files.push(b"P3\n1 2\n65535\n0 10 20\n30 40 50\n".to_vec());
+    files
+}

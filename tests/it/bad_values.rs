@@ -1,0 +1,218 @@
+//! Findings of `make fuzz` and of users, each with the message that it gives now.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use plenocal::io::{
+    Project, read_camera, read_camera_source, read_centers, read_features,
+    read_internal_parameters, read_poses, read_true_board,
+};
+use plenocal::model::Noise;
+use plenocal::simulation::Settings;
+use plenocal::solver::{distortion_mm, synthesize};
+use predicates::str::contains;
+use tempfile::TempDir;
+
+use crate::hostile::documents;
+use crate::support::{NO_NOISE, board, plenocal, synthetic_folder, true_camera, true_poses};
+
+/// A file with this content.
+struct File {
+    _folder: TempDir,
+    path: PathBuf,
+}
+
+fn file(name: &str, content: impl AsRef<[u8]>) -> File {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join(name);
+    fs::write(&path, content).unwrap();
+    File { _folder: folder, path }
+}
+
+/// Asserts that an error contains these words.
+fn assert_refused<T>(result: plenocal::Result<T>, words: &[&str]) {
+    let Err(error) = result else { panic!("it is accepted, but it should say {words:?}") };
+    let message = error.to_string();
+    for word in words {
+        assert!(message.contains(word), "{word}: {message}");
+    }
+}
+
+#[test]
+fn keys_of_json_files_are_given_once() {
+    let truth = fs::read_to_string(synthetic_folder().join("truth/camera.json")).unwrap();
+    let twice =
+        truth.replacen("\"pitch_mm\": 0.126", "\"pitch_mm\": 0.126, \"pitch_mm\": 0.127", 1);
+    assert_ne!(truth, twice);
+    let camera = file("camera.json", twice);
+    let words = ["camera.json", "'pitch_mm' is given twice", "line"];
+    assert_refused(read_camera(&camera.path), &words);
+    assert_refused(read_camera_source(&camera.path), &words);
+    let scene = file("scene.js", r#"{"checkerboards": [], "checkerboards": []}"#);
+    assert_refused(plenocal::io::read_board(&scene.path), &["scene.js", "'checkerboards'"]);
+}
+
+#[test]
+fn numbers_that_are_not_finite_are_refused() {
+    let project = documents::PROJECT;
+    for (from, to, key) in [
+        ("f_number = 2.8", "f_number = nan", "f_number"),
+        ("m_mm = 0.1432", "m_mm = inf", "m_mm"),
+        ("0.0414, 0.0377", "nan, 0.0377", "q_prime_mm"),
+        ("loss_scale = 3.0", "loss_scale = inf", "loss_scale"),
+        ("focus_distance_mm = inf", "focus_distance_mm = nan", "focus_distance_mm"),
+    ] {
+        assert!(project.contains(from), "{from}");
+        let project = file("project.toml", project.replacen(from, to, 1));
+        assert_refused(Project::read(&project.path), &["project.toml", key, "finite"]);
+    }
+    assert!(Project::read(&file("project.toml", project).path).is_ok());
+    let shape = file("board.toml", documents::BOARD_SHAPE.replace("0.05", "nan"));
+    assert_refused(read_true_board(&shape.path), &["board.toml", "twist_mm is NaN"]);
+    let params = file("params.js", r#"{"m": "inf", "q_prime": ["0.03"]}"#);
+    let read = read_internal_parameters(&params.path, None);
+    assert_refused(read, &["params.js", "'inf' is not a finite number"]);
+}
+
+#[test]
+fn poses_that_are_not_finite_are_refused() {
+    let pose = |rotation: &str, translation: &str| {
+        format!(
+            "{{\"format\": \"plenocal-poses\", \"version\": 1, \"poses\": [{{\"frame\": 7, \
+             \"camera_from_board\": {{\"rotation_vector_rad\": [{rotation}, 0, 0], \
+             \"translation_mm\": [{translation}, 0, 80]}}}}]}}"
+        )
+    };
+    assert!(read_poses(&file("poses.json", pose("0.1", "1")).path).is_ok());
+    for (rotation, translation) in [("1e308", "1"), ("0", "1e300")] {
+        let poses = file("poses.json", pose(rotation, translation));
+        assert_refused(read_poses(&poses.path), &["poses.json", "frame 7", "not finite"]);
+    }
+}
+
+#[test]
+fn binary_observations_are_finite() {
+    let packed = |bytes: &[u8]| {
+        let mut packed = GzEncoder::new(Vec::new(), Compression::fast());
+        packed.write_all(bytes).unwrap();
+        file("observations.bin.gz", packed.finish().unwrap())
+    };
+    let mut bytes = documents::linked();
+    assert!(read_centers(&packed(&bytes).path).is_ok());
+    // u of the first centre follows the number of centres and k, l.
+    bytes[16..24].copy_from_slice(&f64::NAN.to_le_bytes());
+    let words = ["observations.bin.gz", "contains NaN"];
+    assert_refused(read_centers(&packed(&bytes).path), &words);
+    assert_refused(read_features(&packed(&bytes).path, true), &words);
+}
+
+/// The table of parameters has three focal lengths: a fourth ended the process.
+#[test]
+fn a_camera_of_four_lens_types_is_refused() {
+    let mut camera = true_camera();
+    camera.mla.focal_lengths_mm.push(0.5);
+    let words = ["4 lens types"];
+    assert_refused(synthesize(&camera, &board(), &true_poses(), &NO_NOISE, 1), &words);
+    assert_refused(distortion_mm(&camera, &[]), &words);
+    let document = plenocal::io::camera_document(&camera, None).to_string();
+    let camera = file("camera.json", document);
+    assert_refused(read_camera(&camera.path), &["camera.json", "4 lens types"]);
+}
+
+#[test]
+fn settings_of_a_simulation_are_finite() {
+    let preset = |set: &str| Settings::preset("mini", &[set.to_owned()]);
+    let nan = preset("camera.main_lens.focus_distance_mm=nan");
+    assert_refused(nan, &["focus_distance_mm", "finite"]);
+    let negative = preset("camera.main_lens.focus_distance_mm=-1.0");
+    assert_refused(negative, &["focus distance", "-1"]);
+    assert_refused(preset("target.square_mm=inf"), &["square_mm", "finite"]);
+    let noise = preset("observation_noise.rho_px=1e308");
+    assert_refused(noise, &["a noise of 1e308 px", "10000"]);
+    let noise = Noise { uv_px: 1e308, ..NO_NOISE };
+    assert_refused(synthesize(&true_camera(), &board(), &[], &noise, 1), &["1e308"]);
+}
+
+#[test]
+fn a_misspelt_column_is_named() {
+    let row = "k,l,u,v,roh,cluster,frame\n5,5,100.0,100.0,0.1,3,0\n";
+    let features = file("features.csv", row);
+    assert_refused(read_features(&features.path, false), &["features.csv", "'roh'", "rho"]);
+    let centers = |header: &str| file("centers.csv", format!("{header}\n5,5,100.0,100.0,0.1\n"));
+    for header in ["k,l,u,v,std_dv", "k,l,u,v,Std_Dev", "k,l,u,v,stddev"] {
+        let wrong = header.rsplit(',').next().unwrap();
+        assert_refused(read_centers(&centers(header).path), &["centers.csv", wrong, "std_dev"]);
+    }
+    // Columns of others are none of these.
+    for header in ["k,l,u,v,type", "k,l,u,v,alive", "k,l,u,v,radius", "k,l,u,v,std_u"] {
+        assert!(read_centers(&centers(header).path).is_ok(), "{header}");
+    }
+}
+
+#[test]
+fn a_file_of_another_kind_is_recognised() {
+    let poses = synthetic_folder().join("truth/poses.json");
+    let words = ["poses.json", "seems to be", "plenocal-poses", "camera.json"];
+    assert_refused(read_camera_source(&poses), &words);
+    let [_, camera, params, of_compote] = documents::compote_documents();
+    let camera = file("a.js", camera.to_string());
+    assert_refused(read_poses(&camera.path), &["a.js", "camera.js of COMPOTE", "poses.json"]);
+    let poses = file("b.js", of_compote.to_string());
+    assert_refused(read_internal_parameters(&poses.path, None), &["poses.js of COMPOTE"]);
+    let params = file("c.js", params.to_string());
+    assert_refused(plenocal::io::read_board(&params.path), &["params.js of COMPOTE", "[board]"]);
+}
+
+#[test]
+fn an_impossible_observation_is_named_with_its_line() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for (name, line) in [
+        ("features.csv", "5,5,99999,100.0,0.1,3,0"),
+        ("features.csv", "500,5,100.0,100.0,0.1,3,0"),
+        ("features.csv", "2,5,56.2592,118.5949,-1.766,0,0"),
+        ("centers.csv", "500,5,100.0,100.0"),
+        ("centers.csv", "29,0,692.5514,11.7328"),
+    ] {
+        for file in ["project.toml", "features.csv", "centers.csv"] {
+            fs::copy(synthetic_folder().join(file), at(file)).unwrap();
+        }
+        let text = fs::read_to_string(at(name)).unwrap();
+        let number = text.lines().count() + 1;
+        fs::write(at(name), format!("{text}{line}\n")).unwrap();
+        let mut calibrate = plenocal();
+        calibrate.arg("calibrate").arg(at("project.toml")).arg("--out").arg(at("out"));
+        let place = format!("{name}: line {number}: ");
+        calibrate.assert().code(1).stderr(contains(place));
+    }
+}
+
+/// A data set of few images.
+fn simulate(folder: &Path, boards: &str, force: &[&str]) -> assert_cmd::assert::Assert {
+    let few = ["rays=1", "boards.evaluation=0", "translation.images=0", boards];
+    let mut command = plenocal();
+    command.arg("simulate").args(few.iter().flat_map(|set| ["--set", set])).args(force);
+    command.arg("--out").arg(folder).assert()
+}
+
+#[test]
+fn a_data_set_is_replaced_only_when_asked_for() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    simulate(folder.path(), "boards.calibration=3", &[]).success();
+    fs::write(at("project.toml"), "edited").unwrap();
+    fs::write(at("calibration/mine.png"), "mine").unwrap();
+    simulate(folder.path(), "boards.calibration=1", &[]).code(1).stderr(contains("--force"));
+    assert_eq!(fs::read_to_string(at("project.toml")).unwrap(), "edited");
+    simulate(folder.path(), "boards.calibration=1", &["--force"]).success();
+    assert!(Project::read(&at("project.toml")).is_ok());
+    // The boards of the first set are none of the second.
+    assert!(at("calibration/calibration-00.png").exists() && at("calibration/mine.png").exists());
+    assert!(!at("calibration/calibration-01.png").exists());
+    simulate(folder.path(), "boards.calibration=0", &["--force"]).success();
+    assert!(!at("observed").exists() && !at("truth/calibration").exists());
+    assert!(at("calibration/mine.png").exists());
+}
