@@ -178,21 +178,10 @@ impl Prepared {
     /// Runs every command on the valid files, and says how it ends: true for success.
     pub fn baseline(&self, place: &Path) -> Vec<String> {
         let ends = |case: &Case| {
-            let folder = self.folder(place, &self.files).expect("files can be written");
+            let folder = new_folder(place, &self.files).expect("files can be written");
             format!("{:?}: {:?}", case.arguments, run(case, folder.path(), &self.files))
         };
         CASES.iter().map(ends).collect()
-    }
-
-    /// A new folder with files.
-    fn folder(&self, place: &Path, files: &Files) -> Result<TempDir, String> {
-        let folder = TempDir::new_in(place).map_err(|e| e.to_string())?;
-        for (name, bytes) in files {
-            let path = folder.path().join(name);
-            fs::create_dir_all(path.parent().unwrap_or(&path)).map_err(|e| e.to_string())?;
-            fs::write(path, bytes).map_err(|e| e.to_string())?;
-        }
-        Ok(folder)
     }
 
     /// Runs the case of this number in a new folder.
@@ -204,10 +193,21 @@ impl Prepared {
         let mut files = self.files.clone();
         let bytes = damaged(&files[name], &mut random);
         files.insert(name.to_owned(), bytes);
-        let folder = self.folder(place, &files)?;
+        let folder = new_folder(place, &files)?;
         run(case, folder.path(), &files)
             .map_err(|e| format!("{:?} {}: {e}", case.arguments, name.display()))
     }
+}
+
+/// A new folder with files.
+fn new_folder(place: &Path, files: &Files) -> Result<TempDir, String> {
+    let folder = TempDir::new_in(place).map_err(|e| e.to_string())?;
+    for (name, bytes) in files {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().unwrap_or(&path)).map_err(|e| e.to_string())?;
+        fs::write(path, bytes).map_err(|e| e.to_string())?;
+    }
+    Ok(folder)
 }
 
 fn run(case: &Case, folder: &Path, files: &Files) -> Result<bool, String> {

@@ -28,10 +28,13 @@ pub fn shares(cases: u64) -> Vec<(&'static str, u64)> {
     readers.chain([(SOLVING.name, cases / SOLVED_PER), (commands::NAME, cases / RUN_PER)]).collect()
 }
 
+/// Whether a case was accepted, or what is wrong with what came of it.
+type Judge = dyn FnMut(&[u8]) -> Result<bool, String>;
+
 /// A way to make a case of a number, and to judge it.
 struct Trial {
     case: Box<dyn Fn(u64) -> Vec<u8>>,
-    judge: Box<dyn FnMut(&[u8]) -> Result<bool, String>>,
+    judge: Box<Judge>,
 }
 
 fn trial(name: &str, folder: &Path) -> Trial {
