@@ -28,7 +28,7 @@ pub fn begin(verbosity: u8) {
         .init();
 }
 
-/// Colours are for terminals, and not if NO_COLOR is set and not empty (<https://no-color.org>).
+/// Colours are for terminals, and not if `NO_COLOR` is set and not empty (<https://no-color.org>).
 fn is_coloured(terminal: bool, no_color: Option<OsString>) -> bool {
     terminal && no_color.is_none_or(|value| value.is_empty())
 }
