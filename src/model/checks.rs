@@ -4,8 +4,8 @@ use toml::{Table, Value};
 
 use crate::error::{Error, Result};
 
-/// What may be infinite in a file: a focus distance, and the radius of a plane.
-const MAY_BE_INFINITE: [&str; 2] = ["focus_distance_mm", "radius_mm"];
+/// What may be infinite in a file: a focus distance, the radius of a plane, and the full well of pixels without noise.
+const MAY_BE_INFINITE: [&str; 3] = ["focus_distance_mm", "radius_mm", "full_well_electrons"];
 
 /// An error naming the value unless it is positive and finite.
 pub(crate) fn positive(value: f64, name: &str) -> Result<()> {
@@ -42,6 +42,7 @@ mod tests {
     fn numbers_of_toml_are_finite() {
         let check = |text: &str| finite(&text.parse().unwrap()).map_err(|e| e.to_string());
         assert_eq!(check("a = 1.5\nfocus_distance_mm = inf\n[b]\nradius_mm = -inf"), Ok(()));
+        assert_eq!(check("[imaging]\nfull_well_electrons = inf"), Ok(()));
         let refused = check("[b.c]\nd = [1.0, nan]").unwrap_err();
         assert_eq!(refused, "in [b]: in [c]: d is NaN: give a finite number");
         assert!(check("a = inf").is_err() && check("focus_distance_mm = nan").is_err());

@@ -279,7 +279,7 @@ fn folds_work_with_fixed_parameters_and_excluded_frames() {
 #[test]
 fn the_truth_of_another_camera_gives_a_warning() {
     let run = Run::copy();
-    run.edit("set/truth/camera.json", |text| text.replace("\"columns\": 43", "\"columns\": 42"));
+    run.edit("set/truth/camera.json", |text| text.replace("hexagonal-rows", "hexagonal-columns"));
     run.again(&["--folds", "0"])
         .success()
         .stderr(contains("warning: blur aware, truth: the true camera has"))
