@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 
+use nalgebra::{Matrix2, Vector2};
+
 use super::array::ArrayMeasurement;
 use crate::error::Error;
 use crate::image::{Grey, Image, RawImage};
@@ -12,6 +14,9 @@ use crate::numerics::median;
 const MOSTLY_FULL: f64 = 0.85;
 /// Arrays are this regular, root mean square in pitches: real ones that were measured to 0.012.
 const IRREGULAR: f64 = 0.025;
+/// Lattices are this regular, a pitch along one direction over that across it: those of real arrays and square pixels to
+/// 3 in 10⁴.
+const STRETCHED: f64 = 1e-3;
 /// In a white image a micro-image is within this factor as bright as its neighbours, but for this part of them.
 const AS_BRIGHT: f64 = 2.0;
 const UNEVEN: f64 = 0.03;
@@ -34,7 +39,8 @@ fn full_part(image: &Image) -> f64 {
 }
 
 impl ArrayMeasurement {
-    /// What is doubtful about the image that it was measured in: that it is no white image, over-exposed, or not regular.
+    /// What is doubtful about the image that it was measured in: that it is no white image, over-exposed,
+    /// or not regular.
     #[must_use]
     pub fn doubts(&self, image: &RawImage) -> Vec<String> {
         let (grid, image) = (&self.grid, image.to_grey());
@@ -54,13 +60,43 @@ impl ArrayMeasurement {
                 100.0 * grid.rms_px / grid.pitch_px
             )
         });
+        let stretched = self.stretch().filter(|stretch| *stretch > STRETCHED).map(|stretch| {
+            format!(
+                "its lattice is {:.2} % longer along one direction than across it, as if pixels were not square: give images \
+                 as the camera delivers them, not resized along one side",
+                100.0 * stretch
+            )
+        });
         let over_exposed = (full > MOSTLY_FULL).then(|| {
             format!(
                 "{:.0} % of its pixels are full: expose it less, so that edges show",
                 100.0 * full
             )
         });
-        [no_white_image, irregular, over_exposed].into_iter().flatten().collect()
+        [no_white_image, irregular, stretched, over_exposed].into_iter().flatten().collect()
+    }
+
+    /// By which part the lattice is longer along one direction than across it: what the linear map from a regular lattice to
+    /// the centres does, by least squares; `None` for too few centres.
+    fn stretch(&self) -> Option<f64> {
+        let lattice = &self.grid.lattice;
+        let pairs = || {
+            let of = |c: &MicroImageCenter| (lattice.node(c.k, c.l), Vector2::new(c.u_px, c.v_px));
+            self.centers.iter().map(of)
+        };
+        let count = self.centers.len().max(1) as f64;
+        let (from, to) = pairs().fold((Vector2::zeros(), Vector2::zeros()), |(a, b), (x, y)| {
+            (a + x / count, b + y / count)
+        });
+        let (squares, products) = pairs().fold(
+            (Matrix2::zeros(), Matrix2::zeros()),
+            |(squares, products): (Matrix2<f64>, Matrix2<f64>), (x, y)| {
+                let (x, y) = (x - from, y - to);
+                (squares + x * x.transpose(), products + y * x.transpose())
+            },
+        );
+        let sizes = (products * squares.try_inverse()?).singular_values();
+        (sizes.min() > 0.0).then(|| sizes.max() / sizes.min() - 1.0)
     }
 
     /// Which part of the micro-images is not about as bright as its neighbours.

@@ -112,3 +112,19 @@ fn a_board_is_no_white_image() {
     assert!(of_board[0].contains("is this a white image"), "{of_board:?}");
     assert!(of_board[1].contains("off a regular grid"), "{of_board:?}");
 }
+
+/// Every hundredth column left out: pixels that are 1 % wider than high.
+#[test]
+fn pixels_that_are_not_square_are_named() {
+    let white = &SHOOT.white;
+    let Samples::Bits8(samples) = &white.samples else { panic!("mini has 8 bits") };
+    let kept = |&(i, _): &(usize, &u8)| i % white.width % 100 != 50;
+    let samples: Vec<u8> = samples.iter().enumerate().filter(kept).map(|(_, &x)| x).collect();
+    let narrow = RawImage {
+        width: samples.len() / white.height,
+        samples: Samples::Bits8(samples),
+        ..white.clone()
+    };
+    let doubts = measure_array(&narrow, None).unwrap().doubts(&narrow);
+    assert!(doubts.iter().any(|doubt| doubt.contains("pixels were not square")), "{doubts:?}");
+}

@@ -1,6 +1,6 @@
 //! Mistakes in the shoot, which only a simulation can make: another aperture, a moved focus, boards that bend.
 
-use crate::Expected::{Refused, Right, Warned};
+use crate::Expected::{Refused, Right, Told, Warned};
 use crate::set::{Set, simulated};
 use crate::{Expected, Mistake, mistake};
 
@@ -45,7 +45,7 @@ pub fn mistakes() -> Vec<Mistake> {
 }
 
 fn apertures() -> Vec<Mistake> {
-    let named = Warned(&["f-number", "f_number"]);
+    let named = Told(&["f-number", "f_number"]);
     vec![
         mixed("boards at f/3.7", named, &["camera.main_lens.f_number=3.7"], boards),
         mixed("boards at f/4.3", named, &["camera.main_lens.f_number=4.3"], boards),
