@@ -93,6 +93,7 @@ lint: deps
 	  --log-level=WARNING
 	cmake --build build/lint --parallel
 	cargo clippy --release --all-targets -- -D warnings
+	cargo clippy --release --test mistakes --test faults --test fuzz -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps --document-private-items
 
 bench: cpp

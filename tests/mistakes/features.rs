@@ -42,7 +42,8 @@ fn rows(
             let mut row: Row = line.split(',').map(str::to_owned).collect();
             change(i, &mut row);
             if !row.is_empty() {
-                out += &format!("{}\n", row.join(","));
+                out.push_str(&row.join(","));
+                out.push('\n');
             }
         }
         set.write(file, out);
@@ -72,10 +73,10 @@ fn of_features() -> Vec<Mistake> {
     vec![
         rows("observations as they are", FILE, Right, |_, _| ()),
         rows("rho with the wrong sign", FILE, Warned(&["rho"]), |_, row| {
-            set_number(row, RHO, |x| -x)
+            set_number(row, RHO, |x| -x);
         }),
         rows("rho as a diameter", FILE, Warned(&["rho"]), |_, row| {
-            set_number(row, RHO, |x| 2.0 * x)
+            set_number(row, RHO, |x| 2.0 * x);
         }),
         rows("rho in mm", FILE, Warned(&["rho"]), |_, row| set_number(row, RHO, |x| 0.0055 * x)),
         rows("no rho", FILE, Right, |_, row| row[RHO] = String::new()),
@@ -101,7 +102,7 @@ fn of_features() -> Vec<Mistake> {
             }
         }),
         rows("v mirrored", FILE, Told(&["micro-image"]), |_, row| {
-            set_number(row, V, |v| 749.0 - v)
+            set_number(row, V, |v| 749.0 - v);
         }),
         rows("every feature twice", FILE, Told(&["twice"]), |_, row| {
             let again = row.join(",");
@@ -126,10 +127,10 @@ fn of_centers() -> Vec<Mistake> {
     const FILE: &str = "centers.csv";
     vec![
         rows("centres: u and v swapped", FILE, Refused(&["centers.csv", "centre"]), |_, row| {
-            row.swap(2, 3)
+            row.swap(2, 3);
         }),
         rows("centres: k and l swapped", FILE, Refused(&["centers.csv", "centre"]), |_, row| {
-            row.swap(0, 1)
+            row.swap(0, 1);
         }),
         rows("centres: shifted by 1 px", FILE, Right, |_, row| set_number(row, 2, |u| u + 1.0)),
         rows("centres: shifted by 0.3 px", FILE, Right, |_, row| set_number(row, 2, |u| u + 0.3)),
@@ -165,10 +166,10 @@ fn single() -> Vec<Mistake> {
         |name: &str, change: fn(&mut Row)| one_is(name, Refused(&["corner", "line"]), change);
     vec![
         one("one feature of the wrong corner", |row| {
-            set_number(row, CORNER, |c| (c + 17.0) % 40.0)
+            set_number(row, CORNER, |c| (c + 17.0) % 40.0);
         }),
         one("one feature of the next corner", |row| {
-            set_number(row, CORNER, |c| if c < 39.0 { c + 1.0 } else { c - 1.0 })
+            set_number(row, CORNER, |c| if c < 39.0 { c + 1.0 } else { c - 1.0 });
         }),
         one("one feature of the wrong frame", |row| set_number(row, FRAME, |f| (f + 5.0) % 10.0)),
         impossible("one feature of the wrong micro-image", |row| set_number(row, K, |k| k + 1.0)),

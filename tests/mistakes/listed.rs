@@ -259,7 +259,9 @@ fn other() -> Vec<Mistake> {
     let from = |arguments: &'static [&'static str], names: Vec<String>| {
         move || {
             let (set, source) = (Set::mini(), simulated(arguments));
-            names.iter().for_each(|name| set.replace(name, &source.join(name)));
+            for name in &names {
+                set.replace(name, &source.join(name));
+            }
             set
         }
     };

@@ -91,7 +91,9 @@ fn main() -> ExitCode {
     };
     mistakes.retain(|m| parts.is_empty() || parts.iter().any(|part| is_meant(&m.name, part)));
     if options.iter().any(|option| *option == "--list") {
-        mistakes.iter().for_each(|m| println!("{}", m.name));
+        for mistake in &mistakes {
+            println!("{}", mistake.name);
+        }
         return ExitCode::SUCCESS;
     }
     let (mut counts, mut failed) = ([0; 5], Vec::new());
@@ -106,7 +108,9 @@ fn main() -> ExitCode {
             "{:<52} {:<12} {} ({seconds:.1} s){mark}",
             mistake.name, outcome.kind, outcome.errors
         );
-        outcome.said.lines().take(6).for_each(|line| println!("      {line}"));
+        for line in outcome.said.lines().take(6) {
+            println!("      {line}");
+        }
         if !met {
             failed.push(format!("{}: {}, not {:?}", mistake.name, outcome.kind, mistake.expected));
         }
@@ -115,7 +119,9 @@ fn main() -> ExitCode {
     for (kind, count) in Kind::ALL.into_iter().zip(counts) {
         println!("{count:>5}  {kind}");
     }
-    failed.iter().for_each(|line| println!("NOT AS EXPECTED: {line}"));
+    for line in &failed {
+        println!("NOT AS EXPECTED: {line}");
+    }
     if failed.is_empty() && counts[Kind::Silent as usize] == 0 {
         ExitCode::SUCCESS
     } else {

@@ -1,6 +1,6 @@
 //! What the program made of a set, against the truth.
 
-use std::fmt;
+use std::fmt::{self, Write as _};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -98,7 +98,7 @@ fn said(stderr: &str) -> String {
         // A message about TOML shows the line that is meant.
         ["warning: ", "error: ", "  "].iter().any(|w| line.starts_with(w)) || line.contains(" | ")
     };
-    stderr.lines().filter(told).map(|line| format!("{line}\n")).collect()
+    stderr.lines().filter(told).flat_map(|line| [line, "\n"]).collect()
 }
 
 /// Reasons of the verdict.
@@ -146,7 +146,7 @@ fn errors(set: &Set, calibration: &Value, evaluation: Option<&Value>) -> (bool, 
             || error.abs() > WRONG && std_dev.is_none_or(|s| error.abs() > STD_DEVS * s);
         wrong |= off;
         let mark = if off { "!" } else { "" };
-        text += &format!("{name} {:+.1} %{mark} ", 100.0 * error);
+        let _ = write!(text, "{name} {:+.1} %{mark} ", 100.0 * error);
     }
     let way = evaluation.map(|e| &e["cameras"][0]["translation"]["whole_way"]);
     if let Some(way) = way.filter(|way| way.is_object() && set.step_mm != 0.0) {
@@ -155,7 +155,7 @@ fn errors(set: &Set, calibration: &Value, evaluation: Option<&Value>) -> (bool, 
         let error = number(&way["measured_mm"]).abs() / (steps * set.step_mm) - 1.0;
         let off = error.is_nan() || error.abs() > WRONG_SPACE;
         wrong |= off;
-        text += &format!("space {:+.1} %{}", 100.0 * error, if off { "!" } else { "" });
+        let _ = write!(text, "space {:+.1} %{}", 100.0 * error, if off { "!" } else { "" });
     }
     (wrong, text)
 }

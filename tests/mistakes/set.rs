@@ -51,7 +51,7 @@ pub fn simulated(arguments: &[&str]) -> PathBuf {
     }
     let mut command = Command::new(PLENOCAL);
     command.arg("simulate");
-    if !arguments.iter().any(|a| *a == "--preset") {
+    if !arguments.contains(&"--preset") {
         command.args(["--preset", "mini"]);
     }
     if begun.exists() {

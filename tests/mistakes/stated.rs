@@ -141,14 +141,14 @@ fn f_numbers() -> Vec<Mistake> {
     all.push(value("f_number", "8", Refused(&["f-number"])));
     all.push(value("f_number", "0", Refused(&["f-number"])));
     all.push(value("f_number", "-4", Refused(&["f-number"])));
-    for i in 0..5 {
+    for (i, stop) in STOPS.iter().enumerate() {
         for (name, factor) in [
             ("a stop larger", std::f64::consts::SQRT_2),
             ("a stop smaller", std::f64::consts::FRAC_1_SQRT_2),
             ("10 % larger", 1.1),
         ] {
             all.push(mistake(format!("white {i}: f-number {name}"), named, move || {
-                let n = STOPS[i].parse::<f64>().expect("a number") * factor;
+                let n = stop.parse::<f64>().expect("a number") * factor;
                 white(Set::mini(), i, &n.to_string())
             }));
         }
