@@ -2,7 +2,9 @@
 
 use std::sync::LazyLock;
 
-use plenocal::detection::{BoardImage, DepthEstimator, MicroImages, Search, detect};
+use plenocal::detection::{
+    BoardImage, DepthEstimator, DetectedBoards, MicroImages, Search, detect,
+};
 use plenocal::image::{RawImage, Samples};
 use plenocal::model::Subset;
 use plenocal::precalibration::{PrecalibrationOptions, White, measure_array, precalibrate};
@@ -46,13 +48,17 @@ static SHOOT: LazyLock<Shoot> = LazyLock::new(|| {
 
 /// What is said of a board.
 fn said_of(image: &RawImage) -> Vec<String> {
-    let Shoot { settings, micro_images, white, .. } = &*SHOOT;
+    let found = found_in(image, &SHOOT.white);
+    found.warnings.into_iter().filter(|w| w.contains("not like the white image")).collect()
+}
+
+fn found_in(image: &RawImage, white: &RawImage) -> DetectedBoards {
+    let Shoot { settings, micro_images, .. } = &*SHOOT;
     let (board, sheet) = (settings.target.board(), settings.datasheet());
     let estimator = DepthEstimator::Line;
     let search = Search { micro_images, board: &board, sensor: &sheet.sensor, estimator };
     let boards = [BoardImage::new(0, "board", image)];
-    let found = detect(&boards, white, &search, Subset::Evaluation, &|_, _| Ok(())).unwrap();
-    found.warnings.into_iter().filter(|w| w.contains("not like the white image")).collect()
+    detect(&boards, white, &search, Subset::Evaluation, &|_, _| Ok(())).unwrap()
 }
 
 /// The board with other samples, from those of its pixel and of the one before.
@@ -127,4 +133,19 @@ fn pixels_that_are_not_square_are_named() {
     };
     let doubts = measure_array(&narrow, None).unwrap().doubts(&narrow);
     assert!(doubts.iter().any(|doubt| doubt.contains("pixels were not square")), "{doubts:?}");
+}
+
+/// Relative to the white image the covered part is many times as bright as the rest of the board.
+#[test]
+fn a_covered_part_of_the_white_image_does_not_hide_the_board() {
+    let white = &SHOOT.white;
+    let Samples::Bits8(samples) = &white.samples else { panic!("mini has 8 bits") };
+    let mut samples = samples.clone();
+    for row in samples.chunks_mut(white.width).take(200) {
+        row[..250].fill(3);
+    }
+    let covered = RawImage { samples: Samples::Bits8(samples), ..white.clone() };
+    let features = |white: &RawImage| found_in(&SHOOT.board, white).features().len();
+    let (of_covered, of_all) = (features(&covered), features(white));
+    assert!(of_covered as f64 > 0.8 * of_all as f64, "{of_covered} of {of_all} features");
 }
