@@ -281,7 +281,9 @@ std::vector<double> CalibrationProblem::frame_costs() const {
 std::shared_ptr<ceres::ParameterBlockOrdering> CalibrationProblem::ordering() {
   auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
   for (auto& pose : poses_) ordering->AddElementToGroup(pose.data(), 0);
-  for (auto [block, size] : shared_blocks()) ordering->AddElementToGroup(block, 1);
+  // Within a group Ceres orders blocks by their addresses, which change from run to run.
+  int group = 1;
+  for (auto [block, size] : shared_blocks()) ordering->AddElementToGroup(block, group++);
   return ordering;
 }
 

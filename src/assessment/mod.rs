@@ -10,7 +10,7 @@ mod words;
 
 pub use next_board::NextBoard;
 pub use object_space::{Distance, ObjectSpace, PointTrust};
-pub use outliers::{Influence, Outliers, OutlyingFeature, OutlyingFrame};
+pub use outliers::{Influence, Outliers, OutlyingFrame};
 pub use patterns::{Patterns, image_pattern};
 pub use stage::{Assessment, assess};
 pub use verdict::{Reason, Verdict};

@@ -2,16 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use crate::calibration::Calibration;
-use crate::model::{FeatureResidual, FramePose, shared_parameters};
+use crate::calibration::{Calibration, OutlyingFeature};
+use crate::model::{FramePose, shared_parameters};
 use crate::numerics::median;
 use crate::solver::Uncertainty;
 
-/// The norm of two independent standard normal numbers has this median.
-const MEDIAN_NORM: f64 = 1.1774;
-/// Features outlie if their residual is so many times the typical σ: noise gets to 5, and the corners
-/// of a real detector, good and bad ones together, to 8.
-const OUTLYING: f64 = 10.0;
 /// Frames outlie if the logarithm of their typical residual is so many σ of the other frames' off. That
 /// σ is at least [`LEAST_SPREAD`]: frames of few corners scatter as much by chance.
 const OUTLYING_FRAME: f64 = 5.0;
@@ -21,21 +16,11 @@ const FROM_MEDIAN_DEVIATION: f64 = 1.4826;
 /// Frames outlie if leaving them out moves a parameter by so many of the σ that the other frames alone
 /// predict. There are a few hundred changes, with heavy tails: noise gets to 4.
 const INFLUENTIAL: f64 = 5.0;
-/// A change of less than this many σ of the parameter is none to speak of, however unexpected.
-const MATERIAL: f64 = 1.0;
+/// A change of less than this many σ of the parameter is none to speak of, however unexpected: frames of clean sets move
+/// weak ones by 1 σ.
+const MATERIAL: f64 = 2.0;
 /// So many frames are needed to tell that one is not like the others.
 const MIN_FRAMES: usize = 6;
-
-/// A feature far from where the camera projects it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct OutlyingFeature {
-    /// Its residual.
-    pub residual: FeatureResidual,
-    /// |(du, dv)|, px.
-    pub distance_px: f64,
-    /// The same in units of its σ, as the residuals of all features measure it.
-    pub std_devs: f64,
-}
 
 /// A frame that does not fit the others.
 #[derive(Debug, Clone, PartialEq)]
@@ -74,35 +59,14 @@ pub struct Outliers {
     pub frames: Vec<OutlyingFrame>,
 }
 
-/// |(du, dv)| over the stated σ; the unit is that of the weights.
-fn norm(residual: &FeatureResidual, calibration: &Calibration) -> f64 {
-    let factor = calibration.cost.uv_std_dev_px;
-    let [u, v] = residual.feature.std_dev_px.unwrap_or([1.0; 2]);
-    (residual.du_px / (u * factor)).hypot(residual.dv_px / (v * factor))
-}
-
 pub(super) fn outliers(calibration: &Calibration) -> Outliers {
-    Outliers { features: features(calibration), frames: frames(calibration) }
-}
-
-fn features(calibration: &Calibration) -> Vec<OutlyingFeature> {
-    let residuals = &calibration.reprojection.features;
-    let norms = residuals.iter().map(|r| norm(r, calibration));
-    let Some(typical) = median(norms).map(|m| m / MEDIAN_NORM) else { return Vec::new() };
-    let outlying = |r: &FeatureResidual| {
-        let std_devs = norm(r, calibration) / typical;
-        let distance_px = r.du_px.hypot(r.dv_px);
-        (std_devs > OUTLYING).then_some(OutlyingFeature { residual: *r, distance_px, std_devs })
-    };
-    let mut found: Vec<OutlyingFeature> = residuals.iter().filter_map(outlying).collect();
-    found.sort_by(|a, b| b.std_devs.total_cmp(&a.std_devs));
-    found
+    Outliers { features: calibration.outlying_features(), frames: frames(calibration) }
 }
 
 fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     let mut by_frame: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
     for r in &calibration.reprojection.features {
-        by_frame.entry(r.feature.frame).or_default().push(norm(r, calibration));
+        by_frame.entry(r.feature.frame).or_default().push(r.norm());
     }
     let typical: BTreeMap<u32, f64> =
         by_frame.into_iter().filter_map(|(frame, norms)| Some((frame, median(norms)?))).collect();

@@ -8,6 +8,7 @@ use nalgebra::Vector2;
 use crate::calibration::Calibration;
 use crate::error::Result;
 use crate::model::{FeatureResidual, Sensor};
+use crate::numerics::median;
 use crate::solver;
 
 /// Cells of the image along u and along v.
@@ -24,7 +25,7 @@ pub struct Patterns {
     /// The same for the slope of the residuals over the distance from the centre of the micro-image, by
     /// lens type.
     pub micro_image: f64,
-    /// RMS residual of the worst lens type over that of the best.
+    /// Typical residual of the worst lens type, over its σ where that is stated, over that of the best.
     pub lens_types: f64,
     /// Fraction of the cells of the image that have features, of those that have micro-images.
     pub coverage: f64,
@@ -32,9 +33,12 @@ pub struct Patterns {
 
 pub(super) fn patterns(calibration: &Calibration) -> Result<Patterns> {
     let rms = rms_px(&calibration.reprojection.features);
+    let residuals = &calibration.reprojection.features;
+    let of_type =
+        |i: usize| median(residuals.iter().filter(|r| r.lens_type == i).map(FeatureResidual::norm));
     let by_type: Vec<f64> = (0..calibration.camera.lens_types())
-        .map(|i| calibration.reprojection.lens_type_rmse(i).uv_px)
-        .filter(|rmse| *rmse > 0.0)
+        .filter_map(of_type)
+        .filter(|typical| *typical > 0.0)
         .collect();
     let lens_types = by_type.iter().copied().fold(0.0, f64::max)
         / by_type.iter().copied().fold(f64::INFINITY, f64::min);

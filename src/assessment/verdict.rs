@@ -169,8 +169,11 @@ pub(super) fn reasons(
     if !calibration.converged {
         reasons.push(Reason::NotConverged);
     }
-    let counts =
-        |w: &&Warning| !matches!(w, Warning::OutlyingCenters { .. } | Warning::AnchorPulled(_));
+    let counts = |w: &&Warning| {
+        let withstood =
+            matches!(w, Warning::OutlyingCenters { .. } | Warning::OutlyingFeatures { .. });
+        !(withstood || matches!(w, Warning::AnchorPulled(_)))
+    };
     reasons.extend(calibration.warnings.iter().filter(counts).cloned().map(Reason::Warning));
     reasons.extend(outliers.frames.iter().cloned().map(Reason::Frame));
     let (outlying, all) = (outliers.features.len(), calibration.reprojection.features.len());

@@ -17,6 +17,7 @@ use crate::calibration::focus::refocused;
 use crate::calibration::frames::{
     Frames, feature_residuals, initial_frames, solver_centers, solver_features,
 };
+use crate::calibration::outlying::{LOSS_SCALE, loss_by_residuals};
 use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{
     AnchorSource, BoardResult, Calibration, CalibrationOptions, FillMeasurement, LeftOut, Mode,
@@ -36,8 +37,6 @@ use crate::solver::{
 /// fraction. A parameter n standard deviations off adds n² s²/2 to the cost, s² being the variance of
 /// the residuals that determine it: with 10⁵ residuals of similar variance n < 10⁻³.
 const MAX_EXPECTED_DECREASE: f64 = 1e-11;
-/// Where the automatic loss sets in, in σ of a feature: noise alone gets there once in 3000 times.
-const LOSS_SCALE: f64 = 4.0;
 /// A cost below this per (standardised) residual is zero up to rounding: (10⁻⁶)²/2.
 const ZERO_COST_PER_RESIDUAL: f64 = 0.5e-12;
 
@@ -80,12 +79,24 @@ pub fn calibrate(
     let problem =
         Problem { camera: &initial, board, poses: &poses, features: &features, centers: &centers };
     let anchors = anchors(&start, options);
-    let cost = cost_for(options, &initial, &observations, &anchors);
+    let mut cost = cost_for(options, &initial, &observations, &anchors);
     let all = (frames.features.as_slice(), observations.centers.as_slice());
     let common = common_errors(&start, &initial, all, &cost, options)?;
     let settings = Settings { frames: &frames, options, common };
-    let Settled { refined, anchors, trial, aside } =
-        settings.refine_with_board(&problem, &cost, &anchors, progress)?;
+    let mut settled = settings.refine_with_board(&problem, &cost, &anchors, progress)?;
+    let without_loss = options.automatic_loss && cost.loss.kind == LossKind::None;
+    let mut outlying = None;
+    if without_loss && settled.refined.refinement.termination != Termination::Stopped {
+        let refined = at_end(&problem, Some(&settled.refined.refinement));
+        let residuals = feature_residuals(&refined, &frames.features)?;
+        if let Some((loss, warning)) = loss_by_residuals(&residuals, &cost) {
+            debug!("{warning}");
+            cost.loss = loss;
+            outlying = Some(warning);
+            settled = settings.refine_with_board(&problem, &cost, &anchors, progress)?;
+        }
+    }
+    let Settled { refined, anchors, trial, aside } = settled;
     let Refined { refinement, uncertainty, cost } = refined;
 
     let refined = at_end(&problem, Some(&refinement));
@@ -100,6 +111,7 @@ pub fn calibrate(
     let results = results(anchors, &refinement.camera, &refinement.shape);
     let mut warnings = warnings_before(&initial, grid.as_ref(), &observations);
     warnings.extend(misfocused);
+    warnings.extend(outlying);
     warnings.extend(pulled(&results));
     warnings.extend(undetermined(&refinement.camera, &uncertainty));
     warnings.extend(bad_fit(&refinement.camera, &reprojection));

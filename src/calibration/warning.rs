@@ -18,6 +18,15 @@ pub enum Warning {
         /// Root mean square distance from the grid, px.
         grid_rms_px: f64,
     },
+    /// Features that state no σ and lie far from where the camera projects them.
+    OutlyingFeatures {
+        /// Number of these features.
+        features: usize,
+        /// Number of all features.
+        of: usize,
+        /// Where Huber's loss sets in, in the unit of the cost.
+        scale: f64,
+    },
     /// The array reaches far beyond the image.
     ArrayBeyondImage {
         /// Micro-lenses along u and v.
@@ -99,6 +108,12 @@ impl fmt::Display for Warning {
                 f,
                 "{outliers} of {centers} micro-image centres lie far from the grid (its RMS is \
                  {grid_rms_px:.3} px); they are kept, and a robust loss reduces their weight"
+            ),
+            Self::OutlyingFeatures { features, of, scale } => write!(
+                f,
+                "{features} of {of} features lie more than 10 times as far as usual from where the camera projects \
+                 them: features without σ are refined again with Huber's loss, which sets in at {scale:.2} as their \
+                 residuals let expect. Look for them in residuals.csv, or choose a loss"
             ),
             Self::ArrayBeyondImage { array, extent_px, image_px } => write!(
                 f,

@@ -26,7 +26,7 @@ pub fn warn(warnings: &[impl Display]) {
 pub fn of_calibration(warnings: &[Warning]) -> Vec<String> {
     let with_option = |warning: &Warning| {
         let option = match warning {
-            Warning::OutlyingCenters { .. } => " (--loss)",
+            Warning::OutlyingCenters { .. } | Warning::OutlyingFeatures { .. } => " (--loss)",
             Warning::Undetermined { .. } => " (--fix)",
             Warning::AnchorPulled(_) => " (--anchor)",
             _ => "",

@@ -21,6 +21,9 @@ pub struct Lean {
     /// that only φqᵢ.
     #[serde(default)]
     pub by_fill_factor_per_px: [f64; 2],
+    /// How much both grow with (ln φ)², px⁻¹.
+    #[serde(default)]
+    pub by_fill_factor_squared_per_px: [f64; 2],
 }
 
 /// σ of the distance of the exit pupil from the sensor before it is known, relative.
@@ -70,8 +73,13 @@ impl Lean {
     /// The lean by the same white images with another fill factor; `change` is that of ln φ.
     #[must_use]
     pub fn with_fill_factor(&self, change: f64) -> Self {
-        let of_axis = |i: usize| self.growth_per_px[i] + self.by_fill_factor_per_px[i] * change;
-        Self { growth_per_px: [of_axis(0), of_axis(1)], ..*self }
+        let by_square = self.by_fill_factor_squared_per_px.map(|by| by * change);
+        let by = [0, 1].map(|i| self.by_fill_factor_per_px[i] + by_square[i]);
+        Self {
+            growth_per_px: [0, 1].map(|i| self.growth_per_px[i] + by[i] * change),
+            by_fill_factor_per_px: [0, 1].map(|i| by[i] + by_square[i]),
+            ..*self
+        }
     }
 
     /// The mean of this lean and another estimate of ∇ ln d with its σ, each by its weight.

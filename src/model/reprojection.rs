@@ -17,6 +17,15 @@ pub struct FeatureResidual {
     pub drho_px: Option<f64>,
 }
 
+impl FeatureResidual {
+    /// |(du, dv)| over the σ that the feature states; in px if it states none.
+    #[must_use]
+    pub fn norm(&self) -> f64 {
+        let [u, v] = self.feature.std_dev_px.unwrap_or([1.0; 2]);
+        (self.du_px / u).hypot(self.dv_px / v)
+    }
+}
+
 /// A micro-image centre and its error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CenterResidual {

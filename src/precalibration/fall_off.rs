@@ -38,8 +38,9 @@ const KNOWN: f64 = 0.2;
 /// angles differently.
 pub(super) const WITHIN: f64 = 0.25;
 
-/// A fill factor between 1 and those of micro-lenses with wide gaps: the lean is linear in ln φ to a per cent of itself.
-const OTHERWISE: FillFactor = FillFactor { value: 0.9, std_dev: 0.0 };
+/// Fill factors of micro-lenses with gaps: the parabola in ln φ through these and that of no gaps has the lean to half a
+/// per cent at 0.8.
+const OTHERWISE: [f64; 2] = [0.9, 0.7];
 
 /// The fall-off of a camera.
 pub(super) struct Measured {
@@ -157,18 +158,29 @@ impl Light {
         fall_off: &FallOff,
     ) -> Option<Lean> {
         let pitch_mm = self.seen_pitch_px * options.pixel_size_mm;
-        let narrower = internal.with_fill_factor(OTHERWISE, pitch_mm);
-        let by_fill = self.lean(&self.gradients(&narrower, options, law))?;
-        let change = (OTHERWISE.value / internal.fill()).ln();
+        let than = |other: &Lean| [0, 1].map(|i| other.growth_per_px[i] - lean.growth_per_px[i]);
+        // Over ln φ, which goes from its own to that of these.
+        let with_gaps = |value: f64| {
+            let narrower = internal.with_fill_factor(FillFactor { value, std_dev: 0.0 }, pitch_mm);
+            let by_fill = self.lean(&self.gradients(&narrower, options, law))?;
+            let change = (value / internal.fill()).ln();
+            Some((change, than(&by_fill).map(|by| by / change)))
+        };
+        let [(near, slope), (far, other)] = [with_gaps(OTHERWISE[0])?, with_gaps(OTHERWISE[1])?];
+        let by_fill_factor_squared_per_px = [0, 1].map(|i| (other[i] - slope[i]) / (far - near));
+        let by_fill_factor_per_px =
+            [0, 1].map(|i| slope[i] - by_fill_factor_squared_per_px[i] * near);
         let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
         let within = fall_off.within_per_px2 + fall_off.within_std_dev_per_px2;
         let otherwise =
             Obliquity::in_the_middle(within, mla_to_sensor_px, self.seen_pitch_px / 2.0);
         let by_law = self.lean(&self.gradients(internal, options, &otherwise))?;
         debug!("with H by its σ larger: {by_law:?}");
-        let than = |other: &Lean| [0, 1].map(|i| other.growth_per_px[i] - lean.growth_per_px[i]);
-        let by_fill_factor_per_px = than(&by_fill).map(|by| by / change);
-        Some(Lean { by_fill_factor_per_px, ..with_shared(&lean, than(&by_law)) })
+        Some(Lean {
+            by_fill_factor_per_px,
+            by_fill_factor_squared_per_px,
+            ..with_shared(&lean, than(&by_law))
+        })
     }
 
     /// The gradients of all micro-images by image and type.

@@ -287,9 +287,10 @@ fn by_lines(
     }
     let (m, q) = BY_LINES;
     Some(format!(
-        "the light inside the micro-images is not that of two discs, as where noise is clipped at black: m and q' are from \
-         straight lines through the radii, and with f-numbers 2 % off they are {:.0} % and {:.0} % off. Expose white \
-         images longer with less gain, and keep their black level above 0",
+        "the light inside the micro-images is not that of two discs, as where noise is clipped at black or a point spread \
+         (1.6 px or more) is as wide as the discs: m and q' are from straight lines through the radii, and with f-numbers \
+         2 % off they are {:.0} % and {:.0} % off. Expose white images longer with less gain, keep their black level above \
+         0, and check that the images are sharp",
         100.0 * m,
         100.0 * q
     ))

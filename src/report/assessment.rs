@@ -2,8 +2,8 @@
 
 use super::html::{Part, Section};
 use super::table::{Table, table};
-use crate::assessment::{Assessment, NextBoard, ObjectSpace, OutlyingFeature, Verdict};
-use crate::calibration::Calibration;
+use crate::assessment::{Assessment, NextBoard, ObjectSpace, Verdict};
+use crate::calibration::{Calibration, OutlyingFeature};
 use crate::model::{display_unit, with_std_dev};
 use crate::solver::Anchor;
 

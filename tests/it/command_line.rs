@@ -3,12 +3,12 @@
 use std::fs;
 use std::path::Path;
 
-use plenocal::io::{read_camera, read_poses};
+use plenocal::io::{read_camera, read_features, read_poses, write_features};
 use predicates::prelude::*;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::support::{plenocal, synthetic_folder};
+use crate::support::{plenocal, synthetic_folder, true_camera};
 
 fn calibrate(out: &Path) -> assert_cmd::Command {
     let mut command = plenocal();
@@ -116,6 +116,28 @@ fn a_calibration_that_is_not_converged_is_written_and_exits_with_3() {
         .stderr(predicate::str::contains("--max-iterations"));
     let camera = fs::read_to_string(folder.path().join("camera.json")).unwrap();
     assert!(camera.contains("\"converged\": false"));
+}
+
+/// Two of the three lens types are never seen.
+#[test]
+fn a_camera_that_is_not_determined_is_written_and_exits_with_3() {
+    let folder = TempDir::new().unwrap();
+    let (features, out) = (folder.path().join("features.csv"), folder.path().join("out"));
+    let mut seen = read_features(&synthetic_folder().join("features.csv"), true).unwrap().features;
+    let lattice = true_camera().lattice;
+    seen.retain(|f| lattice.lens_type(f.k, f.l, 3) == 0);
+    let mut text = Vec::new();
+    write_features(&mut text, &seen).unwrap();
+    fs::write(&features, text).unwrap();
+    calibrate(&out)
+        .arg("--features")
+        .arg(&features)
+        .args(["--blur", "features", "--anchors", "none"])
+        .assert()
+        .code(3)
+        .stderr(predicate::str::contains("error: not determined: f_2, f_3"));
+    let camera = fs::read_to_string(out.join("camera.json")).unwrap();
+    assert!(camera.contains("\"converged\": true"), "{camera}");
 }
 
 #[test]

@@ -3,13 +3,16 @@
 use std::fmt::Write as _;
 use std::fs;
 
+use plenocal::calibration::{Calibration, Warning};
 use plenocal::io::{read_centers, read_features, write_centers, write_features};
 use plenocal::model::{BapFeature, Observations};
+use plenocal::solver::LossKind;
 use predicates::str::contains;
 use tempfile::TempDir;
 
 use crate::support::{
-    datasheet_start, options, pairs, plenocal, run, shipped_observations, synthetic_folder,
+    anchored, datasheet_start, options, pairs, plenocal, run, shipped_observations,
+    synthetic_folder,
 };
 
 /// So large that an observation has practically no weight.
@@ -88,6 +91,33 @@ fn observations_with_a_large_standard_deviation_have_no_weight() {
         let Some(std_dev) = std_dev.filter(|_| !name.starts_with("f_")) else { continue };
         assert!((a - b).abs() < UNCHANGED * std_dev, "{name}: {a} and {b} ± {std_dev}");
     }
+}
+
+/// Without σ there is no loss until the residuals show that it is needed, and how large it has to be.
+#[test]
+fn one_wrong_feature_is_withstood_without_standard_deviations() {
+    let clean = shipped_observations();
+    let mut spoiled = clean.clone();
+    let corner = &mut spoiled.features[1000].corner;
+    *corner = (*corner + 17) % 40;
+    let by_clean = run(&datasheet_start(), &clean, &anchored());
+    let by_spoiled = run(&datasheet_start(), &spoiled, &anchored());
+    let warned = |c: &Calibration| {
+        c.warnings.iter().any(|w| matches!(w, Warning::OutlyingFeatures { features: 1.., .. }))
+    };
+    assert!(!warned(&by_clean), "{:?}", by_clean.warnings);
+    assert!(warned(&by_spoiled), "{:?}", by_spoiled.warnings);
+    assert_eq!(by_clean.cost.loss.kind, LossKind::None);
+    assert!(by_spoiled.converged && by_spoiled.outlying_features()[0].std_devs > 100.0);
+    let std_devs = by_clean.uncertainty.intrinsic_std_devs(3);
+    for ((name, a, b), std_dev) in pairs(&by_spoiled.camera, &by_clean.camera).iter().zip(std_devs)
+    {
+        let Some(std_dev) = std_dev else { continue };
+        assert!((a - b).abs() < std_dev, "{name}: {a} and {b} ± {std_dev}");
+    }
+    let mut paper = anchored();
+    paper.automatic_loss = false;
+    assert!(!warned(&run(&datasheet_start(), &spoiled, &paper)));
 }
 
 /// The options are factors: a file that states the σ and one that leaves it to the option agree.

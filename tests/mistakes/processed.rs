@@ -154,7 +154,8 @@ fn placed() -> Vec<Mistake> {
         all.push(change(&format!("shifted by {by} px"), Of::Whites, named, move |image| {
             pixels::shifted(image, by)
         }));
-        all.push(change(&format!("shifted by {by} px"), Of::OneBoard, named, move |image| {
+        let left_out = Told(&["centre", "moved", "shift", "left out"]);
+        all.push(change(&format!("shifted by {by} px"), Of::OneBoard, left_out, move |image| {
             pixels::shifted(image, by)
         }));
     }

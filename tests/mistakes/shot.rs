@@ -105,7 +105,11 @@ fn optics() -> Vec<Mistake> {
         simulation("fill factor 0.85", Right, &["imperfections.fill_factor=0.85"]),
         simulation("fill factor 0.7", Right, &["imperfections.fill_factor=0.7"]),
         simulation("point spread of 1 px", Right, &["imperfections.point_spread_px=1"]),
-        simulation("point spread of 2 px", Right, &["imperfections.point_spread_px=2"]),
+        simulation(
+            "point spread of 2 px",
+            Told(&["point spread"]),
+            &["imperfections.point_spread_px=2"],
+        ),
         simulation(
             "a second stop",
             Warned(&["pupil", "round", "oblong"]),

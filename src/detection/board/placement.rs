@@ -19,6 +19,8 @@ const PLACE_ERROR: f64 = 0.15;
 const DROPPED: usize = 40;
 /// A row of corners may be missing between others, as where each is seen in a single micro-image.
 const GAP: i32 = 2;
+/// What a point of the lattice beyond the board takes from the score, in corners.
+const BEYOND_SCORE: f64 = 2.0;
 /// Outer corners less than this part of a step apart are at the same place.
 const SAME_PLACE: f64 = 0.4;
 
@@ -163,13 +165,13 @@ impl View<'_> {
         let mut found = vec![false; usize::try_from(board.corners()).unwrap_or(0)];
         let mut score = 0.0;
         for ((column, row), i) in points {
-            // A corner beyond the board is none of it.
-            score -= 1.0;
+            // A corner beyond the board is none of it, and nothing else makes a lattice go on there.
+            score -= BEYOND_SCORE;
             if (0..board.columns).contains(&column) && (0..board.rows).contains(&row) {
                 let corner = row * board.columns + column;
                 corners[i] = Some(corner);
                 found[usize::try_from(corner).unwrap_or(0)] = true;
-                score += 2.0;
+                score += BEYOND_SCORE + 1.0;
                 let at = coordinates(board, corner);
                 let diagonal = project(&homography, &(at + Vector2::new(1.0, 1.0)))
                     - project(&homography, &at);
@@ -181,6 +183,7 @@ impl View<'_> {
                 }
             }
         }
+        score -= self.between(&corners, &homography) as f64;
         let in_view =
             |corner: &i32| (self.in_view)(&project(&homography, &coordinates(board, *corner)));
         let missing = (0..board.corners())
@@ -191,6 +194,18 @@ impl View<'_> {
         let outline = [0, board.columns - 1, last, last - board.columns + 1]
             .map(|corner| project(&homography, &coordinates(board, corner)));
         Placement { corners, homography, outline, missing, score: score - missing as f64 }
+    }
+
+    /// Number of points inside the board that are no corners of it: a lattice of steps across corners leaves some out.
+    fn between(&self, corners: &[Option<i32>], homography: &Matrix3<f64>) -> usize {
+        let Some(inverse) = homography.try_inverse() else { return 0 };
+        let (right, bottom) = (f64::from(self.board.columns - 1), f64::from(self.board.rows - 1));
+        let is_inside = |point: &LatticePoint| {
+            let at = project(&inverse, &point.place);
+            (0.0..=right).contains(&at.x) && (0.0..=bottom).contains(&at.y)
+        };
+        let free = self.points.iter().zip(corners).filter(|(_, corner)| corner.is_none());
+        free.filter(|(point, _)| is_inside(point)).count()
     }
 
     /// Number of points at the next places of the lattice beyond the board.
