@@ -72,7 +72,6 @@ pub fn calibrate(
     let board = BentBoard { board: *board, shape: options.known_shape() };
     let mut frames = frames_with_poses(&initial, &board, &observations, options)?;
     frames.left_out.extend(excluded);
-
     let features = solver_features(&frames.features, &frames.poses, &board.board);
     let centers = solver_centers(&observations.centers);
     let poses: Vec<Isometry3<f64>> = frames.poses.iter().map(|p| p.camera_from_board).collect();
@@ -83,19 +82,7 @@ pub fn calibrate(
     let all = (frames.features.as_slice(), observations.centers.as_slice());
     let common = common_errors(&start, &initial, all, &cost, options)?;
     let settings = Settings { frames: &frames, options, common };
-    let mut settled = settings.refine_with_board(&problem, &cost, &anchors, progress)?;
-    let without_loss = options.automatic_loss && cost.loss.kind == LossKind::None;
-    let mut outlying = None;
-    if without_loss && settled.refined.refinement.termination != Termination::Stopped {
-        let refined = at_end(&problem, Some(&settled.refined.refinement));
-        let residuals = feature_residuals(&refined, &frames.features)?;
-        if let Some((loss, warning)) = loss_by_residuals(&residuals, &cost) {
-            debug!("{warning}");
-            cost.loss = loss;
-            outlying = Some(warning);
-            settled = settings.refine_with_board(&problem, &cost, &anchors, progress)?;
-        }
-    }
+    let (settled, outlying) = withstanding(&settings, &problem, &mut cost, &anchors, progress)?;
     let Settled { refined, anchors, trial, aside } = settled;
     let Refined { refinement, uncertainty, cost } = refined;
 
@@ -137,6 +124,31 @@ pub fn calibrate(
         cost,
         warnings,
     })
+}
+
+/// Refines. Where the loss is to be found and there is none, since features state no σ, once more with one if some
+/// outlie; then with a warning.
+fn withstanding(
+    settings: &Settings,
+    problem: &Problem,
+    cost: &mut CostOptions,
+    anchors: &[(Anchor, AnchorSource)],
+    progress: &mut dyn FnMut(&Iteration) -> bool,
+) -> Result<(Settled, Option<Warning>)> {
+    let settled = settings.refine_with_board(problem, cost, anchors, progress)?;
+    let refinement = &settled.refined.refinement;
+    let has_loss = !settings.options.automatic_loss || cost.loss.kind != LossKind::None;
+    if has_loss || refinement.termination == Termination::Stopped {
+        return Ok((settled, None));
+    }
+    let refined = at_end(problem, Some(refinement));
+    let residuals = feature_residuals(&refined, &settings.frames.features)?;
+    let Some((loss, warning)) = loss_by_residuals(&residuals, cost) else {
+        return Ok((settled, None));
+    };
+    debug!("{warning}");
+    cost.loss = loss;
+    Ok((settings.refine_with_board(problem, cost, anchors, progress)?, Some(warning)))
 }
 
 /// The camera that a calibration of these observations starts from.

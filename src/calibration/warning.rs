@@ -109,12 +109,9 @@ impl fmt::Display for Warning {
                 "{outliers} of {centers} micro-image centres lie far from the grid (its RMS is \
                  {grid_rms_px:.3} px); they are kept, and a robust loss reduces their weight"
             ),
-            Self::OutlyingFeatures { features, of, scale } => write!(
-                f,
-                "{features} of {of} features lie more than 10 times as far as usual from where the camera projects \
-                 them: features without σ are refined again with Huber's loss, which sets in at {scale:.2} as their \
-                 residuals let expect. Look for them in residuals.csv, or choose a loss"
-            ),
+            Self::OutlyingFeatures { features, of, scale } => {
+                f.write_str(&outlying_text(*features, *of, *scale))
+            }
             Self::ArrayBeyondImage { array, extent_px, image_px } => write!(
                 f,
                 "{} x {} micro-lenses cover {:.0} x {:.0} px, but the image has {} x {}: is the size \
@@ -122,14 +119,7 @@ impl fmt::Display for Warning {
                 array.0, array.1, extent_px.0, extent_px.1, image_px.0, image_px.1
             ),
             Self::Undetermined { rank, parameters, names } => {
-                let which =
-                    if names.is_empty() { "some poses".to_owned() } else { names.join(", ") };
-                write!(
-                    f,
-                    "the observations determine {rank} of {parameters} parameters; not determined: \
-                     {which}. Fix parameters, or add observations that determine them: frames at other \
-                     distances and tilts, every lens type"
-                )
+                f.write_str(&undetermined_text(*rank, *parameters, names))
             }
             Self::BadFit { rms_px, micro_image_pitch_px } => write!(
                 f,
@@ -188,6 +178,24 @@ impl fmt::Display for Warning {
             ),
         }
     }
+}
+
+/// That parameters are not determined.
+fn undetermined_text(rank: usize, parameters: usize, names: &[&str]) -> String {
+    let which = if names.is_empty() { "some poses".to_owned() } else { names.join(", ") };
+    format!(
+        "the observations determine {rank} of {parameters} parameters; not determined: {which}. Fix parameters, or add \
+         observations that determine them: frames at other distances and tilts, every lens type"
+    )
+}
+
+/// That features without σ outlie.
+fn outlying_text(features: usize, of: usize, scale: f64) -> String {
+    format!(
+        "{features} of {of} features lie more than 10 times as far as usual from where the camera projects them: features \
+         without σ are refined again with Huber's loss, which sets in at {scale:.2} as their residuals let expect. Look for \
+         them in residuals.csv, or choose a loss"
+    )
 }
 
 /// That the lens is focused at another distance.
