@@ -3,7 +3,7 @@
 #include <sstream>
 
 #include "checks.hpp"
-#include "plenocal/projection.hpp"
+#include "plenocal/inverse.hpp"
 
 namespace plenocal {
 namespace {
@@ -31,6 +31,7 @@ void validate(const Camera& camera) {
            " lens types is not known: 0 or 1, or 3 on a hexagonal lattice");
   }
   require_positive(camera.pixel_size, "pixel size (mm)");
+  if (camera.width < 0 || camera.height < 0) reject("the camera's width or height is negative");
   require_positive(camera.main_lens.focal_length, "F (mm)");
   require_positive(camera.mla.lens_to_mla, "D (mm)");
   require_positive(camera.mla.mla_to_sensor, "d (mm)");
@@ -52,8 +53,27 @@ void validate(const Camera& camera) {
 
 bool project(const Camera& camera, const Pose& camera_from_board,
              const Vector3<double>& board_point, int k, int l, Feature<double>* feature) {
+  validate(camera);
+  if (!camera.lattice.contains(k, l)) return false;
   const Motion<double> motion(pose_block(camera_from_board).data());
-  return project(optics_of(camera), motion(board_point), micro_lens_of(camera, k, l), feature);
+  const Optics<double> optics = optics_of(camera);
+  const Vector3<double> point = motion(board_point);
+  Vector3<double> image;
+  if (!std::isfinite(point.z) || !main_lens_image(optics.main_lens, point, &image)) return false;
+  Vector2<double> ideal;
+  if (!undistort(optics.main_lens, {image.x, image.y}, &ideal)) return false;
+  const double magnification =
+      -camera.main_lens.focal_length / (point.z - camera.main_lens.focal_length);
+  // What distortion brings back from beyond its fold is the image of another point.
+  const double off =
+      std::hypot(ideal.x - magnification * point.x, ideal.y - magnification * point.y);
+  constexpr double kSame = 1e-6;
+  if (!(off <= kSame * std::max(1.0, std::hypot(ideal.x, ideal.y)))) return false;
+  Feature<double> found;
+  if (!project_image(optics, image, micro_lens_of(camera, k, l), &found)) return false;
+  if (!std::isfinite(found.u) || !std::isfinite(found.v)) return false;
+  *feature = found;
+  return true;
 }
 
 Pixel<double> project_center(const Camera& camera, int k, int l) {

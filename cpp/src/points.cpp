@@ -157,7 +157,8 @@ Optics<Jet> variable_optics(const Camera& camera) {
           focal_lengths.data(), camera.lens_types(), camera.pixel_size};
 }
 
-// Derivatives of the standardised features of a point that the micro-lenses see.
+// Derivatives of the standardised features of a point that the micro-lenses see; empty if one does
+// not.
 PLENOCAL_FLATTEN Jacobian feature_jacobian(const Camera& camera, const Vector3<double>& point,
                                            const std::vector<MicroLensIndex>& micro_lenses,
                                            const Feature<double>& std_dev) {
@@ -166,11 +167,11 @@ PLENOCAL_FLATTEN Jacobian feature_jacobian(const Camera& camera, const Vector3<d
   const double rho_std_dev = std_dev.rho * std::sqrt(static_cast<double>(micro_lenses.size()));
   Jacobian jacobian(micro_lenses.size() * (optics.has_blur ? 3 : 2), kVariables);
   Vector3<Jet> image;
-  main_lens_image(optics.main_lens, {x, y, z}, &image);
+  if (!main_lens_image(optics.main_lens, {x, y, z}, &image)) return {};
   int row = 0;
   for (const auto& [k, l] : micro_lenses) {
     Feature<Jet> feature;
-    project_image(optics, image, micro_lens_of(camera, k, l), &feature);
+    if (!project_image(optics, image, micro_lens_of(camera, k, l), &feature)) return {};
     jacobian.row(row++) = feature.u.v.transpose() / std_dev.u;
     jacobian.row(row++) = feature.v.v.transpose() / std_dev.v;
     if (optics.has_blur) jacobian.row(row++) = feature.rho.v.transpose() / rho_std_dev;
@@ -181,6 +182,7 @@ PLENOCAL_FLATTEN Jacobian feature_jacobian(const Camera& camera, const Vector3<d
 // Fills in what the Jacobian J = (J_x, J_t) determines: -(J_x' J_x)^-1 J_x' J_t and
 // (J_x' J_x)^-1. False, with the result unchanged, if it does not determine the point.
 bool solve(const Jacobian& jacobian, int intrinsics, PointSensitivity* result) {
+  if (jacobian.rows() == 0) return false;
   const auto by_point = jacobian.leftCols<kPoint>();
   const Eigen::Vector3d scale = by_point.colwise().norm().cwiseInverse().transpose();
   if (!jacobian.allFinite() || !scale.allFinite()) return false;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "plenocal/refine.hpp"
+#include "plenocal/residuals.hpp"
 
 namespace plenocal {
 

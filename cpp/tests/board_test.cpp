@@ -5,6 +5,7 @@
 #include <ceres/gradient_checker.h>
 #include <gtest/gtest.h>
 
+#include "plenocal/residuals.hpp"
 #include "rejection.hpp"
 #include "synthetic_scene.hpp"
 

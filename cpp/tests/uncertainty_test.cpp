@@ -8,6 +8,7 @@
 #include <cmath>
 
 #include "plenocal/refine.hpp"
+#include "plenocal/residuals.hpp"
 #include "synthetic_scene.hpp"
 
 namespace plenocal {

@@ -75,6 +75,6 @@ inline std::vector<std::string> shared_names(int lens_types) {
 /// Throws std::invalid_argument with the offending value unless a board can be like that:
 /// everything finite, a size unless it is flat, the aspect below 0.1, and sag and twist below half
 /// the diagonal.
-void validate(const Board& board);
+PLENOCAL_API void validate(const Board& board);
 
 }  // namespace plenocal

@@ -6,12 +6,15 @@
 // optical image: u = u0 - x/s and v = v0 - y/s for a point (x, y) of the sensor plane.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
 #include <string>
 #include <utility>
 #include <vector>
+
+#include "plenocal/export.hpp"
 
 namespace plenocal {
 
@@ -72,6 +75,40 @@ struct Lattice {
       return {kRowDistance * centred(k, columns), staggered(l, rows, k, columns)};
     }
     return {centred(k, columns), centred(l, rows)};
+  }
+
+  /// The indices (k, l) whose node is the nearest; they may lie outside the array. Far away the
+  /// result is only that: outside.
+  std::array<int, 2> nearest(const Node& at) const {
+    const double kRowDistance = std::sqrt(3.0) / 2.0;
+    const bool by_columns = has_straight_columns();
+    const double along = by_columns ? at.y : at.x;
+    const double across = by_columns ? at.x : at.y;
+    const int row_count = by_columns ? columns : rows, count = by_columns ? rows : columns;
+    const auto bounded = [](double index, int count) {
+      // The comparison is false of what is not a number.
+      return index > -2.0 ? static_cast<int>(std::floor(std::min(index, count + 1.0))) : -2;
+    };
+    const auto index = [by_columns](int i, int row) {
+      return by_columns ? std::array<int, 2>{row, i} : std::array<int, 2>{i, row};
+    };
+    const bool is_square = packing == Packing::kOrthogonal;
+    const double row = across / (is_square ? 1.0 : kRowDistance) + (row_count - 1) / 2.0;
+    std::array<int, 2> best{-2, -2};
+    double least = HUGE_VAL;
+    for (int r = bounded(row, row_count), last = r + 1; r <= last; ++r) {
+      const auto first = index(0, r);
+      const Node start = node(first[0], first[1]);
+      const int i = bounded(along - (by_columns ? start.y : start.x) + 0.5, count);
+      const auto candidate = index(i, r);
+      const Node there = node(candidate[0], candidate[1]);
+      const double distance = std::hypot(at.x - there.x, at.y - there.y);
+      if (distance < least) {
+        least = distance;
+        best = candidate;
+      }
+    }
+    return best;
   }
 
   /// Index of the lens type of (k, l), from 0. With fewer than three types, or on a square lattice,
@@ -203,7 +240,8 @@ Part<T> from_block(const T* block) {
 /// or 3 on a hexagonal lattice.
 struct Camera {
   Lattice lattice;
-  double pixel_size = 0.0;  ///< s, mm
+  double pixel_size = 0.0;    ///< s, mm
+  int width = 0, height = 0;  ///< of the sensor, px; 0 if that is not known
   MainLens<double> main_lens{};
   ExitPupil<double> exit_pupil{};
   MicroLensArray<double> mla{};
@@ -245,6 +283,6 @@ inline std::vector<std::string> intrinsic_names(int lens_types) {
 /// Throws std::invalid_argument with the offending value unless the model is defined for the
 /// camera: sizes positive, everything finite, the exit pupil between the array and the front focal
 /// point, the number of lens types supported.
-void validate(const Camera& camera);
+PLENOCAL_API void validate(const Camera& camera);
 
 }  // namespace plenocal

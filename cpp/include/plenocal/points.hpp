@@ -20,8 +20,9 @@ struct MicroLensIndex {
 /// is tilted so far that it reaches the sensor.
 ///
 /// Throws std::invalid_argument if the camera is not valid or the margin negative or not finite.
-std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera, const Vector3<double>& point,
-                                                double margin);
+PLENOCAL_API std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera,
+                                                             const Vector3<double>& point,
+                                                             double margin);
 
 /// How the reconstruction of a point by weighted least squares from its features (u, v and rho; u
 /// and v alone for an array of pinholes) responds to errors of the camera and of the features.
@@ -45,7 +46,7 @@ struct PointSensitivity {
 ///
 /// Throws std::invalid_argument like `micro_lenses_seeing`, and if the noise is not positive and
 /// finite.
-PointSensitivity point_sensitivity(const Camera& camera, const Vector3<double>& point,
-                                   const Feature<double>& std_dev, double margin);
+PLENOCAL_API PointSensitivity point_sensitivity(const Camera& camera, const Vector3<double>& point,
+                                                const Feature<double>& std_dev, double margin);
 
 }  // namespace plenocal

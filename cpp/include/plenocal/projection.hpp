@@ -5,8 +5,6 @@
 // the paper "Blur Aware Calibration of Multi-Focus Plenoptic Camera" (CVPR 2020).
 #pragma once
 
-#include <ceres/rotation.h>
-
 #include <limits>
 
 #include "plenocal/camera.hpp"
@@ -53,7 +51,26 @@ template <typename T>
 class Motion {
  public:
   explicit Motion(const T* block) : translation_{block[3], block[4], block[5]} {
-    ceres::AngleAxisToRotationMatrix(block, ceres::RowMajorAdapter3x3(rotation_));
+    using std::cos;
+    using std::sin;
+    using std::sqrt;
+    // R = cos a + [n] sin a + n n' (1 - cos a) with the angle a and the axis n (Rodrigues). Near 0
+    // to the first order, which has the derivatives.
+    const T &x = block[0], &y = block[1], &z = block[2];
+    const T square = x * x + y * y + z * z;
+    T cosine(1.0), by_sine(1.0), by_cosine(0.0);  // sin a/a and (1 - cos a)/a^2
+    if (square > std::numeric_limits<double>::epsilon()) {
+      const T angle = sqrt(square);
+      cosine = cos(angle);
+      by_sine = sin(angle) / angle;
+      by_cosine = (1.0 - cosine) / square;
+    }
+    const T entries[9] = {cosine + x * x * by_cosine,      x * y * by_cosine - z * by_sine,
+                          x * z * by_cosine + y * by_sine, x * y * by_cosine + z * by_sine,
+                          cosine + y * y * by_cosine,      y * z * by_cosine - x * by_sine,
+                          x * z * by_cosine - y * by_sine, y * z * by_cosine + x * by_sine,
+                          cosine + z * z * by_cosine};
+    std::copy(entries, entries + 9, rotation_);
   }
   /// Transforms a point of the board into the camera frame, mm. U is double or T.
   template <typename U = double>
@@ -87,7 +104,8 @@ Vector2<T> distortion(const MainLens<T>& lens, const T& x, const T& y) {
 /// Eq. (completemodel), and the curvature of the field. False if the point is not beyond the focal
 /// plane.
 template <typename T>
-bool main_lens_image(const MainLens<T>& lens, const Vector3<T>& point, Vector3<T>* image) {
+[[nodiscard]] bool main_lens_image(const MainLens<T>& lens, const Vector3<T>& point,
+                                   Vector3<T>* image) {
   const T beyond_focus = point.z - lens.focal_length;
   if (!(beyond_focus > 0.0)) return false;
   const T magnification = -lens.focal_length / beyond_focus;
@@ -188,6 +206,28 @@ class ArrayOptics {
     return half_diameter_px_ * ((center.z - sensor_z_) * inverse_focal_length + scale - 1.0);
   }
 
+  /// 1/nu for the blur radius rho (px): the inverse of `blur_radius`. It is 0 for an image
+  /// infinitely far away.
+  T inverse_depth_of_blur(const Vector3<T>& center, const T& rho,
+                          const T& inverse_focal_length) const {
+    return rho / half_diameter_px_ - (center.z - sensor_z_) * inverse_focal_length + 1.0;
+  }
+
+  /// A pixel in the camera frame, mm.
+  Vector3<T> on_sensor(const Pixel<T>& pixel) const {
+    return {(mla_.principal_point[0] - pixel.u) / pixels_per_mm_,
+            (mla_.principal_point[1] - pixel.v) / pixels_per_mm_, sensor_z_};
+  }
+
+  /// z of the sensor in the camera frame, mm.
+  const T& sensor_z() const { return sensor_z_; }
+
+  /// s, mm.
+  double pixel_size() const { return 1.0 / pixels_per_mm_; }
+
+  /// Radius of a micro-lens, mm.
+  T micro_lens_radius() const { return half_diameter_px_ / pixels_per_mm_; }
+
   /// Centre of the micro-image of a micro-lens: where the ray from the middle P of the exit pupil
   /// through C meets the sensor. It is finite where the micro-lens lies behind the pupil.
   Pixel<T> micro_image_center(const ExitPupil<T>& pupil, const Node& node) const {
@@ -260,8 +300,8 @@ inline MicroLens micro_lens_of(const Camera& camera, int k, int l) {
 /// Feature of a point whose image p' through the main lens is known, see `main_lens_image`. False,
 /// with the feature unchanged, if the point is imaged onto the micro-lens.
 template <typename T>
-bool project_image(const Optics<T>& optics, const Vector3<T>& image, const MicroLens& micro_lens,
-                   Feature<T>* feature) {
+[[nodiscard]] bool project_image(const Optics<T>& optics, const Vector3<T>& image,
+                                 const MicroLens& micro_lens, Feature<T>* feature) {
   const Vector3<T> center = optics.array.micro_lens_center(micro_lens.node);
   Pixel<T> pixel;
   T scale;
@@ -278,18 +318,22 @@ bool project_image(const Optics<T>& optics, const Vector3<T>& image, const Micro
 /// Feature of a point in the camera frame (mm). False, with the feature unchanged, if the model is
 /// not defined: for a point within the focal length, or imaged onto the micro-lens.
 template <typename T>
-bool project(const Optics<T>& optics, const Vector3<T>& point, const MicroLens& micro_lens,
-             Feature<T>* feature) {
+[[nodiscard]] bool project(const Optics<T>& optics, const Vector3<T>& point,
+                           const MicroLens& micro_lens, Feature<T>* feature) {
   Vector3<T> image;
   return main_lens_image(optics.main_lens, point, &image) &&
          project_image(optics, image, micro_lens, feature);
 }
 
-/// Feature of a board point (mm) seen through micro-lens (k, l), in one call. False as above.
-bool project(const Camera& camera, const Pose& camera_from_board,
-             const Vector3<double>& board_point, int k, int l, Feature<double>* feature);
+/// Feature of a board point (mm) seen through micro-lens (k, l), in one call and with checks.
+/// False, with the feature unchanged, if the model is not defined: as above, and for a micro-lens
+/// that the array does not have, numbers that are not finite, and points so far off the axis that
+/// distortion turns back. Throws std::invalid_argument if the camera is not valid.
+[[nodiscard]] PLENOCAL_API bool project(const Camera& camera, const Pose& camera_from_board,
+                                        const Vector3<double>& board_point, int k, int l,
+                                        Feature<double>* feature);
 
-/// Micro-image centre of micro-lens (k, l).
-Pixel<double> project_center(const Camera& camera, int k, int l);
+/// Micro-image centre of micro-lens (k, l), which may lie outside the array.
+PLENOCAL_API Pixel<double> project_center(const Camera& camera, int k, int l);
 
 }  // namespace plenocal

@@ -7,26 +7,27 @@
 #include <string>
 #include <vector>
 
+#include "plenocal/board.hpp"
+#include "plenocal/loss.hpp"
 #include "plenocal/projection.hpp"
-#include "plenocal/residuals.hpp"
 
 namespace plenocal {
 
 /// A BAP feature of a board point, observed in a frame through micro-lens (k, l). rho and its
 /// standard deviation are not used for a pinhole array.
 struct FeatureObservation {
-  int frame;                    ///< index into the poses
-  Vector3<double> board_point;  ///< mm, of the flat grid, board frame
-  int k, l;
-  Feature<double> observed;                ///< px
+  int frame = 0;                  ///< index into the poses
+  Vector3<double> board_point{};  ///< mm, of the flat grid, board frame
+  int k = 0, l = 0;
+  Feature<double> observed{};              ///< px
   Feature<double> std_dev{1.0, 1.0, 1.0};  ///< px, times that of `CostOptions`
 };
 
 /// An observed micro-image centre.
 struct CenterObservation {
-  int k, l;
-  Pixel<double> observed;  ///< px
-  double std_dev = 1.0;    ///< px, of u and of v, times that of `CostOptions`
+  int k = 0, l = 0;
+  Pixel<double> observed{};  ///< px
+  double std_dev = 1.0;      ///< px, of u and of v, times that of `CostOptions`
 };
 
 /// Everything observed.
@@ -128,9 +129,9 @@ struct Refinement {
 /// Throws std::invalid_argument on input for which the model is not defined. Every frame needs a
 /// feature, every board point has to be beyond the focal length initially, and a board whose shape
 /// is free needs a size.
-Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
-                  const Observations& observations, const CostOptions& cost_options,
-                  const SolverOptions& solver_options, const Progress& progress = {});
+PLENOCAL_API Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
+                               const Observations& observations, const CostOptions& cost_options,
+                               const SolverOptions& solver_options, const Progress& progress = {});
 
 /// How well observations and anchors determine the parameters, at a minimum of the cost.
 ///
@@ -218,14 +219,16 @@ struct CommonError {
 };
 
 /// Throws std::invalid_argument like `refine`, and if common errors are not of these observations.
-Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
-                        const Observations& observations, const CostOptions& cost_options,
-                        const std::vector<CommonError>& common = {});
+PLENOCAL_API Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
+                                     const Observations& observations,
+                                     const CostOptions& cost_options,
+                                     const std::vector<CommonError>& common = {});
 
 /// The information of each frame on the free intrinsics, with its pose unknown: a square matrix for
 /// each frame, row by row. Anchors and centres take no part. Throws like `refine`.
-std::vector<double> frame_information(const Camera& camera, const std::vector<Pose>& poses,
-                                      const Observations& observations,
-                                      const CostOptions& cost_options);
+PLENOCAL_API std::vector<double> frame_information(const Camera& camera,
+                                                   const std::vector<Pose>& poses,
+                                                   const Observations& observations,
+                                                   const CostOptions& cost_options);
 
 }  // namespace plenocal

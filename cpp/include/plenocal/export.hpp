@@ -1,0 +1,8 @@
+// What a shared library shows: everything else in it is hidden.
+#pragma once
+
+#if defined(__GNUC__)
+#define PLENOCAL_API __attribute__((visibility("default")))
+#else
+#define PLENOCAL_API
+#endif

@@ -1,0 +1,239 @@
+// The inverse model: from a pixel back into space.
+//
+// A pixel seen through a micro-lens is light along a line behind the main lens, from the pixel
+// through the centre C of the micro-lens. The image p' of a point lies on it, at the virtual depth
+// nu, and the main lens images the line to a ray in object space. Templates, like the forward model
+// (projection.hpp), so that the same code gives derivatives. `BackProjection` (back_projection.hpp)
+// is the same for whole cameras, with checks.
+#pragma once
+
+#include <cmath>
+
+#include "plenocal/projection.hpp"
+
+namespace plenocal {
+
+/// The value of a number without its derivatives.
+inline double value_of(double x) { return x; }
+template <typename Jet>
+auto value_of(const Jet& x) -> decltype(x.a) {
+  return x.a;
+}
+
+/// The derivative of (x, y) -> (x, y) + `distortion`, which is symmetric.
+template <typename T>
+struct DistortionSlope {
+  T xx, xy, yy;
+
+  T determinant() const { return xx * yy - xy * xy; }
+  /// Whether neighbours stay neighbours: polynomials turn back far outside the image.
+  bool is_regular() const { return determinant() > 0.0 && xx > 0.0; }
+  /// What moves to a change of the distorted point, to first order.
+  Vector2<T> undo(const Vector2<T>& change) const {
+    const T inverse = 1.0 / determinant();
+    return {(yy * change.x - xy * change.y) * inverse, (xx * change.y - xy * change.x) * inverse};
+  }
+};
+
+/// `DistortionSlope` at the ideal image point (x, y), mm.
+template <typename T>
+DistortionSlope<T> distortion_slope(const MainLens<T>& lens, const T& x, const T& y) {
+  const T* q = lens.radial;
+  const T* t = lens.tangential;
+  const T r2 = x * x + y * y;
+  const T radial = 1.0 + r2 * (q[0] + r2 * (q[1] + r2 * q[2]));
+  const T slope = 2.0 * (q[0] + r2 * (2.0 * q[1] + r2 * (3.0 * q[2])));
+  return {radial + x * x * slope + 6.0 * t[0] * x + 2.0 * t[1] * y,
+          x * y * slope + 2.0 * (t[0] * y + t[1] * x),
+          radial + y * y * slope + 6.0 * t[1] * y + 2.0 * t[0] * x};
+}
+
+/// A part of the camera without derivatives.
+template <template <typename> class Part, typename T>
+Part<double> values_of(const Part<T>& part) {
+  const auto block = to_block(part);
+  std::array<double, parameter_count<Part>()> values;
+  for (std::size_t i = 0; i < values.size(); ++i) values[i] = value_of(block[i]);
+  return from_block<Part>(values.data());
+}
+
+/// The ideal image point that distortion moves to `distorted`, both in mm in the camera frame.
+/// False, with `ideal` unchanged, if there is none on the axis's side of the fold, where
+/// polynomials turn back.
+template <typename T>
+[[nodiscard]] bool undistort(const MainLens<T>& lens, const Vector2<T>& distorted, Vector2<T>* ideal) {
+  constexpr int kMaxSteps = 50;
+  constexpr double kSettled = 1e-15;   // of a step over the distance from the axis
+  constexpr double kRounding = 1e-12;  // likewise, of a step that is not smaller than the last
+  const MainLens<double> at = values_of(lens);
+  const Vector2<double> target{value_of(distorted.x), value_of(distorted.y)};
+  // Newton's method. Where a step would leave the axis's side of the fold, half of it has to do.
+  Vector2<double> p = target;
+  for (int i = 0; i < kMaxSteps && !distortion_slope(at, p.x, p.y).is_regular(); ++i) {
+    p = {0.5 * p.x, 0.5 * p.y};
+  }
+  double last = HUGE_VAL;
+  bool settled = false;
+  for (int i = 0; i < kMaxSteps && !settled; ++i) {
+    const Vector2<double> shift = distortion(at, p.x, p.y);
+    Vector2<double> step =
+        distortion_slope(at, p.x, p.y).undo({target.x - p.x - shift.x, target.y - p.y - shift.y});
+    double length = std::hypot(step.x, step.y);
+    for (int k = 0; k < kMaxSteps; ++k) {
+      if (distortion_slope(at, p.x + step.x, p.y + step.y).is_regular()) break;
+      step = {0.5 * step.x, 0.5 * step.y};
+      length = HUGE_VAL;
+    }
+    p = {p.x + step.x, p.y + step.y};
+    const double size = std::hypot(p.x, p.y);
+    settled = length <= kSettled * size || (length >= last && length <= kRounding * size) ||
+              length == 0.0;
+    last = length;
+  }
+  if (!settled || !distortion_slope(at, p.x, p.y).is_regular()) return false;
+  // One more step in T has the derivatives of the solution.
+  const T x(p.x), y(p.y);
+  const Vector2<T> shift = distortion(lens, x, y);
+  const Vector2<T> step =
+      distortion_slope(lens, x, y).undo({distorted.x - x - shift.x, distorted.y - y - shift.y});
+  *ideal = {x + step.x, y + step.y};
+  return true;
+}
+
+/// The point in the camera frame (mm) whose image through the main lens is p': the inverse of
+/// `main_lens_image`. False, with `point` unchanged, if p' is not the image of a point beyond the
+/// focal plane, or distortion has no inverse there.
+template <typename T>
+[[nodiscard]] bool object_point(const MainLens<T>& lens, const Vector3<T>& image, Vector3<T>* point) {
+  Vector2<T> ideal;
+  if (!undistort(lens, {image.x, image.y}, &ideal)) return false;
+  // With the magnification m and z = F - F/m, p'_z = m z + (kappa - kappa_m m) r^2.
+  const T r2 = ideal.x * ideal.x + ideal.y * ideal.y;
+  const T magnification = (image.z + lens.focal_length - lens.field_curvature * r2) /
+                          (lens.focal_length - lens.field_curvature_growth * r2);
+  if (!(magnification < 0.0)) return false;
+  *point = {ideal.x / magnification, ideal.y / magnification,
+            lens.focal_length - lens.focal_length / magnification};
+  return true;
+}
+
+/// The image p' at the virtual depth nu on the line from a pixel through the centre C of a
+/// micro-lens: nu is the distance from the micro-lens to p' in units of that to the sensor,
+/// positive behind the array. The distance is along the optical axis, and so is that of the tilted
+/// array.
+template <typename T>
+Vector3<T> image_at(const ArrayOptics<T>& array, const Vector3<T>& center, const Pixel<T>& pixel,
+                    const T& virtual_depth) {
+  const Vector3<T> on_sensor = array.on_sensor(pixel);
+  return {center.x + virtual_depth * (on_sensor.x - center.x),
+          center.y + virtual_depth * (on_sensor.y - center.y),
+          center.z + virtual_depth * (on_sensor.z - center.z)};
+}
+
+/// The virtual depth of an image p' seen through a micro-lens with the centre C.
+template <typename T>
+T virtual_depth_of(const ArrayOptics<T>& array, const Vector3<T>& center, const Vector3<T>& image) {
+  return (image.z - center.z) / (array.sensor_z() - center.z);
+}
+
+/// The virtual depth that the blur radius rho (px) stands for: the inverse of
+/// `ArrayOptics::blur_radius`. Infinite for an image infinitely far away.
+template <typename T>
+T virtual_depth_of_blur(const Optics<T>& optics, const Vector3<T>& center, int lens_type,
+                        const T& rho) {
+  return 1.0 /
+         optics.array.inverse_depth_of_blur(center, rho, optics.inverse_focal_lengths[lens_type]);
+}
+
+/// A straight line in space: the camera frame, mm.
+template <typename T>
+struct Ray {
+  Vector3<T> origin;
+  Vector3<T> direction;  ///< of unit length, towards the scene
+};
+
+/// The light that falls on a pixel, between micro-lens and main lens: through the point of the
+/// micro-lens that is (x, y) radii off its centre. (0, 0) is the chief ray, which micro-lenses do
+/// not bend; the others run to or from where the micro-lens images the pixel. For an array of
+/// pinholes all are the chief ray.
+template <typename T>
+Ray<T> ray_behind(const Optics<T>& optics, const MicroLens& micro_lens, const Pixel<T>& pixel,
+                  const Vector2<double>& aperture = {0.0, 0.0}) {
+  using std::sqrt;
+  const ArrayOptics<T>& array = optics.array;
+  const Vector3<T> center = array.micro_lens_center(micro_lens.node);
+  const Vector3<T> on_sensor = array.on_sensor(pixel);
+  const Vector3<T> chief = {center.x - on_sensor.x, center.y - on_sensor.y, center.z - on_sensor.z};
+  Ray<T> ray{center, chief};
+  if (optics.has_blur) {
+    // The pixel is imaged to C + b chief/delta with 1/b = 1/f - 1/delta; per delta of z, the ray
+    // through C + q leaves the chief ray by -q delta/b.
+    const T delta = center.z - array.sensor_z();
+    const T convergence = delta * optics.inverse_focal_lengths[micro_lens.lens_type] - 1.0;
+    const T radius = array.micro_lens_radius();
+    const Vector2<T> off{radius * aperture.x, radius * aperture.y};
+    ray.origin = {center.x + off.x, center.y + off.y, center.z};
+    ray.direction = {chief.x - convergence * off.x, chief.y - convergence * off.y, chief.z};
+  }
+  const Vector3<T>& d = ray.direction;
+  const T length = sqrt(d.x * d.x + d.y * d.y + d.z * d.z);
+  ray.direction = {d.x / length, d.y / length, d.z / length};
+  return ray;
+}
+
+/// The ray in object space whose image is the chief ray of a pixel, with its origin at the distance
+/// z (mm). Distortion and curvature of the field bend the image of a straight line a little, so
+/// that a ray touches the line that the model images onto the pixel, at z. False, with `ray`
+/// unchanged, if the model images no point at z onto the pixel.
+template <typename T>
+[[nodiscard]] bool object_ray(const Optics<T>& optics, const MicroLens& micro_lens, const Pixel<T>& pixel,
+                const T& z, Ray<T>* ray) {
+  using std::sqrt;
+  constexpr int kMaxSteps = 20;
+  constexpr double kSettled = 1e-14;  // of a step of the virtual depth, relative
+  const MainLens<T>& lens = optics.main_lens;
+  if (!(z > lens.focal_length)) return false;
+  const Vector3<T> center = optics.array.micro_lens_center(micro_lens.node);
+  const Vector3<T> on_sensor = optics.array.on_sensor(pixel);
+  const Vector3<T> line = {on_sensor.x - center.x, on_sensor.y - center.y, on_sensor.z - center.z};
+  // Newton's method for the virtual depth at which the magnification is that of z.
+  const T magnification = -lens.focal_length / (z - lens.focal_length);
+  T depth = (magnification * z - center.z) / line.z;
+  Vector2<T> ideal, slide;  // where the image is without distortion, and how it moves with depth
+  T slope;                  // of the magnification by the depth
+  bool settled = false;
+  for (int i = 0; i < kMaxSteps; ++i) {
+    const Vector3<T> image = {center.x + depth * line.x, center.y + depth * line.y,
+                              center.z + depth * line.z};
+    if (!undistort(lens, {image.x, image.y}, &ideal)) return false;
+    slide = distortion_slope(lens, ideal.x, ideal.y).undo({line.x, line.y});
+    const T r2 = ideal.x * ideal.x + ideal.y * ideal.y;
+    const T r2_slope = 2.0 * (ideal.x * slide.x + ideal.y * slide.y);
+    const T below = lens.focal_length - lens.field_curvature_growth * r2;
+    const T found = (image.z + lens.focal_length - lens.field_curvature * r2) / below;
+    slope = (line.z - lens.field_curvature * r2_slope +
+             lens.field_curvature_growth * r2_slope * found) /
+            below;
+    if (settled) break;  // a last round, with which the derivatives are those of the solution
+    const T step = (magnification - found) / slope;
+    depth = depth + step;
+    const double size = std::abs(value_of(step));
+    if (!(size < HUGE_VAL)) return false;
+    settled = size <= kSettled * std::abs(value_of(depth));
+  }
+  if (!settled) return false;
+  // (x, y)/m and z = F - F/m, and their derivatives by the depth.
+  const T inverse = 1.0 / magnification;
+  const T by_slope = slope * inverse;
+  Vector3<T> direction = {(slide.x - ideal.x * by_slope) * inverse,
+                          (slide.y - ideal.y * by_slope) * inverse,
+                          lens.focal_length * by_slope * inverse};
+  T length =
+      sqrt(direction.x * direction.x + direction.y * direction.y + direction.z * direction.z);
+  if (direction.z < 0.0) length = -length;
+  *ray = {{ideal.x * inverse, ideal.y * inverse, z},
+          {direction.x / length, direction.y / length, direction.z / length}};
+  return true;
+}
+
+}  // namespace plenocal

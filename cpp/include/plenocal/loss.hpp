@@ -1,0 +1,39 @@
+// Robust losses.
+#pragma once
+
+#include <cmath>
+
+namespace plenocal {
+
+/// Robust loss rho(s) of a squared, standardised residual norm s = |r|^2.
+enum class LossKind { kNone, kHuber, kCauchy };
+
+/// A loss and its scale in standard deviations.
+struct Loss {
+  LossKind kind = LossKind::kNone;
+  double scale = 1.0;
+};
+
+/// Scales n residuals of one observation by sqrt(rho(s)/s), so that half their squared norm is
+/// rho(s)/2, Ceres' convention. Ceres' own LossFunction acts on a whole block, here several
+/// observations.
+template <typename T>
+void apply_loss(const Loss& loss, int n, T* r) {
+  if (loss.kind == LossKind::kNone) return;
+  using std::log;
+  using std::sqrt;
+  T x = r[0] * r[0];
+  for (int i = 1; i < n; ++i) x += r[i] * r[i];
+  x = x * (1.0 / (loss.scale * loss.scale));
+  T factor(1.0);
+  if (loss.kind == LossKind::kHuber) {
+    if (x > 1.0) factor = sqrt((2.0 * sqrt(x) - 1.0) / x);
+  } else if (x > 1e-6) {
+    factor = sqrt(log(1.0 + x) / x);
+  } else {
+    factor = 1.0 - 0.25 * x;  // series of the line above, exact to 1e-12 here
+  }
+  for (int i = 0; i < n; ++i) r[i] *= factor;
+}
+
+}  // namespace plenocal

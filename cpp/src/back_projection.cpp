@@ -1,0 +1,292 @@
+#include "plenocal/back_projection.hpp"
+
+#include <ceres/jet.h>
+
+#include <Eigen/Dense>
+
+#include "checks.hpp"
+
+namespace plenocal {
+namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr int kPoint = 3;
+using Jet = ceres::Jet<double, kPoint>;
+
+template <typename T>
+Vector3<T> difference(const Vector3<T>& a, const Vector3<T>& b) {
+  return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+
+double dot(const Vector3<double>& a, const Vector3<double>& b) {
+  return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+
+Vector3<double> cross(const Vector3<double>& a, const Vector3<double>& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+bool is_finite(const Vector3<double>& v) {
+  return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
+}
+
+bool is_finite(const Pixel<double>& p) { return std::isfinite(p.u) && std::isfinite(p.v); }
+
+Vector3<Jet> constant(const Vector3<double>& v) { return {Jet(v.x), Jet(v.y), Jet(v.z)}; }
+
+// The same part of the camera for derivatives by something else.
+template <template <typename> class Part>
+Part<Jet> constant(const Part<double>& part) {
+  const auto values = to_block(part);
+  std::array<Jet, parameter_count<Part>()> block;
+  for (std::size_t i = 0; i < block.size(); ++i) block[i] = Jet(values[i]);
+  return from_block<Part>(block.data());
+}
+
+// C S C' of a point that depends on three variables with the covariance S.
+MetricPoint with_covariance(const Vector3<Jet>& point, const Eigen::Matrix3d& covariance) {
+  Eigen::Matrix3d slopes;
+  slopes << point.x.v.transpose(), point.y.v.transpose(), point.z.v.transpose();
+  MetricPoint result{{point.x.a, point.y.a, point.z.a}, {}};
+  Eigen::Map<Eigen::Matrix3d>(result.covariance.data()) = slopes * covariance * slopes.transpose();
+  return result;
+}
+
+// What a sighting says of the image p' of a point: residuals over sigma and their derivatives.
+class Sight {
+ public:
+  Sight(const Optics<double>& optics, const MicroLens& micro_lens, const Sighting& sighting)
+      : optics_(optics),
+        sighting_(sighting),
+        lens_type_(micro_lens.lens_type),
+        center_(optics.array.micro_lens_center(micro_lens.node)),
+        uses_rho_(optics.has_blur && sighting.std_dev.rho < HUGE_VAL) {}
+
+  // Adds two rows of the lines on which p' lies: (p' - C) x (S - C) = 0, per distance to the
+  // sensor.
+  void add_lines(Eigen::Matrix3d* normal, Eigen::Vector3d* right) const {
+    const Vector3<double> line =
+        difference(optics_.array.on_sensor({sighting_.observed.u, sighting_.observed.v}), center_);
+    const Eigen::Vector3d along_x(1.0, 0.0, -line.x / line.z), along_y(0.0, 1.0, -line.y / line.z);
+    const Eigen::Vector3d center(center_.x, center_.y, center_.z);
+    for (const Eigen::Vector3d& row : {along_x, along_y}) {
+      *normal += row * row.transpose();
+      *right += row * row.dot(center);
+    }
+  }
+
+  // Adds the normal equations of a Gauss-Newton step at p'. False if p' lies on the micro-lens.
+  bool add_features(const Vector3<double>& image, Eigen::Matrix3d* normal,
+                    Eigen::Vector3d* right) const {
+    const double a = image.z - center_.z;
+    Pixel<double> pixel;
+    double scale = 0.0;
+    if (!optics_.array.through_micro_lens(image, center_, &pixel, &scale)) return false;
+    const double per_mm = -scale / pixel_size();
+    const double along_u = (image.x - center_.x) / a, along_v = (image.y - center_.y) / a;
+    const auto add = [&](double off, double std_dev, const Eigen::Vector3d& slope) {
+      const Eigen::Vector3d row = slope / std_dev;
+      *normal += row * row.transpose();
+      *right += row * (off / std_dev);
+    };
+    add(sighting_.observed.u - pixel.u, sighting_.std_dev.u, {per_mm, 0.0, -per_mm * along_u});
+    add(sighting_.observed.v - pixel.v, sighting_.std_dev.v, {0.0, per_mm, -per_mm * along_v});
+    if (uses_rho_) {
+      const double rho =
+          optics_.array.blur_radius(center_, scale, optics_.inverse_focal_lengths[lens_type_]);
+      const double slope = -scale / a * optics_.array.micro_lens_radius() / pixel_size();
+      add(sighting_.observed.rho - rho, sighting_.std_dev.rho, {0.0, 0.0, slope});
+    }
+    return true;
+  }
+
+ private:
+  double pixel_size() const { return optics_.array.pixel_size(); }
+
+  const Optics<double>& optics_;
+  const Sighting& sighting_;
+  int lens_type_;
+  Vector3<double> center_;
+  bool uses_rho_;
+};
+
+// The inverse of a normal matrix, and false if it has none up to rounding.
+bool invert(const Eigen::Matrix3d& normal, Eigen::Matrix3d* inverse) {
+  constexpr double kRankTolerance = 1e-13;
+  const Eigen::Vector3d scale = normal.diagonal().cwiseSqrt().cwiseInverse();
+  if (!scale.allFinite()) return false;
+  const Eigen::Matrix3d scaled = scale.asDiagonal() * normal * scale.asDiagonal();
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(scaled);
+  if (!(eigen.eigenvalues()[0] > kRankTolerance)) return false;
+  *inverse = scale.asDiagonal() * scaled.inverse() * scale.asDiagonal();
+  return inverse->allFinite();
+}
+
+void require_std_devs(const Sighting& sighting, bool has_blur) {
+  require_std_dev(sighting.std_dev.u, "u");
+  require_std_dev(sighting.std_dev.v, "v");
+  if (has_blur && sighting.std_dev.rho != HUGE_VAL) require_std_dev(sighting.std_dev.rho, "rho");
+}
+
+}  // namespace
+
+BackProjection::BackProjection(const Camera& camera)
+    : camera_((validate(camera), camera)),
+      optics_(optics_of(camera_)),
+      radius_(0.5 * optics_.array.micro_image_pitch(camera_.exit_pupil)),
+      origin_(optics_.array.micro_lens_center({0.0, 0.0})),
+      step_x_(difference(optics_.array.micro_lens_center({1.0, 0.0}), origin_)),
+      step_y_(difference(optics_.array.micro_lens_center({0.0, 1.0}), origin_)),
+      normal_(cross(step_x_, step_y_)) {}
+
+std::optional<MicroLens> BackProjection::micro_lens(int k, int l) const {
+  if (!camera_.lattice.contains(k, l)) return std::nullopt;
+  return micro_lens_of(camera_, k, l);
+}
+
+std::optional<MicroImage> BackProjection::micro_image_at(const Pixel<double>& pixel) const {
+  const auto& [x, y, z] = camera_.exit_pupil;
+  const Vector3<double> pupil{x, y, z};
+  const Vector3<double> ray = difference(optics_.array.on_sensor(pixel), pupil);
+  const double along = dot(normal_, difference(origin_, pupil)) / dot(normal_, ray);
+  const Vector3<double> there{pupil.x + along * ray.x - origin_.x,
+                              pupil.y + along * ray.y - origin_.y,
+                              pupil.z + along * ray.z - origin_.z};
+  const Node node{dot(there, step_x_) / dot(step_x_, step_x_),
+                  dot(there, step_y_) / dot(step_y_, step_y_)};
+  if (!(along > 0.0 && std::isfinite(node.x) && std::isfinite(node.y))) return std::nullopt;
+  const auto [k, l] = camera_.lattice.nearest(node);
+  if (!camera_.lattice.contains(k, l)) return std::nullopt;
+  const Pixel<double> center =
+      optics_.array.micro_image_center(camera_.exit_pupil, camera_.lattice.node(k, l));
+  return MicroImage{k, l, center, std::hypot(pixel.u - center.u, pixel.v - center.v)};
+}
+
+std::optional<Ray<double>> BackProjection::ray_behind(const MicroPixel& at,
+                                                      const Vector2<double>& aperture) const {
+  const auto lens = micro_lens(at.k, at.l);
+  if (!lens || !is_finite(at.pixel)) return std::nullopt;
+  const Ray<double> ray = plenocal::ray_behind(optics_, *lens, at.pixel, aperture);
+  return is_finite(ray.direction) && is_finite(ray.origin) ? std::optional(ray) : std::nullopt;
+}
+
+std::optional<Ray<double>> BackProjection::object_ray(const MicroPixel& at, double z) const {
+  const auto lens = micro_lens(at.k, at.l);
+  Ray<double> ray;
+  if (!lens || !is_finite(at.pixel) || !std::isfinite(z) ||
+      !plenocal::object_ray(optics_, *lens, at.pixel, z, &ray)) {
+    return std::nullopt;
+  }
+  return is_finite(ray.direction) && is_finite(ray.origin) ? std::optional(ray) : std::nullopt;
+}
+
+std::optional<MetricPoint> BackProjection::point(const VirtualPoint& seen) const {
+  const auto lens = micro_lens(seen.at.k, seen.at.l);
+  if (!lens) return std::nullopt;
+  for (double std_dev : seen.std_dev) {
+    if (!(std::isfinite(std_dev) && std_dev >= 0.0)) {
+      reject(
+          "the standard deviations of u, v and the virtual depth have to be finite and not "
+          "negative");
+    }
+  }
+  // Derivatives by u, v and nu.
+  const ArrayOptics<Jet> array(constant(camera_.mla), camera_.pixel_size);
+  const Vector3<Jet> center = constant(optics_.array.micro_lens_center(lens->node));
+  const Pixel<Jet> pixel{Jet(seen.at.pixel.u, 0), Jet(seen.at.pixel.v, 1)};
+  Vector3<Jet> point;
+  if (!plenocal::object_point(constant(camera_.main_lens),
+                              image_at(array, center, pixel, Jet(seen.virtual_depth, 2)), &point) ||
+      !is_finite(Vector3<double>{point.x.a, point.y.a, point.z.a})) {
+    return std::nullopt;
+  }
+  const Eigen::Vector3d std_devs(seen.std_dev[0], seen.std_dev[1], seen.std_dev[2]);
+  return with_covariance(point, std_devs.cwiseAbs2().asDiagonal());
+}
+
+std::optional<MetricPoint> BackProjection::triangulate(
+    const std::vector<Sighting>& sightings) const {
+  std::vector<Sight> sights;
+  for (const Sighting& sighting : sightings) {
+    require_std_devs(sighting, optics_.has_blur);
+    const auto lens = micro_lens(sighting.k, sighting.l);
+    if (!lens || !is_finite(Pixel<double>{sighting.observed.u, sighting.observed.v})) return std::nullopt;
+    sights.emplace_back(optics_, *lens, sighting);
+  }
+  if (sights.size() < 2) return std::nullopt;
+
+  // The image that is nearest to all lines, and from there Gauss-Newton steps.
+  Eigen::Matrix3d normal = Eigen::Matrix3d::Zero(), inverse;
+  Eigen::Vector3d right = Eigen::Vector3d::Zero();
+  for (const Sight& sight : sights) sight.add_lines(&normal, &right);
+  if (!invert(normal, &inverse)) return std::nullopt;
+  Eigen::Vector3d image = inverse * right;
+  constexpr int kMaxSteps = 30;
+  constexpr double kSettled = 1e-9;  // of a step, in sigma
+  bool settled = false;
+  for (int i = 0; i < kMaxSteps && !settled; ++i) {
+    normal.setZero();
+    right.setZero();
+    for (const Sight& sight : sights) {
+      if (!sight.add_features({image.x(), image.y(), image.z()}, &normal, &right)) {
+        return std::nullopt;
+      }
+    }
+    if (!invert(normal, &inverse)) return std::nullopt;
+    const Eigen::Vector3d step = inverse * right;
+    image += step;
+    settled = step.dot(normal * step) <= kSettled * kSettled ||
+              step.norm() <= std::numeric_limits<double>::epsilon() * image.norm();
+  }
+  Vector3<Jet> point;
+  const Vector3<Jet> variable{Jet(image.x(), 0), Jet(image.y(), 1), Jet(image.z(), 2)};
+  if (!settled || !plenocal::object_point(constant(camera_.main_lens), variable, &point)) {
+    return std::nullopt;
+  }
+  return with_covariance(point, inverse);
+}
+
+std::optional<double> BackProjection::virtual_depth(int k, int l,
+                                                    const Vector3<double>& point) const {
+  const auto lens = micro_lens(k, l);
+  Vector3<double> image;
+  if (!lens || !main_lens_image(optics_.main_lens, point, &image)) return std::nullopt;
+  const double depth =
+      virtual_depth_of(optics_.array, optics_.array.micro_lens_center(lens->node), image);
+  return std::isfinite(depth) ? std::optional(depth) : std::nullopt;
+}
+
+std::optional<double> BackProjection::virtual_depth_of_blur(int k, int l, double rho) const {
+  const auto lens = micro_lens(k, l);
+  if (!lens || !optics_.has_blur) return std::nullopt;
+  const double depth = plenocal::virtual_depth_of_blur(
+      optics_, optics_.array.micro_lens_center(lens->node), lens->lens_type, rho);
+  return std::isfinite(depth) ? std::optional(depth) : std::nullopt;
+}
+
+std::size_t BackProjection::object_rays(const Pixel<double>* pixels, std::size_t n, double z,
+                                        Ray<double>* rays) const {
+  std::size_t found = 0;
+  for (std::size_t i = 0; i < n; ++i) {
+    const auto at = micro_image_at(pixels[i]);
+    const auto ray = at ? object_ray({at->k, at->l, pixels[i]}, z) : std::nullopt;
+    rays[i] = ray.value_or(Ray<double>{{kNan, kNan, kNan}, {kNan, kNan, kNan}});
+    found += ray.has_value();
+  }
+  return found;
+}
+
+std::size_t BackProjection::points(const VirtualPoint* seen, std::size_t n,
+                                   MetricPoint* points) const {
+  MetricPoint none{{kNan, kNan, kNan}, {}};
+  none.covariance.fill(kNan);
+  std::size_t found = 0;
+  for (std::size_t i = 0; i < n; ++i) {
+    const auto result = point(seen[i]);
+    points[i] = result.value_or(none);
+    found += result.has_value();
+  }
+  return found;
+}
+
+}  // namespace plenocal
