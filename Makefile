@@ -1,6 +1,6 @@
 # plenocal: everything a newcomer needs. `make demo` and `make test` install what is missing.
 
-PACKAGES = g++ cmake make libceres-dev libeigen3-dev libopencv-dev libclang-dev clang \
+PACKAGES = g++ cmake make libceres-dev libeigen3-dev nlohmann-json3-dev libopencv-dev libclang-dev clang \
            clang-format libgtest-dev shellcheck
 # What only `make test-all` needs: a browser, shells, a formatter of manual pages.
 TOOLS = chromium zsh fish groff-base

@@ -6,6 +6,7 @@ fn main() {
         .profile("Release")
         .define("PLENOCAL_BUILD_TESTS", "OFF")
         .define("PLENOCAL_BUILD_EXAMPLES", "OFF")
+        .define("PLENOCAL_BUILD_IO", "OFF")
         .define("BUILD_SHARED_LIBS", "OFF")
         .define("CMAKE_INSTALL_LIBDIR", "lib")
         .build();

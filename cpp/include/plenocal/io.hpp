@@ -1,0 +1,91 @@
+// Files: cameras, poses, observations and whole problems, as plenocal writes them (docs/files.md).
+// The library plenocal::io, which needs nlohmann-json; the rest of plenocal does not need files.
+#pragma once
+
+#include <limits>
+#include <map>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "plenocal/refine.hpp"
+
+namespace plenocal {
+
+/// A file that cannot be read or written. The message names the file, and the field or the line.
+class PLENOCAL_API FileError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// camera.json.
+struct CameraFile {
+  Camera camera;
+  /// Setting of the main lens: N of the images of boards, and the focus distance from the sensor,
+  /// mm, infinite for infinity.
+  double f_number = 4.0;
+  double focus_distance = std::numeric_limits<double>::infinity();
+  /// Whether the camera is at a minimum; nothing if it is no result of a calibration.
+  std::optional<bool> converged;
+  /// sigma of each parameter in the order of `for_each_parameter`, in its unit; not a number where
+  /// it was fixed or not determined. Empty if none is known.
+  std::vector<double> std_dev;
+  /// Covariance of the parameters with a sigma, as many rows as `std_dev` has numbers; else empty.
+  std::vector<double> covariance;
+};
+
+/// Reads a camera. Throws FileError if the file cannot be read, is none of these, lacks a field, or
+/// has a camera that is not valid.
+PLENOCAL_API CameraFile read_camera(const std::string& path);
+
+/// Writes a camera so that plenocal reads it. Throws FileError, and std::invalid_argument if the
+/// camera is not valid.
+PLENOCAL_API void write_camera(const std::string& path, const CameraFile& file);
+
+/// Reads camera_from_board of each frame. Throws FileError.
+PLENOCAL_API std::map<int, Pose> read_poses(const std::string& path);
+
+/// Writes camera_from_board of each frame. Throws FileError.
+PLENOCAL_API void write_poses(const std::string& path, const std::map<int, Pose>& poses);
+
+/// Corners of a board: inner corners along its rows and columns, and the edge of a square.
+struct BoardGrid {
+  int columns = 0, rows = 0;
+  double square = 0.0;  ///< mm
+
+  /// Corner number i of the flat board, row by row; mm, board frame.
+  Vector3<double> corner(int i) const {
+    return {square * (i % columns), square * (i / columns), 0.0};
+  }
+  /// The board, flat.
+  Board board() const { return {0.5 * square * (columns - 1), 0.5 * square * (rows - 1), {}}; }
+};
+
+/// Observations and what they belong to.
+struct ObservationFiles {
+  /// `FeatureObservation::frame` is an index into `frames`.
+  Observations observations;
+  std::vector<int> frames;   ///< numbers of the frames, ascending
+  std::vector<int> corners;  ///< number of the corner of each feature
+};
+
+/// Reads features.csv, and centers.csv unless its path is empty. Features that state no sigma have
+/// 1 px. Throws FileError, with the line, where a number is missing, is not finite, or is not on
+/// the board.
+PLENOCAL_API ObservationFiles read_observations(const std::string& features,
+                                                const std::string& centers, const BoardGrid& board);
+
+/// A whole problem: what `plenocal calibrate --export-problem DIR` writes.
+struct ProblemFiles {
+  CameraFile start;
+  std::vector<int> frames;  ///< numbers of the frames
+  std::vector<Pose> poses;  ///< where they start
+  Observations observations;
+  CostOptions options;
+};
+
+/// Reads a problem from its folder. Throws FileError.
+PLENOCAL_API ProblemFiles read_problem(const std::string& folder);
+
+}  // namespace plenocal

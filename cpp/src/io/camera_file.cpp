@@ -1,0 +1,212 @@
+// camera.json.
+#include <cmath>
+#include <map>
+
+#include "document.hpp"
+
+namespace plenocal {
+namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr int kVersion = 2;
+
+struct NamedPacking {
+  Packing packing;
+  const char* lattice;
+  const char* shifted;
+};
+constexpr NamedPacking kPackings[] = {{Packing::kOrthogonal, "orthogonal", ""},
+                                      {Packing::kHexagonalRowsEven, "hexagonal-rows", "even"},
+                                      {Packing::kHexagonalRowsOdd, "hexagonal-rows", "odd"},
+                                      {Packing::kHexagonalColumnsEven, "hexagonal-columns", "even"},
+                                      {Packing::kHexagonalColumnsOdd, "hexagonal-columns", "odd"}};
+
+Lattice lattice_from(const Field& array) {
+  const std::string lattice = array["lattice"].string();
+  const std::string shifted = lattice == "orthogonal" ? "" : array["shifted"].string();
+  for (const NamedPacking& named : kPackings) {
+    if (lattice == named.lattice && shifted == named.shifted) {
+      return {named.packing, array["columns"].integer(), array["rows"].integer()};
+    }
+  }
+  array["lattice"].reject(
+      "orthogonal, or hexagonal-rows or hexagonal-columns with shifted even or odd");
+}
+
+Camera camera_from(const Field& root) {
+  const Field sensor = root["sensor"], lens = root["main_lens"], array = root["micro_lens_array"];
+  Camera camera;
+  camera.lattice = lattice_from(array);
+  camera.pixel_size = sensor["pixel_size_mm"].number();
+  camera.width = sensor["width_px"].integer();
+  camera.height = sensor["height_px"].integer();
+  const auto optional = [](const Field& of, const std::string& key) {
+    return of.has(key) ? of[key].number() : 0.0;
+  };
+  camera.main_lens = {
+      lens["focal_length_mm"].number(),
+      {lens["q1_per_mm2"].number(), lens["q2_per_mm4"].number(), lens["q3_per_mm6"].number()},
+      {lens["p1_per_mm"].number(), lens["p2_per_mm"].number()},
+      optional(lens, "field_curvature_per_mm"),
+      optional(lens, "field_curvature_growth_per_mm")};
+  if (lens.has("exit_pupil_mm")) {
+    const auto [x, y, z] = lens["exit_pupil_mm"].vector();
+    camera.exit_pupil = {x, y, z};
+  }
+  const Field principal = root["principal_point_px"], offset = array["offset_mm"];
+  camera.mla = {{principal.at(0).number(), principal.at(1).number()},
+                array["mla_to_sensor_mm"].number(),
+                array["rotation_rad"].vector(),
+                {offset.at(0).number(), offset.at(1).number()},
+                array["lens_to_mla_mm"].number(),
+                array["pitch_mm"].number(),
+                array.has("pitch_ratio") ? array["pitch_ratio"].number() : 1.0};
+  const Field focal_lengths = array["focal_lengths_mm"];
+  for (std::size_t i = 0; i < focal_lengths.size(); ++i) {
+    camera.micro_lens_focal_lengths.push_back(focal_lengths.at(i).number());
+  }
+  try {
+    validate(camera);
+  } catch (const std::invalid_argument& error) {
+    fail(root.file(), error.what());
+  }
+  return camera;
+}
+
+// sigma of all parameters, and the covariance of those that have one.
+void read_uncertainty(const Field& uncertainty, CameraFile* file) {
+  const std::vector<std::string> names = intrinsic_names(file->camera.lens_types());
+  const Field std_devs = uncertainty["standard_deviations"];
+  std::map<std::string, double> known;
+  for (const std::string& name : names) {
+    const bool has = std_devs.has(name) && std_devs[name].has("value");
+    file->std_dev.push_back(has ? std_devs[name]["value"].number() : kNan);
+    if (has) known[name] = file->std_dev.back();
+  }
+  if (!uncertainty.has("correlations")) return;
+  const Field correlations = uncertainty["correlations"];
+  const Field free = correlations["parameters"], matrix = correlations["matrix"];
+  std::map<std::string, std::size_t> row;
+  for (std::size_t i = 0; i < free.size(); ++i) row[free.at(i).string()] = i;
+  std::vector<double> covariance;
+  for (const std::string& a : names) {
+    for (const std::string& b : names) {
+      if (known.count(a) == 0 || known.count(b) == 0) continue;
+      if (row.count(a) == 0 || row.count(b) == 0) return;
+      const Field entry = matrix.at(row[a]).at(row[b]);
+      // Not determined together: no covariance.
+      if (entry.is_null()) return;
+      covariance.push_back(entry.number() * known[a] * known[b]);
+    }
+  }
+  file->covariance = std::move(covariance);
+}
+
+Json camera_json(const CameraFile& file) {
+  const Camera& camera = file.camera;
+  const auto& lens = camera.main_lens;
+  const auto& mla = camera.mla;
+  const auto* packing = &kPackings[0];
+  for (const NamedPacking& named : kPackings) {
+    if (named.packing == camera.lattice.packing) packing = &named;
+  }
+  Json json = {
+      {"format", "plenocal-camera"},
+      {"version", kVersion},
+      {"sensor",
+       {{"width_px", camera.width},
+        {"height_px", camera.height},
+        {"pixel_size_mm", camera.pixel_size}}},
+      {"main_lens",
+       {{"focal_length_mm", lens.focal_length},
+        {"f_number", file.f_number},
+        {"q1_per_mm2", lens.radial[0]},
+        {"q2_per_mm4", lens.radial[1]},
+        {"q3_per_mm6", lens.radial[2]},
+        {"p1_per_mm", lens.tangential[0]},
+        {"p2_per_mm", lens.tangential[1]},
+        {"field_curvature_per_mm", lens.field_curvature},
+        {"field_curvature_growth_per_mm", lens.field_curvature_growth},
+        {"exit_pupil_mm", {camera.exit_pupil.x, camera.exit_pupil.y, camera.exit_pupil.z}}}},
+      {"principal_point_px", {mla.principal_point[0], mla.principal_point[1]}},
+      {"micro_lens_array",
+       {{"lattice", packing->lattice},
+        {"columns", camera.lattice.columns},
+        {"rows", camera.lattice.rows},
+        {"lens_to_mla_mm", mla.lens_to_mla},
+        {"mla_to_sensor_mm", mla.mla_to_sensor},
+        {"rotation_rad", {mla.rotation.x, mla.rotation.y, mla.rotation.z}},
+        {"offset_mm", {mla.offset[0], mla.offset[1]}},
+        {"pitch_mm", mla.pitch},
+        {"pitch_ratio", mla.pitch_ratio},
+        {"focal_lengths_mm", camera.micro_lens_focal_lengths}}}};
+  if (std::isfinite(file.focus_distance)) {
+    json["main_lens"]["focus_distance_mm"] = file.focus_distance;
+  }
+  if (*packing->shifted != '\0') json["micro_lens_array"]["shifted"] = packing->shifted;
+  if (file.converged) json["converged"] = *file.converged;
+  return json;
+}
+
+// Units of parameters by the power of mm that they have.
+const char* unit_of(const std::string& name) {
+  if (name == "u0" || name == "v0") return "px";
+  if (name == "dC_ratio") return "1";
+  if (name.rfind("theta", 0) == 0) return "rad";
+  if (name == "Q1") return "mm^-2";
+  if (name == "Q2") return "mm^-4";
+  if (name == "Q3") return "mm^-6";
+  if (name == "P1" || name == "P2" || name == "kappa" || name == "kappa_m") return "mm^-1";
+  return "mm";
+}
+
+Json uncertainty_json(const CameraFile& file) {
+  const std::vector<std::string> names = intrinsic_names(file.camera.lens_types());
+  Json std_devs = Json::object();
+  std::vector<std::string> free;
+  std::vector<double> known;
+  for (std::size_t i = 0; i < names.size() && i < file.std_dev.size(); ++i) {
+    if (std::isnan(file.std_dev[i])) continue;
+    std_devs[names[i]] = {{"value", file.std_dev[i]}, {"unit", unit_of(names[i])}};
+    free.push_back(names[i]);
+    known.push_back(file.std_dev[i]);
+  }
+  Json json = {{"standard_deviations", std_devs}};
+  const std::size_t n = free.size();
+  if (file.covariance.size() == n * n) {
+    Json matrix = Json::array();
+    for (std::size_t i = 0; i < n; ++i) {
+      Json row = Json::array();
+      for (std::size_t j = 0; j < n; ++j) {
+        row.push_back(file.covariance[n * i + j] / (known[i] * known[j]));
+      }
+      matrix.push_back(row);
+    }
+    json["correlations"] = {{"parameters", free}, {"matrix", matrix}};
+  }
+  return json;
+}
+
+}  // namespace
+
+CameraFile read_camera(const std::string& path) {
+  const Json json = document(path, "plenocal-camera", kVersion);
+  const Field root(json, path, "");
+  CameraFile file;
+  file.camera = camera_from(root);
+  const Field lens = root["main_lens"];
+  file.f_number = lens["f_number"].number();
+  if (lens.has("focus_distance_mm")) file.focus_distance = lens["focus_distance_mm"].number();
+  if (root.has("converged")) file.converged = root["converged"].boolean();
+  if (root.has("uncertainty")) read_uncertainty(root["uncertainty"], &file);
+  return file;
+}
+
+void write_camera(const std::string& path, const CameraFile& file) {
+  validate(file.camera);
+  Json json = camera_json(file);
+  if (!file.std_dev.empty()) json["uncertainty"] = uncertainty_json(file);
+  write_text(path, json.dump(2) + "\n");
+}
+
+}  // namespace plenocal

@@ -1,0 +1,112 @@
+#include "document.hpp"
+
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <iterator>
+#include <limits>
+
+namespace plenocal {
+
+void fail(const std::string& path, const std::string& what) { throw FileError(path + ": " + what); }
+
+std::string text_of(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  if (!file) fail(path, "cannot be opened: check that it is there and may be read");
+  std::string text{std::istreambuf_iterator<char>(file), {}};
+  if (file.bad()) fail(path, "cannot be read");
+  return text;
+}
+
+void write_text(const std::string& path, const std::string& text) {
+  const std::string beside = path + ".part";
+  {
+    std::ofstream file(beside, std::ios::binary);
+    file << text;
+    file.close();
+    if (!file) {
+      std::remove(beside.c_str());
+      fail(path, "cannot be written: check the folder and the space on the disk");
+    }
+  }
+  if (std::rename(beside.c_str(), path.c_str()) != 0) {
+    std::remove(beside.c_str());
+    fail(path, "cannot be written: check that it may be replaced");
+  }
+}
+
+bool Field::has(const std::string& key) const {
+  return value_.is_object() && value_.contains(key) && !value_[key].is_null();
+}
+
+Field Field::operator[](const std::string& key) const {
+  const std::string name = name_.empty() ? key : name_ + "." + key;
+  if (!value_.is_object() || !value_.contains(key)) fail(path_, "there is no " + name);
+  return {value_[key], path_, name};
+}
+
+Field Field::at(std::size_t i) const {
+  const std::string name = name_ + "[" + std::to_string(i) + "]";
+  if (i >= size()) fail(path_, "there is no " + name);
+  return {value_[i], path_, name};
+}
+
+std::size_t Field::size() const {
+  if (!value_.is_array()) reject("a list");
+  return value_.size();
+}
+
+double Field::number() const {
+  if (!value_.is_number()) reject("a number");
+  const double number = value_.get<double>();
+  if (!std::isfinite(number)) reject("a finite number");
+  return number;
+}
+
+int Field::integer() const {
+  using Limits = std::numeric_limits<int>;
+  const bool whole = value_.is_number_integer();
+  // An unsigned number beyond the range of the signed ones would wrap round.
+  if (!whole || number() < Limits::min() || number() > Limits::max()) {
+    reject("a whole number in range");
+  }
+  return value_.get<int>();
+}
+
+bool Field::boolean() const {
+  if (!value_.is_boolean()) reject("true or false");
+  return value_.get<bool>();
+}
+
+std::string Field::string() const {
+  if (!value_.is_string()) reject("a text");
+  return value_.get<std::string>();
+}
+
+Vector3<double> Field::vector() const {
+  if (size() != 3) reject("a list of 3 numbers");
+  return {at(0).number(), at(1).number(), at(2).number()};
+}
+
+void Field::reject(const std::string& wanted) const { fail(path_, name_ + " is not " + wanted); }
+
+Json document(const std::string& path, const std::string& format, int latest) {
+  Json json;
+  try {
+    json = Json::parse(text_of(path));
+  } catch (const Json::exception& error) {
+    fail(path, std::string("is not JSON: ") + error.what());
+  }
+  const Field root(json, path, "");
+  if (!root.has("format") || root["format"].string() != format) {
+    fail(path, "is not a " + format + " file");
+  }
+  const int version = root["version"].integer();
+  if (version < 1 || version > latest) {
+    fail(path, "has version " + std::to_string(version) + ", but only versions up to " +
+                   std::to_string(latest) + " are known: use a newer plenocal");
+  }
+  return json;
+}
+
+}  // namespace plenocal

@@ -1,0 +1,54 @@
+// JSON documents: fields with their names for messages.
+#pragma once
+
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "plenocal/io.hpp"
+
+namespace plenocal {
+
+using Json = nlohmann::json;
+
+/// Throws FileError.
+[[noreturn]] void fail(const std::string& path, const std::string& what);
+
+/// The content of a file.
+std::string text_of(const std::string& path);
+
+/// Writes a file beside its place and renames it, so that nothing half-written is left.
+void write_text(const std::string& path, const std::string& text);
+
+/// A value in a document. What it is asked for and is not ends in a FileError with its name.
+class Field {
+ public:
+  /// The document and the path are referred to.
+  Field(const Json& value, const std::string& path, std::string name)
+      : value_(value), path_(path), name_(std::move(name)) {}
+
+  /// Whether there is a field of this name that is not null.
+  bool has(const std::string& key) const;
+  Field operator[](const std::string& key) const;
+  Field at(std::size_t i) const;
+  std::size_t size() const;
+
+  bool is_null() const { return value_.is_null(); }
+  double number() const;
+  int integer() const;
+  bool boolean() const;
+  std::string string() const;
+  Vector3<double> vector() const;
+
+  [[noreturn]] void reject(const std::string& wanted) const;
+  const std::string& file() const { return path_; }
+
+ private:
+  const Json& value_;
+  const std::string& path_;
+  std::string name_;
+};
+
+/// A document of a format and of one of the versions up to `latest`.
+Json document(const std::string& path, const std::string& format, int latest);
+
+}  // namespace plenocal

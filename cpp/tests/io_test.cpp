@@ -1,0 +1,205 @@
+// Files: the shipped data set, which Rust wrote, round trips, and what is wrong in them.
+#include "plenocal/io.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <fstream>
+#include <functional>
+
+#include "rejection.hpp"
+#include "synthetic_scene.hpp"
+
+namespace plenocal {
+namespace {
+
+const std::string kData = PLENOCAL_DATA;
+// The board and the noise of the set, as data/synthetic was made.
+constexpr BoardGrid kBoard{9, 5, 3.0};
+constexpr double kNoisePx = 0.2;
+
+class Files : public testing::Test {
+ protected:
+  void SetUp() override { std::remove(path().c_str()); }
+  void TearDown() override { std::remove(path().c_str()); }
+
+  std::string path() const {
+    return testing::TempDir() + "plenocal_" +
+           testing::UnitTest::GetInstance()->current_test_info()->name();
+  }
+  std::string write(const std::string& text) const {
+    std::ofstream(path()) << text;
+    return path();
+  }
+};
+
+// The message of a FileError, which has to name the file.
+std::string failure(const std::string& path, const std::function<void()>& action) {
+  try {
+    action();
+  } catch (const FileError& error) {
+    EXPECT_EQ(std::string(error.what()).rfind(path, 0), 0U) << error.what();
+    return error.what();
+  }
+  return "(read)";
+}
+
+std::string text_of(const std::string& path) {
+  std::ifstream file(path);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+std::string replaced(std::string text, const std::string& what, const std::string& by) {
+  const std::size_t at = text.find(what);
+  EXPECT_NE(at, std::string::npos) << what;
+  return text.replace(at, what.size(), by);
+}
+
+TEST_F(Files, TheShippedObservationsAreThoseOfItsTrueCamera) {
+  const CameraFile file = read_camera(kData + "/truth/camera.json");
+  const auto poses = read_poses(kData + "/truth/poses.json");
+  const ObservationFiles seen =
+      read_observations(kData + "/features.csv", kData + "/centers.csv", kBoard);
+  EXPECT_GT(file.camera.width, 500);
+  EXPECT_FALSE(file.converged);
+  EXPECT_EQ(seen.frames.size(), poses.size());
+  double square = 0.0;
+  for (const FeatureObservation& f : seen.observations.features) {
+    Feature<double> projected{};
+    ASSERT_TRUE(project(file.camera, poses.at(seen.frames.at(f.frame)), f.board_point, f.k, f.l,
+                        &projected));
+    square += std::pow(projected.u - f.observed.u, 2) + std::pow(projected.v - f.observed.v, 2);
+  }
+  const double rms = std::sqrt(square / 2.0 / seen.observations.features.size());
+  EXPECT_NEAR(rms, kNoisePx, 0.05 * kNoisePx);
+  square = 0.0;
+  for (const CenterObservation& c : seen.observations.centers) {
+    const Pixel<double> at = project_center(file.camera, c.k, c.l);
+    square += std::pow(at.u - c.observed.u, 2) + std::pow(at.v - c.observed.v, 2);
+  }
+  EXPECT_LT(std::sqrt(square / seen.observations.centers.size()), 1.0);
+}
+
+TEST_F(Files, CamerasComeBackExactly) {
+  for (int types : {0, 1, 3}) {
+    for (Packing packing :
+         {Packing::kOrthogonal, Packing::kHexagonalRowsEven, Packing::kHexagonalRowsOdd,
+          Packing::kHexagonalColumnsEven, Packing::kHexagonalColumnsOdd}) {
+      if (types == 3 && packing == Packing::kOrthogonal) continue;
+      CameraFile file;
+      file.camera = test::scene_camera(types);
+      file.camera.lattice.packing = packing;
+      file.camera.width = 640;
+      file.camera.height = 480;
+      file.f_number = 5.656854;
+      file.focus_distance = 451.25;
+      file.converged = true;
+      const auto names = intrinsic_names(types);
+      for (std::size_t i = 0; i < names.size(); ++i) {
+        file.std_dev.push_back(i % 3 == 1 ? std::nan("") : 0.25 * static_cast<double>(i + 1));
+      }
+      for (std::size_t i = 0, n = 0; i < names.size(); ++i) n += i % 3 != 1;
+      write_camera(path(), file);
+      const CameraFile read = read_camera(path());
+      EXPECT_EQ(read.camera.lattice.packing, packing);
+      EXPECT_EQ(read.camera.height, 480);
+      EXPECT_EQ(read.f_number, file.f_number);
+      EXPECT_EQ(read.focus_distance, file.focus_distance);
+      EXPECT_EQ(read.converged, true);
+      std::vector<double> expected, found;
+      for_each_parameter(file.camera, [&](const auto&, double x) { expected.push_back(x); });
+      for_each_parameter(read.camera, [&](const auto&, double x) { found.push_back(x); });
+      EXPECT_EQ(found, expected);
+      ASSERT_EQ(read.std_dev.size(), names.size());
+      for (std::size_t i = 0; i < names.size(); ++i) {
+        EXPECT_TRUE(i % 3 == 1 ? std::isnan(read.std_dev[i]) : read.std_dev[i] == file.std_dev[i]);
+      }
+      EXPECT_TRUE(read.covariance.empty());
+    }
+  }
+}
+
+TEST_F(Files, ThePupilOfOldFilesIsInTheLens) {
+  CameraFile file;
+  file.camera = test::scene_camera(1);
+  write_camera(path(), file);
+  std::string text = replaced(text_of(path()), "exit_pupil_mm", "of_later_versions");
+  text = replaced(replaced(text, "\"version\": 2", "\"version\": 1"), "field_curvature_per_mm",
+                  "of_later_versions_2");
+  const CameraFile read = read_camera(write(text));
+  EXPECT_EQ(read.camera.exit_pupil.z, 0.0);
+  EXPECT_EQ(read.camera.main_lens.field_curvature, 0.0);
+  EXPECT_TRUE(std::isinf(read.focus_distance));
+}
+
+TEST_F(Files, CovariancesComeBack) {
+  CameraFile file;
+  file.camera = test::scene_camera(0);
+  const std::size_t n = intrinsic_names(0).size();
+  file.std_dev.assign(n, 2.0);
+  for (std::size_t i = 0; i < n * n; ++i) {
+    file.covariance.push_back(i % (n + 1) == 0 ? 4.0 : 0.01 * static_cast<double>(i % n + i / n));
+  }
+  write_camera(path(), file);
+  const CameraFile read = read_camera(path());
+  ASSERT_EQ(read.covariance.size(), n * n);
+  for (std::size_t i = 0; i < n * n; ++i) {
+    EXPECT_NEAR(read.covariance[i], file.covariance[i], 1e-15);
+  }
+}
+
+TEST_F(Files, WhatIsWrongInACameraIsNamed) {
+  CameraFile file;
+  file.camera = test::scene_camera(3);
+  write_camera(path(), file);
+  const std::string text = text_of(path());
+  const auto message = [&](const std::string& what, const std::string& by) {
+    write(replaced(text, what, by));
+    return failure(path(), [&] { read_camera(path()); });
+  };
+  using test::expect_names;
+  expect_names(message("focal_length_mm\"", "focal_length_cm\""), "main_lens.focal_length_mm");
+  expect_names(message("\"columns\": 20", "\"columns\": 20.5"), "micro_lens_array.columns");
+  expect_names(message("\"columns\": 20", "\"columns\": 18446744073709551615"), "in range");
+  expect_names(message("\"columns\": 20", "\"columns\": \"20\""), "whole number");
+  expect_names(message("hexagonal-rows", "triangular"), "micro_lens_array.lattice");
+  expect_names(message("\"pixel_size_mm\": 0.0055", "\"pixel_size_mm\": -0.0055"), "pixel size");
+  expect_names(message("\"version\": 2", "\"version\": 3"), "version 3");
+  expect_names(message("plenocal-camera", "plenocal-poses"), "plenocal-camera");
+  expect_names(message("}", ""), "JSON");
+  expect_names(failure(path() + "x", [&] { read_camera(path() + "x"); }), "cannot be opened");
+  file.camera.pixel_size = 0.0;
+  expect_names(test::rejection([&] { write_camera(path(), file); }), "pixel size");
+}
+
+TEST_F(Files, PosesComeBackExactly) {
+  std::map<int, Pose> poses;
+  for (const Pose& pose : test::scene_poses()) poses[7 * static_cast<int>(poses.size())] = pose;
+  write_poses(path(), poses);
+  const auto read = read_poses(path());
+  ASSERT_EQ(read.size(), poses.size());
+  for (const auto& [frame, pose] : poses) EXPECT_EQ(pose_block(read.at(frame)), pose_block(pose));
+  write(replaced(text_of(path()), "\"frame\": 7", "\"frame\": 0"));
+  test::expect_names(failure(path(), [&] { read_poses(path()); }), "frame 0 has two poses");
+}
+
+TEST_F(Files, WhatIsWrongInATableIsNamedWithItsLine) {
+  const auto message = [&](const std::string& text) {
+    write(text);
+    return failure(path(), [&] { read_observations(path(), "", kBoard); });
+  };
+  using test::expect_names;
+  const std::string header = "k,l,u,v,rho,cluster,frame\n";
+  expect_names(message("k,l,u,v,cluster\n1,2,3,4,5\n"), "frame");
+  expect_names(message("k,k,l,u,v,cluster,frame\n"), "twice");
+  expect_names(message(header), "no observations");
+  expect_names(message(header + "1,2,3,4,0.5,0,0\n\n1,2,x,4,0.5,0,0\n"), "line 4: u");
+  expect_names(message(header + "1,2,nan,4,0.5,0,0\n"), "line 2: u");
+  expect_names(message(header + "1,2,3\n"), "line 2: v");
+  expect_names(message(header + "1.5,2,3,4,0.5,0,0\n"), "line 2: k");
+  expect_names(message(header + "1,2,3,4,0.5,54,0\n"), "corner 54");
+  expect_names(message("k,l,u,v,cluster,frame,std_u\n1,2,3,4,0,0,-1\n"), "std_u");
+}
+
+}  // namespace
+}  // namespace plenocal
