@@ -104,6 +104,13 @@ rust::Vec<double> from_core(const std::vector<double>& values) {
   return result;
 }
 
+std::array<double, 3> from_core(const Vector3<double>& v) { return {v.x, v.y, v.z}; }
+
+MetricRow from_core(const std::optional<MetricPoint>& point) {
+  if (!point) return MetricRow{};
+  return {true, from_core(point->point), point->covariance};
+}
+
 IterationRow from_core(const Iteration& i) {
   return {i.number, i.cost, i.gradient_max_norm, i.step_norm, i.trust_region_radius, i.time_s};
 }
@@ -156,13 +163,16 @@ rust::Vec<ProjectionRow> project(const CameraParts& parts, const BoardParts& boa
   validate(camera);
   const Board board = to_core(board_parts);
   validate(board);
-  const std::vector<Pose> poses = to_core(pose_blocks);
+  const Optics<double> optics = optics_of(camera);
+  std::vector<Motion<double>> motions;
+  for (const PoseBlock& pose : pose_blocks) motions.emplace_back(pose.block.data());
   rust::Vec<ProjectionRow> rows;
   rows.reserve(features.size());
   for (const FeatureRow& f : features) {
     Feature<double> feature{};
     const Vector3<double> corner = corner_of(board, to_core(f.board_point_mm));
-    const bool defined = plenocal::project(camera, poses.at(f.frame), corner, f.k, f.l, &feature);
+    const bool defined = plenocal::project(optics, motions.at(f.frame)(corner),
+                                           micro_lens_of(camera, f.k, f.l), &feature);
     rows.push_back({defined, feature.u, feature.v, feature.rho});
   }
   return rows;
@@ -254,6 +264,7 @@ rust::Vec<FeatureRow> visible_features(const CameraParts& parts, const BoardPart
   const Camera camera = to_core(parts);
   const Board board = to_core(board_parts);
   validate(board);
+  const Optics<double> optics = optics_of(camera);
   rust::Vec<FeatureRow> rows;
   int frame = 0;
   for (const PoseBlock& pose : poses) {
@@ -263,7 +274,7 @@ rust::Vec<FeatureRow> visible_features(const CameraParts& parts, const BoardPart
       const Vector3<double> point = camera_from_board(corner);
       for (const auto& [k, l] : micro_lenses_seeing(camera, point, margin_px)) {
         Feature<double> seen{};
-        if (project(camera, pose_from_block(pose.block), corner, k, l, &seen)) {
+        if (plenocal::project(optics, point, micro_lens_of(camera, k, l), &seen)) {
           rows.push_back({frame, row.point_mm, k, l, seen.u, seen.v, seen.rho, {1.0, 1.0, 1.0}});
         }
       }
@@ -283,6 +294,62 @@ rust::Vec<SensitivityRow> point_sensitivities(const CameraParts& parts,
     const PointSensitivity s = point_sensitivity(
         camera, to_core(row.point_mm), {std_dev_px[0], std_dev_px[1], std_dev_px[2]}, margin_px);
     rows.push_back({s.micro_lenses, from_core(s.by_intrinsics), s.covariance});
+  }
+  return rows;
+}
+
+rust::Vec<MicroLensIndex> micro_images_at(const CameraParts& camera,
+                                          rust::Slice<const PairRow> pixels) {
+  const BackProjection back(to_core(camera));
+  rust::Vec<MicroLensIndex> rows;
+  rows.reserve(pixels.size());
+  for (const auto& [u, v] : pixels) {
+    const auto at = back.micro_image_at({u, v});
+    rows.push_back(at ? MicroLensIndex{at->k, at->l} : MicroLensIndex{-1, -1});
+  }
+  return rows;
+}
+
+rust::Vec<RayRow> object_rays(const CameraParts& camera, rust::Slice<const MicroPixelRow> pixels,
+                              double z_mm) {
+  const BackProjection back(to_core(camera));
+  rust::Vec<RayRow> rows;
+  rows.reserve(pixels.size());
+  for (const MicroPixelRow& p : pixels) {
+    RayRow row{};
+    if (const auto ray = back.object_ray({p.k, p.l, {p.u_px, p.v_px}}, z_mm)) {
+      row = {true, from_core(ray->origin), from_core(ray->direction)};
+    }
+    rows.push_back(row);
+  }
+  return rows;
+}
+
+rust::Vec<MetricRow> metric_points(const CameraParts& camera, rust::Slice<const VirtualRow> seen,
+                                   bool focused) {
+  const BackProjection back(to_core(camera));
+  rust::Vec<MetricRow> rows;
+  rows.reserve(seen.size());
+  for (const VirtualRow& s : seen) {
+    const VirtualPoint point{{s.k, s.l, {s.u_px, s.v_px}}, s.virtual_depth, s.std_dev};
+    rows.push_back(from_core(focused ? back.focused_point(point) : back.point(point)));
+  }
+  return rows;
+}
+
+rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const FeatureRow> features,
+                                 rust::Slice<const std::size_t> counts) {
+  const BackProjection back(to_core(camera));
+  rust::Vec<MetricRow> rows;
+  rows.reserve(counts.size());
+  auto next = features.begin();
+  for (std::size_t count : counts) {
+    std::vector<Sighting> sightings;
+    for (std::size_t i = 0; i < count; ++i, ++next) {
+      const auto& [u, v, rho] = next->std_dev_px;
+      sightings.push_back({next->k, next->l, {next->u_px, next->v_px, next->rho_px}, {u, v, rho}});
+    }
+    rows.push_back(from_core(back.triangulate(sightings)));
   }
   return rows;
 }

@@ -2,6 +2,7 @@
 // shared structs of src/solver/bridge.rs and the core's types, nothing else.
 #pragma once
 
+#include "plenocal/back_projection.hpp"
 #include "plenocal/points.hpp"
 #include "plenocal/refine.hpp"
 #include "rust/cxx.h"
@@ -15,17 +16,21 @@ struct CommonErrorParts;
 struct CostParts;
 struct FeatureRow;
 struct CenterRow;
+struct MetricRow;
 struct MicroLensIndex;
+struct MicroPixelRow;
 struct NamedParameter;
 struct NodeRow;
 struct PairRow;
 struct PointRow;
 struct PoseBlock;
 struct ProjectionRow;
+struct RayRow;
 struct RefinementParts;
 struct SensitivityRow;
 struct SolverParts;
 struct UncertaintyParts;
+struct VirtualRow;
 struct ProgressSink;
 
 void silence_log();
@@ -57,5 +62,13 @@ rust::Vec<SensitivityRow> point_sensitivities(const CameraParts& camera,
                                               rust::Slice<const PointRow> points,
                                               const std::array<double, 3>& std_dev_px,
                                               double margin_px);
+rust::Vec<MicroLensIndex> micro_images_at(const CameraParts& camera,
+                                          rust::Slice<const PairRow> pixels);
+rust::Vec<RayRow> object_rays(const CameraParts& camera, rust::Slice<const MicroPixelRow> pixels,
+                              double z_mm);
+rust::Vec<MetricRow> metric_points(const CameraParts& camera, rust::Slice<const VirtualRow> seen,
+                                   bool focused);
+rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const FeatureRow> features,
+                                 rust::Slice<const std::size_t> counts);
 
 }  // namespace plenocal::bridge

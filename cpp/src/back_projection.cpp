@@ -52,6 +52,18 @@ MetricPoint with_covariance(const Vector3<Jet>& point, const Eigen::Matrix3d& co
   return result;
 }
 
+// The point with an image p' that depends on three variables with these sigma.
+std::optional<MetricPoint> imaged(const MainLens<double>& lens, const Vector3<Jet>& image,
+                                  const std::array<double, 3>& std_dev) {
+  Vector3<Jet> point;
+  if (!object_point(constant(lens), image, &point) ||
+      !is_finite(Vector3<double>{point.x.a, point.y.a, point.z.a})) {
+    return std::nullopt;
+  }
+  const Eigen::Vector3d std_devs(std_dev[0], std_dev[1], std_dev[2]);
+  return with_covariance(point, std_devs.cwiseAbs2().asDiagonal());
+}
+
 // What a sighting says of the image p' of a point: residuals over sigma and their derivatives.
 class Sight {
  public:
@@ -128,6 +140,16 @@ void require_std_devs(const Sighting& sighting, bool has_blur) {
   if (has_blur && sighting.std_dev.rho != HUGE_VAL) require_std_dev(sighting.std_dev.rho, "rho");
 }
 
+void require_std_devs(const VirtualPoint& seen) {
+  for (double std_dev : seen.std_dev) {
+    if (!(std::isfinite(std_dev) && std_dev >= 0.0)) {
+      reject(
+          "the standard deviations of u, v and the virtual depth have to be finite and not "
+          "negative");
+    }
+  }
+}
+
 }  // namespace
 
 BackProjection::BackProjection(const Camera& camera)
@@ -183,25 +205,28 @@ std::optional<Ray<double>> BackProjection::object_ray(const MicroPixel& at, doub
 std::optional<MetricPoint> BackProjection::point(const VirtualPoint& seen) const {
   const auto lens = micro_lens(seen.at.k, seen.at.l);
   if (!lens) return std::nullopt;
-  for (double std_dev : seen.std_dev) {
-    if (!(std::isfinite(std_dev) && std_dev >= 0.0)) {
-      reject(
-          "the standard deviations of u, v and the virtual depth have to be finite and not "
-          "negative");
-    }
-  }
+  require_std_devs(seen);
   // Derivatives by u, v and nu.
   const ArrayOptics<Jet> array(constant(camera_.mla), camera_.pixel_size);
   const Vector3<Jet> center = constant(optics_.array.micro_lens_center(lens->node));
   const Pixel<Jet> pixel{Jet(seen.at.pixel.u, 0), Jet(seen.at.pixel.v, 1)};
-  Vector3<Jet> point;
-  if (!plenocal::object_point(constant(camera_.main_lens),
-                              image_at(array, center, pixel, Jet(seen.virtual_depth, 2)), &point) ||
-      !is_finite(Vector3<double>{point.x.a, point.y.a, point.z.a})) {
-    return std::nullopt;
-  }
-  const Eigen::Vector3d std_devs(seen.std_dev[0], seen.std_dev[1], seen.std_dev[2]);
-  return with_covariance(point, std_devs.cwiseAbs2().asDiagonal());
+  return imaged(camera_.main_lens, image_at(array, center, pixel, Jet(seen.virtual_depth, 2)),
+                seen.std_dev);
+}
+
+std::optional<MetricPoint> BackProjection::focused_point(const VirtualPoint& seen) const {
+  require_std_devs(seen);
+  // Derivatives by u, v and nu.
+  const ArrayOptics<Jet> array(constant(camera_.mla), camera_.pixel_size);
+  const Vector3<Jet> on_sensor =
+      array.on_sensor({Jet(seen.at.pixel.u, 0), Jet(seen.at.pixel.v, 1)});
+  // The plane of the array there.
+  const Jet z =
+      origin_.z -
+      (normal_.x * (on_sensor.x - origin_.x) + normal_.y * (on_sensor.y - origin_.y)) / normal_.z;
+  const Jet depth(seen.virtual_depth, 2);
+  return imaged(camera_.main_lens, {on_sensor.x, on_sensor.y, z + depth * (on_sensor.z - z)},
+                seen.std_dev);
 }
 
 std::optional<MetricPoint> BackProjection::triangulate(
@@ -210,7 +235,8 @@ std::optional<MetricPoint> BackProjection::triangulate(
   for (const Sighting& sighting : sightings) {
     require_std_devs(sighting, optics_.has_blur);
     const auto lens = micro_lens(sighting.k, sighting.l);
-    if (!lens || !is_finite(Pixel<double>{sighting.observed.u, sighting.observed.v})) return std::nullopt;
+    if (!lens || !is_finite(Pixel<double>{sighting.observed.u, sighting.observed.v}))
+      return std::nullopt;
     sights.emplace_back(optics_, *lens, sighting);
   }
   if (sights.size() < 2) return std::nullopt;

@@ -41,6 +41,18 @@ TEST(BackProjection, APixelAtAVirtualDepthIsAPoint) {
   EXPECT_NEAR(*back.virtual_depth_of_blur(4, 3, -2.5), 4.0, 1e-12);
 }
 
+TEST(BackProjection, InATotalFocusImageTheImageIsStraightBehindThePixel) {
+  // p' = (-0.6, -0.3, -60): u = 100 + 0.6/0.01, v = 80 + 0.3/0.01.
+  const BackProjection back(simple_camera());
+  const auto found = back.focused_point({{0, 0, {160.0, 110.0}}, 2.0, {0.1, 0.0, 0.0}});
+  ASSERT_TRUE(found);
+  EXPECT_NEAR(found->point.x, kPoint.x, 1e-9);
+  EXPECT_NEAR(found->point.y, kPoint.y, 1e-9);
+  EXPECT_NEAR(found->point.z, kPoint.z, 1e-8);
+  // 0.01 mm a pixel, magnified by 5.
+  EXPECT_NEAR(found->covariance[0], 0.005 * 0.005, 1e-12);
+}
+
 TEST(BackProjection, ErrorsSpreadAsByHand) {
   // The image moves by nu s per pixel, 0.02 mm, and is magnified by 1/m = -5: 0.1 mm per px. nu = 2
   // moves it by d = 0.5 mm per 1 along the line, and z = F - F/m grows with 1/m^2 = 25: at

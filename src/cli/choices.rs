@@ -9,6 +9,8 @@ use plenocal::model::Subset;
 use plenocal::precalibration::RadiusEstimator;
 use plenocal::solver::LossKind;
 
+use super::points::MapKind;
+
 /// Name, description in the help, value.
 type Choice<T> = (&'static str, &'static str, T);
 
@@ -62,6 +64,11 @@ pub const ANCHORS: &[Choice<bool>] = &[
 pub const WEIGHTS: &[Choice<Weights>] = &[
     ("own", "Each observation by its own standard deviation, where the file has it", Weights::Own),
     ("unit", "The same for all of a kind (the paper)", Weights::Unit),
+];
+
+pub const DEPTH_MAPS: &[Choice<MapKind>] = &[
+    ("raw", "As those of the raw image", MapKind::Raw),
+    ("focused", "As those of a total-focus image, of any size", MapKind::Focused),
 ];
 
 pub const SUBSETS: &[Choice<Subset>] = &[

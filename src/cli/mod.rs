@@ -14,8 +14,10 @@ mod interrupt;
 mod ledger;
 mod logging;
 mod man;
+mod points;
 mod precalibrate;
 mod progress;
+mod rays;
 mod run;
 mod simulate;
 mod stages;
@@ -54,6 +56,8 @@ enum Command {
     Calibrate(Box<calibrate::Arguments>),
     Extrinsics(extrinsics::Arguments),
     Evaluate(evaluate::Arguments),
+    Rays(rays::Arguments),
+    Points(points::Arguments),
     Completions(completions::Arguments),
     Man(man::Arguments),
 }
@@ -93,6 +97,8 @@ pub fn run() -> ExitCode {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Extrinsics(arguments) => extrinsics::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Rays(arguments) => rays::run(&arguments),
+        Command::Points(arguments) => points::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => man::run(&arguments),
     };

@@ -18,8 +18,10 @@ mod input;
 mod json_file;
 mod manifest;
 mod models_file;
+mod npy_file;
 mod observations_file;
 mod output;
+mod ply_file;
 mod point_cloud;
 mod poses_file;
 mod precalibration_file;
@@ -27,6 +29,7 @@ mod project_draft;
 mod project_file;
 mod raytrix;
 mod residuals_file;
+mod virtual_depths;
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -56,8 +59,10 @@ pub use input::{
 pub use json_file::read_json;
 pub use manifest::{MANIFEST, Manifest, StageRecord, hash_file, hash_text};
 pub use models_file::models_document;
+pub use npy_file::NpyHeader;
 pub use observations_file::{line_of, read_centers, read_features, write_centers, write_features};
 pub use output::{OutputFolder, abandon_output};
+pub use ply_file::{PlyColumn, write_ply};
 pub use point_cloud::read_point_cloud_distance;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
 pub use precalibration_file::{
@@ -68,6 +73,7 @@ pub use project_draft::{DraftText, ProjectDraft};
 pub use project_file::{ImagesSection, Project, TranslationImages, TruthSection, WhiteImage};
 pub use raytrix::{RaytrixCalibration, read_raytrix};
 pub use residuals_file::write_residuals;
+pub use virtual_depths::{DepthMap, VirtualDepths, read_virtual_depths};
 
 use tracing::info;
 

@@ -11,7 +11,10 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 
 use super::{compote, read_bytes};
 use crate::error::{Error, Observed, Result};
-use crate::model::{BapFeature, FillFactor, MeasuredBlur, MicroImageCenter, Observations, TAKEN};
+use crate::model::{
+    BapFeature, FillFactor, MeasuredBlur, MicroImageCenter, MicroPixel, Observations, TAKEN,
+    VirtualPoint,
+};
 
 /// Reads micro-image centres from CSV.
 pub fn read_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
@@ -65,6 +68,29 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
         })
     })?;
     Ok(Observations { centers: Vec::new(), features })
+}
+
+/// Reads points that are seen at virtual depths: CSV with the columns k, l, u, v and nu, and, where known, std_u, std_v
+/// and std_nu, which are `std_dev` otherwise.
+pub(super) fn read_virtual_rows(
+    path: &Path,
+    bytes: &[u8],
+    std_dev: [f64; 3],
+) -> Result<Vec<VirtualPoint>> {
+    let optional = ["std_u", "std_v", "std_nu"];
+    rows(path, bytes, &["k", "l", "u", "v", "nu"], &optional, |row| {
+        let own = |i: usize| Ok(row.std_dev(optional[i])?.unwrap_or(std_dev[i]));
+        Ok(VirtualPoint {
+            at: MicroPixel {
+                k: row.integer("k")?,
+                l: row.integer("l")?,
+                u_px: row.number("u")?,
+                v_px: row.number("v")?,
+            },
+            virtual_depth: row.number("nu")?,
+            std_dev: [own(0)?, own(1)?, own(2)?],
+        })
+    })
 }
 
 /// Writes micro-image centres as CSV, with their standard deviations if they have any.

@@ -19,6 +19,7 @@ mod observations;
 pub mod optics;
 mod parameters;
 mod reprojection;
+mod sight;
 
 pub use board::{BentBoard, Board, BoardShape, FramePose, Subset};
 pub(crate) use camera::check_lens_types;
@@ -48,3 +49,4 @@ pub use parameters::{
     shared_parameters,
 };
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
+pub use sight::{MetricPoint, MicroPixel, Ray, Sighting, VirtualPoint};

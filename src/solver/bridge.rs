@@ -1,6 +1,9 @@
 //! The bridge to the C++ core: whole problems cross it as plain values, results come back as
 //! `Result`. No other module knows of the C++ code, and no other is unsafe.
+//!
+//! Long because cxx takes one module for all that crosses.
 
+mod back_projection;
 mod conversions;
 mod points;
 
@@ -12,6 +15,7 @@ use nalgebra::Isometry3;
 use super::options::{CostOptions, SolverOptions};
 use super::problem::Problem;
 use super::refinement::{Iteration, Refinement};
+pub(crate) use back_projection::{metric_points, micro_images_at, object_rays, triangulate};
 pub use points::distortion_mm;
 pub(crate) use points::{
     frame_information, point_sensitivities, project, project_centers, visible_features,
@@ -149,6 +153,38 @@ mod ffi {
         u_px: f64,
         v_px: f64,
         rho_px: f64,
+    }
+
+    /// A pixel of micro-image (k, l).
+    struct MicroPixelRow {
+        k: i32,
+        l: i32,
+        u_px: f64,
+        v_px: f64,
+    }
+
+    /// A ray in the camera frame; meaningless unless `defined`.
+    struct RayRow {
+        defined: bool,
+        origin_mm: [f64; 3],
+        direction: [f64; 3],
+    }
+
+    /// A pixel of micro-image (k, l) at a virtual depth, with σ of u, v and the depth.
+    struct VirtualRow {
+        k: i32,
+        l: i32,
+        u_px: f64,
+        v_px: f64,
+        virtual_depth: f64,
+        std_dev: [f64; 3],
+    }
+
+    /// A point in the camera frame; meaningless unless `defined`.
+    struct MetricRow {
+        defined: bool,
+        point_mm: [f64; 3],
+        covariance_mm2: [f64; 9],
     }
 
     struct AnchorRow {
@@ -299,6 +335,23 @@ mod ffi {
             std_dev_px: &[f64; 3],
             margin_px: f64,
         ) -> Result<Vec<SensitivityRow>>;
+        fn micro_images_at(camera: &CameraParts, pixels: &[PairRow])
+        -> Result<Vec<MicroLensIndex>>;
+        fn object_rays(
+            camera: &CameraParts,
+            pixels: &[MicroPixelRow],
+            z_mm: f64,
+        ) -> Result<Vec<RayRow>>;
+        fn metric_points(
+            camera: &CameraParts,
+            seen: &[VirtualRow],
+            focused: bool,
+        ) -> Result<Vec<MetricRow>>;
+        fn triangulate(
+            camera: &CameraParts,
+            features: &[FeatureRow],
+            counts: &[usize],
+        ) -> Result<Vec<MetricRow>>;
     }
 }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::house;
 
 /// The rooms of `src`, the lowest first; a room may import those before it.
-const ROOMS: [&str; 15] = [
+const ROOMS: [&str; 16] = [
     "error",
     "model",
     "numerics",
@@ -14,6 +14,7 @@ const ROOMS: [&str; 15] = [
     "vignetting",
     "solver",
     "simulation",
+    "back_projection",
     "precalibration",
     "detection",
     "calibration",

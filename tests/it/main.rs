@@ -46,4 +46,5 @@ mod simulate;
 mod simulation;
 mod support;
 mod uncertainty;
+mod use_camera;
 mod weights;

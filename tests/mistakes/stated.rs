@@ -38,11 +38,10 @@ fn lens() -> Vec<Mistake> {
     let focal = Warned(&["focal_length_mm", "focal length"]);
     let mut all = Vec::new();
     all.extend(["15", "15.5", "16.5", "17", "18"].map(|v| value("focal_length_mm", v, Right)));
-    all.extend(
-        ["8", "10", "12", "14", "20", "24", "1.6"].map(|v| value("focal_length_mm", v, focal)),
-    );
+    all.extend(["8", "10", "12", "14", "20", "24"].map(|v| value("focal_length_mm", v, focal)));
     all.extend(["35", "50", "160", "1600"].map(|v| value("focal_length_mm", v, Refused(&["4 F"]))));
-    all.push(value("focal_length_mm", "0.016", Refused(&["focal_length_mm", "focal length"])));
+    let no_lens = Refused(&["focal_length_mm", "focal length"]);
+    all.extend(["0.016", "1.6"].map(|v| value("focal_length_mm", v, no_lens)));
     all.extend(["100", "110", "130", "150"].map(|v| value("focus_distance_mm", v, Right)));
     let focus = Warned(&["focus_distance_mm", "focus distance"]);
     all.extend(["80", "200", "400", "1000", "inf"].map(|v| value("focus_distance_mm", v, focus)));

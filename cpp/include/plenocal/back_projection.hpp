@@ -77,6 +77,11 @@ class PLENOCAL_API BackProjection {
   /// The point whose image lies at a virtual depth, with its covariance.
   std::optional<MetricPoint> point(const VirtualPoint& seen) const;
 
+  /// The point whose image lies at a virtual depth straight behind a pixel of a total-focus image,
+  /// as other software renders it: (u, v) of the pixel is where the image p' lies across the axis,
+  /// and nu its distance from the plane of the array. (k, l) is not used.
+  std::optional<MetricPoint> focused_point(const VirtualPoint& seen) const;
+
   /// The point that several micro-lenses see, by weighted least squares of its features, with the
   /// covariance that their sigma leads to. Nothing if they do not determine it: fewer than two, or
   /// all from one place.

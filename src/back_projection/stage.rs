@@ -1,0 +1,86 @@
+//! The functions of this room.
+
+use nalgebra::Vector2;
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::model::{MetricPoint, MicroPixel, PlenopticCamera, Ray, Sighting, VirtualPoint};
+use crate::solver;
+
+/// So many pixels cross the bridge at once.
+const CHUNK: usize = 4096;
+
+/// Many at once, on all cores, in their order.
+fn in_chunks<T: Sync, R: Send>(
+    all: &[T],
+    of_chunk: impl Fn(&[T]) -> Result<Vec<R>> + Sync + Send,
+) -> Result<Vec<R>> {
+    let chunks: Vec<Vec<R>> = all.par_chunks(CHUNK).map(of_chunk).collect::<Result<_>>()?;
+    Ok(chunks.into_iter().flatten().collect())
+}
+
+/// The micro-images (k, l) that pixels of the raw image belong to: those whose micro-lens is the nearest to the ray from
+/// the exit pupil. `None` outside the array.
+///
+/// An error if the camera is not valid.
+pub fn micro_images_at(
+    camera: &PlenopticCamera,
+    pixels: &[Vector2<f64>],
+) -> Result<Vec<Option<(i32, i32)>>> {
+    camera.validate()?;
+    in_chunks(pixels, |pixels| solver::micro_images_at(camera, pixels))
+}
+
+/// The chief rays of pixels, with their origins at the distance `z_mm` from the main lens. `None` where the camera sees
+/// nothing there. Distortion and field curvature bend rays a little; these touch the true ones at `z_mm`.
+///
+/// An error if the camera is not valid, or the distance not beyond its focal length.
+pub fn object_rays(
+    camera: &PlenopticCamera,
+    pixels: &[MicroPixel],
+    z_mm: f64,
+) -> Result<Vec<Option<Ray>>> {
+    camera.validate()?;
+    let focal_length_mm = camera.main_lens.focal_length_mm;
+    if !(z_mm.is_finite() && z_mm > focal_length_mm) {
+        return Err(Error::invalid(format!(
+            "rays begin at {z_mm} mm, but the camera sees only what is beyond its focal length of {focal_length_mm} mm"
+        )));
+    }
+    in_chunks(pixels, |pixels| solver::object_rays(camera, pixels, z_mm))
+}
+
+/// The points that are seen at virtual depths; `None` where there is none.
+///
+/// An error if the camera is not valid, or a σ negative or not finite.
+pub fn metric_points(
+    camera: &PlenopticCamera,
+    seen: &[VirtualPoint],
+) -> Result<Vec<Option<MetricPoint>>> {
+    camera.validate()?;
+    in_chunks(seen, |seen| solver::metric_points(camera, seen, false))
+}
+
+/// The same of pixels of a total-focus image, as other software renders it: (u, v) is where the image of a point lies
+/// across the axis, and the micro-image is not used.
+///
+/// Errors are as those of [`metric_points`].
+pub fn focused_points(
+    camera: &PlenopticCamera,
+    seen: &[VirtualPoint],
+) -> Result<Vec<Option<MetricPoint>>> {
+    camera.validate()?;
+    in_chunks(seen, |seen| solver::metric_points(camera, seen, true))
+}
+
+/// Points that several micro-lenses see, each by the weighted least squares of its sightings; `None` where they do not
+/// determine it.
+///
+/// An error if the camera is not valid, or a σ not positive.
+pub fn triangulate(
+    camera: &PlenopticCamera,
+    points: &[Vec<Sighting>],
+) -> Result<Vec<Option<MetricPoint>>> {
+    camera.validate()?;
+    in_chunks(points, |points| solver::triangulate(camera, points))
+}

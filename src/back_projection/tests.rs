@@ -1,0 +1,79 @@
+//! Points and rays against the forward model.
+
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
+
+use super::{metric_points, micro_images_at, object_rays, triangulate};
+use crate::model::{
+    BentBoard, Board, BoardShape, MicroPixel, PlenopticCamera, Sighting, VirtualPoint,
+};
+use crate::simulation::Settings;
+use crate::solver::{SolverFeature, visible_features};
+
+const BOARD: Board = Board { columns: 6, rows: 4, square_mm: 3.0 };
+const NEAR_MM: f64 = 1e-7;
+
+/// A simulated camera, corners of a tilted board, and all their sightings, without noise.
+fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<Vec<Sighting>>) {
+    let camera = Settings::preset("mini", &[]).unwrap().camera;
+    let pose = Isometry3::new(Vector3::new(-8.0, -5.0, 90.0), Vector3::new(0.3, -0.4, 0.1));
+    let board = BentBoard { board: BOARD, shape: BoardShape::default() };
+    let corners: Vec<Point3<f64>> = (0..BOARD.corners()).map(|i| BOARD.point_mm(i)).collect();
+    let sightings = corners.iter().map(|corner| {
+        let seen = visible_features(&camera, &board, &[pose], &[*corner], 1.0).unwrap();
+        let sighting = |f: &SolverFeature| Sighting {
+            at: MicroPixel { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px },
+            std_dev_px: [0.1; 2],
+            rho: f.rho_px.map(|rho_px| [rho_px, 0.2]),
+        };
+        seen.iter().map(sighting).collect()
+    });
+    let sightings = sightings.collect();
+    (camera, corners.iter().map(|corner| pose * corner).collect(), sightings)
+}
+
+#[test]
+fn corners_are_triangulated_and_lie_on_their_rays() {
+    let (camera, points, sightings) = scene();
+    let found = triangulate(&camera, &sightings).unwrap();
+    let mut rays = 0;
+    for ((point, sightings), found) in points.iter().zip(&sightings).zip(found) {
+        if sightings.len() < 2 {
+            assert!(found.is_none());
+            continue;
+        }
+        let found = found.unwrap();
+        assert!((found.point_mm - point).norm() < NEAR_MM, "{found:?} for {point}");
+        let std_devs = found.covariance_mm2.diagonal().map(f64::sqrt);
+        assert!(std_devs.z > std_devs.x && std_devs.z < 10.0, "{std_devs}");
+        let pixels: Vec<MicroPixel> = sightings.iter().map(|s| s.at).collect();
+        for ray in object_rays(&camera, &pixels, point.z).unwrap() {
+            assert!((ray.unwrap().origin_mm - point).norm() < NEAR_MM);
+            rays += 1;
+        }
+        let places: Vec<Vector2<f64>> =
+            pixels.iter().map(|p| Vector2::new(p.u_px, p.v_px)).collect();
+        let expected: Vec<_> = pixels.iter().map(|p| Some((p.k, p.l))).collect();
+        assert_eq!(micro_images_at(&camera, &places).unwrap(), expected);
+    }
+    assert!(rays > 50, "{rays}");
+}
+
+#[test]
+fn what_is_not_seen_is_none_and_what_is_impossible_an_error() {
+    let (camera, ..) = scene();
+    let at = MicroPixel { k: 20, l: 18, u_px: 480.0, v_px: 370.0 };
+    let outside = MicroPixel { k: -1, l: -1, ..at };
+    let rays = object_rays(&camera, &[at, outside], 100.0).unwrap();
+    assert!(rays[0].is_some() && rays[1].is_none());
+    for z_mm in [0.0, camera.main_lens.focal_length_mm, f64::NAN, f64::INFINITY] {
+        assert!(
+            object_rays(&camera, &[at], z_mm).unwrap_err().to_string().contains("focal length")
+        );
+    }
+    let seen = |virtual_depth: f64| VirtualPoint { at, virtual_depth, std_dev: [0.1, 0.1, 0.01] };
+    let points = metric_points(&camera, &[seen(3.0), seen(f64::NAN)]).unwrap();
+    assert!(points[0].is_some() && points[1].is_none());
+    let negative = VirtualPoint { std_dev: [-1.0, 0.0, 0.0], ..seen(3.0) };
+    assert!(metric_points(&camera, &[negative]).unwrap_err().to_string().contains("deviation"));
+    assert_eq!(micro_images_at(&camera, &[Vector2::new(-1e6, 0.0)]).unwrap(), [None]);
+}

@@ -1,0 +1,280 @@
+//! `plenocal points`: metric points from virtual depths.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::Args;
+use nalgebra::Vector2;
+use plenocal::back_projection::{focused_points, metric_points, micro_images_at, triangulate};
+use plenocal::io::{self, DepthMap, OutputFolder, PlyColumn, VirtualDepths};
+use plenocal::model::{MetricPoint, MicroPixel, PlenopticCamera, Sighting, VirtualPoint};
+use plenocal::{Error, Result};
+use serde_json::{Value, json};
+
+use super::choices::{DEPTH_MAPS, choice};
+use super::evaluate::calibrated;
+use super::talk::print_result;
+
+/// How the pixels of a map of virtual depths lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MapKind {
+    /// As those of the raw image.
+    Raw,
+    /// As those of a total-focus image: straight before the images of points.
+    Focused,
+}
+
+/// Make metric points of virtual depths, by a calibrated camera.
+///
+/// Virtual depths are those of other software (RxLive, PlenopticToolbox) or your own: the distance of the image that the main
+/// lens makes, behind the array, in units of the distance between array and sensor. Points are in the camera frame: the
+/// origin is the middle of the main lens, x points to the right, y down and z towards the scene.
+// Names in the help are not code.
+#[allow(clippy::doc_markdown)]
+#[derive(Args)]
+#[command(after_help = EXAMPLES, allow_negative_numbers = true)]
+pub struct Arguments {
+    /// Calibrated camera (camera.json, COMPOTE's intrinsics.js).
+    camera: PathBuf,
+    /// Virtual depths: CSV k,l,u,v,nu; a map of them as .npy (height x width) or as an image; or features.csv, whose corners
+    /// are triangulated.
+    input: PathBuf,
+    /// Folder for the results: points.ply, and with --csv points.csv.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// How the pixels of a map lie.
+    #[arg(long, value_parser = choice(DEPTH_MAPS), default_value = "raw")]
+    map: MapKind,
+    /// What the grey levels of an image mean: the virtual depth is A + B times the level. Level 0 has no depth.
+    #[arg(long, value_name = "A,B", value_delimiter = ',')]
+    depth_scale: Option<Vec<f64>>,
+    /// Standard deviation of u and v, px, where the file states none.
+    #[arg(long, value_name = "PX", default_value_t = 0.0)]
+    uv_std_dev: f64,
+    /// Standard deviation of virtual depths where the file states none.
+    #[arg(long, value_name = "NU", default_value_t = 0.0)]
+    depth_std_dev: f64,
+    /// Also write the points as CSV.
+    #[arg(long)]
+    csv: bool,
+    /// Print what was done as one JSON object instead of sentences.
+    #[arg(long)]
+    json: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  plenocal points camera.json virtual-depths.csv --csv --out points
+  plenocal points camera.json depths.npy --depth-std-dev 0.02 --out points
+  plenocal points camera.json depths.tiff --map focused --depth-scale 0,0.001 --out points
+  plenocal points camera.json boards/features.csv --out corners";
+
+/// Points with what they are called in the files.
+struct Cloud {
+    points: Vec<Option<MetricPoint>>,
+    labels: [(&'static str, Vec<i32>); 2],
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let mut output = OutputFolder::new(&arguments.out)?;
+    let camera = calibrated(&arguments.camera)?;
+    let cloud = cloud(arguments, &camera).map_err(|e| e.in_file(&arguments.input))?;
+    let found = cloud.points.iter().flatten().count();
+    if found == 0 {
+        return Err(Error::invalid(
+            "no point: are the virtual depths of this camera, counted from the array and positive behind it? Beyond the \
+             focal length of the main lens are those of images that it makes",
+        )
+        .in_file(&arguments.input));
+    }
+    output.stage("points.ply", |out| {
+        io::write_ply(out, "plenocal points, mm, camera frame", &columns(&cloud))
+    })?;
+    if arguments.csv {
+        output.stage("points.csv", |out| write_csv(out, &cloud))?;
+    }
+    let document = document(arguments, &cloud);
+    let paths = output.commit()?;
+    print_result(arguments.json, &document, &text(&document), &paths)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn cloud(arguments: &Arguments, camera: &PlenopticCamera) -> Result<Cloud> {
+    let std_dev = [arguments.uv_std_dev, arguments.uv_std_dev, arguments.depth_std_dev];
+    let scale = match arguments.depth_scale.as_deref() {
+        None => None,
+        Some(&[offset, factor]) => Some([offset, factor]),
+        Some(_) => return Err(Error::invalid("--depth-scale takes two numbers, A,B")),
+    };
+    match io::read_virtual_depths(&arguments.input, scale, std_dev)? {
+        VirtualDepths::Points(seen) => {
+            let labels = [
+                ("k", seen.iter().map(|s| s.at.k).collect()),
+                ("l", seen.iter().map(|s| s.at.l).collect()),
+            ];
+            Ok(Cloud { points: metric_points(camera, &seen)?, labels })
+        }
+        VirtualDepths::Map(map) => of_map(&map, arguments.map, std_dev, camera),
+        VirtualDepths::Features => of_features(&arguments.input, camera),
+    }
+}
+
+/// Corners of boards, each by all its features in a frame.
+fn of_features(path: &Path, camera: &PlenopticCamera) -> Result<Cloud> {
+    let features = io::read_features(path, false)?.features;
+    let mut corners: BTreeMap<(u32, i32), Vec<Sighting>> = BTreeMap::new();
+    for f in &features {
+        let at = MicroPixel { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px };
+        let std_dev_px = f.std_dev_px.unwrap_or([1.0; 2]);
+        corners.entry((f.frame, f.corner)).or_default().push(Sighting {
+            at,
+            std_dev_px,
+            rho: None,
+        });
+    }
+    let frames = corners.keys().map(|(frame, _)| i32::try_from(*frame).unwrap_or(i32::MAX));
+    let labels = [
+        ("frame", frames.collect()),
+        ("corner", corners.keys().map(|(_, corner)| *corner).collect()),
+    ];
+    let sightings: Vec<Vec<Sighting>> = corners.into_values().collect();
+    Ok(Cloud { points: triangulate(camera, &sightings)?, labels })
+}
+
+fn of_map(
+    map: &DepthMap,
+    kind: MapKind,
+    std_dev: [f64; 3],
+    camera: &PlenopticCamera,
+) -> Result<Cloud> {
+    let sensor = &camera.sensor;
+    let (width, height) = (f64::from(sensor.width_px), f64::from(sensor.height_px));
+    let scale = Vector2::new(width / map.width as f64, height / map.height as f64);
+    if kind == MapKind::Raw && scale != Vector2::new(1.0, 1.0) {
+        return Err(Error::invalid(format!(
+            "the map has {} x {} px, but the raw image of this camera {width} x {height}: is it that of a total-focus image \
+             (--map focused)?",
+            map.width, map.height
+        )));
+    }
+    let mut places = Vec::new();
+    let mut depths = Vec::new();
+    for (i, depth) in map.depths.iter().enumerate().filter(|(_, depth)| depth.is_finite()) {
+        // Pixel (0, 0) is the middle of the first one, in the map as in the raw image.
+        let pixel = Vector2::new((i % map.width) as f64 + 0.5, (i / map.width) as f64 + 0.5);
+        places.push(pixel.component_mul(&scale) - Vector2::new(0.5, 0.5));
+        depths.push(*depth);
+    }
+    let at = match kind {
+        MapKind::Raw => micro_images_at(camera, &places)?,
+        MapKind::Focused => vec![None; places.len()],
+    };
+    let seen: Vec<VirtualPoint> = places
+        .iter()
+        .zip(at)
+        .zip(depths)
+        .map(|((place, at), virtual_depth)| {
+            let (k, l) = at.unwrap_or((-1, -1));
+            VirtualPoint {
+                at: MicroPixel { k, l, u_px: place.x, v_px: place.y },
+                virtual_depth,
+                std_dev,
+            }
+        })
+        .collect();
+    let points = match kind {
+        MapKind::Raw => metric_points(camera, &seen)?,
+        MapKind::Focused => focused_points(camera, &seen)?,
+    };
+    #[allow(clippy::cast_possible_truncation)] // within an image
+    let whole =
+        |of: fn(&Vector2<f64>) -> f64| places.iter().map(|p| of(p).round() as i32).collect();
+    Ok(Cloud { points, labels: [("u", whole(|p| p.x)), ("v", whole(|p| p.y))] })
+}
+
+/// σ of x, y and z.
+fn std_devs(point: &MetricPoint) -> [f64; 3] {
+    point.covariance_mm2.diagonal().map(f64::sqrt).into()
+}
+
+fn columns(cloud: &Cloud) -> Vec<PlyColumn<'static>> {
+    let points = || cloud.points.iter().flatten();
+    let coordinate = |axis: usize| points().map(|p| p.point_mm[axis]).collect();
+    let std_dev = |axis: usize| points().map(|p| std_devs(p)[axis]).collect();
+    let mut columns = vec![
+        PlyColumn::Float("x", coordinate(0)),
+        PlyColumn::Float("y", coordinate(1)),
+        PlyColumn::Float("z", coordinate(2)),
+        PlyColumn::Float("sigma_x", std_dev(0)),
+        PlyColumn::Float("sigma_y", std_dev(1)),
+        PlyColumn::Float("sigma_z", std_dev(2)),
+    ];
+    for (name, labels) in &cloud.labels {
+        let kept = labels.iter().zip(&cloud.points).filter(|(_, point)| point.is_some());
+        columns.push(PlyColumn::Int(name, kept.map(|(label, _)| *label).collect()));
+    }
+    columns
+}
+
+fn write_csv(out: &mut dyn Write, cloud: &Cloud) -> std::io::Result<()> {
+    let [(first, firsts), (second, seconds)] = &cloud.labels;
+    writeln!(out, "{first},{second},x_mm,y_mm,z_mm,sigma_x_mm,sigma_y_mm,sigma_z_mm")?;
+    for ((point, a), b) in cloud.points.iter().zip(firsts).zip(seconds) {
+        let Some(point) = point else { continue };
+        let ([x, y, z], [sx, sy, sz]): ([f64; 3], _) = (point.point_mm.into(), std_devs(point));
+        writeln!(out, "{a},{b},{x:.6},{y:.6},{z:.6},{sx:.6},{sy:.6},{sz:.6}")?;
+    }
+    Ok(())
+}
+
+fn document(arguments: &Arguments, cloud: &Cloud) -> Value {
+    let points = || cloud.points.iter().flatten();
+    let depths = || points().map(|p| p.point_mm.z).collect::<Vec<f64>>();
+    let median = |axis: usize| quantile(points().map(|p| std_devs(p)[axis]).collect(), 0.5);
+    json!({
+        "input": arguments.input.display().to_string(),
+        "camera": arguments.camera.display().to_string(),
+        "points": points().count(),
+        "without_point": cloud.points.iter().filter(|point| point.is_none()).count(),
+        "distance_mm": { "near": quantile(depths(), 0.05), "median": quantile(depths(), 0.5), "far": quantile(depths(), 0.95) },
+        "median_sigma_mm": { "x": median(0), "y": median(1), "z": median(2) },
+    })
+}
+
+/// The value that a part of all values are below; NaN without any.
+fn quantile(mut values: Vec<f64>, part: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within the values
+    let index = (part * values.len().saturating_sub(1) as f64).round() as usize;
+    values.get(index).copied().unwrap_or(f64::NAN)
+}
+
+fn text(document: &Value) -> String {
+    let number = |value: &Value| value.as_f64().unwrap_or(f64::NAN);
+    let (distance, sigma) = (&document["distance_mm"], &document["median_sigma_mm"]);
+    let mut text = format!(
+        "{} points, 9 of 10 between {:.1} and {:.1} mm from the main lens, half of them nearer than {:.1} mm.",
+        document["points"],
+        number(&distance["near"]),
+        number(&distance["far"]),
+        number(&distance["median"]),
+    );
+    if document["without_point"] != 0 {
+        text += &format!(
+            "\n{} without a point: outside the array, without an image at that depth, or seen only once.",
+            document["without_point"]
+        );
+    }
+    if number(&sigma["z"]) > 0.0 {
+        text += &format!(
+            "\nTheir σ by what was measured is {:.3} mm across the axis and {:.3} mm along it (median); that of the camera \
+             comes on top.",
+            number(&sigma["x"]).hypot(number(&sigma["y"])) / std::f64::consts::SQRT_2,
+            number(&sigma["z"]),
+        );
+    }
+    text
+}

@@ -1,0 +1,243 @@
+//! `plenocal rays`: the ray of every pixel.
+
+use std::io::{self as std_io, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+use nalgebra::{Point3, Vector2};
+use plenocal::back_projection::{micro_images_at, object_rays};
+use plenocal::io::{NpyHeader, OutputFolder};
+use plenocal::model::{MicroPixel, PlenopticCamera, Ray};
+use plenocal::{Error, Result};
+use serde_json::{Value, json};
+
+use super::evaluate::calibrated;
+use super::progress;
+use super::talk::print_result;
+
+/// Compute the ray in space of every pixel of a calibrated camera.
+///
+/// A pixel belongs to the micro-image whose centre is the nearest, and its ray is the chief ray: through the centre
+/// of that micro-lens. Rays are in the camera frame: the origin is the middle of the main lens, x points to the right, y
+/// down and z towards the scene.
+#[derive(Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// Calibrated camera (camera.json, COMPOTE's intrinsics.js).
+    camera: PathBuf,
+    /// Folder for the results: rays.npy, rays.json, and with --micro-images micro-images.npy.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Distance from the main lens at which rays have their origins, mm [default: where the lens is focused, or 100
+    /// focal lengths if that is infinity]. Distortion bends rays a little: they are exact here.
+    #[arg(long, value_name = "MM")]
+    at: Option<f64>,
+    /// Numbers of 64 bits instead of 32.
+    #[arg(long)]
+    double: bool,
+    /// Also write which micro-image (k, l) each pixel belongs to.
+    #[arg(long)]
+    micro_images: bool,
+    /// Print what was done as one JSON object instead of sentences.
+    #[arg(long)]
+    json: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  plenocal rays results/calibration/camera.json --out rays
+  plenocal rays camera.json --at 450 --micro-images --out rays
+
+In Python:
+  rays = numpy.load('rays/rays.npy')       # height x width x 6, mm; NaN where there is none
+  origin, direction = rays[v, u, :3], rays[v, u, 3:]";
+
+/// Rays are computed so many rows at a time.
+const ROWS: u32 = 32;
+/// A lens focused at infinity has its rays begin so many focal lengths away.
+const FAR: f64 = 100.0;
+/// How much rays bend is measured at these multiples of the distance, on every so many-th pixel along u and v.
+const MULTIPLES: [f64; 2] = [0.7, 1.5];
+const SPARSE: u32 = 37;
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let mut output = OutputFolder::new(&arguments.out)?;
+    let camera = calibrated(&arguments.camera)?;
+    let at_mm = arguments.at.unwrap_or_else(|| default_distance(&camera));
+    let bend = bend(&camera, at_mm)?;
+    let (width, height) = (camera.sensor.width_px, camera.sensor.height_px);
+    let bar = progress::share(u64::from(height));
+    let mut count = 0;
+    let shape = [height as usize, width as usize, 6];
+    let header = NpyHeader::floats(arguments.double, &shape);
+    let staged = output.stage("rays.npy", |out| {
+        header.write(out)?;
+        for first in (0..height).step_by(ROWS as usize) {
+            let rows = first..height.min(first + ROWS);
+            let pixels: Vec<MicroPixel> =
+                pixels_of(&camera, rows.clone()).map_err(std_io::Error::other)?;
+            let rays = object_rays(&camera, &pixels, at_mm).map_err(std_io::Error::other)?;
+            count += rays.iter().flatten().count();
+            write_rays(out, &rays, arguments.double)?;
+            bar.inc(u64::from(rows.end - rows.start));
+        }
+        Ok(())
+    });
+    bar.finish_and_clear();
+    staged?;
+    if arguments.micro_images {
+        stage_micro_images(&mut output, &camera)?;
+    }
+    let pixels = u64::from(width) * u64::from(height);
+    let document = json!({
+        "format": "plenocal-rays",
+        "version": 1,
+        "camera": arguments.camera.display().to_string(),
+        "columns": ["x_mm", "y_mm", "z_mm", "dx", "dy", "dz"],
+        "width_px": width,
+        "height_px": height,
+        "at_mm": at_mm,
+        "rays": count,
+        "pixels": pixels,
+        "bend": bend.iter().map(|b| b.document()).collect::<Vec<Value>>(),
+    });
+    output.stage_json("rays.json", &document)?;
+    let paths = output.commit()?;
+    let bends: Vec<String> = bend.iter().map(Bend::text).collect();
+    let text = format!(
+        "{count} of {pixels} pixels have a ray; the others are outside the array.\nRays begin at {at_mm:.1} mm from the \
+         main lens. {}",
+        bends.join(" ")
+    );
+    print_result(arguments.json, &document, &text, &paths)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Where the lens is focused, from the main lens.
+fn default_distance(camera: &PlenopticCamera) -> f64 {
+    let behind_mm = camera.mla.lens_to_mla_mm + camera.mla.mla_to_sensor_mm;
+    let focused_mm =
+        camera.main_lens.setting.map_or(f64::INFINITY, |s| s.focus_distance_mm) - behind_mm;
+    let far_mm = FAR * camera.main_lens.focal_length_mm;
+    if focused_mm.is_finite() {
+        focused_mm.max(1.01 * camera.main_lens.focal_length_mm)
+    } else {
+        far_mm
+    }
+}
+
+/// Pixels of some rows with their micro-images; those outside the array in micro-image (−1, −1).
+fn pixels_of(camera: &PlenopticCamera, rows: std::ops::Range<u32>) -> Result<Vec<MicroPixel>> {
+    let width = camera.sensor.width_px;
+    let places: Vec<Vector2<f64>> = rows
+        .flat_map(|v| (0..width).map(move |u| Vector2::new(f64::from(u), f64::from(v))))
+        .collect();
+    in_micro_images(camera, &places)
+}
+
+fn in_micro_images(camera: &PlenopticCamera, places: &[Vector2<f64>]) -> Result<Vec<MicroPixel>> {
+    let found = micro_images_at(camera, places)?;
+    let pixel = |(place, at): (&Vector2<f64>, Option<(i32, i32)>)| {
+        let (k, l) = at.unwrap_or((-1, -1));
+        MicroPixel { k, l, u_px: place.x, v_px: place.y }
+    };
+    Ok(places.iter().zip(found).map(pixel).collect())
+}
+
+fn write_rays(out: &mut dyn Write, rays: &[Option<Ray>], double: bool) -> std_io::Result<()> {
+    let mut bytes = Vec::with_capacity(rays.len() * 48);
+    for ray in rays {
+        let values = ray.map_or([f64::NAN; 6], |ray| {
+            let (o, d) = (ray.origin_mm, ray.direction);
+            [o.x, o.y, o.z, d.x, d.y, d.z]
+        });
+        for value in values {
+            if double {
+                bytes.extend_from_slice(&value.to_le_bytes());
+            } else {
+                #[allow(clippy::cast_possible_truncation)] // as documented
+                bytes.extend_from_slice(&(value as f32).to_le_bytes());
+            }
+        }
+    }
+    out.write_all(&bytes)
+}
+
+fn stage_micro_images(output: &mut OutputFolder, camera: &PlenopticCamera) -> Result<()> {
+    let (width, height) = (camera.sensor.width_px, camera.sensor.height_px);
+    let header = NpyHeader::integers(&[height as usize, width as usize, 2]);
+    output.stage("micro-images.npy", |out| {
+        header.write(out)?;
+        for first in (0..height).step_by(ROWS as usize) {
+            let rows = first..height.min(first + ROWS);
+            let pixels = pixels_of(camera, rows).map_err(std_io::Error::other)?;
+            let bytes: Vec<u8> =
+                pixels.iter().flat_map(|p| [p.k, p.l]).flat_map(i32::to_le_bytes).collect();
+            out.write_all(&bytes)?;
+        }
+        Ok(())
+    })?;
+    Ok(())
+}
+
+/// How far rays are from what the model images, at a distance.
+struct Bend {
+    at_mm: f64,
+    /// RMS and largest distance across the axis, mm.
+    rms_mm: f64,
+    largest_mm: f64,
+}
+
+impl Bend {
+    fn document(&self) -> Value {
+        json!({ "at_mm": self.at_mm, "rms_mm": self.rms_mm, "largest_mm": self.largest_mm })
+    }
+
+    fn text(&self) -> String {
+        format!(
+            "At {:.0} mm they are {:.2e} mm RMS off what the camera sees there, at most {:.2e} mm.",
+            self.at_mm, self.rms_mm, self.largest_mm
+        )
+    }
+}
+
+fn bend(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<Bend>> {
+    let along = |size: u32| (SPARSE / 2..size.max(SPARSE)).step_by(SPARSE as usize);
+    let places: Vec<Vector2<f64>> = along(camera.sensor.height_px)
+        .flat_map(|v| {
+            along(camera.sensor.width_px).map(move |u| Vector2::new(f64::from(u), f64::from(v)))
+        })
+        .collect();
+    let pixels = in_micro_images(camera, &places)?;
+    let rays = object_rays(camera, &pixels, at_mm)?;
+    let nearest_mm = camera.main_lens.focal_length_mm;
+    let distances = MULTIPLES.map(|multiple| multiple * at_mm);
+    let measured = distances.into_iter().filter(|z_mm| *z_mm > nearest_mm).map(|z_mm| {
+        let there = object_rays(camera, &pixels, z_mm)?;
+        let off = |(ray, exact): (&Option<Ray>, &Option<Ray>)| {
+            let (ray, exact) = ((*ray)?, (*exact)?);
+            Some((ray_at(&ray, z_mm) - exact.origin_mm).norm())
+        };
+        let off: Vec<f64> = rays.iter().zip(&there).filter_map(off).collect();
+        let square: f64 = off.iter().map(|x| x * x).sum();
+        Ok(Bend {
+            at_mm: z_mm,
+            rms_mm: (square / off.len().max(1) as f64).sqrt(),
+            largest_mm: off.iter().copied().fold(0.0, f64::max),
+        })
+    });
+    let measured: Vec<Bend> = measured.collect::<Result<_>>()?;
+    if rays.iter().all(Option::is_none) {
+        return Err(Error::invalid(
+            "no pixel of this camera has a ray: is its array on its sensor?",
+        ));
+    }
+    Ok(measured)
+}
+
+/// Where a ray is at a distance.
+fn ray_at(ray: &Ray, z_mm: f64) -> Point3<f64> {
+    ray.origin_mm + ray.direction * ((z_mm - ray.origin_mm.z) / ray.direction.z)
+}

@@ -1,0 +1,66 @@
+//! `.npy`: arrays as NumPy reads and writes them, of the format's version 1.0
+//! (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>).
+
+use std::io::{self, Write};
+
+/// What precedes the numbers of an array.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NpyHeader(String);
+
+/// The header is padded to a multiple of this.
+const ALIGNMENT: usize = 64;
+const MAGIC: &[u8] = b"\x93NUMPY\x01\x00";
+
+impl NpyHeader {
+    /// Of floating-point numbers of 64 or 32 bits, little-endian, row by row.
+    #[must_use]
+    pub fn floats(double: bool, shape: &[usize]) -> Self {
+        Self::of(if double { "<f8" } else { "<f4" }, shape)
+    }
+
+    /// Of whole numbers of 32 bits, likewise.
+    #[must_use]
+    pub fn integers(shape: &[usize]) -> Self {
+        Self::of("<i4", shape)
+    }
+
+    fn of(kind: &str, shape: &[usize]) -> Self {
+        let sizes: String = shape.iter().map(|size| format!("{size}, ")).collect();
+        let text = format!(
+            "{{'descr': '{kind}', 'fortran_order': False, 'shape': ({}), }}",
+            sizes.trim_end()
+        );
+        // With the two bytes of its length, and a line break at its end.
+        let length = MAGIC.len() + 2 + text.len() + 1;
+        let padding = " ".repeat(length.next_multiple_of(ALIGNMENT) - length);
+        Self(format!("{text}{padding}\n"))
+    }
+
+    /// Writes the header; the numbers follow.
+    pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
+        out.write_all(MAGIC)?;
+        let length = u16::try_from(self.0.len()).map_err(io::Error::other)?;
+        out.write_all(&length.to_le_bytes())?;
+        out.write_all(self.0.as_bytes())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_header_is_as_the_format_has_it() {
+        let mut bytes = Vec::new();
+        NpyHeader::floats(false, &[3, 4, 6]).write(&mut bytes).unwrap();
+        assert_eq!(&bytes[..8], b"\x93NUMPY\x01\x00");
+        assert_eq!(bytes.len() % 64, 0);
+        let length = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+        assert_eq!(length, bytes.len() - 10);
+        let text = std::str::from_utf8(&bytes[10..]).unwrap();
+        assert!(
+            text.starts_with("{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4, 6,), } ")
+        );
+        assert!(text.ends_with('\n'));
+    }
+}

@@ -1,0 +1,56 @@
+//! Pixels of micro-images, and what is seen through them.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+/// A pixel of micro-image (k, l).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MicroPixel {
+    /// Column of the micro-lens.
+    pub k: i32,
+    /// Its row.
+    pub l: i32,
+    /// Place in the raw image, px.
+    pub u_px: f64,
+    /// Likewise.
+    pub v_px: f64,
+}
+
+/// A straight line in the camera frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ray {
+    /// A point of it, mm.
+    pub origin_mm: Point3<f64>,
+    /// Of unit length, towards the scene.
+    pub direction: Vector3<f64>,
+}
+
+/// A point that is seen at a virtual depth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VirtualPoint {
+    /// Where it is seen.
+    pub at: MicroPixel,
+    /// ν: how far behind the array its image lies, in units of the distance to the sensor.
+    pub virtual_depth: f64,
+    /// σ of u and v, px, and of ν; 0 for what is known.
+    pub std_dev: [f64; 3],
+}
+
+/// A point as one micro-lens sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sighting {
+    /// Where it is seen.
+    pub at: MicroPixel,
+    /// σ of u and v, px.
+    pub std_dev_px: [f64; 2],
+    /// ρ and its σ, px, where it was measured.
+    pub rho: Option<[f64; 2]>,
+}
+
+/// A point in the camera frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MetricPoint {
+    /// Its place, mm.
+    pub point_mm: Point3<f64>,
+    /// Covariance of x, y and z by what was measured, mm²; that of the camera is not in it.
+    pub covariance_mm2: Matrix3<f64>,
+}

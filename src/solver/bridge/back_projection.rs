@@ -1,0 +1,86 @@
+//! From pixels back into space.
+
+use nalgebra::{Matrix3, Point3, Vector2, Vector3};
+
+use super::{ffi, solver_error};
+use crate::error::Result;
+use crate::model::{MetricPoint, MicroPixel, PlenopticCamera, Ray, Sighting, VirtualPoint};
+
+/// The micro-images that pixels belong to; `None` outside the array.
+pub(crate) fn micro_images_at(
+    camera: &PlenopticCamera,
+    pixels: &[Vector2<f64>],
+) -> Result<Vec<Option<(i32, i32)>>> {
+    let pixels: Vec<_> = pixels.iter().map(|p| ffi::PairRow { x: p.x, y: p.y }).collect();
+    let rows = ffi::micro_images_at(&camera.into(), &pixels).map_err(solver_error)?;
+    Ok(rows.iter().map(|at| (at.k >= 0).then_some((at.k, at.l))).collect())
+}
+
+/// Rays in space of pixels, from where they are at a distance.
+pub(crate) fn object_rays(
+    camera: &PlenopticCamera,
+    pixels: &[MicroPixel],
+    z_mm: f64,
+) -> Result<Vec<Option<Ray>>> {
+    let to_row = |p: &MicroPixel| ffi::MicroPixelRow { k: p.k, l: p.l, u_px: p.u_px, v_px: p.v_px };
+    let pixels: Vec<_> = pixels.iter().map(to_row).collect();
+    let rows = ffi::object_rays(&camera.into(), &pixels, z_mm).map_err(solver_error)?;
+    let ray = |row: &ffi::RayRow| {
+        row.defined.then(|| Ray {
+            origin_mm: Point3::from(row.origin_mm),
+            direction: Vector3::from(row.direction),
+        })
+    };
+    Ok(rows.iter().map(ray).collect())
+}
+
+/// Points that are seen at virtual depths, in the raw image or in a total-focus one.
+pub(crate) fn metric_points(
+    camera: &PlenopticCamera,
+    seen: &[VirtualPoint],
+    focused: bool,
+) -> Result<Vec<Option<MetricPoint>>> {
+    let to_row = |s: &VirtualPoint| ffi::VirtualRow {
+        k: s.at.k,
+        l: s.at.l,
+        u_px: s.at.u_px,
+        v_px: s.at.v_px,
+        virtual_depth: s.virtual_depth,
+        std_dev: s.std_dev,
+    };
+    let seen: Vec<_> = seen.iter().map(to_row).collect();
+    let rows = ffi::metric_points(&camera.into(), &seen, focused).map_err(solver_error)?;
+    Ok(rows.iter().map(metric_point).collect())
+}
+
+/// Points that several micro-lenses see.
+pub(crate) fn triangulate(
+    camera: &PlenopticCamera,
+    points: &[Vec<Sighting>],
+) -> Result<Vec<Option<MetricPoint>>> {
+    let to_row = |s: &Sighting| ffi::FeatureRow {
+        frame: 0,
+        board_point_mm: [0.0; 3],
+        k: s.at.k,
+        l: s.at.l,
+        u_px: s.at.u_px,
+        v_px: s.at.v_px,
+        rho_px: s.rho.map_or(f64::NAN, |[rho_px, _]| rho_px),
+        std_dev_px: [
+            s.std_dev_px[0],
+            s.std_dev_px[1],
+            s.rho.map_or(f64::INFINITY, |[_, std_dev_px]| std_dev_px),
+        ],
+    };
+    let counts: Vec<usize> = points.iter().map(Vec::len).collect();
+    let features: Vec<_> = points.iter().flatten().map(to_row).collect();
+    let rows = ffi::triangulate(&camera.into(), &features, &counts).map_err(solver_error)?;
+    Ok(rows.iter().map(metric_point).collect())
+}
+
+fn metric_point(row: &ffi::MetricRow) -> Option<MetricPoint> {
+    row.defined.then(|| MetricPoint {
+        point_mm: Point3::from(row.point_mm),
+        covariance_mm2: Matrix3::from_row_slice(&row.covariance_mm2),
+    })
+}

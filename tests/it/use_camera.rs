@@ -1,0 +1,211 @@
+//! A calibrated camera in use: rays of its pixels, and metric points.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use plenocal::back_projection::{metric_points, object_rays};
+use plenocal::io::write_features;
+use plenocal::model::{MicroPixel, VirtualPoint};
+use predicates::str::contains;
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::support::{
+    board, plenocal, shipped_observations, synthetic_folder, true_camera, true_poses,
+};
+
+/// Noise of u and v in the shipped set, px.
+const NOISE_PX: f64 = 0.2;
+
+fn camera_file() -> PathBuf {
+    synthetic_folder().join("truth/camera.json")
+}
+
+/// The numbers of a `.npy` file of 32 or 64 bits.
+fn npy(path: &Path, double: bool) -> Vec<f64> {
+    let bytes = fs::read(path).unwrap();
+    let begin = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    let data = &bytes[begin..];
+    if double {
+        data.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect()
+    } else {
+        data.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes(b.try_into().unwrap()))).collect()
+    }
+}
+
+fn write_npy(path: &Path, width: usize, height: usize, values: &[f64]) {
+    let header = plenocal::io::NpyHeader::floats(true, &[height, width]);
+    let mut bytes = Vec::new();
+    header.write(&mut bytes).unwrap();
+    bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn every_pixel_of_the_array_has_a_ray() {
+    let folder = TempDir::new().unwrap();
+    let run = |more: &[&str]| {
+        let mut command = plenocal();
+        command.arg("rays").arg(camera_file()).args(["--at", "90"]).args(more);
+        command.arg("--out").arg(folder.path()).assert().success()
+    };
+    run(&["--double", "--micro-images", "--json"]);
+    let camera = true_camera();
+    let (width, height) = (camera.sensor.width_px as usize, camera.sensor.height_px as usize);
+    let rays = npy(&folder.path().join("rays.npy"), true);
+    assert_eq!(rays.len(), 6 * width * height);
+    let document: Value =
+        serde_json::from_slice(&fs::read(folder.path().join("rays.json")).unwrap()).unwrap();
+    let count = rays.chunks_exact(6).filter(|ray| ray[0].is_finite()).count();
+    assert_eq!(document["rays"], count);
+    assert!(count > 9 * width * height / 10, "{count}");
+    let bytes = fs::read(folder.path().join("micro-images.npy")).unwrap();
+    let indices = &bytes[bytes.len() - 8 * width * height..];
+    let index = |i: usize| i32::from_le_bytes(indices[4 * i..4 * i + 4].try_into().unwrap());
+    for (u, v) in [(300, 200), (512, 400), (777, 555)] {
+        let i = v * width + u;
+        let (k, l) = (index(2 * i), index(2 * i + 1));
+        let pixel = MicroPixel { k, l, u_px: u as f64, v_px: v as f64 };
+        let ray = object_rays(&camera, &[pixel], 90.0).unwrap()[0].unwrap();
+        assert_eq!(&rays[6 * i..6 * i + 3], ray.origin_mm.coords.as_slice());
+        assert_eq!(&rays[6 * i + 3..6 * i + 6], ray.direction.as_slice());
+        assert!((ray.direction.norm() - 1.0).abs() < 1e-12 && ray.direction.z > 0.0);
+    }
+    // Rays hardly bend, least near the axis.
+    for bend in document["bend"].as_array().unwrap() {
+        assert!(bend["rms_mm"].as_f64().unwrap() < 0.03, "{bend}");
+        assert!(bend["largest_mm"].as_f64().unwrap() < 0.3, "{bend}");
+    }
+    run(&[]);
+    let single = npy(&folder.path().join("rays.npy"), false);
+    let off = |(a, b): (&f64, &f64)| (a - b).abs();
+    let off = rays.iter().zip(&single).map(off).filter(|x| x.is_finite()).fold(0.0, f64::max);
+    assert!(off > 0.0 && off < 1e-5, "{off}");
+}
+
+/// χ² of the corners against where they are, by the covariance of what was measured: the camera is the true one.
+#[test]
+fn corners_are_triangulated_as_well_as_their_covariance_says() {
+    let folder = TempDir::new().unwrap();
+    let mut features = shipped_observations().features;
+    features.iter_mut().for_each(|f| f.std_dev_px = Some([NOISE_PX; 2]));
+    let mut text = Vec::new();
+    write_features(&mut text, &features).unwrap();
+    let path = folder.path().join("features.csv");
+    fs::write(&path, text).unwrap();
+    let out = folder.path().join("points");
+    let mut command = plenocal();
+    command.arg("points").arg(camera_file()).arg(&path).args(["--csv", "--out"]).arg(&out);
+    command.assert().success().stdout(contains("points"));
+    let poses = true_poses();
+    let corner = |frame: u32, corner: i32| -> Point3<f64> {
+        let pose = poses.iter().find(|p| p.frame == frame).unwrap();
+        pose.camera_from_board * board().point_mm(corner)
+    };
+    let (mut square, mut count) = (Vector3::zeros(), 0.0);
+    for line in fs::read_to_string(out.join("points.csv")).unwrap().lines().skip(1) {
+        let numbers: Vec<f64> = line.split(',').map(|n| n.parse().unwrap()).collect();
+        let [frame, number, x, y, z, sx, sy, sz] = numbers[..] else { panic!("{line}") };
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+        let truth = corner(frame as u32, number as i32);
+        let off = Point3::new(x, y, z) - truth;
+        square += Matrix3::from_diagonal(&Vector3::new(sx, sy, sz).map(|s| s.powi(-2)))
+            * off.component_mul(&off);
+        count += 1.0;
+    }
+    assert!(count > 100.0, "{count}");
+    for per_axis in (square / count).iter() {
+        assert!((0.8..1.25).contains(per_axis), "{:?}", square / count);
+    }
+    let ply = fs::read(out.join("points.ply")).unwrap();
+    assert!(String::from_utf8_lossy(&ply[..200]).contains(&format!("element vertex {count}")));
+}
+
+#[test]
+fn virtual_depths_become_points() {
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let camera = true_camera();
+    let at = MicroPixel { k: 20, l: 18, u_px: 500.0, v_px: 400.0 };
+    let seen = VirtualPoint { at, virtual_depth: 3.0, std_dev: [0.1, 0.1, 0.02] };
+    let expected = metric_points(&camera, &[seen]).unwrap()[0].unwrap();
+    let mut csv = "k,l,u,v,nu\n".to_owned();
+    // The second has no image at that depth.
+    for depth in [3.0, -1e4] {
+        writeln!(csv, "20,18,500,400,{depth}").unwrap();
+    }
+    fs::write(path("nu.csv"), csv).unwrap();
+    let (width, height) = (camera.sensor.width_px as usize, camera.sensor.height_px as usize);
+    let mut map = vec![f64::NAN; width * height];
+    map[400 * width + 500] = 3.0;
+    write_npy(&path("map.npy"), width, height, &map);
+    let run = |input: &str, more: &[&str]| {
+        let mut command = plenocal();
+        command.arg("points").arg(camera_file()).arg(path(input)).args(["--csv", "--json"]);
+        command.args(["--uv-std-dev", "0.1", "--depth-std-dev", "0.02"]).args(more);
+        let output = command.arg("--out").arg(path("out")).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let text = fs::read_to_string(path("out/points.csv")).unwrap();
+        let line = text.lines().nth(1).unwrap().to_owned();
+        (document, line.split(',').map(|n| n.parse::<f64>().unwrap()).collect::<Vec<f64>>())
+    };
+    let (document, of_csv) = run("nu.csv", &[]);
+    assert_eq!((&document["points"], &document["without_point"]), (&1.into(), &1.into()));
+    for (axis, found) in of_csv[2..5].iter().enumerate() {
+        assert!((found - expected.point_mm[axis]).abs() < 1e-5);
+        let std_dev = expected.covariance_mm2[(axis, axis)].sqrt();
+        assert!((of_csv[5 + axis] - std_dev).abs() < 1e-5, "{std_dev}");
+    }
+    // The map has the micro-image from the pixel, which may be another one.
+    let (_, of_map) = run("map.npy", &[]);
+    assert_eq!(of_map[..2], [500.0, 400.0]);
+    assert!((of_map[4] - of_csv[4]).abs() < 0.1 * of_csv[4], "{of_map:?} {of_csv:?}");
+    // Half as many pixels of a total-focus image.
+    let mut focused = vec![f64::NAN; width / 2 * (height / 2)];
+    focused[200 * (width / 2) + 250] = 3.0;
+    write_npy(&path("focused.npy"), width / 2, height / 2, &focused);
+    let (_, of_focused) = run("focused.npy", &["--map", "focused"]);
+    assert!((of_focused[4] - of_csv[4]).abs() < 0.01 * of_csv[4], "{of_focused:?} {of_csv:?}");
+}
+
+#[test]
+fn what_cannot_be_used_is_named() {
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let fails = |arguments: &[&str], names: &str| {
+        let mut command = plenocal();
+        command
+            .args(arguments)
+            .arg("--out")
+            .arg(path("out"))
+            .assert()
+            .code(1)
+            .stderr(contains(names));
+        assert!(!path("out").exists());
+    };
+    let camera = camera_file();
+    let camera = camera.to_str().unwrap();
+    fails(&["rays", camera, "--at", "10"], "focal length");
+    fails(&["rays", camera, "--at", "nan"], "focal length");
+    let project = synthetic_folder().join("project.toml");
+    fails(&["rays", project.to_str().unwrap()], "calibrated one");
+    write_npy(&path("small.npy"), 3, 2, &[3.0; 6]);
+    let small = path("small.npy");
+    fails(&["points", camera, small.to_str().unwrap()], "--map focused");
+    let bytes = fs::read(&small).unwrap();
+    fs::write(path("cut.npy"), &bytes[..bytes.len() - 8]).unwrap();
+    fails(&["points", camera, path("cut.npy").to_str().unwrap()], "as its shape says");
+    fs::write(path("short.npy"), &bytes[..9]).unwrap();
+    fails(&["points", camera, path("short.npy").to_str().unwrap()], "cut off");
+    fs::write(path("nu.csv"), "k,l,u,v,nu\n20,18,500,400,-10000\n").unwrap();
+    fails(&["points", camera, path("nu.csv").to_str().unwrap()], "no point");
+    fs::write(path("nan.csv"), "k,l,u,v,nu\n20,18,500,400,nan\n").unwrap();
+    fails(&["points", camera, path("nan.csv").to_str().unwrap()], "line 2");
+    fails(&["points", camera, path("nu.csv").to_str().unwrap(), "--uv-std-dev", "-1"], "deviation");
+    image::GrayImage::new(4, 4).save(path("map.png")).unwrap();
+    fails(&["points", camera, path("map.png").to_str().unwrap()], "grey levels");
+    fails(&["points", camera, path("none.npy").to_str().unwrap()], "none.npy");
+}
