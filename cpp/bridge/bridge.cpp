@@ -325,6 +325,23 @@ rust::Vec<RayRow> object_rays(const CameraParts& camera, rust::Slice<const Micro
   return rows;
 }
 
+rust::Vec<RayRow> pixel_rays(const CameraParts& camera, rust::Slice<const PairRow> pixels,
+                             double z_mm) {
+  const BackProjection back(to_core(camera));
+  rust::Vec<RayRow> rows;
+  rows.reserve(pixels.size());
+  for (const auto& [u, v] : pixels) {
+    RayRow row{};
+    if (const auto at = back.micro_image_at({u, v})) {
+      if (const auto ray = back.object_ray({at->k, at->l, {u, v}}, z_mm)) {
+        row = {true, from_core(ray->origin), from_core(ray->direction)};
+      }
+    }
+    rows.push_back(row);
+  }
+  return rows;
+}
+
 rust::Vec<MetricRow> metric_points(const CameraParts& camera, rust::Slice<const VirtualRow> seen,
                                    bool focused) {
   const BackProjection back(to_core(camera));

@@ -66,6 +66,8 @@ rust::Vec<MicroLensIndex> micro_images_at(const CameraParts& camera,
                                           rust::Slice<const PairRow> pixels);
 rust::Vec<RayRow> object_rays(const CameraParts& camera, rust::Slice<const MicroPixelRow> pixels,
                               double z_mm);
+rust::Vec<RayRow> pixel_rays(const CameraParts& camera, rust::Slice<const PairRow> pixels,
+                             double z_mm);
 rust::Vec<MetricRow> metric_points(const CameraParts& camera, rust::Slice<const VirtualRow> seen,
                                    bool focused);
 rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const FeatureRow> features,

@@ -296,6 +296,17 @@ TEST(BackProjection, ImpossibleInputIsRejected) {
   EXPECT_NE(test::rejection([&] { BackProjection{camera}; }).find("dC"), std::string::npos);
 }
 
+// Rounding must not keep it from settling, whatever the distance.
+TEST(BackProjection, EveryDistanceHasARay) {
+  const Camera camera = scene_camera(3);
+  const BackProjection back(camera);
+  const Pixel<double> center = project_center(camera, 9, 8);
+  for (int i = 0; i < 20000; ++i) {
+    const double z = 60.0 + 0.0371 * i;
+    ASSERT_TRUE(back.object_ray({9, 8, {center.u + 4.0, center.v - 5.0}}, z)) << z;
+  }
+}
+
 TEST(Undistort, InvertsDistortionUpToItsFold) {
   // x (1 - 0.01 x^2) turns back at x = 1/sqrt(0.03) = 5.774, where it is 3.849.
   MainLens<double> lens{};

@@ -8,4 +8,6 @@ mod stage;
 #[cfg(test)]
 mod tests;
 
-pub use stage::{focused_points, metric_points, micro_images_at, object_rays, triangulate};
+pub use stage::{
+    focused_points, metric_points, micro_images_at, object_rays, pixel_rays, triangulate,
+};

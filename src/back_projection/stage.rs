@@ -40,14 +40,31 @@ pub fn object_rays(
     pixels: &[MicroPixel],
     z_mm: f64,
 ) -> Result<Vec<Option<Ray>>> {
+    check_rays(camera, z_mm)?;
+    in_chunks(pixels, |pixels| solver::object_rays(camera, pixels, z_mm))
+}
+
+/// The same of pixels in the micro-images that they belong to ([`micro_images_at`]).
+///
+/// Errors are those of [`object_rays`].
+pub fn pixel_rays(
+    camera: &PlenopticCamera,
+    pixels: &[Vector2<f64>],
+    z_mm: f64,
+) -> Result<Vec<Option<Ray>>> {
+    check_rays(camera, z_mm)?;
+    in_chunks(pixels, |pixels| solver::pixel_rays(camera, pixels, z_mm))
+}
+
+fn check_rays(camera: &PlenopticCamera, z_mm: f64) -> Result<()> {
     camera.validate()?;
     let focal_length_mm = camera.main_lens.focal_length_mm;
-    if !(z_mm.is_finite() && z_mm > focal_length_mm) {
-        return Err(Error::invalid(format!(
-            "rays begin at {z_mm} mm, but the camera sees only what is beyond its focal length of {focal_length_mm} mm"
-        )));
+    if z_mm.is_finite() && z_mm > focal_length_mm {
+        return Ok(());
     }
-    in_chunks(pixels, |pixels| solver::object_rays(camera, pixels, z_mm))
+    Err(Error::invalid(format!(
+        "rays begin at {z_mm} mm, but the camera sees only what is beyond its focal length of {focal_length_mm} mm"
+    )))
 }
 
 /// The points that are seen at virtual depths; `None` where there is none.

@@ -1,14 +1,15 @@
 //! `plenocal rays`: the ray of every pixel.
 
 use std::io::{self as std_io, Write};
+use std::ops::Range;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
 use nalgebra::{Point3, Vector2};
-use plenocal::back_projection::{micro_images_at, object_rays};
+use plenocal::back_projection::{micro_images_at, pixel_rays};
 use plenocal::io::{NpyHeader, OutputFolder};
-use plenocal::model::{MicroPixel, PlenopticCamera, Ray};
+use plenocal::model::{PlenopticCamera, Ray};
 use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
@@ -76,9 +77,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         header.write(out)?;
         for first in (0..height).step_by(ROWS as usize) {
             let rows = first..height.min(first + ROWS);
-            let pixels: Vec<MicroPixel> =
-                pixels_of(&camera, rows.clone()).map_err(std_io::Error::other)?;
-            let rays = object_rays(&camera, &pixels, at_mm).map_err(std_io::Error::other)?;
+            let pixels = pixels_of(&camera, rows.clone());
+            let rays = pixel_rays(&camera, &pixels, at_mm).map_err(std_io::Error::other)?;
             count += rays.iter().flatten().count();
             write_rays(out, &rays, arguments.double)?;
             bar.inc(u64::from(rows.end - rows.start));
@@ -128,22 +128,10 @@ fn default_distance(camera: &PlenopticCamera) -> f64 {
     }
 }
 
-/// Pixels of some rows with their micro-images; those outside the array in micro-image (−1, −1).
-fn pixels_of(camera: &PlenopticCamera, rows: std::ops::Range<u32>) -> Result<Vec<MicroPixel>> {
+/// The pixels of some rows.
+fn pixels_of(camera: &PlenopticCamera, rows: Range<u32>) -> Vec<Vector2<f64>> {
     let width = camera.sensor.width_px;
-    let places: Vec<Vector2<f64>> = rows
-        .flat_map(|v| (0..width).map(move |u| Vector2::new(f64::from(u), f64::from(v))))
-        .collect();
-    in_micro_images(camera, &places)
-}
-
-fn in_micro_images(camera: &PlenopticCamera, places: &[Vector2<f64>]) -> Result<Vec<MicroPixel>> {
-    let found = micro_images_at(camera, places)?;
-    let pixel = |(place, at): (&Vector2<f64>, Option<(i32, i32)>)| {
-        let (k, l) = at.unwrap_or((-1, -1));
-        MicroPixel { k, l, u_px: place.x, v_px: place.y }
-    };
-    Ok(places.iter().zip(found).map(pixel).collect())
+    rows.flat_map(|v| (0..width).map(move |u| Vector2::new(f64::from(u), f64::from(v)))).collect()
 }
 
 fn write_rays(out: &mut dyn Write, rays: &[Option<Ray>], double: bool) -> std_io::Result<()> {
@@ -172,9 +160,11 @@ fn stage_micro_images(output: &mut OutputFolder, camera: &PlenopticCamera) -> Re
         header.write(out)?;
         for first in (0..height).step_by(ROWS as usize) {
             let rows = first..height.min(first + ROWS);
-            let pixels = pixels_of(camera, rows).map_err(std_io::Error::other)?;
+            let found = micro_images_at(camera, &pixels_of(camera, rows));
+            let found = found.map_err(std_io::Error::other)?;
+            let indices = found.into_iter().map(|at| at.unwrap_or((-1, -1)));
             let bytes: Vec<u8> =
-                pixels.iter().flat_map(|p| [p.k, p.l]).flat_map(i32::to_le_bytes).collect();
+                indices.flat_map(|(k, l)| [k, l]).flat_map(i32::to_le_bytes).collect();
             out.write_all(&bytes)?;
         }
         Ok(())
@@ -210,12 +200,11 @@ fn bend(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<Bend>> {
             along(camera.sensor.width_px).map(move |u| Vector2::new(f64::from(u), f64::from(v)))
         })
         .collect();
-    let pixels = in_micro_images(camera, &places)?;
-    let rays = object_rays(camera, &pixels, at_mm)?;
+    let rays = pixel_rays(camera, &places, at_mm)?;
     let nearest_mm = camera.main_lens.focal_length_mm;
     let distances = MULTIPLES.map(|multiple| multiple * at_mm);
     let measured = distances.into_iter().filter(|z_mm| *z_mm > nearest_mm).map(|z_mm| {
-        let there = object_rays(camera, &pixels, z_mm)?;
+        let there = pixel_rays(camera, &places, z_mm)?;
         let off = |(ray, exact): (&Option<Ray>, &Option<Ray>)| {
             let (ray, exact) = ((*ray)?, (*exact)?);
             Some((ray_at(&ray, z_mm) - exact.origin_mm).norm())

@@ -15,7 +15,9 @@ use nalgebra::Isometry3;
 use super::options::{CostOptions, SolverOptions};
 use super::problem::Problem;
 use super::refinement::{Iteration, Refinement};
-pub(crate) use back_projection::{metric_points, micro_images_at, object_rays, triangulate};
+pub(crate) use back_projection::{
+    metric_points, micro_images_at, object_rays, pixel_rays, triangulate,
+};
 pub use points::distortion_mm;
 pub(crate) use points::{
     frame_information, point_sensitivities, project, project_centers, visible_features,
@@ -342,6 +344,7 @@ mod ffi {
             pixels: &[MicroPixelRow],
             z_mm: f64,
         ) -> Result<Vec<RayRow>>;
+        fn pixel_rays(camera: &CameraParts, pixels: &[PairRow], z_mm: f64) -> Result<Vec<RayRow>>;
         fn metric_points(
             camera: &CameraParts,
             seen: &[VirtualRow],

@@ -8,6 +8,7 @@
 #pragma once
 
 #include <cmath>
+#include <type_traits>
 
 #include "plenocal/projection.hpp"
 
@@ -61,7 +62,8 @@ Part<double> values_of(const Part<T>& part) {
 /// False, with `ideal` unchanged, if there is none on the axis's side of the fold, where
 /// polynomials turn back.
 template <typename T>
-[[nodiscard]] bool undistort(const MainLens<T>& lens, const Vector2<T>& distorted, Vector2<T>* ideal) {
+[[nodiscard]] bool undistort(const MainLens<T>& lens, const Vector2<T>& distorted,
+                             Vector2<T>* ideal) {
   constexpr int kMaxSteps = 50;
   constexpr double kSettled = 1e-15;   // of a step over the distance from the axis
   constexpr double kRounding = 1e-12;  // likewise, of a step that is not smaller than the last
@@ -104,7 +106,8 @@ template <typename T>
 /// `main_lens_image`. False, with `point` unchanged, if p' is not the image of a point beyond the
 /// focal plane, or distortion has no inverse there.
 template <typename T>
-[[nodiscard]] bool object_point(const MainLens<T>& lens, const Vector3<T>& image, Vector3<T>* point) {
+[[nodiscard]] bool object_point(const MainLens<T>& lens, const Vector3<T>& image,
+                                Vector3<T>* point) {
   Vector2<T> ideal;
   if (!undistort(lens, {image.x, image.y}, &ideal)) return false;
   // With the magnification m and z = F - F/m, p'_z = m z + (kappa - kappa_m m) r^2.
@@ -186,42 +189,55 @@ Ray<T> ray_behind(const Optics<T>& optics, const MicroLens& micro_lens, const Pi
 /// that a ray touches the line that the model images onto the pixel, at z. False, with `ray`
 /// unchanged, if the model images no point at z onto the pixel.
 template <typename T>
-[[nodiscard]] bool object_ray(const Optics<T>& optics, const MicroLens& micro_lens, const Pixel<T>& pixel,
-                const T& z, Ray<T>* ray) {
+[[nodiscard]] bool object_ray(const Optics<T>& optics, const MicroLens& micro_lens,
+                              const Pixel<T>& pixel, const T& z, Ray<T>* ray) {
   using std::sqrt;
   constexpr int kMaxSteps = 20;
-  constexpr double kSettled = 1e-14;  // of a step of the virtual depth, relative
+  constexpr double kSettled = 4e-15;  // of a step, relative
   const MainLens<T>& lens = optics.main_lens;
   if (!(z > lens.focal_length)) return false;
   const Vector3<T> center = optics.array.micro_lens_center(micro_lens.node);
   const Vector3<T> on_sensor = optics.array.on_sensor(pixel);
   const Vector3<T> line = {on_sensor.x - center.x, on_sensor.y - center.y, on_sensor.z - center.z};
-  // Newton's method for the virtual depth at which the magnification is that of z.
+  // The magnification is that of z, so that p'_z = m z + (kappa - kappa_m m) r^2 and with it the
+  // virtual depth depend on r alone. Newton's method for the ideal image point (x, y).
   const T magnification = -lens.focal_length / (z - lens.focal_length);
-  T depth = (magnification * z - center.z) / line.z;
-  Vector2<T> ideal, slide;  // where the image is without distortion, and how it moves with depth
-  T slope;                  // of the magnification by the depth
+  const T depth_on_axis = (magnification * z - center.z) / line.z;
+  const T bulge = (lens.field_curvature - lens.field_curvature_growth * magnification) / line.z;
+  T x = center.x + depth_on_axis * line.x, y = center.y + depth_on_axis * line.y;
+  DistortionSlope<T> distorts = distortion_slope(lens, x, y);
   bool settled = false;
   for (int i = 0; i < kMaxSteps; ++i) {
-    const Vector3<T> image = {center.x + depth * line.x, center.y + depth * line.y,
-                              center.z + depth * line.z};
-    if (!undistort(lens, {image.x, image.y}, &ideal)) return false;
-    slide = distortion_slope(lens, ideal.x, ideal.y).undo({line.x, line.y});
-    const T r2 = ideal.x * ideal.x + ideal.y * ideal.y;
-    const T r2_slope = 2.0 * (ideal.x * slide.x + ideal.y * slide.y);
-    const T below = lens.focal_length - lens.field_curvature_growth * r2;
-    const T found = (image.z + lens.focal_length - lens.field_curvature * r2) / below;
-    slope = (line.z - lens.field_curvature * r2_slope +
-             lens.field_curvature_growth * r2_slope * found) /
-            below;
-    if (settled) break;  // a last round, with which the derivatives are those of the solution
-    const T step = (magnification - found) / slope;
-    depth = depth + step;
-    const double size = std::abs(value_of(step));
-    if (!(size < HUGE_VAL)) return false;
-    settled = size <= kSettled * std::abs(value_of(depth));
+    const T depth = depth_on_axis + bulge * (x * x + y * y);
+    const Vector2<T> shift = distortion(lens, x, y);
+    const T off_x = center.x + depth * line.x - x - shift.x;
+    const T off_y = center.y + depth * line.y - y - shift.y;
+    const T by_x = 2.0 * bulge * x, by_y = 2.0 * bulge * y;
+    const T xx = distorts.xx - line.x * by_x, xy = distorts.xy - line.x * by_y;
+    const T yx = distorts.xy - line.y * by_x, yy = distorts.yy - line.y * by_y;
+    const T inverse = 1.0 / (xx * yy - xy * yx);
+    const T step_x = (yy * off_x - xy * off_y) * inverse;
+    const T step_y = (xx * off_y - yx * off_x) * inverse;
+    x = x + step_x;
+    y = y + step_y;
+    distorts = distortion_slope(lens, x, y);
+    // The round after the last step of size has the derivatives of the solution.
+    if (settled) break;
+    const double size = std::abs(value_of(x)) + std::abs(value_of(y)) +
+                        std::abs(value_of(center.x)) + std::abs(value_of(center.y));
+    const double step = std::abs(value_of(step_x)) + std::abs(value_of(step_y));
+    if (!(step < HUGE_VAL)) return false;
+    settled = step <= kSettled * size;
+    if (std::is_same<T, double>::value && settled) break;
   }
-  if (!settled) return false;
+  if (!settled || !distorts.is_regular()) return false;
+  // How the image and its magnification change along the line.
+  const Vector2<T> ideal{x, y};
+  const Vector2<T> slide = distorts.undo({line.x, line.y});
+  const T r2 = x * x + y * y, r2_slope = 2.0 * (x * slide.x + y * slide.y);
+  const T slope = (line.z - lens.field_curvature * r2_slope +
+                   lens.field_curvature_growth * r2_slope * magnification) /
+                  (lens.focal_length - lens.field_curvature_growth * r2);
   // (x, y)/m and z = F - F/m, and their derivatives by the depth.
   const T inverse = 1.0 / magnification;
   const T by_slope = slope * inverse;

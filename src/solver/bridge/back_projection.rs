@@ -25,13 +25,25 @@ pub(crate) fn object_rays(
     let to_row = |p: &MicroPixel| ffi::MicroPixelRow { k: p.k, l: p.l, u_px: p.u_px, v_px: p.v_px };
     let pixels: Vec<_> = pixels.iter().map(to_row).collect();
     let rows = ffi::object_rays(&camera.into(), &pixels, z_mm).map_err(solver_error)?;
-    let ray = |row: &ffi::RayRow| {
-        row.defined.then(|| Ray {
-            origin_mm: Point3::from(row.origin_mm),
-            direction: Vector3::from(row.direction),
-        })
-    };
     Ok(rows.iter().map(ray).collect())
+}
+
+/// The same of pixels in the micro-images that they belong to.
+pub(crate) fn pixel_rays(
+    camera: &PlenopticCamera,
+    pixels: &[Vector2<f64>],
+    z_mm: f64,
+) -> Result<Vec<Option<Ray>>> {
+    let pixels: Vec<_> = pixels.iter().map(|p| ffi::PairRow { x: p.x, y: p.y }).collect();
+    let rows = ffi::pixel_rays(&camera.into(), &pixels, z_mm).map_err(solver_error)?;
+    Ok(rows.iter().map(ray).collect())
+}
+
+fn ray(row: &ffi::RayRow) -> Option<Ray> {
+    row.defined.then(|| Ray {
+        origin_mm: Point3::from(row.origin_mm),
+        direction: Vector3::from(row.direction),
+    })
 }
 
 /// Points that are seen at virtual depths, in the raw image or in a total-focus one.
