@@ -185,7 +185,7 @@ fn damaged() -> Vec<Mistake> {
             set.write("calibration/calibration-03.png", "not an image\n");
             set
         }),
-        mistake("a board that is a folder", named, || {
+        mistake("a board that is a folder", Refused(&["it is a folder"]), || {
             let set = Set::mini();
             let path = set.path().join("calibration/calibration-03.png");
             fs::remove_file(&path)

@@ -41,7 +41,7 @@ fn tones() -> Vec<Mistake> {
             all.push(change(name, of, expected, move |image| pixels::gamma(image, value)));
         }
     }
-    let levels = Told(&["black", "level", "linear", "full"]);
+    let levels = Told(&["black", "level", "linear", "full", "processed"]);
     for (name, add) in
         [("4 grey levels more", 4.0), ("16 grey levels more", 16.0), ("40 grey levels more", 40.0)]
     {
@@ -54,8 +54,11 @@ fn tones() -> Vec<Mistake> {
     }
     for (name, most) in [("full at 180", 180.0), ("full at 120", 120.0), ("full at 60", 60.0)] {
         for of in [Of::All, Of::Boards, Of::Whites] {
-            let expected =
-                if most > 100.0 { Right } else { Told(&["full", "saturated", "exposed"]) };
+            let expected = if most > 100.0 {
+                Right
+            } else {
+                Told(&["full", "saturated", "exposed", "two discs", "white image"])
+            };
             all.push(change(name, of, expected, move |image| {
                 pixels::curve(image, |x| x.min(most))
             }));
