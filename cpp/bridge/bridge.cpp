@@ -354,6 +354,21 @@ rust::Vec<MetricRow> metric_points(const CameraParts& camera, rust::Slice<const 
   return rows;
 }
 
+rust::Vec<double> virtual_depths(const CameraParts& camera,
+                                 rust::Slice<const MicroLensIndex> micro_lenses,
+                                 rust::Slice<const PointRow> points) {
+  const BackProjection back(to_core(camera));
+  rust::Vec<double> depths;
+  depths.reserve(points.size());
+  auto next = micro_lenses.begin();
+  for (const PointRow& point : points) {
+    const auto& [k, l] = *next++;
+    depths.push_back(back.virtual_depth(k, l, to_core(point.point_mm))
+                         .value_or(std::numeric_limits<double>::quiet_NaN()));
+  }
+  return depths;
+}
+
 rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const FeatureRow> features,
                                  rust::Slice<const std::size_t> counts) {
   const BackProjection back(to_core(camera));

@@ -70,6 +70,9 @@ rust::Vec<RayRow> pixel_rays(const CameraParts& camera, rust::Slice<const PairRo
                              double z_mm);
 rust::Vec<MetricRow> metric_points(const CameraParts& camera, rust::Slice<const VirtualRow> seen,
                                    bool focused);
+rust::Vec<double> virtual_depths(const CameraParts& camera,
+                                 rust::Slice<const MicroLensIndex> micro_lenses,
+                                 rust::Slice<const PointRow> points);
 rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const FeatureRow> features,
                                  rust::Slice<const std::size_t> counts);
 

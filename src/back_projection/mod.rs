@@ -10,4 +10,5 @@ mod tests;
 
 pub use stage::{
     focused_points, metric_points, micro_images_at, object_rays, pixel_rays, triangulate,
+    virtual_depths,
 };

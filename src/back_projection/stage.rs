@@ -1,6 +1,6 @@
 //! The functions of this room.
 
-use nalgebra::Vector2;
+use nalgebra::{Point3, Vector2};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -88,6 +88,17 @@ pub fn focused_points(
 ) -> Result<Vec<Option<MetricPoint>>> {
     camera.validate()?;
     in_chunks(seen, |seen| solver::metric_points(camera, seen, true))
+}
+
+/// Virtual depths of points of the camera frame (mm), each for the micro-lens of a pixel; `None` where there is none.
+///
+/// An error if the camera is not valid.
+pub fn virtual_depths(
+    camera: &PlenopticCamera,
+    points: &[(MicroPixel, Point3<f64>)],
+) -> Result<Vec<Option<f64>>> {
+    camera.validate()?;
+    in_chunks(points, |points| solver::virtual_depths(camera, points))
 }
 
 /// Points that several micro-lenses see, each by the weighted least squares of its sightings; `None` where they do not

@@ -3,6 +3,7 @@
 mod boards;
 mod calibrate;
 mod choices;
+mod compare;
 mod completions;
 mod demo;
 mod detect;
@@ -56,6 +57,7 @@ enum Command {
     Calibrate(Box<calibrate::Arguments>),
     Extrinsics(extrinsics::Arguments),
     Evaluate(evaluate::Arguments),
+    Compare(compare::Arguments),
     Rays(rays::Arguments),
     Points(points::Arguments),
     Completions(completions::Arguments),
@@ -97,6 +99,7 @@ pub fn run() -> ExitCode {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Extrinsics(arguments) => extrinsics::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
         Command::Rays(arguments) => rays::run(&arguments),
         Command::Points(arguments) => points::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),

@@ -116,7 +116,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
 }
 
 /// Where the lens is focused, from the main lens.
-fn default_distance(camera: &PlenopticCamera) -> f64 {
+pub(super) fn default_distance(camera: &PlenopticCamera) -> f64 {
     let behind_mm = camera.mla.lens_to_mla_mm + camera.mla.mla_to_sensor_mm;
     let focused_mm =
         camera.main_lens.setting.map_or(f64::INFINITY, |s| s.focus_distance_mm) - behind_mm;

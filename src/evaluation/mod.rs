@@ -2,6 +2,7 @@
 //! displacements, cross-validation, what groups of parameters are worth, and cameras, poses and features against the truth.
 
 pub mod bias;
+mod comparison;
 mod cross_validation;
 mod detection;
 mod models;
@@ -10,6 +11,9 @@ mod stage;
 mod translation;
 mod truth;
 
+pub use comparison::{
+    CameraComparison, DistanceDifference, ParameterPair, WithStdDevs, compare_cameras,
+};
 pub use cross_validation::{CrossValidation, Fold, cross_validate, foldable_frames};
 pub use detection::{DetectionScore, INSIDE_PX, SMALL_RHO_PX, TRUE_PX};
 pub use models::{Group, ModelComparison, WithoutGroup, Worth, compare_models, comparison_steps};

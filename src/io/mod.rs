@@ -6,6 +6,7 @@ mod board_shape_file;
 mod calibration_file;
 mod calibration_section;
 mod camera_file;
+mod comparison_file;
 pub mod compote;
 mod data_set_folder;
 mod detection_file;
@@ -46,6 +47,7 @@ pub use camera_file::{
     CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_doubts, read_camera, read_camera_doubts,
     read_std_devs,
 };
+pub use comparison_file::comparison_document;
 pub use data_set_folder::{image_name, is_data_set, remove_older_data, stage_data_set};
 pub use detection_file::detection_document;
 pub use evaluation_file::evaluation_document;

@@ -12,6 +12,7 @@ mod vectors;
 
 pub use models::model_figures;
 pub use vectors::array_residuals_figure;
+pub(super) use vectors::shifts_picture;
 
 use super::html::Figure;
 use crate::assessment::Assessment;

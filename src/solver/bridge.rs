@@ -16,7 +16,7 @@ use super::options::{CostOptions, SolverOptions};
 use super::problem::Problem;
 use super::refinement::{Iteration, Refinement};
 pub(crate) use back_projection::{
-    metric_points, micro_images_at, object_rays, pixel_rays, triangulate,
+    metric_points, micro_images_at, object_rays, pixel_rays, triangulate, virtual_depths,
 };
 pub use points::distortion_mm;
 pub(crate) use points::{
@@ -350,6 +350,11 @@ mod ffi {
             seen: &[VirtualRow],
             focused: bool,
         ) -> Result<Vec<MetricRow>>;
+        fn virtual_depths(
+            camera: &CameraParts,
+            micro_lenses: &[MicroLensIndex],
+            points: &[PointRow],
+        ) -> Result<Vec<f64>>;
         fn triangulate(
             camera: &CameraParts,
             features: &[FeatureRow],

@@ -11,7 +11,7 @@ pub use bridge::{distortion_mm, silence_log};
 pub(crate) use bridge::{
     frame_information, metric_points, micro_images_at, object_rays, pixel_rays,
     point_sensitivities, project, project_centers, refine, triangulate, uncertainty,
-    visible_features,
+    virtual_depths, visible_features,
 };
 pub(crate) use options::shape_names;
 pub use options::{Anchor, BEYOND_THE_PAPER, CostOptions, Loss, LossKind, SolverOptions};

@@ -209,3 +209,42 @@ fn what_cannot_be_used_is_named() {
     fails(&["points", camera, path("map.png").to_str().unwrap()], "grey levels");
     fails(&["points", camera, path("none.npy").to_str().unwrap()], "none.npy");
 }
+
+/// Frames of two calibrations may be a rigid motion apart, which is told and taken out.
+#[test]
+fn a_calibration_is_compared_with_the_truth() {
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let mut command = plenocal();
+    command.arg("calibrate").arg(synthetic_folder().join("project.toml"));
+    command.arg("--out").arg(path("results")).assert().success();
+    let compare = |second: &Path| {
+        let mut command = plenocal();
+        command.arg("compare").arg(path("results/camera.json")).arg(second);
+        command.args(["--at", "80,120"]).arg("--out").arg(path("comparison")).assert().success();
+        let text = fs::read(path("comparison/comparison.json")).unwrap();
+        serde_json::from_slice::<Value>(&text).unwrap()
+    };
+    let same = compare(&path("results/camera.json"));
+    assert!(same["rms_px"].as_f64().unwrap() < 1e-6, "{same}");
+    assert!(same["distances"][1]["along_mm"].as_f64().unwrap() < 1e-6, "{same}");
+    assert_eq!(same["parameters"][0]["difference_in_std_devs"], 0.0);
+    let truth = compare(&camera_file());
+    let (with, without) = (&truth["rms_px"], &truth["rms_px_without_motion"]);
+    assert!(with.as_f64().unwrap() < 0.3, "{truth}");
+    // The boards were here.
+    assert!(truth["distances"][0]["rms_px"].as_f64().unwrap() < 0.05, "{truth}");
+    assert!(without.as_f64().unwrap() > 2.0 * with.as_f64().unwrap(), "{truth}");
+    let parameters = truth["parameters"].as_array().unwrap();
+    let apart = |p: &&Value| p["difference_in_std_devs"].as_f64().is_some_and(|d| d.abs() > 4.0);
+    assert!(parameters.iter().find(apart).is_none(), "{truth}");
+    assert!(path("comparison/shifts-80-mm.svg").is_file());
+    // Another focal length is another camera.
+    let text = fs::read_to_string(camera_file()).unwrap();
+    let mut other: Value = serde_json::from_str(&text).unwrap();
+    let longer = 1.02 * other["main_lens"]["focal_length_mm"].as_f64().unwrap();
+    other["main_lens"]["focal_length_mm"] = longer.into();
+    fs::write(path("other.json"), other.to_string()).unwrap();
+    let other = compare(&path("other.json"));
+    assert!(other["rms_px"].as_f64().unwrap() > 0.2, "{other}");
+}

@@ -265,6 +265,26 @@ pub(super) fn residual_vectors(calibration: &Calibration) -> Result<Option<Figur
     Ok(Some(figure("residual-vectors", caption, svg)))
 }
 
+/// Shifts of pixels over the sensor.
+pub(in crate::report) fn shifts_picture(
+    shifts: &[(Vector2<f64>, Vector2<f64>)],
+    sensor: &Sensor,
+    title: &str,
+) -> Result<String> {
+    let arrows: Vec<Arrow> = shifts
+        .iter()
+        .map(|(at, along)| Arrow { at: *at, along: *along, lens_type: 0 })
+        .filter(finite)
+        .collect();
+    let image_px = size_of(sensor);
+    let spacing = (image_px.product() / arrows.len().max(1) as f64).sqrt();
+    let factor = enlargement(&arrows, 2.0 * spacing);
+    sensor_picture(image_px, 0, title, |plane, overlay| {
+        draw_arrows(&arrows, BLUE, factor, plane, overlay);
+        key(plane, image_px, factor, overlay);
+    })
+}
+
 fn single_arrows(
     arrows: &[Arrow],
     types: usize,

@@ -65,6 +65,19 @@ pub(crate) fn metric_points(
     Ok(rows.iter().map(metric_point).collect())
 }
 
+/// Virtual depths of points, each for the micro-lens of a pixel.
+pub(crate) fn virtual_depths(
+    camera: &PlenopticCamera,
+    points: &[(MicroPixel, Point3<f64>)],
+) -> Result<Vec<Option<f64>>> {
+    let of = |(at, _): &(MicroPixel, Point3<f64>)| ffi::MicroLensIndex { k: at.k, l: at.l };
+    let micro_lenses: Vec<_> = points.iter().map(of).collect();
+    let points: Vec<_> = points.iter().map(|(_, point)| ffi::PointRow::from(point)).collect();
+    let depths = ffi::virtual_depths(&camera.into(), &micro_lenses, &points);
+    let depths = depths.map_err(solver_error)?;
+    Ok(depths.into_iter().map(|depth| depth.is_finite().then_some(depth)).collect())
+}
+
 /// Points that several micro-lenses see.
 pub(crate) fn triangulate(
     camera: &PlenopticCamera,

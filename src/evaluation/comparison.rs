@@ -1,0 +1,283 @@
+//! Two calibrations of one camera, compared: parameter by parameter, and by what they do.
+//!
+//! Parameters trade off against each other, and the camera frame is where the lens is taken to be: two cameras that see the
+//! same may have other numbers, and frames that are a rigid motion apart. So the motion that makes them agree best is fitted
+//! first, over points all over the image at several distances, and what is left is the difference.
+
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
+
+use crate::back_projection::{metric_points, pixel_rays, virtual_depths};
+use crate::error::{Error, Result};
+use crate::model::{
+    BentBoard, Board, BoardShape, MicroPixel, PlenopticCamera, VirtualPoint, intrinsic_parameters,
+    shared_parameters,
+};
+use crate::solver::{
+    self, CostOptions, Loss, LossKind, Problem, Projected, SolverFeature, SolverOptions,
+};
+
+/// Pixels at which cameras are compared, along u and v.
+const GRID: [u32; 2] = [32, 24];
+/// Fewest points that a motion is fitted to.
+const FEWEST: usize = 12;
+
+/// A parameter of both cameras.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParameterPair {
+    /// Its name.
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// Its value in either camera.
+    pub values: [f64; 2],
+    /// Its σ in either, where that is known.
+    pub std_devs: [Option<f64>; 2],
+}
+
+impl ParameterPair {
+    /// The difference, second less first, over its σ; `None` if no σ is known.
+    #[must_use]
+    pub fn difference_in_std_devs(&self) -> Option<f64> {
+        let std_dev = self.std_devs.iter().flatten().fold(0.0, |sum: f64, s| sum.hypot(*s));
+        (std_dev > 0.0).then(|| (self.values[1] - self.values[0]) / std_dev)
+    }
+}
+
+/// How two cameras differ at a distance, after the motion.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DistanceDifference {
+    /// The distance in the frame of the first camera, mm.
+    pub at_mm: f64,
+    /// Where the second camera sees the points of the first, less where the first does, by pixel of the first, px.
+    pub shifts_px: Vec<(Vector2<f64>, Vector2<f64>)>,
+    /// Root mean square and largest of these, px.
+    pub rms_px: f64,
+    /// Likewise.
+    pub largest_px: f64,
+    /// Root mean square distance between the points that both see in one pixel at one virtual depth, across the axis and
+    /// along it, mm; `None` if the second sees none.
+    pub rms_mm: Option<[f64; 2]>,
+    /// How much further away the second sees them in the mean, mm.
+    pub further_mm: Option<f64>,
+}
+
+/// Two cameras compared.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraComparison {
+    /// All parameters, the second camera with the array as the first counts it.
+    pub parameters: Vec<ParameterPair>,
+    /// Root mean square of the shifts without the motion, px.
+    pub raw_rms_px: f64,
+    /// From the frame of the first camera to that of the second.
+    pub second_from_first: Isometry3<f64>,
+    /// What is left with it, by distance.
+    pub distances: Vec<DistanceDifference>,
+}
+
+impl CameraComparison {
+    /// Root mean square of all shifts with the motion, px.
+    #[must_use]
+    pub fn rms_px(&self) -> f64 {
+        let shifts = || self.distances.iter().flat_map(|d| &d.shifts_px).map(|(_, shift)| shift);
+        root_mean_square(shifts().map(Vector2::norm))
+    }
+}
+
+/// A camera with σ of its parameters in the order of [`PlenopticCamera::intrinsics`], where they are known.
+pub type WithStdDevs<'a> = (&'a PlenopticCamera, &'a [Option<f64>]);
+
+fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for value in values {
+        sum += value * value;
+        count += 1.0;
+    }
+    (sum / f64::max(count, 1.0)).sqrt()
+}
+
+/// Points of the first camera at a distance, with the pixels that show them.
+fn seen(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<(MicroPixel, Point3<f64>)>> {
+    let along = |size: u32, parts: u32| {
+        (0..parts).map(move |i| (f64::from(i) + 0.5) * f64::from(size) / f64::from(parts) - 0.5)
+    };
+    let sensor = &camera.sensor;
+    let pixels: Vec<Vector2<f64>> = along(sensor.height_px, GRID[1])
+        .flat_map(|v| along(sensor.width_px, GRID[0]).map(move |u| Vector2::new(u, v)))
+        .collect();
+    let micro_images = crate::back_projection::micro_images_at(camera, &pixels)?;
+    let rays = pixel_rays(camera, &pixels, at_mm)?;
+    let point = |((pixel, at), ray): ((&Vector2<f64>, _), Option<crate::model::Ray>)| {
+        let (k, l): (i32, i32) = at?;
+        Some((MicroPixel { k, l, u_px: pixel.x, v_px: pixel.y }, ray?.origin_mm))
+    };
+    Ok(pixels.iter().zip(micro_images).zip(rays).filter_map(point).collect())
+}
+
+/// Compares two cameras at these distances, mm from the main lens of the first.
+///
+/// An error if their arrays are not of one lattice, they have other lens types or sensors, or do not see the same points.
+pub fn compare_cameras(
+    (first, first_std_devs): WithStdDevs,
+    (second, second_std_devs): WithStdDevs,
+    distances_mm: &[f64],
+) -> Result<CameraComparison> {
+    if first.sensor != second.sensor {
+        return Err(Error::invalid(format!(
+            "the first camera has a sensor of {} x {} px of {} mm, the second one of {} x {} px of {} mm",
+            first.sensor.width_px,
+            first.sensor.height_px,
+            first.sensor.pixel_size_mm,
+            second.sensor.width_px,
+            second.sensor.height_px,
+            second.sensor.pixel_size_mm
+        )));
+    }
+    let types = first.lens_types();
+    let alike = second.with_array_of(first).filter(|second| second.lens_types() == types);
+    let second = alike.ok_or_else(|| {
+        Error::invalid(format!(
+            "the first camera has {} and {types} lens type(s), the second {} and {}: they are not of one camera",
+            first.lattice,
+            second.lattice,
+            second.lens_types()
+        ))
+    })?;
+    let mut points = Vec::new();
+    for &at_mm in distances_mm {
+        points.push(seen(first, at_mm)?);
+    }
+    let all: Vec<(MicroPixel, Point3<f64>)> = points.iter().flatten().copied().collect();
+    if all.len() < FEWEST {
+        return Err(Error::invalid("the first camera sees too few points at these distances"));
+    }
+    let raw = shifts(&second, &Isometry3::identity(), &all)?;
+    let motion = motion(&second, &all)?;
+    let differences = distances_mm
+        .iter()
+        .zip(&points)
+        .map(|(&at_mm, points)| difference(first, &second, &motion, at_mm, points));
+    let parameters = intrinsic_parameters(types).iter().enumerate().map(|(i, p)| ParameterPair {
+        name: p.name,
+        unit: p.unit,
+        values: [p.value(first), p.value(&second)],
+        std_devs: [first_std_devs, second_std_devs].map(|of| of.get(i).copied().flatten()),
+    });
+    Ok(CameraComparison {
+        parameters: parameters.collect(),
+        raw_rms_px: root_mean_square(raw.iter().map(|(_, shift)| shift.norm())),
+        second_from_first: motion,
+        distances: differences.collect::<Result<_>>()?,
+    })
+}
+
+fn difference(
+    first: &PlenopticCamera,
+    second: &PlenopticCamera,
+    motion: &Isometry3<f64>,
+    at_mm: f64,
+    points: &[(MicroPixel, Point3<f64>)],
+) -> Result<DistanceDifference> {
+    let shifts_px = shifts(second, motion, points)?;
+    let lengths = || shifts_px.iter().map(|(_, shift)| shift.norm());
+    let depths = virtual_depths(first, points)?;
+    let (mut there, mut virtual_points) = (Vec::new(), Vec::new());
+    for ((at, point), depth) in points.iter().zip(depths) {
+        if let Some(virtual_depth) = depth {
+            there.push(motion * point);
+            virtual_points.push(VirtualPoint { at: *at, virtual_depth, std_dev: [0.0; 3] });
+        }
+    }
+    let found = metric_points(second, &virtual_points)?;
+    let off: Vec<Vector3<f64>> = there
+        .iter()
+        .zip(found)
+        .filter_map(|(there, found)| Some(found?.point_mm - there))
+        .collect();
+    let some = !off.is_empty();
+    Ok(DistanceDifference {
+        at_mm,
+        rms_px: root_mean_square(lengths()),
+        largest_px: lengths().fold(0.0, f64::max),
+        rms_mm: some.then(|| {
+            let across = root_mean_square(off.iter().map(|off| off.xy().norm()));
+            [across, root_mean_square(off.iter().map(|off| off.z))]
+        }),
+        further_mm: some.then(|| off.iter().map(|off| off.z).sum::<f64>() / off.len() as f64),
+        shifts_px,
+    })
+}
+
+/// Points as features of a board that is where the first camera is.
+fn features(points: &[(MicroPixel, Point3<f64>)]) -> Vec<SolverFeature> {
+    let feature = |(at, point): &(MicroPixel, Point3<f64>)| SolverFeature {
+        pose: 0,
+        board_point_mm: *point,
+        k: at.k,
+        l: at.l,
+        u_px: at.u_px,
+        v_px: at.v_px,
+        rho_px: None,
+        std_dev_px: [1.0; 3],
+    };
+    points.iter().map(feature).collect()
+}
+
+/// A board without a shape: the points are where they are.
+fn no_board() -> BentBoard {
+    let board = Board { columns: 2, rows: 2, square_mm: 1.0 };
+    BentBoard { board, shape: BoardShape::default() }
+}
+
+/// By how much the second camera sees each point elsewhere.
+fn shifts(
+    second: &PlenopticCamera,
+    motion: &Isometry3<f64>,
+    points: &[(MicroPixel, Point3<f64>)],
+) -> Result<Vec<(Vector2<f64>, Vector2<f64>)>> {
+    let features = features(points);
+    let poses = [*motion];
+    let problem = Problem {
+        camera: second,
+        board: no_board(),
+        poses: &poses,
+        features: &features,
+        centers: &[],
+    };
+    let projected = solver::project(&problem)?;
+    let shift = |((at, _), found): (&(MicroPixel, Point3<f64>), Option<Projected>)| {
+        let found = found?;
+        let pixel = Vector2::new(at.u_px, at.v_px);
+        Some((pixel, Vector2::new(found.u_px, found.v_px) - pixel))
+    };
+    Ok(points.iter().zip(projected).filter_map(shift).collect())
+}
+
+/// The motion from the first frame to the second with the smallest shifts.
+fn motion(
+    second: &PlenopticCamera,
+    points: &[(MicroPixel, Point3<f64>)],
+) -> Result<Isometry3<f64>> {
+    let features = features(points);
+    let poses = [Isometry3::identity()];
+    let problem = Problem {
+        camera: second,
+        board: no_board(),
+        poses: &poses,
+        features: &features,
+        centers: &[],
+    };
+    let all = shared_parameters(second.lens_types());
+    let cost = CostOptions {
+        rho: false,
+        loss: Loss { kind: LossKind::None, scale: 1.0 },
+        fixed: all.iter().map(|parameter| parameter.name.to_owned()).collect(),
+        ..CostOptions::default()
+    };
+    let refinement =
+        solver::refine(&problem, &cost, &SolverOptions::default(), &mut |_| true).map_err(|e| {
+            Error::invalid(format!(
+                "the second camera does not image the points that the first sees at these distances: {e}"
+            ))
+        })?;
+    Ok(refinement.poses[0])
+}
