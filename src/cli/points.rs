@@ -255,26 +255,26 @@ fn quantile(mut values: Vec<f64>, part: f64) -> f64 {
 fn text(document: &Value) -> String {
     let number = |value: &Value| value.as_f64().unwrap_or(f64::NAN);
     let (distance, sigma) = (&document["distance_mm"], &document["median_sigma_mm"]);
-    let mut text = format!(
+    let mut lines = vec![format!(
         "{} points, 9 of 10 between {:.1} and {:.1} mm from the main lens, half of them nearer than {:.1} mm.",
         document["points"],
         number(&distance["near"]),
         number(&distance["far"]),
         number(&distance["median"]),
-    );
+    )];
     if document["without_point"] != 0 {
-        text += &format!(
-            "\n{} without a point: outside the array, without an image at that depth, or seen only once.",
+        lines.push(format!(
+            "{} without a point: outside the array, without an image at that depth, or seen only once.",
             document["without_point"]
-        );
+        ));
     }
     if number(&sigma["z"]) > 0.0 {
-        text += &format!(
-            "\nTheir σ by what was measured is {:.3} mm across the axis and {:.3} mm along it (median); that of the camera \
+        lines.push(format!(
+            "Their σ by what was measured is {:.3} mm across the axis and {:.3} mm along it (median); that of the camera \
              comes on top.",
             number(&sigma["x"]).hypot(number(&sigma["y"])) / std::f64::consts::SQRT_2,
             number(&sigma["z"]),
-        );
+        ));
     }
-    text
+    lines.join("\n")
 }

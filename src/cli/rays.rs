@@ -101,7 +101,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         "at_mm": at_mm,
         "rays": count,
         "pixels": pixels,
-        "bend": bend.iter().map(|b| b.document()).collect::<Vec<Value>>(),
+        "bend": bend.iter().map(Bend::document).collect::<Vec<Value>>(),
     });
     output.stage_json("rays.json", &document)?;
     let paths = output.commit()?;

@@ -25,10 +25,10 @@ impl NpyHeader {
     }
 
     fn of(kind: &str, shape: &[usize]) -> Self {
-        let sizes: String = shape.iter().map(|size| format!("{size}, ")).collect();
+        let sizes: Vec<String> = shape.iter().map(ToString::to_string).collect();
         let text = format!(
-            "{{'descr': '{kind}', 'fortran_order': False, 'shape': ({}), }}",
-            sizes.trim_end()
+            "{{'descr': '{kind}', 'fortran_order': False, 'shape': ({},), }}",
+            sizes.join(", ")
         );
         // With the two bytes of its length, and a line break at its end.
         let length = MAGIC.len() + 2 + text.len() + 1;

@@ -90,7 +90,9 @@ fn every_pixel_of_the_array_has_a_ray() {
 fn corners_are_triangulated_as_well_as_their_covariance_says() {
     let folder = TempDir::new().unwrap();
     let mut features = shipped_observations().features;
-    features.iter_mut().for_each(|f| f.std_dev_px = Some([NOISE_PX; 2]));
+    for f in &mut features {
+        f.std_dev_px = Some([NOISE_PX; 2]);
+    }
     let mut text = Vec::new();
     write_features(&mut text, &features).unwrap();
     let path = folder.path().join("features.csv");

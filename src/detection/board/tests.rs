@@ -148,7 +148,7 @@ fn a_sixth_of_the_corners_may_be_lost_anywhere() {
         let is_lost = |corner: i32| {
             let mut mixed = (corner.unsigned_abs() + 41 * seed).wrapping_mul(2_654_435_761);
             mixed = (mixed ^ (mixed >> 15)).wrapping_mul(2_246_822_519);
-            (mixed >> 13) % 6 == 0
+            (mixed >> 13).is_multiple_of(6)
         };
         let kept = all.iter().filter(|(corner, p)| !is_lost(*corner) && on_sensor(&p.place));
         let (corners, points): (Vec<i32>, Vec<LatticePoint>) = kept.copied().unzip();
