@@ -44,6 +44,17 @@ fn files_are_short_or_give_a_reason() {
 }
 
 #[test]
+fn both_languages_are_of_one_version() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let header = fs::read_to_string(root.join("cpp/include/plenocal/version.hpp")).unwrap();
+    let version = env!("CARGO_PKG_VERSION");
+    assert!(header.contains(&format!("PLENOCAL_VERSION \"{version}\"")), "{version}");
+    for (name, part) in ["MAJOR", "MINOR", "PATCH"].iter().zip(version.split('.')) {
+        assert!(header.contains(&format!("PLENOCAL_VERSION_{name} {part}\n")), "{name} {part}");
+    }
+}
+
+#[test]
 fn functions_are_short() {
     let sources = sources(&["src", "tests", "benches", "examples"], &["rs"]);
     let long = sources.iter().flat_map(|(path, text)| {
