@@ -6,11 +6,11 @@
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
-use crate::back_projection::{metric_points, pixel_rays, virtual_depths};
+use crate::back_projection::{metric_points, micro_images_at, pixel_rays, virtual_depths};
 use crate::error::{Error, Result};
 use crate::model::{
-    BentBoard, Board, BoardShape, MicroPixel, PlenopticCamera, VirtualPoint, intrinsic_parameters,
-    shared_parameters,
+    BentBoard, Board, BoardShape, MicroPixel, PlenopticCamera, Ray, VirtualPoint,
+    intrinsic_parameters, shared_parameters,
 };
 use crate::solver::{
     self, CostOptions, Loss, LossKind, Problem, Projected, SolverFeature, SolverOptions,
@@ -104,9 +104,9 @@ fn seen(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<(MicroPixel, Point3<
     let pixels: Vec<Vector2<f64>> = along(sensor.height_px, GRID[1])
         .flat_map(|v| along(sensor.width_px, GRID[0]).map(move |u| Vector2::new(u, v)))
         .collect();
-    let micro_images = crate::back_projection::micro_images_at(camera, &pixels)?;
+    let micro_images = micro_images_at(camera, &pixels)?;
     let rays = pixel_rays(camera, &pixels, at_mm)?;
-    let point = |((pixel, at), ray): ((&Vector2<f64>, _), Option<crate::model::Ray>)| {
+    let point = |((pixel, at), ray): ((&Vector2<f64>, _), Option<Ray>)| {
         let (k, l): (i32, i32) = at?;
         Some((MicroPixel { k, l, u_px: pixel.x, v_px: pixel.y }, ray?.origin_mm))
     };
@@ -207,8 +207,13 @@ fn difference(
     })
 }
 
-/// Points as features of a board that is where the first camera is.
-fn features(points: &[(MicroPixel, Point3<f64>)]) -> Vec<SolverFeature> {
+/// Does something with a problem of points as features, seen by the second camera after a motion.
+fn with_problem<R>(
+    second: &PlenopticCamera,
+    motion: &Isometry3<f64>,
+    points: &[(MicroPixel, Point3<f64>)],
+    f: impl FnOnce(&Problem) -> R,
+) -> R {
     let feature = |(at, point): &(MicroPixel, Point3<f64>)| SolverFeature {
         pose: 0,
         board_point_mm: *point,
@@ -219,13 +224,11 @@ fn features(points: &[(MicroPixel, Point3<f64>)]) -> Vec<SolverFeature> {
         rho_px: None,
         std_dev_px: [1.0; 3],
     };
-    points.iter().map(feature).collect()
-}
-
-/// A board without a shape: the points are where they are.
-fn no_board() -> BentBoard {
+    let features: Vec<SolverFeature> = points.iter().map(feature).collect();
+    // The points are where they are: the board has no shape.
     let board = Board { columns: 2, rows: 2, square_mm: 1.0 };
-    BentBoard { board, shape: BoardShape::default() }
+    let board = BentBoard { board, shape: BoardShape::default() };
+    f(&Problem { camera: second, board, poses: &[*motion], features: &features, centers: &[] })
 }
 
 /// By how much the second camera sees each point elsewhere.
@@ -234,16 +237,7 @@ fn shifts(
     motion: &Isometry3<f64>,
     points: &[(MicroPixel, Point3<f64>)],
 ) -> Result<Vec<(Vector2<f64>, Vector2<f64>)>> {
-    let features = features(points);
-    let poses = [*motion];
-    let problem = Problem {
-        camera: second,
-        board: no_board(),
-        poses: &poses,
-        features: &features,
-        centers: &[],
-    };
-    let projected = solver::project(&problem)?;
+    let projected = with_problem(second, motion, points, solver::project)?;
     let shift = |((at, _), found): (&(MicroPixel, Point3<f64>), Option<Projected>)| {
         let found = found?;
         let pixel = Vector2::new(at.u_px, at.v_px);
@@ -257,15 +251,6 @@ fn motion(
     second: &PlenopticCamera,
     points: &[(MicroPixel, Point3<f64>)],
 ) -> Result<Isometry3<f64>> {
-    let features = features(points);
-    let poses = [Isometry3::identity()];
-    let problem = Problem {
-        camera: second,
-        board: no_board(),
-        poses: &poses,
-        features: &features,
-        centers: &[],
-    };
     let all = shared_parameters(second.lens_types());
     let cost = CostOptions {
         rho: false,
@@ -273,11 +258,13 @@ fn motion(
         fixed: all.iter().map(|parameter| parameter.name.to_owned()).collect(),
         ..CostOptions::default()
     };
-    let refinement =
-        solver::refine(&problem, &cost, &SolverOptions::default(), &mut |_| true).map_err(|e| {
-            Error::invalid(format!(
-                "the second camera does not image the points that the first sees at these distances: {e}"
-            ))
-        })?;
+    let refined = with_problem(second, &Isometry3::identity(), points, |problem| {
+        solver::refine(problem, &cost, &SolverOptions::default(), &mut |_| true)
+    });
+    let refinement = refined.map_err(|e| {
+        Error::invalid(format!(
+            "the second camera does not image the points that the first sees at these distances: {e}"
+        ))
+    })?;
     Ok(refinement.poses[0])
 }

@@ -98,8 +98,10 @@ pub fn comparison_pictures(
     sensor: &Sensor,
 ) -> Result<Vec<(String, String)>> {
     let picture = |d: &DistanceDifference| {
-        let title = format!("Second camera minus first at {:.0} mm", d.at_mm);
-        Ok((format!("shifts-{:.0}-mm.svg", d.at_mm), shifts_picture(&d.shifts_px, sensor, &title)?))
+        // To the micrometre, without zeros at its end: distances apart have names apart.
+        let at_mm = (1e3 * d.at_mm).round() / 1e3;
+        let title = format!("Second camera minus first at {at_mm} mm");
+        Ok((format!("shifts-{at_mm}-mm.svg"), shifts_picture(&d.shifts_px, sensor, &title)?))
     };
     comparison.distances.iter().map(picture).collect()
 }

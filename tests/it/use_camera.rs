@@ -223,7 +223,12 @@ fn a_calibration_is_compared_with_the_truth() {
     let compare = |second: &Path| {
         let mut command = plenocal();
         command.arg("compare").arg(path("results/camera.json")).arg(second);
-        command.args(["--at", "80,120"]).arg("--out").arg(path("comparison")).assert().success();
+        command
+            .args(["--at", "80,80.1,120"])
+            .arg("--out")
+            .arg(path("comparison"))
+            .assert()
+            .success();
         let text = fs::read(path("comparison/comparison.json")).unwrap();
         serde_json::from_slice::<Value>(&text).unwrap()
     };
@@ -241,6 +246,7 @@ fn a_calibration_is_compared_with_the_truth() {
     let apart = |p: &&Value| p["difference_in_std_devs"].as_f64().is_some_and(|d| d.abs() > 4.0);
     assert!(parameters.iter().find(apart).is_none(), "{truth}");
     assert!(path("comparison/shifts-80-mm.svg").is_file());
+    assert!(path("comparison/shifts-80.1-mm.svg").is_file());
     // Another focal length is another camera.
     let text = fs::read_to_string(camera_file()).unwrap();
     let mut other: Value = serde_json::from_str(&text).unwrap();
