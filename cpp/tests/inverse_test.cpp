@@ -56,7 +56,7 @@ TEST(ObjectRay, HasDerivatives) {
     const Optics<T> optics(from_block<MainLens>(v.data()),
                            from_block<MicroLensArray>(v.data() + kMainLensParameters),
                            focal_lengths, 3, camera.pixel_size);
-    Ray<T> ray;
+    Ray<T> ray{};
     EXPECT_TRUE(
         object_ray(optics, micro_lens_of(camera, 4, 11), {rest[0], rest[1]}, rest[2], &ray));
     return std::array<T, 6>{ray.origin.x,    ray.origin.y,    ray.origin.z,
