@@ -8,12 +8,12 @@ TOOLS = chromium zsh fish groff-base
 SUDO = $(if $(filter 0,$(shell id -u)),,sudo)
 BUILD = build/cpp
 MAKEFLAGS += --no-print-directory
-# The independent program of the tests and benchmarks; set for every target, so that nothing is
-# rebuilt between them.
-export PLENOCAL_PLAIN_CERES = $(CURDIR)/$(BUILD)/examples/plain_ceres
+# The C++ programs of the tests and benchmarks; set for every target, so that nothing is rebuilt
+# between them.
+export PLENOCAL_EXAMPLES = $(CURDIR)/$(BUILD)/examples
 
 .PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-faults fuzz \
-        test-cpp test-rust lint bench doc data figures format clean
+        test-cpp test-rust lint bench sanitizers doc doc-cpp data figures format clean
 
 help:
 	@echo "make demo       simulate a camera, calibrate it from its images, write a report"
@@ -25,7 +25,9 @@ help:
 	@echo "make fuzz       a million damaged files, solves and runs (ten minutes); FUZZ=\"--cases N\" or a target"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program"
+	@echo "make sanitizers the C++ tests with address, undefined-behaviour and thread sanitizers, and shared"
 	@echo "make doc        API documentation in target/doc"
+	@echo "make doc-cpp    that of the C++ library in build/doc-cpp"
 	@echo "make data       regenerate data/synthetic"
 	@echo "make figures    regenerate docs/figures"
 	@echo "make format     format all sources"
@@ -98,6 +100,22 @@ lint: deps
 
 bench: cpp
 	cargo bench
+
+# Every C++ test with AddressSanitizer and UndefinedBehaviorSanitizer, and those of threads with
+# ThreadSanitizer, by both compilers. PRESETS="asan-gcc" runs some.
+PRESETS = asan-gcc asan-clang tsan-gcc tsan-clang shared
+sanitizers: deps
+	cd cpp && for preset in $(PRESETS); do \
+	  echo "== $$preset"; \
+	  cmake --preset $$preset --log-level=WARNING && cmake --build --preset $$preset --parallel \
+	    && ctest --preset $$preset || exit 1; \
+	done
+
+doc-cpp: PACKAGES += doxygen
+doc-cpp: deps
+	mkdir -p build/doc-cpp
+	cd cpp && doxygen
+	@echo "build/doc-cpp/html/index.html"
 
 doc: deps
 	cargo doc --release --no-deps --open

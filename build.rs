@@ -31,7 +31,7 @@ fn main() {
     for (variable, cfg) in [
         ("PLENOCAL_R12A", "plenocal_r12a"),
         ("PLENOCAL_WHITES", "plenocal_whites"),
-        ("PLENOCAL_PLAIN_CERES", "plenocal_plain_ceres"),
+        ("PLENOCAL_EXAMPLES", "plenocal_examples"),
         ("PLENOCAL_CHROMIUM", "plenocal_chromium"),
         ("PLENOCAL_TOOLS", "plenocal_tools"),
     ] {

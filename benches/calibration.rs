@@ -1,7 +1,7 @@
 //! Speed of the calibration against a plain Ceres program, in one run.
 //!
 //! Uses the R12-A observations in the folder `PLENOCAL_R12A`, or else the shipped feature set, and
-//! the program `PLENOCAL_PLAIN_CERES` (`cpp/examples/plain_ceres`) as the baseline: one residual
+//! the program `plain_ceres` in the folder `PLENOCAL_EXAMPLES` (`cpp/examples`) as the baseline: one residual
 //! block per observation, the same tolerance, otherwise Ceres' defaults. The programs alternate, so
 //! that a slow moment of the machine affects both. Medians are printed; their ratio is what counts.
 
@@ -10,10 +10,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-use plenocal::calibration::{CalibrationOptions, Start, calibrate};
+use plenocal::calibration::{CalibrationOptions, SolvedProblem, Start, calibrate};
 use plenocal::io::{
-    CameraSource, Project, read_board, read_camera_source, read_centers, read_features,
-    read_internal_parameters,
+    CameraSource, OutputFolder, Project, read_board, read_camera_source, read_centers, read_features,
+    read_internal_parameters, stage_problem,
 };
 use plenocal::model::{Board, Observations};
 use plenocal::precalibration::fit_grid;
@@ -29,8 +29,6 @@ struct Data {
     features: PathBuf,
     start: Start,
     board: Board,
-    /// Options of the baseline that describe the camera.
-    baseline: Vec<&'static str>,
 }
 
 fn r12a(folder: &Path) -> plenocal::Result<Data> {
@@ -45,12 +43,6 @@ fn r12a(folder: &Path) -> plenocal::Result<Data> {
         features: folder.join("bap-R12-A.csv"),
         start: Start::Datasheet(sheet, internal),
         board: read_board(&folder.join("scene.js"))?,
-        baseline: "--pixel-size-mm 0.0055 --width 4080 --height 3068 --columns 176 --rows 152 \
-                   --focal-mm 50 --focus-mm 450 --m-mm 0.14059554040431976 --q-mm \
-                   0.035135191355331399,0.040268205527646997,0.036822146226151445 \
-                   --board-columns 9 --square-mm 10"
-            .split_whitespace()
-            .collect(),
     })
 }
 
@@ -65,11 +57,6 @@ fn shipped() -> plenocal::Result<Data> {
         features: folder.join("features.csv"),
         start: Start::Datasheet(sheet, internal),
         board: project.board.expect("the shipped project has a board"),
-        baseline: "--pixel-size-mm 0.0055 --width 1000 --height 750 --columns 43 --rows 37 \
-                   --focal-mm 16 --focus-mm 120 --m-mm 0.1432 --q-mm 0.0361,0.0414,0.0377 \
-                   --board-columns 9 --square-mm 3"
-            .split_whitespace()
-            .collect(),
     })
 }
 
@@ -79,14 +66,12 @@ fn read(data: &Data) -> plenocal::Result<Observations> {
     Ok(observations)
 }
 
-/// Seconds of the solve, iterations and cost of the baseline.
-fn baseline(program: &Path, data: &Data, threads: usize) -> (f64, u64, f64) {
+/// Seconds of the solve, iterations and cost of the baseline on an exported problem.
+fn baseline(program: &Path, problem: &Path, threads: usize) -> (f64, u64, f64) {
     let output = Command::new(program)
-        .arg("--centers")
-        .arg(&data.centers)
-        .arg("--features")
-        .arg(&data.features)
-        .args(&data.baseline)
+        .arg(problem)
+        .arg("--out")
+        .arg(problem.join(".."))
         .args(["--threads", &threads.to_string()])
         .output()
         .expect("the baseline can be run");
@@ -117,8 +102,15 @@ fn compare(program: &Path, data: &Data, observations: &Observations, threads: us
     let (mut ceres, mut ceres_iterations) = (Vec::new(), 0);
     let (mut anchored, mut anchored_whole) = (Vec::new(), Vec::new());
     let (mut plain_end, mut end) = ((0, 0.0), (0, 0.0));
+    let folder = tempfile::tempdir().expect("there is room for the problem");
+    let problem = folder.path().join("problem");
+    let solved = calibrate(&data.start, &data.board, observations, &options, &mut |_| true)
+        .expect("the data can be calibrated");
+    let mut output = OutputFolder::new(&problem).expect("there is room for the problem");
+    stage_problem(&mut output, &SolvedProblem::of(&solved, &data.board)).expect("there is room");
+    output.commit().expect("there is room");
     for _ in 0..RUNS {
-        let (time, iterations, cost) = baseline(program, data, threads);
+        let (time, iterations, cost) = baseline(program, &problem, threads);
         plain.push(time);
         plain_end = (iterations, cost);
         let alone = calibrate(&data.start, &data.board, observations, &without, &mut |_| true)
@@ -187,13 +179,13 @@ fn main() -> plenocal::Result<()> {
             median((0..RUNS).map(|_| seconds(fit)).collect())
         );
     }
-    match std::env::var_os("PLENOCAL_PLAIN_CERES") {
-        Some(program) => {
+    match std::env::var_os("PLENOCAL_EXAMPLES") {
+        Some(folder) => {
             for threads in [1, 2] {
-                compare(Path::new(&program), &data, &observations, threads);
+                compare(&Path::new(&folder).join("plain_ceres"), &data, &observations, threads);
             }
         }
-        None => println!("Set PLENOCAL_PLAIN_CERES (or run `make bench`) for the comparison."),
+        None => println!("Set PLENOCAL_EXAMPLES (or run `make bench`) for the comparison."),
     }
     Ok(())
 }

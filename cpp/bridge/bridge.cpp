@@ -88,8 +88,9 @@ CostOptions to_core(const CostParts& parts) {
   options.rho = parts.rho;
   options.features_loss = {parts.loss_kind, parts.loss_scale};
   options.centers_loss = options.features_loss;
-  options.fixed.clear();
-  for (const rust::String& name : parts.fixed) options.fixed.push_back(std::string(name));
+  std::vector<std::string> held;
+  for (const rust::String& name : parts.fixed) held.emplace_back(name);
+  options.hold_only(held);
   for (const AnchorRow& anchor : parts.anchors) {
     options.anchors.push_back({std::string(anchor.quantity), anchor.value, anchor.std_dev});
   }
@@ -248,6 +249,8 @@ UncertaintyParts uncertainty(const CameraParts& camera, const BoardParts& board,
   parts.residual_std_dev_px = u.residual_std_dev;
   parts.std_dev_factors = u.std_dev_factors;
   parts.expected_decrease = u.expected_decrease;
+  parts.next_step = from_core(u.next_step);
+  parts.gradient = from_core(u.gradient);
   return parts;
 }
 

@@ -5,6 +5,14 @@
 namespace plenocal {
 namespace {
 
+bool contains(const std::vector<std::string>& names, const std::string& name) {
+  return std::find(names.begin(), names.end(), name) != names.end();
+}
+
+bool is_held_by_default(const std::string& name) {
+  return std::find(kHeldByDefault.begin(), kHeldByDefault.end(), name) != kHeldByDefault.end();
+}
+
 std::string micro_lens_text(int k, int l) {
   return "micro-lens (" + std::to_string(k) + ", " + std::to_string(l) + ")";
 }
@@ -60,9 +68,7 @@ void require_anchor(const Anchor& anchor, int lens_types, const std::vector<std:
   const std::string text = "the anchor of " + anchor.quantity;
   if (!std::isfinite(anchor.value)) reject(text + " is not finite");
   require_std_dev(anchor.std_dev, text);
-  const auto is_fixed = [&fixed](const std::string& name) {
-    return std::find(fixed.begin(), fixed.end(), name) != fixed.end();
-  };
+  const auto is_fixed = [&fixed](const std::string& name) { return contains(fixed, name); };
   if (anchor.quantity == kSlopeName) {
     if (is_fixed("F") && is_fixed("d") && is_fixed("D") && is_fixed("e_z")) {
       reject(text + " has no effect: F, d, D and e_z are fixed");
@@ -82,7 +88,7 @@ void require_anchor(const Anchor& anchor, int lens_types, const std::vector<std:
     }
     return;
   }
-  if (std::find(names.begin(), names.end(), anchor.quantity) == names.end()) {
+  if (!contains(names, anchor.quantity)) {
     reject("there is no parameter " + anchor.quantity + " to anchor");
   }
   if (is_fixed(anchor.quantity)) reject(text + " has no effect: the parameter is fixed");
@@ -90,18 +96,60 @@ void require_anchor(const Anchor& anchor, int lens_types, const std::vector<std:
 
 }  // namespace
 
-bool is_shape_free(const CostOptions& options) {
-  const auto names = shape_names();
-  const auto& fixed = options.fixed;
-  return std::any_of(names.begin(), names.end(), [&fixed](const std::string& name) {
-    return std::find(fixed.begin(), fixed.end(), name) == fixed.end();
-  });
+std::vector<std::string> CostOptions::held() const {
+  std::vector<std::string> names;
+  for (const char* name : kHeldByDefault) {
+    if (!contains(free, name)) names.emplace_back(name);
+  }
+  for (const std::string& name : fixed) {
+    if (!contains(names, name)) names.push_back(name);
+  }
+  return names;
 }
 
-void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
-                      const Observations& observations, const CostOptions& options) {
+void CostOptions::hold_only(const std::vector<std::string>& names) {
+  fixed.clear();
+  free.clear();
+  for (const std::string& name : names) {
+    if (!is_held_by_default(name)) fixed.push_back(name);
+  }
+  for (const char* name : kHeldByDefault) {
+    if (!contains(names, name)) free.emplace_back(name);
+  }
+}
+
+void require_names(const CostOptions& options, int lens_types) {
+  const auto names = shared_names(lens_types);
+  for (const std::string& name : options.fixed) {
+    if (!contains(names, name)) reject("there is no parameter " + name + " to fix");
+    if (contains(options.free, name)) reject(name + " is to be fixed and to be free");
+  }
+  for (const std::string& name : options.free) {
+    if (!contains(names, name)) reject("there is no parameter " + name + " to free");
+  }
+}
+
+bool is_shape_free(const CostOptions& options) {
+  const auto names = shape_names();
+  const auto fixed = options.held();
+  return std::any_of(names.begin(), names.end(),
+                     [&fixed](const std::string& name) { return !contains(fixed, name); });
+}
+
+namespace {
+
+void require_pose(const Pose& pose, const std::string& name) {
+  for (double value : pose_block(pose)) {
+    if (!std::isfinite(value)) reject(name + " is not finite");
+  }
+}
+
+// All but the poses.
+void require_camera_and_observations(const Camera& camera, std::size_t poses,
+                                     const Observations& observations, const CostOptions& options) {
   validate(camera);
   validate(observations.board);
+  require_names(options, camera.lens_types());
   if (is_shape_free(options)) require_size(observations.board);
   require_std_dev(options.uv_std_dev, "(u, v)");
   require_std_dev(options.rho_std_dev, "rho");
@@ -109,25 +157,42 @@ void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
   require_loss(options.features_loss);
   require_loss(options.centers_loss);
   if (!is_positive(options.anchor_weight)) reject("the weight of the anchors has to be positive");
-  for (const Anchor& anchor : options.anchors) {
-    require_anchor(anchor, camera.lens_types(), options.fixed);
-  }
-  if (poses.empty()) reject("there are no frames");
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    for (double value : pose_block(poses[i])) {
-      if (!std::isfinite(value)) reject("pose " + std::to_string(i) + " is not finite");
+  const auto held = options.held();
+  for (const Anchor& anchor : options.anchors) require_anchor(anchor, camera.lens_types(), held);
+  for (int pose : options.fixed_poses) {
+    if (pose < 0 || pose >= static_cast<int>(poses)) {
+      reject("there is no pose " + std::to_string(pose) + " to fix");
     }
   }
-  std::vector<char> seen(poses.size(), 0);
   for (const FeatureObservation& o : observations.features) {
-    require_feature(o, camera.lattice, options.rho && camera.lens_types() > 0, poses.size());
-    seen[o.frame] = 1;
+    require_feature(o, camera.lattice, options.rho && camera.lens_types() > 0, poses);
   }
+  for (const CenterObservation& o : observations.centers) require_center(o, camera.lattice);
+}
+
+}  // namespace
+
+void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
+                      const Observations& observations, const CostOptions& options) {
+  if (poses.empty()) reject("there are no frames");
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    require_pose(poses[i], "pose " + std::to_string(i));
+  }
+  require_camera_and_observations(camera, poses.size(), observations, options);
+  std::vector<char> seen(poses.size(), 0);
+  for (const FeatureObservation& o : observations.features) seen[o.frame] = 1;
   const auto unseen = std::find(seen.begin(), seen.end(), 0);
   if (unseen != seen.end()) {
     reject("pose " + std::to_string(unseen - seen.begin()) + " has no feature");
   }
-  for (const CenterObservation& o : observations.centers) require_center(o, camera.lattice);
+}
+
+void validate_camera_of_rig(const Camera& camera, const Pose& camera_from_first, std::size_t poses,
+                            const Observations& observations, const CostOptions& options) {
+  require_pose(camera_from_first, "camera_from_first");
+  require_camera_and_observations(camera, poses, observations, options);
+  if (observations.features.empty()) reject("a camera of a rig has no feature");
+  if (!options.fixed_poses.empty()) reject("in a rig, poses are fixed in the first camera");
 }
 
 }  // namespace plenocal

@@ -23,6 +23,10 @@ inline void require_std_dev(double value, const std::string& name) {
 /// Whether a parameter of the board's shape is free.
 bool is_shape_free(const CostOptions& options);
 
+/// Names of `kHeldByDefault`, `fixed` and `free`, checked: those of shared parameters alone, and
+/// none of them both fixed and free.
+void require_names(const CostOptions& options, int lens_types);
+
 /// The size without which a shape means nothing.
 void require_size(const Board& board);
 
@@ -30,5 +34,9 @@ void require_size(const Board& board);
 /// everything is checked before it is handed over.
 void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
                       const Observations& observations, const CostOptions& options);
+
+/// The same of a further camera of a rig, whose first camera has so many poses.
+void validate_camera_of_rig(const Camera& camera, const Pose& camera_from_first, std::size_t poses,
+                            const Observations& observations, const CostOptions& options);
 
 }  // namespace plenocal

@@ -6,7 +6,7 @@
 #include <array>
 #include <vector>
 
-#include "problem.hpp"
+#include "plenocal/problem.hpp"
 
 namespace plenocal {
 

@@ -1,83 +1,50 @@
-#include "problem.hpp"
-
-#include <ceres/normal_prior.h>
+#include "plenocal/problem.hpp"
 
 #include <algorithm>
 #include <limits>
-#include <numeric>
 #include <string>
+#include <utility>
 
 #include "checks.hpp"
 
 namespace plenocal {
-namespace {
 
-// Number of observations in a residual block. Larger blocks share more work and make the Schur
-// complement cheaper; smaller ones divide better between threads.
-constexpr std::size_t kFeaturesPerBlock = 256;
-constexpr std::size_t kCentersPerBlock = 256;
-
-// Divides the area of the centres into equal patches.
-class Patches {
- public:
-  explicit Patches(const std::vector<CenterObservation>& centers) {
-    for (const CenterObservation& o : centers) {
-      low_ = {std::min(low_.u, o.observed.u), std::min(low_.v, o.observed.v)};
-      high_ = {std::max(high_.u, o.observed.u), std::max(high_.v, o.observed.v)};
-    }
-  }
-  int of(const Pixel<double>& pixel) const {
-    const auto cell = [](double value, double low, double high, int count) {
-      const double part = high > low ? (value - low) / (high - low) : 0.0;
-      return std::min(static_cast<int>(part * count), count - 1);
-    };
-    return cell(pixel.u, low_.u, high_.u, kPatchColumns) +
-           kPatchColumns * cell(pixel.v, low_.v, high_.v, kPatchRows);
-  }
-
- private:
-  Pixel<double> low_{HUGE_VAL, HUGE_VAL};
-  Pixel<double> high_{-HUGE_VAL, -HUGE_VAL};
-};
-
-}  // namespace
-
-CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<Pose>& poses,
-                                       const Observations& observations, const CostOptions& options)
+CalibrationProblem::CalibrationProblem(const Camera& camera, const Board& board,
+                                       const CostOptions& options,
+                                       std::shared_ptr<ceres::Problem> problem)
     : frame_(camera),
-      board_(observations.board),
+      board_(board),
       shape_is_free_(is_shape_free(options)),
       lens_(to_block(camera.main_lens)),
       exit_pupil_(to_block(camera.exit_pupil)),
       array_(to_block(camera.mla)),
       focal_lengths_(camera.micro_lens_focal_lengths),
-      shape_(to_block(observations.board.shape)) {
+      shape_(to_block(board.shape)),
+      problem_(std::move(problem)) {}
+
+CalibrationProblem::CalibrationProblem(const Camera& camera, const std::vector<Pose>& poses,
+                                       const Observations& observations, const CostOptions& options)
+    : CalibrationProblem(camera, observations.board, options, std::make_shared<ceres::Problem>()) {
   validate_problem(camera, poses, observations, options);
   for (const Pose& pose : poses) poses_.push_back(pose_block(pose));
+  add_residuals(observations, options, blocks().poses);
+}
 
-  problem_ = std::make_unique<ceres::Problem>();
-  for (auto [block, size] : shared_blocks()) {
-    problem_->AddParameterBlock(block, size);
-    for (int place = 0; place < size; ++place) places_.push_back({block, size, place});
+CalibrationProblem::CalibrationProblem(CalibrationProblem& first, const Pose& camera_from_first,
+                                       const Camera& camera, const Observations& observations,
+                                       const CostOptions& options)
+    : CalibrationProblem(camera, observations.board, options, first.problem_) {
+  validate_camera_of_rig(camera, camera_from_first, first.poses_.size(), observations, options);
+  if (shape_is_free_ || first.shape_is_free_) {
+    reject("the shape of the board has to be known in a rig of cameras");
   }
-  for (auto& pose : poses_) problem_->AddParameterBlock(pose.data(), Pose::kSize);
-  switch (options.rho ? camera.lens_types() : 0) {
-    case 0:
-      shape_is_free_ ? add_features<0, true>(observations, options)
-                     : add_features<0, false>(observations, options);
-      break;
-    case 1:
-      shape_is_free_ ? add_features<1, true>(observations, options)
-                     : add_features<1, false>(observations, options);
-      break;
-    default:
-      shape_is_free_ ? add_features<3, true>(observations, options)
-                     : add_features<3, false>(observations, options);
-  }
-  add_centers(observations, options);
-  fix(options);
-  add_anchors(options);
-  for (auto& pose : poses_) free_blocks_.push_back(pose.data());
+  if (first.in_rig_) reject("the first camera of a rig is a further camera of another one");
+  in_rig_ = true;
+  camera_from_first_ = pose_block(camera_from_first);
+  problem_->AddParameterBlock(camera_from_first_.data(), Pose::kSize);
+  add_residuals(observations, options, first.blocks().poses);
+  for (auto [block, size] : shared_blocks()) first.blocks_of_others_.push_back(block);
+  first.blocks_of_others_.push_back(camera_from_first_.data());
 }
 
 std::vector<std::pair<double*, int>> CalibrationProblem::shared_blocks() {
@@ -89,79 +56,6 @@ std::vector<std::pair<double*, int>> CalibrationProblem::shared_blocks() {
   }
   if (shape_is_free_) blocks.emplace_back(shape_.data(), kBoardShapeParameters);
   return blocks;
-}
-
-template <int I, bool Bent>
-void CalibrationProblem::add_features(const Observations& observations,
-                                      const CostOptions& options) {
-  // Sorted by frame, then corner; the order within a corner is kept.
-  const auto& features = observations.features;
-  const auto frame_and_corner = [&features](std::size_t i) {
-    const FeatureObservation& o = features[i];
-    return std::tie(o.frame, o.board_point.x, o.board_point.y, o.board_point.z);
-  };
-  std::vector<std::size_t> order(features.size());
-  std::iota(order.begin(), order.end(), 0);
-  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-    return frame_and_corner(a) < frame_and_corner(b);
-  });
-  int corner = -1;
-  for (std::size_t begin = 0; begin < order.size();) {
-    const int frame = features[order[begin]].frame;
-    std::vector<WeightedFeature> weighted;
-    for (; begin < order.size() && features[order[begin]].frame == frame &&
-           weighted.size() < kFeaturesPerBlock;
-         ++begin) {
-      if (begin == 0 || frame_and_corner(order[begin]) != frame_and_corner(order[begin - 1])) {
-        ++corner;
-      }
-      const FeatureObservation& o = features[order[begin]];
-      const int lens_type = frame_.lattice.lens_type(o.k, o.l, frame_.lens_types());
-      const Feature<double> std_dev{o.std_dev.u * options.uv_std_dev,
-                                    o.std_dev.v * options.uv_std_dev,
-                                    o.std_dev.rho * options.rho_std_dev};
-      weighted.push_back({Bent ? o.board_point : corner_of(board_, o.board_point),
-                          {frame_.lattice.node(o.k, o.l), lens_type},
-                          o.observed,
-                          {1.0 / std_dev.u, 1.0 / std_dev.v, 1.0 / std_dev.rho}});
-      const int index = static_cast<int>(order[begin]);
-      rows_.push_back({kUv, frame, corner, std_dev.u, index});
-      rows_.push_back({kUv, frame, corner, std_dev.v, index});
-      if (I > 0) rows_.push_back({kRho, frame, corner, std_dev.rho, index});
-    }
-    auto cost = FeatureResiduals<I, Bent>::create(std::move(weighted), frame_.pixel_size,
-                                                  options.features_loss, board_);
-    std::vector<double*> blocks = {lens_.data(), array_.data()};
-    if (I > 0) blocks.push_back(focal_lengths_.data());
-    if (Bent) blocks.push_back(shape_.data());
-    blocks.push_back(poses_[frame].data());
-    feature_blocks_.emplace_back(frame, add_block(std::move(cost), std::move(blocks)));
-  }
-}
-
-void CalibrationProblem::add_centers(const Observations& observations, const CostOptions& options) {
-  const auto& centers = observations.centers;
-  const Patches patches(centers);
-  for (std::size_t begin = 0; begin < centers.size(); begin += kCentersPerBlock) {
-    const std::size_t end = std::min(begin + kCentersPerBlock, centers.size());
-    std::vector<WeightedCenter> weighted;
-    for (std::size_t i = begin; i < end; ++i) {
-      const CenterObservation& o = centers[i];
-      const double std_dev = o.std_dev * options.centers_std_dev;
-      weighted.push_back({frame_.lattice.node(o.k, o.l), o.observed, 1.0 / std_dev});
-      rows_.insert(rows_.end(), 2,
-                   {kCenter, patches.of(o.observed), -1, std_dev, static_cast<int>(i)});
-    }
-    auto cost =
-        CenterResiduals::create(std::move(weighted), frame_.pixel_size, options.centers_loss);
-    add_block(std::move(cost), {exit_pupil_.data(), array_.data()});
-  }
-}
-
-ceres::ResidualBlockId CalibrationProblem::add_block(std::unique_ptr<ceres::CostFunction> cost,
-                                                     std::vector<double*> parameters) {
-  blocks_.push_back({cost.get(), parameters});
-  return problem_->AddResidualBlock(cost.release(), nullptr, parameters);
 }
 
 CalibrationProblem::Linearised CalibrationProblem::linearised(const Block& block,
@@ -182,7 +76,8 @@ CalibrationProblem::Linearised CalibrationProblem::linearised(const Block& block
         "the model is not defined at this camera and these poses: a board point lies within the "
         "focal length of the main lens");
   }
-  if (has_pose) result.jacobian.rightCols<Pose::kSize>() = parts.back();
+  const bool is_fixed = has_pose && problem_->IsParameterBlockConstant(block.parameters.back());
+  if (has_pose && !is_fixed) result.jacobian.rightCols<Pose::kSize>() = parts.back();
   int column = 0;
   for (int index : free_intrinsics_) {
     const auto [values, size, place] = places_[index];
@@ -194,55 +89,12 @@ CalibrationProblem::Linearised CalibrationProblem::linearised(const Block& block
   return result;
 }
 
-bool CalibrationProblem::add_intercept(const Anchor& anchor, double weight) {
-  for (int type = 0; type < frame_.lens_types(); ++type) {
-    if (anchor.quantity != intercept_name(type)) continue;
-    add_block(frame_.lens_types() == 1 ? InterceptResidual<1>::create(type, anchor.value, weight)
-                                       : InterceptResidual<3>::create(type, anchor.value, weight),
-              {array_.data(), focal_lengths_.data()});
-    return true;
-  }
-  return false;
-}
-
-bool CalibrationProblem::add_lean(const Anchor& anchor, double weight) {
-  const auto name = std::find(kLeanNames.begin(), kLeanNames.end(), anchor.quantity);
-  if (name == kLeanNames.end()) return false;
-  const int axis = static_cast<int>(name - kLeanNames.begin());
-  add_block(LeanResidual::create(axis, anchor.value, weight), {exit_pupil_.data(), array_.data()});
-  return true;
-}
-
-void CalibrationProblem::add_anchors(const CostOptions& options) {
-  const double root = std::sqrt(options.anchor_weight);
-  const auto names = shared_names(frame_.lens_types());
-  for (const Anchor& anchor : options.anchors) {
-    const int index = static_cast<int>(&anchor - options.anchors.data());
-    rows_.push_back({kAnchor, index, -1, anchor.std_dev});
-    const double weight = root / anchor.std_dev;
-    if (anchor.quantity == kSlopeName) {
-      add_block(SlopeResidual::create(anchor.value, weight),
-                {lens_.data(), exit_pupil_.data(), array_.data()});
-      continue;
-    }
-    if (add_intercept(anchor, weight) || add_lean(anchor, weight)) continue;
-    const auto found = std::find(names.begin(), names.end(), anchor.quantity);
-    const auto [block, size, place] = places_[found - names.begin()];
-    ceres::Matrix row = ceres::Matrix::Zero(1, size);
-    row(0, place) = weight;
-    add_block(
-        std::make_unique<ceres::NormalPrior>(row, ceres::Vector::Constant(size, anchor.value)),
-        {block});
-  }
-}
-
 void CalibrationProblem::fix(const CostOptions& options) {
   const auto names = shared_names(frame_.lens_types());
-  std::vector<char> fixed(names.size(), 0);
-  for (const std::string& name : options.fixed) {
-    const auto found = std::find(names.begin(), names.end(), name);
-    if (found == names.end()) reject("there is no parameter " + name + " to fix");
-    fixed[found - names.begin()] = 1;
+  const auto held = options.held();
+  std::vector<char> fixed;
+  for (const std::string& name : names) {
+    fixed.push_back(std::find(held.begin(), held.end(), name) != held.end());
   }
   int first = 0;
   for (auto [block, size] : shared_blocks()) {
@@ -264,6 +116,15 @@ void CalibrationProblem::fix(const CostOptions& options) {
     }
     first += size;
   }
+  for (std::size_t i = 0; i < poses_.size(); ++i) {
+    const auto& list = options.fixed_poses;
+    if (std::find(list.begin(), list.end(), static_cast<int>(i)) == list.end()) {
+      free_blocks_.push_back(poses_[i].data());
+    } else {
+      problem_->SetParameterBlockConstant(poses_[i].data());
+      fixed_poses_.push_back(static_cast<int>(i));
+    }
+  }
 }
 
 std::vector<double> CalibrationProblem::frame_costs() const {
@@ -284,11 +145,66 @@ std::shared_ptr<ceres::ParameterBlockOrdering> CalibrationProblem::ordering() {
   // Within a group Ceres orders blocks by their addresses, which change from run to run.
   int group = 1;
   for (auto [block, size] : shared_blocks()) ordering->AddElementToGroup(block, group++);
+  for (double* block : blocks_of_others_) ordering->AddElementToGroup(block, group++);
   return ordering;
 }
 
+CalibrationProblem::Blocks CalibrationProblem::blocks() {
+  Blocks blocks{lens_.data(),
+                exit_pupil_.data(),
+                array_.data(),
+                focal_lengths_.empty() ? nullptr : focal_lengths_.data(),
+                shape_is_free_ ? shape_.data() : nullptr,
+                in_rig_ ? camera_from_first_.data() : nullptr,
+                {}};
+  for (auto& pose : poses_) blocks.poses.push_back(pose.data());
+  return blocks;
+}
+
+std::vector<std::string> CalibrationProblem::names() const {
+  const auto shared = shared_names(frame_.lens_types());
+  std::vector<std::string> names;
+  for (int index : free_intrinsics_) names.push_back(shared[index]);
+  for (std::size_t i = 0; i < poses_.size(); ++i) {
+    for (const char* part : {"r_x", "r_y", "r_z", "t_x", "t_y", "t_z"}) {
+      names.push_back("pose " + std::to_string(i) + " " + part);
+    }
+  }
+  return names;
+}
+
+Evaluation CalibrationProblem::evaluate() const {
+  if (in_rig_) reject("of a further camera of a rig there is no evaluation of its own");
+  const auto free = static_cast<Eigen::Index>(free_intrinsics_.size());
+  const auto rows = static_cast<Eigen::Index>(rows_.size());
+  const Eigen::Index columns = free + Pose::kSize * static_cast<Eigen::Index>(poses_.size());
+  Evaluation result;
+  result.residuals.resize(rows);
+  result.gradient.setZero(columns);
+  std::vector<Eigen::Triplet<double>> entries;
+  linearise([&](const Linearised& block) {
+    result.residuals.segment(block.first_row, block.residuals.size()) = block.residuals;
+    const Eigen::Index pose = free + Pose::kSize * rows_[block.first_row].group;
+    const auto& jacobian = block.jacobian;
+    for (Eigen::Index column = 0; column < jacobian.cols(); ++column) {
+      const Eigen::Index to = column < free ? column : pose + column - free;
+      result.gradient[to] += jacobian.col(column).dot(block.residuals);
+      for (Eigen::Index row = 0; row < jacobian.rows(); ++row) {
+        const double entry = jacobian(row, column);
+        if (entry != 0.0) entries.emplace_back(block.first_row + row, to, entry);
+      }
+    }
+  });
+  result.cost = 0.5 * result.residuals.squaredNorm();
+  result.jacobian.resize(rows, columns);
+  result.jacobian.setFromTriplets(entries.begin(), entries.end());
+  return result;
+}
+
 Eigen::VectorXd CalibrationProblem::state() const {
-  Eigen::VectorXd state(problem_->NumParameters());
+  std::size_t size = lens_.size() + exit_pupil_.size() + array_.size() + focal_lengths_.size() +
+                     (shape_is_free_ ? shape_.size() : 0) + Pose::kSize * poses_.size();
+  Eigen::VectorXd state(static_cast<Eigen::Index>(size));
   double* next = state.data();
   const auto append = [&next](const auto& block) {
     next = std::copy(block.begin(), block.end(), next);

@@ -6,7 +6,7 @@
 #include <limits>
 #include <stdexcept>
 
-#include "problem.hpp"
+#include "plenocal/problem.hpp"
 
 // Levenberg-Marquardt by Ceres, with extrapolation.
 //

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <limits>
 
+#include "checks.hpp"
 #include "curvature.hpp"
 #include "normal_equations.hpp"
 #include "plenocal/refine.hpp"
@@ -47,7 +48,8 @@ void add_weakest(const ScaledInverse& inverse, const MatrixXd& covariance, Uncer
     VectorXd change = inverse.basis.col(i);
     if (inverse.inverse[i] > 0.0) {
       const VectorXd coordinate = inverse.coordinates.col(i);
-      change = covariance * coordinate / std::sqrt(coordinate.dot(covariance * coordinate));
+      const double variance = coordinate.dot(covariance * coordinate);
+      change = covariance * coordinate / (variance > 0.0 ? std::sqrt(variance) : 1.0);
     }
     result->weakest.insert(result->weakest.end(), change.begin(), change.end());
   }
@@ -90,8 +92,13 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   result.size = equations.size();
   MatrixXd total = equations.information[kUv];
   for (int kind = kRho; kind < kResidualKinds; ++kind) total += equations.information[kind];
+  result.names = calibration.names();
   const VectorXd diagonal = total.diagonal();
   result.information.assign(diagonal.begin(), diagonal.end());
+  // A pose that is fixed is known without any error, and nothing else depends on it.
+  for (int pose : calibration.fixed_poses()) {
+    total.diagonal().segment<Pose::kSize>(equations.pose(pose)).setOnes();
+  }
 
   const ScaledInverse scaled(total);
   result.rank = scaled.rank;
@@ -125,8 +132,24 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   result.common_changes = row_by_row(changes.topRows(equations.intrinsics).transpose());
   result.covariance = row_by_row(result.shared ? shared.covariance : covariance);
   add_weakest(scaled, result.shared ? shared.covariance : covariance, &result);
-  result.expected_decrease = 0.5 * equations.gradient.dot(inverse * equations.gradient);
+  const VectorXd step = -inverse * equations.gradient;
+  result.next_step.assign(step.begin(), step.end());
+  result.gradient.assign(equations.gradient.begin(), equations.gradient.end());
+  result.expected_decrease = -0.5 * equations.gradient.dot(step);
   return result;
+}
+
+double Uncertainty::covariance_of(const std::string& a, const std::string& b) const {
+  const auto index = [this](const std::string& name) {
+    const auto found = std::find(names.begin(), names.end(), name);
+    if (found == names.end()) reject("there is no free parameter " + name);
+    return static_cast<std::size_t>(found - names.begin());
+  };
+  return covariance[index(a) * size + index(b)];
+}
+
+double Uncertainty::std_dev_of(const std::string& name) const {
+  return std::sqrt(covariance_of(name, name));
 }
 
 std::vector<double> frame_information(const Camera& camera, const std::vector<Pose>& poses,

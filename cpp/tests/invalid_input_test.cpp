@@ -234,7 +234,7 @@ INSTANTIATE_TEST_SUITE_P(
 TEST(InvalidInput, FixedFocalLengthOfAPinholeArray) {
   const Scene scene = small_scene(0);
   CostOptions options;
-  options.fixed = test::with_shape({"f_1"});
+  options.hold_only(test::with_shape({"f_1"}));
   expect_names(
       rejection([&] { refine(scene.camera, scene.poses, scene.observations, options, {}); }),
       "no parameter f_1");

@@ -179,8 +179,8 @@ TEST(Refine, OwnStdDevsWeighTheirOwnResidual) {
 TEST(Refine, ExitPupilAndFieldCurvatureAreRecovered) {
   const Scene truth = test::make_scene(3);
   CostOptions options;
-  options.fixed = test::with_shape({"dC_ratio"});
-  const Scene start = disturbed(truth, options.fixed);
+  options.hold_only(test::with_shape({"dC_ratio"}));
+  const Scene start = disturbed(truth, options.held());
   const Refinement free = refine(start.camera, start.poses, start.observations, options, {});
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
   expect_recovered(free, truth);
@@ -202,7 +202,7 @@ TEST(Refine, TwoPitchesAreRecovered) {
   truth.observations = test::observe(truth.camera, truth.poses);
   const Scene start = disturbed(truth, {});
   CostOptions two_pitches;
-  two_pitches.fixed = test::kShape;
+  two_pitches.hold_only(test::kShape);
   const Refinement free = refine(start.camera, start.poses, start.observations, two_pitches, {});
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
   expect_recovered(free, truth);
@@ -216,14 +216,14 @@ TEST(Refine, TwoPitchesAreRecovered) {
 
 TEST(Refine, FixedParametersKeepTheirValue) {
   CostOptions options;
-  options.fixed = test::with_shape({"F", "Q2", "P1", "v0", "theta_z", "dC", "dC_ratio", "f_2"});
+  options.hold_only(test::with_shape({"F", "Q2", "P1", "v0", "theta_z", "dC", "dC_ratio", "f_2"}));
   const Scene start = disturbed(test::make_scene(3), {});
   const Refinement result = refine(start.camera, start.poses, start.observations, options, {});
   const auto names = intrinsic_names(3);
   const auto before = test::intrinsics(start.camera), after = test::intrinsics(result.camera);
   for (std::size_t i = 0; i < names.size(); ++i) {
-    const bool fixed =
-        std::find(options.fixed.begin(), options.fixed.end(), names[i]) != options.fixed.end();
+    const auto held = options.held();
+    const bool fixed = std::find(held.begin(), held.end(), names[i]) != held.end();
     EXPECT_EQ(before[i] == after[i], fixed) << names[i];
   }
   const Uncertainty u = uncertainty(start.camera, start.poses, start.observations, options);
@@ -235,8 +235,8 @@ TEST(Refine, FixedParametersKeepTheirValue) {
 TEST(Refine, EverythingFixedLeavesThePoses) {
   const Scene truth = test::make_scene(3);
   CostOptions options;
-  options.fixed = shared_names(3);
-  const Scene start = disturbed(truth, options.fixed);
+  options.hold_only(shared_names(3));
+  const Scene start = disturbed(truth, options.held());
   const Refinement result = refine(start.camera, start.poses, start.observations, options, {});
   EXPECT_EQ(result.termination, Termination::kConverged) << result.message;
   EXPECT_EQ(test::intrinsics(result.camera), test::intrinsics(truth.camera));

@@ -128,7 +128,7 @@ inline const std::vector<std::string> kBeyondThePaper =
 /// Only what is free in the paper's model is.
 inline CostOptions paper() {
   CostOptions options;
-  options.fixed = kBeyondThePaper;
+  options.hold_only(kBeyondThePaper);
   return options;
 }
 

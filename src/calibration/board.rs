@@ -202,6 +202,18 @@ impl Settings<'_> {
         Ok(Settled { trial: tried(failed), ..settled })
     }
 
+    /// The cost where a problem is, with the shape that the board has there.
+    pub fn evaluated(
+        &self,
+        problem: &Problem,
+        cost: CostOptions,
+        anchors: &[(Anchor, AnchorSource)],
+    ) -> Result<Settled> {
+        let refined = self.evaluate(problem, with_fixed(&cost, |_| true))?;
+        let (trial, aside) = (Trial::NotTried, Effort::default());
+        Ok(Settled { refined, anchors: anchors.to_vec(), trial, aside })
+    }
+
     /// Refines with parameters of the shape free that have an anchor at 0 each, unless another is stated.
     fn refine_free(
         &self,

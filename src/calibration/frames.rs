@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Isometry3;
 use tracing::debug;
 
-use crate::calibration::{LeftOut, initial_poses};
+use crate::calibration::{LeftOut, NoPose, initial_poses};
 use crate::error::{Error, Result};
 use crate::model::{
     BapFeature, BentBoard, Board, FeatureResidual, FramePose, MicroImageCenter, Observations,
@@ -19,7 +19,7 @@ use crate::solver::{
 const CHOICE_ITERATIONS: usize = 5;
 
 /// Poses that differ by less in rotation lead to the same refined pose.
-const ALIKE_RAD: f64 = 0.1;
+pub(super) const ALIKE_RAD: f64 = 0.1;
 /// Two refinements that reach the same pose end in costs that differ by less.
 const CLEARLY_LOWER: f64 = 1e-3;
 
@@ -34,7 +34,7 @@ pub(super) struct Frames {
     pub left_out: Vec<LeftOut>,
 }
 
-/// Initial poses of all frames.
+/// Initial poses of all frames: those given, and of the others what PnP finds.
 ///
 /// PnP on the barycentres gives up to two poses mirrored in tilt. Parallax and blur show which way
 /// a board is tilted: each candidate is refined with the camera fixed, and the one that leads to the
@@ -44,8 +44,8 @@ pub(super) fn initial_frames(
     camera: &PlenopticCamera,
     board: &BentBoard,
     observations: &Observations,
-    cost: &CostOptions,
-    solver: &SolverOptions,
+    (cost, solver): (&CostOptions, &SolverOptions),
+    given: &[FramePose],
 ) -> Result<Frames> {
     let mut by_frame: BTreeMap<u32, Vec<BapFeature>> = BTreeMap::new();
     for &feature in &observations.features {
@@ -54,6 +54,10 @@ pub(super) fn initial_frames(
     let mut left_out = Vec::new();
     let mut candidates = Vec::new();
     for (&frame, features) in &by_frame {
+        if let Some(pose) = given.iter().find(|pose| pose.frame == frame) {
+            candidates.push((frame, vec![pose.camera_from_board]));
+            continue;
+        }
         match initial_poses(camera, &board.board, features) {
             Ok(poses) => candidates.push((frame, poses)),
             Err(reason) => left_out.push(LeftOut { frame, features: features.len(), reason }),
@@ -72,6 +76,22 @@ pub(super) fn initial_frames(
         .map(|((frame, poses), i)| FramePose { frame: *frame, camera_from_board: poses[i] })
         .collect();
     Ok(Frames { poses, features, left_out })
+}
+
+/// The frames of which poses are given, at these.
+pub(super) fn given_frames(observations: &Observations, given: &[FramePose]) -> Frames {
+    let mut by_frame: BTreeMap<u32, usize> = BTreeMap::new();
+    for feature in &observations.features {
+        *by_frame.entry(feature.frame).or_default() += 1;
+    }
+    let pose_of = |frame: u32| given.iter().find(|pose| pose.frame == frame).copied();
+    let poses: Vec<FramePose> = by_frame.keys().filter_map(|&frame| pose_of(frame)).collect();
+    let missing = by_frame.iter().filter(|&(&frame, _)| pose_of(frame).is_none());
+    let left_out = missing
+        .map(|(&frame, &features)| LeftOut { frame, features, reason: NoPose::NotGiven })
+        .collect();
+    let of_these = observations.features.iter().filter(|f| pose_of(f.frame).is_some());
+    Frames { poses, features: of_these.copied().collect(), left_out }
 }
 
 /// Poses for another refinement if some board turns out to be tilted the other way; `None` if no

@@ -4,7 +4,7 @@ use crate::calibration::anchors::check_anchors;
 use crate::calibration::{BoardModel, BoardResult};
 use crate::error::{Error, Result};
 use crate::model::{
-    BoardShape, Datasheet, InternalParameters, LatticeKind, MicroImageCenter, PlenopticCamera,
+    BoardShape, Datasheet, FramePose, InternalParameters, LatticeKind, MicroImageCenter, PlenopticCamera,
     SHAPE, Sensor, positive, shared_parameters,
 };
 use crate::solver::{BEYOND_THE_PAPER, CostOptions, SolverOptions, shape_names};
@@ -55,9 +55,9 @@ pub struct CalibrationOptions {
     /// How observations are weighted.
     pub weights: Weights,
     /// The cost. Without ρ in it, the white images' q'ᵢ are in it, and with them the fᵢ. Its anchors are those that
-    /// the user states. Its `anchor_weight` is not used: with
-    /// anchors, the weight is measured ([`Calibration::cost`](crate::calibration::Calibration::cost)
-    /// has it); without, it has no effect.
+    /// the user states. Its `anchor_weight` is not used: that
+    /// of these options is, or a measured one ([`Calibration::cost`](crate::calibration::Calibration::cost)
+    /// has it).
     pub cost: CostOptions,
     /// Whether to use a robust loss where the observations state their σ, whatever `cost` says: without
     /// σ a loss has no scale.
@@ -76,6 +76,10 @@ pub struct CalibrationOptions {
     pub field_curvature_growth_per_mm: Option<f64>,
     /// Its minimisation.
     pub solver: SolverOptions,
+    /// w of the anchors; measured if not given.
+    pub anchor_weight: Option<f64>,
+    /// Poses of boards to begin with; those of other frames are found.
+    pub poses: Vec<FramePose>,
     /// Frames that are not used.
     pub exclude_frames: Vec<u32>,
 }
@@ -98,6 +102,8 @@ impl Default for CalibrationOptions {
             field_curvature_per_mm: None,
             field_curvature_growth_per_mm: None,
             solver: SolverOptions::default(),
+            anchor_weight: None,
+            poses: Vec::new(),
             exclude_frames: Vec::new(),
         }
     }
@@ -267,6 +273,7 @@ impl CalibrationOptions {
         }
         positive(self.cost.centers_std_dev_px, "the standard deviation of the centres (px)")?;
         positive(self.cost.loss.scale, "the scale of the loss")?;
+        positive(self.anchor_weight.unwrap_or(1.0), "the weight of the anchors")?;
         if self.solver.max_iterations == 0 || self.solver.threads == 0 {
             return Err(Error::invalid("iterations and threads have to be at least 1"));
         }

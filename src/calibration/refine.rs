@@ -60,8 +60,10 @@ impl Settings<'_> {
             );
             progress(iteration)
         };
+        let stated = self.options.anchor_weight;
+        let measured = !cost.anchors.is_empty() && stated.is_none();
         if !cost.anchors.is_empty() {
-            cost.anchor_weight = FIRST_WEIGHT;
+            cost.anchor_weight = stated.unwrap_or(FIRST_WEIGHT);
         }
         // Far from the minimum nearly all residuals are in the flat part of a loss: without one the way
         // takes a fifth of the steps.
@@ -84,20 +86,41 @@ impl Settings<'_> {
             let refined = at_end(problem, Some(&refinement));
             let uncertainty = solver::uncertainty(&refined, &used, &self.common)?;
             let change = uncertainty.dispersion.max(LEAST_WEIGHT) / cost.anchor_weight;
-            let settled = cost.anchors.is_empty() || (1.0 / ALIKE..ALIKE).contains(&change);
+            let settled = !measured || (1.0 / ALIKE..ALIKE).contains(&change);
             let done = stopped
                 || self.left(Some(&refinement)) == 0
                 || (!rough && (settled || attempt >= MAX_ATTEMPTS));
             if done {
                 return Ok(Refined { refinement, uncertainty, cost: used });
             }
-            if !cost.anchors.is_empty() {
+            if measured {
                 cost.anchor_weight *= change;
                 debug!("the anchors weigh {:.3}", cost.anchor_weight);
             }
             rough = rough && !settled && attempt < MAX_ATTEMPTS / 2;
             so_far = Some(refinement);
         }
+    }
+
+    /// The cost where a problem is, without a step.
+    pub fn evaluate(&self, problem: &Problem, mut cost: CostOptions) -> Result<Refined> {
+        let solver =
+            SolverOptions { max_iterations: 0, extrapolate: false, ..self.options.solver };
+        cost.anchor_weight = self.options.anchor_weight.unwrap_or(FIRST_WEIGHT);
+        let mut uncertainty = solver::uncertainty(problem, &cost, &self.common)?;
+        if self.options.anchor_weight.is_none() && !cost.anchors.is_empty() {
+            for _ in 0..MAX_ATTEMPTS {
+                let weight = uncertainty.dispersion.max(LEAST_WEIGHT);
+                let settled = (1.0 / ALIKE..ALIKE).contains(&(weight / cost.anchor_weight));
+                cost.anchor_weight = weight;
+                uncertainty = solver::uncertainty(problem, &cost, &self.common)?;
+                if settled {
+                    break;
+                }
+            }
+        }
+        let refinement = solver::refine(problem, &cost, &solver, &mut |_| true)?;
+        Ok(Refined { refinement, uncertainty, cost })
     }
 
     /// Iterations that the options still allow.

@@ -33,6 +33,8 @@ pub struct Calibration {
     pub board: BoardResult,
     /// The poses of the frames used, by frame number.
     pub poses: Vec<FramePose>,
+    /// Where they started.
+    pub initial_poses: Vec<FramePose>,
     /// The frames left out.
     pub left_out: Vec<LeftOut>,
     /// The grid of the centres; `None` without centres.

@@ -15,7 +15,7 @@ use crate::calibration::common_errors::common_errors;
 use crate::calibration::fill_factor::{with_fill_factor, with_that_of_start};
 use crate::calibration::focus::refocused;
 use crate::calibration::frames::{
-    Frames, feature_residuals, initial_frames, solver_centers, solver_features,
+    Frames, feature_residuals, given_frames, initial_frames, solver_centers, solver_features,
 };
 use crate::calibration::outlying::{LOSS_SCALE, loss_by_residuals};
 use crate::calibration::refine::{Refined, Settings, at_end};
@@ -52,7 +52,51 @@ pub fn calibrate(
     options: &CalibrationOptions,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Calibration> {
-    let _span = tracing::info_span!("calibration").entered();
+    completed(prepared(start, board, observations, options)?, board, options, None, progress)
+}
+
+/// Where a cost is to be evaluated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Solution {
+    /// The camera.
+    pub camera: PlenopticCamera,
+    /// The poses of the boards, by frame number; frames without one are left out.
+    pub poses: Vec<FramePose>,
+}
+
+/// The cost that [`calibrate`] minimises, evaluated at a solution that may come from elsewhere: the result of a
+/// calibration that has ended there. What one more step would gain is in its
+/// [`uncertainty`](Calibration::uncertainty). A free shape of the board keeps the value of the options.
+///
+/// An error as of [`calibrate`], and if camera and observations do not belong together.
+pub fn cost_at(
+    solution: &Solution,
+    start: &Start,
+    board: &Board,
+    observations: &Observations,
+    options: &CalibrationOptions,
+) -> Result<Calibration> {
+    completed(prepared(start, board, observations, options)?, board, options, Some(solution), &mut |_| true)
+}
+
+/// A calibration before any pose is known.
+struct Prepared {
+    start: Start,
+    initial: PlenopticCamera,
+    grid: Option<MicroImageArray>,
+    fill: Option<FillMeasurement>,
+    misfocused: Option<Warning>,
+    observations: Observations,
+    excluded: Vec<LeftOut>,
+}
+
+/// The start of a calibration by everything that is known without poses; errors if the input is inconsistent.
+fn prepared(
+    start: &Start,
+    board: &Board,
+    observations: &Observations,
+    options: &CalibrationOptions,
+) -> Result<Prepared> {
     let start = start.for_mode(options.mode);
     start.validate()?;
     options.validate(&start)?;
@@ -69,8 +113,39 @@ pub fn calibrate(
     let (start, misfocused) = refocused.unwrap_or((start, None));
     let initial = start_camera(&start, grid.as_ref(), options)?;
     observations.features = with_that_of_start(observations.features, &start, &initial.lattice);
+    Ok(Prepared { start, initial, grid, fill, misfocused, observations, excluded })
+}
+
+/// A calibration from its start, or the cost at a solution.
+fn completed(
+    prepared: Prepared,
+    board: &Board,
+    options: &CalibrationOptions,
+    at: Option<&Solution>,
+    progress: &mut dyn FnMut(&Iteration) -> bool,
+) -> Result<Calibration> {
+    let _span = tracing::info_span!("calibration").entered();
+    let Prepared { start, initial, grid, fill, misfocused, observations, excluded } = prepared;
     let board = BentBoard { board: *board, shape: options.known_shape() };
-    let mut frames = frames_with_poses(&initial, &board, &observations, options)?;
+    let (initial, mut frames) = match at {
+        Some(at) => {
+            check_indices(&at.camera, grid.as_ref(), &observations)?;
+            (at.camera.clone(), given_frames(&observations, &at.poses))
+        }
+        None => {
+            let frames = initial_frames(
+                &initial,
+                &board,
+                &observations,
+                (&options.cost, &options.solver),
+                &options.poses,
+            )?;
+            (initial, frames)
+        }
+    };
+    if frames.poses.is_empty() {
+        return Err(Error::invalid(no_frame(&frames.left_out)));
+    }
     frames.left_out.extend(excluded);
     let features = solver_features(&frames.features, &frames.poses, &board.board);
     let centers = solver_centers(&observations.centers);
@@ -82,7 +157,10 @@ pub fn calibrate(
     let all = (frames.features.as_slice(), observations.centers.as_slice());
     let common = common_errors(&start, &initial, all, &cost, options)?;
     let settings = Settings { frames: &frames, options, common };
-    let (settled, outlying) = withstanding(&settings, &problem, &mut cost, &anchors, progress)?;
+    let (settled, outlying) = match at {
+        Some(_) => (settings.evaluated(&problem, cost, &anchors)?, None),
+        None => withstanding(&settings, &problem, &mut cost, &anchors, progress)?,
+    };
     let Settled { refined, anchors, trial, aside } = settled;
     let Refined { refinement, uncertainty, cost } = refined;
 
@@ -94,7 +172,8 @@ pub fn calibrate(
         centers: center_residuals(&refinement.camera, &observations.centers)?,
     };
     let poses = refined_poses(&frames, &refinement);
-    let converged = is_converged(&refinement, &uncertainty, &reprojection);
+    let converged = (at.is_some() || refinement.termination == Termination::Converged)
+        && is_minimum(&refinement, &uncertainty, &reprojection);
     let results = results(anchors, &refinement.camera, &refinement.shape);
     let mut warnings = warnings_before(&initial, grid.as_ref(), &observations);
     warnings.extend(misfocused);
@@ -105,11 +184,13 @@ pub fn calibrate(
     warnings.extend(fronto_parallel(&poses, options.mode));
     warnings.extend(fill.as_ref().and_then(FillMeasurement::contradiction));
     warnings.extend(warnings_of(&board).filter(|_| options.mode != Mode::PosesOnly));
+    warnings.extend(poses_of_no_frame(at.map_or(&options.poses, |at| &at.poses), &observations));
     Ok(Calibration {
         camera: refinement.camera.clone(),
         board,
         m_mm: start.internal().map(|internal| internal.m_mm),
         poses,
+        initial_poses: frames.poses,
         left_out: frames.left_out,
         grid,
         initial_centers_rmse_px: initial_centers_rmse(&initial, &observations)?,
@@ -232,20 +313,6 @@ pub(super) fn center_residuals(
     Ok(centers.iter().zip(projected).map(residual).collect())
 }
 
-/// An error with the reasons if no frame has a pose.
-fn frames_with_poses(
-    initial: &PlenopticCamera,
-    board: &BentBoard,
-    observations: &Observations,
-    options: &CalibrationOptions,
-) -> Result<Frames> {
-    let frames = initial_frames(initial, board, observations, &options.cost, &options.solver)?;
-    if frames.poses.is_empty() {
-        return Err(Error::invalid(no_frame(&frames.left_out)));
-    }
-    Ok(frames)
-}
-
 /// Why no frame could be used.
 fn no_frame(left_out: &[LeftOut]) -> String {
     let reasons: BTreeSet<&NoPose> = left_out.iter().map(|frame| &frame.reason).collect();
@@ -300,8 +367,8 @@ fn refined_poses(frames: &Frames, refinement: &Refinement) -> Vec<FramePose> {
     frames.poses.iter().zip(&refinement.poses).map(pose).collect()
 }
 
-/// By the solver's tolerances, and by how much a further step would lower the cost.
-fn is_converged(
+/// By how much a further step would lower the cost.
+fn is_minimum(
     refinement: &Refinement,
     uncertainty: &Uncertainty,
     reprojection: &Reprojection,
@@ -313,7 +380,14 @@ fn is_converged(
     let residuals = 3 * reprojection.features.len() + 2 * reprojection.centers.len();
     let negligible =
         (MAX_EXPECTED_DECREASE * refinement.cost).max(ZERO_COST_PER_RESIDUAL * residuals as f64);
-    refinement.termination == Termination::Converged && uncertainty.expected_decrease <= negligible
+    uncertainty.expected_decrease <= negligible
+}
+
+/// Poses that belong to no feature.
+fn poses_of_no_frame(given: &[FramePose], observations: &Observations) -> Option<Warning> {
+    let seen: BTreeSet<u32> = observations.features.iter().map(|f| f.frame).collect();
+    let frames: Vec<u32> = given.iter().map(|p| p.frame).filter(|f| !seen.contains(f)).collect();
+    (!frames.is_empty()).then_some(Warning::PosesOfNoFrame { frames })
 }
 
 fn warnings_before(

@@ -94,6 +94,11 @@ pub enum Warning {
         /// By the boards, mm.
         by_boards_mm: f64,
     },
+    /// Poses are given of frames that show no features.
+    PosesOfNoFrame {
+        /// These frames.
+        frames: Vec<u32>,
+    },
     /// All boards are nearly parallel to the image plane.
     FrontoParallel {
         /// The largest tilt, degrees.
@@ -170,6 +175,12 @@ impl fmt::Display for Warning {
             Self::FocusDistance { stated_mm, by_boards_mm } => {
                 f.write_str(&focus_text(*stated_mm, *by_boards_mm))
             }
+            Self::PosesOfNoFrame { frames } => write!(
+                f,
+                "poses are given of frames without features, which are not used: {}. Do they count frames as the \
+                 features do?",
+                frames.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+            ),
             Self::FrontoParallel { largest_tilt_deg } => write!(
                 f,
                 "all boards are fronto-parallel (tilted by at most {largest_tilt_deg:.1} degrees): \
@@ -258,6 +269,8 @@ pub enum NoPose {
     PnpFailed(String),
     /// No solution has the whole board beyond the focal plane of the main lens.
     BehindFocalPlane,
+    /// Poses are given, but none of it.
+    NotGiven,
 }
 
 impl fmt::Display for NoPose {
@@ -273,6 +286,7 @@ impl fmt::Display for NoPose {
                 "solvePnP found no pose with the whole board in front of the focal plane of the main \
                  lens",
             ),
+            Self::NotGiven => f.write_str("no pose of it is given"),
         }
     }
 }

@@ -6,7 +6,9 @@ use std::time::Instant;
 
 use clap::Args;
 use plenocal::assessment::assess;
-use plenocal::calibration::{Calibration, Mode, Weights, calibrate, termination_text};
+use plenocal::calibration::{
+    Calibration, Mode, Solution, SolvedProblem, Weights, calibrate, termination_text,
+};
 use plenocal::evaluation::{ModelComparison, compare_models, comparison_steps};
 use plenocal::io::{
     self, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil, FieldCurvature,
@@ -16,6 +18,8 @@ use plenocal::model::{Board, shared_parameters};
 use plenocal::solver::{LossKind, Termination};
 use plenocal::{Error, Result, report};
 
+use super::cost;
+use super::evaluate::calibrated;
 use super::choices::{
     ANCHORS, BLURS, BOARD_MODELS, FIELD_CURVATURES, LOSSES, MODES, PITCHES, WEIGHTS, choice,
 };
@@ -56,6 +60,9 @@ pub struct Arguments {
     /// centres too.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     features: Option<PathBuf>,
+    /// Poses of the boards to start from (poses.json, COMPOTE's poses.js); those of other frames are found.
+    #[arg(long, value_name = "FILE", help_heading = "Input")]
+    poses: Option<PathBuf>,
     /// Frames to leave out, e.g. 3,7.
     #[arg(
         long,
@@ -105,6 +112,10 @@ pub struct Arguments {
         help_heading = "Estimation"
     )]
     anchor: Option<Vec<String>>,
+    /// How much the anchors weigh against observations, whose errors are not independent: a factor on
+    /// their squared residuals [default: measured, see calibration.json].
+    #[arg(long, value_name = "W", help_heading = "Estimation")]
+    anchor_weight: Option<f64>,
     /// Weights of observations [default: own].
     #[arg(long, value_parser = choice(WEIGHTS), help_heading = "Estimation")]
     weights: Option<Weights>,
@@ -136,6 +147,15 @@ pub struct Arguments {
     #[arg(long, value_name = "N", help_heading = "Estimation")]
     threads: Option<usize>,
 
+    /// Do not refine: say how large cost, gradient and residuals are at the --camera and the --poses that you have
+    /// from elsewhere, and what one more step would gain. The cost is that of the project, anchors included.
+    #[arg(long, requires_all = ["camera", "poses"], conflicts_with_all = ["compare_models", "compote"], help_heading = "Estimation")]
+    evaluate_only: bool,
+
+    /// Also write the problem that was solved to this folder: observations with board coordinates and standard deviations, start,
+    /// anchors, loss, fixed parameters; for a Ceres program of your own.
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    export_problem: Option<PathBuf>,
     /// Say what exit pupil, field curvature and distortion are worth: calibrate without each, and compare by
     /// frames that took no part.
     #[arg(long, help_heading = "Output")]
@@ -158,6 +178,9 @@ Examples:
   plenocal calibrate project.toml --anchor F=51.6:0.2,u0=none --out results
   plenocal calibrate project.toml --exit-pupil at-lens --field-curvature flat --board flat \\
       --anchors none --weights unit --loss none --blur features --out paper
+  plenocal calibrate project.toml --export-problem problem --out results
+  plenocal calibrate project.toml --evaluate-only --camera mine/camera.json \\
+      --poses mine/poses.json --out mine/cost
   plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
 
@@ -169,7 +192,14 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let begun = Instant::now();
     let mut output = OutputFolder::new(&arguments.out)?;
     let (json, with_compote) = (arguments.json, arguments.compote);
-    let input = Input::read(&arguments.files(), arguments.options()?)?;
+    let export = arguments.export_problem.as_deref().map(OutputFolder::new).transpose()?;
+    let mut input = Input::read(&arguments.files(), arguments.options()?)?;
+    let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
+    if let (true, Some(camera), Some(poses)) = (arguments.evaluate_only, &arguments.camera, &poses) {
+        let solution = Solution { camera: calibrated(camera)?, poses: poses.clone() };
+        return cost::run(&solution, &input, (output, export), json);
+    }
+    input.options.poses = poses.unwrap_or_default();
 
     let bar = progress::spinner(json, "refining");
     let calibration = calibrate(
@@ -211,12 +241,24 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     if has_camera(&calibration) {
         output.stage_json("calibration.json", &document)?;
     }
-    let paths = output.commit()?;
+    let mut paths = output.commit()?;
+    paths.extend(exported(export, &calibration, &input.board)?);
     warn(&calibration.left_out);
     warn(&talk::of_calibration(&calibration.warnings));
     warn(&talk::of_frames(&assessment));
     print_result(json, &document, &text, &paths)?;
     Ok(status(&calibration))
+}
+
+/// Writes the problem that was solved, if it is wanted.
+pub(super) fn exported(
+    to: Option<OutputFolder>,
+    calibration: &Calibration,
+    board: &Board,
+) -> Result<Vec<PathBuf>> {
+    let Some(mut output) = to else { return Ok(Vec::new()) };
+    io::stage_problem(&mut output, &SolvedProblem::of(calibration, board))?;
+    output.commit()
 }
 
 /// Compares models in at most so many folds, with a progress bar.
@@ -315,6 +357,7 @@ impl Arguments {
             fix: self.fix.clone(),
             exclude_frames: self.exclude.clone(),
             anchors: anchors_section(self.anchors, self.anchor.as_deref())?,
+            anchor_weight: self.anchor_weight,
             weights: self.weights,
             uv_std_dev_px: self.uv_std_dev,
             rho_std_dev_px: self.rho_std_dev,
@@ -335,6 +378,7 @@ impl Arguments {
             centers: self.centers.as_deref(),
             features: self.features.as_deref(),
             board_shape: self.board_shape.as_deref(),
+            evaluates: self.evaluate_only,
         }
     }
 }

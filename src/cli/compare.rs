@@ -12,7 +12,7 @@ use plenocal::{Error, Result, report};
 use super::evaluate::calibrated;
 use super::talk::print_result;
 
-/// Compare two calibrated cameras: parameters in σ, and what they see.
+/// Compare two calibrated cameras: parameters in standard deviations, and what they see.
 ///
 /// Two calibrations may have other numbers and see the same: parameters trade off, and their camera frames may be a
 /// rigid motion apart. That motion is fitted and told, and what is left is the difference, in pixels and mm, by distance.

@@ -117,6 +117,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
                 centers: Some(&arguments.precalibration.join("centers.csv")),
                 features: Some(features),
                 board_shape: None,
+                evaluates: false,
             };
             let Input { start, observations, options, .. } =
                 Input::read(&files, io::CalibrationSection::default())?;

@@ -20,6 +20,8 @@ pub struct Files<'a> {
     pub centers: Option<&'a Path>,
     pub features: Option<&'a Path>,
     pub board_shape: Option<&'a Path>,
+    /// Whether the camera is only to be evaluated: then the project has the start that defines the cost.
+    pub evaluates: bool,
 }
 
 /// All that the calibration stage takes.
@@ -133,7 +135,9 @@ fn missing(missing: Part) -> Error {
 }
 
 fn start(files: &Files, project: Option<&Project>, mode: Mode) -> Result<Start> {
-    let path = files.camera.or(files.project).ok_or_else(|| missing(Part::Camera))?;
+    let of_project = files.project.filter(|_| files.evaluates && mode != Mode::PosesOnly);
+    let path =
+        of_project.or(files.camera).or(files.project).ok_or_else(|| missing(Part::Camera))?;
     match camera_source(path)? {
         CameraSource::Camera(_) if files.params.is_some() => Err(Error::Invalid(
             "--params is for a camera that is not calibrated yet; leave it out".to_owned(),

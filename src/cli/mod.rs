@@ -4,6 +4,7 @@ mod boards;
 mod calibrate;
 mod choices;
 mod compare;
+mod cost;
 mod completions;
 mod demo;
 mod detect;

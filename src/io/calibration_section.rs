@@ -232,6 +232,8 @@ pub struct CalibrationSection {
     pub fix: Option<Vec<String>>,
     /// What is known beforehand.
     pub anchors: Option<AnchorsSection>,
+    /// w of the anchors, measured if not given.
+    pub anchor_weight: Option<f64>,
     /// Weights of observations.
     pub weights: Option<Weights>,
     /// Frames that are not used.
@@ -268,6 +270,7 @@ impl CalibrationSection {
                 (Some(own), Some(other)) => Some(own.or(other)),
                 (own, other) => own.or(other),
             },
+            anchor_weight: self.anchor_weight.or(other.anchor_weight),
             weights: self.weights.or(other.weights),
             exclude_frames: self.exclude_frames.or(other.exclude_frames),
             uv_std_dev_px: self.uv_std_dev_px.or(other.uv_std_dev_px),
@@ -308,6 +311,7 @@ impl CalibrationSection {
         options.board = self.board.map_or(options.board, BoardModel::from);
         options.cost.rho = self.blur == Some(Blur::Features);
         options.weights = self.weights.unwrap_or_default();
+        options.anchor_weight = self.anchor_weight;
         options.automatic_loss = self.loss.is_none();
         if let Some(anchors) = &self.anchors {
             anchors.add_to(&mut options);

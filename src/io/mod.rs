@@ -8,6 +8,7 @@ mod calibration_section;
 mod camera_file;
 mod comparison_file;
 pub mod compote;
+mod cost_file;
 mod data_set_folder;
 mod detection_file;
 mod evaluation_file;
@@ -26,6 +27,7 @@ mod ply_file;
 mod point_cloud;
 mod poses_file;
 mod precalibration_file;
+mod problem_folder;
 mod project_draft;
 mod project_file;
 mod raytrix;
@@ -48,6 +50,7 @@ pub use camera_file::{
     read_std_devs,
 };
 pub use comparison_file::comparison_document;
+pub use cost_file::cost_document;
 pub use data_set_folder::{image_name, is_data_set, remove_older_data, stage_data_set};
 pub use detection_file::detection_document;
 pub use evaluation_file::evaluation_document;
@@ -67,6 +70,7 @@ pub use output::{OutputFolder, abandon_output};
 pub use ply_file::{PlyColumn, write_ply};
 pub use point_cloud::read_point_cloud_distance;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
+pub use problem_folder::{PROBLEM_FORMAT, PROBLEM_VERSION, stage_problem};
 pub use precalibration_file::{
     PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION, array_document, precalibration_document,
     write_measured_centers,

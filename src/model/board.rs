@@ -1,7 +1,7 @@
 //! The checkerboard and its poses.
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 use super::checks::positive;
 use crate::error::{Error, Result};
@@ -153,12 +153,20 @@ impl From<Board> for BentBoard {
 }
 
 /// A frame and the pose of its board.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FramePose {
     /// Number of the frame.
     pub frame: u32,
     /// Takes points of the board frame into the camera frame, mm.
+    #[serde(serialize_with = "as_vectors")]
     pub camera_from_board: Isometry3<f64>,
+}
+
+/// Rotation vector, rad, and translation, mm.
+fn as_vectors<S: Serializer>(pose: &Isometry3<f64>, to: S) -> std::result::Result<S::Ok, S::Error> {
+    let rotation: [f64; 3] = pose.rotation.scaled_axis().into();
+    let translation: [f64; 3] = pose.translation.vector.into();
+    (rotation, translation).serialize(to)
 }
 
 /// What a set of frames is for.

@@ -265,6 +265,8 @@ mod ffi {
         residual_std_dev_px: [f64; 3],
         std_dev_factors: [f64; 3],
         expected_decrease: f64,
+        next_step: Vec<f64>,
+        gradient: Vec<f64>,
     }
 
     extern "Rust" {

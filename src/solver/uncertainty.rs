@@ -67,6 +67,10 @@ pub struct Uncertainty {
     pub std_dev_factors: [f64; 3],
     /// How much a further Gauss-Newton step would lower the cost; almost 0 at a true minimum.
     pub expected_decrease: f64,
+    /// That step: the change of each parameter.
+    pub next_step: Vec<f64>,
+    /// The gradient of the cost by each parameter.
+    pub gradient: Vec<f64>,
 }
 
 /// An error that observations have in common: one standard deviation of it.

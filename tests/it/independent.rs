@@ -1,14 +1,18 @@
-//! The independent Ceres program (`cpp/examples/plain_ceres`) reaches the same minimum.
+//! The independent Ceres program (`cpp/examples/plain_ceres`) reaches the same minimum of an exported problem.
 
-use std::io::Write;
 use std::path::Path;
 use std::process::Command;
 
-use plenocal::calibration::{Calibration, CalibrationOptions};
+use plenocal::calibration::{
+    BoardModel, Calibration, CalibrationOptions, Solution, SolvedProblem, cost_at,
+};
+use plenocal::io::{OutputFolder, read_camera, read_poses, stage_problem};
+use plenocal::model::{Board, Observations};
+use plenocal::solver::{Loss, LossKind};
 use serde_json::Value;
 
 use crate::support::{
-    datasheet_start, options, r12a_folder, run, shipped_observations, synthetic_folder, true_poses,
+    anchored, board, datasheet_start, options, pairs, run, shipped_observations, true_poses,
 };
 
 /// Relative agreement of the costs.
@@ -19,59 +23,46 @@ const PARAMETER: f64 = 1e-6;
 /// both programs stop, the cost is accurate to 1e-13, and the parameters to about 1e-4 σ.
 const PARAMETER_SIGMAS: f64 = 1e-3;
 
-/// Runs the program; `values` are the camera's.
-fn plain_ceres(centers: &Path, features: &Path, values: &[(&str, &str)]) -> Value {
-    let program = std::env::var_os("PLENOCAL_PLAIN_CERES").expect("PLENOCAL_PLAIN_CERES is set");
-    let mut command = Command::new(program);
-    command.arg("--centers").arg(centers).arg("--features").arg(features);
-    for (name, value) in values {
-        command.arg(format!("--{name}"));
-        if !value.is_empty() {
-            command.arg(value);
-        }
-    }
-    let output = command.output().unwrap();
+/// Exports the problem that a calibration has solved, lets the program solve it, and reads its result.
+fn plain_ceres(calibration: &Calibration, board: &Board) -> (Value, Solution) {
+    let programs = std::env::var_os("PLENOCAL_EXAMPLES").expect("PLENOCAL_EXAMPLES is set");
+    let folder = tempfile::tempdir().unwrap();
+    let problem = folder.path().join("problem");
+    export(calibration, board, &problem);
+    let output =
+        Command::new(Path::new(&programs).join("plain_ceres")).arg(&problem).arg("--out").arg(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
-}
-
-/// Its parameters in the order of `PlenopticCamera::intrinsics`.
-fn parameters(result: &Value) -> Vec<f64> {
-    let p = &result["parameters"];
-    let list = |name: &str| -> Vec<f64> {
-        match &p[name] {
-            Value::Array(values) => values.iter().map(|v| v.as_f64().unwrap()).collect(),
-            value => vec![value.as_f64().unwrap_or_else(|| panic!("{name} in {p}"))],
-        }
+    let solution = Solution {
+        camera: read_camera(&folder.path().join("camera.json")).unwrap(),
+        poses: read_poses(&folder.path().join("poses.json")).unwrap(),
     };
-    let pitch = list("micro_lens_pitch_mm");
-    let ratio = pitch.get(1).map_or(1.0, |y| y / pitch[0]);
-    [
-        list("focal_length_mm"),
-        list("radial"),
-        list("tangential"),
-        // It has neither field curvature nor exit pupil.
-        vec![0.0; 5],
-        list("principal_point_px"),
-        list("mla_to_sensor_mm"),
-        list("mla_rotation_rad"),
-        list("mla_offset_mm"),
-        list("lens_to_mla_mm"),
-        vec![pitch[0], ratio],
-        list("micro_lens_focal_lengths_mm"),
-    ]
-    .concat()
+    (serde_json::from_slice(&output.stdout).unwrap(), solution)
 }
 
-fn assert_same(calibration: &Calibration, plain: &Value) {
-    assert_eq!(plain["converged"], true);
-    let (cost, other) = (calibration.refinement.cost, plain["cost"].as_f64().unwrap());
+fn export(calibration: &Calibration, board: &Board, folder: &Path) {
+    let mut output = OutputFolder::new(folder).unwrap();
+    stage_problem(&mut output, &SolvedProblem::of(calibration, board)).unwrap();
+    output.commit().unwrap();
+}
+
+/// Both programs agree. `cost` is that of the calibration, which counts an anchored camera by another weight at its
+/// start.
+fn assert_same(calibration: &Calibration, (result, solution): &(Value, Solution)) {
+    assert_eq!(result["converged"], true);
+    let (cost, other) = (calibration.refinement.cost, result["cost"].as_f64().unwrap());
     assert!((cost / other - 1.0).abs() < COST, "{cost} and {other}");
     let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
-    let values = calibration.camera.intrinsics();
-    for ((value, other), std_dev) in values.into_iter().zip(parameters(plain)).zip(std_devs) {
+    for ((name, value, other), std_dev) in
+        pairs(&calibration.camera, &solution.camera).into_iter().zip(std_devs)
+    {
         let tolerance = (PARAMETER * other.abs()).max(PARAMETER_SIGMAS * std_dev.unwrap_or(0.0));
-        assert!((value - other).abs() <= tolerance, "{value} and {other}, ± {std_dev:?}");
+        assert!((value - other).abs() <= tolerance, "{name}: {value} and {other}, ± {std_dev:?}");
+    }
+    for (ours, theirs) in calibration.poses.iter().zip(&solution.poses) {
+        assert_eq!(ours.frame, theirs.frame);
+        let [a, b] = [ours, theirs].map(|p| p.camera_from_board);
+        let apart = (a.translation.vector - b.translation.vector).norm();
+        assert!(apart < 1e-4 && a.rotation.angle_to(&b.rotation) < 1e-6, "{apart}");
     }
 }
 
@@ -82,65 +73,103 @@ fn two_pitches() -> CalibrationOptions {
 }
 
 #[test]
-#[cfg_attr(not(plenocal_plain_ceres), ignore = "set PLENOCAL_PLAIN_CERES to the program")]
+#[cfg_attr(not(plenocal_examples), ignore = "set PLENOCAL_EXAMPLES to the folder of the programs")]
 fn the_minimum_on_the_shipped_features_is_the_same() {
-    let folder = synthetic_folder();
-    let mut values = vec![
-        ("pixel-size-mm", "0.0055"),
-        ("width", "1000"),
-        ("height", "750"),
-        ("columns", "43"),
-        ("rows", "37"),
-        ("focal-mm", "16"),
-        ("focus-mm", "120"),
-        ("m-mm", "0.1432"),
-        ("q-mm", "0.0361,0.0414,0.0377"),
-        ("board-columns", "9"),
-        ("square-mm", "3"),
-    ];
-    // The program cannot recognise mirrored poses, so it starts from the true ones.
-    let mut poses = tempfile::NamedTempFile::new().unwrap();
-    writeln!(poses, "frame,rx,ry,rz,tx,ty,tz").unwrap();
-    for pose in true_poses() {
-        let r = pose.camera_from_board.rotation.scaled_axis();
-        let t = pose.camera_from_board.translation.vector;
-        writeln!(poses, "{},{},{},{},{},{},{}", pose.frame, r.x, r.y, r.z, t.x, t.y, t.z).unwrap();
-    }
-    values.push(("poses", poses.path().to_str().unwrap()));
-    let plain = |values: &[(&str, &str)]| {
-        plain_ceres(&folder.join("centers.csv"), &folder.join("features.csv"), values)
-    };
     let observations = shipped_observations();
-    assert_same(&run(&datasheet_start(), &observations, &options()), &plain(&values));
-    values.push(("two-pitches", ""));
-    assert_same(&run(&datasheet_start(), &observations, &two_pitches()), &plain(&values));
+    for options in [options(), two_pitches()] {
+        let calibration = run(&datasheet_start(), &observations, &options);
+        assert_same(&calibration, &plain_ceres(&calibration, &board()));
+    }
+}
+
+/// The default cost: own σ, anchors with their weight, a loss, the exit pupil and a curved field.
+#[test]
+#[cfg_attr(not(plenocal_examples), ignore = "set PLENOCAL_EXAMPLES to the folder of the programs")]
+fn the_minimum_of_the_default_cost_is_the_same() {
+    let mut observations = shipped_observations();
+    for (i, feature) in observations.features.iter_mut().enumerate() {
+        let std_dev = 0.05 + 0.001 * (i % 100) as f64;
+        feature.std_dev_px = Some([std_dev, 1.1 * std_dev]);
+    }
+    for (i, center) in observations.centers.iter_mut().enumerate() {
+        center.std_dev_px = Some(0.02 + 0.001 * (i % 10) as f64);
+    }
+    for kind in [LossKind::Huber, LossKind::Cauchy] {
+        let mut options = CalibrationOptions {
+            board: BoardModel::Flat,
+            automatic_loss: false,
+            ..anchored()
+        };
+        options.cost.loss = Loss { kind, scale: 1.5 };
+        let calibration = run(&datasheet_start(), &observations, &options);
+        assert!(calibration.anchors.len() > 5 && calibration.cost.anchor_weight > 0.0);
+        let solved = plain_ceres(&calibration, &board());
+        assert_same(&calibration, &solved);
+        evaluated_is_the_minimum(&calibration, &solved.1, &observations, &options);
+    }
+}
+
+/// The cost of the program's solution is that of the calibration, and so is its σ; off it, what one more step would gain is
+/// what it costs to be there.
+fn evaluated_is_the_minimum(
+    calibration: &Calibration,
+    solution: &Solution,
+    observations: &Observations,
+    options: &CalibrationOptions,
+) {
+    let weight = Some(calibration.cost.anchor_weight);
+    let options = CalibrationOptions { anchor_weight: weight, ..options.clone() };
+    let evaluate = |solution: &Solution| {
+        cost_at(solution, &datasheet_start(), &board(), observations, &options).unwrap()
+    };
+    let at = evaluate(solution);
+    let (cost, other) = (calibration.refinement.cost, at.refinement.cost);
+    assert!((cost / other - 1.0).abs() < COST, "{cost} and {other}");
+    assert!(at.converged);
+    let [a, b] = [calibration, &at].map(|c| c.uncertainty.covariance[(0, 0)]);
+    assert!((a / b - 1.0).abs() < 0.05, "{a} and {b}");
+    let mut moved = solution.clone();
+    let std_dev = calibration.uncertainty.independent_covariance[(0, 0)].sqrt();
+    moved.camera.main_lens.focal_length_mm += 0.3 * std_dev;
+    let off = evaluate(&moved);
+    assert!(!off.converged);
+    let (gain, lost) = (off.uncertainty.expected_decrease, off.refinement.cost - other);
+    assert!((gain / lost - 1.0).abs() < 0.2, "{gain} and {lost}");
+    assert!((off.uncertainty.next_step[0] / (-0.3 * std_dev) - 1.0).abs() < 0.05);
+}
+
+/// Poses that are given are where the boards start; those of other frames are found.
+#[test]
+fn poses_may_be_given() {
+    let observations = shipped_observations();
+    let reference = run(&datasheet_start(), &observations, &options());
+    let mut given = true_poses();
+    given.truncate(3);
+    given[0].frame = 77;
+    let options = CalibrationOptions { poses: given.clone(), ..options() };
+    let calibration = run(&datasheet_start(), &observations, &options);
+    assert!((calibration.refinement.cost / reference.refinement.cost - 1.0).abs() < COST);
+    assert_eq!(calibration.initial_poses[1], given[1]);
+    assert_ne!(calibration.initial_poses[0].camera_from_board, given[0].camera_from_board);
+    let warnings: Vec<String> = calibration.warnings.iter().map(ToString::to_string).collect();
+    assert!(warnings.iter().any(|w| w.contains("frames without features") && w.contains("77")));
+
+    let solution = Solution { camera: reference.camera.clone(), poses: given };
+    let at =
+        cost_at(&solution, &datasheet_start(), &board(), &observations, &options).unwrap();
+    assert_eq!(at.poses.len(), 2);
+    assert!(at.left_out.iter().any(|left| left.to_string().contains("no pose of it is given")));
 }
 
 #[test]
 #[cfg_attr(
-    not(all(plenocal_plain_ceres, plenocal_r12a)),
-    ignore = "set PLENOCAL_PLAIN_CERES and PLENOCAL_R12A"
+    not(all(plenocal_examples, plenocal_r12a)),
+    ignore = "set PLENOCAL_EXAMPLES and PLENOCAL_R12A"
 )]
 fn the_minimum_on_the_real_features_is_the_same() {
-    let folder = r12a_folder();
-    let mut values = vec![
-        ("pixel-size-mm", "0.0055"),
-        ("width", "4080"),
-        ("height", "3068"),
-        ("columns", "176"),
-        ("rows", "152"),
-        ("focal-mm", "50"),
-        ("focus-mm", "450"),
-        ("m-mm", "0.14059554040431976"),
-        ("q-mm", "0.035135191355331399,0.040268205527646997,0.036822146226151445"),
-        ("board-columns", "9"),
-        ("square-mm", "10"),
-    ];
-    let plain = |values: &[(&str, &str)]| {
-        plain_ceres(&folder.join("center-R12-A.csv"), &folder.join("bap-R12-A.csv"), values)
-    };
     let data = crate::r12a::csv();
-    assert_same(&crate::r12a::run(&data, &options()), &plain(&values));
-    values.push(("two-pitches", ""));
-    assert_same(&crate::r12a::run(&data, &two_pitches()), &plain(&values));
+    for options in [options(), two_pitches()] {
+        let calibration = crate::r12a::run(&data, &options);
+        assert_same(&calibration, &plain_ceres(&calibration, &data.board));
+    }
 }

@@ -3,7 +3,7 @@
 //! Some need data or programs that are not always available, and are reported as ignored without
 //! them. Environment variables name these:
 //! `PLENOCAL_R12A` the folder of the real R12-A observations, `PLENOCAL_WHITES` that of real white
-//! images, `PLENOCAL_PLAIN_CERES` the independent Ceres program, `PLENOCAL_CHROMIUM` a browser;
+//! images, `PLENOCAL_EXAMPLES` the programs of `cpp/examples`, `PLENOCAL_CHROMIUM` a browser;
 //! `PLENOCAL_TOOLS` says that bash, zsh, fish and groff are installed.
 
 mod anchors;
@@ -34,6 +34,7 @@ mod micro_images;
 mod models;
 mod modes;
 mod oracle;
+mod own_programs;
 mod precalibrate;
 mod precalibration;
 mod prepared;

@@ -22,7 +22,7 @@ const HALF_A_DIGIT: f64 = 1e-6;
 
 pub struct Data {
     start: Start,
-    board: Board,
+    pub board: Board,
     observations: Observations,
 }
 

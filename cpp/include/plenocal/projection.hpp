@@ -46,6 +46,13 @@ inline Pose pose_from_block(const std::array<double, Pose::kSize>& b) {
   return {{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
 }
 
+/// The motion of `first`, then that of `second`: with second = camera_from_rig and first =
+/// rig_from_board it is camera_from_board.
+PLENOCAL_API Pose composed(const Pose& second, const Pose& first);
+
+/// The motion back: board_from_camera of camera_from_board.
+PLENOCAL_API Pose inverse(const Pose& pose);
+
 /// The rigid transform of a pose block, with the rotation matrix computed once for many points.
 template <typename T>
 class Motion {
@@ -80,6 +87,21 @@ class Motion {
              translation_[i];
     };
     return {row(0), row(1), row(2)};
+  }
+
+  /// This motion after another one: camera_from_rig.after(rig_from_board) is camera_from_board.
+  Motion after(const Motion& first) const {
+    Motion both = *this;
+    for (int i = 0; i < 3; ++i) {
+      const T* row = rotation_ + 3 * i;
+      for (int j = 0; j < 3; ++j) {
+        both.rotation_[3 * i + j] = row[0] * first.rotation_[j] + row[1] * first.rotation_[3 + j] +
+                                    row[2] * first.rotation_[6 + j];
+      }
+      both.translation_[i] += row[0] * first.translation_[0] + row[1] * first.translation_[1] +
+                              row[2] * first.translation_[2];
+    }
+    return both;
   }
 
  private:

@@ -56,6 +56,11 @@ struct Anchor {
   double std_dev;  ///< likewise
 };
 
+/// What keeps its value unless `CostOptions::free` names it: the camera is the paper's, with the
+/// exit pupil in the lens, a flat field and one pitch of the array; and the board is known.
+constexpr std::array<const char*, 10> kHeldByDefault = {
+    "kappa", "kappa_m", "e_x", "e_y", "e_z", "dC_ratio", "sag_x", "sag_y", "twist", "aspect"};
+
 /// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations + w/2 sum r_a^2 over the
 /// anchors. The sigma of a residual is that of the observation (1 px unless given) times the factor
 /// given here for its kind.
@@ -68,15 +73,21 @@ struct CostOptions {
   bool rho = true;
   Loss features_loss;  ///< on |(u, v, rho)| of a feature
   Loss centers_loss;   ///< on |(u, v)| of a centre
-  /// Names of shared parameters that keep their value, see `shared_names`; by default the camera is
-  /// the paper's: the exit pupil in the lens, a flat field, one pitch of the array; and the board
-  /// is known.
-  std::vector<std::string> fixed = {"kappa",    "kappa_m", "e_x",   "e_y",   "e_z",
-                                    "dC_ratio", "sag_x",   "sag_y", "twist", "aspect"};
+  /// Names of shared parameters (`shared_names`) that keep their value, besides `kHeldByDefault`.
+  std::vector<std::string> fixed;
+  /// Those of `kHeldByDefault` that are estimated all the same.
+  std::vector<std::string> free;
+  /// Indices of poses that keep their value.
+  std::vector<int> fixed_poses;
   std::vector<Anchor> anchors;
   /// w: how many times larger the variance of what the observations say is than their sigma claims,
   /// see `Uncertainty::dispersion`. It keeps observations and anchors in proportion.
   double anchor_weight = 1.0;
+
+  /// Names of all shared parameters that keep their value.
+  PLENOCAL_API std::vector<std::string> held() const;
+  /// Sets `fixed` and `free` so that these and no others keep their value.
+  PLENOCAL_API void hold_only(const std::vector<std::string>& names);
 };
 
 /// Options of the minimisation. The tolerances are those of Ceres; the defaults are at the limit of
@@ -106,7 +117,10 @@ struct Iteration {
 /// Called after every iteration; returning false stops the solve.
 using Progress = std::function<bool(const Iteration&)>;
 
-/// Why the solver stopped.
+/// Why the solver stopped. `kConverged` is Ceres' word alone: the cost, the gradient or the
+/// parameters changed by less than a tolerance, which in a long valley can be far from the minimum.
+/// Whether it is one is what `Uncertainty::expected_decrease` says: plenocal's own program demands
+/// less than 1e-11 of the cost.
 enum class Termination { kConverged, kIterationLimit, kStopped, kFailed };
 
 /// The refined camera, board and poses, and a record of the solve.
@@ -125,7 +139,9 @@ struct Refinement {
   std::vector<Iteration> iterations;
 };
 
-/// Minimises the cost over the free parameters of camera and board and all poses in one problem.
+/// Minimises the cost over the free parameters of camera and board and the free poses in one
+/// problem.
+/// With `max_iterations` = 0 nothing moves, and the result is the cost at the start.
 /// Throws std::invalid_argument on input for which the model is not defined. Every frame needs a
 /// feature, every board point has to be beyond the focal length initially, and a board whose shape
 /// is free needs a size.
@@ -136,7 +152,9 @@ PLENOCAL_API Refinement refine(const Camera& camera, const std::vector<Pose>& po
 /// How well observations and anchors determine the parameters, at a minimum of the cost.
 ///
 /// Parameters: those that all frames share and that are free, in the order of `shared_names`, then
-/// 6 per pose. The former are called intrinsics here, that of the board's shape included.
+/// 6 per pose (`names`). The former are called intrinsics here, that of the board's shape included.
+/// A pose that is fixed has variance 0. A rotation is an axis times an angle, and its covariance
+/// that of these three numbers as they are added to: r + dr, not exp(dr) exp(r).
 ///
 /// Every covariance here is A^+ S A^+, with S the covariance of the gradient and A the Hessian of
 /// the cost. The two kinds differ in both. H = J'J is the information of the standardised
@@ -162,8 +180,10 @@ struct Uncertainty {
   static constexpr int kWeakest = 3;       ///< the largest number of rows in `weakest`
   static constexpr int kEnoughFrames = 6;  ///< so many show what the errors of a frame share
   std::vector<int> free_intrinsics;        ///< indices into `shared_names`
-  int size = 0;                            ///< number of parameters
-  int rank = 0;                            ///< number of independent directions that are determined
+  /// Of all parameters: "F", "kappa", ..., then of each pose "pose 0 r_x" to "pose 0 t_z".
+  std::vector<std::string> names;
+  int size = 0;  ///< number of parameters
+  int rank = 0;  ///< number of independent directions that are determined
   /// Whether `covariance` is that of shared errors: with enough frames, or no free intrinsics.
   bool shared = false;
   std::vector<double> covariance;              ///< size x size, row by row
@@ -206,6 +226,16 @@ struct Uncertainty {
   std::vector<double> common_changes;
   /// How much a further Gauss-Newton step would lower the cost: 0 at a true minimum.
   double expected_decrease = 0.0;
+  /// That step: a change of each parameter.
+  std::vector<double> next_step;
+  /// The gradient of the cost by each parameter.
+  std::vector<double> gradient;
+
+  /// Covariance of two parameters by their names, those of poses included. Throws
+  /// std::invalid_argument for a name that is not among `names`.
+  PLENOCAL_API double covariance_of(const std::string& a, const std::string& b) const;
+  /// sigma of a parameter by its name; throws likewise.
+  PLENOCAL_API double std_dev_of(const std::string& name) const;
 };
 
 /// An error that observations have in common, such as that of q' from white images: one standard

@@ -7,6 +7,8 @@
 #include <ceres/ceres.h>
 
 #include <memory>
+#include <stdexcept>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -33,41 +35,42 @@ struct WeightedFeature {
 
 /// Residuals (u, v, rho) / sigma of features of one frame: 3 each, or 2 for a pinhole array
 /// (I = 0). Parameter blocks: main lens, array, focal lengths (if I > 0), shape of the board (if
-/// Bent), pose. The derivatives by the shape take a quarter more time, and are left out where it is
-/// known.
-template <int I, bool Bent = false>
+/// Bent), camera_from_rig (if InRig), pose of the board: camera_from_board, or rig_from_board in a
+/// rig of several cameras. The derivatives by the shape take a quarter more time, and are left out
+/// where it is known.
+template <int I, bool Bent = false, bool InRig = false>
 class FeatureResiduals {
  public:
   static constexpr int kResiduals = I == 0 ? 2 : 3;
 
-  /// Of the board, only its size is used.
+  /// Of the board, only its size is used. Throws std::invalid_argument for a lens type that there
+  /// is not.
   FeatureResiduals(std::vector<WeightedFeature> features, double pixel_size, Loss loss,
                    const Board& board = {})
-      : features_(std::move(features)), pixel_size_(pixel_size), loss_(loss), board_(board) {}
-
-  template <typename T>
-  bool operator()(const T* lens, const T* array, const T* focal_lengths, const T* shape,
-                  const T* pose, T* residuals) const {
-    static_assert(I > 0 && Bent, "these are the blocks of micro-lenses and a bent board");
-    return evaluate(lens, array, focal_lengths, shape, pose, residuals);
+      : features_(std::move(features)), pixel_size_(pixel_size), loss_(loss), board_(board) {
+    for (const WeightedFeature& f : features_) {
+      if (I > 0 && (f.micro_lens.lens_type < 0 || f.micro_lens.lens_type >= I)) {
+        throw std::invalid_argument("a feature has a lens type that the camera does not have");
+      }
+    }
   }
 
-  /// Without focal lengths, or without a shape.
-  template <typename T>
-  bool operator()(const T* lens, const T* array, const T* focal_lengths_or_shape, const T* pose,
-                  T* residuals) const {
-    static_assert((I > 0) != Bent, "these are the blocks of micro-lenses or of a bent board");
-    constexpr const T* kNone = nullptr;
-    return evaluate(lens, array, Bent ? kNone : focal_lengths_or_shape,
-                    Bent ? focal_lengths_or_shape : kNone, pose, residuals);
-  }
-
-  /// With neither.
-  template <typename T>
-  bool operator()(const T* lens, const T* array, const T* pose, T* residuals) const {
-    static_assert(I == 0 && !Bent, "these are the blocks of pinholes and a known board");
-    constexpr const T* kNone = nullptr;
-    return evaluate(lens, array, kNone, kNone, pose, residuals);
+  /// The parameter blocks in their order, then the residuals.
+  template <typename T, typename... Rest>
+  bool operator()(const T* lens, const T* array, Rest... rest) const {
+    constexpr std::size_t kShapeAt = I > 0 ? 1 : 0, kRigAt = kShapeAt + (Bent ? 1 : 0);
+    constexpr std::size_t kPoseAt = kRigAt + (InRig ? 1 : 0);
+    static_assert(sizeof...(Rest) == kPoseAt + 2, "the blocks do not fit I, Bent and InRig");
+    const std::tuple<Rest...> blocks(rest...);
+    const T *focal_lengths = nullptr, *shape = nullptr;
+    if constexpr (I > 0) focal_lengths = std::get<0>(blocks);
+    if constexpr (Bent) shape = std::get<kShapeAt>(blocks);
+    Motion<T> camera_from_board(std::get<kPoseAt>(blocks));
+    if constexpr (InRig) {
+      camera_from_board = Motion<T>(std::get<kRigAt>(blocks)).after(camera_from_board);
+    }
+    return evaluate(lens, array, focal_lengths, shape, camera_from_board,
+                    std::get<kPoseAt + 1>(blocks));
   }
 
   /// A cost function over these features.
@@ -75,33 +78,44 @@ class FeatureResiduals {
                                                      double pixel_size, Loss loss,
                                                      const Board& board = {}) {
     const int n = kResiduals * static_cast<int>(features.size());
-    auto* functor = new FeatureResiduals(std::move(features), pixel_size, loss, board);
+    auto functor = std::make_unique<FeatureResiduals>(std::move(features), pixel_size, loss, board);
     constexpr int kLens = kMainLensParameters, kArray = kArrayParameters;
     constexpr int kShape = kBoardShapeParameters;
     if constexpr (I > 0 && Bent) {
-      return function<kLens, kArray, I, kShape, Pose::kSize>(functor, n);
+      return function<kLens, kArray, I, kShape>(std::move(functor), n);
     } else if constexpr (I > 0) {
-      return function<kLens, kArray, I, Pose::kSize>(functor, n);
+      return function<kLens, kArray, I>(std::move(functor), n);
     } else if constexpr (Bent) {
-      return function<kLens, kArray, kShape, Pose::kSize>(functor, n);
+      return function<kLens, kArray, kShape>(std::move(functor), n);
     } else {
-      return function<kLens, kArray, Pose::kSize>(functor, n);
+      return function<kLens, kArray>(std::move(functor), n);
     }
   }
 
  private:
+  // Of blocks of these sizes, and the poses.
   template <int... Sizes>
-  static std::unique_ptr<ceres::CostFunction> function(FeatureResiduals* functor, int n) {
-    return std::make_unique<
-        ceres::AutoDiffCostFunction<FeatureResiduals, ceres::DYNAMIC, Sizes...>>(functor, n);
+  static std::unique_ptr<ceres::CostFunction> function(std::unique_ptr<FeatureResiduals> functor,
+                                                       int n) {
+    using ceres::AutoDiffCostFunction;
+    using ceres::DYNAMIC;
+    if constexpr (InRig) {
+      return std::make_unique<
+          AutoDiffCostFunction<FeatureResiduals, DYNAMIC, Sizes..., Pose::kSize, Pose::kSize>>(
+          functor.release(), n);
+    } else {
+      return std::make_unique<
+          AutoDiffCostFunction<FeatureResiduals, DYNAMIC, Sizes..., Pose::kSize>>(functor.release(),
+                                                                                  n);
+    }
   }
 
   template <typename T>
   PLENOCAL_FLATTEN bool evaluate(const T* lens, const T* array, const T* focal_lengths,
-                                 const T* shape, const T* pose, T* residuals) const {
+                                 const T* shape, const Motion<T>& camera_from_board,
+                                 T* residuals) const {
     const Optics<T> optics(from_block<MainLens>(lens), from_block<MicroLensArray>(array),
                            focal_lengths, I, pixel_size_);
-    const Motion<T> camera_from_board(pose);
     Vector3<T> image;
     const Vector3<double>* imaged = nullptr;
     for (const WeightedFeature& f : features_) {

@@ -256,6 +256,8 @@ impl From<(&ffi::UncertaintyParts, usize, &[CommonError])> for Uncertainty {
             residual_std_dev_px: parts.residual_std_dev_px,
             std_dev_factors: parts.std_dev_factors,
             expected_decrease: parts.expected_decrease,
+            next_step: parts.next_step.clone(),
+            gradient: parts.gradient.clone(),
         }
     }
 }

@@ -1,10 +1,12 @@
-// The cost function as a ceres::Problem, with its parameters and the kinds of its residual rows.
+// The cost function as a public ceres::Problem, with its parameters and the kinds of its residuals.
 #pragma once
 
 #include <ceres/ceres.h>
 
 #include <Eigen/Core>
+#include <Eigen/SparseCore>
 #include <memory>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -34,24 +36,64 @@ constexpr int kPatchColumns = 8;
 constexpr int kPatchRows = 6;
 constexpr int kPatches = kPatchColumns * kPatchRows;
 
-/// Owns the parameter blocks and the problem over them; neither copied nor moved, since Ceres
+/// What an evaluation of a problem gives.
+struct Evaluation {
+  double cost = 0.0;
+  Eigen::VectorXd residuals;  ///< standardised, in the order of `CalibrationProblem::rows`
+  Eigen::VectorXd gradient;   ///< J'r, in the order of `CalibrationProblem::names`
+  /// d residuals / d parameters, likewise; the columns of a fixed pose are empty.
+  Eigen::SparseMatrix<double, Eigen::RowMajor> jacobian;
+};
+
+/// The cost as a ceres::Problem that is yours to extend: add the residuals of other cameras,
+/// priors, poses that come from elsewhere, then hand it to ceres::Solve with `ordering`. `refine`
+/// and `uncertainty` do the same for problems without additions.
+///
+/// It owns the parameter blocks and the problem over them; neither copied nor moved, since Ceres
 /// keeps pointers into it.
-class CalibrationProblem {
+class PLENOCAL_API CalibrationProblem {
  public:
+  /// Throws std::invalid_argument like `refine`.
   CalibrationProblem(const Camera& camera, const std::vector<Pose>& poses,
+                     const Observations& observations, const CostOptions& options);
+  /// A further camera of a rig, which sees the boards of `first` and takes part in its problem: the
+  /// frames of the observations are indices into the poses of `first`, and some may be missing.
+  /// Both have to live as long as the problem is used, and the boards have a shape that is known.
+  CalibrationProblem(CalibrationProblem& first, const Pose& camera_from_first, const Camera& camera,
                      const Observations& observations, const CostOptions& options);
   CalibrationProblem(const CalibrationProblem&) = delete;
   CalibrationProblem& operator=(const CalibrationProblem&) = delete;
 
   ceres::Problem& problem() { return *problem_; }
 
-  /// Poses are eliminated first by the Schur solvers.
+  /// The parameter blocks, each in the order of its `visit`; poses as `pose_block`.
+  struct Blocks {
+    double* main_lens;           ///< `kMainLensParameters`
+    double* exit_pupil;          ///< `kExitPupilParameters`
+    double* array;               ///< `kArrayParameters`
+    double* focal_lengths;       ///< one for each lens type; null for an array of pinholes
+    double* board_shape;         ///< `kBoardShapeParameters`; null unless it is free
+    double* camera_from_first;   ///< `Pose::kSize`; null unless this is a further camera of a rig
+    std::vector<double*> poses;  ///< none of a further camera
+  };
+  Blocks blocks();
+
+  /// Poses are eliminated first by the Schur solvers; further cameras take part. Blocks that you
+  /// have added have to be added to it as well: poses to group 0 if no residual joins them with
+  /// another pose, others to a later one.
   std::shared_ptr<ceres::ParameterBlockOrdering> ordering();
 
   /// Camera, board and poses with the present values of the parameter blocks.
   Camera camera() const;
   BoardShape<double> board_shape() const { return from_block<BoardShape>(shape_.data()); }
   std::vector<Pose> poses() const;
+  /// Where a further camera of a rig is.
+  Pose camera_from_first() const { return pose_from_block(camera_from_first_); }
+
+  /// Cost, residuals and derivatives of this camera at the present values, without what you have
+  /// added (for all of it, `problem().Evaluate`). Throws std::invalid_argument where the model is
+  /// not defined, and for a further camera of a rig.
+  Evaluation evaluate() const;
 
   /// All parameters as one vector, and back.
   Eigen::VectorXd state() const;
@@ -65,11 +107,15 @@ class CalibrationProblem {
   const std::vector<double*>& free_blocks() const { return free_blocks_; }
   /// Indices of the shared parameters that are free.
   const std::vector<int>& free_intrinsics() const { return free_intrinsics_; }
+  /// Names of the parameters in the order of gradients and covariances, see `Uncertainty::names`.
+  std::vector<std::string> names() const;
+  /// Indices of the poses that are fixed.
+  const std::vector<int>& fixed_poses() const { return fixed_poses_; }
   /// Origin of each residual row, block by block.
   const std::vector<RowOrigin>& rows() const { return rows_; }
 
   /// Residuals and Jacobian of a block: columns are the free intrinsics, then, for features, the
-  /// six of their frame's pose.
+  /// six of their frame's pose, which are 0 if it is fixed.
   struct Linearised {
     int first_row;  ///< in `rows`
     Eigen::VectorXd residuals;
@@ -87,8 +133,14 @@ class CalibrationProblem {
   }
 
  private:
-  template <int I, bool Bent>
-  void add_features(const Observations& observations, const CostOptions& options);
+  CalibrationProblem(const Camera& camera, const Board& board, const CostOptions& options,
+                     std::shared_ptr<ceres::Problem> problem);
+  /// Adds all residuals. The poses are blocks of this problem or of that of the first camera.
+  void add_residuals(const Observations& observations, const CostOptions& options,
+                     const std::vector<double*>& poses);
+  template <int I, bool Bent, bool InRig>
+  void add_features(const Observations& observations, const CostOptions& options,
+                    const std::vector<double*>& poses);
   void add_centers(const Observations& observations, const CostOptions& options);
   void add_anchors(const CostOptions& options);
   /// Adds an anchor on a q'_i; false if it is on something else.
@@ -120,14 +172,18 @@ class CalibrationProblem {
   std::array<double, kArrayParameters> array_;
   std::vector<double> focal_lengths_;
   std::array<double, kBoardShapeParameters> shape_;
+  bool in_rig_ = false;
+  std::array<double, Pose::kSize> camera_from_first_{};
   std::vector<std::array<double, Pose::kSize>> poses_;
+  std::vector<int> fixed_poses_;
   std::vector<Place> places_;  // of all shared parameters
   std::vector<double*> free_blocks_;
   std::vector<int> free_intrinsics_;
   std::vector<RowOrigin> rows_;
   std::vector<Block> blocks_;
   std::vector<std::pair<int, ceres::ResidualBlockId>> feature_blocks_;  // with their frames
-  std::unique_ptr<ceres::Problem> problem_;
+  std::vector<double*> blocks_of_others_;                               // further cameras of a rig
+  std::shared_ptr<ceres::Problem> problem_;
 };
 
 }  // namespace plenocal

@@ -1,0 +1,39 @@
+//! `plenocal calibrate --evaluate-only`: the cost at a solution from elsewhere.
+
+use std::process::ExitCode;
+use std::time::Instant;
+
+use plenocal::assessment::assess;
+use plenocal::calibration::{Refit, Solution, cost_at};
+use plenocal::io::{self, OutputFolder};
+use plenocal::{Result, report};
+
+use super::calibrate::exported;
+use super::input::Input;
+use super::talk::{self, print_result, warn};
+
+/// Evaluates, and writes cost.json and residuals.csv, and the problem if it is wanted.
+pub(super) fn run(
+    solution: &Solution,
+    input: &Input,
+    (mut output, export): (OutputFolder, Option<OutputFolder>),
+    json: bool,
+) -> Result<ExitCode> {
+    let begun = Instant::now();
+    let evaluated =
+        cost_at(solution, &input.start, &input.board, &input.observations, &input.options);
+    let evaluated = evaluated.map_err(|error| input.located(error))?;
+    let parts = Refit::new(&evaluated, &input.board).minimum().cost_parts;
+    let assessment = assess(&evaluated, &input.board)?;
+    let mut document =
+        io::calibration_document(&evaluated, &assessment, begun.elapsed().as_secs_f64());
+    document["evaluation"] = io::cost_document(&evaluated, parts);
+    output.stage_json("cost.json", &document)?;
+    output.stage("residuals.csv", |out| io::write_residuals(out, &evaluated.reprojection))?;
+    let mut paths = output.commit()?;
+    paths.extend(exported(export, &evaluated, &input.board)?);
+    warn(&evaluated.left_out);
+    warn(&talk::of_calibration(&evaluated.warnings));
+    print_result(json, &document, &report::cost_text(&evaluated, parts), &paths)?;
+    Ok(ExitCode::SUCCESS)
+}

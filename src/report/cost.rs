@@ -1,0 +1,102 @@
+//! The cost at a solution from elsewhere as tables and text.
+
+use super::calibration::errors_table;
+use super::table::{Table, table};
+use crate::calibration::Calibration;
+use crate::model::{SHAPE_PARAMETERS, display_unit, shared_parameters, with_std_dev};
+
+/// How far from the minimum a camera may be, in σ of any parameter, to be as good.
+const NEGLIGIBLE: f64 = 0.01;
+
+/// Cost, gradient and residuals at a solution, and what one more step would gain. The cost has a part of the features, one of
+/// the centres, and one of the anchors.
+#[must_use]
+pub fn cost_text(evaluated: &Calibration, [features, centers, anchors]: [f64; 3]) -> String {
+    let [counted, centred] =
+        [evaluated.reprojection.features.len(), evaluated.reprojection.centers.len()];
+    let weight = if evaluated.anchors.is_empty() {
+        String::new()
+    } else {
+        format!(", weight {:.6}", evaluated.cost.anchor_weight)
+    };
+    let cost = format!(
+        "Cost {:.9}: {features:.6} of {counted} features, {centers:.6} of {centred} centres, {anchors:.6} of {} \
+         anchors{weight}.",
+        evaluated.refinement.cost,
+        evaluated.anchors.len()
+    );
+    [verdict(evaluated), cost, steps_table(evaluated).to_string(), errors_table(evaluated).to_string()]
+        .join("\n\n")
+}
+
+/// Whether this is a minimum.
+fn verdict(evaluated: &Calibration) -> String {
+    let uncertainty = &evaluated.uncertainty;
+    let (gain, cost) = (uncertainty.expected_decrease, evaluated.refinement.cost);
+    let gain = format!(
+        "One more Gauss-Newton step would lower the cost by {gain:.3e} ({:.1e} of it)",
+        gain / cost
+    );
+    let farthest = steps(evaluated).into_iter().max_by(|a, b| a.std_devs().total_cmp(&b.std_devs()));
+    let moves = farthest.map_or(String::new(), |step| {
+        format!(", and move {} most, by {:.1e} σ", step.name, step.std_devs())
+    });
+    let far = steps(evaluated).iter().any(|step| step.std_devs() > NEGLIGIBLE);
+    let verdict = match (evaluated.converged, far) {
+        (true, _) => "This is a minimum.",
+        (false, false) => "This is a minimum for all practical purposes.",
+        (false, true) => "This is no minimum of this cost.",
+    };
+    format!("{verdict} {gain}{moves}.")
+}
+
+/// What a further step would do to a parameter.
+struct Step {
+    name: &'static str,
+    unit: &'static str,
+    value: f64,
+    std_dev: f64,
+    gradient: f64,
+    change: f64,
+}
+
+impl Step {
+    fn std_devs(&self) -> f64 {
+        (self.change / self.std_dev).abs()
+    }
+}
+
+fn steps(evaluated: &Calibration) -> Vec<Step> {
+    let uncertainty = &evaluated.uncertainty;
+    let names = shared_parameters(evaluated.camera.lens_types());
+    let mut values = evaluated.camera.intrinsics();
+    values.extend(SHAPE_PARAMETERS.iter().map(|p| p.value(&evaluated.board.bent.shape)));
+    let step = |(row, &index): (usize, &usize)| Step {
+        name: names[index].name,
+        unit: names[index].unit,
+        value: values[index],
+        std_dev: uncertainty.covariance[(row, row)].sqrt(),
+        gradient: uncertainty.gradient[row],
+        change: uncertainty.next_step[row],
+    };
+    uncertainty.free_intrinsics.iter().enumerate().map(step).collect()
+}
+
+fn steps_table(evaluated: &Calibration) -> Table {
+    let mut table =
+        table(&["Parameter", "Unit", "Value", "± σ", "Gradient, 1/σ", "Next step", "in σ"], &[0, 1]);
+    for step in steps(evaluated) {
+        let (unit, factor) = display_unit(step.name, step.unit);
+        let (value, std_dev) = with_std_dev(step.value * factor, Some(step.std_dev * factor));
+        table.add_row([
+            step.name.to_owned(),
+            unit.to_owned(),
+            value,
+            std_dev,
+            format!("{:.1e}", step.gradient * step.std_dev),
+            format!("{:.2e}", step.change * factor),
+            format!("{:.1e}", step.change / step.std_dev),
+        ]);
+    }
+    table
+}

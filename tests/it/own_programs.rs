@@ -1,0 +1,202 @@
+//! Programs of users: the examples in C++, and problems that are exported for programs of their own.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use plenocal::back_projection::metric_points;
+use plenocal::calibration::{BoardModel, CalibrationOptions, SolvedProblem, Start};
+use plenocal::io::{OutputFolder, read_camera, read_poses, stage_problem};
+use plenocal::model::{FramePose, MicroPixel, Noise, VirtualPoint};
+use predicates::prelude::PredicateBooleanExt;
+use predicates::str::contains;
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::support::{
+    board, drawn, options, plenocal, run, synthetic_folder, true_camera, true_poses,
+};
+
+fn program(name: &str) -> Command {
+    let folder = std::env::var_os("PLENOCAL_EXAMPLES").expect("PLENOCAL_EXAMPLES is set");
+    Command::new(Path::new(&folder).join(name))
+}
+
+fn text(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+/// The C++ stack finds the points that the Rust library finds.
+#[test]
+#[cfg_attr(not(plenocal_examples), ignore = "set PLENOCAL_EXAMPLES to the folder of the programs")]
+fn a_stack_turns_virtual_depths_into_metric_points() {
+    let folder = TempDir::new().unwrap();
+    let camera = true_camera();
+    let mut csv = "k,l,u,v,nu\n".to_owned();
+    let mut seen = Vec::new();
+    for (i, (k, l)) in [(10, 8), (21, 18), (30, 25)].into_iter().enumerate() {
+        let (u_px, v_px, nu) = (23.2 * f64::from(k), 20.1 * f64::from(l), 2.4 + 0.3 * i as f64);
+        csv += &format!("{k},{l},{u_px},{v_px},{nu}\n");
+        let at = MicroPixel { k, l, u_px, v_px };
+        seen.push(VirtualPoint { at, virtual_depth: nu, std_dev: [0.0; 3] });
+    }
+    let depths = folder.path().join("depths.csv");
+    std::fs::write(&depths, csv).unwrap();
+    let file = synthetic_folder().join("truth/camera.json");
+    let found = text(&program("metric_points").arg(&file).arg(&depths).output().unwrap());
+    let expected = metric_points(&camera, &seen).unwrap();
+    assert_eq!(found.lines().count(), 4);
+    for (line, expected) in found.lines().skip(1).zip(expected) {
+        let numbers: Vec<f64> = line.split(',').map(|n| n.parse().unwrap()).collect();
+        let apart = (Vector3::from_column_slice(&numbers) - expected.unwrap().point_mm.coords).norm();
+        assert!(apart < 1e-6 * numbers[2], "{line}");
+    }
+    let wrong = program("metric_points").arg(&depths).arg(&depths).output().unwrap();
+    assert!(!wrong.status.success());
+    assert!(String::from_utf8_lossy(&wrong.stderr).contains("depths.csv"));
+}
+
+/// Two cameras see the same boards: `rig` finds where the second is, and both cameras.
+#[test]
+#[cfg_attr(not(plenocal_examples), ignore = "set PLENOCAL_EXAMPLES to the folder of the programs")]
+fn a_rig_of_two_cameras_is_refined_from_two_exported_problems() {
+    let noise = Noise { uv_px: 0.05, rho_px: 0.02, centers_px: 0.02 };
+    let second_from_first = Isometry3::from_parts(
+        Translation3::new(-4.0, 1.0, 0.5),
+        UnitQuaternion::from_scaled_axis(Vector3::new(0.01, -0.03, 0.02)),
+    );
+    let camera = true_camera();
+    let folder = TempDir::new().unwrap();
+    let export = |name: &str, poses: &[FramePose], seed: u64| {
+        let observations = drawn_at(poses, &noise, seed);
+        let start = Start::Camera(camera.clone());
+        let calibration = run(&start, &observations, &options());
+        let mut output = OutputFolder::new(&folder.path().join(name)).unwrap();
+        stage_problem(&mut output, &SolvedProblem::of(&calibration, &board())).unwrap();
+        output.commit().unwrap();
+    };
+    let poses = true_poses();
+    let in_second: Vec<FramePose> = poses
+        .iter()
+        .map(|p| FramePose { camera_from_board: second_from_first * p.camera_from_board, ..*p })
+        .collect();
+    export("first", &poses, 1);
+    export("second", &in_second, 2);
+    let said = text(
+        &program("rig")
+            .current_dir(folder.path())
+            .args(["first", "second", "."])
+            .output()
+            .unwrap(),
+    );
+    let numbers: Vec<f64> = said
+        .lines()
+        .find(|line| line.starts_with("second from first"))
+        .unwrap()
+        .split_whitespace()
+        .filter_map(|word| word.trim_end_matches(',').parse().ok())
+        .collect();
+    let rotation = second_from_first.rotation.scaled_axis();
+    let translation = second_from_first.translation.vector;
+    let [rx, ry, rz, tx, ty, tz] = numbers[..] else { panic!("{said}") };
+    assert!((Vector3::new(rx, ry, rz) - rotation).norm() < 5e-4, "{said}");
+    assert!((Vector3::new(tx, ty, tz) - translation).norm() < 0.1, "{said}");
+    for name in ["first.json", "second.json"] {
+        let found = read_camera(&folder.path().join(name)).unwrap();
+        let (f, truth) = (found.main_lens.focal_length_mm, camera.main_lens.focal_length_mm);
+        assert!((f / truth - 1.0).abs() < 5e-3, "{name}: {f} for {truth}");
+    }
+}
+
+fn drawn_at(poses: &[FramePose], noise: &Noise, seed: u64) -> plenocal::model::Observations {
+    plenocal::solver::synthesize(&true_camera(), &board(), poses, noise, seed).unwrap()
+}
+
+fn project() -> PathBuf {
+    synthetic_folder().join("project.toml")
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+/// The way of a user who compares: export, solve elsewhere (here: take plenocal's own result), evaluate.
+#[test]
+fn a_solution_from_elsewhere_is_evaluated() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let calibrate = |more: &[&str], out: &str| {
+        let mut command = plenocal();
+        command.arg("calibrate").arg(project()).args(more).arg("--out").arg(at(out)).assert()
+    };
+    let problem = at("problem");
+    let export = ["--export-problem", problem.to_str().unwrap(), "--board", "flat"];
+    calibrate(&export, "results").success();
+    for name in ["problem.json", "camera.json", "poses.json", "features.csv", "centers.csv"] {
+        assert!(problem.join(name).is_file(), "{name}");
+    }
+    let of_problem = json(&problem.join("problem.json"));
+    let result = json(&at("results/calibration.json"));
+    assert_eq!(of_problem["cost_of_plenocal"], result["cost"]);
+    assert_eq!(of_problem["anchor_weight"], result["anchors"]["weight"]);
+    assert_eq!(of_problem["anchors"].as_array().unwrap().len(), 7);
+
+    let (camera, poses) = (at("results/camera.json"), at("results/poses.json"));
+    let weight = of_problem["anchor_weight"].to_string();
+    let evaluate = |camera: &Path, out: &str| {
+        let (camera, poses) = (camera.to_str().unwrap(), poses.to_str().unwrap());
+        let more = ["--evaluate-only", "--board", "flat", "--anchor-weight", &weight];
+        calibrate(&[&more[..], &["--camera", camera, "--poses", poses]].concat(), out)
+    };
+    evaluate(&camera, "same").success().stdout(contains("This is a minimum."));
+    let same = json(&at("same/cost.json"));
+    let [cost, at_result] = [&same["evaluation"]["cost"], &result["cost"]].map(|v| v.as_f64().unwrap());
+    assert!((cost / at_result - 1.0).abs() < 1e-9, "{cost} {at_result}");
+    assert!(at("same/residuals.csv").is_file() && !at("same/camera.json").exists());
+
+    // Another F is no minimum, and one more step says by how much.
+    let mut moved = json(&camera);
+    let f = moved["main_lens"]["focal_length_mm"].as_f64().unwrap();
+    moved["main_lens"]["focal_length_mm"] = (f + 0.001).into();
+    let other = at("other.json");
+    std::fs::write(&other, moved.to_string()).unwrap();
+    evaluate(&other, "moved").success().stdout(contains("This is no minimum of this cost."));
+    let moved = json(&at("moved/cost.json"));
+    let step = moved["evaluation"]["next_step"]["F"].as_f64().unwrap();
+    assert!((step + 0.001).abs() < 1e-4, "{step}");
+
+    // What is missing is named.
+    let mut command = plenocal();
+    command.arg("calibrate").arg(project()).arg("--evaluate-only").arg("--out").arg(at("none"));
+    command.assert().failure().stderr(contains("--camera").and(contains("--poses")));
+}
+
+#[test]
+fn poses_of_other_frames_are_named() {
+    let folder = TempDir::new().unwrap();
+    let poses = synthetic_folder().join("truth/poses.json");
+    let mut document = json(&poses);
+    document["poses"][0]["frame"] = 99.into();
+    let file = folder.path().join("poses.json");
+    std::fs::write(&file, document.to_string()).unwrap();
+    assert_eq!(read_poses(&file).unwrap()[0].frame, 99);
+    let mut command = plenocal();
+    command.arg("calibrate").arg(project()).arg("--poses").arg(&file);
+    command.arg("--out").arg(folder.path().join("out")).assert().success().stderr(contains(
+        "poses are given of frames without features, which are not used: 99",
+    ));
+}
+
+/// A problem whose board is bent says its shape as a start, and leaves it free.
+#[test]
+fn a_bent_board_is_exported_as_free() {
+    let poses = true_poses();
+    let observations = drawn(&true_camera(), &Noise { uv_px: 0.05, rho_px: 0.02, centers_px: 0.02 }, 4);
+    let bent = CalibrationOptions { board: BoardModel::Bent, default_anchors: false, ..options() };
+    let calibration = run(&Start::Camera(true_camera()), &observations, &bent);
+    let problem = SolvedProblem::of(&calibration, &board());
+    assert_eq!(problem.poses.len(), poses.len());
+    assert!(!problem.cost.fixed.iter().any(|name| name == "sag_x"), "{:?}", problem.cost.fixed);
+    assert_eq!(problem.board.shape, plenocal::model::BoardShape::default());
+}
