@@ -19,7 +19,7 @@ help:
 	@echo "make demo       simulate a camera, calibrate it from its images, write a report"
 	@echo "make test       the tests; PLENOCAL_R12A=DIR and PLENOCAL_WHITES=DIR add real data"
 	@echo "make test-all   also reports in a browser, shell completions, manual pages; installs Chromium"
-	@echo "make test-slow  the slow tests (Monte Carlo, bias of corners)"
+	@echo "make test-slow  the slow tests (Monte Carlo, bias of corners, large images)"
 	@echo "make test-mistakes  what becomes of 470 users' mistakes and 100 clean sets (an hour)"
 	@echo "make test-faults  kills, full and broken disks, pipes and links (some minutes)"
 	@echo "make fuzz       a million damaged files, solves and runs (ten minutes); FUZZ=\"--cases N\" or a target"
@@ -67,13 +67,16 @@ cpp: $(BUILD)/CMakeCache.txt
 	cmake --build $(BUILD) --parallel
 
 test-cpp: cpp
-	ctest --test-dir $(BUILD) --output-on-failure
+	ctest --test-dir $(BUILD) --output-on-failure --parallel 2
 
 test-rust: cpp
 	cargo test --release --no-fail-fast
 
+# The names of the tests that are too slow for `make test`, or parts of them.
+SLOW = monte_carlo bias a_frame_that_moved_is_named boards_are_seen_above_black full_pixels_show_below \
+       rendered_spots_of_real_lenses corners_are_found_with_an_r12 the_median_of_pairs
 test-slow: cpp
-	cargo test --release --test it -- --ignored --nocapture monte_carlo bias
+	cargo test --release --test it -- --ignored --nocapture $(SLOW)
 
 # MISTAKES="part of a name" runs some of them.
 test-mistakes: deps

@@ -12,8 +12,8 @@ use std::time::Instant;
 
 use plenocal::calibration::{CalibrationOptions, SolvedProblem, Start, calibrate};
 use plenocal::io::{
-    CameraSource, OutputFolder, Project, read_board, read_camera_source, read_centers, read_features,
-    read_internal_parameters, stage_problem,
+    CameraSource, OutputFolder, Project, read_board, read_camera_source, read_centers,
+    read_features, read_internal_parameters, stage_problem,
 };
 use plenocal::model::{Board, Observations};
 use plenocal::precalibration::fit_grid;

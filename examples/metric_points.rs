@@ -17,7 +17,8 @@ fn main() -> Result<()> {
         return Err(Error::invalid("usage: metric_points camera.json depths.csv"));
     };
     let camera = read_camera(Path::new(camera))?;
-    let VirtualDepths::Points(seen) = read_virtual_depths(Path::new(depths), None, [0.0; 3])? else {
+    let VirtualDepths::Points(seen) = read_virtual_depths(Path::new(depths), None, [0.0; 3])?
+    else {
         return Err(Error::invalid("the depths are not a CSV file of k, l, u, v, nu"));
     };
     println!("x,y,z");

@@ -5,6 +5,8 @@
 // therefore uses none of its headers. Equations are those of "Blur Aware Calibration of Multi-Focus
 // Plenoptic Camera" (CVPR 2020), with an exit pupil and a curved field (docs/model.md).
 //
+// Long because it is self-contained: one file that anybody can compile and compare with.
+//
 // Lengths are in mm, angles in rad, image quantities in px; pixel (0, 0) is the centre of the
 // top-left pixel. Camera frame: origin O at the main-lens centre, z towards the scene, x right,
 // y down. The image is stored upright, so the pixel axes run against the camera axes:
@@ -504,6 +506,8 @@ void Run(const Arguments& arguments) {
   const Json options = ReadJson(folder + "problem.json"), camera = ReadJson(folder + "camera.json");
   Lattice lattice;
   Parameters p;
+  if (camera.at("micro_lens_array").at("focal_lengths_mm").empty())
+    throw std::runtime_error("camera.json: the array has no lens type");
   ReadStart(camera, ReadJson(folder + "poses.json"), &lattice, &p);
   const double pixel_size = camera.at("sensor").at("pixel_size_mm");
   for (const char* name : {"sag_x", "sag_y", "twist", "aspect"}) {
@@ -511,7 +515,6 @@ void Run(const Arguments& arguments) {
     if (std::find(fixed.begin(), fixed.end(), name) == fixed.end())
       throw std::runtime_error("problem.json: the shape of the board is free (--board flat)");
   }
-  // Blocks share the loss, which is theirs to delete only with the problem.
   ceres::Problem problem;
   ceres::LossFunction* loss = LossFrom(options.at("loss"));
   if (options.at("rho").get<bool>())

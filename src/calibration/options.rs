@@ -4,8 +4,8 @@ use crate::calibration::anchors::check_anchors;
 use crate::calibration::{BoardModel, BoardResult};
 use crate::error::{Error, Result};
 use crate::model::{
-    BoardShape, Datasheet, FramePose, InternalParameters, LatticeKind, MicroImageCenter, PlenopticCamera,
-    SHAPE, Sensor, positive, shared_parameters,
+    BoardShape, Datasheet, FramePose, InternalParameters, LatticeKind, MicroImageCenter,
+    PlenopticCamera, SHAPE, Sensor, positive, shared_parameters,
 };
 use crate::solver::{BEYOND_THE_PAPER, CostOptions, SolverOptions, shape_names};
 use serde::{Deserialize, Serialize};

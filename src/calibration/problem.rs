@@ -4,9 +4,7 @@ use nalgebra::Point3;
 
 use crate::calibration::Calibration;
 use crate::calibration::frames::{ALIKE_RAD, solver_features};
-use crate::model::{
-    BapFeature, BentBoard, Board, FramePose, MicroImageCenter, PlenopticCamera,
-};
+use crate::model::{BapFeature, BentBoard, Board, FramePose, MicroImageCenter, PlenopticCamera};
 use crate::solver::CostOptions;
 
 /// A least-squares problem, complete: what [`calibrate`](crate::calibration::calibrate) has minimised.

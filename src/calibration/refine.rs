@@ -104,8 +104,7 @@ impl Settings<'_> {
 
     /// The cost where a problem is, without a step.
     pub fn evaluate(&self, problem: &Problem, mut cost: CostOptions) -> Result<Refined> {
-        let solver =
-            SolverOptions { max_iterations: 0, extrapolate: false, ..self.options.solver };
+        let solver = SolverOptions { max_iterations: 0, extrapolate: false, ..self.options.solver };
         cost.anchor_weight = self.options.anchor_weight.unwrap_or(FIRST_WEIGHT);
         let mut uncertainty = solver::uncertainty(problem, &cost, &self.common)?;
         if self.options.anchor_weight.is_none() && !cost.anchors.is_empty() {

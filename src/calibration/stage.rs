@@ -8,27 +8,23 @@ use tracing::debug;
 use crate::calibration::anchors::{anchors, pulled, results};
 use crate::calibration::board::{Settled, warnings_of};
 use crate::calibration::checks::{
-    array_beyond_image, bad_fit, check_indices, check_observations, fronto_parallel,
-    outlying_centers, undetermined, without_frames,
+    array_beyond_image, bad_fit, fronto_parallel, outlying_centers, undetermined,
 };
 use crate::calibration::common_errors::common_errors;
-use crate::calibration::fill_factor::{with_fill_factor, with_that_of_start};
-use crate::calibration::focus::refocused;
-use crate::calibration::frames::{
-    Frames, feature_residuals, given_frames, initial_frames, solver_centers, solver_features,
-};
+use crate::calibration::frames::{Frames, feature_residuals, solver_centers, solver_features};
 use crate::calibration::outlying::{LOSS_SCALE, loss_by_residuals};
+use crate::calibration::prepare::{Prepared, prepared};
 use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{
-    AnchorSource, BoardResult, Calibration, CalibrationOptions, FillMeasurement, LeftOut, Mode,
-    NoPose, Start, Warning, Weights, initial_camera,
+    AnchorSource, BoardResult, Calibration, CalibrationOptions, FillMeasurement, Mode, Start,
+    Warning,
 };
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::model::{
     BentBoard, Board, CenterResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
     Reprojection, shared_parameters,
 };
-use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
+use crate::precalibration::MicroImageArray;
 use crate::solver::{
     self, Anchor, CostOptions, Iteration, LossKind, Problem, Refinement, Termination, Uncertainty,
 };
@@ -76,44 +72,13 @@ pub fn cost_at(
     observations: &Observations,
     options: &CalibrationOptions,
 ) -> Result<Calibration> {
-    completed(prepared(start, board, observations, options)?, board, options, Some(solution), &mut |_| true)
-}
-
-/// A calibration before any pose is known.
-struct Prepared {
-    start: Start,
-    initial: PlenopticCamera,
-    grid: Option<MicroImageArray>,
-    fill: Option<FillMeasurement>,
-    misfocused: Option<Warning>,
-    observations: Observations,
-    excluded: Vec<LeftOut>,
-}
-
-/// The start of a calibration by everything that is known without poses; errors if the input is inconsistent.
-fn prepared(
-    start: &Start,
-    board: &Board,
-    observations: &Observations,
-    options: &CalibrationOptions,
-) -> Result<Prepared> {
-    let start = start.for_mode(options.mode);
-    start.validate()?;
-    options.validate(&start)?;
-    let (mut observations, excluded) = without_frames(observations, &options.exclude_frames)?;
-    if options.weights == Weights::Unit {
-        observations.forget_std_devs();
-    }
-    check_observations(&start, board, &observations, options)?;
-    let grid = fitted_grid(&start, &observations)?;
-    let fill = FillMeasurement::of(&start, grid.as_ref(), &observations.features)?;
-    let start = with_fill_factor(start, grid.as_ref(), fill.as_ref());
-    let initial = checked_start(&start, grid.as_ref(), &observations, options)?;
-    let refocused = refocused(&start, &initial, board, &observations.features, options);
-    let (start, misfocused) = refocused.unwrap_or((start, None));
-    let initial = start_camera(&start, grid.as_ref(), options)?;
-    observations.features = with_that_of_start(observations.features, &start, &initial.lattice);
-    Ok(Prepared { start, initial, grid, fill, misfocused, observations, excluded })
+    completed(
+        prepared(start, board, observations, options)?,
+        board,
+        options,
+        Some(solution),
+        &mut |_| true,
+    )
 }
 
 /// A calibration from its start, or the cost at a solution.
@@ -125,28 +90,9 @@ fn completed(
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Calibration> {
     let _span = tracing::info_span!("calibration").entered();
-    let Prepared { start, initial, grid, fill, misfocused, observations, excluded } = prepared;
     let board = BentBoard { board: *board, shape: options.known_shape() };
-    let (initial, mut frames) = match at {
-        Some(at) => {
-            check_indices(&at.camera, grid.as_ref(), &observations)?;
-            (at.camera.clone(), given_frames(&observations, &at.poses))
-        }
-        None => {
-            let frames = initial_frames(
-                &initial,
-                &board,
-                &observations,
-                (&options.cost, &options.solver),
-                &options.poses,
-            )?;
-            (initial, frames)
-        }
-    };
-    if frames.poses.is_empty() {
-        return Err(Error::invalid(no_frame(&frames.left_out)));
-    }
-    frames.left_out.extend(excluded);
+    let (initial, frames) = prepared.placed(&board, options, at)?;
+    let Prepared { start, grid, fill, misfocused, observations, .. } = prepared;
     let features = solver_features(&frames.features, &frames.poses, &board.board);
     let centers = solver_centers(&observations.centers);
     let poses: Vec<Isometry3<f64>> = frames.poses.iter().map(|p| p.camera_from_board).collect();
@@ -232,73 +178,6 @@ fn withstanding(
     Ok((settings.refine_with_board(problem, cost, anchors, progress)?, Some(warning)))
 }
 
-/// The camera that a calibration of these observations starts from.
-pub fn initial_from(
-    start: &Start,
-    board: &Board,
-    observations: &Observations,
-    options: &CalibrationOptions,
-) -> Result<PlenopticCamera> {
-    let grid = fitted_grid(start, observations)?;
-    let fill = FillMeasurement::of(start, grid.as_ref(), &observations.features)?;
-    let start = with_fill_factor(start.clone(), grid.as_ref(), fill.as_ref());
-    let initial = start_camera(&start, grid.as_ref(), options)?;
-    match refocused(&start, &initial, board, &observations.features, options) {
-        Some((start, _)) => start_camera(&start, grid.as_ref(), options),
-        None => Ok(initial),
-    }
-}
-
-/// The camera to start from; an error unless it, the grid of the centres, if there are any, and the observations belong
-/// to one camera.
-fn checked_start(
-    start: &Start,
-    grid: Option<&MicroImageArray>,
-    observations: &Observations,
-    options: &CalibrationOptions,
-) -> Result<PlenopticCamera> {
-    if let (Some(grid), Start::Datasheet(sheet, internal)) = (grid, start) {
-        check_stated_pitch(sheet, internal, grid)?;
-    }
-    let initial = start_camera(start, grid, options)?;
-    check_indices(&initial, grid, observations)?;
-    Ok(initial)
-}
-
-fn fitted_grid(start: &Start, observations: &Observations) -> Result<Option<MicroImageArray>> {
-    let centers = &observations.centers;
-    let (kind, (columns, rows)) = start.array(centers);
-    (!centers.is_empty()).then(|| fit_grid(centers, kind, columns, rows)).transpose()
-}
-
-fn start_camera(
-    start: &Start,
-    grid: Option<&MicroImageArray>,
-    options: &CalibrationOptions,
-) -> Result<PlenopticCamera> {
-    let mut camera = match (start, grid) {
-        (Start::Datasheet(datasheet, internal), Some(grid)) => {
-            initial_camera(datasheet, internal, grid, options.exit_pupil_mm.unwrap_or(0.0))?
-        }
-        (Start::Datasheet(..), None) => return Err(Error::NoCenters),
-        (Start::Camera(camera), Some(grid)) if camera.lattice != grid.lattice => {
-            return Err(Error::invalid(format!(
-                "the camera has {}, but the centres lie on {}: they belong to different cameras",
-                camera.lattice, grid.lattice
-            )));
-        }
-        (Start::Camera(camera), _) => camera.clone(),
-    };
-    let lens = &mut camera.main_lens;
-    lens.exit_pupil_mm.z = options.exit_pupil_mm.unwrap_or(lens.exit_pupil_mm.z);
-    lens.field_curvature_per_mm =
-        options.field_curvature_per_mm.unwrap_or(lens.field_curvature_per_mm);
-    lens.field_curvature_growth_per_mm =
-        options.field_curvature_growth_per_mm.unwrap_or(lens.field_curvature_growth_per_mm);
-    camera.validate()?;
-    Ok(camera)
-}
-
 pub(super) fn center_residuals(
     camera: &PlenopticCamera,
     centers: &[MicroImageCenter],
@@ -311,23 +190,6 @@ pub(super) fn center_residuals(
         dv_px: center.v_px - v,
     };
     Ok(centers.iter().zip(projected).map(residual).collect())
-}
-
-/// Why no frame could be used.
-fn no_frame(left_out: &[LeftOut]) -> String {
-    let reasons: BTreeSet<&NoPose> = left_out.iter().map(|frame| &frame.reason).collect();
-    if reasons == BTreeSet::from([&NoPose::BehindFocalPlane]) {
-        return "no frame could be used: all boards would have to be nearer to the main lens than its focal length. Check \
-                the size of the squares (square_mm) and of a pixel (pixel_size_mm), and the focal length (focal_length_mm)"
-            .to_owned();
-    }
-    let of_reason = |reason: &&NoPose| {
-        let frames = left_out.iter().filter(|frame| frame.reason == **reason);
-        let frames: Vec<String> = frames.map(|frame| frame.frame.to_string()).collect();
-        format!("{reason} (frames {})", frames.join(", "))
-    };
-    let reasons: Vec<String> = reasons.iter().map(of_reason).collect();
-    format!("no frame could be used: {}", reasons.join("; "))
 }
 
 /// The cost with what depends on the input: default anchors, and the loss.

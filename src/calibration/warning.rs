@@ -175,12 +175,7 @@ impl fmt::Display for Warning {
             Self::FocusDistance { stated_mm, by_boards_mm } => {
                 f.write_str(&focus_text(*stated_mm, *by_boards_mm))
             }
-            Self::PosesOfNoFrame { frames } => write!(
-                f,
-                "poses are given of frames without features, which are not used: {}. Do they count frames as the \
-                 features do?",
-                frames.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
-            ),
+            Self::PosesOfNoFrame { frames } => f.write_str(&poses_of_no_frame_text(frames)),
             Self::FrontoParallel { largest_tilt_deg } => write!(
                 f,
                 "all boards are fronto-parallel (tilted by at most {largest_tilt_deg:.1} degrees): \
@@ -189,6 +184,15 @@ impl fmt::Display for Warning {
             ),
         }
     }
+}
+
+/// That poses are given of frames without features.
+fn poses_of_no_frame_text(frames: &[u32]) -> String {
+    let frames: Vec<String> = frames.iter().map(u32::to_string).collect();
+    format!(
+        "poses are given of frames without features, which are not used: {}. Do they count frames as the features do?",
+        frames.join(", ")
+    )
 }
 
 /// That parameters are not determined.

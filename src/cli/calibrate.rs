@@ -18,11 +18,11 @@ use plenocal::model::{Board, shared_parameters};
 use plenocal::solver::{LossKind, Termination};
 use plenocal::{Error, Result, report};
 
-use super::cost;
-use super::evaluate::calibrated;
 use super::choices::{
     ANCHORS, BLURS, BOARD_MODELS, FIELD_CURVATURES, LOSSES, MODES, PITCHES, WEIGHTS, choice,
 };
+use super::cost;
+use super::evaluate::calibrated;
 use super::input::{Files, Input};
 use super::progress;
 use super::talk::{self, print_result, say, warn};
@@ -195,7 +195,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let export = arguments.export_problem.as_deref().map(OutputFolder::new).transpose()?;
     let mut input = Input::read(&arguments.files(), arguments.options()?)?;
     let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
-    if let (true, Some(camera), Some(poses)) = (arguments.evaluate_only, &arguments.camera, &poses) {
+    if let (true, Some(camera), Some(poses)) = (arguments.evaluate_only, &arguments.camera, &poses)
+    {
         let solution = Solution { camera: calibrated(camera)?, poses: poses.clone() };
         return cost::run(&solution, &input, (output, export), json);
     }

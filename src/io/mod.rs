@@ -70,11 +70,11 @@ pub use output::{OutputFolder, abandon_output};
 pub use ply_file::{PlyColumn, write_ply};
 pub use point_cloud::read_point_cloud_distance;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
-pub use problem_folder::{PROBLEM_FORMAT, PROBLEM_VERSION, stage_problem};
 pub use precalibration_file::{
     PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION, array_document, precalibration_document,
     write_measured_centers,
 };
+pub use problem_folder::{PROBLEM_FORMAT, PROBLEM_VERSION, stage_problem};
 pub use project_draft::{DraftText, ProjectDraft};
 pub use project_file::{ImagesSection, Project, TranslationImages, TruthSection, WhiteImage};
 pub use raytrix::{RaytrixCalibration, read_raytrix};

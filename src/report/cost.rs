@@ -5,7 +5,7 @@ use super::table::{Table, table};
 use crate::calibration::Calibration;
 use crate::model::{SHAPE_PARAMETERS, display_unit, shared_parameters, with_std_dev};
 
-/// How far from the minimum a camera may be, in σ of any parameter, to be as good.
+/// How far from the minimum a camera may be, in σ of independent errors along the way there, to be as good.
 const NEGLIGIBLE: f64 = 0.01;
 
 /// Cost, gradient and residuals at a solution, and what one more step would gain. The cost has a part of the features, one of
@@ -25,8 +25,13 @@ pub fn cost_text(evaluated: &Calibration, [features, centers, anchors]: [f64; 3]
         evaluated.refinement.cost,
         evaluated.anchors.len()
     );
-    [verdict(evaluated), cost, steps_table(evaluated).to_string(), errors_table(evaluated).to_string()]
-        .join("\n\n")
+    [
+        verdict(evaluated),
+        cost,
+        steps_table(evaluated).to_string(),
+        errors_table(evaluated).to_string(),
+    ]
+    .join("\n\n")
 }
 
 /// Whether this is a minimum.
@@ -37,17 +42,30 @@ fn verdict(evaluated: &Calibration) -> String {
         "One more Gauss-Newton step would lower the cost by {gain:.3e} ({:.1e} of it)",
         gain / cost
     );
-    let farthest = steps(evaluated).into_iter().max_by(|a, b| a.std_devs().total_cmp(&b.std_devs()));
+    let farthest =
+        steps(evaluated).into_iter().max_by(|a, b| a.std_devs().total_cmp(&b.std_devs()));
     let moves = farthest.map_or(String::new(), |step| {
-        format!(", and move {} most, by {:.1e} σ", step.name, step.std_devs())
+        format!(", and move {} most, by {:.1e} of its σ", step.name, step.std_devs())
     });
-    let far = steps(evaluated).iter().any(|step| step.std_devs() > NEGLIGIBLE);
-    let verdict = match (evaluated.converged, far) {
-        (true, _) => "This is a minimum.",
-        (false, false) => "This is a minimum for all practical purposes.",
-        (false, true) => "This is no minimum of this cost.",
+    let away = std_devs_from_minimum(evaluated);
+    let verdict = match (evaluated.converged, away < NEGLIGIBLE) {
+        (true, _) => "This is a minimum.".to_owned(),
+        (false, true) => "This is a minimum for all practical purposes.".to_owned(),
+        (false, false) => format!(
+            "This is no minimum of this cost: the next one is about {away:.1} σ of independent errors away, along the \
+             way there."
+        ),
     };
     format!("{verdict} {gain}{moves}.")
+}
+
+/// n σ off the minimum adds n² s²/2 to the cost, s² being the variance of the residuals.
+fn std_devs_from_minimum(evaluated: &Calibration) -> f64 {
+    let blurred = evaluated.reprojection.features.iter().filter(|f| f.drho_px.is_some()).count();
+    let counts = [evaluated.reprojection.features.len(), evaluated.reprojection.centers.len()];
+    let residuals = 2 * (counts[0] + counts[1]) + if evaluated.cost.rho { blurred } else { 0 };
+    let variance = 2.0 * evaluated.refinement.cost / residuals as f64;
+    (2.0 * evaluated.uncertainty.expected_decrease / variance).sqrt()
 }
 
 /// What a further step would do to a parameter.
@@ -83,8 +101,10 @@ fn steps(evaluated: &Calibration) -> Vec<Step> {
 }
 
 fn steps_table(evaluated: &Calibration) -> Table {
-    let mut table =
-        table(&["Parameter", "Unit", "Value", "± σ", "Gradient, 1/σ", "Next step", "in σ"], &[0, 1]);
+    let mut table = table(
+        &["Parameter", "Unit", "Value", "± σ", "Gradient, 1/σ", "Next step", "in σ"],
+        &[0, 1],
+    );
     for step in steps(evaluated) {
         let (unit, factor) = display_unit(step.name, step.unit);
         let (value, std_dev) = with_std_dev(step.value * factor, Some(step.std_dev * factor));

@@ -96,11 +96,13 @@ fn corners_are_found_with_a_keplerian_camera() {
 }
 
 #[test]
+#[ignore = "slow: simulates large images; run by `make test-slow`"]
 fn corners_are_found_with_an_r12() {
     assert_found("r12-a", &[], (1, 1), RHO_PX);
 }
 
 #[test]
+#[ignore = "slow: simulates large images; run by `make test-slow`"]
 fn the_median_of_pairs_gives_other_but_equally_good_blur_radii() {
     let settings = preset("mini", &["rays=32"]);
     let of = |estimator| DetectionScore::of_simulation(&settings, 1, estimator).unwrap();

@@ -202,6 +202,7 @@ fn columns_of_blur_go_together() {
 }
 
 #[test]
+#[ignore = "slow: simulates large images; run by `make test-slow`"]
 fn a_frame_that_moved_is_named() {
     let (moving, out) = (FILES.path("moving"), FILES.path("with-one-moving"));
     // At eight moments.

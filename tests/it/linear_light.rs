@@ -105,6 +105,7 @@ fn without_darkness_the_black_level_is_not_known() {
 
 /// Full pixels below full scale: clipped samples, and those of a full well.
 #[test]
+#[ignore = "slow: simulates large images; run by `make test-slow`"]
 fn full_pixels_show_below_full_scale() {
     for (name, full, expected) in [
         ("mini", "imaging.saturation=0.9", 230.0),
@@ -154,6 +155,7 @@ fn a_wide_point_spread_is_not_taken_for_a_gamma() {
 
 /// Edges in the boards are as sharp as the white images say, so that the fill factor comes out.
 #[test]
+#[ignore = "slow: simulates large images; run by `make test-slow`"]
 fn boards_are_seen_above_black_and_below_full_pixels() {
     let score = |replaced: &[&str]| {
         let replaced = [&["seed=36", "rays=32"][..], replaced].concat();

@@ -221,6 +221,7 @@ fn rendered_spots_have_the_centre_and_radius_of_the_closed_form() {
 /// The light of a tiny board through a real lens, off the axis: its middle lies where the truth says, which
 /// follows rays through the middles of the micro-lenses only. (cos⁴ would draw it 0.03 px inwards.)
 #[test]
+#[ignore = "slow: simulates large images; run by `make test-slow`"]
 fn rendered_spots_of_real_lenses_have_the_true_centre() {
     for name in ["mini-double-gauss", "mini-telephoto"] {
         let mut settings = preset(name, &["imperfections.fall_off=none"]);

@@ -1,0 +1,165 @@
+//! The start of a calibration: what is known before poses are, and the poses.
+
+use std::collections::BTreeSet;
+
+use crate::calibration::checks::{check_indices, check_observations, without_frames};
+use crate::calibration::fill_factor::{with_fill_factor, with_that_of_start};
+use crate::calibration::focus::refocused;
+use crate::calibration::frames::{Frames, given_frames, initial_frames};
+use crate::calibration::{
+    CalibrationOptions, FillMeasurement, LeftOut, NoPose, Solution, Start, Warning, Weights,
+    initial_camera,
+};
+use crate::error::{Error, Result};
+use crate::model::{BentBoard, Board, Observations, PlenopticCamera};
+use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
+
+/// A calibration before any pose is known.
+pub(super) struct Prepared {
+    pub start: Start,
+    pub initial: PlenopticCamera,
+    pub grid: Option<MicroImageArray>,
+    pub fill: Option<FillMeasurement>,
+    pub misfocused: Option<Warning>,
+    pub observations: Observations,
+    pub excluded: Vec<LeftOut>,
+}
+
+/// The start of a calibration by everything that is known without poses; errors if the input is inconsistent.
+pub(super) fn prepared(
+    start: &Start,
+    board: &Board,
+    observations: &Observations,
+    options: &CalibrationOptions,
+) -> Result<Prepared> {
+    let start = start.for_mode(options.mode);
+    start.validate()?;
+    options.validate(&start)?;
+    let (mut observations, excluded) = without_frames(observations, &options.exclude_frames)?;
+    if options.weights == Weights::Unit {
+        observations.forget_std_devs();
+    }
+    check_observations(&start, board, &observations, options)?;
+    let grid = fitted_grid(&start, &observations)?;
+    let fill = FillMeasurement::of(&start, grid.as_ref(), &observations.features)?;
+    let start = with_fill_factor(start, grid.as_ref(), fill.as_ref());
+    let initial = checked_start(&start, grid.as_ref(), &observations, options)?;
+    let refocused = refocused(&start, &initial, board, &observations.features, options);
+    let (start, misfocused) = refocused.unwrap_or((start, None));
+    let initial = start_camera(&start, grid.as_ref(), options)?;
+    observations.features = with_that_of_start(observations.features, &start, &initial.lattice);
+    Ok(Prepared { start, initial, grid, fill, misfocused, observations, excluded })
+}
+
+impl Prepared {
+    /// Where camera and boards are to begin with, or where they are to be evaluated. An error with the reasons if no frame has
+    /// a pose.
+    pub fn placed(
+        &self,
+        board: &BentBoard,
+        options: &CalibrationOptions,
+        at: Option<&Solution>,
+    ) -> Result<(PlenopticCamera, Frames)> {
+        let Self { initial, grid, observations, .. } = self;
+        let (initial, mut frames) = match at {
+            Some(at) => {
+                check_indices(&at.camera, grid.as_ref(), observations)?;
+                (&at.camera, given_frames(observations, &at.poses))
+            }
+            None => {
+                let cost = (&options.cost, &options.solver);
+                let poses = &options.poses;
+                (initial, initial_frames(initial, board, observations, cost, poses)?)
+            }
+        };
+        if frames.poses.is_empty() {
+            return Err(Error::invalid(no_frame(&frames.left_out)));
+        }
+        frames.left_out.extend(self.excluded.iter().cloned());
+        Ok((initial.clone(), frames))
+    }
+}
+
+/// The camera that a calibration of these observations starts from.
+pub fn initial_from(
+    start: &Start,
+    board: &Board,
+    observations: &Observations,
+    options: &CalibrationOptions,
+) -> Result<PlenopticCamera> {
+    let grid = fitted_grid(start, observations)?;
+    let fill = FillMeasurement::of(start, grid.as_ref(), &observations.features)?;
+    let start = with_fill_factor(start.clone(), grid.as_ref(), fill.as_ref());
+    let initial = start_camera(&start, grid.as_ref(), options)?;
+    match refocused(&start, &initial, board, &observations.features, options) {
+        Some((start, _)) => start_camera(&start, grid.as_ref(), options),
+        None => Ok(initial),
+    }
+}
+
+/// The camera to start from; an error unless it, the grid of the centres, if there are any, and the observations belong
+/// to one camera.
+fn checked_start(
+    start: &Start,
+    grid: Option<&MicroImageArray>,
+    observations: &Observations,
+    options: &CalibrationOptions,
+) -> Result<PlenopticCamera> {
+    if let (Some(grid), Start::Datasheet(sheet, internal)) = (grid, start) {
+        check_stated_pitch(sheet, internal, grid)?;
+    }
+    let initial = start_camera(start, grid, options)?;
+    check_indices(&initial, grid, observations)?;
+    Ok(initial)
+}
+
+fn fitted_grid(start: &Start, observations: &Observations) -> Result<Option<MicroImageArray>> {
+    let centers = &observations.centers;
+    let (kind, (columns, rows)) = start.array(centers);
+    (!centers.is_empty()).then(|| fit_grid(centers, kind, columns, rows)).transpose()
+}
+
+fn start_camera(
+    start: &Start,
+    grid: Option<&MicroImageArray>,
+    options: &CalibrationOptions,
+) -> Result<PlenopticCamera> {
+    let mut camera = match (start, grid) {
+        (Start::Datasheet(datasheet, internal), Some(grid)) => {
+            initial_camera(datasheet, internal, grid, options.exit_pupil_mm.unwrap_or(0.0))?
+        }
+        (Start::Datasheet(..), None) => return Err(Error::NoCenters),
+        (Start::Camera(camera), Some(grid)) if camera.lattice != grid.lattice => {
+            return Err(Error::invalid(format!(
+                "the camera has {}, but the centres lie on {}: they belong to different cameras",
+                camera.lattice, grid.lattice
+            )));
+        }
+        (Start::Camera(camera), _) => camera.clone(),
+    };
+    let lens = &mut camera.main_lens;
+    lens.exit_pupil_mm.z = options.exit_pupil_mm.unwrap_or(lens.exit_pupil_mm.z);
+    lens.field_curvature_per_mm =
+        options.field_curvature_per_mm.unwrap_or(lens.field_curvature_per_mm);
+    lens.field_curvature_growth_per_mm =
+        options.field_curvature_growth_per_mm.unwrap_or(lens.field_curvature_growth_per_mm);
+    camera.validate()?;
+    Ok(camera)
+}
+
+/// Why no frame could be used.
+fn no_frame(left_out: &[LeftOut]) -> String {
+    let reasons: BTreeSet<&NoPose> = left_out.iter().map(|frame| &frame.reason).collect();
+    if reasons == BTreeSet::from([&NoPose::BehindFocalPlane]) {
+        return "no frame could be used: all boards would have to be nearer to the main lens than its focal length. Check \
+                the size of the squares (square_mm) and of a pixel (pixel_size_mm), and the focal length (focal_length_mm)"
+            .to_owned();
+    }
+    let of_reason = |reason: &&NoPose| {
+        let frames = left_out.iter().filter(|frame| frame.reason == **reason);
+        let frames: Vec<String> = frames.map(|frame| frame.frame.to_string()).collect();
+        format!("{reason} (frames {})", frames.join(", "))
+    };
+    let reasons: Vec<String> = reasons.iter().map(of_reason).collect();
+    format!("no frame could be used: {}", reasons.join("; "))
+}
