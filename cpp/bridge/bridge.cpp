@@ -109,7 +109,7 @@ std::array<double, 3> from_core(const Vector3<double>& v) { return {v.x, v.y, v.
 
 MetricRow from_core(const std::optional<MetricPoint>& point) {
   if (!point) return MetricRow{};
-  return {true, from_core(point->point), point->covariance};
+  return {true, from_core(point->point), point->covariance, point->chi_square, point->freedom};
 }
 
 IterationRow from_core(const Iteration& i) {
@@ -372,19 +372,24 @@ rust::Vec<double> virtual_depths(const CameraParts& camera,
   return depths;
 }
 
-rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const FeatureRow> features,
-                                 rust::Slice<const std::size_t> counts) {
+rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const SightingRow> all,
+                                 rust::Slice<const std::size_t> counts, LossKind loss_kind,
+                                 double loss_scale) {
   const BackProjection back(to_core(camera));
   rust::Vec<MetricRow> rows;
   rows.reserve(counts.size());
-  auto next = features.begin();
+  auto next = all.begin();
   for (std::size_t count : counts) {
     std::vector<Sighting> sightings;
     for (std::size_t i = 0; i < count; ++i, ++next) {
       const auto& [u, v, rho] = next->std_dev_px;
-      sightings.push_back({next->k, next->l, {next->u_px, next->v_px, next->rho_px}, {u, v, rho}});
+      sightings.push_back({next->k,
+                           next->l,
+                           {next->u_px, next->v_px, next->rho_px},
+                           {u, v, rho},
+                           next->correlation});
     }
-    rows.push_back(from_core(back.triangulate(sightings)));
+    rows.push_back(from_core(back.triangulate(sightings, {loss_kind, loss_scale})));
   }
   return rows;
 }

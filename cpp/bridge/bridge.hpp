@@ -15,6 +15,7 @@ struct CameraParts;
 struct CommonErrorParts;
 struct CostParts;
 struct FeatureRow;
+struct SightingRow;
 struct CenterRow;
 struct MetricRow;
 struct MicroLensIndex;
@@ -73,7 +74,8 @@ rust::Vec<MetricRow> metric_points(const CameraParts& camera, rust::Slice<const 
 rust::Vec<double> virtual_depths(const CameraParts& camera,
                                  rust::Slice<const MicroLensIndex> micro_lenses,
                                  rust::Slice<const PointRow> points);
-rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const FeatureRow> features,
-                                 rust::Slice<const std::size_t> counts);
+rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const SightingRow> all,
+                                 rust::Slice<const std::size_t> counts, LossKind loss_kind,
+                                 double loss_scale);
 
 }  // namespace plenocal::bridge

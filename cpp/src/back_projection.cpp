@@ -47,7 +47,7 @@ Part<Jet> constant(const Part<double>& part) {
 MetricPoint with_covariance(const Vector3<Jet>& point, const Eigen::Matrix3d& covariance) {
   Eigen::Matrix3d slopes;
   slopes << point.x.v.transpose(), point.y.v.transpose(), point.z.v.transpose();
-  MetricPoint result{{point.x.a, point.y.a, point.z.a}, {}};
+  MetricPoint result{{point.x.a, point.y.a, point.z.a}};
   Eigen::Map<Eigen::Matrix3d>(result.covariance.data()) = slopes * covariance * slopes.transpose();
   return result;
 }
@@ -72,7 +72,8 @@ class Sight {
         sighting_(sighting),
         lens_type_(micro_lens.lens_type),
         center_(optics.array.micro_lens_center(micro_lens.node)),
-        uses_rho_(optics.has_blur && sighting.std_dev.rho < HUGE_VAL) {}
+        uses_rho_(optics.has_blur && sighting.std_dev.rho < HUGE_VAL),
+        rest_(std::sqrt(1.0 - sighting.correlation * sighting.correlation)) {}
 
   // Adds two rows of the lines on which p' lies: (p' - C) x (S - C) = 0, per distance to the
   // sensor.
@@ -87,30 +88,47 @@ class Sight {
     }
   }
 
-  // Adds the normal equations of a Gauss-Newton step at p'. False if p' lies on the micro-lens.
-  bool add_features(const Vector3<double>& image, Eigen::Matrix3d* normal,
-                    Eigen::Vector3d* right) const {
+  // Adds the normal equations of a Gauss-Newton step at p', and the sum of weighted squares. False
+  // if p' lies on the micro-lens.
+  bool add_features(const Vector3<double>& image, const Loss& loss, Eigen::Matrix3d* normal,
+                    Eigen::Vector3d* right, double* squares) const {
     const double a = image.z - center_.z;
     Pixel<double> pixel;
     double scale = 0.0;
     if (!optics_.array.through_micro_lens(image, center_, &pixel, &scale)) return false;
     const double per_mm = -scale / pixel_size();
     const double along_u = (image.x - center_.x) / a, along_v = (image.y - center_.y) / a;
+    Eigen::Matrix3d own = Eigen::Matrix3d::Zero();
+    Eigen::Vector3d own_right = Eigen::Vector3d::Zero();
+    double square = 0.0;
     const auto add = [&](double off, double std_dev, const Eigen::Vector3d& slope) {
       const Eigen::Vector3d row = slope / std_dev;
-      *normal += row * row.transpose();
-      *right += row * (off / std_dev);
+      own += row * row.transpose();
+      own_right += row * (off / std_dev);
+      square += off * off / (std_dev * std_dev);
     };
-    add(sighting_.observed.u - pixel.u, sighting_.std_dev.u, {per_mm, 0.0, -per_mm * along_u});
-    add(sighting_.observed.v - pixel.v, sighting_.std_dev.v, {0.0, per_mm, -per_mm * along_v});
+    // v without what its correlation with u says of it.
+    const auto& sigma = sighting_.std_dev;
+    const double off_u = sighting_.observed.u - pixel.u, off_v = sighting_.observed.v - pixel.v;
+    const double share = sighting_.correlation * sigma.v / sigma.u;
+    const Eigen::Vector3d by_u(per_mm, 0.0, -per_mm * along_u);
+    const Eigen::Vector3d by_v(0.0, per_mm, -per_mm * along_v);
+    add(off_u, sigma.u, by_u);
+    add(off_v - share * off_u, sigma.v * rest_, by_v - share * by_u);
     if (uses_rho_) {
       const double rho =
           optics_.array.blur_radius(center_, scale, optics_.inverse_focal_lengths[lens_type_]);
       const double slope = -scale / a * optics_.array.micro_lens_radius() / pixel_size();
       add(sighting_.observed.rho - rho, sighting_.std_dev.rho, {0.0, 0.0, slope});
     }
+    const double weight = loss_weight(loss, square);
+    *normal += weight * own;
+    *right += weight * own_right;
+    *squares += weight * square;
     return true;
   }
+
+  int residuals() const { return uses_rho_ ? 3 : 2; }
 
  private:
   double pixel_size() const { return optics_.array.pixel_size(); }
@@ -120,6 +138,7 @@ class Sight {
   int lens_type_;
   Vector3<double> center_;
   bool uses_rho_;
+  double rest_;  // of sigma of v, if u is known
 };
 
 // The inverse of a normal matrix, and false if it has none up to rounding.
@@ -138,6 +157,9 @@ void require_std_devs(const Sighting& sighting, bool has_blur) {
   require_std_dev(sighting.std_dev.u, "u");
   require_std_dev(sighting.std_dev.v, "v");
   if (has_blur && sighting.std_dev.rho != HUGE_VAL) require_std_dev(sighting.std_dev.rho, "rho");
+  if (!(std::abs(sighting.correlation) < 1.0)) {
+    reject("the correlation of u and v has to lie between -1 and 1");
+  }
 }
 
 void require_std_devs(const VirtualPoint& seen) {
@@ -229,15 +251,18 @@ std::optional<MetricPoint> BackProjection::focused_point(const VirtualPoint& see
                 seen.std_dev);
 }
 
-std::optional<MetricPoint> BackProjection::triangulate(
-    const std::vector<Sighting>& sightings) const {
+std::optional<MetricPoint> BackProjection::triangulate(const std::vector<Sighting>& sightings,
+                                                       const Loss& loss) const {
+  if (!is_positive(loss.scale)) reject("the scale of the loss has to be positive and finite");
   std::vector<Sight> sights;
+  int residuals = 0;
   for (const Sighting& sighting : sightings) {
     require_std_devs(sighting, optics_.has_blur);
     const auto lens = micro_lens(sighting.k, sighting.l);
     if (!lens || !is_finite(Pixel<double>{sighting.observed.u, sighting.observed.v}))
       return std::nullopt;
     sights.emplace_back(optics_, *lens, sighting);
+    residuals += sights.back().residuals();
   }
   if (sights.size() < 2) return std::nullopt;
 
@@ -247,14 +272,16 @@ std::optional<MetricPoint> BackProjection::triangulate(
   for (const Sight& sight : sights) sight.add_lines(&normal, &right);
   if (!invert(normal, &inverse)) return std::nullopt;
   Eigen::Vector3d image = inverse * right;
-  constexpr int kMaxSteps = 30;
-  constexpr double kSettled = 1e-9;  // of a step, in sigma
+  constexpr int kMaxSteps = 100;  // of weights that follow the residuals
+  double squares = 0.0;
+  const double kSettled = loss.kind == LossKind::kNone ? 1e-9 : 1e-6;  // of a step, in sigma
   bool settled = false;
   for (int i = 0; i < kMaxSteps && !settled; ++i) {
     normal.setZero();
     right.setZero();
+    squares = 0.0;
     for (const Sight& sight : sights) {
-      if (!sight.add_features({image.x(), image.y(), image.z()}, &normal, &right)) {
+      if (!sight.add_features({image.x(), image.y(), image.z()}, loss, &normal, &right, &squares)) {
         return std::nullopt;
       }
     }
@@ -269,7 +296,10 @@ std::optional<MetricPoint> BackProjection::triangulate(
   if (!settled || !plenocal::object_point(constant(camera_.main_lens), variable, &point)) {
     return std::nullopt;
   }
-  return with_covariance(point, inverse);
+  MetricPoint result = with_covariance(point, inverse);
+  result.chi_square = squares;
+  result.freedom = residuals - kPoint;
+  return result;
 }
 
 std::optional<double> BackProjection::virtual_depth(int k, int l,
@@ -304,7 +334,7 @@ std::size_t BackProjection::object_rays(const Pixel<double>* pixels, std::size_t
 
 std::size_t BackProjection::points(const VirtualPoint* seen, std::size_t n,
                                    MetricPoint* points) const {
-  MetricPoint none{{kNan, kNan, kNan}, {}};
+  MetricPoint none{{kNan, kNan, kNan}};
   none.covariance.fill(kNan);
   std::size_t found = 0;
   for (std::size_t i = 0; i < n; ++i) {

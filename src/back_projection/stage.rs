@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::model::{MetricPoint, MicroPixel, PlenopticCamera, Ray, Sighting, VirtualPoint};
-use crate::solver;
+use crate::solver::{self, Loss, LossKind};
 
 /// So many pixels cross the bridge at once.
 const CHUNK: usize = 4096;
@@ -101,14 +101,47 @@ pub fn virtual_depths(
     in_chunks(points, |points| solver::virtual_depths(camera, points))
 }
 
-/// Points that several micro-lenses see, each by the weighted least squares of its sightings; `None` where they do not
-/// determine it.
+/// Points that several micro-lenses see, each by the weighted least squares of its sightings, where a loss on |r/σ| may
+/// withstand false ones; `None` where they do not determine it.
 ///
 /// An error if the camera is not valid, or a σ not positive.
 pub fn triangulate(
     camera: &PlenopticCamera,
     points: &[Vec<Sighting>],
+    loss: Loss,
 ) -> Result<Vec<Option<MetricPoint>>> {
     camera.validate()?;
-    in_chunks(points, |points| solver::triangulate(camera, points))
+    in_chunks(points, |points| solver::triangulate(camera, points, loss))
+}
+
+/// Where the loss on the sightings of a corner sets in, σ: few features lie that far off, but those that do are false.
+const LOSS_SCALE: f64 = 3.0;
+
+/// Corners from what boards show of them: false sightings are withstood (Huber, 3 σ), and covariances are multiplied by how
+/// much sightings scatter more than their σ says, in variance, in the mean of all corners. That factor is returned too; 1 if
+/// nothing is redundant.
+///
+/// An error as of [`triangulate`].
+pub fn corners(
+    camera: &PlenopticCamera,
+    points: &[Vec<Sighting>],
+) -> Result<(Vec<Option<MetricPoint>>, f64)> {
+    let loss = Loss { kind: LossKind::Huber, scale: LOSS_SCALE };
+    let first = triangulate(camera, points, loss)?;
+    let factor = scatter(&first);
+    // The loss sets in where it should once σ is right.
+    let loss = Loss { scale: LOSS_SCALE * factor.sqrt(), ..loss };
+    let mut found = triangulate(camera, points, loss)?;
+    let factor = scatter(&found);
+    for point in found.iter_mut().flatten() {
+        point.covariance_mm2 *= factor;
+    }
+    Ok((found, factor))
+}
+
+/// χ² for each degree of freedom over all points.
+fn scatter(points: &[Option<MetricPoint>]) -> f64 {
+    let freedom: usize = points.iter().flatten().map(|p| p.freedom).sum();
+    let chi_square: f64 = points.iter().flatten().map(|p| p.chi_square).sum();
+    if freedom > 0 { chi_square / freedom as f64 } else { 1.0 }
 }

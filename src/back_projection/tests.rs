@@ -7,7 +7,7 @@ use crate::model::{
     BentBoard, Board, BoardShape, MicroPixel, PlenopticCamera, Sighting, VirtualPoint,
 };
 use crate::simulation::Settings;
-use crate::solver::{SolverFeature, visible_features};
+use crate::solver::{Loss, LossKind, SolverFeature, visible_features};
 
 const BOARD: Board = Board { columns: 6, rows: 4, square_mm: 3.0 };
 const NEAR_MM: f64 = 1e-7;
@@ -23,6 +23,7 @@ fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<Vec<Sighting>>) {
         let sighting = |f: &SolverFeature| Sighting {
             at: MicroPixel { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px },
             std_dev_px: [0.1; 2],
+            correlation: 0.2,
             rho: f.rho_px.map(|rho_px| [rho_px, 0.2]),
         };
         seen.iter().map(sighting).collect()
@@ -34,7 +35,8 @@ fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<Vec<Sighting>>) {
 #[test]
 fn corners_are_triangulated_and_lie_on_their_rays() {
     let (camera, points, sightings) = scene();
-    let found = triangulate(&camera, &sightings).unwrap();
+    let found =
+        triangulate(&camera, &sightings, Loss { kind: LossKind::None, scale: 1.0 }).unwrap();
     let mut rays = 0;
     for ((point, sightings), found) in points.iter().zip(&sightings).zip(found) {
         if sightings.len() < 2 {

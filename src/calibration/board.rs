@@ -22,6 +22,8 @@ const FLAT: f64 = 1e-3;
 const SIGNIFICANT: f64 = 3.0;
 /// A bend by more of the diagonal is a warning.
 const WARPED: f64 = 5e-3;
+/// A larger aspect is one, since the squares may have been measured along either side.
+const STRETCHED: f64 = 0.01;
 /// Index of the aspect in the table of parameters; before it are those of the bend.
 const ASPECT: usize = 3;
 
@@ -353,7 +355,9 @@ pub(super) fn warnings_of(board: &BoardResult) -> impl Iterator<Item = Warning> 
         }
         Trial::NotTried | Trial::TooFewFrames | Trial::Tried { unsettled: None, .. } => None,
     };
-    warped.into_iter().chain(failed)
+    let aspect = board.bent.shape.aspect;
+    let stretched = (aspect.abs() > STRETCHED).then_some(Warning::StretchedBoard { aspect });
+    warped.into_iter().chain(stretched).chain(failed)
 }
 
 #[cfg(test)]

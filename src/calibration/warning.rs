@@ -77,6 +77,11 @@ pub enum Warning {
         /// Whether its shape is estimated, and not known.
         estimated: bool,
     },
+    /// The squares of the board are oblong.
+    StretchedBoard {
+        /// By what part squares are longer along x than along y.
+        aspect: f64,
+    },
     /// The shape of the board could not be found, and it is taken to be flat.
     BoardShapeNotFound {
         /// Why.
@@ -162,6 +167,7 @@ impl fmt::Display for Warning {
                 100.0 * bend_mm / diagonal_mm,
                 if *estimated { "estimated with the camera" } else { "taken as known" }
             ),
+            Self::StretchedBoard { aspect } => f.write_str(&stretched_text(*aspect)),
             Self::BoardShapeNotFound { reason } => write!(
                 f,
                 "whether the board is flat could not be found out, and it is taken to be flat: {reason}. If you know \
@@ -184,6 +190,16 @@ impl fmt::Display for Warning {
             ),
         }
     }
+}
+
+/// That squares are oblong.
+fn stretched_text(aspect: f64) -> String {
+    format!(
+        "the squares of the board are {:.1} % longer along {}: the stated edge is taken to be the mean of both, and F, d and \
+         distances are as much off as it is. Measure both",
+        100.0 * aspect.abs(),
+        if aspect > 0.0 { "rows than along columns" } else { "columns than along rows" }
+    )
 }
 
 /// That poses are given of frames without features.

@@ -109,6 +109,7 @@ impl Frame<'_> {
                         fill_factor: optics.fill_factor,
                     })
                 });
+                let std_devs = [0, 1].map(|i| corner.covariance[(i, i)].sqrt());
                 blur_by_width.push(width.map_or(0.0, |width| width.fill_by_width() * per));
                 features.push(BapFeature {
                     frame: self.frame,
@@ -118,7 +119,8 @@ impl Frame<'_> {
                     u_px: observation.position.x,
                     v_px: observation.position.y,
                     rho_px: Some(rho_px),
-                    std_dev_px: Some([0, 1].map(|i| corner.covariance[(i, i)].sqrt())),
+                    std_dev_px: Some(std_devs),
+                    correlation: corner.covariance[(0, 1)] / (std_devs[0] * std_devs[1]),
                     // By that of the slope of the corner's line, also where ρ is from the median
                     // over pairs. The uncertainty of q'ᵢ, which all features of a lens type share,
                     // is not in it.

@@ -43,7 +43,7 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
     }
     let mut required = vec!["k", "l", "u", "v", "cluster", "frame"];
     required.extend(rho.then_some("rho"));
-    let optional: Vec<&str> = ["rho", "std_u", "std_v", "std_rho"]
+    let optional: Vec<&str> = ["rho", "std_u", "std_v", "std_rho", CORRELATION]
         .into_iter()
         .chain(BLUR)
         .chain(LEVERS.into_iter().flatten())
@@ -62,6 +62,7 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
                 (None, None) => None,
                 _ => return Err(row.error("std_u and std_v go together, but one is missing")),
             },
+            correlation: row.correlation()?,
             rho_std_dev_px: row.std_dev("std_rho")?,
             levers_px: row.levers()?,
             blur: row.blur()?,
@@ -103,6 +104,9 @@ pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::R
     })
 }
 
+/// Column of [`BapFeature::correlation`].
+const CORRELATION: &str = "corr_uv";
+
 /// Columns of [`BapFeature::levers_px`], u and v.
 const LEVERS: [[&str; 2]; TAKEN] = [
     ["du_pupil", "dv_pupil"],
@@ -120,18 +124,23 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
     let measured = |f: &BapFeature| f.std_dev_px.is_some() || f.rho_std_dev_px.is_some();
     let measured = features.iter().any(measured);
     let std_devs = if measured { ",std_u,std_v,std_rho" } else { "" };
+    let correlated = measured && features.iter().any(|f| f.correlation != 0.0);
+    let correlation = if correlated { format!(",{CORRELATION}") } else { String::new() };
     let with_levers = features.iter().any(|f| f.levers_px.is_some());
     let levers =
         if with_levers { format!(",{}", LEVERS.as_flattened().join(",")) } else { String::new() };
     let with_blur = features.iter().any(|f| f.blur.is_some());
     let blur = if with_blur { format!(",{}", BLUR.join(",")) } else { String::new() };
-    writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}{blur}{levers}")?;
+    writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}{correlation}{blur}{levers}")?;
     features.iter().try_for_each(|f| {
         let rho = f.rho_px.map(|rho| rho.to_string()).unwrap_or_default();
         write!(out, "{},{},{},{},{rho},{},{}", f.k, f.l, f.u_px, f.v_px, f.corner, f.frame)?;
         if measured {
             let [u, v] = [0, 1].map(|i| std_dev_text(f.std_dev_px.map(|std_devs| std_devs[i])));
             write!(out, ",{u},{v},{}", std_dev_text(f.rho_std_dev_px))?;
+        }
+        if correlated {
+            write!(out, ",{:.4}", f.correlation)?;
         }
         if with_blur {
             match &f.blur {
@@ -236,6 +245,16 @@ impl Row<'_> {
                  all of these columns out",
                 BLUR.join(", ")
             ))),
+        }
+    }
+
+    /// The correlation of u and v; 0 where it was not measured.
+    fn correlation(&self) -> Result<f64> {
+        match self.measured(CORRELATION)? {
+            Some(value) if value.abs() >= 1.0 => Err(self.error(&format!(
+                "{CORRELATION} is {value}, but a correlation lies between -1 and 1"
+            ))),
+            value => Ok(value.unwrap_or(0.0)),
         }
     }
 

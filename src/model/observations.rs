@@ -39,6 +39,8 @@ pub struct BapFeature {
     pub rho_px: Option<f64>,
     /// Standard deviations of u and v, px, where they were measured.
     pub std_dev_px: Option<[f64; 2]>,
+    /// Correlation of the errors of u and v; 0 where it was not measured. Points in space use it, calibrations do not.
+    pub correlation: f64,
     /// Standard deviation of ρ, px, where it was measured.
     pub rho_std_dev_px: Option<f64>,
     /// How far u and v move if what the detection takes from the white images is wrong, where that is known: px
@@ -100,6 +102,7 @@ impl Observations {
     pub(crate) fn forget_std_devs(&mut self) {
         for feature in &mut self.features {
             (feature.std_dev_px, feature.rho_std_dev_px) = (None, None);
+            feature.correlation = 0.0;
         }
         for center in &mut self.centers {
             center.std_dev_px = None;

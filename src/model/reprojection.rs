@@ -125,6 +125,7 @@ mod tests {
             rho_px: None,
             std_dev_px: None,
             rho_std_dev_px: None,
+            correlation: 0.0,
             levers_px: None,
             blur: None,
         };

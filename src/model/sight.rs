@@ -42,6 +42,8 @@ pub struct Sighting {
     pub at: MicroPixel,
     /// σ of u and v, px.
     pub std_dev_px: [f64; 2],
+    /// Correlation of their errors, between −1 and 1.
+    pub correlation: f64,
     /// ρ and its σ, px, where it was measured.
     pub rho: Option<[f64; 2]>,
 }
@@ -53,4 +55,8 @@ pub struct MetricPoint {
     pub point_mm: Point3<f64>,
     /// Covariance of x, y and z by what was measured, mm²; that of the camera is not in it.
     pub covariance_mm2: Matrix3<f64>,
+    /// Of a point that several micro-lenses see: the sum of squared residuals over σ, weighted by the loss.
+    pub chi_square: f64,
+    /// And their number beyond three.
+    pub freedom: usize,
 }

@@ -169,6 +169,7 @@ impl Tracer {
                         rho_px: Some(spot.radius_px / self.array.fill_factor),
                         std_dev_px: None,
                         rho_std_dev_px: None,
+                        correlation: 0.0,
                         levers_px: None,
                         blur: None,
                     };

@@ -123,6 +123,18 @@ mod ffi {
         std_dev_px: [f64; 3],
     }
 
+    struct SightingRow {
+        k: i32,
+        l: i32,
+        u_px: f64,
+        v_px: f64,
+        rho_px: f64,
+        /// Standard deviations of u, v and ρ.
+        std_dev_px: [f64; 3],
+        /// Of u and v.
+        correlation: f64,
+    }
+
     struct CenterRow {
         k: i32,
         l: i32,
@@ -187,6 +199,8 @@ mod ffi {
         defined: bool,
         point_mm: [f64; 3],
         covariance_mm2: [f64; 9],
+        chi_square: f64,
+        freedom: i32,
     }
 
     struct AnchorRow {
@@ -359,8 +373,10 @@ mod ffi {
         ) -> Result<Vec<f64>>;
         fn triangulate(
             camera: &CameraParts,
-            features: &[FeatureRow],
+            sightings: &[SightingRow],
             counts: &[usize],
+            loss_kind: LossKind,
+            loss_scale: f64,
         ) -> Result<Vec<MetricRow>>;
     }
 }

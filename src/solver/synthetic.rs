@@ -61,6 +61,7 @@ pub fn synthesize_bent(
                         rho_px,
                         std_dev_px: None,
                         rho_std_dev_px: None,
+                        correlation: 0.0,
                         levers_px: None,
                         blur: None,
                     }));

@@ -140,6 +140,7 @@ pub fn full_features() -> Vec<u8> {
     let complete = |feature: &BapFeature| BapFeature {
         std_dev_px: Some([0.02, 0.03]),
         rho_std_dev_px: Some(0.05),
+        correlation: 0.3,
         levers_px: Some([[0.01, -0.02]; TAKEN]),
         blur: Some(MeasuredBlur {
             radius_px: -1.6,

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "plenocal/inverse.hpp"
+#include "plenocal/loss.hpp"
 
 namespace plenocal {
 
@@ -38,12 +39,18 @@ struct Sighting {
   Feature<double> observed;  ///< px
   /// px; rho is not used where its sigma is infinite.
   Feature<double> std_dev{1.0, 1.0, std::numeric_limits<double>::infinity()};
+  double correlation = 0.0;  ///< of the errors of u and v, between -1 and 1
 };
 
 /// A point in the camera frame, mm.
 struct MetricPoint {
   Vector3<double> point;
   std::array<double, 9> covariance{};  ///< of x, y, z, row by row, mm^2
+  /// Of a triangulated point: the sum of squared residuals over sigma, weighted by the loss, and
+  /// the number of residuals beyond three. Their sums over many points say by how much sigma is
+  /// wrong.
+  double chi_square = 0.0;
+  int freedom = 0;
 };
 
 /// Back-projection through a camera. What does not depend on the pixel is computed once; all
@@ -83,9 +90,10 @@ class PLENOCAL_API BackProjection {
   std::optional<MetricPoint> focused_point(const VirtualPoint& seen) const;
 
   /// The point that several micro-lenses see, by weighted least squares of its features, with the
-  /// covariance that their sigma leads to. Nothing if they do not determine it: fewer than two, or
-  /// all from one place.
-  std::optional<MetricPoint> triangulate(const std::vector<Sighting>& sightings) const;
+  /// covariance that their sigma leads to. A loss on |r / sigma| of each sighting withstands false
+  /// ones. Nothing if they do not determine the point: fewer than two, or all from one place.
+  std::optional<MetricPoint> triangulate(const std::vector<Sighting>& sightings,
+                                         const Loss& loss = {}) const;
 
   /// The virtual depth of a point in space (mm) for a micro-lens.
   std::optional<double> virtual_depth(int k, int l, const Vector3<double>& point) const;

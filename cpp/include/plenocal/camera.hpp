@@ -236,6 +236,15 @@ Part<T> from_block(const T* block) {
   return part;
 }
 
+/// A part with its parameters as constants of another type: cast<ceres::Jet<double, 6>>(lens).
+template <typename T, template <typename> class Part>
+Part<T> cast(const Part<double>& part) {
+  const auto block = to_block(part);
+  std::array<T, parameter_count<Part>()> constants;
+  for (std::size_t i = 0; i < block.size(); ++i) constants[i] = T(block[i]);
+  return from_block<Part>(constants.data());
+}
+
 /// A whole camera. I = `micro_lens_focal_lengths.size()` lens types: 0 (an array of pinholes), 1,
 /// or 3 on a hexagonal lattice.
 struct Camera {

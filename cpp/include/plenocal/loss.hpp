@@ -36,4 +36,12 @@ void apply_loss(const Loss& loss, int n, T* r) {
   for (int i = 0; i < n; ++i) r[i] *= factor;
 }
 
+/// The weight rho'(s) of an observation in a step of iteratively re-weighted least squares, for
+/// s = |r|^2.
+inline double loss_weight(const Loss& loss, double s) {
+  const double x = s / (loss.scale * loss.scale);
+  if (loss.kind == LossKind::kHuber) return x > 1.0 ? 1.0 / std::sqrt(x) : 1.0;
+  return loss.kind == LossKind::kCauchy ? 1.0 / (1.0 + x) : 1.0;
+}
+
 }  // namespace plenocal

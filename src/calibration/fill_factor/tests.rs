@@ -76,6 +76,7 @@ fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
                 rho_px: Some(q * TRUE_FILL / FOUND_WITH + growth),
                 std_dev_px: Some([0.03; 2]),
                 rho_std_dev_px: Some(0.01),
+                correlation: 0.0,
                 levers_px: Some(levers_px),
                 blur: Some(MeasuredBlur {
                     radius_px: blur,

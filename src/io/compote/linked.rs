@@ -57,6 +57,7 @@ fn sections(data: &[u8]) -> Result<Observations> {
             rho_px: Some(f64_at(r, 24)?),
             std_dev_px: None,
             rho_std_dev_px: None,
+            correlation: 0.0,
             levers_px: None,
             blur: None,
             corner: i32_at(r, 32),

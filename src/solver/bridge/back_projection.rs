@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 use super::{ffi, solver_error};
 use crate::error::Result;
 use crate::model::{MetricPoint, MicroPixel, PlenopticCamera, Ray, Sighting, VirtualPoint};
+use crate::solver::Loss;
 
 /// The micro-images that pixels belong to; `None` outside the array.
 pub(crate) fn micro_images_at(
@@ -82,10 +83,9 @@ pub(crate) fn virtual_depths(
 pub(crate) fn triangulate(
     camera: &PlenopticCamera,
     points: &[Vec<Sighting>],
+    loss: Loss,
 ) -> Result<Vec<Option<MetricPoint>>> {
-    let to_row = |s: &Sighting| ffi::FeatureRow {
-        frame: 0,
-        board_point_mm: [0.0; 3],
+    let to_row = |s: &Sighting| ffi::SightingRow {
         k: s.at.k,
         l: s.at.l,
         u_px: s.at.u_px,
@@ -96,10 +96,12 @@ pub(crate) fn triangulate(
             s.std_dev_px[1],
             s.rho.map_or(f64::INFINITY, |[_, std_dev_px]| std_dev_px),
         ],
+        correlation: s.correlation,
     };
     let counts: Vec<usize> = points.iter().map(Vec::len).collect();
-    let features: Vec<_> = points.iter().flatten().map(to_row).collect();
-    let rows = ffi::triangulate(&camera.into(), &features, &counts).map_err(solver_error)?;
+    let sightings: Vec<_> = points.iter().flatten().map(to_row).collect();
+    let rows = ffi::triangulate(&camera.into(), &sightings, &counts, loss.kind.into(), loss.scale)
+        .map_err(solver_error)?;
     Ok(rows.iter().map(metric_point).collect())
 }
 
@@ -107,5 +109,7 @@ fn metric_point(row: &ffi::MetricRow) -> Option<MetricPoint> {
     row.defined.then(|| MetricPoint {
         point_mm: Point3::from(row.point_mm),
         covariance_mm2: Matrix3::from_row_slice(&row.covariance_mm2),
+        chi_square: row.chi_square,
+        freedom: usize::try_from(row.freedom).unwrap_or(0),
     })
 }
