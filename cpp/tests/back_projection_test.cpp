@@ -192,17 +192,21 @@ TEST(BackProjection, ErrorsOfTriangulationAreAsItsCovarianceSays) {
   std::mt19937 generator(7);
   std::normal_distribution<double> normal;
   constexpr Feature<double> kNoise{0.02, 0.03, 0.05};
-  double square = 0.0;
-  int count = 0;
+  constexpr double kCorrelation = 0.8;
+  double square = 0.0, chi_square = 0.0;
+  int count = 0, freedom = 0;
   for (const Views& view : views(camera)) {
     if (view.sightings.size() < 3) continue;
     for (int draw = 0; draw < 40; ++draw) {
       auto noisy = view.sightings;
       for (Sighting& s : noisy) {
-        s.observed.u += kNoise.u * normal(generator);
-        s.observed.v += kNoise.v * normal(generator);
+        const double first = normal(generator), second = normal(generator);
+        s.observed.u += kNoise.u * first;
+        s.observed.v +=
+            kNoise.v * (kCorrelation * first + std::sqrt(1.0 - std::pow(kCorrelation, 2)) * second);
         s.observed.rho += kNoise.rho * normal(generator);
         s.std_dev = kNoise;
+        s.correlation = kCorrelation;
       }
       const auto found = back.triangulate(noisy);
       ASSERT_TRUE(found);
@@ -211,10 +215,35 @@ TEST(BackProjection, ErrorsOfTriangulationAreAsItsCovarianceSays) {
       const Eigen::Map<const Eigen::Matrix3d> covariance(found->covariance.data());
       square += off.dot(covariance.ldlt().solve(off)) / 3.0;
       ++count;
+      EXPECT_EQ(found->freedom, static_cast<int>(3 * noisy.size()) - 3);
+      chi_square += found->chi_square;
+      freedom += found->freedom;
     }
   }
   ASSERT_GT(count, 500);
   EXPECT_NEAR(square / count, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * count)));
+  EXPECT_NEAR(chi_square / freedom, 1.0, 4.0 * std::sqrt(2.0 / freedom));
+}
+
+TEST(BackProjection, AFalseSightingIsWithstood) {
+  const BackProjection back(scene_camera(3));
+  int compared = 0;
+  for (const Views& view : views(scene_camera(3))) {
+    if (view.sightings.size() < 6) continue;
+    auto sightings = view.sightings;
+    for (Sighting& s : sightings) s.std_dev = {0.02, 0.02, 0.05};
+    sightings[2].observed.u += 2.0;
+    const auto off = [&](const Loss& loss) {
+      const auto found = back.triangulate(sightings, loss);
+      EXPECT_TRUE(found);
+      return std::hypot(found->point.x - view.point.x, found->point.y - view.point.y,
+                        found->point.z - view.point.z);
+    };
+    EXPECT_LT(off({LossKind::kCauchy, 2.0}), 0.05 * off({}));
+    EXPECT_LT(off({LossKind::kHuber, 3.0}), 0.5 * off({}));
+    ++compared;
+  }
+  EXPECT_GT(compared, 2);
 }
 
 TEST(BackProjection, MicroImagesAreThoseWithTheNearestCentre) {

@@ -166,7 +166,7 @@ fn poses() -> Vec<Mistake> {
         ),
         simulation(
             "boards far away",
-            Warned(&["features", "far", "tilt", "left out"]),
+            Refused(&["no frame shows the board"]),
             &["boards.depth_mm=[110,140]"],
         ),
         simulation("boards near", Right, &["boards.depth_mm=[58,66]"]),
@@ -174,7 +174,7 @@ fn poses() -> Vec<Mistake> {
         simulation(
             "large squares",
             Right,
-            &["target.square_mm=6", "target.columns=5", "target.rows=4"],
+            &["target.square_mm=4.5", "target.columns=5", "target.rows=4"],
         ),
         simulation("boards half in view", Right, &["boards.min_in_view=0.4"]),
     ]
