@@ -208,10 +208,10 @@ impl Settings<'_> {
     pub fn evaluated(
         &self,
         problem: &Problem,
-        cost: CostOptions,
+        cost: &CostOptions,
         anchors: &[(Anchor, AnchorSource)],
     ) -> Result<Settled> {
-        let refined = self.evaluate(problem, with_fixed(&cost, |_| true))?;
+        let refined = self.evaluate(problem, with_fixed(cost, |_| true))?;
         let (trial, aside) = (Trial::NotTried, Effort::default());
         Ok(Settled { refined, anchors: anchors.to_vec(), trial, aside })
     }

@@ -61,16 +61,12 @@ impl Prepared {
         at: Option<&Solution>,
     ) -> Result<(PlenopticCamera, Frames)> {
         let Self { initial, grid, observations, .. } = self;
-        let (initial, mut frames) = match at {
-            Some(at) => {
-                check_indices(&at.camera, grid.as_ref(), observations)?;
-                (&at.camera, given_frames(observations, &at.poses))
-            }
-            None => {
-                let cost = (&options.cost, &options.solver);
-                let poses = &options.poses;
-                (initial, initial_frames(initial, board, observations, cost, poses)?)
-            }
+        let (initial, mut frames) = if let Some(at) = at {
+            check_indices(&at.camera, grid.as_ref(), observations)?;
+            (&at.camera, given_frames(observations, &at.poses))
+        } else {
+            let cost = (&options.cost, &options.solver);
+            (initial, initial_frames(initial, board, observations, cost, &options.poses)?)
         };
         if frames.poses.is_empty() {
             return Err(Error::invalid(no_frame(&frames.left_out)));

@@ -104,7 +104,7 @@ fn completed(
     let common = common_errors(&start, &initial, all, &cost, options)?;
     let settings = Settings { frames: &frames, options, common };
     let (settled, outlying) = match at {
-        Some(_) => (settings.evaluated(&problem, cost, &anchors)?, None),
+        Some(_) => (settings.evaluated(&problem, &cost, &anchors)?, None),
         None => withstanding(&settings, &problem, &mut cost, &anchors, progress)?,
     };
     let Settled { refined, anchors, trial, aside } = settled;

@@ -31,8 +31,8 @@ use super::talk::{self, print_result, say, warn};
 ///
 /// Give a project file, or individual files, or both: individual files take precedence over the
 /// project. Files are recognised by their content, so plenocal's own and COMPOTE's can be mixed.
-// Parameter names in the help are not code.
-#[allow(clippy::doc_markdown)]
+// Parameter names in the help are not code. Every flag is an option of its own.
+#[allow(clippy::doc_markdown, clippy::struct_excessive_bools)]
 #[derive(Args)]
 #[command(after_help = EXAMPLES, allow_negative_numbers = true)]
 pub struct Arguments {

@@ -1,5 +1,6 @@
 //! Programs of users: the examples in C++, and problems that are exported for programs of their own.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -37,7 +38,7 @@ fn a_stack_turns_virtual_depths_into_metric_points() {
     let mut seen = Vec::new();
     for (i, (k, l)) in [(10, 8), (21, 18), (30, 25)].into_iter().enumerate() {
         let (u_px, v_px, nu) = (23.2 * f64::from(k), 20.1 * f64::from(l), 2.4 + 0.3 * i as f64);
-        csv += &format!("{k},{l},{u_px},{v_px},{nu}\n");
+        writeln!(csv, "{k},{l},{u_px},{v_px},{nu}").unwrap();
         let at = MicroPixel { k, l, u_px, v_px };
         seen.push(VirtualPoint { at, virtual_depth: nu, std_dev: [0.0; 3] });
     }

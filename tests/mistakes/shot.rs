@@ -182,9 +182,13 @@ fn poses() -> Vec<Mistake> {
 
 fn light() -> Vec<Mistake> {
     vec![
-        simulation("gamma 2.2 of the camera", Warned(&["gamma", "linear"]), &["imaging.gamma=2.2"]),
+        simulation(
+            "gamma 2.2 of the camera",
+            Refused(&["not linear in light", "gamma"]),
+            &["imaging.gamma=2.2"],
+        ),
         simulation("uneven light", Right, &["target.uneven_light=[0.4,-0.3]"]),
-        simulation("a black level of 16, unknown", Right, &["imaging.black_level=16"]),
+        simulation("a black level of 16, unknown", Right, &["imaging.black_level=0.0627"]),
         simulation("100 hot pixels", Right, &["imperfections.hot_pixels=100"]),
         simulation("20 specks of dust", Right, &["imperfections.dust_specks=20"]),
         simulation("over-exposed by 4", Right, &["white_images.gain=4"]),
