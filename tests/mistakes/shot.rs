@@ -189,7 +189,7 @@ fn light() -> Vec<Mistake> {
         ),
         simulation("uneven light", Right, &["target.uneven_light=[0.4,-0.3]"]),
         simulation("a black level of 16, unknown", Right, &["imaging.black_level=0.0627"]),
-        simulation("100 hot pixels", Right, &["imperfections.hot_pixels=100"]),
+        simulation("100 hot pixels", Right, &["imaging.hot_pixels=100"]),
         simulation("20 specks of dust", Right, &["imperfections.dust_specks=20"]),
         simulation("over-exposed by 4", Right, &["white_images.gain=4"]),
         simulation(
