@@ -17,15 +17,23 @@ pub fn comparison_text(comparison: &CameraComparison) -> String {
     let motion = &comparison.second_from_first;
     let shift = motion.translation.vector;
     let rms_px = comparison.rms_px();
-    let verdict = if rms_px < HARDLY_PX {
-        "The two cameras see the same"
-    } else {
-        "The two cameras see differently"
-    };
-    let differing: Vec<String> = comparison
+    let in_std_devs: Vec<(&str, f64)> = comparison
         .parameters
         .iter()
         .filter_map(|pair| Some((pair.name, pair.difference_in_std_devs()?)))
+        .collect();
+    let most = in_std_devs.iter().map(|(_, std_devs)| std_devs.abs()).fold(0.0, f64::max);
+    let verdict = if rms_px < HARDLY_PX {
+        "The two cameras see the same".to_owned()
+    } else if !in_std_devs.is_empty() && most <= DIFFERENT {
+        format!(
+            "The two cameras agree within their σ (no parameter is more than {most:.1} σ apart)"
+        )
+    } else {
+        "The two cameras see differently".to_owned()
+    };
+    let differing: Vec<String> = in_std_devs
+        .iter()
         .filter(|(_, std_devs)| std_devs.abs() > DIFFERENT)
         .map(|(name, std_devs)| format!("{name} ({std_devs:+.1} σ)"))
         .collect();
