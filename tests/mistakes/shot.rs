@@ -192,15 +192,11 @@ fn light() -> Vec<Mistake> {
         simulation("100 hot pixels", Right, &["imaging.hot_pixels=100"]),
         simulation("20 specks of dust", Right, &["imperfections.dust_specks=20"]),
         simulation("over-exposed by 4", Right, &["white_images.gain=4"]),
-        simulation(
-            "over-exposed by 16",
-            Warned(&["full", "saturated", "clipped", "exposed"]),
-            &["white_images.gain=16"],
-        ),
+        simulation("over-exposed by 16", Refused(&["saturated"]), &["white_images.gain=16"]),
         simulation("boards over-exposed by 2", Right, &["imaging.exposure=1.6"]),
         simulation(
             "boards over-exposed by 5",
-            Warned(&["exposed", "full", "saturated"]),
+            Refused(&["no frame shows the board"]),
             &["imaging.exposure=4"],
         ),
         simulation("boards at a tenth of full", Right, &["imaging.exposure=0.1"]),
