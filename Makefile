@@ -107,6 +107,7 @@ bench: cpp
 # Every C++ test with AddressSanitizer and UndefinedBehaviorSanitizer, and those of threads with
 # ThreadSanitizer, by both compilers. PRESETS="asan-gcc" runs some.
 PRESETS = asan-gcc asan-clang tsan-gcc tsan-clang shared
+sanitizers: PACKAGES += libclang-rt-dev
 sanitizers: deps
 	cd cpp && for preset in $(PRESETS); do \
 	  echo "== $$preset"; \
