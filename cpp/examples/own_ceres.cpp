@@ -27,9 +27,8 @@ struct Reprojection {
   }
 };
 
-int main(int argc, char** argv) {
-  if (argc != 3) return std::fprintf(stderr, "usage: own_ceres PROBLEM OUT\n"), 2;
-  const plenocal::ProblemFiles files = plenocal::read_problem(argv[1]);
+void run(const std::string& folder, const std::string& out) {
+  const plenocal::ProblemFiles files = plenocal::read_problem(folder);
   std::vector<std::array<double, 6>> poses;
   for (const plenocal::Pose& pose : files.poses) poses.push_back(plenocal::pose_block(pose));
 
@@ -47,7 +46,16 @@ int main(int argc, char** argv) {
   for (std::size_t i = 0; i < poses.size(); ++i) {
     found[files.frames[i]] = plenocal::pose_from_block(poses[i]);
   }
-  plenocal::write_poses(std::string(argv[2]) + "/poses.json", found);
-  plenocal::write_camera(std::string(argv[2]) + "/camera.json", files.start);
+  plenocal::write_poses(out + "/poses.json", found);
+  plenocal::write_camera(out + "/camera.json", files.start);
+}
+
+int main(int argc, char** argv) {
+  if (argc != 3) return std::fprintf(stderr, "usage: own_ceres PROBLEM OUT\n"), 2;
+  try {
+    run(argv[1], argv[2]);
+  } catch (const std::exception& error) {
+    return std::fprintf(stderr, "own_ceres: %s\n", error.what()), 1;
+  }
   return 0;
 }

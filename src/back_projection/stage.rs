@@ -117,9 +117,14 @@ pub fn triangulate(
 /// Where the loss on the sightings of a corner sets in, σ: few features lie that far off, but those that do are false.
 const LOSS_SCALE: f64 = 3.0;
 
+/// Sightings without noise scatter by nothing; the loss then sets in at this fraction of its place.
+const LEAST_SCATTER: f64 = 1e-3;
+/// A scatter by fewer degrees of freedom is chance: σ is then as stated.
+const LEAST_FREEDOM: usize = 30;
+
 /// Corners from what boards show of them: false sightings are withstood (Huber, 3 σ), and covariances are multiplied by how
 /// much sightings scatter more than their σ says, in variance, in the mean of all corners. That factor is returned too; 1 if
-/// nothing is redundant.
+/// hardly anything is redundant.
 ///
 /// An error as of [`triangulate`].
 pub fn corners(
@@ -130,7 +135,7 @@ pub fn corners(
     let first = triangulate(camera, points, loss)?;
     let factor = scatter(&first);
     // The loss sets in where it should once σ is right.
-    let loss = Loss { scale: LOSS_SCALE * factor.sqrt(), ..loss };
+    let loss = Loss { scale: LOSS_SCALE * factor.sqrt().max(LEAST_SCATTER), ..loss };
     let mut found = triangulate(camera, points, loss)?;
     let factor = scatter(&found);
     for point in found.iter_mut().flatten() {
@@ -143,5 +148,5 @@ pub fn corners(
 fn scatter(points: &[Option<MetricPoint>]) -> f64 {
     let freedom: usize = points.iter().flatten().map(|p| p.freedom).sum();
     let chi_square: f64 = points.iter().flatten().map(|p| p.chi_square).sum();
-    if freedom > 0 { chi_square / freedom as f64 } else { 1.0 }
+    if freedom >= LEAST_FREEDOM { chi_square / freedom as f64 } else { 1.0 }
 }

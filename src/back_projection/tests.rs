@@ -2,9 +2,9 @@
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
-use super::{metric_points, micro_images_at, object_rays, triangulate};
+use super::{corners, metric_points, micro_images_at, object_rays, triangulate};
 use crate::model::{
-    BentBoard, Board, BoardShape, MicroPixel, PlenopticCamera, Sighting, VirtualPoint,
+    BentBoard, Board, BoardShape, MetricPoint, MicroPixel, PlenopticCamera, Sighting, VirtualPoint,
 };
 use crate::simulation::Settings;
 use crate::solver::{Loss, LossKind, SolverFeature, visible_features};
@@ -30,6 +30,23 @@ fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<Vec<Sighting>>) {
     });
     let sightings = sightings.collect();
     (camera, corners.iter().map(|corner| pose * corner).collect(), sightings)
+}
+
+/// A false sighting hardly moves a corner, and σ follows the scatter: without noise it is nearly 0.
+#[test]
+fn false_sightings_are_withstood_and_scatter_scales_sigma() {
+    let (camera, points, mut sightings) = scene();
+    let (exact, factor) = corners(&camera, &sightings).unwrap();
+    assert!(factor < 1e-6, "{factor}");
+    let i = sightings.iter().position(|seen| seen.len() > 8).unwrap();
+    sightings[i][3].at.u_px += 3.0;
+    let (found, factor) = corners(&camera, &sightings).unwrap();
+    let plain = Loss { kind: LossKind::None, scale: 1.0 };
+    let least_squares = triangulate(&camera, &sightings, plain).unwrap();
+    let off = |point: &Option<MetricPoint>| (point.unwrap().point_mm - points[i]).norm();
+    assert!(off(&exact[i]) < NEAR_MM);
+    assert!(off(&found[i]) < 0.3 * off(&least_squares[i]), "{}", off(&found[i]));
+    assert!(factor > 1e-6, "{factor}");
 }
 
 #[test]

@@ -192,6 +192,11 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let begun = Instant::now();
     let mut output = OutputFolder::new(&arguments.out)?;
     let (json, with_compote) = (arguments.json, arguments.compote);
+    if arguments.export_problem.as_ref() == Some(&arguments.out) {
+        return Err(Error::invalid(
+            "--export-problem and --out name one folder, but both write camera.json and poses.json: give two",
+        ));
+    }
     let export = arguments.export_problem.as_deref().map(OutputFolder::new).transpose()?;
     let mut input = Input::read(&arguments.files(), arguments.options()?)?;
     let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;

@@ -24,21 +24,21 @@ pub fn comparison_text(comparison: &CameraComparison) -> String {
         .collect();
     let most = in_std_devs.iter().map(|(_, std_devs)| std_devs.abs()).fold(0.0, f64::max);
     let verdict = if rms_px < HARDLY_PX {
-        "The two cameras see the same".to_owned()
-    } else if !in_std_devs.is_empty() && most <= DIFFERENT {
-        format!(
-            "The two cameras agree within their σ (no parameter is more than {most:.1} σ apart)"
-        )
+        "The two cameras see the same"
     } else {
-        "The two cameras see differently".to_owned()
+        "The two cameras see differently"
     };
     let differing: Vec<String> = in_std_devs
         .iter()
         .filter(|(_, std_devs)| std_devs.abs() > DIFFERENT)
         .map(|(name, std_devs)| format!("{name} ({std_devs:+.1} σ)"))
         .collect();
-    let parameters = if differing.is_empty() {
+    let parameters = if in_std_devs.is_empty() {
         String::new()
+    } else if differing.is_empty() {
+        format!(
+            "\nNo parameter is more than {most:.1} σ apart. Parameters trade off, so what the cameras see says more."
+        )
     } else {
         format!("\nParameters apart by more than {DIFFERENT:.0} σ: {}.", differing.join(", "))
     };

@@ -59,6 +59,31 @@ fn a_stack_turns_virtual_depths_into_metric_points() {
     assert!(String::from_utf8_lossy(&wrong.stderr).contains("depths.csv"));
 }
 
+/// The program of the documentation finds the poses of an exported problem, which plenocal reads.
+#[test]
+#[cfg_attr(not(plenocal_examples), ignore = "set PLENOCAL_EXAMPLES to the folder of the programs")]
+fn own_ceres_finds_poses_of_an_exported_problem() {
+    let folder = TempDir::new().unwrap();
+    let problem = folder.path().join("problem");
+    let noise = Noise { uv_px: 0.05, rho_px: 0.02, centers_px: 0.02 };
+    let observations = drawn(&true_camera(), &noise, 5);
+    let calibration = run(&Start::Camera(true_camera()), &observations, &options());
+    let mut output = OutputFolder::new(&problem).unwrap();
+    stage_problem(&mut output, &SolvedProblem::of(&calibration, &board())).unwrap();
+    output.commit().unwrap();
+    let run = program("own_ceres").arg(&problem).arg(folder.path()).output().unwrap();
+    assert!(text(&run).contains("CONVERGENCE"));
+    let found = read_poses(&folder.path().join("poses.json")).unwrap();
+    // The camera of the problem's start is the true one, and so are the poses, to the noise.
+    for (found, truth) in found.iter().zip(true_poses()) {
+        let [found, truth] = [found, &truth].map(|p| p.camera_from_board.translation.vector);
+        assert!((found - truth).norm() < 0.1, "{found} for {truth}");
+    }
+    let none = program("own_ceres").arg(folder.path()).arg(folder.path()).output().unwrap();
+    assert_eq!(none.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&none.stderr).contains("problem.json"));
+}
+
 /// Two cameras see the same boards: `rig` finds where the second is, and both cameras.
 #[test]
 #[cfg_attr(not(plenocal_examples), ignore = "set PLENOCAL_EXAMPLES to the folder of the programs")]
@@ -164,6 +189,13 @@ fn a_solution_from_elsewhere_is_evaluated() {
     let moved = json(&at("moved/cost.json"));
     let step = moved["evaluation"]["next_step"]["F"].as_f64().unwrap();
     assert!((step + 0.001).abs() < 1e-4, "{step}");
+
+    // The two folders differ.
+    let same = at("twice");
+    calibrate(&["--export-problem", same.to_str().unwrap()], "twice")
+        .failure()
+        .stderr(contains("name one folder"));
+    assert!(!same.join("camera.json").exists());
 
     // What is missing is named.
     let mut command = plenocal();
