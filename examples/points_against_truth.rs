@@ -5,15 +5,13 @@
 //! SUBSET is `calibration` or `evaluation`. The points are those of `plenocal points camera.json features.csv`. The frame of a
 //! calibrated camera is where its lens is taken to be, so the motion to the true one is fitted; the last line is without it.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use nalgebra::{
     Isometry3, Matrix3, Matrix6, Point3, Translation3, UnitQuaternion, Vector3, Vector6,
 };
 use plenocal::io::{Project, read_camera, read_features, read_poses};
-use plenocal::model::{MicroPixel, Sighting};
-use plenocal::{Error, Result};
+use plenocal::{Error, Result, back_projection};
 
 /// A corner: where it is found, with its covariance, and where it is.
 struct Corner {
@@ -40,19 +38,10 @@ fn main() -> Result<()> {
 fn corners(set: &Path, subset: &str, camera: &Path, features: &Path) -> Result<Vec<Corner>> {
     let board = Project::read(&set.join("project.toml"))?.board.expect("a data set has a board");
     let poses = read_poses(&set.join("truth").join(subset).join("poses.json"))?;
-    let mut sightings: BTreeMap<(u32, i32), Vec<Sighting>> = BTreeMap::new();
-    for f in read_features(features, false)?.features {
-        sightings.entry((f.frame, f.corner)).or_default().push(Sighting {
-            at: MicroPixel { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px },
-            std_dev_px: f.std_dev_px.unwrap_or([1.0; 2]),
-            correlation: f.correlation,
-            rho: None,
-        });
-    }
-    let seen: Vec<Vec<Sighting>> = sightings.values().cloned().collect();
-    let (points, factor) = plenocal::back_projection::corners(&read_camera(camera)?, &seen)?;
-    println!("features scatter by {:.2} times their sigma", factor.sqrt());
-    let corner = |(&(frame, number), point): (&(u32, i32), Option<_>)| {
+    let found =
+        back_projection::corners(&read_camera(camera)?, &read_features(features, false)?.features)?;
+    println!("features scatter by {:.2} times their sigma", found.scatter.sqrt());
+    let corner = |((frame, number), point): ((u32, i32), Option<_>)| {
         let plenocal::model::MetricPoint { point_mm, covariance_mm2, .. } = point?;
         let pose = poses.iter().find(|pose| pose.frame == frame)?;
         Some(Corner {
@@ -61,7 +50,7 @@ fn corners(set: &Path, subset: &str, camera: &Path, features: &Path) -> Result<V
             truth: pose.camera_from_board * board.point_mm(number),
         })
     };
-    Ok(sightings.keys().zip(points).filter_map(corner).collect())
+    Ok(found.labels.into_iter().zip(found.points).filter_map(corner).collect())
 }
 
 /// The motion that takes the points nearest to the truth, by their covariances.

@@ -373,15 +373,15 @@ rust::Vec<double> virtual_depths(const CameraParts& camera,
 }
 
 rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const SightingRow> all,
-                                 rust::Slice<const std::size_t> counts, LossKind loss_kind,
+                                 rust::Slice<const SeenRow> points, LossKind loss_kind,
                                  double loss_scale) {
   const BackProjection back(to_core(camera));
   rust::Vec<MetricRow> rows;
-  rows.reserve(counts.size());
+  rows.reserve(points.size());
   auto next = all.begin();
-  for (std::size_t count : counts) {
+  for (const SeenRow& point : points) {
     std::vector<Sighting> sightings;
-    for (std::size_t i = 0; i < count; ++i, ++next) {
+    for (std::size_t i = 0; i < point.sightings; ++i, ++next) {
       const auto& [u, v, rho] = next->std_dev_px;
       sightings.push_back({next->k,
                            next->l,
@@ -389,7 +389,8 @@ rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const Si
                            {u, v, rho},
                            next->correlation});
     }
-    rows.push_back(from_core(back.triangulate(sightings, {loss_kind, loss_scale})));
+    rows.push_back(
+        from_core(back.triangulate(sightings, {loss_kind, loss_scale}, point.rho_std_dev_px)));
   }
   return rows;
 }

@@ -15,6 +15,7 @@ struct CameraParts;
 struct CommonErrorParts;
 struct CostParts;
 struct FeatureRow;
+struct SeenRow;
 struct SightingRow;
 struct CenterRow;
 struct MetricRow;
@@ -75,7 +76,7 @@ rust::Vec<double> virtual_depths(const CameraParts& camera,
                                  rust::Slice<const MicroLensIndex> micro_lenses,
                                  rust::Slice<const PointRow> points);
 rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const SightingRow> all,
-                                 rust::Slice<const std::size_t> counts, LossKind loss_kind,
+                                 rust::Slice<const SeenRow> points, LossKind loss_kind,
                                  double loss_scale);
 
 }  // namespace plenocal::bridge

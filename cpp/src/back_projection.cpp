@@ -118,8 +118,7 @@ class Sight {
     if (uses_rho_) {
       const double rho =
           optics_.array.blur_radius(center_, scale, optics_.inverse_focal_lengths[lens_type_]);
-      const double slope = -scale / a * optics_.array.micro_lens_radius() / pixel_size();
-      add(sighting_.observed.rho - rho, sighting_.std_dev.rho, {0.0, 0.0, slope});
+      add(sighting_.observed.rho - rho, sighting_.std_dev.rho, {0.0, 0.0, rho_slope(image.z)});
     }
     const double weight = loss_weight(loss, square);
     *normal += weight * own;
@@ -129,6 +128,12 @@ class Sight {
   }
 
   int residuals() const { return uses_rho_ ? 3 : 2; }
+
+  // The derivative of rho by the place of p' along the axis, px/mm.
+  double rho_slope(double z) const {
+    const double a = z - center_.z, delta = center_.z - optics_.array.sensor_z();
+    return delta / (a * a) * optics_.array.micro_lens_radius() / pixel_size();
+  }
 
  private:
   double pixel_size() const { return optics_.array.pixel_size(); }
@@ -151,6 +156,15 @@ bool invert(const Eigen::Matrix3d& normal, Eigen::Matrix3d* inverse) {
   if (!(eigen.eigenvalues()[0] > kRankTolerance)) return false;
   *inverse = scale.asDiagonal() * scaled.inverse() * scale.asDiagonal();
   return inverse->allFinite();
+}
+
+// The covariance of an image p' whose place along the axis is known no better than by `least`: that
+// of a measurement of it that was worse, what else was measured being the same.
+Eigen::Matrix3d with_least_depth(const Eigen::Matrix3d& covariance, double least) {
+  const double variance = covariance(2, 2), missing = least * least - variance;
+  if (!(missing > 0.0)) return covariance;
+  const Eigen::Vector3d along = covariance.col(2) / variance;
+  return covariance + missing * along * along.transpose();
 }
 
 void require_std_devs(const Sighting& sighting, bool has_blur) {
@@ -252,8 +266,11 @@ std::optional<MetricPoint> BackProjection::focused_point(const VirtualPoint& see
 }
 
 std::optional<MetricPoint> BackProjection::triangulate(const std::vector<Sighting>& sightings,
-                                                       const Loss& loss) const {
+                                                       const Loss& loss, double rho_std_dev) const {
   if (!is_positive(loss.scale)) reject("the scale of the loss has to be positive and finite");
+  if (!(rho_std_dev >= 0.0 && rho_std_dev < HUGE_VAL)) {
+    reject("sigma of rho has to be 0 or positive, and finite");
+  }
   std::vector<Sight> sights;
   int residuals = 0;
   for (const Sighting& sighting : sightings) {
@@ -296,7 +313,8 @@ std::optional<MetricPoint> BackProjection::triangulate(const std::vector<Sightin
   if (!settled || !plenocal::object_point(constant(camera_.main_lens), variable, &point)) {
     return std::nullopt;
   }
-  MetricPoint result = with_covariance(point, inverse);
+  const double least = rho_std_dev / std::abs(sights.front().rho_slope(image.z()));
+  MetricPoint result = with_covariance(point, with_least_depth(inverse, least));
   result.chi_square = squares;
   result.freedom = residuals - kPoint;
   return result;

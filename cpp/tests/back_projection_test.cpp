@@ -225,6 +225,50 @@ TEST(BackProjection, ErrorsOfTriangulationAreAsItsCovarianceSays) {
   EXPECT_NEAR(chi_square / freedom, 1.0, 4.0 * std::sqrt(2.0 / freedom));
 }
 
+// What sightings share widens the covariance along the depth: rho = q' - dC/2s/nu of the point has
+// the stated sigma, and the direction in which the point is seen stays as well known.
+TEST(BackProjection, SigmaOfRhoIsAtLeastWhatIsStated) {
+  constexpr double kRhoStdDev = 0.4, kStep = 1e-3;
+  const Camera camera = scene_camera(3);
+  const BackProjection back(camera);
+  const double half_pitch = 0.5 * camera.mla.pitch / camera.pixel_size;
+  int compared = 0;
+  for (const Views& view : views(camera)) {
+    if (view.sightings.size() < 4) continue;
+    auto sightings = view.sightings;
+    for (Sighting& s : sightings) s.std_dev = {0.05, 0.05, HUGE_VAL};
+    const auto alone = back.triangulate(sightings),
+               wide = back.triangulate(sightings, {}, kRhoStdDev);
+    ASSERT_TRUE(alone && wide);
+    EXPECT_EQ(alone->point.z, wide->point.z);
+    const auto inverse_depth = [&](double dx, double dy, double dz) {
+      const Vector3<double>& p = wide->point;
+      return 1.0 /
+             back.virtual_depth(sightings[0].k, sightings[0].l, {p.x + dx, p.y + dy, p.z + dz})
+                 .value();
+    };
+    Eigen::Vector3d slope;
+    for (int i = 0; i < 3; ++i) {
+      const Eigen::Vector3d step = kStep * Eigen::Vector3d::Unit(i);
+      slope[i] =
+          half_pitch *
+          (inverse_depth(step[0], step[1], step[2]) - inverse_depth(-step[0], -step[1], -step[2])) /
+          (2.0 * kStep);
+    }
+    const Eigen::Matrix3d before = Eigen::Map<const Eigen::Matrix3d>(alone->covariance.data());
+    const Eigen::Matrix3d after = Eigen::Map<const Eigen::Matrix3d>(wide->covariance.data());
+    ASSERT_LT(slope.dot(before * slope), kRhoStdDev * kRhoStdDev);
+    EXPECT_NEAR(std::sqrt(slope.dot(after * slope)), kRhoStdDev, 1e-3 * kRhoStdDev);
+    // Everything that is known beside the depth is known as before.
+    const Eigen::Matrix3d more = before.inverse() - after.inverse();
+    EXPECT_NEAR(more.trace(), more.operatorNorm(), 1e-3 * more.operatorNorm());
+    const auto least = back.triangulate(sightings, {}, 1e-9);
+    EXPECT_EQ(least->covariance, alone->covariance);
+    ++compared;
+  }
+  EXPECT_GT(compared, 5);
+}
+
 TEST(BackProjection, AFalseSightingIsWithstood) {
   const BackProjection back(scene_camera(3));
   int compared = 0;
@@ -319,6 +363,9 @@ TEST(BackProjection, ImpossibleInputIsRejected) {
   EXPECT_NE(message.find("standard deviation"), std::string::npos) << message;
   const Sighting one{4, 3, {150.0, 105.0, 0.0}, {0.0, 1.0, 1.0}};
   EXPECT_NE(test::rejection([&] { back.triangulate({one, one}); }).find("u"), std::string::npos);
+  for (double std_dev : {-1.0, std::nan(""), HUGE_VAL}) {
+    test::expect_names(test::rejection([&] { back.triangulate({one, one}, {}, std_dev); }), "rho");
+  }
   Camera camera = simple_camera();
   camera.mla.pitch = 0.0;
   EXPECT_NE(test::rejection([&] { BackProjection{camera}; }).find("dC"), std::string::npos);

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
 #include <functional>
 
@@ -199,6 +200,82 @@ TEST_F(Files, WhatIsWrongInATableIsNamedWithItsLine) {
   expect_names(message(header + "1.5,2,3,4,0.5,0,0\n"), "line 2: k");
   expect_names(message(header + "1,2,3,4,0.5,54,0\n"), "corner 54");
   expect_names(message("k,l,u,v,cluster,frame,std_u\n1,2,3,4,0,0,-1\n"), "std_u");
+}
+
+// A small problem as plenocal exports it.
+class ProblemFolder : public Files {
+ protected:
+  void SetUp() override {
+    std::filesystem::remove_all(path());
+    std::filesystem::create_directory(path());
+    CameraFile file;
+    file.camera = test::scene_camera(1);
+    write_camera(at("camera.json"), file);
+    write_poses(at("poses.json"), {{3, test::scene_poses().at(0)}});
+    put("features.csv", "frame,corner,x,y,z,k,l,u,v,std_u,std_v\n3,0,0,0,0,2,3,100,80,0.1,0.2\n");
+    put("centers.csv", "k,l,u,v,std_dev\n2,3,101,81,0.05\n");
+    put("problem.json", kProblem);
+  }
+  void TearDown() override { std::filesystem::remove_all(path()); }
+
+  std::string at(const std::string& name) const { return path() + "/" + name; }
+  void put(const std::string& name, const std::string& text) const {
+    std::ofstream(at(name)) << text;
+  }
+  // The message about a file in which something was replaced; the file is then as before.
+  std::string message(const std::string& name, const std::string& what, const std::string& by) {
+    const std::string before = text_of(at(name));
+    put(name, replaced(before, what, by));
+    const std::string said = failure(at(name), [&] { read_problem(path()); });
+    put(name, before);
+    return said;
+  }
+
+  static constexpr auto kProblem = R"({"format": "plenocal-problem", "version": 1,
+    "board": {"half_width_mm": 12.0, "half_height_mm": 6.0, "sag_x_mm": 0.0, "sag_y_mm": 0.0,
+              "twist_mm": 0.0, "aspect": 0.0},
+    "rho": false, "loss": {"kind": "huber", "scale": 4.0}, "anchor_weight": 2.0,
+    "fixed": ["e_x", "e_y"], "anchors": [{"quantity": "F", "value": 50.0, "std_dev": 1.5}]})";
+};
+
+TEST_F(ProblemFolder, IsReadAsItWasWritten) {
+  const ProblemFiles problem = read_problem(path());
+  EXPECT_EQ(problem.frames, std::vector<int>{3});
+  ASSERT_EQ(problem.observations.features.size(), 1U);
+  EXPECT_EQ(problem.observations.features[0].frame, 0);
+  EXPECT_EQ(problem.observations.features[0].std_dev.v, 0.2);
+  EXPECT_EQ(problem.observations.centers.at(0).std_dev, 0.05);
+  EXPECT_EQ(problem.observations.board.half_width, 12.0);
+  EXPECT_EQ(problem.options.features_loss.kind, LossKind::kHuber);
+  EXPECT_EQ(problem.options.anchor_weight, 2.0);
+  EXPECT_EQ(problem.options.anchors.at(0).quantity, "F");
+  EXPECT_FALSE(problem.options.rho);
+}
+
+TEST_F(ProblemFolder, WhatIsWrongIsNamedWithItsFile) {
+  using test::expect_names;
+  expect_names(message("problem.json", "plenocal-problem", "plenocal-camera"), "plenocal-problem");
+  expect_names(message("problem.json", "\"version\": 1", "\"version\": 2"), "newer plenocal");
+  expect_names(message("problem.json", "half_width_mm", "half_width"), "board.half_width_mm");
+  expect_names(message("problem.json", "huber", "tukey"), "none, huber or cauchy");
+  expect_names(message("problem.json", "4.0}", "\"four\"}"), "loss.scale");
+  expect_names(message("problem.json", "1.5", "null"), "anchors[0].std_dev");
+  expect_names(message("problem.json", "\"e_y\"", "7"), "fixed[1]");
+  expect_names(message("problem.json", "false", "0"), "rho");
+  expect_names(message("problem.json", "}]}", ""), "JSON");
+  expect_names(message("poses.json", "\"frame\": 3", "\"frame\": \"3\""), "frame");
+  expect_names(message("camera.json", "plenocal-camera", "camera"), "plenocal-camera");
+  expect_names(message("features.csv", "3,0,0,0,0,2", "4,0,0,0,0,2"), "line 2: frame 4");
+  expect_names(message("features.csv", "0.2", "0"), "std_v");
+  expect_names(message("features.csv", "x,", "X,"), "no column x");
+  expect_names(message("centers.csv", "101", "inf"), "line 2: u");
+  for (const char* name :
+       {"problem.json", "camera.json", "poses.json", "features.csv", "centers.csv"}) {
+    std::filesystem::rename(at(name), at("away"));
+    expect_names(failure(at(name), [&] { read_problem(path()); }), "cannot be opened");
+    std::filesystem::rename(at("away"), at(name));
+  }
+  EXPECT_EQ(read_problem(path()).frames.size(), 1U);
 }
 
 }  // namespace

@@ -9,6 +9,6 @@ mod stage;
 mod tests;
 
 pub use stage::{
-    corners, focused_points, metric_points, micro_images_at, object_rays, pixel_rays, triangulate,
-    virtual_depths,
+    Corners, corners, focused_points, metric_points, micro_images_at, object_rays, pixel_rays,
+    triangulate, virtual_depths,
 };

@@ -1,10 +1,14 @@
 //! The functions of this room.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Point3, Vector2};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::model::{MetricPoint, MicroPixel, PlenopticCamera, Ray, Sighting, VirtualPoint};
+use crate::model::{
+    BapFeature, MetricPoint, MicroPixel, PlenopticCamera, Ray, SeenPoint, Sighting, VirtualPoint,
+};
 use crate::solver::{self, Loss, LossKind};
 
 /// So many pixels cross the bridge at once.
@@ -107,7 +111,7 @@ pub fn virtual_depths(
 /// An error if the camera is not valid, or a σ not positive.
 pub fn triangulate(
     camera: &PlenopticCamera,
-    points: &[Vec<Sighting>],
+    points: &[SeenPoint],
     loss: Loss,
 ) -> Result<Vec<Option<MetricPoint>>> {
     camera.validate()?;
@@ -122,26 +126,48 @@ const LEAST_SCATTER: f64 = 1e-3;
 /// A scatter by fewer degrees of freedom is chance: σ is then as stated.
 const LEAST_FREEDOM: usize = 30;
 
-/// Corners from what boards show of them: false sightings are withstood (Huber, 3 σ), and covariances are multiplied by how
-/// much sightings scatter more than their σ says, in variance, in the mean of all corners. That factor is returned too; 1 if
-/// hardly anything is redundant.
+/// Corners of boards in space.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Corners {
+    /// Frame and number of each corner.
+    pub labels: Vec<(u32, i32)>,
+    /// Where they are; `None` where their features do not determine it.
+    pub points: Vec<Option<MetricPoint>>,
+    /// By how much features scatter more than their σ says, in variance; 1 if hardly anything is redundant.
+    pub scatter: f64,
+}
+
+/// Corners from the features of boards: false ones are withstood (Huber, 3 σ), and covariances are multiplied by how much
+/// features scatter more than their σ says, in the mean of all corners. σ of ρ is at least what the detection states: all
+/// features of a corner were found with the same blur, which follows from their own line, so that they err together.
 ///
-/// An error as of [`triangulate`].
-pub fn corners(
-    camera: &PlenopticCamera,
-    points: &[Vec<Sighting>],
-) -> Result<(Vec<Option<MetricPoint>>, f64)> {
-    let loss = Loss { kind: LossKind::Huber, scale: LOSS_SCALE };
-    let first = triangulate(camera, points, loss)?;
-    let factor = scatter(&first);
-    // The loss sets in where it should once σ is right.
-    let loss = Loss { scale: LOSS_SCALE * factor.sqrt().max(LEAST_SCATTER), ..loss };
-    let mut found = triangulate(camera, points, loss)?;
-    let factor = scatter(&found);
-    for point in found.iter_mut().flatten() {
-        point.covariance_mm2 *= factor;
+/// Features without σ have one of 1 px. An error as of [`triangulate`].
+pub fn corners(camera: &PlenopticCamera, features: &[BapFeature]) -> Result<Corners> {
+    let mut seen: BTreeMap<(u32, i32), SeenPoint> = BTreeMap::new();
+    for f in features {
+        let point = seen.entry((f.frame, f.corner)).or_default();
+        point.sightings.push(Sighting {
+            at: MicroPixel { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px },
+            std_dev_px: f.std_dev_px.unwrap_or([1.0; 2]),
+            correlation: f.correlation,
+            rho: None,
+        });
+        point.rho_std_dev_px = point.rho_std_dev_px.max(f.rho_std_dev_px.unwrap_or(0.0));
     }
-    Ok((found, factor))
+    let (labels, mut seen): (Vec<_>, Vec<_>) = seen.into_iter().unzip();
+    let loss = Loss { kind: LossKind::Huber, scale: LOSS_SCALE };
+    let first = triangulate(camera, &seen, loss)?;
+    // The loss sets in where it should once σ is right.
+    let more = scatter(&first).sqrt().max(LEAST_SCATTER);
+    let loss = Loss { scale: LOSS_SCALE * more, ..loss };
+    // That of the detection has the scatter in it.
+    seen.iter_mut().for_each(|point| point.rho_std_dev_px /= more);
+    let mut points = triangulate(camera, &seen, loss)?;
+    let scatter = scatter(&points);
+    for point in points.iter_mut().flatten() {
+        point.covariance_mm2 *= scatter;
+    }
+    Ok(Corners { labels, points, scatter })
 }
 
 /// χ² for each degree of freedom over all points.

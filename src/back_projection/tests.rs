@@ -2,9 +2,12 @@
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
-use super::{corners, metric_points, micro_images_at, object_rays, triangulate};
+use super::{
+    Corners, corners, metric_points, micro_images_at, object_rays, triangulate, virtual_depths,
+};
 use crate::model::{
-    BentBoard, Board, BoardShape, MetricPoint, MicroPixel, PlenopticCamera, Sighting, VirtualPoint,
+    BapFeature, BentBoard, Board, BoardShape, MetricPoint, MicroPixel, PlenopticCamera, SeenPoint,
+    Sighting, VirtualPoint,
 };
 use crate::simulation::Settings;
 use crate::solver::{Loss, LossKind, SolverFeature, visible_features};
@@ -13,7 +16,7 @@ const BOARD: Board = Board { columns: 6, rows: 4, square_mm: 3.0 };
 const NEAR_MM: f64 = 1e-7;
 
 /// A simulated camera, corners of a tilted board, and all their sightings, without noise.
-fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<Vec<Sighting>>) {
+fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<SeenPoint>) {
     let camera = Settings::preset("mini", &[]).unwrap().camera;
     let pose = Isometry3::new(Vector3::new(-8.0, -5.0, 90.0), Vector3::new(0.3, -0.4, 0.1));
     let board = BentBoard { board: BOARD, shape: BoardShape::default() };
@@ -26,7 +29,7 @@ fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<Vec<Sighting>>) {
             correlation: 0.2,
             rho: f.rho_px.map(|rho_px| [rho_px, 0.2]),
         };
-        seen.iter().map(sighting).collect()
+        SeenPoint::from(seen.iter().map(sighting).collect::<Vec<_>>())
     });
     let sightings = sightings.collect();
     (camera, corners.iter().map(|corner| pose * corner).collect(), sightings)
@@ -35,18 +38,71 @@ fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<Vec<Sighting>>) {
 /// A false sighting hardly moves a corner, and σ follows the scatter: without noise it is nearly 0.
 #[test]
 fn false_sightings_are_withstood_and_scatter_scales_sigma() {
-    let (camera, points, mut sightings) = scene();
-    let (exact, factor) = corners(&camera, &sightings).unwrap();
-    assert!(factor < 1e-6, "{factor}");
-    let i = sightings.iter().position(|seen| seen.len() > 8).unwrap();
-    sightings[i][3].at.u_px += 3.0;
-    let (found, factor) = corners(&camera, &sightings).unwrap();
+    let (camera, points, mut seen) = scene();
+    let exact = corners(&camera, &features(&seen, None)).unwrap();
+    assert!(exact.scatter < 1e-6, "{}", exact.scatter);
+    let i = seen.iter().position(|seen| seen.sightings.len() > 8).unwrap();
+    seen[i].sightings[3].at.u_px += 3.0;
+    let found = corners(&camera, &features(&seen, None)).unwrap();
     let plain = Loss { kind: LossKind::None, scale: 1.0 };
-    let least_squares = triangulate(&camera, &sightings, plain).unwrap();
-    let off = |point: &Option<MetricPoint>| (point.unwrap().point_mm - points[i]).norm();
-    assert!(off(&exact[i]) < NEAR_MM);
-    assert!(off(&found[i]) < 0.3 * off(&least_squares[i]), "{}", off(&found[i]));
-    assert!(factor > 1e-6, "{factor}");
+    let least_squares = triangulate(&camera, &seen, plain).unwrap();
+    let of = |corners: &Corners| {
+        let at = corners.labels.iter().position(|label| label.1 as usize == i).unwrap();
+        off(&corners.points[at], &points[i])
+    };
+    assert!(of(&exact) < NEAR_MM);
+    assert!(of(&found) < 0.3 * off(&least_squares[i], &points[i]), "{}", of(&found));
+    assert!(found.scatter > 1e-6, "{}", found.scatter);
+}
+
+/// σ along the axis is what that of ρ makes of it, whatever the sightings say; the point stays.
+#[test]
+fn what_sightings_share_is_in_the_depth() {
+    const RHO_STD_DEV_PX: f64 = 0.5;
+    let (camera, _, seen) = scene();
+    let alone = corners(&camera, &features(&seen, None)).unwrap();
+    let shared = corners(&camera, &features(&seen, Some(RHO_STD_DEV_PX))).unwrap();
+    for ((label, alone), shared) in alone.labels.iter().zip(&alone.points).zip(&shared.points) {
+        let (Some(alone), Some(shared)) = (alone, shared) else { continue };
+        let at = seen[label.1 as usize].sightings[0].at;
+        // By how much rho changes with z, from two virtual depths: rho = q' - dC/2s/nu.
+        let step = Vector3::new(0.0, 0.0, 0.01);
+        let depths = virtual_depths(&camera, &[-step, step].map(|s| (at, shared.point_mm + s)));
+        let [near, far] = depths.unwrap()[..] else { panic!("two depths") };
+        let half_px = camera.mla.pitch_mm / 2.0 / camera.sensor.pixel_size_mm;
+        let slope = half_px * (1.0 / far.unwrap() - 1.0 / near.unwrap()) / (2.0 * step.z);
+        let expected = RHO_STD_DEV_PX / slope.abs();
+        let std_dev = shared.covariance_mm2[(2, 2)].sqrt();
+        assert!((std_dev / expected - 1.0).abs() < 1e-2, "{std_dev} mm for {expected}");
+        assert!((shared.point_mm - alone.point_mm).norm() < NEAR_MM);
+    }
+    assert!(corners(&camera, &features(&seen, Some(-1.0))).is_err());
+}
+
+fn off(found: &Option<MetricPoint>, truth: &Point3<f64>) -> f64 {
+    (found.unwrap().point_mm - truth).norm()
+}
+
+/// The features that a detection would state.
+fn features(seen: &[SeenPoint], rho_std_dev_px: Option<f64>) -> Vec<BapFeature> {
+    let of = |(corner, point): (usize, &SeenPoint)| {
+        let feature = move |s: &Sighting| BapFeature {
+            frame: 0,
+            corner: i32::try_from(corner).unwrap(),
+            k: s.at.k,
+            l: s.at.l,
+            u_px: s.at.u_px,
+            v_px: s.at.v_px,
+            rho_px: None,
+            std_dev_px: Some(s.std_dev_px),
+            correlation: s.correlation,
+            rho_std_dev_px,
+            levers_px: None,
+            blur: None,
+        };
+        point.sightings.iter().map(feature).collect::<Vec<_>>()
+    };
+    seen.iter().enumerate().flat_map(of).collect()
 }
 
 #[test]
@@ -56,6 +112,7 @@ fn corners_are_triangulated_and_lie_on_their_rays() {
         triangulate(&camera, &sightings, Loss { kind: LossKind::None, scale: 1.0 }).unwrap();
     let mut rays = 0;
     for ((point, sightings), found) in points.iter().zip(&sightings).zip(found) {
+        let sightings = &sightings.sightings;
         if sightings.len() < 2 {
             assert!(found.is_none());
             continue;

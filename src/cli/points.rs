@@ -1,6 +1,5 @@
 //! `plenocal points`: metric points from virtual depths.
 
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -9,7 +8,7 @@ use clap::Args;
 use nalgebra::Vector2;
 use plenocal::back_projection::{corners, focused_points, metric_points, micro_images_at};
 use plenocal::io::{self, DepthMap, OutputFolder, PlyColumn, VirtualDepths};
-use plenocal::model::{MetricPoint, MicroPixel, PlenopticCamera, Sighting, VirtualPoint};
+use plenocal::model::{MetricPoint, MicroPixel, PlenopticCamera, VirtualPoint};
 use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
@@ -124,24 +123,11 @@ fn cloud(arguments: &Arguments, camera: &PlenopticCamera) -> Result<Cloud> {
 
 /// Corners of boards, each by all its features in a frame.
 fn of_features(path: &Path, camera: &PlenopticCamera) -> Result<Cloud> {
-    let features = io::read_features(path, false)?.features;
-    let mut seen: BTreeMap<(u32, i32), Vec<Sighting>> = BTreeMap::new();
-    for f in &features {
-        let at = MicroPixel { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px };
-        let std_dev_px = f.std_dev_px.unwrap_or([1.0; 2]);
-        seen.entry((f.frame, f.corner)).or_default().push(Sighting {
-            at,
-            std_dev_px,
-            correlation: f.correlation,
-            rho: None,
-        });
-    }
-    let frames = seen.keys().map(|(frame, _)| i32::try_from(*frame).unwrap_or(i32::MAX));
-    let labels =
-        [("frame", frames.collect()), ("corner", seen.keys().map(|(_, corner)| *corner).collect())];
-    let sightings: Vec<Vec<Sighting>> = seen.into_values().collect();
-    let (points, _) = corners(camera, &sightings)?;
-    Ok(Cloud { points, labels })
+    let found = corners(camera, &io::read_features(path, false)?.features)?;
+    let frames = found.labels.iter().map(|(frame, _)| i32::try_from(*frame).unwrap_or(i32::MAX));
+    let numbers = found.labels.iter().map(|(_, corner)| *corner);
+    let labels = [("frame", frames.collect()), ("corner", numbers.collect())];
+    Ok(Cloud { points: found.points, labels })
 }
 
 fn of_map(

@@ -19,10 +19,9 @@
 //! Each ray of the blur is moved by E at its own place in the pupil. A blur that is the same for all hides three
 //! quarters of the aberration, and turns them into errors of the places.
 
-use nalgebra::{
-    Matrix2x3, Matrix3, Matrix3x2, RealField, RowVector4, Scalar, Vector1, Vector2, Vector3,
-};
+use nalgebra::{Matrix2x3, Matrix3, RealField, RowVector4, Scalar, Vector1, Vector2, Vector3};
 
+use super::CornerLine;
 use super::seen::Seen;
 use crate::numerics::NormalEquations;
 
@@ -84,17 +83,17 @@ impl Aberration {
         for corner in corners {
             let rows: Vec<_> = corner.iter().flat_map(rows).collect();
             let mut line = NormalEquations::<f64, 3, 4>::new();
-            for (row, measured, weight) in &rows {
-                line.add(row, measured, *weight);
+            for (row, measured) in &rows {
+                line.add(row, measured, 1.0);
             }
             // What no line explains of the places must be explained by what no line explains of the levers (Frisch,
             // Waugh and Lovell).
             let Some(explained) = line.solve() else { continue };
-            for (row, measured, weight) in &rows {
+            for (row, measured) in &rows {
                 let left = (measured - row.transpose() * explained).transpose();
-                equations.add(&-left.xyz(), &Vector1::new(left.w), *weight);
+                equations.add(&-left.xyz(), &Vector1::new(left.w), 1.0);
                 largest = largest.sup(&measured.fixed_columns::<3>(0).transpose().abs());
-                squares += weight * left.w * left.w;
+                squares += left.w * left.w;
             }
             freedom += rows.len() as f64 - 3.0;
         }
@@ -116,16 +115,16 @@ impl Aberration {
     }
 }
 
-/// The equations of an observation by axis: of the line in its β and γ, with the levers of S, C and T and the
-/// straightened place on their right, and the weight.
-fn rows(seen: &Seen) -> [(Vector3<f64>, RowVector4<f64>, f64); 2] {
+/// The two equations of an observation: of the line in its β and γ, with the levers of S, C and T and the straightened
+/// place on their right.
+fn rows(seen: &Seen) -> [(Vector3<f64>, RowVector4<f64>); 2] {
     let observation = seen.on_line();
-    let c = observation.center;
-    let design = Matrix3x2::new(1.0, 0.0, 0.0, 1.0, c.x, c.y);
-    [0, 1].map(|axis| {
-        let by = seen.levers.by_aberration.row(axis);
-        let measured = RowVector4::new(by[0], by[1], by[2], observation.position[axis]);
-        (design.column(axis).into_owned(), measured, observation.std_dev_px.powi(-2))
+    let design = observation.whitened(&CornerLine::design(&observation.center));
+    let by = observation.whitened(&seen.levers.by_aberration);
+    let place = observation.whitened(&observation.position);
+    [0, 1].map(|i| {
+        let measured = RowVector4::new(by[(i, 0)], by[(i, 1)], by[(i, 2)], place[i]);
+        (design.row(i).transpose(), measured)
     })
 }
 
@@ -213,7 +212,7 @@ mod tests {
                                 l: 0,
                                 center,
                                 position,
-                                std_dev_px: STD_DEV_PX,
+                                covariance: Matrix2::identity() * STD_DEV_PX.powi(2),
                                 squares: Matrix2::zeros(),
                             },
                             corner: Corner {

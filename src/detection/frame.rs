@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 use tracing::{debug, info, trace};
 
 use super::board::{LabelledBoard, LatticePoint};
@@ -69,8 +69,8 @@ const SURE_MARGIN: f64 = 2.5;
 /// place it lost two at most and less than a tenth in simulated frames, of a lattice with other rows than the board's half.
 const MANY_LOST: usize = 4;
 const LOST: f64 = 0.25;
-/// No position is known better than this, px, whatever the fit states: the model of the light is not exact.
-const LEAST_STD_DEV_PX: f64 = 0.02;
+/// σ of a position because the model of the light is not exact, px.
+const MODEL_STD_DEV_PX: f64 = 0.01;
 
 /// Detects the features of a frame, with the counts of what was found and dropped in it; the reason if
 /// it does not show the board.
@@ -179,7 +179,7 @@ impl Frame<'_> {
             l,
             center,
             position: center + corner.place,
-            std_dev_px: corner.std_dev_px().max(LEAST_STD_DEV_PX),
+            covariance: corner.covariance + Matrix2::identity() * MODEL_STD_DEV_PX.powi(2),
             squares: corner.squares(),
         }
     }

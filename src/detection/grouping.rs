@@ -230,7 +230,7 @@ mod tests {
                     l,
                     center,
                     position: position + off * 0.02,
-                    std_dev_px: 0.05,
+                    covariance: Matrix2::identity() * 0.0025,
                     squares: Matrix2::zeros(),
                 })
             })

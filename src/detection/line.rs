@@ -4,7 +4,7 @@
 //! in all micro-images, γ = λ (1 − 1/ν) with λ = D/(D + d). Where i = c the point is seen through the
 //! middle of the main lens: its pinhole image.
 
-use nalgebra::{Matrix3, Matrix3x2, Vector1, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, Vector1, Vector2, Vector3};
 
 use super::CornerObservation;
 use crate::model::Configuration;
@@ -61,6 +61,11 @@ impl CornerLine {
         1.0 - self.slope / lambda
     }
 
+    /// Derivatives of [`CornerLine::at`] by β and γ.
+    pub(super) fn design(center: &Vector2<f64>) -> Matrix2x3<f64> {
+        Matrix2x3::new(1.0, 0.0, center.x, 0.0, 1.0, center.y)
+    }
+
     /// The line through a pinhole image.
     #[must_use]
     pub fn through(pinhole: &Vector2<f64>, slope: f64) -> Self {
@@ -89,7 +94,9 @@ impl CornerLine {
         // Of two coordinates each, three determine the line. Weights are in 1/px²: what they leave over
         // shows how much larger the errors are.
         let freedom = (2.0 * count - 3.0).max(1.0);
-        let weighted: f64 = used().map(|(o, length)| (length / o.std_dev_px).powi(2)).sum();
+        let weighted: f64 = used()
+            .map(|(o, _)| o.whitened(&(o.position - line.at(&o.center))).norm_squared())
+            .sum();
         // A few observations may agree by chance, which makes them no better than they are.
         let factor = (weighted / freedom).max(1.0);
         let line = Self {
@@ -118,11 +125,11 @@ impl Reweighted for Observed {
     fn solve(&self, weights: &[f64], _: Option<&Self::Model>) -> Option<Self::Model> {
         let mut equations = NormalEquations::<f64, 3, 1>::new();
         for (observation, weight) in self.observations.iter().zip(weights) {
-            let c = observation.center - self.middle;
-            let weight = weight * observation.std_dev_px.powi(-2);
-            let rows = Matrix3x2::new(1.0, 0.0, 0.0, 1.0, c.x, c.y);
-            for (row, measured) in rows.column_iter().zip(&observation.position) {
-                equations.add(&row.into_owned(), &Vector1::new(*measured), weight);
+            let rows = CornerLine::design(&(observation.center - self.middle));
+            let rows = observation.whitened(&rows);
+            let measured = observation.whitened(&observation.position);
+            for (row, measured) in rows.row_iter().zip(&measured) {
+                equations.add(&row.transpose(), &Vector1::new(*measured), *weight);
             }
         }
         let normal = equations.normal();
@@ -190,7 +197,7 @@ pub(super) mod tests {
                 l,
                 center,
                 position: line.at(&center) + noise,
-                std_dev_px: 0.05,
+                covariance: Matrix2::identity() * 0.0025,
                 squares: Matrix2::zeros(),
             });
         }

@@ -1,6 +1,6 @@
 //! A corner as one micro-image shows it.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, SMatrix, Vector2};
 use serde::{Deserialize, Serialize};
 
 /// A corner of the board observed in a micro-image.
@@ -14,11 +14,24 @@ pub(crate) struct CornerObservation {
     pub center: Vector2<f64>,
     /// Position i of the corner, px.
     pub position: Vector2<f64>,
-    /// Standard deviation of the position per axis, px.
-    pub std_dev_px: f64,
+    /// Covariance of the position, px².
+    pub covariance: Matrix2<f64>,
     /// A form that is positive along directions to bright squares and negative to dark ones, for the
     /// pinhole image; zero if it is not known.
     pub squares: Matrix2<f64>,
+}
+
+impl CornerObservation {
+    /// Equations of two rows, along u and v, as independent ones of variance 1.
+    ///
+    /// The covariance has to be positive.
+    pub fn whitened<const N: usize>(&self, rows: &SMatrix<f64, 2, N>) -> SMatrix<f64, 2, N> {
+        let [a, b, c] = [self.covariance.m11, self.covariance.m12, self.covariance.m22];
+        let along_u = rows.row(0) / a.sqrt();
+        // v without what its correlation with u says of it.
+        let along_v = (rows.row(1) - rows.row(0) * (b / a)) / (c - b * b / a).sqrt();
+        SMatrix::from_rows(&[along_u, along_v])
+    }
 }
 
 /// How the virtual depth of a corner is estimated from its observations.

@@ -179,7 +179,7 @@ impl DetectionScore {
                         l: t.l,
                         center: Vector2::new(c.u_px, c.v_px),
                         position: Vector2::new(t.u_px, t.v_px),
-                        std_dev_px: 1.0,
+                        covariance: Matrix2::identity(),
                         squares: Matrix2::zeros(),
                     })
                 })

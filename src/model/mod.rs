@@ -49,4 +49,4 @@ pub use parameters::{
     shared_parameters,
 };
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
-pub use sight::{MetricPoint, MicroPixel, Ray, Sighting, VirtualPoint};
+pub use sight::{MetricPoint, MicroPixel, Ray, SeenPoint, Sighting, VirtualPoint};

@@ -48,6 +48,22 @@ pub struct Sighting {
     pub rho: Option<[f64; 2]>,
 }
 
+/// A point that several micro-lenses see.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SeenPoint {
+    /// How each of them sees it.
+    pub sightings: Vec<Sighting>,
+    /// σ of its ρ is at least this, px: what the sightings have in common does not average out. 0 if they have nothing in
+    /// common.
+    pub rho_std_dev_px: f64,
+}
+
+impl From<Vec<Sighting>> for SeenPoint {
+    fn from(sightings: Vec<Sighting>) -> Self {
+        Self { sightings, rho_std_dev_px: 0.0 }
+    }
+}
+
 /// A point in the camera frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MetricPoint {

@@ -194,6 +194,12 @@ mod ffi {
         std_dev: [f64; 3],
     }
 
+    /// A point that is seen several times: number of its sightings, and the least σ of its ρ.
+    struct SeenRow {
+        sightings: usize,
+        rho_std_dev_px: f64,
+    }
+
     /// A point in the camera frame; meaningless unless `defined`.
     struct MetricRow {
         defined: bool,
@@ -374,7 +380,7 @@ mod ffi {
         fn triangulate(
             camera: &CameraParts,
             sightings: &[SightingRow],
-            counts: &[usize],
+            points: &[SeenRow],
             loss_kind: LossKind,
             loss_scale: f64,
         ) -> Result<Vec<MetricRow>>;

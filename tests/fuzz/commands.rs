@@ -26,7 +26,7 @@ const fn case(arguments: &'static [&'static str], files: &'static [&'static str]
 }
 
 /// None takes more than a second with valid files.
-const CASES: [Case; 12] = [
+const CASES: [Case; 18] = [
     case(
         &["calibrate", "project.toml", "--max-iterations", "2", "--threads", "1"],
         &["project.toml", "features.csv", "centers.csv"],
@@ -108,6 +108,23 @@ const CASES: [Case; 12] = [
         ],
         &["images.toml", "camera.json", "features.csv", "white/centers.csv", "board.toml"],
     ),
+    case(&["rays", "small.json"], &["small.json"]),
+    case(&["points", "camera.json", "depths.csv"], &["camera.json", "depths.csv"]),
+    case(&["points", "camera.json", "depths.npy", "--map", "focused"], &["depths.npy"]),
+    case(&["points", "camera.json", "features.csv", "--csv"], &["features.csv"]),
+    case(&["compare", "camera.json", "intrinsics.js"], &["camera.json", "intrinsics.js"]),
+    case(
+        &[
+            "calibrate",
+            "project.toml",
+            "--camera",
+            "camera.json",
+            "--poses",
+            "all-poses.json",
+            "--evaluate-only",
+        ],
+        &["camera.json", "all-poses.json"],
+    ),
 ];
 
 /// A camera of few pixels, whose images take no time.
@@ -159,6 +176,15 @@ impl Prepared {
         put("camera.json", text(calibrated));
         put("poses.json", text(poses));
         put("calibration.json", text(calibration));
+        put("small.json", text(&documents::small_camera()));
+        put(
+            "all-poses.json",
+            fs::read(corpus::data("synthetic/truth/poses.json")).expect("it is shipped"),
+        );
+        let [csv, .., npy, _, _, _] =
+            <[Vec<u8>; 8]>::try_from(corpus::virtual_depths()).expect("8");
+        put("depths.csv", csv);
+        put("depths.npy", npy);
         put("board.toml", documents::BOARD_SHAPE.into());
         put("calib.xml", documents::raytrix().into_bytes());
         put("simulation.toml", SMALL.into());

@@ -73,6 +73,25 @@ pub fn features() -> Vec<Vec<u8>> {
     vec![head(&shipped("features.csv")), documents::full_features(), linked()]
 }
 
+/// CSV, features, maps of numbers and images.
+pub fn virtual_depths() -> Vec<Vec<u8>> {
+    let mut files = vec![
+        b"k,l,u,v,nu\n5,5,120.5,100.25,2.5\n6,5,143.5,100.5,3\n".to_vec(),
+        b"k,l,u,v,nu,std_u,std_v,std_nu\n5,5,120.5,100.25,2.5,0.1,0.1,0.02\n".to_vec(),
+        documents::full_features(),
+    ];
+    let header = |kind: &str| {
+        let text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': (2, 3), }}\n");
+        let length = u16::try_from(text.len()).expect("it is short");
+        [b"\x93NUMPY\x01\x00", &length.to_le_bytes()[..], text.as_bytes()].concat()
+    };
+    let depths = [2.5, f32::NAN, 3.0, 2.25, 4.0, f32::NAN];
+    files.push([header("<f4"), depths.map(f32::to_le_bytes).concat()].concat());
+    files.push([header("<f8"), depths.map(|d| f64::from(d).to_le_bytes()).concat()].concat());
+    files.extend(images().into_iter().take(3));
+    files
+}
+
 pub fn centers() -> Vec<Vec<u8>> {
     let with_std_dev = "k,l,u,v,std_dev,type\n5,5,120.5,100.25,0.01,1\n6,5,143.5,100.5,,2\n";
     vec![head(&shipped("centers.csv")), with_std_dev.into(), linked()]

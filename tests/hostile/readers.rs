@@ -6,9 +6,10 @@ use std::path::Path;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use plenocal::io::{
-    self, CameraSource, Manifest, Project, read_board, read_board_shape, read_camera_source,
-    read_centers, read_features, read_image, read_internal_parameters, read_point_cloud_distance,
-    read_poses, read_raytrix, read_std_devs, read_true_board,
+    self, CameraSource, Manifest, Project, VirtualDepths, read_board, read_board_shape,
+    read_camera_source, read_centers, read_features, read_image, read_internal_parameters,
+    read_point_cloud_distance, read_poses, read_raytrix, read_std_devs, read_true_board,
+    read_virtual_depths,
 };
 use plenocal::simulation::{Prescription, Settings};
 use plenocal::{Error, Result};
@@ -28,7 +29,7 @@ pub struct Target {
 }
 
 /// All readers.
-pub const TARGETS: [Target; 17] = [
+pub const TARGETS: [Target; 18] = [
     Target {
         name: "project",
         file: "project.toml",
@@ -92,6 +93,21 @@ pub const TARGETS: [Target; 17] = [
             let with_rho = read_features(path, true).map(|read| format!("{read:?}"));
             let without = format!("{:?}", read_features(path, false)?);
             with_rho.map(|text| text + &without)
+        },
+    },
+    Target {
+        name: "virtual depths",
+        file: "depths",
+        seeds: corpus::virtual_depths,
+        read: |path| {
+            let read = read_virtual_depths(path, Some([0.0, 0.01]), [0.1, 0.1, 0.02])?;
+            // In a map, NaN stands for none.
+            Ok(match read {
+                VirtualDepths::Map(map) => {
+                    format!("{} {} {}", map.width, map.height, map.depths.len())
+                }
+                other => format!("{other:?}"),
+            })
         },
     },
     Target {

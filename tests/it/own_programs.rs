@@ -54,6 +54,15 @@ fn a_stack_turns_virtual_depths_into_metric_points() {
             (Vector3::from_column_slice(&numbers) - expected.unwrap().point_mm.coords).norm();
         assert!(apart < 1e-6 * numbers[2], "{line}");
     }
+    // The same program in Rust.
+    let mut cargo = Command::new(env!("CARGO"));
+    cargo.args(["run", "--release", "--quiet", "--example", "metric_points", "--"]);
+    let in_rust = text(&cargo.arg(&file).arg(&depths).output().unwrap());
+    let numbers = |text: &str| -> Vec<f64> {
+        text.split([',', '\n']).filter_map(|n| n.parse().ok()).collect()
+    };
+    let (in_rust, in_cpp) = (numbers(&in_rust), numbers(&found));
+    assert!(in_rust.len() == 9 && in_rust.iter().zip(&in_cpp).all(|(a, b)| (a - b).abs() < 2e-6));
     let wrong = program("metric_points").arg(&depths).arg(&depths).output().unwrap();
     assert!(!wrong.status.success());
     assert!(String::from_utf8_lossy(&wrong.stderr).contains("depths.csv"));

@@ -91,9 +91,12 @@ class PLENOCAL_API BackProjection {
 
   /// The point that several micro-lenses see, by weighted least squares of its features, with the
   /// covariance that their sigma leads to. A loss on |r / sigma| of each sighting withstands false
-  /// ones. Nothing if they do not determine the point: fewer than two, or all from one place.
+  /// ones. Errors along the depth that sightings share do not average out: sigma of the rho (px)
+  /// that belongs to the point is at least `rho_std_dev`, the covariance being that of a point
+  /// whose depth is known less well. Nothing if the sightings do not determine the point: fewer
+  /// than two, or all from one place.
   std::optional<MetricPoint> triangulate(const std::vector<Sighting>& sightings,
-                                         const Loss& loss = {}) const;
+                                         const Loss& loss = {}, double rho_std_dev = 0.0) const;
 
   /// The virtual depth of a point in space (mm) for a micro-lens.
   std::optional<double> virtual_depth(int k, int l, const Vector3<double>& point) const;

@@ -4,7 +4,9 @@ use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 
 use super::{ffi, solver_error};
 use crate::error::Result;
-use crate::model::{MetricPoint, MicroPixel, PlenopticCamera, Ray, Sighting, VirtualPoint};
+use crate::model::{
+    MetricPoint, MicroPixel, PlenopticCamera, Ray, SeenPoint, Sighting, VirtualPoint,
+};
 use crate::solver::Loss;
 
 /// The micro-images that pixels belong to; `None` outside the array.
@@ -82,7 +84,7 @@ pub(crate) fn virtual_depths(
 /// Points that several micro-lenses see.
 pub(crate) fn triangulate(
     camera: &PlenopticCamera,
-    points: &[Vec<Sighting>],
+    points: &[SeenPoint],
     loss: Loss,
 ) -> Result<Vec<Option<MetricPoint>>> {
     let to_row = |s: &Sighting| ffi::SightingRow {
@@ -98,9 +100,13 @@ pub(crate) fn triangulate(
         ],
         correlation: s.correlation,
     };
-    let counts: Vec<usize> = points.iter().map(Vec::len).collect();
-    let sightings: Vec<_> = points.iter().flatten().map(to_row).collect();
-    let rows = ffi::triangulate(&camera.into(), &sightings, &counts, loss.kind.into(), loss.scale)
+    let seen = |p: &SeenPoint| ffi::SeenRow {
+        sightings: p.sightings.len(),
+        rho_std_dev_px: p.rho_std_dev_px,
+    };
+    let seen: Vec<_> = points.iter().map(seen).collect();
+    let sightings: Vec<_> = points.iter().flat_map(|p| &p.sightings).map(to_row).collect();
+    let rows = ffi::triangulate(&camera.into(), &sightings, &seen, loss.kind.into(), loss.scale)
         .map_err(solver_error)?;
     Ok(rows.iter().map(metric_point).collect())
 }
