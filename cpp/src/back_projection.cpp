@@ -217,7 +217,8 @@ std::optional<MicroImage> BackProjection::micro_image_at(const Pixel<double>& pi
   if (!camera_.lattice.contains(k, l)) return std::nullopt;
   const Pixel<double> center =
       optics_.array.micro_image_center(camera_.exit_pupil, camera_.lattice.node(k, l));
-  return MicroImage{k, l, center, std::hypot(pixel.u - center.u, pixel.v - center.v)};
+  const double u = pixel.u - center.u, v = pixel.v - center.v;
+  return MicroImage{k, l, center, std::sqrt(u * u + v * v)};
 }
 
 std::optional<Ray<double>> BackProjection::ray_behind(const MicroPixel& at,

@@ -121,8 +121,10 @@ pub fn triangulate(
 /// Where the loss on the sightings of a corner sets in, σ: few features lie that far off, but those that do are false.
 const LOSS_SCALE: f64 = 3.0;
 
-/// Sightings without noise scatter by nothing; the loss then sets in at this fraction of its place.
-const LEAST_SCATTER: f64 = 1e-3;
+/// Features without noise scatter by nothing; their variance is not taken to be less than this part of what they state.
+const LEAST_SCATTER: f64 = 1e-6;
+/// Rounds in which σ is set by the scatter.
+const ROUNDS: usize = 2;
 /// A scatter by fewer degrees of freedom is chance: σ is then as stated.
 const LEAST_FREEDOM: usize = 30;
 
@@ -156,18 +158,19 @@ pub fn corners(camera: &PlenopticCamera, features: &[BapFeature]) -> Result<Corn
     }
     let (labels, mut seen): (Vec<_>, Vec<_>) = seen.into_iter().unzip();
     let loss = Loss { kind: LossKind::Huber, scale: LOSS_SCALE };
-    let first = triangulate(camera, &seen, loss)?;
-    // The loss sets in where it should once σ is right.
-    let more = scatter(&first).sqrt().max(LEAST_SCATTER);
-    let loss = Loss { scale: LOSS_SCALE * more, ..loss };
-    // That of the detection has the scatter in it.
-    seen.iter_mut().for_each(|point| point.rho_std_dev_px /= more);
     let mut points = triangulate(camera, &seen, loss)?;
-    let scatter = scatter(&points);
-    for point in points.iter_mut().flatten() {
-        point.covariance_mm2 *= scatter;
+    let mut all = 1.0;
+    // The loss sets in elsewhere once σ is right, and that changes the scatter a little.
+    for _ in 0..ROUNDS {
+        let more = scatter(&points);
+        all *= more;
+        let sightings = seen.iter_mut().flat_map(|point| &mut point.sightings);
+        for std_dev in sightings.flat_map(|sighting| &mut sighting.std_dev_px) {
+            *std_dev *= more.max(LEAST_SCATTER).sqrt();
+        }
+        points = triangulate(camera, &seen, loss)?;
     }
-    Ok(Corners { labels, points, scatter })
+    Ok(Corners { labels, points, scatter: all })
 }
 
 /// χ² for each degree of freedom over all points.

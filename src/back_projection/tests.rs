@@ -76,7 +76,9 @@ fn what_sightings_share_is_in_the_depth() {
         assert!((std_dev / expected - 1.0).abs() < 1e-2, "{std_dev} mm for {expected}");
         assert!((shared.point_mm - alone.point_mm).norm() < NEAR_MM);
     }
-    assert!(corners(&camera, &features(&seen, Some(-1.0))).is_err());
+    let negative = SeenPoint { rho_std_dev_px: -1.0, ..seen[0].clone() };
+    let plain = Loss { kind: LossKind::None, scale: 1.0 };
+    assert!(triangulate(&camera, &[negative], plain).is_err());
 }
 
 fn off(found: &Option<MetricPoint>, truth: &Point3<f64>) -> f64 {

@@ -92,6 +92,27 @@ pub fn calibrated(path: &Path) -> Result<PlenopticCamera> {
     }
 }
 
+/// How far beyond the boards of a calibration its camera is trusted, as a fraction of their distance.
+const BEYOND: f64 = 0.2;
+
+/// A warning about points at some distances, or about rays at one, if they lie far off the boards that a camera was
+/// calibrated with.
+pub fn beyond_boards(camera: &Path, distances_mm: &[f64]) -> Result<Option<String>> {
+    let Some([near, far]) = io::read_board_distances(camera)? else { return Ok(None) };
+    let trusted = near * (1.0 - BEYOND)..=far * (1.0 + BEYOND);
+    let beyond = distances_mm.iter().filter(|z| !trusted.contains(z)).count();
+    let what = match distances_mm {
+        [distance] => format!("{distance:.0} mm is"),
+        several => format!("{beyond} of {} points are", several.len()),
+    };
+    Ok((beyond > 0).then(|| {
+        format!(
+            "{what} far nearer or further than the boards of the calibration ({near:.0} to {far:.0} mm): the errors of the \
+             camera grow there. The report of the calibration has its σ by distance; boards at such distances would help"
+        )
+    }))
+}
+
 /// Distances of the point clouds of a project, by frame.
 pub fn clouds(shoot: &Shoot) -> Result<Vec<(u32, f64)>> {
     let clouds = shoot.images.translation.iter().flat_map(|t| &t.clouds);

@@ -13,8 +13,8 @@ use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
 use super::choices::{DEPTH_MAPS, choice};
-use super::evaluate::calibrated;
-use super::talk::print_result;
+use super::evaluate::{beyond_boards, calibrated};
+use super::talk::{print_result, warn};
 
 /// How the pixels of a map of virtual depths lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -96,7 +96,10 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         output.stage("points.csv", |out| write_csv(out, &cloud))?;
     }
     let document = document(arguments, &cloud);
+    let depths: Vec<f64> = cloud.points.iter().flatten().map(|p| p.point_mm.z).collect();
+    let doubt = beyond_boards(&arguments.camera, &depths)?;
     let paths = output.commit()?;
+    warn(doubt.as_slice());
     print_result(arguments.json, &document, &text(&document), &paths)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -13,9 +13,9 @@ use plenocal::model::{PlenopticCamera, Ray};
 use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
-use super::evaluate::calibrated;
+use super::evaluate::{beyond_boards, calibrated};
 use super::progress;
-use super::talk::print_result;
+use super::talk::{print_result, warn};
 
 /// Compute the ray in space of every pixel of a calibrated camera.
 ///
@@ -104,7 +104,9 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         "bend": bend.iter().map(Bend::document).collect::<Vec<Value>>(),
     });
     output.stage_json("rays.json", &document)?;
+    let doubt = beyond_boards(&arguments.camera, &[at_mm])?;
     let paths = output.commit()?;
+    warn(doubt.as_slice());
     let bends: Vec<String> = bend.iter().map(Bend::text).collect();
     let text = format!(
         "{count} of {pixels} pixels have a ray; the others are outside the array.\nRays begin at {at_mm:.1} mm from the \

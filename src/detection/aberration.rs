@@ -92,8 +92,11 @@ impl Aberration {
             for (row, measured) in &rows {
                 let left = (measured - row.transpose() * explained).transpose();
                 equations.add(&-left.xyz(), &Vector1::new(left.w), 1.0);
-                largest = largest.sup(&measured.fixed_columns::<3>(0).transpose().abs());
                 squares += left.w * left.w;
+            }
+            for seen in corner {
+                let by = seen.levers.by_aberration.abs();
+                largest = largest.sup(&by.row(0).sup(&by.row(1)).transpose());
             }
             freedom += rows.len() as f64 - 3.0;
         }

@@ -35,7 +35,7 @@ impl Published {
             l: self.l,
             center: grid.center_of(self.k, self.l),
             position: Vector2::new(self.u, self.v),
-            std_dev_px: 0.5,
+            covariance: Matrix2::identity() * 0.25,
             squares: Matrix2::zeros(),
         }
     }

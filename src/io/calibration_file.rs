@@ -11,11 +11,16 @@ use crate::calibration::{AnchorResult, Calibration, termination_text, weakest_di
 use crate::model::{Rmse, shared_parameters};
 use crate::solver::LossKind;
 
-/// The content of `camera.json` for a calibration, `converged` included.
+/// The content of `camera.json` for a calibration, `converged` and the distances of its boards included.
 #[must_use]
 pub fn calibrated_camera_document(calibration: &Calibration) -> Value {
     let mut camera = camera_document(&calibration.camera, Some(&calibration.uncertainty));
     camera["converged"] = calibration.converged.into();
+    let distances = calibration.poses.iter().map(|p| p.camera_from_board.translation.z);
+    let [near_mm, far_mm] =
+        distances.fold([f64::INFINITY, 0.0], |[near, far], z: f64| [near.min(z), far.max(z)]);
+    camera["boards"] =
+        json!({ "frames": calibration.poses.len(), "near_mm": near_mm, "far_mm": far_mm });
     camera
 }
 

@@ -115,6 +115,14 @@ pub fn read_camera_doubts(path: &Path) -> Result<Vec<String>> {
     Ok(camera_doubts(&document).into_iter().map(with_path).collect())
 }
 
+/// Nearest and furthest distance (mm) of the boards that the camera of a `camera.json` was calibrated with, by their corner 0;
+/// `None` where the file does not say.
+pub fn read_board_distances(path: &Path) -> Result<Option<[f64; 2]>> {
+    let boards = &read_json(path)?["boards"];
+    let [near, far] = ["near_mm", "far_mm"].map(|name| boards[name].as_f64());
+    Ok(near.zip(far).map(|(near, far)| [near, far]))
+}
+
 /// Reads the standard deviations in a `camera.json`, in the order of
 /// [`PlenopticCamera::intrinsics`]; `None` for parameters that were fixed or not determined, and
 /// where the file has none.

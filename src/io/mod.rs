@@ -46,8 +46,8 @@ pub use calibration_section::{
     FieldCurvature, NoAnchor, Pitches,
 };
 pub use camera_file::{
-    CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_doubts, read_camera, read_camera_doubts,
-    read_std_devs,
+    CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_doubts, read_board_distances,
+    read_camera, read_camera_doubts, read_std_devs,
 };
 pub use comparison_file::comparison_document;
 pub use cost_file::cost_document;
