@@ -7,6 +7,7 @@ TOOLS = chromium zsh fish groff-base
 # Packages are installed with sudo, except by root.
 SUDO = $(if $(filter 0,$(shell id -u)),,sudo)
 BUILD = build/cpp
+JOBS = $(shell nproc)
 MAKEFLAGS += --no-print-directory
 # The C++ programs of the tests and benchmarks; set for every target, so that nothing is rebuilt
 # between them.
@@ -64,10 +65,10 @@ $(BUILD)/CMakeCache.txt: cpp/CMakeLists.txt | deps
 
 cpp: $(BUILD)/CMakeCache.txt
 	@echo "Building the C++ core and its tests (a minute or two the first time)"
-	cmake --build $(BUILD) --parallel
+	cmake --build $(BUILD) --parallel $(JOBS)
 
 test-cpp: cpp
-	ctest --test-dir $(BUILD) --output-on-failure --parallel 2
+	ctest --test-dir $(BUILD) --output-on-failure --parallel $(JOBS)
 
 test-rust: cpp
 	cargo test --release --no-fail-fast
@@ -96,7 +97,7 @@ lint: deps
 	git ls-files 'cpp/*.hpp' 'cpp/*.cpp' | xargs clang-format --dry-run --Werror
 	cmake -S cpp -B build/lint -DCMAKE_BUILD_TYPE=Release -DCMAKE_CXX_FLAGS=-Werror \
 	  --log-level=WARNING
-	cmake --build build/lint --parallel
+	cmake --build build/lint --parallel $(JOBS)
 	cargo clippy --release --all-targets -- -D warnings
 	cargo clippy --release --test mistakes --test faults --test fuzz -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps --document-private-items
@@ -111,7 +112,7 @@ sanitizers: PACKAGES += libclang-rt-dev
 sanitizers: deps
 	cd cpp && for preset in $(PRESETS); do \
 	  echo "== $$preset"; \
-	  cmake --preset $$preset --log-level=WARNING && cmake --build --preset $$preset --parallel \
+	  cmake --preset $$preset --log-level=WARNING && cmake --build --preset $$preset --parallel $(JOBS) \
 	    && ctest --preset $$preset || exit 1; \
 	done
 

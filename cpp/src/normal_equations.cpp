@@ -17,6 +17,8 @@ Group zero_group(int size) {
 
 // Only the lower triangle of the information, until `mirror`.
 void add_rows(const Eigen::MatrixXd& jacobian, const Eigen::VectorXd& residuals, Group* group) {
+  // Eigen would refer to the first number of an empty matrix.
+  if (jacobian.size() == 0) return;
   group->information.selfadjointView<Eigen::Lower>().rankUpdate(jacobian.transpose());
   group->gradient += jacobian.transpose() * residuals;
 }

@@ -303,9 +303,9 @@ TEST(Gradients, AreFiniteWithoutRotationOrDistortion) {
   const auto cost = FeatureResiduals<3>::create({simple_feature(camera, 0, 0, 0)}, 0.01,
                                                 {LossKind::kCauchy, 1.0});
   const Blocks blocks(camera, kSimplePose);
-  std::array<double, 3 * 7> lens;
-  std::array<double, 3 * 6> pose;
-  std::array<double, 3 * 11> array;
+  std::array<double, 3 * kMainLensParameters> lens;
+  std::array<double, 3 * Pose::kSize> pose;
+  std::array<double, 3 * kArrayParameters> array;
   std::array<double, 3 * 3> focal_lengths;
   double* jacobians[] = {lens.data(), array.data(), focal_lengths.data(), pose.data()};
   double residuals[3];

@@ -9,7 +9,7 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use tempfile::TempDir;
 
-use crate::hostile::corpus;
+use crate::hostile::corpus::{self, true_camera};
 use crate::hostile::documents;
 use crate::hostile::mutation::damaged;
 
@@ -176,7 +176,7 @@ impl Prepared {
         put("camera.json", text(calibrated));
         put("poses.json", text(poses));
         put("calibration.json", text(calibration));
-        put("small.json", text(&documents::small_camera()));
+        put("small.json", text(&small_camera()));
         put(
             "all-poses.json",
             fs::read(corpus::data("synthetic/truth/poses.json")).expect("it is shipped"),
@@ -285,4 +285,12 @@ fn all_files(folder: &Path) -> Result<Files, String> {
         }
     }
     Ok(found)
+}
+
+/// A camera of few pixels.
+fn small_camera() -> serde_json::Value {
+    let mut camera = true_camera();
+    camera.sensor.width_px = 90;
+    camera.sensor.height_px = 60;
+    plenocal::io::camera_document(&camera, None)
 }

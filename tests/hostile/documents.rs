@@ -8,8 +8,8 @@ use nalgebra::Vector2;
 use plenocal::assessment::assess;
 use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::io::{
-    Manifest, StageRecord, calibrated_camera_document, calibration_document, camera_document,
-    compote, poses_document, write_features,
+    Manifest, StageRecord, calibrated_camera_document, calibration_document, compote,
+    poses_document, write_features,
 };
 use plenocal::model::{
     BapFeature, FramePose, InternalParameters, MeasuredBlur, PlenopticCamera, TAKEN,
@@ -190,14 +190,6 @@ pub fn manifest() -> Manifest {
         files: BTreeMap::from([("centers.csv".to_owned(), "33".to_owned())]),
     });
     manifest
-}
-
-/// A camera of few pixels.
-pub fn small_camera() -> Value {
-    let mut camera: PlenopticCamera = true_camera();
-    camera.sensor.width_px = 90;
-    camera.sensor.height_px = 60;
-    camera_document(&camera, None)
 }
 
 /// Documents of COMPOTE: intrinsics, camera, parameters and poses.
