@@ -3,11 +3,12 @@
 // Only what is inlined into a dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
 
-use nalgebra::{Matrix2, Vector1, Vector2, Vector4};
+use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
+use pulp::{Arch, NullaryFnOnce};
 
 use super::blur::Rays;
+use super::lanes::products;
 use super::patch::Patch;
-use crate::numerics::NormalEquations;
 
 /// Two edges that cross: light m + h at directions between n₁ and n₂, m − h beside.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,24 +46,12 @@ impl Corner {
     /// How far the four quarters are from two bright and two dark ones: the steps across single edges
     /// over that across both. 0 for a corner of a checkerboard, 1 where only one quarter is dark, as at
     /// the outer corners of the board; `None` if the light does not determine it.
-    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn imbalance(&self, patch: &Patch, rays: &Rays) -> Option<f64> {
-        let mut equations = NormalEquations::<f32, 4, 1>::new();
-        let narrower = (1.0 / self.width) as f32;
-        let place = self.place.map(|x| x as f32);
-        let normals = self.angles.map(|angle| [-angle.sin() as f32, angle.cos() as f32]);
-        let share = 1.0 / rays.points().len() as f32;
-        for i in 0..patch.x.len() {
-            let mut row = Vector4::new(1.0, 0.0, 0.0, 0.0);
-            for [origin_x, origin_y, _, _, inverse_width] in rays.points() {
-                let inverse = inverse_width[i] * narrower;
-                let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
-                let [s, t] = normals.map(|n| step(n[0] * x + n[1] * y).0);
-                row += Vector4::new(0.0, s, t, s * t) * share;
-            }
-            equations.add(&row, &Vector1::new(patch.light[i]), patch.weight[i]);
-        }
-        let levels = equations.solve()?;
+        let mut room = vec![0.0; 5 * patch.x.len()];
+        let (normal, right) =
+            Arch::new().dispatch(Quarters { corner: self, patch, rays, room: &mut room });
+        let normal = Matrix4::from_fn(|a, b| normal[a.max(b)][a.min(b)]);
+        let levels = normal.cholesky()?.solve(&Vector4::from(right.map(|[right]| right)));
         Some(f64::from(levels[1].abs().max(levels[2].abs()) / levels[3].abs()))
     }
 
@@ -74,5 +63,48 @@ impl Corner {
     /// Sine of the angle between the edges.
     pub fn opening(&self) -> f64 {
         (self.angles[0] - self.angles[1]).sin().abs()
+    }
+}
+
+/// Normal equations of the mean light, the steps across either edge, and that across both.
+struct Quarters<'a> {
+    corner: &'a Corner,
+    patch: &'a Patch,
+    rays: &'a Rays,
+    /// Room for five rows.
+    room: &'a mut [f32],
+}
+
+impl NullaryFnOnce for Quarters<'_> {
+    type Output = ([[f32; 4]; 4], [[f32; 1]; 4]);
+
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn call(self) -> Self::Output {
+        let Self { corner, patch, rays, room } = self;
+        let n = patch.x.len();
+        let mut rows = room.chunks_exact_mut(n.max(1));
+        let [ones, first, second, both, weighted] =
+            std::array::from_fn(|_| rows.next().map_or(&mut [][..], |row| &mut row[..n]));
+        let narrower = (1.0 / corner.width) as f32;
+        let place = corner.place.map(|x| x as f32);
+        let [(s1, c1), (s2, c2)] = corner.angles.map(|angle| {
+            let (s, c) = angle.sin_cos();
+            (s as f32, c as f32)
+        });
+        ones.fill(rays.points().len() as f32);
+        for [origin_x, origin_y, _, _, inverse_width] in rays.points() {
+            let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
+            let inverse_width = &inverse_width[..n];
+            for i in 0..n {
+                let inverse = inverse_width[i] * narrower;
+                let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
+                let (t1, t2) = (step(c1 * y - s1 * x).0, step(c2 * y - s2 * x).0);
+                first[i] += t1;
+                second[i] += t2;
+                both[i] += t1 * t2;
+            }
+        }
+        products([&*ones, first, second, both], [&patch.light[..n]], &patch.weight, weighted)
     }
 }

@@ -8,6 +8,7 @@ use pulp::{Arch, NullaryFnOnce};
 
 use super::blur::Rays;
 use super::corner::{Corner, step};
+use super::lanes::products;
 use super::patch::Patch;
 use crate::numerics::{Descent, LeastSquares};
 
@@ -153,42 +154,15 @@ struct Products<'a, const P: usize> {
     weighted: &'a mut [f32],
 }
 
-/// Numbers that are added up side by side.
-const LANES: usize = 8;
-
 impl<const P: usize> NullaryFnOnce for Products<'_, P> {
     type Output = ([[f32; P]; P], [f32; P]);
 
     #[inline(always)]
     fn call(self) -> Self::Output {
-        let (mut products, mut right) = ([[0.0; P]; P], [0.0; P]);
-        for (a, products) in products.iter_mut().enumerate() {
-            for ((weighted, row), weight) in
-                self.weighted.iter_mut().zip(&self.model.rows[a]).zip(self.weight)
-            {
-                *weighted = row * weight;
-            }
-            for (product, row) in products.iter_mut().zip(&self.model.rows).take(a + 1) {
-                *product = dot(self.weighted, row);
-            }
-            right[a] = dot(self.weighted, &self.model.residual);
-        }
-        (products, right)
+        let rows = std::array::from_fn(|a| self.model.rows[a].as_slice());
+        let (products, right) = products(rows, [&self.model.residual], self.weight, self.weighted);
+        (products, right.map(|[right]| right))
     }
-}
-
-#[inline(always)]
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut lanes = [0.0_f32; LANES];
-    let (a, a_rest) = a.as_chunks::<LANES>();
-    let (b, b_rest) = b.as_chunks::<LANES>();
-    for (a, b) in a.iter().zip(b) {
-        for lane in 0..LANES {
-            lanes[lane] += a[lane] * b[lane];
-        }
-    }
-    let rest: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-    lanes.iter().sum::<f32>() + rest
 }
 
 /// One evaluation of a model.

@@ -9,7 +9,7 @@ use super::corner_fit::Free;
 use super::dbscan::dbscan;
 use super::frame::{Frame, FrameCounts};
 use super::grouping::{Group, LineSearch, groups_on_lines, is_texture};
-use super::patch::{Pair, Patch};
+use super::patch::{Pair, Patch, Room};
 use super::saddle::saddles;
 use super::{CornerObservation, MicroOptics};
 use crate::model::Configuration;
@@ -61,11 +61,12 @@ impl Frame<'_> {
             let pair = Pair::about(self.image, self.white, places, reach);
             let mut unusable = 0;
             let mut observations = Vec::new();
+            let (mut patch, mut room) = (Patch::default(), Room::default());
             for &node in *nodes {
-                let Ok(patch) = pair.patch(micro_images, node) else {
+                if pair.read(micro_images, node, &mut patch, &mut room).is_err() {
                     unusable += 1;
                     continue;
-                };
+                }
                 let optics = micro_images.optics(node.0, node.1);
                 let corner = corner_alone(&patch, &optics, contrast);
                 observations.extend(corner.map(|corner| self.observation(node, &corner)));

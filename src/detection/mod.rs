@@ -21,6 +21,7 @@ mod features;
 mod first_pass;
 mod frame;
 mod grouping;
+mod lanes;
 mod levers;
 mod likeness;
 mod line;

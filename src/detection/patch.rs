@@ -1,7 +1,12 @@
 //! The light of one micro-image, devignetted.
 
-use nalgebra::Vector2;
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
 
+use nalgebra::Vector2;
+use pulp::{Arch, NullaryFnOnce};
+
+use super::lanes::{LANES, largest};
 use super::micro_images::MicroImages;
 use crate::image::{Grey, Image};
 
@@ -49,6 +54,29 @@ impl Patch {
         }
     }
 
+    /// Leaves the pixels that are marked, and says how many they are.
+    fn keep(&mut self, marks: &[u8]) -> usize {
+        let n = marks.len();
+        let all = [&mut self.x, &mut self.y, &mut self.light, &mut self.weight];
+        let mut kept = 0;
+        if marks.contains(&0) {
+            for values in all {
+                let values = &mut values[..n];
+                kept = 0;
+                for (i, mark) in marks.iter().enumerate() {
+                    values[kept] = values[i];
+                    kept += usize::from(*mark);
+                }
+            }
+        } else {
+            kept = n;
+        }
+        for values in [&mut self.x, &mut self.y, &mut self.light, &mut self.weight] {
+            values.truncate(kept);
+        }
+        kept
+    }
+
     /// Weighted mean of the light.
     pub fn mean(&self) -> f64 {
         self.mean_and_std_dev().0
@@ -56,12 +84,7 @@ impl Patch {
 
     /// Weighted mean and standard deviation of the light.
     pub fn mean_and_std_dev(&self) -> (f64, f64) {
-        let (mut sum, mut first, mut second) = (0.0_f32, 0.0_f32, 0.0_f32);
-        for (light, weight) in self.light.iter().zip(&self.weight) {
-            sum += weight;
-            first += weight * light;
-            second += weight * light * light;
-        }
+        let [sum, first, second] = Arch::new().dispatch(LightMoments(self));
         let mean = first / sum;
         (f64::from(mean), f64::from((second / sum - mean * mean).max(0.0).sqrt()))
     }
@@ -85,6 +108,7 @@ pub(super) const USABLE: f32 = 0.06;
 const READ_NOISE: f32 = 0.25;
 
 /// The weight of a pixel whose light in the white image is such a part of the micro-image's brightest.
+#[inline(always)]
 pub(super) fn weight(white: f32) -> f32 {
     white * white / (READ_NOISE + white) * (1.0 + READ_NOISE)
 }
@@ -117,75 +141,152 @@ impl Pair {
     }
 
     /// The patch of a micro-image, or why there is none.
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
-    pub fn patch(&self, micro_images: &MicroImages, (k, l): (i32, i32)) -> Result<Patch, Unusable> {
+    pub fn patch(&self, micro_images: &MicroImages, node: (i32, i32)) -> Result<Patch, Unusable> {
+        let mut patch = Patch::default();
+        self.read(micro_images, node, &mut patch, &mut Room::default())?;
+        Ok(patch)
+    }
+
+    /// The same into a patch that was used before, with room that was used before.
+    pub fn read(
+        &self,
+        micro_images: &MicroImages,
+        (k, l): (i32, i32),
+        patch: &mut Patch,
+        room: &mut Room,
+    ) -> Result<(), Unusable> {
         let center = micro_images.center(k, l) - self.corner;
         let optics = micro_images.optics(k, l);
         let reach = optics.outer_radius_px().min(optics.half_pitch_px);
-        let (first, last) =
-            (center.map(|x| (x - reach).ceil()), center.map(|x| (x + reach).floor()));
-        let inside = first.min() >= 0.0
-            && last.x < self.white.width as f64
-            && last.y < self.white.height as f64;
-        if !inside {
-            return Err(Unusable::Cut);
-        }
-        let (left, top) = (first.x as usize, first.y as usize);
-        let (right, bottom) = (last.x as usize, last.y as usize);
-        let mut patch = Patch::default();
-        let mut whites: Vec<f32> = Vec::new();
-        let mut brightest = 0.0_f32;
-        let reach2 = (reach * reach) as f32;
-        for v in top..=bottom {
-            let y = (v as f64 - center.y) as f32;
-            for u in left..=right {
-                let x = (u as f64 - center.x) as f32;
-                if x * x + y * y > reach2 {
-                    continue;
-                }
-                let i = v * self.white.width + u;
-                let (board, white) = (self.board.pixels[i], self.white.pixels[i]);
-                brightest = brightest.max(white);
-                patch.x.push(x);
-                patch.y.push(y);
-                patch.light.push(board);
-                whites.push(white);
-            }
-        }
+        let whole = self.collect(&center, reach, patch, &mut room.white).ok_or(Unusable::Cut)?;
+        let (brightest, saturated, saturated_white) = whole;
         if brightest <= 0.0 {
             return Err(Unusable::Dark);
         }
-        let part =
-            |light: &[f32]| light.iter().filter(|&&l| l >= 1.0).count() as f32 / light.len() as f32;
+        let pixels = patch.x.len();
         patch.brightest = brightest;
-        patch.saturated = part(&patch.light);
-        patch.saturated_white = part(&whites);
-        let (mut kept, mut lit, mut lit_white) = (0, 0, 0);
-        for (i, &of_pixel) in whites.iter().enumerate() {
-            let white = of_pixel / brightest;
-            if white < USABLE {
-                continue;
-            }
-            lit += 1;
-            lit_white += usize::from(of_pixel < 1.0);
-            if patch.light[i] >= 1.0 || of_pixel >= 1.0 {
-                continue;
-            }
-            patch.x[kept] = patch.x[i];
-            patch.y[kept] = patch.y[i];
-            patch.light[kept] = patch.light[i] / of_pixel;
-            patch.weight.push(weight(white));
-            kept += 1;
-        }
-        patch.x.truncate(kept);
-        patch.y.truncate(kept);
-        patch.light.truncate(kept);
+        patch.saturated = saturated as f32 / pixels as f32;
+        patch.saturated_white = saturated_white as f32 / pixels as f32;
+        room.keep.clear();
+        room.keep.resize(pixels, 0);
+        patch.weight.clear();
+        patch.weight.resize(pixels, 0.0);
+        let (lit, lit_white) = Arch::new().dispatch(Divided { patch, room });
+        let kept = patch.keep(&room.keep);
         match (kept, lit_white, lit) {
-            (FEWEST_PIXELS.., ..) => Ok(patch),
+            (FEWEST_PIXELS.., ..) => Ok(()),
             (_, FEWEST_PIXELS.., _) => Err(Unusable::Saturated),
             (_, _, FEWEST_PIXELS..) => Err(Unusable::SaturatedWhite),
             _ => Err(Unusable::TooSmall),
         }
+    }
+
+    /// The pixels up to `reach` from a centre, with their undivided light. The brightest light in the white image, and the
+    /// numbers of pixels that are saturated in both images; `None` if some are missing.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
+    fn collect(
+        &self,
+        center: &Vector2<f64>,
+        reach: f64,
+        patch: &mut Patch,
+        whites: &mut Vec<f32>,
+    ) -> Option<(f32, u32, u32)> {
+        let (top, bottom) = ((center.y - reach).ceil(), (center.y + reach).floor());
+        let (left, right) = ((center.x - reach).ceil(), (center.x + reach).floor());
+        let (width, height) = (self.white.width, self.white.height);
+        if top < 0.0 || left < 0.0 || right >= width as f64 || bottom >= height as f64 {
+            return None;
+        }
+        for all in [&mut patch.x, &mut patch.y, &mut patch.light, whites] {
+            all.clear();
+        }
+        for v in top as usize..=bottom as usize {
+            let y = v as f64 - center.y;
+            let half = (reach * reach - y * y).max(0.0).sqrt();
+            let first = (center.x - half).ceil() as usize;
+            let last = ((center.x + half).floor() + 1.0) as usize;
+            if first >= last {
+                continue;
+            }
+            let from_center = (first as f64 - center.x) as f32;
+            patch.x.extend((0..(last - first) as u16).map(|i| from_center + f32::from(i)));
+            patch.y.resize(patch.x.len(), y as f32);
+            patch.light.extend_from_slice(&self.board.pixels[v * width..][first..last]);
+            whites.extend_from_slice(&self.white.pixels[v * width..][first..last]);
+        }
+        let [saturated, saturated_white] = [&patch.light, &*whites].map(|light| {
+            Arch::new().dispatch(|| light.iter().map(|l| u32::from(*l >= 1.0)).sum::<u32>())
+        });
+        let brightest = Arch::new().dispatch(|| largest(whites));
+        Some((brightest, saturated, saturated_white))
+    }
+}
+
+/// Room for what is needed to read a patch.
+#[derive(Default)]
+pub(super) struct Room {
+    /// Light in the white image.
+    white: Vec<f32>,
+    /// 1 for pixels that are used.
+    keep: Vec<u8>,
+}
+
+/// Weights of the pixels of a patch, those times their light, and times its square.
+struct LightMoments<'a>(&'a Patch);
+
+impl NullaryFnOnce for LightMoments<'_> {
+    type Output = [f32; 3];
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let mut sums = [[0.0_f32; LANES]; 3];
+        let (lights, last_lights) = self.0.light.as_chunks::<LANES>();
+        let (weights, last_weights) = self.0.weight.as_chunks::<LANES>();
+        for (light, weight) in lights.iter().zip(weights) {
+            for i in 0..LANES {
+                let weighted = weight[i] * light[i];
+                sums[0][i] += weight[i];
+                sums[1][i] += weighted;
+                sums[2][i] += weighted * light[i];
+            }
+        }
+        for (light, weight) in last_lights.iter().zip(last_weights) {
+            sums[0][0] += weight;
+            sums[1][0] += weight * light;
+            sums[2][0] += weight * light * light;
+        }
+        sums.map(|lanes| lanes.iter().sum())
+    }
+}
+
+/// Divides the light of pixels by that in the white image, weights them, and says which of them are used. The numbers of
+/// those with enough light in the white image, and of those that are not saturated there either.
+struct Divided<'a> {
+    patch: &'a mut Patch,
+    room: &'a mut Room,
+}
+
+impl NullaryFnOnce for Divided<'_> {
+    type Output = (usize, usize);
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let Self { patch, room } = self;
+        let brighter = patch.brightest.recip();
+        let n = patch.light.len();
+        let (white, keep) = (&room.white[..n], &mut room.keep[..n]);
+        let (light, weights) = (&mut patch.light[..n], &mut patch.weight[..n]);
+        let (mut lit, mut lit_white) = (0_u32, 0_u32);
+        for i in 0..n {
+            let part = white[i] * brighter;
+            let (is_lit, is_below) = (part >= USABLE, white[i] < 1.0);
+            lit += u32::from(is_lit);
+            lit_white += u32::from(is_lit & is_below);
+            keep[i] = u8::from(is_lit & is_below & (light[i] < 1.0));
+            light[i] /= white[i];
+            weights[i] = weight(part);
+        }
+        (lit as usize, lit_white as usize)
     }
 }
 

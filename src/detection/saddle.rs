@@ -1,10 +1,14 @@
 //! Saddles of the light in a micro-image, where a corner may be.
 
-use nalgebra::{Matrix2, Vector1, Vector2, Vector6};
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
+use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
+use pulp::{Arch, NullaryFnOnce};
 
 use super::corner::Corner;
+use super::lanes::{dot, sum};
 use super::patch::Patch;
-use crate::numerics::NormalEquations;
 
 /// Least saddle that may be a corner: its flatter curvature over the steeper.
 const SADDLE: f64 = 0.12;
@@ -17,6 +21,8 @@ const LEAST_STD_DEV: f64 = 0.3;
 const CONTRAST: f64 = 1.3;
 /// Half the width of steps that a fit starts with, px.
 const START_WIDTH_PX: f64 = 3.0;
+/// One pixel of so many shows where saddles are.
+const FEW: usize = 2;
 /// Saddles are searched for in all of the micro-image, and in round windows of it, px.
 const WINDOW_PX: f64 = 5.5;
 const WINDOWS_AT_PX: f64 = 4.5;
@@ -33,8 +39,10 @@ pub(super) fn saddles(patch: &Patch, least_contrast: f64) -> Vec<Corner> {
         (Vector2::new(angle.cos(), angle.sin()) * WINDOWS_AT_PX, WINDOW_PX)
     });
     let windows = std::iter::once((Vector2::zeros(), f64::INFINITY)).chain(around);
+    // A fit starts at a saddle: few pixels tell where.
+    let (few, mut room) = (patch.thinned(FEW), Vec::new());
     let mut saddles: Vec<(f64, Corner)> = windows
-        .filter_map(|(middle, radius)| saddle(patch, mean, std_dev, &middle, radius))
+        .filter_map(|(middle, radius)| saddle(&few, mean, std_dev, &middle, radius, &mut room))
         .collect();
     saddles.retain(|(curvature, _)| *curvature > CURVATURE * least_contrast);
     saddles.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -50,21 +58,23 @@ fn saddle(
     std_dev: f64,
     middle: &Vector2<f64>,
     radius: f64,
+    room: &mut Vec<f32>,
 ) -> Option<(f64, Corner)> {
-    // Coordinates of size one.
-    const SCALE: f32 = 8.0;
-    let mut equations = NormalEquations::<f32, 6, 1>::new();
-    let (x0, y0, radius2) = (middle.x as f32, middle.y as f32, (radius * radius) as f32);
-    for i in 0..patch.x.len() {
-        let (x, y) = (patch.x[i] - x0, patch.y[i] - y0);
-        if x * x + y * y > radius2 {
-            continue;
-        }
-        let (x, y) = (x / SCALE, y / SCALE);
-        let row = Vector6::new(1.0, x, y, x * x, x * y, y * y);
-        equations.add(&row, &Vector1::new(patch.light[i] - mean as f32), patch.weight[i]);
-    }
-    let fit = equations.in_double().solve()?;
+    let (moments, of_light) = Arch::new().dispatch(Moments {
+        patch,
+        mean: mean as f32,
+        middle: [middle.x as f32, middle.y as f32],
+        radius: radius as f32,
+        room,
+    });
+    // 1, x, y, x², xy and y² with each other.
+    let product = |a: usize, b: usize| {
+        let [x, y] = [0, 1].map(|axis| POWERS[a][axis] + POWERS[b][axis]);
+        let order = x + y;
+        f64::from(moments[order * (order + 1) / 2 + y])
+    };
+    let normal = Matrix6::from_fn(product);
+    let fit = normal.cholesky()?.solve(&Vector6::from(of_light.map(f64::from)));
     let scale = f64::from(SCALE);
     let hessian = Matrix2::new(2.0 * fit[3], fit[4], fit[4], 2.0 * fit[5]) / (scale * scale);
     let eigen = hessian.symmetric_eigen();
@@ -91,4 +101,106 @@ fn saddle(
         explained: 0.0,
     };
     Some((bright.min(dark), corner))
+}
+
+/// Coordinates in windows are in this unit, px: then they are of size one.
+const SCALE: f32 = 8.0;
+/// Powers of x and y in a quadratic.
+const POWERS: [[usize; 2]; 6] = [[0, 0], [1, 0], [0, 1], [2, 0], [1, 1], [0, 2]];
+/// Number of powers up to the fourth order, by order and power of y.
+const ORDERS: usize = 15;
+/// Rows of numbers that the sums need.
+const ROWS: usize = 12;
+
+/// Weighted sums over a round window: of powers up to the fourth order, and of the light less its mean times [`POWERS`].
+struct Moments<'a> {
+    patch: &'a Patch,
+    mean: f32,
+    middle: [f32; 2],
+    radius: f32,
+    /// Room for [`ROWS`] rows.
+    room: &'a mut Vec<f32>,
+}
+
+impl NullaryFnOnce for Moments<'_> {
+    type Output = ([f32; ORDERS], [f32; 6]);
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let Self { patch, mean, middle: [x0, y0], radius, room } = self;
+        // Pixels are in rows.
+        let first = patch.y.partition_point(|y| *y < y0 - radius);
+        let last = patch.y.partition_point(|y| *y <= y0 + radius);
+        let n = last - first;
+        let [x, y, light, weight] =
+            [&patch.x, &patch.y, &patch.light, &patch.weight].map(|all| &all[first..last]);
+        room.clear();
+        room.resize(ROWS * n, 0.0);
+        let mut rows = room.chunks_exact_mut(n.max(1));
+        let [w, wx, wy, wxx, wxy, wyy, wl, xs, ys, xx, xy, yy] =
+            std::array::from_fn(|_| rows.next().map_or(&mut [][..], |row| &mut row[..n]));
+        let radius2 = radius * radius;
+        for i in 0..n {
+            let (x, y) = (x[i] - x0, y[i] - y0);
+            let weight = if x * x + y * y > radius2 { 0.0 } else { weight[i] };
+            let (x, y) = (x / SCALE, y / SCALE);
+            (xs[i], ys[i], xx[i], xy[i], yy[i]) = (x, y, x * x, x * y, y * y);
+            (w[i], wx[i], wy[i]) = (weight, weight * x, weight * y);
+            (wxx[i], wxy[i], wyy[i]) = (weight * xx[i], weight * xy[i], weight * yy[i]);
+            wl[i] = weight * (light[i] - mean);
+        }
+        let moments = [
+            sum(w),
+            sum(wx),
+            sum(wy),
+            sum(wxx),
+            sum(wxy),
+            sum(wyy),
+            dot(wxx, xs),
+            dot(wxx, ys),
+            dot(wyy, xs),
+            dot(wyy, ys),
+            dot(wxx, xx),
+            dot(wxx, xy),
+            dot(wxx, yy),
+            dot(wxy, yy),
+            dot(wyy, yy),
+        ];
+        let of_light = [sum(wl), dot(wl, xs), dot(wl, ys), dot(wl, xx), dot(wl, xy), dot(wl, yy)];
+        (moments, of_light)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A quadratic is found as it is, in a window too, whatever the weights.
+    #[test]
+    fn the_saddle_of_a_quadratic_is_its_own() {
+        let mut patch = Patch::default();
+        let middle = Vector2::new(1.3, -0.7);
+        for (u, v) in (-9_i16..=9).flat_map(|v| (-9_i16..=9).map(move |u| (u, v))) {
+            let (x, y) = (f32::from(u) + 0.2, f32::from(v) - 0.1);
+            if x.hypot(y) > 9.0 {
+                continue;
+            }
+            let (dx, dy) = (x - 1.3, y + 0.7);
+            patch.x.push(x);
+            patch.y.push(y);
+            patch.light.push(0.5 + 0.01 * (dx * dx - 0.5 * dy * dy) + 0.004 * dx * dy);
+            patch.weight.push(1.0 - 0.05 * x.hypot(y));
+        }
+        let (mean, std_dev) = patch.mean_and_std_dev();
+        for (window, radius) in [(Vector2::zeros(), f64::INFINITY), (Vector2::new(4.0, 1.0), 5.5)] {
+            let (curvature, corner) =
+                saddle(&patch, mean, std_dev, &window, radius, &mut Vec::new()).unwrap();
+            assert!((corner.place - middle).norm() < 1e-3, "{}", corner.place);
+            // The eigenvalues of [[0.02, 0.004], [0.004, -0.01]].
+            let expected = (0.015_f64.powi(2) + 0.004_f64.powi(2)).sqrt() - 0.005;
+            assert!((curvature - expected).abs() < 1e-5, "{curvature} for {expected}");
+        }
+        let elsewhere = Vector2::new(-4.5, 0.0);
+        assert!(saddle(&patch, mean, std_dev, &elsewhere, 2.0, &mut Vec::new()).is_none());
+    }
 }

@@ -28,8 +28,14 @@ use crate::numerics::median;
 const ROUNDS: usize = 2;
 /// How far from where it is expected a corner is found, px.
 const EXPECTED_PX: f64 = 1.2;
+/// The first round looks at one pixel of so many, and for the widths of edges at one observation of so many: it tells how all
+/// corners of the frame are blurred.
+const ROUGH_PIXELS: usize = 3;
+const ROUGH_WIDTHS: i32 = 4;
 /// One pixel of so many shows how a corner depends on what is taken from white images: that is summed over all corners.
 const FEW: usize = 5;
+/// And one of so many of these shows how it depends on what is taken from white images.
+const FEWER: usize = 2;
 /// Boards with edges that are wider than this, px², are not sharp enough to be found.
 const MOST_WIDER_PX2: f64 = 9.0;
 /// Least part of the light of its micro-image that a corner explains.
@@ -221,13 +227,20 @@ impl SecondPass<'_> {
             let bend = self.aberration.bend(&center, slope);
             let blur = Blur::new(&optics, slope, bend, vignetting).wider(self.wider_px2);
             let fitted = pair.patch(micro_images, node).ok().and_then(|patch| {
+                let patch = if self.last { patch } else { patch.thinned(ROUGH_PIXELS) };
                 let start = self.expected_corner(sought, &center, patch.mean());
                 let rays = blur.rays(&patch);
                 let mut corner = self.fitted(&start, &patch, &rays)?;
                 let mut levers = corner.levers(&patch, &rays, slope, &bend, &[])?;
                 let known = (&optics, slope, &bend);
-                let (width, off) = self.by_few(&corner, &patch, known, &mut levers)?;
-                corner.place += off;
+                let has_width = self.last || (node.0 + node.1).rem_euclid(ROUGH_WIDTHS) == 0;
+                let width = if has_width {
+                    let (width, off) = self.by_few(&corner, &patch, known, &mut levers)?;
+                    corner.place += off;
+                    Some(width)
+                } else {
+                    None
+                };
                 if (corner.place - start.place).norm() > EXPECTED_PX {
                     return None;
                 }
@@ -242,7 +255,7 @@ impl SecondPass<'_> {
                 observation: self.frame.observation(node, &corner),
                 slope_before: slope,
                 levers,
-                width: Some(width),
+                width,
                 corner,
             });
         }
@@ -265,18 +278,20 @@ impl SecondPass<'_> {
         levers: &mut Levers,
     ) -> Option<(EdgeWidth, Vector2<f64>)> {
         let micro_images = self.frame.search.micro_images;
-        let few = patch.thinned(FEW);
+        let few =
+            if self.last { patch.thinned(FEW) } else { patch.thinned(FEW.div_ceil(ROUGH_PIXELS)) };
         let as_is = |optics: &MicroOptics, vignetting| {
             Blur::new(optics, slope, *bend, vignetting).wider(self.wider_px2)
         };
         let blur = as_is(optics, micro_images.vignetting(optics));
         let rays = blur.rays(&few);
         if self.last {
+            let fewer = few.thinned(FEWER);
             let others: [Rays; TAKEN] = std::array::from_fn(|taken| {
                 let (optics, vignetting) = micro_images.otherwise(optics, taken);
-                as_is(&optics, vignetting).rays(&few)
+                as_is(&optics, vignetting).rays(&fewer)
             });
-            if let Some(by_few) = corner.levers(&few, &rays, slope, bend, &others) {
+            if let Some(by_few) = corner.levers(&fewer, &blur.rays(&fewer), slope, bend, &others) {
                 levers.by_taken = by_few.by_taken;
             }
         }
