@@ -40,9 +40,9 @@ pub struct Aberration {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Bend<T: Scalar = f64> {
     /// h, px.
-    field: Vector2<T>,
+    pub field: Vector2<T>,
     /// z², px².
-    zone2: T,
+    pub zone2: T,
     /// S, C and T over A, px⁻².
     coefficients: Vector3<T>,
 }

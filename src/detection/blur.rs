@@ -11,12 +11,15 @@
 #![allow(clippy::inline_always)]
 
 use nalgebra::Vector2;
-use pulp::{Arch, NullaryFnOnce};
+use pulp::{Arch, NullaryFnOnce, Simd};
 
 use super::MicroOptics;
 use super::aberration::Bend;
+use super::lanes::Lanes;
 use super::patch::Patch;
-use crate::vignetting::{DISC, Field, Obliquity, POINTS, PartPoints, ROOM, Vignetting};
+use crate::vignetting::{
+    DISC, Field, Obliquity, POINTS, PartPoints, ROOM, Vignetting, VisiblePart,
+};
 
 /// How a micro-image blurs a point.
 #[derive(Debug, Clone)]
@@ -38,33 +41,127 @@ pub(super) struct Blur<'a> {
 }
 
 /// The rays that arrive at the pixels of a micro-image.
-pub(super) struct Rays {
-    pixels: usize,
-    values: Vec<f32>,
+pub(super) enum Rays {
+    /// A single one at each pixel (x, y): steps rise over 1 px to either side.
+    Sharp { x: Vec<f32>, y: Vec<f32> },
+    /// Those through all points of the micro-lens, by pixel.
+    Blurred(Vec<PixelRays>),
 }
 
-/// What a point of the micro-lens shows to every pixel: where in the sharp and straightened image its light comes
-/// from, p − ρ w + E/A, and where in the pupil, p − qᵢ w, both as (x, y) from the centre of the micro-image, px;
-/// and one over half the width over which a step rises by what the point leaves out, which is the extent of its
-/// cell and of the pixel, px⁻¹.
-const VALUES: usize = 5;
+/// What the points of the micro-lens show to a pixel. Those in the room behind the [`POINTS`] show nothing: the step that
+/// they see is 0.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PixelRays {
+    /// Where in the sharp and straightened image the light comes from, p − ρ w + E/A: (x, y) from the centre of the
+    /// micro-image, px.
+    origin_x: [f32; ROOM],
+    origin_y: [f32; ROOM],
+    /// Where in the pupil, p − qᵢ w.
+    pupil_x: [f32; ROOM],
+    pupil_y: [f32; ROOM],
+    /// One over half the width over which a step rises by what the point leaves out, which is the extent of its cell and of
+    /// the pixel, px⁻¹.
+    inverse_width: [f32; ROOM],
+}
+
+/// Some rays: as [`PixelRays`].
+#[derive(Clone, Copy)]
+pub(super) struct RayLanes<S: Simd> {
+    pub origin: [Lanes<S>; 2],
+    pub pupil: [Lanes<S>; 2],
+    pub inverse_width: Lanes<S>,
+}
+
+/// K numbers for each ray.
+pub(super) trait OfRays<S: Simd, const K: usize> {
+    /// Of some rays.
+    fn of_rays(&self, rays: &RayLanes<S>) -> [Lanes<S>; K];
+}
 
 impl Rays {
-    /// For steps of unknown width: no blur, and they rise over 1 px to either side.
+    /// For steps of unknown width, without blur.
     pub fn sharp(patch: &Patch) -> Self {
-        let pixels = patch.x.len();
-        let [x, y] = [&patch.x, &patch.y].map(Vec::as_slice);
-        Self { pixels, values: [x, y, x, y, &vec![1.0; pixels]].concat() }
+        Self::Sharp { x: patch.x.clone(), y: patch.y.clone() }
     }
 
-    /// By point of the micro-lens, its [`VALUES`], each for all pixels.
-    pub fn points(&self) -> impl ExactSizeIterator<Item = [&[f32]; VALUES]> {
-        let n = self.pixels;
-        let of_point = self.values.chunks_exact(VALUES * n);
-        of_point.map(move |point| {
-            std::array::from_fn::<&[f32], VALUES, _>(|row| &point[row * n..][..n])
-        })
+    /// Number of pixels.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Sharp { x, .. } => x.len(),
+            Self::Blurred(of_pixels) => of_pixels.len(),
+        }
     }
+
+    /// Those of every n-th pixel: see [`Patch::thinned`].
+    pub fn thinned(&self, n: usize) -> Self {
+        match self {
+            Self::Sharp { x, y } => Self::Sharp {
+                x: x.iter().step_by(n).copied().collect(),
+                y: y.iter().step_by(n).copied().collect(),
+            },
+            Self::Blurred(of_pixels) => {
+                Self::Blurred(of_pixels.iter().step_by(n).copied().collect())
+            }
+        }
+    }
+
+    /// Means over the rays of each pixel, in rows as long as there are pixels.
+    #[inline(always)]
+    pub fn means<S: Simd, const K: usize>(
+        &self,
+        simd: S,
+        of: &impl OfRays<S, K>,
+        rows: &mut [&mut [f32]; K],
+    ) {
+        match self {
+            Self::Sharp { x, y } => {
+                let one = Lanes::splat(simd, 1.0);
+                for first in (0..x.len()).step_by(S::F32_LANES) {
+                    let last = (first + S::F32_LANES).min(x.len());
+                    let x = Lanes::of(simd, simd.partial_load_f32s(&x[first..last]));
+                    let y = Lanes::of(simd, simd.partial_load_f32s(&y[first..last]));
+                    let rays = RayLanes { origin: [x, y], pupil: [x, y], inverse_width: one };
+                    let means = of.of_rays(&rays);
+                    for k in 0..K {
+                        let row = &mut rows[k][first..last];
+                        simd.partial_store_f32s(row, means[k].register());
+                    }
+                }
+            }
+            Self::Blurred(of_pixels) => {
+                let share = 1.0 / POINTS as f32;
+                for (i, rays) in of_pixels.iter().enumerate() {
+                    let mut sums = [Lanes::splat(simd, 0.0); K];
+                    for chunk in 0..ROOM / S::F32_LANES {
+                        let of_rays = of.of_rays(&rays.lanes(simd, chunk));
+                        for k in 0..K {
+                            sums[k] = sums[k] + of_rays[k];
+                        }
+                    }
+                    for k in 0..K {
+                        rows[k][i] = sums[k].sum() * share;
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl PixelRays {
+    #[inline(always)]
+    fn lanes<S: Simd>(&self, simd: S, chunk: usize) -> RayLanes<S> {
+        RayLanes {
+            origin: [lanes(simd, &self.origin_x, chunk), lanes(simd, &self.origin_y, chunk)],
+            pupil: [lanes(simd, &self.pupil_x, chunk), lanes(simd, &self.pupil_y, chunk)],
+            inverse_width: lanes(simd, &self.inverse_width, chunk),
+        }
+    }
+}
+
+#[inline(always)]
+fn lanes<S: Simd>(simd: S, values: &[f32; ROOM], chunk: usize) -> Lanes<S> {
+    const { assert!(ROOM % S::F32_LANES == 0, "room for points fills registers") }
+    Lanes::of(simd, S::as_simd_f32s(values).0[chunk])
 }
 
 impl<'a> Blur<'a> {
@@ -90,45 +187,37 @@ impl<'a> Blur<'a> {
 
     /// The rays that arrive at the pixels of a patch.
     pub fn rays(&self, patch: &Patch) -> Rays {
-        let pixels = patch.x.len();
-        let mut values = vec![0.0; POINTS * VALUES * pixels];
-        Arch::new().dispatch(Tracing { blur: self, patch, values: &mut values });
-        Rays { pixels, values }
+        Rays::Blurred(Arch::new().dispatch(Tracing { blur: self, patch }))
     }
 }
 
-/// The rays of a patch, by point of the micro-lens and value.
+/// The rays of a patch.
 struct Tracing<'a> {
     blur: &'a Blur<'a>,
     patch: &'a Patch,
-    values: &'a mut [f32],
 }
 
 impl NullaryFnOnce for Tracing<'_> {
-    type Output = ();
+    type Output = Vec<PixelRays>;
 
     #[inline(always)]
-    fn call(self) {
-        let Self { blur, patch, values } = self;
-        let pixels = patch.x.len();
-        let bend = blur.bend.bends().then(|| blur.bend.in_single());
-        for (i, (&x, &y)) in patch.x.iter().zip(&patch.y).enumerate() {
+    fn call(self) -> Vec<PixelRays> {
+        let Self { blur, patch } = self;
+        let (bends, bend) = (blur.bend.bends(), blur.bend.in_single());
+        let mut all = Vec::with_capacity(patch.x.len());
+        for (&x, &y) in patch.x.iter().zip(&patch.y) {
             let pixel = OfPixel::new(blur, &Vector2::new(f64::from(x), f64::from(y)));
-            let mut own = pixel.rays();
-            if let Some(bend) = &bend {
-                let [origin_x, origin_y, pupil_x, pupil_y, _] = &mut own;
+            let mut rays = pixel.rays();
+            if bends {
                 for j in 0..ROOM {
-                    let bent = bend.at(&Vector2::new(pupil_x[j], pupil_y[j]));
-                    origin_x[j] += bent.x;
-                    origin_y[j] += bent.y;
+                    let bent = bend.at(&Vector2::new(rays.pupil_x[j], rays.pupil_y[j]));
+                    rays.origin_x[j] += bent.x;
+                    rays.origin_y[j] += bent.y;
                 }
             }
-            for (j, rows) in values.chunks_exact_mut(VALUES * pixels).enumerate() {
-                for (row, own) in own.iter().enumerate() {
-                    rows[row * pixels + i] = own[j];
-                }
-            }
+            all.push(rays);
         }
+        all
     }
 }
 
@@ -160,44 +249,54 @@ impl<'a> OfPixel<'a> {
         // Points of the micro-lens are half a turn away from where they lie.
         let from_lens = offset + part.mean * blur.obliquity.half_pitch_px;
         let slant = blur.obliquity.over_part(&from_lens, &part.outwards, part.spread);
-        let scaled = |radius: f64| {
-            let (middle, along) = (part.seen_at - part.mean * radius, part.outwards * radius);
-            [middle.x, middle.y, along.x, along.y].map(|x| x as f32)
-        };
         Self {
             points: part.points,
             sign: part.sign as f32,
-            spread: part.spread.map(|x| x as f32),
+            spread: [part.spread[0] as f32, part.spread[1] as f32],
             field: slant.field(mean_square),
             rho: blur.rho as f32,
             pixel: part.pixel,
             cell: cell as f32 + blur.wider_px2,
-            sharp: scaled(blur.rho),
-            pupil: scaled(blur.q),
+            sharp: placed(&part, blur.rho),
+            pupil: placed(&part, blur.q),
         }
     }
 
-    /// Its rays as through an ideal main lens, by [`VALUES`] and point.
+    /// Its rays as through an ideal main lens.
     #[inline(always)]
-    fn rays(&self) -> [[f32; ROOM]; VALUES] {
-        let mut rays = [[0.0; ROOM]; VALUES];
-        let [origin_x, origin_y, pupil_x, pupil_y, inverse] = &mut rays;
+    fn rays(&self) -> PixelRays {
         let disc = &*DISC;
-        let place = |[x, y, along, across]: [f32; 4], w: [f32; 2]| {
-            [x - along * w[0] + across * w[1], y - across * w[0] - along * w[1]]
+        let none = [0.0; ROOM];
+        let mut rays = PixelRays {
+            origin_x: none,
+            origin_y: none,
+            pupil_x: none,
+            pupil_y: none,
+            inverse_width: none,
         };
+        let ([o_x, o_y, o_along, o_across], [p_x, p_y, p_along, p_across]) =
+            (self.sharp, self.pupil);
         for j in 0..ROOM {
             let moved = self.field.at(self.sign * disc.x[j], disc.y[j]);
-            let w = [
-                self.points.along[j] + self.spread[0] * moved[0],
-                self.points.across[j] + self.spread[1] * moved[1],
-            ];
-            [origin_x[j], origin_y[j]] = place(self.sharp, w);
-            [pupil_x[j], pupil_y[j]] = place(self.pupil, w);
-            inverse[j] = inverse_width(self.points.pixel(j, self.rho) * self.pixel + self.cell);
+            let along = self.points.along[j] + self.spread[0] * moved[0];
+            let across = self.points.across[j] + self.spread[1] * moved[1];
+            rays.origin_x[j] = o_x - o_along * along + o_across * across;
+            rays.origin_y[j] = o_y - o_across * along - o_along * across;
+            rays.pupil_x[j] = p_x - p_along * along + p_across * across;
+            rays.pupil_y[j] = p_y - p_across * along - p_along * across;
+            let width = inverse_width(self.points.pixel(j, self.rho) * self.pixel + self.cell);
+            rays.inverse_width[j] = disc.is_one[j] * width;
         }
         rays
     }
+}
+
+/// Place of the mean of the points of a part, px, and how a point along and across moves it, for a blur radius.
+#[inline(always)]
+#[allow(clippy::cast_possible_truncation)] // single precision, as the light
+fn placed(part: &VisiblePart, radius: f64) -> [f32; 4] {
+    let (middle, along) = (part.seen_at - part.mean * radius, part.outwards * radius);
+    [middle.x as f32, middle.y as f32, along.x as f32, along.y as f32]
 }
 
 /// Half widths of steps are not below this, px.
@@ -258,13 +357,14 @@ mod tests {
         let patch = Patch { x: places.into(), y: vec![0.0; places.len()], ..Patch::default() };
         let rays = blur.rays(&patch);
         for (i, x) in places.into_iter().enumerate() {
-            let mean_of = |of: &dyn Fn([&[f32]; VALUES]) -> f64| {
-                rays.points().map(of).sum::<f64>() / POINTS as f64
-            };
-            let mean = mean_of(&|p| f64::from(p[0][i]));
-            let left_out = mean_of(&|p| f64::from(p[4][i]).powi(-2) / 5.0);
-            let along = mean_of(&|p| (f64::from(p[0][i]) - mean).powi(2)) + left_out;
-            let across = mean_of(&|p| f64::from(p[1][i]).powi(2)) + left_out;
+            let Rays::Blurred(of_pixels) = &rays else { unreachable!() };
+            let rays = &of_pixels[i];
+            let mean_of =
+                |of: &dyn Fn(usize) -> f64| (0..POINTS).map(of).sum::<f64>() / POINTS as f64;
+            let mean = mean_of(&|j| f64::from(rays.origin_x[j]));
+            let left_out = mean_of(&|j| f64::from(rays.inverse_width[j]).powi(-2) / 5.0);
+            let along = mean_of(&|j| (f64::from(rays.origin_x[j]) - mean).powi(2)) + left_out;
+            let across = mean_of(&|j| f64::from(rays.origin_y[j]).powi(2)) + left_out;
             let [expected, expected_along, expected_across] = moments(&light, f64::from(x));
             assert!((mean - expected).abs() < 0.003, "{x}: {mean} for {expected}");
             let spread = |variance: f64| variance.sqrt();

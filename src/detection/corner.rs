@@ -4,10 +4,10 @@
 #![allow(clippy::inline_always)]
 
 use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
-use pulp::{Arch, NullaryFnOnce};
+use pulp::{Arch, Simd, WithSimd};
 
-use super::blur::Rays;
-use super::lanes::products;
+use super::blur::{OfRays, RayLanes, Rays};
+use super::lanes::{Lanes, products};
 use super::patch::Patch;
 
 /// Two edges that cross: light m + h at directions between n₁ and n₂, m − h beside.
@@ -29,11 +29,99 @@ pub(super) struct Corner {
     pub explained: f64,
 }
 
-/// A step at a distance from it in its half widths, −1 to 1, and its slope.
-#[inline(always)]
-pub(super) fn step(distance: f32) -> (f32, f32) {
-    let t = distance.clamp(-1.0, 1.0);
-    (t * (1.5 - 0.5 * t * t), 1.5 - 1.5 * t * t)
+/// The two edges of a corner, in single precision as the light.
+pub(super) struct Edges<S: Simd> {
+    place: [Lanes<S>; 2],
+    narrower: Lanes<S>,
+    /// Sine and cosine of both directions.
+    directions: [[Lanes<S>; 2]; 2],
+    one: Lanes<S>,
+    half: Lanes<S>,
+}
+
+/// What rays show of two edges.
+pub(super) struct SeenEdges<S: Simd> {
+    /// The place less that of the corner, in half widths of steps.
+    from: [Lanes<S>; 2],
+    /// One over that half width, px⁻¹.
+    inverse: Lanes<S>,
+    /// Distances from the edges, in half widths.
+    distance: [Lanes<S>; 2],
+    /// The steps there, and their slopes.
+    pub steps: [Lanes<S>; 2],
+    slopes: [Lanes<S>; 2],
+}
+
+impl<S: Simd> Edges<S> {
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn of(simd: S, corner: &Corner) -> Self {
+        let all = |x: f64| Lanes::splat(simd, x as f32);
+        let [(s1, c1), (s2, c2)] = [corner.angles[0].sin_cos(), corner.angles[1].sin_cos()];
+        Self {
+            place: [all(corner.place.x), all(corner.place.y)],
+            narrower: all(1.0 / corner.width),
+            directions: [[all(s1), all(c1)], [all(s2), all(c2)]],
+            one: all(1.0),
+            half: all(0.5),
+        }
+    }
+
+    #[inline(always)]
+    pub fn seen(&self, rays: &RayLanes<S>) -> SeenEdges<S> {
+        let inverse = rays.inverse_width * self.narrower;
+        let x = (rays.origin[0] - self.place[0]) * inverse;
+        let y = (rays.origin[1] - self.place[1]) * inverse;
+        let [[s1, c1], [s2, c2]] = self.directions;
+        let distance = [s1.mul_from(x, c1 * y), s2.mul_from(x, c2 * y)];
+        let ([t1, e1], [t2, e2]) = (self.step(distance[0]), self.step(distance[1]));
+        SeenEdges { from: [x, y], inverse, distance, steps: [t1, t2], slopes: [e1, e2] }
+    }
+
+    /// A step at a distance from it in its half widths, −1 to 1, and its slope: t (3 − t²)/2 and 3 (1 − t²)/2.
+    #[inline(always)]
+    fn step(&self, distance: Lanes<S>) -> [Lanes<S>; 2] {
+        let t = distance.clamp(-self.one, self.one);
+        let half_slope = (self.half * t).mul_from(t, self.half);
+        [t * (half_slope + self.one), half_slope + half_slope + half_slope]
+    }
+
+    /// The distances along the edges, in half widths.
+    #[inline(always)]
+    fn along(&self, seen: &SeenEdges<S>) -> [Lanes<S>; 2] {
+        let ([x, y], [[s1, c1], [s2, c2]]) = (seen.from, self.directions);
+        [c1.mul_add(x, s1 * y), c2.mul_add(x, s2 * y)]
+    }
+
+    /// How the product of both steps changes with the place of the corner, px⁻¹.
+    #[inline(always)]
+    pub fn by_place(&self, seen: &SeenEdges<S>) -> [Lanes<S>; 2] {
+        let [[s1, c1], [s2, c2]] = self.directions;
+        let [g1, g2] = seen.by_distance();
+        [g1.mul_add(s1, g2 * s2) * seen.inverse, -g1.mul_add(c1, g2 * c2) * seen.inverse]
+    }
+
+    /// How it changes with both directions and with the width of the steps, times that.
+    #[inline(always)]
+    pub fn by_form(&self, seen: &SeenEdges<S>) -> [Lanes<S>; 3] {
+        let ([g1, g2], [along_1, along_2]) = (seen.by_distance(), self.along(seen));
+        let [d1, d2] = seen.distance;
+        [-(g1 * along_1), -(g2 * along_2), -g1.mul_add(d1, g2 * d2)]
+    }
+}
+
+impl<S: Simd> SeenEdges<S> {
+    /// The product of both steps.
+    #[inline(always)]
+    pub fn shape(&self) -> Lanes<S> {
+        self.steps[0] * self.steps[1]
+    }
+
+    /// How it changes with the distances from the edges.
+    #[inline(always)]
+    fn by_distance(&self) -> [Lanes<S>; 2] {
+        [self.slopes[0] * self.steps[1], self.steps[0] * self.slopes[1]]
+    }
 }
 
 impl Corner {
@@ -75,36 +163,30 @@ struct Quarters<'a> {
     room: &'a mut [f32],
 }
 
-impl NullaryFnOnce for Quarters<'_> {
+impl WithSimd for Quarters<'_> {
     type Output = ([[f32; 4]; 4], [[f32; 1]; 4]);
 
     #[inline(always)]
-    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    fn call(self) -> Self::Output {
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         let Self { corner, patch, rays, room } = self;
         let n = patch.x.len();
         let mut rows = room.chunks_exact_mut(n.max(1));
         let [ones, first, second, both, weighted] =
             std::array::from_fn(|_| rows.next().map_or(&mut [][..], |row| &mut row[..n]));
-        let narrower = (1.0 / corner.width) as f32;
-        let place = corner.place.map(|x| x as f32);
-        let [(s1, c1), (s2, c2)] = corner.angles.map(|angle| {
-            let (s, c) = angle.sin_cos();
-            (s as f32, c as f32)
-        });
-        ones.fill(rays.points().len() as f32);
-        for [origin_x, origin_y, _, _, inverse_width] in rays.points() {
-            let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
-            let inverse_width = &inverse_width[..n];
-            for i in 0..n {
-                let inverse = inverse_width[i] * narrower;
-                let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
-                let (t1, t2) = (step(c1 * y - s1 * x).0, step(c2 * y - s2 * x).0);
-                first[i] += t1;
-                second[i] += t2;
-                both[i] += t1 * t2;
-            }
-        }
-        products([&*ones, first, second, both], [&patch.light[..n]], &patch.weight, weighted)
+        ones.fill(1.0);
+        rays.means(simd, &Steps(Edges::of(simd, corner)), &mut [first, second, both]);
+        let rows = [&*ones, first, second, both];
+        products(simd, rows, [&patch.light[..n]], &patch.weight, weighted)
+    }
+}
+
+/// Both steps, and their product.
+struct Steps<S: Simd>(Edges<S>);
+
+impl<S: Simd> OfRays<S, 3> for Steps<S> {
+    #[inline(always)]
+    fn of_rays(&self, rays: &RayLanes<S>) -> [Lanes<S>; 3] {
+        let seen = self.0.seen(rays);
+        [seen.steps[0], seen.steps[1], seen.shape()]
     }
 }

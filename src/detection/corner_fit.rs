@@ -4,11 +4,11 @@
 #![allow(clippy::inline_always)]
 
 use nalgebra::{SMatrix, SVector, Vector2};
-use pulp::{Arch, NullaryFnOnce};
+use pulp::{Arch, Simd, WithSimd};
 
-use super::blur::Rays;
-use super::corner::{Corner, step};
-use super::lanes::products;
+use super::blur::{OfRays, RayLanes, Rays};
+use super::corner::{Corner, Edges};
+use super::lanes::{Lanes, products, weighted_squares};
 use super::patch::Patch;
 use crate::numerics::{Descent, LeastSquares};
 
@@ -99,7 +99,7 @@ impl<const P: usize> LeastSquares<P> for Squares<'_, P> {
         let (products, right) =
             Arch::new().dispatch(Products::<P> { model: taken, weight: &patch.weight, weighted });
         let normal = SMatrix::from_fn(|a, b| f64::from(products[a.max(b)][a.min(b)]));
-        Some((normal, SVector::from_fn(|a, _| f64::from(right[a]))))
+        Some((normal, SVector::from_fn(|a, _| f64::from(right[a][0]))))
     }
 
     fn moved(&self, from: &Corner, step: &SVector<f64, P>) -> Corner {
@@ -154,14 +154,13 @@ struct Products<'a, const P: usize> {
     weighted: &'a mut [f32],
 }
 
-impl<const P: usize> NullaryFnOnce for Products<'_, P> {
-    type Output = ([[f32; P]; P], [f32; P]);
+impl<const P: usize> WithSimd for Products<'_, P> {
+    type Output = ([[f32; P]; P], [[f32; 1]; P]);
 
     #[inline(always)]
-    fn call(self) -> Self::Output {
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         let rows = std::array::from_fn(|a| self.model.rows[a].as_slice());
-        let (products, right) = products(rows, [&self.model.residual], self.weight, self.weighted);
-        (products, right.map(|[right]| right))
+        products(simd, rows, [&self.model.residual], self.weight, self.weighted)
     }
 }
 
@@ -173,65 +172,62 @@ struct Evaluation<'a, const P: usize> {
     rays: &'a Rays,
 }
 
-impl<const P: usize> NullaryFnOnce for Evaluation<'_, P> {
+impl<const P: usize> WithSimd for Evaluation<'_, P> {
     type Output = f64;
 
     #[inline(always)]
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    fn call(self) -> f64 {
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let Self { model, corner, patch, rays } = self;
         let n = patch.x.len();
-        for row in &mut model.rows[..P] {
-            row.fill(0.0);
-        }
-        let narrower = (1.0 / corner.width) as f32;
-        let place = corner.place.map(|x| x as f32);
-        let [(s1, c1), (s2, c2)] = corner.angles.map(|angle| {
-            let (s, c) = angle.sin_cos();
-            (s as f32, c as f32)
-        });
-        let share = 1.0 / rays.points().len() as f32;
         let rows = model.rows.each_mut().map(|row| &mut row[..n]);
         let [by_u, by_v, level, shape, by_1, by_2, by_width] = rows;
-        for [origin_x, origin_y, _, _, inverse_width] in rays.points() {
-            let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
-            let inverse_width = &inverse_width[..n];
-            for i in 0..n {
-                let inverse = inverse_width[i] * narrower;
-                let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
-                let (d1, d2) = (c1 * y - s1 * x, c2 * y - s2 * x);
-                let ((t1, e1), (t2, e2)) = (step(d1), step(d2));
-                let (g1, g2) = (e1 * t2, t1 * e2);
-                shape[i] += t1 * t2;
-                by_u[i] += (g1 * s1 + g2 * s2) * inverse;
-                by_v[i] -= (g1 * c1 + g2 * c2) * inverse;
-                if P == ALL {
-                    by_1[i] -= g1 * (c1 * x + s1 * y);
-                    by_2[i] -= g2 * (c2 * x + s2 * y);
-                    by_width[i] -= g1 * d1 + g2 * d2;
-                }
-            }
+        let edges = Edges::of(simd, corner);
+        if P == ALL {
+            let mut rows = [&mut *shape, by_u, by_v, by_1, by_2, by_width];
+            rays.means(simd, &WithForm(edges), &mut rows);
+        } else {
+            rays.means(simd, &WithPlace(edges), &mut [&mut *shape, by_u, by_v]);
         }
         let (m, h) = (corner.level as f32, corner.contrast as f32);
-        let per_point = h * share;
+        let by_width_factor = h / corner.width as f32;
         let (light, weight, residuals) =
             (&patch.light[..n], &patch.weight[..n], &mut model.residual[..n]);
         for i in 0..n {
-            shape[i] *= share;
             residuals[i] = light[i] - m - h * shape[i];
             level[i] = 1.0;
-            by_u[i] *= per_point;
-            by_v[i] *= per_point;
+            by_u[i] *= h;
+            by_v[i] *= h;
             if P == ALL {
-                by_1[i] *= per_point;
-                by_2[i] *= per_point;
-                by_width[i] *= per_point * narrower;
+                by_1[i] *= h;
+                by_2[i] *= h;
+                by_width[i] *= by_width_factor;
             }
         }
-        let mut cost = 0.0_f32;
-        for i in 0..n {
-            cost += weight[i] * residuals[i] * residuals[i];
-        }
-        f64::from(cost)
+        f64::from(weighted_squares(simd, weight, residuals))
+    }
+}
+
+/// The product of both steps, and how it changes with the place.
+pub(super) struct WithPlace<S: Simd>(pub Edges<S>);
+
+impl<S: Simd> OfRays<S, 3> for WithPlace<S> {
+    #[inline(always)]
+    fn of_rays(&self, rays: &RayLanes<S>) -> [Lanes<S>; 3] {
+        let seen = self.0.seen(rays);
+        let [u, v] = self.0.by_place(&seen);
+        [seen.shape(), u, v]
+    }
+}
+
+/// The same, and how it changes with both directions and the width.
+struct WithForm<S: Simd>(Edges<S>);
+
+impl<S: Simd> OfRays<S, 6> for WithForm<S> {
+    #[inline(always)]
+    fn of_rays(&self, rays: &RayLanes<S>) -> [Lanes<S>; 6] {
+        let seen = self.0.seen(rays);
+        let ([u, v], [first, second, width]) = (self.0.by_place(&seen), self.0.by_form(&seen));
+        [seen.shape(), u, v, first, second, width]
     }
 }

@@ -5,7 +5,7 @@
 //! Openings that do not fill the distance between micro-lenses, φ < 1, blur less; a point spread, printed edges that are not
 //! sharp and boards that move make all edges wider by the same variance v.
 
-use nalgebra::{Matrix1x3, Matrix1x4, Matrix2, Matrix3, RowVector3, Vector2, Vector4};
+use nalgebra::{Matrix1x3, Matrix1x4, Matrix2, Matrix3, Matrix4, RowVector3, Vector2, Vector4};
 
 use super::blur::Rays;
 use super::corner::Corner;
@@ -46,7 +46,10 @@ pub(super) struct OfFrames {
 
 impl EdgeWidth {
     /// Of a corner that was fitted with `rays`, and by how much its place is off because of these, px: `summed` is how pixels
-    /// see it, and its blur radius grows by `by_fill_px` with ln φ. `None` if the light does not determine its place.
+    /// see it, and its blur radius grows by `by_fill_px` with ln φ. `None` if the light does not determine it.
+    ///
+    /// The pixels may be too few for a place: `inverse` is that of the normal matrix of all that were fitted, of which these
+    /// are the part `share`, by weight.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn of(
         corner: &Corner,
@@ -54,11 +57,11 @@ impl EdgeWidth {
         rays: &Rays,
         summed: &[SummedShape],
         by_fill_px: f64,
+        (inverse, share): (&Matrix4<f64>, f64),
     ) -> Option<(Self, Vector2<f64>)> {
         let pixels = patch.x.len();
-        let share = 1.0 / rays.points().len() as f32;
         let (level, contrast) = (corner.level as f32, corner.contrast as f32);
-        let by_few = corner.shape(pixels, rays);
+        let by_few = corner.shape(rays);
         let radius_by_fill = by_fill_px as f32;
         let mut equations = NormalEquations::<f32, 4, 4>::new();
         let mut products = Matrix3::<f64>::zeros();
@@ -69,14 +72,15 @@ impl EdgeWidth {
             let by_fill = contrast * radius_by_fill * seen.by_radius;
             let by_width = contrast * seen.by_width;
             let of_pixel = Matrix1x3::new(residual, by_fill, by_width);
-            let approximation = contrast * (by_few[i] * share - seen.shape);
+            let approximation = contrast * (by_few[i] - seen.shape);
             let all = Matrix1x4::new(residual, by_fill, by_width, approximation);
             equations.add(&row, &all, patch.weight[i]);
             let of_pixel: RowVector3<f64> = of_pixel.map(f64::from);
             products += of_pixel.transpose() * of_pixel * f64::from(patch.weight[i]);
         }
-        let off = equations.solve()?.fixed_view::<2, 1>(0, 3).map(f64::from);
-        let left = products - equations.in_double().explained()?.fixed_view::<3, 3>(0, 0);
+        let equations = equations.in_double();
+        let off = (inverse * equations.right().column(3)).xy() / share;
+        let left = products - equations.explained()?.fixed_view::<3, 3>(0, 0);
         let variance = left[(0, 0)] / (pixels as f64 - USED).max(1.0);
         let information = left.fixed_view::<2, 2>(1, 1) / variance;
         let right = left.fixed_view::<2, 1>(1, 0) / variance;

@@ -7,8 +7,9 @@ use super::frame::Frame;
 use super::patch::{Pair, Unusable};
 use crate::numerics::median;
 
-/// One micro-image in so many shows how bright the frame is.
-const SAMPLED: usize = 5;
+/// So many micro-images show how bright the frame is, and every second one along both rows and columns at most.
+const ENOUGH: usize = 4000;
+const LEAST_STEP: i32 = 2;
 /// Darkest and brightest part of the micro-images that are left out for the levels.
 const TAIL: f64 = 0.02;
 /// A frame whose light differs by less than this part shows nothing, nor one that differs by less than a
@@ -37,7 +38,10 @@ struct Level {
 impl Frame<'_> {
     /// Half the difference between the bright and the dark squares, relative to the white image.
     pub(super) fn contrast(&self, nodes: &[(i32, i32)]) -> Result<f64, Rejection> {
-        let mut levels = self.levels(nodes.iter().step_by(SAMPLED));
+        #[allow(clippy::cast_possible_truncation)] // a few
+        let step = ((nodes.len() / ENOUGH).isqrt() as i32).max(LEAST_STEP);
+        let sampled = nodes.iter().filter(|(k, l)| k % step == 0 && l % step == 0);
+        let mut levels = self.levels(sampled);
         // Those at the border say nothing of the light.
         levels.retain(|level| !matches!(level, Err(Unusable::Cut)));
         self.check_exposure(&levels)?;

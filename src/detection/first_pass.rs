@@ -12,10 +12,12 @@ use super::grouping::{Group, LineSearch, groups_on_lines, is_texture};
 use super::patch::{Pair, Patch, Room};
 use super::saddle::saddles;
 use super::{CornerObservation, MicroOptics};
-use crate::model::Configuration;
+use crate::model::{Configuration, LatticeKind};
 
 /// Micro-images along the edge of a tile that is read at once.
 const TILE: i32 = 16;
+/// Micro-images whose centres are up to so many pitches from that of one with a corner may show it too.
+const ABOUT: f64 = 2.05;
 /// How far from the centre of a micro-image its pixels are read, in pitches.
 pub(super) const REACH: f64 = 0.6;
 /// Least and largest contrast of corners, in parts of the frame's: nothing is brighter or darker than its
@@ -43,22 +45,102 @@ const FURTHEST_BEFORE: f64 = 1.5;
 /// Distance of observations from their line before vignetting is taken into account, in pitches.
 const ROUGH: f64 = 0.06;
 
-impl Frame<'_> {
-    /// Corners in all micro-images, each alone.
-    pub(super) fn first_pass(
-        &self,
-        mut nodes: Vec<(i32, i32)>,
-        contrast: f64,
-        counts: &mut FrameCounts,
-    ) -> Vec<CornerObservation> {
-        let micro_images = self.search.micro_images;
+/// The corners that single micro-images show.
+///
+/// A corner of the board shows in several neighbours: first, one micro-image in four is searched, and those about corners.
+pub(super) struct FirstPass<'a> {
+    frame: &'a Frame<'a>,
+    /// Of the frame.
+    pub contrast: f64,
+    /// Micro-images of the lattice that are in the image, and were not searched yet.
+    left: Vec<bool>,
+    /// Number of those that were searched, and of those of them that are unusable.
+    pub looked_at: usize,
+    pub unusable: usize,
+    /// What was found.
+    pub observations: Vec<CornerObservation>,
+}
+
+impl<'a> FirstPass<'a> {
+    /// Before any of these micro-images was searched.
+    pub fn new(frame: &'a Frame<'a>, nodes: &[(i32, i32)], contrast: f64) -> Self {
+        let mut pass = Self {
+            frame,
+            contrast,
+            left: vec![false; frame.search.micro_images.grid.lattice.nodes()],
+            looked_at: 0,
+            unusable: 0,
+            observations: Vec::new(),
+        };
+        for &node in nodes {
+            let i = pass.index(node);
+            pass.left[i] = true;
+        }
+        pass
+    }
+
+    /// Searches some micro-images, and all those about corners.
+    pub fn search_some(&mut self) {
+        let kind = self.frame.search.micro_images.grid.lattice.kind();
+        let mut next = self.take_left(|node| is_among_some(kind, node));
+        while !next.is_empty() {
+            let found = self.search(next);
+            next = self.take_about(found);
+        }
+    }
+
+    /// Searches those that are left.
+    pub fn search_rest(&mut self) {
+        let rest = self.take_left(|_| true);
+        self.search(rest);
+    }
+
+    fn index(&self, (k, l): (i32, i32)) -> usize {
+        let columns = self.frame.search.micro_images.grid.lattice.columns;
+        usize::try_from(l * columns + k).expect("nodes of the lattice")
+    }
+
+    /// Takes micro-images of those that are left.
+    fn take_left(&mut self, wanted: impl Fn((i32, i32)) -> bool) -> Vec<(i32, i32)> {
+        let lattice = self.frame.search.micro_images.grid.lattice;
+        let nodes = (0..lattice.rows).flat_map(|l| (0..lattice.columns).map(move |k| (k, l)));
+        let mut taken = Vec::new();
+        for (left, node) in self.left.iter_mut().zip(nodes) {
+            if *left && wanted(node) {
+                *left = false;
+                taken.push(node);
+            }
+        }
+        taken
+    }
+
+    /// Takes those about the observations from a number on.
+    fn take_about(&mut self, first: usize) -> Vec<(i32, i32)> {
+        let micro_images = self.frame.search.micro_images;
+        let reach = ABOUT * micro_images.grid.pitch_px;
+        let mut taken = Vec::new();
+        for i in first..self.observations.len() {
+            for node in micro_images.about(&self.observations[i].center, reach) {
+                let index = self.index(node);
+                if std::mem::take(&mut self.left[index]) {
+                    taken.push(node);
+                }
+            }
+        }
+        taken
+    }
+
+    /// Searches micro-images, each alone. The number of observations before.
+    fn search(&mut self, mut nodes: Vec<(i32, i32)>) -> usize {
+        let Self { frame, contrast, .. } = *self;
+        let micro_images = frame.search.micro_images;
         let tile = |(k, l): (i32, i32)| (l / TILE, k / TILE);
         nodes.sort_by_key(|&node| tile(node));
         let tiles: Vec<&[(i32, i32)]> = nodes.chunk_by(|&a, &b| tile(a) == tile(b)).collect();
         let of_tile = |nodes: &&[(i32, i32)]| {
             let places = nodes.iter().map(|&(k, l)| micro_images.center(k, l));
             let reach = REACH * micro_images.grid.pitch_px;
-            let pair = Pair::about(self.image, self.white, places, reach);
+            let pair = Pair::about(frame.image, frame.white, places, reach);
             let mut unusable = 0;
             let mut observations = Vec::new();
             let (mut patch, mut room) = (Patch::default(), Room::default());
@@ -69,18 +151,31 @@ impl Frame<'_> {
                 }
                 let optics = micro_images.optics(node.0, node.1);
                 let corner = corner_alone(&patch, &optics, contrast);
-                observations.extend(corner.map(|corner| self.observation(node, &corner)));
+                observations.extend(corner.map(|corner| frame.observation(node, &corner)));
             }
             (observations, unusable)
         };
         let found: Vec<(Vec<CornerObservation>, usize)> = tiles.par_iter().map(of_tile).collect();
-        counts.unusable = found.iter().map(|(_, unusable)| unusable).sum();
-        let observations: Vec<CornerObservation> =
-            found.into_iter().flat_map(|(observations, _)| observations).collect();
-        counts.corners = observations.len();
-        observations
+        let before = self.observations.len();
+        self.looked_at += nodes.len();
+        for (observations, unusable) in found {
+            self.observations.extend(observations);
+            self.unusable += unusable;
+        }
+        before
     }
+}
 
+/// Whether a micro-image is among one in four that are spread evenly: every second one of every second row, staggered.
+fn is_among_some(kind: LatticeKind, (k, l): (i32, i32)) -> bool {
+    let (along, row) = match kind {
+        LatticeKind::HexagonalColumns => (l, k),
+        _ => (k, l),
+    };
+    row % 2 == 0 && (along - row / 2) % 2 == 0
+}
+
+impl Frame<'_> {
     /// Clusters of observations, sorted into groups on lines.
     pub(super) fn groups(
         &self,

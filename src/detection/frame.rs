@@ -7,6 +7,7 @@ use tracing::{debug, info, trace};
 
 use super::board::{LabelledBoard, LatticePoint};
 use super::corner::Corner;
+use super::first_pass::FirstPass;
 use super::grouping::Group;
 use super::{CornerObservation, DepthEstimator, Detection, MicroImages, Rejection};
 use crate::image::Grey;
@@ -65,6 +66,9 @@ pub(super) const MARGIN: f64 = 1.0;
 /// many pitches from the border.
 const SIDE: usize = 3;
 const SURE_MARGIN: f64 = 2.5;
+/// Some micro-images show the board where they have no larger part of corners that do not belong to it: these may be those of
+/// its other squares.
+const OFF_BOARD: f64 = 0.05;
 /// Labels are wrong where the second pass loses so many labelled corners, and so large a part of them: of boards in their
 /// place it lost two at most and less than a tenth in simulated frames, of a lattice with other rows than the board's half.
 const MANY_LOST: usize = 4;
@@ -110,15 +114,40 @@ impl Frame<'_> {
             return Err(Rejection::Size { image, white });
         }
         let nodes = self.nodes();
-        counts.looked_at = nodes.len();
         let contrast = self.contrast(&nodes).inspect_err(|_| {
+            counts.looked_at = nodes.len();
             counts.unusable = self.count_unusable(&nodes);
         })?;
-        let observations = self.first_pass(nodes, contrast, counts);
-        let groups = self.groups(&observations, counts);
+        let mut first = FirstPass::new(self, &nodes, contrast);
+        first.search_some();
+        let found = self.of_board(&first, counts);
+        let is_whole = counts.off_board as f64 <= OFF_BOARD * counts.corners as f64;
+        found.ok().filter(|_| is_whole).map_or_else(
+            || {
+                first.search_rest();
+                self.of_board(&first, counts)
+            },
+            Ok,
+        )
+    }
+
+    /// The board that shows in micro-images of which some, or all, were searched.
+    fn of_board(
+        &self,
+        first: &FirstPass,
+        counts: &mut FrameCounts,
+    ) -> Result<Detection, Rejection> {
+        let FirstPass { observations, contrast, .. } = first;
+        *counts = FrameCounts {
+            looked_at: first.looked_at,
+            unusable: first.unusable,
+            corners: observations.len(),
+            ..FrameCounts::default()
+        };
+        let groups = self.groups(observations, counts);
         trace!("frame {}: contrast {contrast:.3}, {} lines", self.frame, groups.len());
-        let labelled = self.labelled(&observations, &groups, counts)?;
-        let passed = self.second_pass(&groups, &labelled, contrast, counts);
+        let labelled = self.labelled(observations, &groups, counts)?;
+        let passed = self.second_pass(&groups, &labelled, *contrast, counts);
         let corners = &passed.corners;
         self.check_sides(&labelled, |corner| corners.iter().any(|c| c.corner == corner))?;
         if corners.len() < MIN_CORNERS {

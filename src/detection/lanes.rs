@@ -1,56 +1,190 @@
-//! Sums of single precision, added up side by side as registers do.
+//! Numbers of single precision side by side, as registers hold them.
+//!
+//! Compilers seldom see that sums over the points of the micro-lens can be done so; these are.
 
 // Only what is inlined into a dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
 
-/// Numbers that are added up side by side.
-pub(super) const LANES: usize = 8;
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use pulp::Simd;
+
+/// As many numbers as a register holds.
+#[derive(Clone, Copy)]
+pub(super) struct Lanes<S: Simd> {
+    simd: S,
+    x: S::f32s,
+}
+
+impl<S: Simd> Lanes<S> {
+    /// The same number in all.
+    #[inline(always)]
+    pub fn splat(simd: S, x: f32) -> Self {
+        Self { simd, x: simd.splat_f32s(x) }
+    }
+
+    /// The numbers of a register.
+    #[inline(always)]
+    pub fn of(simd: S, x: S::f32s) -> Self {
+        Self { simd, x }
+    }
+
+    /// Them.
+    #[inline(always)]
+    pub fn register(self) -> S::f32s {
+        self.x
+    }
+
+    /// This times another, and a third.
+    #[inline(always)]
+    pub fn mul_add(self, by: Self, and: Self) -> Self {
+        Self::of(self.simd, self.simd.mul_add_e_f32s(self.x, by.x, and.x))
+    }
+
+    /// A third less this times another.
+    #[inline(always)]
+    pub fn mul_from(self, by: Self, from: Self) -> Self {
+        Self::of(self.simd, self.simd.negate_mul_add_e_f32s(self.x, by.x, from.x))
+    }
+
+    #[inline(always)]
+    pub fn clamp(self, least: Self, most: Self) -> Self {
+        let simd = self.simd;
+        Self::of(simd, simd.max_f32s(least.x, simd.min_f32s(self.x, most.x)))
+    }
+
+    #[inline(always)]
+    pub fn max(self, other: Self) -> Self {
+        Self::of(self.simd, self.simd.max_f32s(self.x, other.x))
+    }
+
+    /// The sum of all.
+    #[inline(always)]
+    pub fn sum(self) -> f32 {
+        self.simd.reduce_sum_f32s(self.x)
+    }
+}
+
+impl<S: Simd> Add for Lanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self::of(self.simd, self.simd.add_f32s(self.x, other.x))
+    }
+}
+
+impl<S: Simd> Sub for Lanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Self::of(self.simd, self.simd.sub_f32s(self.x, other.x))
+    }
+}
+
+impl<S: Simd> Mul for Lanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        Self::of(self.simd, self.simd.mul_f32s(self.x, other.x))
+    }
+}
+
+impl<S: Simd> Div for Lanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        Self::of(self.simd, self.simd.div_f32s(self.x, other.x))
+    }
+}
+
+impl<S: Simd> Neg for Lanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self::of(self.simd, self.simd.neg_f32s(self.x))
+    }
+}
 
 /// The sum of products.
 #[inline(always)]
-pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut lanes = [0.0_f32; LANES];
-    let (a, a_rest) = a.as_chunks::<LANES>();
-    let (b, b_rest) = b.as_chunks::<LANES>();
-    for (a, b) in a.iter().zip(b) {
-        for lane in 0..LANES {
-            lanes[lane] += a[lane] * b[lane];
-        }
+pub(super) fn dot<S: Simd>(simd: S, a: &[f32], b: &[f32]) -> f32 {
+    let n = a.len().min(b.len());
+    let ((a, a_rest), (b, b_rest)) = (S::as_simd_f32s(&a[..n]), S::as_simd_f32s(&b[..n]));
+    let zero = Lanes::splat(simd, 0.0);
+    // Two sums, since each has to wait for its last product.
+    let mut sums = [zero, zero];
+    let half = a.len() / 2;
+    for i in 0..half {
+        sums[0] = Lanes::of(simd, a[2 * i]).mul_add(Lanes::of(simd, b[2 * i]), sums[0]);
+        sums[1] = Lanes::of(simd, a[2 * i + 1]).mul_add(Lanes::of(simd, b[2 * i + 1]), sums[1]);
     }
-    let rest: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-    lanes.iter().sum::<f32>() + rest
+    if a.len() > 2 * half {
+        sums[0] = Lanes::of(simd, a[2 * half]).mul_add(Lanes::of(simd, b[2 * half]), sums[0]);
+    }
+    let mut rest = 0.0;
+    for (a, b) in a_rest.iter().zip(b_rest) {
+        rest += a * b;
+    }
+    (sums[0] + sums[1]).sum() + rest
 }
 
 /// The sum of numbers.
 #[inline(always)]
-pub(super) fn sum(a: &[f32]) -> f32 {
-    let mut lanes = [0.0_f32; LANES];
-    let (a, a_rest) = a.as_chunks::<LANES>();
+pub(super) fn sum<S: Simd>(simd: S, a: &[f32]) -> f32 {
+    let (a, a_rest) = S::as_simd_f32s(a);
+    let mut all = Lanes::splat(simd, 0.0);
     for a in a {
-        for lane in 0..LANES {
-            lanes[lane] += a[lane];
-        }
+        all = all + Lanes::of(simd, *a);
     }
-    lanes.iter().sum::<f32>() + a_rest.iter().sum::<f32>()
+    let mut rest = 0.0;
+    for a in a_rest {
+        rest += a;
+    }
+    all.sum() + rest
+}
+
+/// The weighted sum of squares.
+#[inline(always)]
+pub(super) fn weighted_squares<S: Simd>(simd: S, weight: &[f32], a: &[f32]) -> f32 {
+    let n = a.len().min(weight.len());
+    let ((w, w_rest), (a, a_rest)) = (S::as_simd_f32s(&weight[..n]), S::as_simd_f32s(&a[..n]));
+    let mut all = Lanes::splat(simd, 0.0);
+    for (w, a) in w.iter().zip(a) {
+        let a = Lanes::of(simd, *a);
+        all = (Lanes::of(simd, *w) * a).mul_add(a, all);
+    }
+    let mut rest = 0.0;
+    for (w, a) in w_rest.iter().zip(a_rest) {
+        rest += w * a * a;
+    }
+    all.sum() + rest
 }
 
 /// The largest of numbers that are not negative; 0 without any.
 #[inline(always)]
-pub(super) fn largest(a: &[f32]) -> f32 {
-    let mut lanes = [0.0_f32; LANES];
-    let (a, a_rest) = a.as_chunks::<LANES>();
+pub(super) fn largest<S: Simd>(simd: S, a: &[f32]) -> f32 {
+    let (a, a_rest) = S::as_simd_f32s(a);
+    let mut most = Lanes::splat(simd, 0.0);
     for a in a {
-        for lane in 0..LANES {
-            lanes[lane] = if a[lane] > lanes[lane] { a[lane] } else { lanes[lane] };
-        }
+        most = most.max(Lanes::of(simd, *a));
     }
-    lanes.iter().chain(a_rest).fold(0.0, |most, a| most.max(*a))
+    let mut rest = simd.reduce_max_f32s(most.x);
+    for a in a_rest {
+        rest = if *a > rest { *a } else { rest };
+    }
+    rest
 }
 
 /// Weighted products of rows with each other, in the lower triangle, and with numbers on their right. `weighted` is room for a
 /// row.
 #[inline(always)]
-pub(super) fn products<const P: usize, const Q: usize>(
+pub(super) fn products<S: Simd, const P: usize, const Q: usize>(
+    simd: S,
     rows: [&[f32]; P],
     right: [&[f32]; Q],
     weight: &[f32],
@@ -58,14 +192,15 @@ pub(super) fn products<const P: usize, const Q: usize>(
 ) -> ([[f32; P]; P], [[f32; Q]; P]) {
     let (mut normal, mut of_right) = ([[0.0; P]; P], [[0.0; Q]; P]);
     for a in 0..P {
-        for ((weighted, row), weight) in weighted.iter_mut().zip(rows[a]).zip(weight) {
-            *weighted = row * weight;
+        let (row, weight) = (&rows[a][..weighted.len()], &weight[..weighted.len()]);
+        for i in 0..weighted.len() {
+            weighted[i] = row[i] * weight[i];
         }
         for b in 0..=a {
-            normal[a][b] = dot(weighted, rows[b]);
+            normal[a][b] = dot(simd, weighted, rows[b]);
         }
         for b in 0..Q {
-            of_right[a][b] = dot(weighted, right[b]);
+            of_right[a][b] = dot(simd, weighted, right[b]);
         }
     }
     (normal, of_right)

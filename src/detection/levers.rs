@@ -7,16 +7,17 @@
 // Only what is inlined into a dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
 
-use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector4};
-use pulp::{Arch, NullaryFnOnce};
+use nalgebra::{Matrix2x3, Matrix4, SMatrix, Vector2};
+use pulp::{Arch, Simd, WithSimd};
 
 use super::aberration::Bend;
-use super::blur::Rays;
-use super::corner::{Corner, step};
+use super::blur::{OfRays, RayLanes, Rays};
+use super::corner::{Corner, Edges};
+use super::corner_fit::WithPlace;
+use super::lanes::{Lanes, dot, products, sum};
 use super::micro_images::OTHERWISE;
 use super::patch::Patch;
 use crate::model::TAKEN;
-use crate::numerics::NormalEquations;
 
 /// Derivatives of a place by what is taken from white images, px: see [`crate::model::TAKEN_FROM_WHITES`].
 pub(super) type ByTaken = SMatrix<f64, 2, TAKEN>;
@@ -36,14 +37,17 @@ pub(super) struct Levers {
 /// point spread, which may be 0, by px².
 pub(super) const STEPS: [f64; TAKEN] = [OTHERWISE, OTHERWISE, OTHERWISE, OTHERWISE, 0.02];
 
-/// What is taken for granted: γ, S, C and T, and what is taken from white images.
-const GIVEN: usize = 4 + TAKEN;
+/// What is taken for granted beside that: γ, S, C and T.
+const GIVEN: usize = 4;
 /// Columns: derivatives of the light by u and v, its shape, and by γ, S, C and T.
-const COLUMNS: usize = 7;
+const COLUMNS: usize = 3 + GIVEN;
+
+/// The unknowns of a fit: place (u, v), level and contrast.
+const UNKNOWNS: usize = 4;
 
 impl Corner {
-    /// The levers of a corner that was fitted; `None` if the light does not determine its place. `others` are its
-    /// rays if what is taken from white images is larger by [`STEPS`], or none.
+    /// The levers of a corner that was fitted, but for those by what is taken from white images, and the inverse of the normal
+    /// matrix of its fit; `None` if the light does not determine its place.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn levers(
         &self,
@@ -51,81 +55,119 @@ impl Corner {
         rays: &Rays,
         slope: f64,
         bend: &Bend,
-        others: &[Rays],
-    ) -> Option<Levers> {
+    ) -> Option<(Levers, Matrix4<f64>)> {
         let pixels = patch.x.len();
-        let mut columns = [const { Vec::new() }; COLUMNS].map(|_: Vec<f32>| vec![0.0; pixels]);
-        let bend = bend.in_single();
-        let nearness = (slope - 1.0) as f32;
-        Arch::new().dispatch(Sums { columns: &mut columns, corner: self, rays, bend, nearness });
-        let share = 1.0 / rays.points().len() as f32;
-        let per_point = self.contrast as f32 * share;
-        let shapes: Vec<Vec<f32>> = others.iter().map(|rays| self.shape(pixels, rays)).collect();
-        let [by_u, by_v, shape, given @ ..] = &columns;
-        let mut equations = NormalEquations::<f32, 4, GIVEN>::new();
-        for i in 0..pixels {
-            let row = Vector4::new(by_u[i] * per_point, by_v[i] * per_point, 1.0, shape[i] * share);
-            let moved =
-                SMatrix::<f32, 1, GIVEN>::from_fn(|_, k| match k.checked_sub(given.len()) {
-                    None => given[k][i] * per_point,
-                    Some(k) => shapes
-                        .get(k)
-                        .map_or(0.0, |other| (shape[i] - other[i]) * per_point / STEPS[k] as f32),
-                });
-            equations.add(&row, &moved, patch.weight[i]);
-        }
-        let levers = equations.solve()?.map(f64::from);
+        let mut room = vec![0.0; (COLUMNS + 2) * pixels];
+        let sums = Sums {
+            room: &mut room,
+            patch,
+            corner: self,
+            rays,
+            bend: bend.in_single(),
+            nearness: (slope - 1.0) as f32,
+        };
+        let (normal, right) = Arch::new().dispatch(sums);
+        let normal = Matrix4::from_fn(|a, b| f64::from(normal[a.max(b)][a.min(b)]));
+        let inverse = normal.cholesky()?.inverse();
+        let levers =
+            inverse * SMatrix::<f64, UNKNOWNS, GIVEN>::from_fn(|a, b| f64::from(right[a][b]));
         let place = levers.fixed_rows::<2>(0);
-        levers.iter().all(|x| x.is_finite()).then(|| Levers {
-            by_slope: place.column(0).into_owned(),
-            by_aberration: place.fixed_columns::<3>(1).into_owned(),
-            by_taken: place.fixed_columns::<TAKEN>(4).into_owned(),
+        levers.iter().all(|x| x.is_finite()).then(|| {
+            let levers = Levers {
+                by_slope: place.column(0).into_owned(),
+                by_aberration: place.fixed_columns::<3>(1).into_owned(),
+                by_taken: ByTaken::zeros(),
+            };
+            (levers, inverse)
         })
     }
 
-    /// The sum of the shapes of all rays, pixel by pixel.
-    pub fn shape(&self, pixels: usize, rays: &Rays) -> Vec<f32> {
-        let mut shape = vec![0.0; pixels];
-        Arch::new().dispatch(Shape { shape: &mut shape, corner: self, rays });
+    /// How the place changes with what is taken from white images, px, by a few pixels of those that were fitted: `others` are
+    /// their rays if that is larger by [`STEPS`]. Few pixels may not determine the place, so `inverse` is that of all of
+    /// them, of which these are the part `share`.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn by_taken(
+        &self,
+        few: &Patch,
+        rays: &Rays,
+        others: &[Rays; TAKEN],
+        inverse: &Matrix4<f64>,
+        share: f64,
+    ) -> ByTaken {
+        let mut room = vec![0.0; 4 * few.x.len()];
+        let (corner, patch) = (self, few);
+        let changes = Changes { room: &mut room, patch, corner, rays, others };
+        let right = Arch::new().dispatch(changes);
+        let right = SMatrix::<f64, UNKNOWNS, TAKEN>::from_fn(|a, b| {
+            f64::from(right[a][b]) / STEPS[b] / share
+        });
+        (inverse * right).fixed_rows::<2>(0).into_owned()
+    }
+
+    /// The mean of the shapes that all rays show, pixel by pixel.
+    pub fn shape(&self, rays: &Rays) -> Vec<f32> {
+        let mut shape = vec![0.0; rays.len()];
+        Arch::new().dispatch(MeanShape { corner: self, rays, shape: &mut shape });
         shape
     }
 }
 
 /// See [`Corner::shape`].
-struct Shape<'a> {
-    shape: &'a mut [f32],
+struct MeanShape<'a> {
     corner: &'a Corner,
     rays: &'a Rays,
+    shape: &'a mut [f32],
 }
 
-impl NullaryFnOnce for Shape<'_> {
+impl WithSimd for MeanShape<'_> {
     type Output = ();
 
     #[inline(always)]
-    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    fn call(self) {
-        let Self { shape, corner, rays } = self;
-        let (n, narrower) = (shape.len(), (1.0 / corner.width) as f32);
-        let place = corner.place.map(|x| x as f32);
-        let [(s1, c1), (s2, c2)] = corner.angles.map(|angle| {
-            let (s, c) = angle.sin_cos();
-            (s as f32, c as f32)
-        });
-        for [origin_x, origin_y, _, _, inverse_width] in rays.points() {
-            let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
-            let inverse_width = &inverse_width[..n];
-            for i in 0..n {
-                let inverse = inverse_width[i] * narrower;
-                let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
-                shape[i] += step(c1 * y - s1 * x).0 * step(c2 * y - s2 * x).0;
-            }
-        }
+    fn with_simd<S: Simd>(self, simd: S) {
+        self.rays.means(simd, &Shape(Edges::of(simd, self.corner)), &mut [self.shape]);
     }
 }
 
-/// The sums over points of the micro-lens, pixel by pixel.
+/// The product of both steps.
+struct Shape<S: Simd>(Edges<S>);
+
+impl<S: Simd> OfRays<S, 1> for Shape<S> {
+    #[inline(always)]
+    fn of_rays(&self, rays: &RayLanes<S>) -> [Lanes<S>; 1] {
+        [self.0.seen(rays).shape()]
+    }
+}
+
+/// What a place depends on, in the order of [`COLUMNS`], but for what is the same for all pixels.
+struct Terms<S: Simd> {
+    edges: Edges<S>,
+    /// Of the bend.
+    field: [Lanes<S>; 2],
+    zone2: Lanes<S>,
+}
+
+impl<S: Simd> OfRays<S, COLUMNS> for Terms<S> {
+    #[inline(always)]
+    fn of_rays(&self, rays: &RayLanes<S>) -> [Lanes<S>; COLUMNS] {
+        let seen = self.edges.seen(rays);
+        let ([u, v], [x, y]) = (self.edges.by_place(&seen), rays.pupil);
+        // The origin is w + (γ − 1) (what the point of the micro-lens and E make of it).
+        let by_slope = u.mul_add(rays.origin[0] - x, v * (rays.origin[1] - y));
+        // See `Bend::terms`.
+        let (square, along) = (x.mul_add(x, y * y), self.field[0].mul_add(x, self.field[1] * y));
+        let outwards = u.mul_add(x, v * y);
+        let of_field = u.mul_add(self.field[0], v * self.field[1]);
+        let by_s = outwards * (square - self.zone2);
+        let by_c = outwards.mul_add(along + along, of_field * square);
+        [u, v, seen.shape(), by_slope, by_s, by_c, of_field * along]
+    }
+}
+
+/// Normal equations of the unknowns, with the changes of the light by γ, S, C and T on their right.
 struct Sums<'a> {
-    columns: &'a mut [Vec<f32>; COLUMNS],
+    /// Room for [`COLUMNS`] and two more rows.
+    room: &'a mut [f32],
+    patch: &'a Patch,
     corner: &'a Corner,
     rays: &'a Rays,
     bend: Bend<f32>,
@@ -133,46 +175,82 @@ struct Sums<'a> {
     nearness: f32,
 }
 
-impl NullaryFnOnce for Sums<'_> {
-    type Output = ();
+impl WithSimd for Sums<'_> {
+    type Output = ([[f32; UNKNOWNS]; UNKNOWNS], [[f32; GIVEN]; UNKNOWNS]);
 
     #[inline(always)]
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    fn call(self) {
-        let Self { columns, corner, rays, bend, nearness } = self;
-        let n = columns[0].len();
-        let narrower = (1.0 / corner.width) as f32;
-        let place = corner.place.map(|x| x as f32);
-        let [(s1, c1), (s2, c2)] = corner.angles.map(|angle| {
-            let (s, c) = angle.sin_cos();
-            (s as f32, c as f32)
-        });
-        let columns = columns.each_mut().map(|column| &mut column[..n]);
-        let [by_u, by_v, shape, by_slope, by_s, by_c, by_t] = columns;
-        for [origin_x, origin_y, pupil_x, pupil_y, inverse_width] in rays.points() {
-            let (origin_x, origin_y) = (&origin_x[..n], &origin_y[..n]);
-            let (pupil_x, pupil_y) = (&pupil_x[..n], &pupil_y[..n]);
-            let inverse_width = &inverse_width[..n];
-            for i in 0..n {
-                let inverse = inverse_width[i] * narrower;
-                let (x, y) = ((origin_x[i] - place.x) * inverse, (origin_y[i] - place.y) * inverse);
-                let ((t1, e1), (t2, e2)) = (step(c1 * y - s1 * x), step(c2 * y - s2 * x));
-                let (g1, g2) = (e1 * t2, t1 * e2);
-                let u = (g1 * s1 + g2 * s2) * inverse;
-                let v = -(g1 * c1 + g2 * c2) * inverse;
-                by_u[i] += u;
-                by_v[i] += v;
-                shape[i] += t1 * t2;
-                let pupil = Vector2::new(pupil_x[i], pupil_y[i]);
-                // The origin is w + (γ − 1) (what the point of the micro-lens and E make of it).
-                let (along_x, along_y) = (origin_x[i] - pupil.x, origin_y[i] - pupil.y);
-                by_slope[i] += (u * along_x + v * along_y) / nearness;
-                let terms = bend.terms(&pupil);
-                by_s[i] += (u * terms[(0, 0)] + v * terms[(1, 0)]) * nearness;
-                by_c[i] += (u * terms[(0, 1)] + v * terms[(1, 1)]) * nearness;
-                by_t[i] += (u * terms[(0, 2)] + v * terms[(1, 2)]) * nearness;
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Self { room, patch, corner, rays, bend, nearness } = self;
+        let n = patch.x.len();
+        let mut rows = room.chunks_exact_mut(n.max(1));
+        let mut row = || rows.next().map_or(&mut [][..], |row| &mut row[..n]);
+        let (ones, weighted) = (row(), row());
+        let mut columns: [&mut [f32]; COLUMNS] = std::array::from_fn(|_| row());
+        let terms = Terms {
+            edges: Edges::of(simd, corner),
+            field: [Lanes::splat(simd, bend.field.x), Lanes::splat(simd, bend.field.y)],
+            zone2: Lanes::splat(simd, bend.zone2),
+        };
+        rays.means(simd, &terms, &mut columns);
+        let h = corner.contrast as f32;
+        let mut factors = [h * nearness; COLUMNS];
+        factors[..4].copy_from_slice(&[h, h, 1.0, h / nearness]);
+        for (column, factor) in columns.iter_mut().zip(factors) {
+            for x in column.iter_mut() {
+                *x *= factor;
             }
         }
+        ones.fill(1.0);
+        let [by_u, by_v, shape, given @ ..] = &columns;
+        products(
+            simd,
+            [&**by_u, &**by_v, ones, &**shape],
+            given.each_ref().map(|given| &**given),
+            &patch.weight,
+            weighted,
+        )
+    }
+}
+
+/// Products of the derivatives of the light by the unknowns with its changes by what is taken from white images.
+struct Changes<'a> {
+    /// Room for four rows.
+    room: &'a mut [f32],
+    patch: &'a Patch,
+    corner: &'a Corner,
+    rays: &'a Rays,
+    others: &'a [Rays; TAKEN],
+}
+
+impl WithSimd for Changes<'_> {
+    type Output = [[f32; TAKEN]; UNKNOWNS];
+
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Self { room, patch, corner, rays, others } = self;
+        let n = patch.x.len();
+        let mut rows = room.chunks_exact_mut(n.max(1));
+        let [by_u, by_v, shape, change] =
+            std::array::from_fn(|_| rows.next().map_or(&mut [][..], |row| &mut row[..n]));
+        let mut all = [&mut *shape, by_u, by_v];
+        rays.means(simd, &WithPlace(Edges::of(simd, corner)), &mut all);
+        let [shape, by_u, by_v] = all;
+        let mut products = [[0.0; TAKEN]; UNKNOWNS];
+        let (h, of_shape) = (corner.contrast as f32, Shape(Edges::of(simd, corner)));
+        for (k, other) in others.iter().enumerate() {
+            other.means(simd, &of_shape, &mut [&mut *change]);
+            // The corner moves to where it makes up for the change.
+            for i in 0..n {
+                change[i] = (shape[i] - change[i]) * h * patch.weight[i];
+            }
+            products[0][k] = dot(simd, by_u, change) * h;
+            products[1][k] = dot(simd, by_v, change) * h;
+            products[2][k] = sum(simd, change);
+            products[3][k] = dot(simd, shape, change);
+        }
+        products
     }
 }
 
@@ -203,17 +281,8 @@ mod tests {
     /// The light of a corner in a micro-image with these rays.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn light(patch: &mut Patch, corner: &Corner, rays: &Rays) {
-        for i in 0..patch.x.len() {
-            let of_point = |point: [&[f32]; 5]| {
-                let step = |distance: f64| f64::from(step(distance as f32 * point[4][i]).0);
-                let from =
-                    Vector2::new(f64::from(point[0][i]), f64::from(point[1][i])) - corner.place;
-                let [a, b] =
-                    corner.angles.map(|angle| step(angle.cos() * from.y - angle.sin() * from.x));
-                a * b
-            };
-            let mean = rays.points().map(of_point).sum::<f64>() / rays.points().len() as f64;
-            patch.light[i] = (corner.level + corner.contrast * mean) as f32;
+        for (light, shape) in patch.light.iter_mut().zip(corner.shape(rays)) {
+            *light = (corner.level + corner.contrast * f64::from(shape)) as f32;
         }
     }
 
@@ -243,7 +312,7 @@ mod tests {
         let (known, bend) = rays(SLOPE, [0.0; 3], &patch);
         let truth = corner(place);
         light(&mut patch, &truth, &known);
-        let levers = truth.levers(&patch, &known, SLOPE, &bend, &[]).unwrap();
+        let (levers, inverse) = truth.levers(&patch, &known, SLOPE, &bend).unwrap();
         let place_with = |slope: f64, coefficients: [f64; 3]| {
             let (rays, _) = rays(slope, coefficients, &patch);
             truth.fitted(&patch, &rays, Free::Place).unwrap().place
@@ -273,7 +342,7 @@ mod tests {
             let (optics, vignetting) = micro_images.otherwise(&optics, taken);
             Blur::new(&optics, SLOPE, bend, vignetting).rays(&patch)
         });
-        let by_taken = truth.levers(&patch, &known, SLOPE, &bend, &others).unwrap().by_taken;
+        let by_taken = truth.by_taken(&patch, &known, &others, &inverse, 1.0);
         for ((other, lever), step) in others.iter().zip(by_taken.column_iter()).zip(STEPS) {
             let moved = truth.fitted(&patch, other, Free::Place).unwrap().place - place;
             close(moved, lever.into_owned(), step);

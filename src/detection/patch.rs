@@ -4,9 +4,9 @@
 #![allow(clippy::inline_always)]
 
 use nalgebra::Vector2;
-use pulp::{Arch, NullaryFnOnce};
+use pulp::{Arch, NullaryFnOnce, Simd, WithSimd};
 
-use super::lanes::{LANES, largest};
+use super::lanes::{dot, largest, sum, weighted_squares};
 use super::micro_images::MicroImages;
 use crate::image::{Grey, Image};
 
@@ -89,15 +89,16 @@ impl Patch {
         (f64::from(mean), f64::from((second / sum - mean * mean).max(0.0).sqrt()))
     }
 
+    /// Sum of the weights.
+    pub fn sum_of_weights(&self) -> f64 {
+        let [sum, ..] = Arch::new().dispatch(LightMoments(self));
+        f64::from(sum)
+    }
+
     /// Weighted sum of squares of the light less its mean.
     pub fn sum_of_squares(&self) -> f64 {
-        let all = || {
-            let all = self.light.iter().zip(&self.weight);
-            all.map(|(&light, &weight)| (f64::from(light), f64::from(weight)))
-        };
-        let weights: f64 = all().map(|(_, weight)| weight).sum();
-        let mean = all().map(|(light, weight)| light * weight).sum::<f64>() / weights;
-        all().map(|(light, weight)| (light - mean).powi(2) * weight).sum()
+        let std_dev = self.mean_and_std_dev().1;
+        self.sum_of_weights() * std_dev * std_dev
     }
 }
 
@@ -214,11 +215,27 @@ impl Pair {
             patch.light.extend_from_slice(&self.board.pixels[v * width..][first..last]);
             whites.extend_from_slice(&self.white.pixels[v * width..][first..last]);
         }
-        let [saturated, saturated_white] = [&patch.light, &*whites].map(|light| {
-            Arch::new().dispatch(|| light.iter().map(|l| u32::from(*l >= 1.0)).sum::<u32>())
-        });
-        let brightest = Arch::new().dispatch(|| largest(whites));
-        Some((brightest, saturated, saturated_white))
+        Some(Arch::new().dispatch(Brightness { board: &patch.light, white: whites }))
+    }
+}
+
+/// The brightest light in the white image, and how many pixels are saturated in both images.
+struct Brightness<'a> {
+    board: &'a [f32],
+    white: &'a [f32],
+}
+
+impl WithSimd for Brightness<'_> {
+    type Output = (f32, u32, u32);
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let (mut saturated, mut saturated_white) = (0, 0);
+        for (board, white) in self.board.iter().zip(self.white) {
+            saturated += u32::from(*board >= 1.0);
+            saturated_white += u32::from(*white >= 1.0);
+        }
+        (largest(simd, self.white), saturated, saturated_white)
     }
 }
 
@@ -234,28 +251,13 @@ pub(super) struct Room {
 /// Weights of the pixels of a patch, those times their light, and times its square.
 struct LightMoments<'a>(&'a Patch);
 
-impl NullaryFnOnce for LightMoments<'_> {
+impl WithSimd for LightMoments<'_> {
     type Output = [f32; 3];
 
     #[inline(always)]
-    fn call(self) -> Self::Output {
-        let mut sums = [[0.0_f32; LANES]; 3];
-        let (lights, last_lights) = self.0.light.as_chunks::<LANES>();
-        let (weights, last_weights) = self.0.weight.as_chunks::<LANES>();
-        for (light, weight) in lights.iter().zip(weights) {
-            for i in 0..LANES {
-                let weighted = weight[i] * light[i];
-                sums[0][i] += weight[i];
-                sums[1][i] += weighted;
-                sums[2][i] += weighted * light[i];
-            }
-        }
-        for (light, weight) in last_lights.iter().zip(last_weights) {
-            sums[0][0] += weight;
-            sums[1][0] += weight * light;
-            sums[2][0] += weight * light * light;
-        }
-        sums.map(|lanes| lanes.iter().sum())
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Patch { light, weight, .. } = self.0;
+        [sum(simd, weight), dot(simd, weight, light), weighted_squares(simd, weight, light)]
     }
 }
 

@@ -4,7 +4,7 @@
 #![allow(clippy::inline_always)]
 
 use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
-use pulp::{Arch, NullaryFnOnce};
+use pulp::{Arch, Simd, WithSimd};
 
 use super::corner::Corner;
 use super::lanes::{dot, sum};
@@ -122,18 +122,18 @@ struct Moments<'a> {
     room: &'a mut Vec<f32>,
 }
 
-impl NullaryFnOnce for Moments<'_> {
+impl WithSimd for Moments<'_> {
     type Output = ([f32; ORDERS], [f32; 6]);
 
     #[inline(always)]
-    fn call(self) -> Self::Output {
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         let Self { patch, mean, middle: [x0, y0], radius, room } = self;
         // Pixels are in rows.
         let first = patch.y.partition_point(|y| *y < y0 - radius);
         let last = patch.y.partition_point(|y| *y <= y0 + radius);
         let n = last - first;
-        let [x, y, light, weight] =
-            [&patch.x, &patch.y, &patch.light, &patch.weight].map(|all| &all[first..last]);
+        let (x, y) = (&patch.x[first..last], &patch.y[first..last]);
+        let (light, weight) = (&patch.light[first..last], &patch.weight[first..last]);
         room.clear();
         room.resize(ROWS * n, 0.0);
         let mut rows = room.chunks_exact_mut(n.max(1));
@@ -150,23 +150,30 @@ impl NullaryFnOnce for Moments<'_> {
             wl[i] = weight * (light[i] - mean);
         }
         let moments = [
-            sum(w),
-            sum(wx),
-            sum(wy),
-            sum(wxx),
-            sum(wxy),
-            sum(wyy),
-            dot(wxx, xs),
-            dot(wxx, ys),
-            dot(wyy, xs),
-            dot(wyy, ys),
-            dot(wxx, xx),
-            dot(wxx, xy),
-            dot(wxx, yy),
-            dot(wxy, yy),
-            dot(wyy, yy),
+            sum(simd, w),
+            sum(simd, wx),
+            sum(simd, wy),
+            sum(simd, wxx),
+            sum(simd, wxy),
+            sum(simd, wyy),
+            dot(simd, wxx, xs),
+            dot(simd, wxx, ys),
+            dot(simd, wyy, xs),
+            dot(simd, wyy, ys),
+            dot(simd, wxx, xx),
+            dot(simd, wxx, xy),
+            dot(simd, wxx, yy),
+            dot(simd, wxy, yy),
+            dot(simd, wyy, yy),
         ];
-        let of_light = [sum(wl), dot(wl, xs), dot(wl, ys), dot(wl, xx), dot(wl, xy), dot(wl, yy)];
+        let of_light = [
+            sum(simd, wl),
+            dot(simd, wl, xs),
+            dot(simd, wl, ys),
+            dot(simd, wl, xx),
+            dot(simd, wl, xy),
+            dot(simd, wl, yy),
+        ];
         (moments, of_light)
     }
 }

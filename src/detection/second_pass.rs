@@ -1,9 +1,9 @@
 //! The second pass: every corner of the board where its line, or that of its neighbours, expects it.
 
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix4, Vector2, Vector3};
 use rayon::prelude::*;
 
-use super::aberration::{Aberration, Bend};
+use super::aberration::Aberration;
 use super::blur::{Blur, Rays};
 use super::board::LabelledBoard;
 use super::corner::Corner;
@@ -231,11 +231,12 @@ impl SecondPass<'_> {
                 let start = self.expected_corner(sought, &center, patch.mean());
                 let rays = blur.rays(&patch);
                 let mut corner = self.fitted(&start, &patch, &rays)?;
-                let mut levers = corner.levers(&patch, &rays, slope, &bend, &[])?;
-                let known = (&optics, slope, &bend);
+                let fitted = (&patch, &rays, slope);
+                let (mut levers, inverse) = corner.levers(&patch, &rays, slope, &bend)?;
                 let has_width = self.last || (node.0 + node.1).rem_euclid(ROUGH_WIDTHS) == 0;
                 let width = if has_width {
-                    let (width, off) = self.by_few(&corner, &patch, known, &mut levers)?;
+                    let (width, off) =
+                        self.by_few(&corner, fitted, (&optics, &blur), (&mut levers, &inverse))?;
                     corner.place += off;
                     Some(width)
                 } else {
@@ -273,35 +274,26 @@ impl SecondPass<'_> {
     fn by_few(
         &self,
         corner: &Corner,
-        patch: &Patch,
-        (optics, slope, bend): (&MicroOptics, f64, &Bend),
-        levers: &mut Levers,
+        (patch, rays, slope): (&Patch, &Rays, f64),
+        (optics, blur): (&MicroOptics, &Blur),
+        (levers, inverse): (&mut Levers, &Matrix4<f64>),
     ) -> Option<(EdgeWidth, Vector2<f64>)> {
-        let micro_images = self.frame.search.micro_images;
-        let few =
-            if self.last { patch.thinned(FEW) } else { patch.thinned(FEW.div_ceil(ROUGH_PIXELS)) };
-        let as_is = |optics: &MicroOptics, vignetting| {
-            Blur::new(optics, slope, *bend, vignetting).wider(self.wider_px2)
-        };
-        let blur = as_is(optics, micro_images.vignetting(optics));
-        let rays = blur.rays(&few);
+        let step = if self.last { FEW } else { FEW.div_ceil(ROUGH_PIXELS) };
+        let (few, rays) = (patch.thinned(step), rays.thinned(step));
+        let share = few.sum_of_weights() / patch.sum_of_weights();
         if self.last {
-            let fewer = few.thinned(FEWER);
+            let (fewer, rays) = (few.thinned(FEWER), rays.thinned(FEWER));
             let others: [Rays; TAKEN] = std::array::from_fn(|taken| {
-                let (optics, vignetting) = micro_images.otherwise(optics, taken);
-                as_is(&optics, vignetting).rays(&fewer)
+                let (optics, vignetting) = self.frame.search.micro_images.otherwise(optics, taken);
+                let blur = Blur::new(&optics, slope, blur.bend, vignetting);
+                blur.wider(self.wider_px2).rays(&fewer)
             });
-            if let Some(by_few) = corner.levers(&fewer, &blur.rays(&fewer), slope, bend, &others) {
-                levers.by_taken = by_few.by_taken;
-            }
+            let share = fewer.sum_of_weights() / patch.sum_of_weights();
+            levers.by_taken = corner.by_taken(&fewer, &rays, &others, inverse, share);
         }
-        EdgeWidth::of(
-            corner,
-            &few,
-            &rays,
-            &blur.summed(corner, &few),
-            optics.blur_by_fill_px(slope),
-        )
+        let summed = blur.summed(corner, &few);
+        let by_fill_px = optics.blur_by_fill_px(slope);
+        EdgeWidth::of(corner, &few, &rays, &summed, by_fill_px, (inverse, share))
     }
 
     /// A corner as it should show in the micro-image about `center`, whose mean light is `level`.

@@ -17,11 +17,12 @@
 use std::sync::LazyLock;
 
 use nalgebra::Vector2;
-use pulp::{Arch, NullaryFnOnce};
+use pulp::{Arch, Simd, WithSimd};
 
 use super::blur::Blur;
 use super::corner::Corner;
 use super::cut_normal::{Rim, Step};
+use super::lanes::sum;
 use super::patch::Patch;
 use crate::vignetting::cells_of_disc;
 
@@ -98,12 +99,12 @@ struct Sum<'a> {
     shapes: &'a mut [SummedShape],
 }
 
-impl NullaryFnOnce for Sum<'_> {
+impl WithSimd for Sum<'_> {
     type Output = ();
 
     #[inline(always)]
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    fn call(self) {
+    fn with_simd<S: Simd>(self, simd: S) {
         let Self { blur, corner, patch, shapes } = self;
         let lens = &*LENS;
         let [rho, q] = [blur.rho as f32, blur.q as f32];
@@ -148,7 +149,7 @@ impl NullaryFnOnce for Sum<'_> {
                 let b = Step::new(c2 * o_y - s2 * o_x, origin - narrower * n2 * n2);
                 let both = origin * cosine - narrower * n1 * n2;
                 let thirds = cut.thirds([n1, t1], [n2, t2]);
-                let value = mean_of_product([&a, &b], both, thirds.map(|x| cubed * x), fourths);
+                let value = mean_of_product([&a, &b], both, cubed, thirds, fourths);
                 let light = lens.is_one[j] * light * cut.visible;
                 // By the distance from either step, their variances and their covariance.
                 let by_1 = a.first * b.value + both * a.second * b.first;
@@ -173,27 +174,31 @@ impl NullaryFnOnce for Sum<'_> {
                 sums[3][j] = light * by_radius;
                 sums[4][j] = light * by_width;
             }
-            let per_light = all.iter().sum::<f32>().recip();
-            let [value, by_x, by_y, by_radius, by_width] =
-                sums.map(|sum| sum.iter().sum::<f32>() * per_light);
-            *shape = SummedShape { shape: value, by_place: [by_x, by_y], by_radius, by_width };
+            let per_light = sum(simd, &all).recip();
+            *shape = SummedShape {
+                shape: sum(simd, &sums[0]) * per_light,
+                by_place: [sum(simd, &sums[1]) * per_light, sum(simd, &sums[2]) * per_light],
+                by_radius: sum(simd, &sums[3]) * per_light,
+                by_width: sum(simd, &sums[4]) * per_light,
+            };
         }
     }
 }
 
-/// The mean of the product of two steps whose edges vary together, by the covariance of their distances and the third and
-/// fourth cumulants.
+/// The mean of the product of two steps whose edges vary together, by the covariance of their distances, the third cumulants,
+/// which are `cubed` times their numbers, and the fourth ones.
 #[inline(always)]
 fn mean_of_product(
     [a, b]: [&Step; 2],
     both: f32,
+    cubed: f32,
     [third_1, third_2, mixed_1, mixed_2]: [f32; 4],
     [fourth_1, fourth_31, fourth_22, fourth_13, fourth_2]: [f32; 5],
 ) -> f32 {
-    a.of_cumulants(third_1, fourth_1) * b.of_cumulants(third_2, fourth_2)
+    a.of_cumulants(cubed * third_1, fourth_1) * b.of_cumulants(cubed * third_2, fourth_2)
         + both * a.first * b.first
         + 0.5 * both * both * a.second * b.second
-        + 0.5 * (mixed_1 * a.second * b.first + mixed_2 * a.first * b.second)
+        + 0.5 * cubed * (mixed_1 * a.second * b.first + mixed_2 * a.first * b.second)
         + (fourth_31 * a.third * b.first + fourth_13 * a.first * b.third) / 6.0
         + 0.25 * fourth_22 * a.second * b.second
 }
@@ -238,7 +243,10 @@ mod tests {
             let rays = blur.rays(&patch);
             let found = corner.fitted(&patch, &rays, Free::Place).unwrap();
             let summed = blur.summed(&found, &patch);
-            let (width, off) = EdgeWidth::of(&found, &patch, &rays, &summed, taken.rho).unwrap();
+            let (_, inverse) = found.levers(&patch, &rays, 0.5, &blur.bend).unwrap();
+            let all = (&inverse, 1.0);
+            let (width, off) =
+                EdgeWidth::of(&found, &patch, &rays, &summed, taken.rho, all).unwrap();
             let (own, own_right) = width.equations();
             information += own;
             right += own_right;

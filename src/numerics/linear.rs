@@ -37,6 +37,11 @@ impl<T: RealField + Copy, const P: usize, const Q: usize> NormalEquations<T, P, 
         SMatrix::from_fn(|i, j| self.normal[(i.max(j), i.min(j))])
     }
 
+    /// The products AᵀWb with the measurements.
+    pub fn right(&self) -> &SMatrix<T, P, Q> {
+        &self.right
+    }
+
     /// The unknowns; `None` if the rows do not determine them.
     pub fn solve(&self) -> Option<SMatrix<T, P, Q>> {
         Some(self.normal.cholesky()?.solve(&self.right))

@@ -11,4 +11,4 @@ pub(crate) use obliquity::{Field, Obliquity};
 pub(crate) use overlap::{Overlap, overlap, overlap_area};
 pub(crate) use pixel::Pixel;
 pub(crate) use points::{DISC, POINTS, ROOM, cells_of_disc};
-pub(crate) use visible_part::{PartPoints, Vignetting};
+pub(crate) use visible_part::{PartPoints, Vignetting, VisiblePart};

@@ -33,6 +33,7 @@ impl Obliquity {
     /// How the light changes over the part of a micro-lens that a pixel sees. `from_lens` is the vector from the
     /// centroid of that part to the pixel, px; `spread` is its standard deviations, in units of half a radius,
     /// along `outwards` and across it.
+    #[inline(always)]
     pub(crate) fn over_part(
         &self,
         from_lens: &Vector2<f64>,
@@ -143,12 +144,13 @@ impl Slant {
     /// The mean moves by −g/4 (1 − h/6): `mean_square` is that of the points along an axis, which is less than the ¼ of
     /// the disc.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    #[inline(always)]
     pub fn field(&self, mean_square: f64) -> Field {
         // The light that the curvature leaves comes from a smaller disc.
         let smaller = 1.0 - self.curvature / 6.0;
         let whole = 0.25 / (0.375 - mean_square / 2.0) * smaller;
         Field {
-            gradient: self.gradient.map(|g| (g * whole) as f32),
+            gradient: [(self.gradient[0] * whole) as f32, (self.gradient[1] * whole) as f32],
             curvature: self.curvature as f32,
         }
     }

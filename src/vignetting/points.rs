@@ -17,6 +17,8 @@ pub(crate) const ROOM: usize = POINTS.next_multiple_of(8);
 pub(crate) struct DiscPoints {
     pub x: [f32; ROOM],
     pub y: [f32; ROOM],
+    /// 1 for a point, 0 in the room behind them.
+    pub is_one: [f32; ROOM],
     pub mean_square: f64,
 }
 
@@ -24,7 +26,12 @@ pub(crate) struct DiscPoints {
 pub(crate) static DISC: LazyLock<DiscPoints> = LazyLock::new(|| {
     let points = of_disc();
     let mean_square = mean_square();
-    DiscPoints { x: in_room(|j| points[j].x), y: in_room(|j| points[j].y), mean_square }
+    DiscPoints {
+        x: in_room(|j| points[j].x),
+        y: in_room(|j| points[j].y),
+        is_one: in_room(|_| 1.0),
+        mean_square,
+    }
 });
 
 /// Numbers by point in single precision, and zeros behind them.

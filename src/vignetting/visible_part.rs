@@ -98,13 +98,16 @@ impl Vignetting {
     }
 
     /// The part of the micro-lens through which the pixel at an offset from the centre, px, sees.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, offset: &Vector2<f64>) -> VisiblePart<'_> {
         let r = offset.norm();
         let outwards = if r > 1e-9 { offset / r } else { Vector2::x() };
         let (below, above, part) = between(r, self.moments.len());
         let (below, above) = (&self.moments[below], &self.moments[above]);
-        let mixed: Moments = std::array::from_fn(|of| below[of] * (1.0 - part) + above[of] * part);
+        let mut mixed = [0.0; 4];
+        for of in 0..4 {
+            mixed[of] = below[of] * (1.0 - part) + above[of] * part;
+        }
         let [inwards, mean, along, across] = mixed;
         // What is seen changes across a pixel; the centroid of its light stands for all of it.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
@@ -135,7 +138,7 @@ fn moments_at(parts: &[Overlap], i: usize, pixel: &Pixel) -> Moments {
 
 /// The steps below and above a distance from the centre, px, among so many, and its part of the way from the one to the
 /// other.
-#[inline]
+#[inline(always)]
 fn between(distance: f64, count: usize) -> (usize, usize, f64) {
     let (steps, last) = ((distance / STEP_PX).max(0.0), count - 1);
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
