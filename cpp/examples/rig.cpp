@@ -5,11 +5,15 @@
 //   rig FIRST SECOND OUT
 #include <ceres/ceres.h>
 
+#include <algorithm>
+#include <array>
+#include <cmath>
 #include <cstdio>
-#include <map>
+#include <optional>
 #include <plenocal/io.hpp>
 #include <plenocal/problem.hpp>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace {
@@ -18,35 +22,25 @@ using plenocal::Pose;
 
 int run(const char* first_folder, const char* second_folder, const std::string& out) {
   const plenocal::ProblemFiles first = plenocal::read_problem(first_folder);
-  plenocal::ProblemFiles second = plenocal::read_problem(second_folder);
+  const plenocal::ProblemFiles second = plenocal::read_problem(second_folder);
 
-  // The frames of the second camera as indices into the poses of the first.
-  std::map<int, int> index;
-  for (std::size_t i = 0; i < first.frames.size(); ++i)
-    index[first.frames[i]] = static_cast<int>(i);
-  Pose start{};
-  bool has_start = false;
-  std::vector<plenocal::FeatureObservation> shared;
-  for (plenocal::FeatureObservation f : second.observations.features) {
-    const auto found = index.find(second.frames[f.frame]);
-    if (found == index.end()) continue;
-    if (!has_start) {  // where the second camera is, from a board that both see
-      start = composed(second.poses[f.frame], inverse(first.poses[found->second]));
-      has_start = true;
-    }
-    f.frame = found->second;
-    shared.push_back(f);
+  // Where the second camera is, from a board that both see.
+  std::optional<Pose> start;
+  for (std::size_t i = 0; i < second.frames.size() && !start; ++i) {
+    const auto& frames = first.frames;
+    const auto same = std::find(frames.begin(), frames.end(), second.frames[i]);
+    if (same == frames.end()) continue;
+    start = composed(second.poses[i], inverse(first.poses[same - frames.begin()]));
   }
-  if (!has_start) {
+  if (!start) {
     std::fprintf(stderr, "rig: the cameras have no frame in common\n");
     return 1;
   }
-  second.observations.features = shared;
 
   plenocal::CalibrationProblem rig(first.start.camera, first.poses, first.observations,
                                    first.options);
-  plenocal::CalibrationProblem other(rig, start, second.start.camera, second.observations,
-                                     second.options);
+  plenocal::CalibrationProblem other(rig, *start, second.start.camera,
+                                     second.with_frames(first.frames), second.options);
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::DENSE_SCHUR;
   options.linear_solver_ordering = rig.ordering();
@@ -60,6 +54,19 @@ int run(const char* first_folder, const char* second_folder, const std::string& 
   std::printf("second from first: rotation %.9f %.9f %.9f rad, translation %.6f %.6f %.6f mm\n",
               pose.rotation.x, pose.rotation.y, pose.rotation.z, pose.translation.x,
               pose.translation.y, pose.translation.z);
+  // As far as the sigma of the observations are right and independent of each other.
+  double* block = other.blocks().camera_from_first;
+  ceres::Covariance covariance(ceres::Covariance::Options{});
+  const std::vector<std::pair<const double*, const double*>> wanted{{block, block}};
+  if (covariance.Compute(wanted, &rig.problem())) {
+    std::array<double, Pose::kSize * Pose::kSize> c{};
+    covariance.GetCovarianceBlock(block, block, c.data());
+    std::printf("sigma: rotation");
+    for (int i = 0; i < Pose::kSize; ++i) {
+      std::printf(i == 3 ? " rad, translation %.6f" : " %.9f", std::sqrt(c[(Pose::kSize + 1) * i]));
+    }
+    std::printf(" mm\n");
+  }
   plenocal::CameraFile file = first.start;
   file.camera = rig.camera();
   plenocal::write_camera(out + "/first.json", file);

@@ -203,6 +203,11 @@ std::optional<MicroLens> BackProjection::micro_lens(int k, int l) const {
 }
 
 std::optional<MicroImage> BackProjection::micro_image_at(const Pixel<double>& pixel) const {
+  if (camera_.width > 0 && camera_.height > 0) {
+    const bool on_sensor = pixel.u >= -0.5 && pixel.u <= camera_.width - 0.5 && pixel.v >= -0.5 &&
+                           pixel.v <= camera_.height - 0.5;
+    if (!on_sensor) return std::nullopt;
+  }
   const auto& [x, y, z] = camera_.exit_pupil;
   const Vector3<double> pupil{x, y, z};
   const Vector3<double> ray = difference(optics_.array.on_sensor(pixel), pupil);

@@ -17,8 +17,6 @@ Group zero_group(int size) {
 
 // Only the lower triangle of the information, until `mirror`.
 void add_rows(const Eigen::MatrixXd& jacobian, const Eigen::VectorXd& residuals, Group* group) {
-  // Eigen would refer to the first number of an empty matrix.
-  if (jacobian.size() == 0) return;
   group->information.selfadjointView<Eigen::Lower>().rankUpdate(jacobian.transpose());
   group->gradient += jacobian.transpose() * residuals;
 }
@@ -55,7 +53,7 @@ class Accumulator {
     const int n = static_cast<int>(block.residuals.size());
     if (first.corner >= 0) {
       add_features(block, rows);
-    } else {
+    } else if (block.jacobian.cols() > 0) {
       for (int i = 0; i < n; ++i) {
         const RowOrigin& row = rows[block.first_row + i];
         add_rows(block.jacobian.row(i), block.residuals.segment<1>(i),

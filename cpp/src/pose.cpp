@@ -27,6 +27,11 @@ Pose composed(const Pose& second, const Pose& first) {
   return pose(motion(second) * motion(first));
 }
 
+Vector3<double> transformed(const Pose& pose, const Vector3<double>& point) {
+  const Eigen::Vector3d p = motion(pose) * Eigen::Vector3d(point.x, point.y, point.z);
+  return {p.x(), p.y(), p.z()};
+}
+
 Pose inverse(const Pose& of) { return pose(motion(of).inverse()); }
 
 }  // namespace plenocal

@@ -211,6 +211,13 @@ TEST(BackProjection, WhatIsNotSeenHasNoResult) {
                                      Pixel<double>{kNan, 80.0}, Pixel<double>{kInfinity, 80.0}}) {
     EXPECT_FALSE(back.micro_image_at(pixel));
   }
+  // Off the sensor, if its size is known.
+  Camera camera = simple_camera();
+  ASSERT_TRUE(BackProjection(camera).micro_image_at({150.0, 105.0}));
+  camera.width = 150;
+  camera.height = 200;
+  EXPECT_FALSE(BackProjection(camera).micro_image_at({150.0, 105.0}));
+  EXPECT_TRUE(BackProjection(camera).micro_image_at({149.4, 105.0}));
   for (const auto& [k, l] : {std::pair{-1, 0}, {5, 0}, {0, 5}, {0, -1}}) {
     EXPECT_FALSE(back.ray_behind({k, l, {150.0, 105.0}}));
     EXPECT_FALSE(back.object_ray({k, l, {150.0, 105.0}}, 300.0));

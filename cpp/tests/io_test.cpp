@@ -56,6 +56,13 @@ std::string replaced(std::string text, const std::string& what, const std::strin
   return text.replace(at, what.size(), by);
 }
 
+CameraFile camera_file(int lens_types) {
+  CameraFile file;
+  file.camera = test::scene_camera(lens_types);
+  file.f_number = 4.0;
+  return file;
+}
+
 TEST_F(Files, TheShippedObservationsAreThoseOfItsTrueCamera) {
   const CameraFile file = read_camera(kData + "/truth/camera.json");
   const auto poses = read_poses(kData + "/truth/poses.json");
@@ -87,8 +94,7 @@ TEST_F(Files, CamerasComeBackExactly) {
          {Packing::kOrthogonal, Packing::kHexagonalRowsEven, Packing::kHexagonalRowsOdd,
           Packing::kHexagonalColumnsEven, Packing::kHexagonalColumnsOdd}) {
       if (types == 3 && packing == Packing::kOrthogonal) continue;
-      CameraFile file;
-      file.camera = test::scene_camera(types);
+      CameraFile file = camera_file(types);
       file.camera.lattice.packing = packing;
       file.camera.width = 640;
       file.camera.height = 480;
@@ -121,8 +127,7 @@ TEST_F(Files, CamerasComeBackExactly) {
 }
 
 TEST_F(Files, ThePupilOfOldFilesIsInTheLens) {
-  CameraFile file;
-  file.camera = test::scene_camera(1);
+  CameraFile file = camera_file(1);
   write_camera(path(), file);
   std::string text = replaced(text_of(path()), "exit_pupil_mm", "of_later_versions");
   text = replaced(replaced(text, "\"version\": 2", "\"version\": 1"), "field_curvature_per_mm",
@@ -134,8 +139,7 @@ TEST_F(Files, ThePupilOfOldFilesIsInTheLens) {
 }
 
 TEST_F(Files, CovariancesComeBack) {
-  CameraFile file;
-  file.camera = test::scene_camera(0);
+  CameraFile file = camera_file(0);
   const std::size_t n = intrinsic_names(0).size();
   file.std_dev.assign(n, 2.0);
   for (std::size_t i = 0; i < n * n; ++i) {
@@ -150,8 +154,7 @@ TEST_F(Files, CovariancesComeBack) {
 }
 
 TEST_F(Files, WhatIsWrongInACameraIsNamed) {
-  CameraFile file;
-  file.camera = test::scene_camera(3);
+  CameraFile file = camera_file(3);
   write_camera(path(), file);
   const std::string text = text_of(path());
   const auto message = [&](const std::string& what, const std::string& by) {
@@ -169,6 +172,10 @@ TEST_F(Files, WhatIsWrongInACameraIsNamed) {
   expect_names(message("plenocal-camera", "plenocal-poses"), "plenocal-camera");
   expect_names(message("}", ""), "JSON");
   expect_names(failure(path() + "x", [&] { read_camera(path() + "x"); }), "cannot be opened");
+  expect_names(message("\"columns\": 20", "\"columns\": 20, \"columns\": 21"), "columns twice");
+  expect_names(failure(testing::TempDir(), [&] { read_camera(testing::TempDir()); }), "a folder");
+  file.f_number = CameraFile{}.f_number;
+  expect_names(test::rejection([&] { write_camera(path(), file); }), "f-number");
   file.camera.pixel_size = 0.0;
   expect_names(test::rejection([&] { write_camera(path(), file); }), "pixel size");
 }
@@ -208,8 +215,7 @@ class ProblemFolder : public Files {
   void SetUp() override {
     std::filesystem::remove_all(path());
     std::filesystem::create_directory(path());
-    CameraFile file;
-    file.camera = test::scene_camera(1);
+    CameraFile file = camera_file(1);
     write_camera(at("camera.json"), file);
     write_poses(at("poses.json"), {{3, test::scene_poses().at(0)}});
     put("features.csv", "frame,corner,x,y,z,k,l,u,v,std_u,std_v\n3,0,0,0,0,2,3,100,80,0.1,0.2\n");
@@ -276,6 +282,16 @@ TEST_F(ProblemFolder, WhatIsWrongIsNamedWithItsFile) {
     std::filesystem::rename(at("away"), at(name));
   }
   EXPECT_EQ(read_problem(path()).frames.size(), 1U);
+}
+
+TEST_F(ProblemFolder, FramesAreThoseOfAnotherCamera) {
+  const ProblemFiles problem = read_problem(path());
+  ASSERT_EQ(problem.observations.features.size(), 1U);
+  const Observations seen = problem.with_frames({1, 2, 3});
+  ASSERT_EQ(seen.features.size(), 1U);
+  EXPECT_EQ(seen.features.at(0).frame, 2);
+  EXPECT_EQ(seen.centers.size(), 1U);
+  EXPECT_TRUE(problem.with_frames({1, 2}).features.empty());
 }
 
 }  // namespace

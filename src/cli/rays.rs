@@ -19,8 +19,8 @@ use super::talk::{print_result, warn};
 
 /// Compute the ray in space of every pixel of a calibrated camera.
 ///
-/// A pixel belongs to the micro-image whose centre is the nearest, and its ray is the chief ray: through the centre
-/// of that micro-lens. Rays are in the camera frame: the origin is the middle of the main lens, x points to the right, y
+/// A pixel belongs to the micro-image whose micro-lens is the nearest where the ray from the middle of the exit pupil to the
+/// pixel meets the array, and its ray is the chief ray: through the centre of that micro-lens. Rays are in the camera frame: the origin is the middle of the main lens, x points to the right, y
 /// down and z towards the scene.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]

@@ -88,7 +88,12 @@ pub fn print_result(json: bool, document: &Value, text: &str, paths: &[PathBuf])
         format!("{document}\n")
     } else {
         let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();
-        format!("{}\n\nWritten:\n{}", text.trim_end(), files.concat())
+        let written = if files.is_empty() {
+            String::new()
+        } else {
+            format!("\nWritten:\n{}", files.concat())
+        };
+        format!("{}\n{written}", text.trim_end())
     };
     print(text.as_bytes())
 }

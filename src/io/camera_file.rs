@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
 use super::blur_section::depth_from_blur_document;
-use super::json_file::read_json;
+use super::json_file::{document_of, read_json};
 use crate::error::{Error, Result};
 use crate::model::{Parameter, PlenopticCamera, intrinsic_parameters};
 use crate::solver::Uncertainty;
@@ -143,8 +143,7 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
             version.map_or("unknown".to_owned(), |v| v.to_string())
         )));
     }
-    let file: CameraFile = serde_json::from_value(value)
-        .map_err(|e| Error::invalid(format!("not a valid {CAMERA_FORMAT} file: {e}")))?;
+    let file: CameraFile = document_of(value, CAMERA_FORMAT)?;
     file.camera.validate()?;
     Ok(file.camera)
 }

@@ -26,6 +26,7 @@ mod linked;
 use nalgebra::{Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 use serde_json::{Value, json};
 
+use super::json_file::document_of;
 use super::poses_file::possible;
 use crate::error::{Error, Result};
 use crate::model::{
@@ -35,13 +36,13 @@ use crate::model::{
 };
 use crate::precalibration::MicroImageArray;
 use files::{CameraFile, IntrinsicsFile, ParametersFile, PosesFile, SceneFile};
-use json::{matrix, number, parse, vector};
+use json::{matrix, number, vector};
 
 pub(super) use linked::{is_linked_observations, linked_observations};
 
 /// The datasheet values of a `camera.js`.
 pub(super) fn datasheet_from(value: Value) -> Result<Datasheet> {
-    let file: CameraFile = parse(value, "camera.js, intrinsics.js or camera.json")?;
+    let file: CameraFile = document_of(value, "camera.js, intrinsics.js or camera.json")?;
     Ok(Datasheet {
         sensor: file.sensor.sensor()?,
         focal_length_mm: file.main_lens.f.0,
@@ -72,7 +73,7 @@ pub(super) fn internal_parameters_from(
     value: Value,
     pixel_size_mm: Option<f64>,
 ) -> Result<InternalParameters> {
-    let file: ParametersFile = parse(value, "params.js")?;
+    let file: ParametersFile = document_of(value, "params.js")?;
     if let Some(lens_types) = &file.lens_types
         && lens_types.count("I")? != file.q_prime.len()
     {
@@ -109,7 +110,7 @@ pub(super) fn internal_parameters_from(
 
 /// The board of a `scene.js`; an error unless there is exactly one.
 pub(super) fn board_from(value: Value) -> Result<Board> {
-    let file: SceneFile = parse(value, "scene.js")?;
+    let file: SceneFile = document_of(value, "scene.js")?;
     let [board] = file.checkerboards.as_slice() else {
         return Err(Error::invalid(format!(
             "the scene has {} checkerboards; exactly one is supported",
@@ -157,7 +158,7 @@ fn mesh_to_center(lattice: &Lattice, pitch_mm: f64, ratio: f64) -> Vector3<f64> 
 
 /// The camera of an `intrinsics.js`.
 pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
-    let file: IntrinsicsFile = parse(value, "intrinsics.js")?;
+    let file: IntrinsicsFile = document_of(value, "intrinsics.js")?;
     let sensor = file.sensor.sensor.sensor()?;
     let mesh = &file.mla.mesh.mesh;
     let (kind, (columns, rows)) = (mesh.lattice_kind()?, mesh.size()?);
@@ -219,7 +220,7 @@ fn last_pixel(sensor: &Sensor) -> Vector2<f64> {
 
 /// The poses of a `poses.js`.
 pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
-    let file: PosesFile = parse(value, "poses.js or poses.json")?;
+    let file: PosesFile = document_of(value, "poses.js or poses.json")?;
     file.poses
         .iter()
         .map(|f| {

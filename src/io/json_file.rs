@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::Path;
 
-use serde::de::{DeserializeSeed, Error as _, MapAccess, SeqAccess, Visitor};
+use serde::de::{DeserializeOwned, DeserializeSeed, Error as _, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Number, Value};
 
@@ -20,6 +20,12 @@ pub(super) fn json_from(text: &str) -> Result<Value> {
     serde_json::from_str::<Document>(text.trim_start_matches('\u{feff}'))
         .map(|document| document.0)
         .map_err(|e| Error::invalid(format!("this is not valid JSON: {e}")))
+}
+
+/// A document of a format, or an error that names the field that is not as it should be.
+pub(super) fn document_of<T: DeserializeOwned>(value: Value, format: &str) -> Result<T> {
+    serde_path_to_error::deserialize(value)
+        .map_err(|e| Error::invalid(format!("not a valid {format} file: {e}")))
 }
 
 /// A value without repeated keys.

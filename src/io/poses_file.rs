@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use super::json_file::document_of;
 use crate::error::{Error, Result};
 use crate::model::FramePose;
 use crate::solver::Uncertainty;
@@ -66,8 +67,7 @@ pub fn poses_document(poses: &[FramePose], uncertainty: Option<&Uncertainty>) ->
 
 /// The poses in a JSON document.
 pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
-    let file: PosesFile = serde_json::from_value(value)
-        .map_err(|e| Error::invalid(format!("not a valid {POSES_FORMAT} file: {e}")))?;
+    let file: PosesFile = document_of(value, POSES_FORMAT)?;
     if file.version != POSES_VERSION {
         return Err(Error::invalid(format!(
             "this is a {POSES_FORMAT} file of version {}, but only version {POSES_VERSION} is known",

@@ -6,6 +6,7 @@ use std::io::{self, Write};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
+use super::json_file::document_of;
 use super::observations_file::std_dev_text;
 use crate::error::{Error, Result};
 use crate::model::{
@@ -131,8 +132,7 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
 
 /// The internal parameters in a JSON document.
 pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameters> {
-    let file: PrecalibrationFile = serde_json::from_value(value)
-        .map_err(|e| Error::invalid(format!("not a valid {PRECALIBRATION_FORMAT} file: {e}")))?;
+    let file: PrecalibrationFile = document_of(value, PRECALIBRATION_FORMAT)?;
     if file.version != PRECALIBRATION_VERSION {
         return Err(Error::invalid(format!(
             "this is a {PRECALIBRATION_FORMAT} file of version {}, but only version \

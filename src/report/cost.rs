@@ -52,8 +52,8 @@ fn verdict(evaluated: &Calibration) -> String {
         (true, _) => "This is a minimum.".to_owned(),
         (false, true) => "This is a minimum for all practical purposes.".to_owned(),
         (false, false) => format!(
-            "This is no minimum of this cost: the next one is about {away:.1} σ of independent errors away, along the \
-             way there."
+            "This is no minimum of this cost: the next one is about {away:.1e} σ of independent errors away, along the \
+             way there. (A solution of another cost is none of this one: compare the anchors and --anchor-weight.)"
         ),
     };
     format!("{verdict} {gain}{moves}.")

@@ -93,6 +93,61 @@ fn own_ceres_finds_poses_of_an_exported_problem() {
     assert!(String::from_utf8_lossy(&none.stderr).contains("problem.json"));
 }
 
+/// The C++ of a page of the documentation: its blocks, one after the other.
+fn documented(page: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs").join(page);
+    let text = std::fs::read_to_string(path).unwrap();
+    let blocks = text.split("```cpp\n").skip(1).map(|rest| rest.split("```").next().unwrap());
+    blocks.collect()
+}
+
+/// What the documentation says in C++ compiles, and does not throw.
+#[test]
+#[cfg_attr(not(plenocal_examples), ignore = "set PLENOCAL_EXAMPLES to the folder of the programs")]
+fn the_documentation_speaks_cpp() {
+    const GIVEN: &str = "
+        Eigen::MatrixXd lens = Eigen::MatrixXd::Zero(1, plenocal::kMainLensParameters);
+        lens(0, 0) = 1.0;
+        Eigen::VectorXd value = Eigen::VectorXd::Constant(plenocal::kMainLensParameters, 16.0);
+        auto* my_prior = new ceres::NormalPrior(lens, value);
+        const plenocal::Pose second_from_first{};";
+    let folder = TempDir::new().unwrap();
+    let noise = Noise { uv_px: 0.05, rho_px: 0.02, centers_px: 0.02 };
+    let calibration =
+        run(&Start::Camera(true_camera()), &drawn(&true_camera(), &noise, 6), &options());
+    for name in ["problem", "other"] {
+        let mut output = OutputFolder::new(&folder.path().join(name)).unwrap();
+        stage_problem(&mut output, &SolvedProblem::of(&calibration, &board())).unwrap();
+        output.commit().unwrap();
+    }
+    for name in ["camera.json", "poses.json"] {
+        std::fs::copy(folder.path().join("problem").join(name), folder.path().join(name)).unwrap();
+    }
+    let mut source = "#include <ceres/ceres.h>\n#include <ceres/normal_prior.h>\n".to_owned();
+    let mut body = String::new();
+    for (page, given) in [("use.md", ""), ("own-programs.md", GIVEN)] {
+        let (includes, rest): (Vec<String>, Vec<String>) = documented(page)
+            .lines()
+            .map(|line| line.to_owned() + "\n")
+            .partition(|line| line.starts_with("#include"));
+        source += &includes.concat();
+        writeln!(body, "{{ {given}\n{} }}", rest.concat()).unwrap();
+    }
+    writeln!(source, "int main() {{ {body} }}").unwrap();
+    let file = folder.path().join("documented.cpp");
+    std::fs::write(&file, source).unwrap();
+    let examples = PathBuf::from(std::env::var_os("PLENOCAL_EXAMPLES").unwrap());
+    let built = examples.parent().unwrap();
+    let mut compiler = Command::new("g++");
+    compiler.args(["-std=c++17", "-w", "-I", "/usr/include/eigen3", "-I"]);
+    compiler.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("cpp/include")).arg(&file);
+    compiler.arg(built.join("libplenocal_io.a")).arg(built.join("libplenocal.a"));
+    compiler.args(["-lceres", "-lglog", "-o"]).arg(folder.path().join("documented"));
+    text(&compiler.output().unwrap());
+    let mut program = Command::new(folder.path().join("documented"));
+    text(&program.current_dir(folder.path()).output().unwrap());
+}
+
 /// Two cameras see the same boards: `rig` finds where the second is, and both cameras.
 #[test]
 #[cfg_attr(not(plenocal_examples), ignore = "set PLENOCAL_EXAMPLES to the folder of the programs")]

@@ -66,7 +66,8 @@ class PLENOCAL_API BackProjection {
   const Camera& camera() const { return camera_; }
 
   /// The micro-image whose micro-lens is the nearest where the ray from the middle of the exit
-  /// pupil to the pixel meets the array.
+  /// pupil to the pixel meets the array. None outside the array, and off the sensor if its size is
+  /// known.
   std::optional<MicroImage> micro_image_at(const Pixel<double>& pixel) const;
 
   /// Radius of micro-images, px: half the distance between neighbours. Pixels further from all
@@ -81,7 +82,8 @@ class PLENOCAL_API BackProjection {
   /// `plenocal::object_ray`: in space, with its origin at the distance z, mm.
   std::optional<Ray<double>> object_ray(const MicroPixel& at, double z) const;
 
-  /// The point whose image lies at a virtual depth, with its covariance.
+  /// The point whose image lies at a virtual depth, with its covariance. Throws
+  /// std::invalid_argument if a sigma is negative or not finite.
   std::optional<MetricPoint> point(const VirtualPoint& seen) const;
 
   /// The point whose image lies at a virtual depth straight behind a pixel of a total-focus image,

@@ -19,12 +19,13 @@ class PLENOCAL_API FileError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// camera.json.
+/// What this library needs of camera.json. The file has more: at which distances boards were, fill
+/// factor and point spread, how depths by blur are off, and the uncertainty's common errors.
 struct CameraFile {
   Camera camera;
-  /// Setting of the main lens: N of the images of boards, and the focus distance from the sensor,
-  /// mm, infinite for infinity.
-  double f_number = 4.0;
+  /// Setting of the main lens: N of the images of boards, which a camera that is written has to
+  /// state, and the focus distance from the sensor, mm, infinite for infinity.
+  double f_number = std::numeric_limits<double>::quiet_NaN();
   double focus_distance = std::numeric_limits<double>::infinity();
   /// Whether the camera is at a minimum; nothing if it is no result of a calibration.
   std::optional<bool> converged;
@@ -39,8 +40,9 @@ struct CameraFile {
 /// has a camera that is not valid.
 PLENOCAL_API CameraFile read_camera(const std::string& path);
 
-/// Writes a camera so that plenocal reads it. Throws FileError, and std::invalid_argument if the
-/// camera is not valid.
+/// Writes a camera so that plenocal reads it; what else a file said is not written again, since it
+/// belongs to the camera as it was calibrated. Throws FileError, and std::invalid_argument if the
+/// camera is not valid or the f-number is none.
 PLENOCAL_API void write_camera(const std::string& path, const CameraFile& file);
 
 /// Reads camera_from_board of each frame. Throws FileError.
@@ -83,6 +85,11 @@ struct ProblemFiles {
   std::vector<Pose> poses;  ///< where they start
   Observations observations;
   CostOptions options;
+
+  /// The observations for the poses of another camera that has these frames, as a rig needs them:
+  /// `FeatureObservation::frame` becomes an index into `of_other`, and features of frames that the
+  /// other one does not have are left out.
+  PLENOCAL_API Observations with_frames(const std::vector<int>& of_other) const;
 };
 
 /// Reads a problem from its folder. Throws FileError.

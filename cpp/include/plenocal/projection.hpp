@@ -53,6 +53,9 @@ PLENOCAL_API Pose composed(const Pose& second, const Pose& first);
 /// The motion back: board_from_camera of camera_from_board.
 PLENOCAL_API Pose inverse(const Pose& pose);
 
+/// A point in the frame that a pose leads to: of the board's frame (mm) in that of the camera.
+PLENOCAL_API Vector3<double> transformed(const Pose& pose, const Vector3<double>& point);
+
 /// The rigid transform of a pose block, with the rotation matrix computed once for many points.
 template <typename T>
 class Motion {

@@ -204,6 +204,9 @@ CameraFile read_camera(const std::string& path) {
 
 void write_camera(const std::string& path, const CameraFile& file) {
   validate(file.camera);
+  if (!(std::isfinite(file.f_number) && file.f_number > 0.0)) {
+    throw std::invalid_argument("the f-number of the camera has to be positive and finite");
+  }
   Json json = camera_json(file);
   if (!file.std_dev.empty()) json["uncertainty"] = uncertainty_json(file);
   write_text(path, json.dump(2) + "\n");

@@ -5,6 +5,8 @@
 #include <fstream>
 #include <iterator>
 #include <limits>
+#include <set>
+#include <vector>
 
 namespace plenocal {
 
@@ -13,9 +15,13 @@ void fail(const std::string& path, const std::string& what) { throw FileError(pa
 std::string text_of(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   if (!file) fail(path, "cannot be opened: check that it is there and may be read");
-  std::string text{std::istreambuf_iterator<char>(file), {}};
-  if (file.bad()) fail(path, "cannot be read");
-  return text;
+  try {
+    std::string text{std::istreambuf_iterator<char>(file), {}};
+    if (file.bad()) fail(path, "cannot be read");
+    return text;
+  } catch (const std::ios_base::failure&) {
+    fail(path, "cannot be read: is it a folder?");
+  }
 }
 
 void write_text(const std::string& path, const std::string& text) {
@@ -92,8 +98,19 @@ void Field::reject(const std::string& wanted) const { fail(path_, name_ + " is n
 
 Json document(const std::string& path, const std::string& format, int latest) {
   Json json;
+  // JSON leaves open which of two values counts.
+  std::vector<std::set<std::string>> keys;
+  const auto check = [&](int, Json::parse_event_t event, Json& parsed) {
+    if (event == Json::parse_event_t::object_start) keys.emplace_back();
+    if (event == Json::parse_event_t::object_end) keys.pop_back();
+    if (event == Json::parse_event_t::key &&
+        !keys.back().insert(parsed.get<std::string>()).second) {
+      fail(path, "has the field " + parsed.get<std::string>() + " twice");
+    }
+    return true;
+  };
   try {
-    json = Json::parse(text_of(path));
+    json = Json::parse(text_of(path), check);
   } catch (const Json::exception& error) {
     fail(path, std::string("is not JSON: ") + error.what());
   }

@@ -1,6 +1,7 @@
 // Observations and whole problems.
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <set>
 
 #include "document.hpp"
@@ -80,6 +81,20 @@ ObservationFiles read_observations(const std::string& features, const std::strin
   files.frames = number_frames(&files.observations.features);
   if (!centers.empty()) files.observations.centers = read_centers(centers);
   return files;
+}
+
+Observations ProblemFiles::with_frames(const std::vector<int>& of_other) const {
+  std::map<int, int> index;
+  for (std::size_t i = 0; i < of_other.size(); ++i) index[of_other[i]] = static_cast<int>(i);
+  Observations result = observations;
+  result.features.clear();
+  for (FeatureObservation f : observations.features) {
+    const auto found = index.find(frames.at(f.frame));
+    if (found == index.end()) continue;
+    f.frame = found->second;
+    result.features.push_back(f);
+  }
+  return result;
 }
 
 ProblemFiles read_problem(const std::string& folder) {

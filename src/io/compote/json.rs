@@ -1,7 +1,7 @@
 //! COMPOTE's way of writing numbers, vectors and matrices in JSON.
 
 use nalgebra::{Dim, Matrix, RawStorage};
-use serde::de::{DeserializeOwned, Error as _};
+use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 use serde_json::{Value, json};
 
@@ -94,12 +94,6 @@ impl Vector {
             Error::invalid(format!("{name} has {} numbers instead of {N}", self.0.len()))
         })
     }
-}
-
-/// A document as one of COMPOTE's files, or an error that says which were expected.
-pub(super) fn parse<T: DeserializeOwned>(value: Value, kinds: &str) -> Result<T> {
-    serde_json::from_value(value)
-        .map_err(|e| Error::invalid(format!("not a valid {kinds} file: {e}")))
 }
 
 pub(super) fn number(value: f64) -> Value {
