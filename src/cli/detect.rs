@@ -17,7 +17,7 @@ use super::talk::{print_result, warn};
 
 /// Detect the corners of a checkerboard in raw images automatically.
 ///
-/// Every micro-image is searched. What was found, and what was dropped and why, is listed frame by
+/// What was found, and what was dropped and why, is listed frame by
 /// frame. A frame in which the board is not recognised is left out; the others are still used.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]

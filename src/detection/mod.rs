@@ -1,6 +1,7 @@
 //! BAP features from raw images of a checkerboard (paper, section 4).
 //!
-//! In the first pass every micro-image is searched for a corner alone. Observations of one corner lie on
+//! In the first pass micro-images are searched for a corner, each alone: one in four, those about corners, and all where
+//! these do not show the board. Observations of one corner lie on
 //! a line, and the pinhole images of all lines on the lattice of the board, which labels them. In the
 //! second pass every corner of the board is searched for in the micro-images that should show it.
 

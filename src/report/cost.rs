@@ -53,7 +53,7 @@ fn verdict(evaluated: &Calibration) -> String {
         (false, true) => "This is a minimum for all practical purposes.".to_owned(),
         (false, false) => format!(
             "This is no minimum of this cost: the next one is about {away:.1e} σ of independent errors away, along the \
-             way there. (A solution of another cost is none of this one: compare the anchors and --anchor-weight.)"
+             way there."
         ),
     };
     format!("{verdict} {gain}{moves}.")
