@@ -1,5 +1,7 @@
 //! Points and rays against the forward model.
 
+#![allow(clippy::cast_sign_loss, clippy::ref_option)] // indices; options as they are given
+
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use super::{

@@ -160,7 +160,7 @@ impl PixelRays {
 
 #[inline(always)]
 fn lanes<S: Simd>(simd: S, values: &[f32; ROOM], chunk: usize) -> Lanes<S> {
-    const { assert!(ROOM % S::F32_LANES == 0, "room for points fills registers") }
+    const { assert!(ROOM.is_multiple_of(S::F32_LANES), "room for points fills registers") }
     Lanes::of(simd, S::as_simd_f32s(values).0[chunk])
 }
 

@@ -38,7 +38,7 @@ struct Level {
 impl Frame<'_> {
     /// Half the difference between the bright and the dark squares, relative to the white image.
     pub(super) fn contrast(&self, nodes: &[(i32, i32)]) -> Result<f64, Rejection> {
-        #[allow(clippy::cast_possible_truncation)] // a few
+        #[allow(clippy::cast_possible_truncation, clippy::cast_possible_wrap)] // a few
         let step = ((nodes.len() / ENOUGH).isqrt() as i32).max(LEAST_STEP);
         let sampled = nodes.iter().filter(|(k, l)| k % step == 0 && l % step == 0);
         let mut levels = self.levels(sampled);

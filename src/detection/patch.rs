@@ -271,6 +271,7 @@ struct Divided<'a> {
 impl NullaryFnOnce for Divided<'_> {
     type Output = (usize, usize);
 
+    #[allow(clippy::needless_bitwise_bool)] // without branches
     #[inline(always)]
     fn call(self) -> Self::Output {
         let Self { patch, room } = self;
