@@ -8,6 +8,7 @@
 use nalgebra::{Matrix1x3, Matrix1x4, Matrix2, Matrix3, Matrix4, RowVector3, Vector2, Vector4};
 
 use super::blur::Rays;
+use super::by_taken::place_by_few;
 use super::corner::Corner;
 use super::patch::Patch;
 use super::summed::SummedShape;
@@ -79,7 +80,8 @@ impl EdgeWidth {
             products += of_pixel.transpose() * of_pixel * f64::from(patch.weight[i]);
         }
         let equations = equations.in_double();
-        let off = (inverse * equations.right().column(3)).xy() / share;
+        let approximation = equations.right().column(3).into_owned();
+        let off = place_by_few(&equations.normal(), &approximation, inverse, share);
         let left = products - equations.explained()?.fixed_view::<3, 3>(0, 0);
         let variance = left[(0, 0)] / (pixels as f64 - USED).max(1.0);
         let information = left.fixed_view::<2, 2>(1, 1) / variance;

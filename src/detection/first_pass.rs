@@ -240,3 +240,32 @@ fn corner_alone(patch: &Patch, optics: &MicroOptics, contrast: f64) -> Option<Co
         .filter_map(|corner| corner.fitted(patch, &rays, Free::All))
         .find(clear)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::{Lattice, Packing, Parity};
+
+    /// One in four, and none further than a pitch and a quarter from one of them.
+    #[test]
+    fn some_micro_images_are_spread_evenly() {
+        for packing in [
+            Packing::Orthogonal,
+            Packing::HexagonalRows(Parity::Even),
+            Packing::HexagonalRows(Parity::Odd),
+            Packing::HexagonalColumns(Parity::Even),
+            Packing::HexagonalColumns(Parity::Odd),
+        ] {
+            let lattice = Lattice { packing, columns: 24, rows: 20 };
+            let nodes = || (0..20).flat_map(|l| (0..24).map(move |k| (k, l)));
+            let some: Vec<_> = nodes().filter(|&n| is_among_some(lattice.kind(), n)).collect();
+            assert_eq!(some.len(), 120);
+            for (k, l) in nodes().filter(|(k, l)| (2..22).contains(k) && (2..18).contains(l)) {
+                let distance =
+                    |&(a, b): &(i32, i32)| (lattice.node(a, b) - lattice.node(k, l)).norm();
+                let nearest = some.iter().map(distance).fold(f64::INFINITY, f64::min);
+                assert!(nearest < 1.26, "({k}, {l}) of {packing:?}: {nearest}");
+            }
+        }
+    }
+}

@@ -66,9 +66,10 @@ pub(super) const MARGIN: f64 = 1.0;
 /// many pitches from the border.
 const SIDE: usize = 3;
 const SURE_MARGIN: f64 = 2.5;
-/// Some micro-images show the board where they have no larger part of corners that do not belong to it: these may be those of
-/// its other squares.
+/// Labels are sure where no larger part of the corners does not belong to the board, and this part of those in view is found:
+/// with labels of other squares, corners are left over on one side of the board and missing on the other.
 const OFF_BOARD: f64 = 0.05;
+const FOUND: f64 = 0.75;
 /// Labels are wrong where the second pass loses so many labelled corners, and so large a part of them: of boards in their
 /// place it lost two at most and less than a tenth in simulated frames, of a lattice with other rows than the board's half.
 const MANY_LOST: usize = 4;
@@ -121,22 +122,20 @@ impl Frame<'_> {
         let mut first = FirstPass::new(self, &nodes, contrast);
         first.search_some();
         let found = self.of_board(&first, counts);
-        let is_whole = counts.off_board as f64 <= OFF_BOARD * counts.corners as f64;
-        found.ok().filter(|_| is_whole).map_or_else(
-            || {
-                first.search_rest();
-                self.of_board(&first, counts)
-            },
-            Ok,
-        )
+        if let Ok((detection, true)) = found {
+            return Ok(detection);
+        }
+        first.search_rest();
+        self.of_board(&first, counts).map(|(detection, _)| detection)
     }
 
-    /// The board that shows in micro-images of which some, or all, were searched.
+    /// The board that shows in micro-images of which some, or all, were searched; and whether it surely is where its labels put
+    /// it: few corners do not belong to it, and most of its own are found.
     fn of_board(
         &self,
         first: &FirstPass,
         counts: &mut FrameCounts,
-    ) -> Result<Detection, Rejection> {
+    ) -> Result<(Detection, bool), Rejection> {
         let FirstPass { observations, contrast, .. } = first;
         *counts = FrameCounts {
             looked_at: first.looked_at,
@@ -154,7 +153,12 @@ impl Frame<'_> {
             return Err(Rejection::TooFewForPose { corners: corners.len(), fewest: MIN_CORNERS });
         }
         check_lost(counts.lost, labelled.corners.iter().flatten().count())?;
-        Ok(self.detection(&passed, labelled.homography))
+        let in_view =
+            |corner: &i32| self.in_view(&labelled.pinhole(self.search.board, *corner), SURE_MARGIN);
+        let in_view = (0..self.search.board.corners()).filter(in_view).count();
+        let is_sure = counts.off_board as f64 <= OFF_BOARD * counts.corners as f64
+            && corners.len() as f64 >= FOUND * in_view as f64;
+        Ok((self.detection(&passed, labelled.homography), is_sure))
     }
 
     /// The board that the pinhole images of groups show.

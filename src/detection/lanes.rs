@@ -5,7 +5,7 @@
 // Only what is inlined into a dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
 
-use std::ops::{Add, Div, Mul, Neg, Sub};
+use std::ops::{Add, Mul, Neg, Sub};
 
 use pulp::Simd;
 
@@ -89,15 +89,6 @@ impl<S: Simd> Mul for Lanes<S> {
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
         Self::of(self.simd, self.simd.mul_f32s(self.x, other.x))
-    }
-}
-
-impl<S: Simd> Div for Lanes<S> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        Self::of(self.simd, self.simd.div_f32s(self.x, other.x))
     }
 }
 

@@ -13,8 +13,7 @@ use pulp::{Arch, Simd, WithSimd};
 use super::aberration::Bend;
 use super::blur::{OfRays, RayLanes, Rays};
 use super::corner::{Corner, Edges};
-use super::corner_fit::WithPlace;
-use super::lanes::{Lanes, dot, products, sum};
+use super::lanes::{Lanes, products};
 use super::micro_images::OTHERWISE;
 use super::patch::Patch;
 use crate::model::TAKEN;
@@ -43,7 +42,7 @@ const GIVEN: usize = 4;
 const COLUMNS: usize = 3 + GIVEN;
 
 /// The unknowns of a fit: place (u, v), level and contrast.
-const UNKNOWNS: usize = 4;
+pub(super) const UNKNOWNS: usize = 4;
 
 impl Corner {
     /// The levers of a corner that was fitted, but for those by what is taken from white images, and the inverse of the normal
@@ -82,28 +81,6 @@ impl Corner {
         })
     }
 
-    /// How the place changes with what is taken from white images, px, by a few pixels of those that were fitted: `others` are
-    /// their rays if that is larger by [`STEPS`]. Few pixels may not determine the place, so `inverse` is that of all of
-    /// them, of which these are the part `share`.
-    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    pub fn by_taken(
-        &self,
-        few: &Patch,
-        rays: &Rays,
-        others: &[Rays; TAKEN],
-        inverse: &Matrix4<f64>,
-        share: f64,
-    ) -> ByTaken {
-        let mut room = vec![0.0; 4 * few.x.len()];
-        let (corner, patch) = (self, few);
-        let changes = Changes { room: &mut room, patch, corner, rays, others };
-        let right = Arch::new().dispatch(changes);
-        let right = SMatrix::<f64, UNKNOWNS, TAKEN>::from_fn(|a, b| {
-            f64::from(right[a][b]) / STEPS[b] / share
-        });
-        (inverse * right).fixed_rows::<2>(0).into_owned()
-    }
-
     /// The mean of the shapes that all rays show, pixel by pixel.
     pub fn shape(&self, rays: &Rays) -> Vec<f32> {
         let mut shape = vec![0.0; rays.len()];
@@ -129,7 +106,7 @@ impl WithSimd for MeanShape<'_> {
 }
 
 /// The product of both steps.
-struct Shape<S: Simd>(Edges<S>);
+pub(super) struct Shape<S: Simd>(pub Edges<S>);
 
 impl<S: Simd> OfRays<S, 1> for Shape<S> {
     #[inline(always)]
@@ -213,49 +190,8 @@ impl WithSimd for Sums<'_> {
     }
 }
 
-/// Products of the derivatives of the light by the unknowns with its changes by what is taken from white images.
-struct Changes<'a> {
-    /// Room for four rows.
-    room: &'a mut [f32],
-    patch: &'a Patch,
-    corner: &'a Corner,
-    rays: &'a Rays,
-    others: &'a [Rays; TAKEN],
-}
-
-impl WithSimd for Changes<'_> {
-    type Output = [[f32; TAKEN]; UNKNOWNS];
-
-    #[inline(always)]
-    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
-        let Self { room, patch, corner, rays, others } = self;
-        let n = patch.x.len();
-        let mut rows = room.chunks_exact_mut(n.max(1));
-        let [by_u, by_v, shape, change] =
-            std::array::from_fn(|_| rows.next().map_or(&mut [][..], |row| &mut row[..n]));
-        let mut all = [&mut *shape, by_u, by_v];
-        rays.means(simd, &WithPlace(Edges::of(simd, corner)), &mut all);
-        let [shape, by_u, by_v] = all;
-        let mut products = [[0.0; TAKEN]; UNKNOWNS];
-        let (h, of_shape) = (corner.contrast as f32, Shape(Edges::of(simd, corner)));
-        for (k, other) in others.iter().enumerate() {
-            other.means(simd, &of_shape, &mut [&mut *change]);
-            // The corner moves to where it makes up for the change.
-            for i in 0..n {
-                change[i] = (shape[i] - change[i]) * h * patch.weight[i];
-            }
-            products[0][k] = dot(simd, by_u, change) * h;
-            products[1][k] = dot(simd, by_v, change) * h;
-            products[2][k] = sum(simd, change);
-            products[3][k] = dot(simd, shape, change);
-        }
-        products
-    }
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use nalgebra::Matrix2;
 
     use super::super::aberration::Aberration;
@@ -264,9 +200,9 @@ mod tests {
     use super::super::patch::tests::micro_images;
     use super::*;
 
-    const SLOPE: f64 = 0.75;
+    pub const SLOPE: f64 = 0.75;
 
-    fn corner(place: Vector2<f64>) -> Corner {
+    pub fn corner(place: Vector2<f64>) -> Corner {
         Corner {
             place,
             angles: [0.2, 1.6],
@@ -276,6 +212,21 @@ mod tests {
             covariance: Matrix2::zeros(),
             explained: 0.0,
         }
+    }
+
+    /// The pixels of a micro-image, without light.
+    pub fn disc(radius: i16) -> Patch {
+        let mut patch = Patch::default();
+        let places = (-radius..=radius).flat_map(|y| (-radius..=radius).map(move |x| (x, y)));
+        for (x, y) in places.map(|(x, y)| (f32::from(x), f32::from(y))) {
+            if x * x + y * y < f32::from(radius).powi(2) {
+                patch.x.push(x + 0.3);
+                patch.y.push(y - 0.2);
+                patch.light.push(0.0);
+                patch.weight.push(1.0);
+            }
+        }
+        patch
     }
 
     /// The light of a corner in a micro-image with these rays.
@@ -300,15 +251,7 @@ mod tests {
             let bend = none.changed(&coefficients.into()).bend(&center, slope);
             (Blur::new(&optics, slope, bend, vignetting).rays(patch), bend)
         };
-        let mut patch = Patch::default();
-        for (x, y) in (-10..=10).flat_map(|y| (-10..=10).map(move |x| (x as f32, y as f32))) {
-            if x * x + y * y < 100.0 {
-                patch.x.push(x + 0.3);
-                patch.y.push(y - 0.2);
-                patch.light.push(0.0);
-                patch.weight.push(1.0);
-            }
-        }
+        let mut patch = disc(10);
         let (known, bend) = rays(SLOPE, [0.0; 3], &patch);
         let truth = corner(place);
         light(&mut patch, &truth, &known);

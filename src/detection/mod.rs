@@ -8,6 +8,7 @@
 mod aberration;
 mod blur;
 mod board;
+mod by_taken;
 mod cells;
 mod corner;
 mod corner_fit;

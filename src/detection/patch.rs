@@ -55,7 +55,7 @@ impl Patch {
     }
 
     /// Leaves the pixels that are marked, and says how many they are.
-    fn keep(&mut self, marks: &[u8]) -> usize {
+    pub(super) fn keep(&mut self, marks: &[u8]) -> usize {
         let n = marks.len();
         let all = [&mut self.x, &mut self.y, &mut self.light, &mut self.weight];
         let mut kept = 0;

@@ -34,8 +34,6 @@ const ROUGH_PIXELS: usize = 3;
 const ROUGH_WIDTHS: i32 = 4;
 /// One pixel of so many shows how a corner depends on what is taken from white images: that is summed over all corners.
 const FEW: usize = 5;
-/// And one of so many of these shows how it depends on what is taken from white images.
-const FEWER: usize = 2;
 /// Boards with edges that are wider than this, px², are not sharp enough to be found.
 const MOST_WIDER_PX2: f64 = 9.0;
 /// Least part of the light of its micro-image that a corner explains.
@@ -282,14 +280,12 @@ impl SecondPass<'_> {
         let (few, rays) = (patch.thinned(step), rays.thinned(step));
         let share = few.sum_of_weights() / patch.sum_of_weights();
         if self.last {
-            let (fewer, rays) = (few.thinned(FEWER), rays.thinned(FEWER));
             let others: [Rays; TAKEN] = std::array::from_fn(|taken| {
                 let (optics, vignetting) = self.frame.search.micro_images.otherwise(optics, taken);
                 let blur = Blur::new(&optics, slope, blur.bend, vignetting);
-                blur.wider(self.wider_px2).rays(&fewer)
+                blur.wider(self.wider_px2).rays(&few)
             });
-            let share = fewer.sum_of_weights() / patch.sum_of_weights();
-            levers.by_taken = corner.by_taken(&fewer, &rays, &others, inverse, share);
+            levers.by_taken = corner.by_taken(&few, &rays, &others, inverse, share);
         }
         let summed = blur.summed(corner, &few);
         let by_fill_px = optics.blur_by_fill_px(slope);

@@ -42,7 +42,7 @@ PLENOCAL_API CameraFile read_camera(const std::string& path);
 
 /// Writes a camera so that plenocal reads it; what else a file said is not written again, since it
 /// belongs to the camera as it was calibrated. Throws FileError, and std::invalid_argument if the
-/// camera is not valid or the f-number is none.
+/// camera is not valid or its f-number is not stated.
 PLENOCAL_API void write_camera(const std::string& path, const CameraFile& file);
 
 /// Reads camera_from_board of each frame. Throws FileError.
