@@ -69,7 +69,7 @@ const SURE_MARGIN: f64 = 2.5;
 /// Labels are sure where no larger part of the corners does not belong to the board, and this part of those in view is found:
 /// with labels of other squares, corners are left over on one side of the board and missing on the other.
 const OFF_BOARD: f64 = 0.05;
-const FOUND: f64 = 0.75;
+const FOUND: f64 = 0.9;
 /// Labels are wrong where the second pass loses so many labelled corners, and so large a part of them: of boards in their
 /// place it lost two at most and less than a tenth in simulated frames, of a lattice with other rows than the board's half.
 const MANY_LOST: usize = 4;
