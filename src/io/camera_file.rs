@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::blur_section::depth_from_blur_document;
@@ -20,7 +20,7 @@ pub const CAMERA_FORMAT: &str = "plenocal-camera";
 /// are 0.
 pub const CAMERA_VERSION: u64 = 2;
 
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize)]
 struct CameraFile {
     format: String,
     version: u64,
@@ -143,7 +143,7 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
             version.map_or("unknown".to_owned(), |v| v.to_string())
         )));
     }
-    let file: CameraFile = document_of(value, CAMERA_FORMAT)?;
-    file.camera.validate()?;
-    Ok(file.camera)
+    let camera: PlenopticCamera = document_of(value, CAMERA_FORMAT)?;
+    camera.validate()?;
+    Ok(camera)
 }

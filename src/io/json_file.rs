@@ -114,4 +114,19 @@ mod tests {
         let error = json_from("{\"a\": 1,\n \"b\": {\"c\": 1, \"c\": 1}}").unwrap_err().to_string();
         assert!(error.contains("'c' is given twice") && error.contains("line 2"), "{error}");
     }
+
+    /// Messages name the field, in every format.
+    #[test]
+    fn a_field_of_another_kind_is_named() {
+        let camera = |value: &str| {
+            let text =
+                r#"{"format": "plenocal-camera", "version": 2, "sensor": {"width_px": VALUE}}"#;
+            let document = json_from(&text.replace("VALUE", value)).unwrap();
+            super::super::camera_file::camera_from(document).unwrap_err().to_string()
+        };
+        assert!(camera("\"x\"").contains("sensor.width_px"), "{}", camera("\"x\""));
+        let poses = r#"{"format": "plenocal-poses", "version": 1, "poses": [{"frame": 1.5}]}"#;
+        let why = super::super::poses_file::poses_from(json_from(poses).unwrap()).unwrap_err();
+        assert!(why.to_string().contains("poses[0].frame"), "{why}");
+    }
 }
