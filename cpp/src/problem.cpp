@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "checks.hpp"
+#include "compressed.hpp"
 
 namespace plenocal {
 
@@ -56,6 +57,27 @@ std::vector<std::pair<double*, int>> CalibrationProblem::shared_blocks() {
   }
   if (shape_is_free_) blocks.emplace_back(shape_.data(), kBoardShapeParameters);
   return blocks;
+}
+
+std::unique_ptr<ceres::Problem> CalibrationProblem::compressed() const {
+  ceres::Problem::Options options;
+  options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  auto result = std::make_unique<ceres::Problem>(options);
+  for (const Block& block : blocks_) {
+    result->AddResidualBlock(plenocal::compressed(*block.cost).release(), nullptr,
+                             block.parameters);
+  }
+  std::vector<double*> parameters;
+  problem_->GetParameterBlocks(&parameters);
+  for (double* block : parameters) {
+    result->AddParameterBlock(block, problem_->ParameterBlockSize(block));
+    if (problem_->IsParameterBlockConstant(block)) {
+      result->SetParameterBlockConstant(block);
+    } else if (problem_->HasManifold(block)) {
+      result->SetManifold(block, const_cast<ceres::Manifold*>(problem_->GetManifold(block)));
+    }
+  }
+  return result;
 }
 
 CalibrationProblem::Linearised CalibrationProblem::linearised(const Block& block,

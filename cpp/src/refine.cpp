@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <chrono>
 #include <limits>
+#include <memory>
 #include <stdexcept>
 
 #include "plenocal/problem.hpp"
@@ -144,6 +145,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
                   const SolverOptions& solver_options, const Progress& progress) {
   const auto start = std::chrono::steady_clock::now();
   CalibrationProblem calibration(camera, poses, observations, cost_options);
+  const std::unique_ptr<ceres::Problem> problem = calibration.compressed();
   Refinement result;
 
   ceres::Solver::Options options;
@@ -165,7 +167,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
   bool go_on = true;
   while (go_on) {
     options.linear_solver_ordering = calibration.ordering();
-    ceres::Solve(options, &calibration.problem(), &summary);
+    ceres::Solve(options, problem.get(), &summary);
     result.report += summary.FullReport();
     if (watch.states().empty()) {
       throw std::invalid_argument(

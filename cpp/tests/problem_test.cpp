@@ -77,6 +77,54 @@ TEST(CalibrationProblem, EvaluatesAsCeresDoes) {
   }
 }
 
+// Few rows in the place of many: cost, gradient and Gauss-Newton matrix stay, for constant blocks
+// and losses too, and at a place where no residuals are left.
+TEST(CalibrationProblem, CompressedHasTheSameMinimum) {
+  for (const double noise : {1.0, 0.0}) {
+    Scene scene = test::make_scene(3);
+    test::add_noise(0.1 * noise, 0.05 * noise, 0.02 * noise, 8, &scene.observations);
+    CostOptions options;
+    options.fixed = {"F", "Q2"};
+    options.fixed_poses = {1};
+    options.anchors = {{"D", 60.0, 2.0}};
+    options.features_loss = {LossKind::kCauchy, 2.0};
+    CalibrationProblem calibration(scene.camera, scene.poses, scene.observations, options);
+    const auto compressed = calibration.compressed();
+    ceres::Problem::EvaluateOptions in_order;
+    for (double* block : calibration.free_blocks()) in_order.parameter_blocks.push_back(block);
+    const auto evaluate = [&](ceres::Problem& problem, double* cost, Eigen::VectorXd* gradient,
+                              Eigen::MatrixXd* normal) {
+      std::vector<double> entries;
+      ceres::CRSMatrix crs;
+      ASSERT_TRUE(problem.Evaluate(in_order, cost, nullptr, &entries, &crs));
+      *gradient = Eigen::Map<Eigen::VectorXd>(entries.data(), entries.size());
+      Eigen::MatrixXd jacobian = Eigen::MatrixXd::Zero(crs.num_rows, crs.num_cols);
+      for (int row = 0; row < crs.num_rows; ++row) {
+        for (int at = crs.rows[row]; at < crs.rows[row + 1]; ++at) {
+          jacobian(row, crs.cols[at]) = crs.values[at];
+        }
+      }
+      *normal = jacobian.transpose() * jacobian;
+    };
+    double cost = 0.0, cost_alone = 0.0, expected_cost = 0.0;
+    Eigen::VectorXd gradient, expected_gradient;
+    Eigen::MatrixXd normal, expected_normal;
+    evaluate(calibration.problem(), &expected_cost, &expected_gradient, &expected_normal);
+    evaluate(*compressed, &cost, &gradient, &normal);
+    ASSERT_TRUE(compressed->Evaluate(in_order, &cost_alone, nullptr, nullptr, nullptr));
+    EXPECT_LT(compressed->NumResiduals(), calibration.problem().NumResiduals() / 2);
+    EXPECT_NEAR(cost, expected_cost, 1e-13 * expected_cost);
+    EXPECT_NEAR(cost_alone, expected_cost, 1e-13 * expected_cost);
+    const Eigen::VectorXd scale = expected_normal.diagonal().cwiseSqrt();
+    for (Eigen::Index i = 0; i < scale.size(); ++i) {
+      EXPECT_NEAR(gradient[i], expected_gradient[i], 1e-13 * scale[i] * std::sqrt(2.0 * cost));
+      for (Eigen::Index j = 0; j < scale.size(); ++j) {
+        EXPECT_NEAR(normal(i, j), expected_normal(i, j), 1e-13 * scale[i] * scale[j]);
+      }
+    }
+  }
+}
+
 TEST(CostOptions, FixedParametersAreAdded) {
   CostOptions options;
   options.fixed = {"F"};
