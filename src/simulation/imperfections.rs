@@ -87,15 +87,16 @@ const DUST: u64 = 0x6475_7374;
 impl FallOffLaw {
     /// Irradiance through a small area of the micro-lens, over that area, of light with a radiance.
     /// `inner` is the vector from sensor to micro-lens, `distance` the one between their planes.
-    #[inline]
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub(super) fn light(self, radiance: f64, inner: &Vector3<f64>, distance: f64) -> f64 {
         if let Self::None = self {
             return radiance / (distance * distance);
         }
         let z2 = inner.z * inner.z;
-        let cos2 = z2 / inner.norm_squared();
+        let square = inner.x * inner.x + inner.y * inner.y + z2;
         // Irradiance through a small area of a plane parallel to the sensor: L cos⁴/distance².
-        let natural = radiance * cos2 * cos2 / z2;
+        let natural = radiance * z2 / (square * square);
         if let Self::HalfResponseDeg(half) = self {
             return natural * Self::response(half, inner);
         }

@@ -27,16 +27,6 @@ pub(super) enum Optics {
     Real(RealLens),
 }
 
-/// A main lens as rays from the sensor meet it. Loops over rays are compiled for each kind: with the choice
-/// within the loop, a white image through a thin lens takes 10 % longer.
-pub(super) trait Refracts {
-    /// Whether a ray passes all openings of the lens.
-    fn passes(&self, ray: &Ray) -> bool;
-
-    /// Follows a ray to a board, with [`Lens::aim`] for its bundle.
-    fn follow(&self, ray: &Ray, aim: Option<&Aim>, board: &PlacedTarget) -> Passage;
-}
-
 /// What becomes of a ray from the sensor.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Passage {
@@ -112,10 +102,10 @@ impl Lens {
         Ok(())
     }
 
-    /// See [`Refracts`].
+    /// Whether a ray passes all openings of the lens.
     pub fn passes(&self, ray: &Ray) -> bool {
         match &self.optics {
-            Optics::Thin(thin) => thin.passes(ray),
+            Optics::Thin(thin) => thin.pupil.passes(ray),
             Optics::Real(real) => real.passes(ray),
         }
     }
@@ -126,12 +116,12 @@ impl Lens {
         thin.aim(ray, board)
     }
 
-    /// See [`Refracts`].
+    /// Follows a ray to a board, with [`Lens::aim`] for its bundle.
     #[cfg(test)]
     pub fn follow(&self, ray: &Ray, aim: Option<&Aim>, board: &PlacedTarget) -> Passage {
         match &self.optics {
-            Optics::Thin(thin) => thin.follow(ray, aim, board),
-            Optics::Real(real) => real.follow(ray, aim, board),
+            Optics::Thin(thin) => thin.follow(ray, aim),
+            Optics::Real(real) => real.follow(ray, board),
         }
     }
 

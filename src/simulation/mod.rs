@@ -17,6 +17,7 @@ mod paraxial;
 mod prescription;
 mod presets;
 mod ray;
+mod rays;
 mod real_lens;
 #[cfg(test)]
 mod real_lens_tests;

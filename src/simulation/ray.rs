@@ -17,7 +17,8 @@ impl Ray {
     }
 
     /// Where it crosses a plane across the axis.
-    #[inline]
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn at(&self, z: f64) -> Vector2<f64> {
         self.at_lens + self.slope * z
     }
@@ -38,7 +39,8 @@ impl Stop {
         Self { center, radius, limit2: radius * radius * (1.0 + 1e-9) }
     }
 
-    #[inline]
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn passes(&self, ray: &Ray) -> bool {
         let off = ray.at(self.center.z) - self.center.xy().coords;
         off.norm_squared() <= self.limit2

@@ -9,12 +9,11 @@
 use nalgebra::{Matrix2, Point3, Vector2, Vector3};
 use serde::Serialize;
 
-use super::main_lens::{Passage, Refracts};
+use super::main_lens::Passage;
 use super::paraxial::Paraxial;
 use super::prescription::Prescription;
 use super::ray::Ray;
 use super::scene::PlacedTarget;
-use super::thin_lens::Aim;
 use crate::error::{Error, Result};
 
 /// What a real lens comes to in terms of the model, for rays close to the axis or to the middle of the
@@ -202,6 +201,22 @@ impl RealLens {
         Self::through::<true>(ray, &self.interfaces).map(|inner| self.in_front(&inner))
     }
 
+    /// Whether a ray passes all openings.
+    #[inline]
+    pub fn passes(&self, ray: &Ray) -> bool {
+        Self::through::<true>(ray, &self.interfaces).is_some()
+    }
+
+    /// Follows a ray to a board.
+    #[inline]
+    pub fn follow(&self, ray: &Ray, board: &PlacedTarget) -> Passage {
+        match self.object_ray(ray) {
+            None => Passage::Blocked,
+            Some(outer) if board.depth(&outer) > 0.0 => Passage::Seen(outer),
+            Some(_) => Passage::Away,
+        }
+    }
+
     /// The slope of the ray from a point behind the lens through the middle of the stop.
     pub fn chief_slope(&self, from: &Point3<f64>) -> Option<Vector2<f64>> {
         let surfaces = &self.interfaces[..=self.stop];
@@ -298,22 +313,6 @@ impl RealLens {
         let all =
             (0..REACH_FIELDS).flat_map(|field| (0..REACH_TURNS).map(move |turn| (field, turn)));
         all.map(|(field, turn)| furthest(field, turn)).fold(0.0, f64::max) + REACH_MARGIN * step
-    }
-}
-
-impl Refracts for RealLens {
-    #[inline]
-    fn passes(&self, ray: &Ray) -> bool {
-        Self::through::<true>(ray, &self.interfaces).is_some()
-    }
-
-    #[inline]
-    fn follow(&self, ray: &Ray, _: Option<&Aim>, board: &PlacedTarget) -> Passage {
-        match self.object_ray(ray) {
-            None => Passage::Blocked,
-            Some(outer) if board.depth(&outer) > 0.0 => Passage::Seen(outer),
-            Some(_) => Passage::Away,
-        }
     }
 }
 

@@ -4,9 +4,9 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::array::MicroLens;
-use super::main_lens::{Optics, Passage, Refracts};
 use super::ray::Ray;
-use super::sampling::{RayPoint, RaySets, hash};
+use super::rays::Gathering;
+use super::sampling::{RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
 use super::spread::{Footprint, half_width_px};
 use super::thin_lens::Aim;
@@ -117,44 +117,10 @@ impl Tracer {
         let half = (radius * radius - (v as f64 - center.y).powi(2)).max(0.0).sqrt();
         for u in pixels_between(center.x - half, center.x + half, sums.len()) {
             let Some(bundle) = self.bundle(lens, u, v, board) else { continue };
-            let points = sets.set(hash([seed, i as u64, u as u64, v as u64]));
-            let light = match &self.lens.optics {
-                Optics::Thin(thin) => self.gather(thin, lens, &bundle, points, [u, v], board),
-                Optics::Real(real) => self.gather(real, lens, &bundle, points, [u, v], board),
-            };
-            sums[u] += light / points.len() as f64;
-        }
-    }
-
-    /// The light along all rays of a bundle, but those that dust on pixel (u, v) stops, times the area that
-    /// they are drawn from.
-    fn gather<L: Refracts>(
-        &self,
-        optics: &L,
-        lens: &MicroLens,
-        bundle: &Bundle,
-        points: &[RayPoint],
-        [u, v]: [usize; 2],
-        board: Option<&PlacedTarget>,
-    ) -> f64 {
-        let board = board.map(|board| (board, bundle.aim.as_ref()));
-        let place =
-            |p: &RayPoint| bundle.pixel + bundle.right * p.pixel[0] + bundle.down * p.pixel[1];
-        let light = |p: &RayPoint| self.light(optics, lens, &place(p), &bundle.draw, p, board);
-        // Over the reach of a point spread the overlap of both openings changes much: every ray has its own.
-        let spread_light = |p: &RayPoint| {
-            let pixel = place(p);
-            let draw = self.draw(lens, &pixel, 0.0)?;
-            Some(self.light(optics, lens, &pixel, &draw, p, board) * draw.area)
-        };
-        let dusty = self.dust.touches(u, v);
-        let clear = |p: &&RayPoint| !(dusty && self.dust.covers(u, v, p.pixel));
-        if self.point_spread_px > 0.0 {
-            points.iter().filter(clear).filter_map(spread_light).sum()
-        } else if dusty {
-            points.iter().filter(clear).map(light).sum::<f64>() * bundle.draw.area
-        } else {
-            points.iter().map(light).sum::<f64>() * bundle.draw.area
+            let set = sets.set(hash([seed, i as u64, u as u64, v as u64]));
+            let gathering =
+                Gathering { tracer: self, lens, bundle: &bundle, set, at: [u, v], board };
+            sums[u] += gathering.light();
         }
     }
 
@@ -172,7 +138,7 @@ impl Tracer {
         let aim = board.and_then(|board| {
             // The ray through the middle of the projected pupil, or the nearest point of the opening.
             let within = (array.opening_radius / draw.middle.norm()).min(1.0);
-            let (ray, _) = self.through(lens, draw.middle * within, &pixel);
+            let ray = self.through(lens, draw.middle * within, &pixel);
             self.lens.aim(&ray, board)
         });
         let step = array.pixel_size;
@@ -188,7 +154,7 @@ impl Tracer {
     /// Where rays are drawn to all places within a reach of one on the sensor (local); `None` if no ray
     /// through the micro-lens leads there.
     #[inline]
-    fn draw(&self, lens: &MicroLens, pixel: &Vector3<f64>, reach_px: f64) -> Option<Draw> {
+    pub(super) fn draw(&self, lens: &MicroLens, pixel: &Vector3<f64>, reach_px: f64) -> Option<Draw> {
         let array = &self.array;
         let drawn = &self.lens.drawn;
         let pupil = array.local(lens, &drawn.center);
@@ -218,61 +184,43 @@ impl Tracer {
         Some(Draw { on_opening, window, area, middle })
     }
 
-    /// The ray from a point of the sensor through `on_lens` (both local) to the main lens, and the
-    /// vector from sensor to micro-lens.
-    #[inline]
+    /// The ray from a point of the sensor through `on_lens` (both local) to the main lens.
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub(super) fn through(
         &self,
         lens: &MicroLens,
         on_lens: Vector2<f64>,
         pixel: &Vector3<f64>,
-    ) -> (Ray, Vector3<f64>) {
-        let inner = Vector3::new(on_lens.x - pixel.x, on_lens.y - pixel.y, -pixel.z);
-        let outer = inner.xy() / inner.z - on_lens * lens.power;
-        let direction = self.array.axes * Vector3::new(outer.x, outer.y, 1.0);
-        let slope = direction.xy() / direction.z;
-        let start = self.array.of_lens(lens, on_lens);
-        (Ray { at_lens: start.xy().coords - slope * start.z, slope }, inner)
+    ) -> Ray {
+        // It comes from the pixel, and the lens takes x/f off its slopes.
+        let outer = (pixel.xy() - on_lens) * pixel.z.recip() - on_lens * lens.power;
+        let axes = &self.array.axes;
+        let along = |row: usize| axes[(row, 0)] * outer.x + axes[(row, 1)] * outer.y + axes[(row, 2)];
+        let on_plane = |row: usize| {
+            lens.center[row] + axes[(row, 0)] * on_lens.x + axes[(row, 1)] * on_lens.y
+        };
+        let slope = Vector2::new(along(0), along(1)) * along(2).recip();
+        Ray { at_lens: Vector2::new(on_plane(0), on_plane(1)) - slope * on_plane(2), slope }
     }
 
-    /// Light along one ray to a place on the sensor (local), per unit area of the micro-lens.
-    #[inline]
-    fn light<L: Refracts>(
+    /// Where the ray from a point of the sensor crosses the micro-lens that arrives at `aim`, from the middle of the
+    /// opening that rays are drawn from.
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
+    pub(super) fn towards_pupil(
         &self,
-        optics: &L,
         lens: &MicroLens,
         pixel: &Vector3<f64>,
-        draw: &Draw,
-        point: &RayPoint,
-        board: Option<(&PlacedTarget, Option<&Aim>)>,
-    ) -> f64 {
-        let Some(on_disc) = draw.window.place(point) else { return 0.0 };
-        let on_lens = if draw.on_opening {
-            on_disc * self.array.opening_radius
-        } else {
-            let drawn = &self.lens.drawn;
-            let aim = drawn.center + (on_disc * drawn.radius).push(0.0);
-            let aim = self.array.local(lens, &aim);
-            (aim.xy() - pixel.xy() * (aim.z / pixel.z)) / lens.demagnification(-pixel.z, aim.z)
-        };
-        let stop = self.array.opening_radius;
-        if !draw.on_opening && on_lens.norm_squared() > stop * stop {
-            return 0.0;
-        }
-        let (ray, inner) = self.through(lens, on_lens, pixel);
-        if !self.passes_second(&ray) {
-            return 0.0;
-        }
-        let radiance = match board {
-            None if optics.passes(&ray) => 1.0,
-            None => return 0.0,
-            Some((board, aim)) => match optics.follow(&ray, aim, board) {
-                Passage::Blocked => return 0.0,
-                Passage::Away => board.background(),
-                Passage::Seen(outer) => board.radiance(&outer),
-            },
-        };
-        self.fall_off.light(radiance, &inner, self.mla_to_sensor)
+        aim: Vector2<f64>,
+    ) -> Vector2<f64> {
+        let (axes, to) = (&self.array.axes, self.lens.drawn.center - lens.center);
+        let (x, y) = (to.x + aim.x, to.y + aim.y);
+        let local =
+            |column: usize| axes[(0, column)] * x + axes[(1, column)] * y + axes[(2, column)] * to.z;
+        let z = local(2);
+        let seen = Vector2::new(local(0), local(1)) - pixel.xy() * (z / pixel.z);
+        seen * lens.demagnification(-pixel.z, z).recip()
     }
 }
 

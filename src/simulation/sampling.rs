@@ -4,59 +4,128 @@ use sobol_burley::sample;
 
 use super::spread::Footprint;
 
-/// One ray: position from the middle of the pixel (±½ px, and more with a point spread), and in the unit
-/// square, which is also mapped onto the unit disc.
+/// Rays that are traced side by side.
+pub(super) const BLOCK: usize = 8;
+
+/// Some rays: positions from the middle of the pixel (±½ px, and more with a point spread), and in the
+/// square from −1 to 1, which is also mapped onto the unit disc.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct RayPoint {
-    pub pixel: [f64; 2],
-    pub square: [f64; 2],
-    pub disc: [f64; 2],
+pub(super) struct PointBlock {
+    pub pixel: [[f64; BLOCK]; 2],
+    pub square: [[f64; BLOCK]; 2],
+    pub disc: [[f64; BLOCK]; 2],
+    /// 1, but 0 where there is no further ray.
+    pub share: [f64; BLOCK],
 }
 
 /// Many differently scrambled sets of points. Every pixel of every micro-lens takes a random one, so
 /// that the error of a set becomes noise rather than a pattern.
 #[derive(Debug)]
 pub(super) struct RaySets {
-    sets: Vec<Vec<RayPoint>>,
+    rays: usize,
+    sets: Vec<Vec<PointBlock>>,
+}
+
+/// One of them, or a mirror image.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct RaySet<'a> {
+    rays: usize,
+    blocks: &'a [PointBlock],
+    /// Signs of the axes of the pixel and of the disc.
+    signs: [f64; 4],
 }
 
 /// Each set comes with all its mirror images, in the axes of the pixel and of the disc, so that the sets have no error in
 /// common: with 256 others images were 0.001 px from their place, all alike.
-const MIRRORED: u32 = 16;
+const MIRRORED: u64 = 16;
 /// Enough sets that neighbouring pixels rarely share one, and that their second moments, which mirror images share, have little
 /// error in common: those of 16 sets of 64 points are 0.4 % too small, and m of `mini` was 0.7 % off.
-const SETS: u32 = 256 * MIRRORED;
+const SETS: u32 = 256;
 /// If the sets are long, fewer are enough: each has little error to repeat.
-const POINTS: u32 = 1 << 18;
-const FEWEST_SETS: u32 = MIRRORED;
+const POINTS: u32 = 1 << 14;
 
 impl RaySets {
     /// Sets of `rays` points for pixels with a footprint.
     pub fn new(rays: u32, footprint: &Footprint) -> Self {
-        let point = |set: u32, ray: u32| {
-            let [x, y, a, b] = [0, 1, 2, 3].map(|d| {
-                let part = f64::from(sample(ray, d, set / MIRRORED));
-                if set >> d & 1 == 0 { part } else { 1.0 - part }
-            });
-            RayPoint { pixel: [x, y].map(|p| footprint.place(p)), square: [a, b], disc: disc(a, b) }
+        let block = |set: u32, first: u32| {
+            let none = [[0.0; BLOCK]; 2];
+            let mut block =
+                PointBlock { pixel: none, square: none, disc: none, share: [0.0; BLOCK] };
+            for (i, ray) in (first..rays).take(BLOCK).enumerate() {
+                let part = |d: u32| f64::from(sample(ray, d, set));
+                let (a, b) = (2.0 * part(2) - 1.0, 2.0 * part(3) - 1.0);
+                let [x, y] = disc(a, b);
+                for axis in 0..2 {
+                    block.pixel[axis][i] = footprint.place(part(axis as u32));
+                    block.square[axis][i] = [a, b][axis];
+                    block.disc[axis][i] = [x, y][axis];
+                }
+                block.share[i] = 1.0;
+            }
+            block
         };
-        let set = |set: u32| (0..rays).map(|ray| point(set, ray)).collect();
-        let sets = (POINTS / rays).clamp(FEWEST_SETS, SETS) / MIRRORED * MIRRORED;
-        Self { sets: (0..sets).map(set).collect() }
+        let set = |set: u32| (0..rays).step_by(BLOCK).map(|first| block(set, first)).collect();
+        let sets = (POINTS / rays).clamp(1, SETS);
+        Self { rays: rays as usize, sets: (0..sets).map(set).collect() }
     }
 
     /// The set that belongs to a hash.
     #[inline]
     #[allow(clippy::cast_possible_truncation)] // below their number
-    pub fn set(&self, hash: u64) -> &[RayPoint] {
-        &self.sets[(hash % self.sets.len() as u64) as usize]
+    pub fn set(&self, hash: u64) -> RaySet<'_> {
+        let index = hash % (MIRRORED * self.sets.len() as u64);
+        let (set, mirror) = (index / MIRRORED, index % MIRRORED);
+        let sign = |axis: u64| if mirror >> axis & 1 == 0 { 1.0 } else { -1.0 };
+        RaySet {
+            rays: self.rays,
+            blocks: &self.sets[set as usize],
+            signs: [sign(0), sign(1), sign(2), sign(3)],
+        }
     }
 }
 
-/// Area-preserving map of the unit square onto the unit disc (Shirley and Chiu's concentric map);
+impl RaySet<'_> {
+    /// Number of rays.
+    pub fn rays(&self) -> usize {
+        self.rays
+    }
+
+    /// Number of blocks.
+    pub fn blocks(&self) -> usize {
+        self.blocks.len()
+    }
+
+    /// Some of the rays.
+    #[inline(always)]
+    pub fn block(&self, index: usize) -> PointBlock {
+        let mut block = self.blocks[index];
+        for axis in 0..2 {
+            let (of_pixel, of_disc) = (self.signs[axis], self.signs[2 + axis]);
+            for i in 0..BLOCK {
+                block.pixel[axis][i] *= of_pixel;
+                block.square[axis][i] *= of_disc;
+                block.disc[axis][i] *= of_disc;
+            }
+        }
+        block
+    }
+
+    /// All of them: the places in the pixel and on the disc.
+    #[cfg(test)]
+    pub fn points(&self) -> Vec<([f64; 2], [f64; 2])> {
+        let of = |index: usize| {
+            let block = self.block(index);
+            (0..BLOCK)
+                .filter(move |&i| block.share[i] > 0.0)
+                .map(move |i| (block.pixel.map(|p| p[i]), block.disc.map(|d| d[i])))
+        };
+        (0..self.blocks()).flat_map(of).collect()
+    }
+}
+
+/// Area-preserving map of the square from −1 to 1 onto the unit disc (Shirley and Chiu's concentric map);
 /// neighbours stay neighbours.
-fn disc(a: f64, b: f64) -> [f64; 2] {
-    let (x, y) = (2.0 * a - 1.0, 2.0 * b - 1.0);
+fn disc(x: f64, y: f64) -> [f64; 2] {
     let eighth = std::f64::consts::FRAC_PI_4;
     let (radius, angle) = if x.abs() > y.abs() {
         (x, eighth * y / x)
@@ -87,18 +156,20 @@ mod tests {
     fn sets_have_no_error_in_common() {
         for (rays, point_spread_px, limit) in [(16, 0.0, 2e-3), (64, 0.5, 5e-4), (3000, 0.0, 5e-4)]
         {
-            let sets = RaySets::new(rays, &Footprint::new(point_spread_px)).sets;
-            let points = || sets.iter().flatten();
-            let mean = |of: &dyn Fn(&RayPoint) -> f64| {
-                points().map(of).sum::<f64>() / points().count() as f64
+            let sets = RaySets::new(rays, &Footprint::new(point_spread_px));
+            let all: Vec<_> = (0..MIRRORED * sets.sets.len() as u64)
+                .flat_map(|hash| sets.set(hash).points())
+                .collect();
+            let mean = |of: &dyn Fn([f64; 2], [f64; 2]) -> f64| {
+                all.iter().map(|&(pixel, disc)| of(pixel, disc)).sum::<f64>() / all.len() as f64
             };
             for i in 0..2 {
-                assert!(mean(&|p| p.pixel[i]).abs() < 1e-9 && mean(&|p| p.disc[i]).abs() < 1e-9);
+                assert!(mean(&|p, _| p[i]).abs() < 1e-9 && mean(&|_, d| d[i]).abs() < 1e-9);
                 for j in 0..2 {
-                    assert!(mean(&|p| p.pixel[i] * p.disc[j]).abs() < 1e-9);
+                    assert!(mean(&|p, d| p[i] * d[j]).abs() < 1e-9);
                 }
             }
-            let square = mean(&|p| p.disc[0].powi(2) + p.disc[1].powi(2));
+            let square = mean(&|_, d| d[0].powi(2) + d[1].powi(2));
             assert!((square - 0.5).abs() < limit, "{square} with {rays} rays");
         }
     }
@@ -106,16 +177,28 @@ mod tests {
     #[test]
     fn points_fill_pixel_and_disc_evenly() {
         let sets = RaySets::new(64, &Footprint::new(0.0));
-        for hash in 0..u64::from(SETS) {
-            let points = sets.set(hash);
+        for hash in 0..MIRRORED * u64::from(SETS) {
+            let points = sets.set(hash).points();
             let n = points.len() as f64;
-            let mean = |f: fn(&RayPoint) -> f64| points.iter().map(f).sum::<f64>() / n;
+            let mean = |of: &dyn Fn([f64; 2], [f64; 2]) -> f64| {
+                points.iter().map(|&(pixel, disc)| of(pixel, disc)).sum::<f64>() / n
+            };
             // 64 stratified points have a mean within a sixteenth of their range.
-            assert!(mean(|p| p.pixel[0]).abs() < 0.03 && mean(|p| p.pixel[1]).abs() < 0.03);
-            assert!(mean(|p| p.disc[0]).abs() < 0.06 && mean(|p| p.disc[1]).abs() < 0.06);
-            let second = mean(|p| p.disc[0].powi(2) + p.disc[1].powi(2));
+            assert!(mean(&|p, _| p[0]).abs() < 0.03 && mean(&|p, _| p[1]).abs() < 0.03);
+            assert!(mean(&|_, d| d[0]).abs() < 0.06 && mean(&|_, d| d[1]).abs() < 0.06);
+            let second = mean(&|_, d| d[0].powi(2) + d[1].powi(2));
             assert!((second - 0.5).abs() < 0.03, "a uniform disc has <r²> = 1/2, not {second}");
-            assert!(points.iter().all(|p| p.disc[0].hypot(p.disc[1]) <= 1.0 + 1e-12));
+            assert!(points.iter().all(|(_, d)| d[0].hypot(d[1]) <= 1.0 + 1e-12));
+        }
+    }
+
+    /// Numbers of rays that do not fill a block are numbers of rays.
+    #[test]
+    fn a_block_may_have_fewer_rays() {
+        for rays in [1, 8, 13] {
+            let sets = RaySets::new(rays, &Footprint::new(0.0));
+            let set = sets.set(77);
+            assert_eq!((set.points().len(), set.rays()), (rays as usize, rays as usize));
         }
     }
 }

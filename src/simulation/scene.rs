@@ -62,13 +62,14 @@ pub(super) struct ImagePlane {
 }
 
 impl ImagePlane {
-    /// z where a ray behind the lens meets it; `None` if the ray leads away from the board.
-    #[inline]
-    pub fn z(&self, ray: &Ray) -> Option<f64> {
+    /// z where a ray behind the lens meets it, and whether the ray leads to the board.
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
+    pub fn z(&self, ray: &Ray) -> (f64, bool) {
         let start = ray.at_lens - self.shift;
         let z =
             (self.offset - self.across.dot(&start)) / (self.across.dot(&ray.slope) + self.along);
-        (z < self.limit).then_some(z)
+        (z, z < self.limit)
     }
 }
 
@@ -155,18 +156,21 @@ impl PlacedTarget {
     }
 
     /// z where a ray in front of the lens meets the plane of the board.
-    #[inline]
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn depth(&self, ray: &Ray) -> f64 {
-        let start = Point3::new(ray.at_lens.x, ray.at_lens.y, 0.0);
-        let normal = &self.plane.normal;
-        normal.dot(&(self.origin - start)) / normal.dot(&ray.slope.push(1.0))
+        let (normal, off) = (&self.plane.normal, self.origin.xy() - ray.at_lens);
+        let across = normal.x * off.x + normal.y * off.y + normal.z * self.origin.z;
+        across / (normal.x * ray.slope.x + normal.y * ray.slope.y + normal.z)
     }
 
     /// Where a ray in front of the lens meets the plane of the board, from corner 0.
-    #[inline]
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     fn on_plane(&self, ray: &Ray) -> Vector3<f64> {
         let depth = self.depth(ray);
-        ray.at(depth).push(depth) - self.origin.coords
+        let at = ray.at(depth);
+        Vector3::new(at.x - self.origin.x, at.y - self.origin.y, depth - self.origin.z)
     }
 
     /// Where a ray in front of the lens meets the board, camera frame; `None` if it misses a bent one.
@@ -183,30 +187,35 @@ impl PlacedTarget {
     }
 
     /// Radiance along a ray in front of the lens.
-    #[inline(always)]
-    #[allow(clippy::inline_always)] // a board takes 10 % longer without
     pub fn radiance(&self, ray: &Ray) -> f64 {
-        let mut hit = self.on_plane(ray);
-        if let Some(bent) = &self.bent {
-            let Some(on_surface) = bent.meet(hit, ray) else { return self.target.background };
-            hit = on_surface;
-        }
+        let Some(bent) = &self.bent else { return self.radiance_of_flat(ray) };
+        let hit = bent.meet(self.on_plane(ray), ray);
+        hit.map_or(self.target.background, |hit| self.radiance_at(&hit))
+    }
+
+    /// The same of a board that is not bent.
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
+    pub fn radiance_of_flat(&self, ray: &Ray) -> f64 {
+        self.radiance_at(&self.on_plane(ray))
+    }
+
+    /// Radiance of a place in the plane of a board, from corner 0.
+    #[inline(always)]
+    #[allow(clippy::inline_always, clippy::needless_bitwise_bool)] // the same, without branches
+    fn radiance_at(&self, hit: &Vector3<f64>) -> f64 {
         // In squares, the first one from 0 to 1.
-        let (x, y) = (self.x.dot(&hit) + 1.0, self.y.dot(&hit) + 1.0);
+        let along = |axis: &Vector3<f64>| axis.x * hit.x + axis.y * hit.y + axis.z * hit.z + 1.0;
+        let (x, y) = (along(&self.x), along(&self.y));
         let (columns, rows) = (f64::from(self.target.columns + 1), f64::from(self.target.rows + 1));
-        if (0.0..columns).contains(&x) && (0.0..rows).contains(&y) {
-            #[allow(clippy::cast_possible_truncation)] // within the sheet
-            let black = (x as i32 + y as i32) % 2 == 0;
-            let print = if black { self.target.black } else { self.target.white };
-            return print * self.target.light(x - 1.0, y - 1.0);
-        }
-        let on_sheet = (-self.border..columns + self.border).contains(&x)
-            && (-self.border..rows + self.border).contains(&y);
-        if on_sheet {
-            self.target.white * self.target.light(x - 1.0, y - 1.0)
-        } else {
-            self.target.background
-        }
+        let within = |margin: f64| {
+            (x >= -margin) & (x < columns + margin) & (y >= -margin) & (y < rows + margin)
+        };
+        let pairs = 0.5 * (x.floor() + y.floor());
+        let black = within(0.0) & (pairs == pairs.floor());
+        let print = if black { self.target.black } else { self.target.white };
+        let light = print * self.target.light(x - 1.0, y - 1.0);
+        if within(self.border) { light } else { self.target.background }
     }
 }
 

@@ -103,7 +103,8 @@ impl Target {
     }
 
     /// The light on the sheet where x and y are in squares from corner 0, relative to its middle.
-    #[inline]
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub(super) fn light(&self, x: f64, y: f64) -> f64 {
         let [half_x, half_y] = [self.columns, self.rows].map(|n| f64::from(n - 1) / 2.0);
         let [along_x, along_y] = self.uneven_light;

@@ -57,19 +57,17 @@ fn light_returns_along_the_rays() {
             let (u, v) = pixel_at(&center);
             let u = u + i % 3;
             let bundle = tracer.bundle(lens, u, v, Some(&board)).unwrap();
-            for point in sets.set(i as u64) {
-                let pixel =
-                    bundle.pixel + bundle.right * point.pixel[0] + bundle.down * point.pixel[1];
-                let on_lens = Vector2::from(point.disc) * tracer.array.opening_radius;
-                let ray = tracer.through(lens, on_lens, &pixel).0;
+            for ([right, down], disc) in sets.set(i as u64).points() {
+                let pixel = bundle.pixel + bundle.right * right + bundle.down * down;
+                let on_lens = Vector2::from(disc) * tracer.array.opening_radius;
+                let ray = tracer.through(lens, on_lens, &pixel);
                 let passage = tracer.lens.follow(&ray, bundle.aim.as_ref(), &board);
                 let Passage::Seen(outer) = passage else { continue };
                 // A bent board may turn away beyond its sheet.
                 let Some(hit) = board.hit(&outer) else { continue };
                 let image = tracer.lens.image_of(&hit).unwrap();
                 let back = tracer.array.to_sensor(lens, on_lens, &image);
-                let miss =
-                    (back.x - u as f64 - point.pixel[0]).hypot(back.y - v as f64 - point.pixel[1]);
+                let miss = (back.x - u as f64 - right).hypot(back.y - v as f64 - down);
                 assert!(miss < LOST_PX, "{name} ({}, {}): {miss} px", lens.k, lens.l);
                 looked_at += 1;
             }

@@ -2,7 +2,8 @@
 
 use nalgebra::{Matrix2, Point3, Vector2};
 
-use super::main_lens::{Passage, Refracts};
+#[cfg(test)]
+use super::main_lens::Passage;
 use super::ray::{Ray, Stop};
 use super::scene::{BoardPlane, ImagePlane, PlacedTarget};
 use crate::model::MainLens;
@@ -29,8 +30,10 @@ pub(super) struct ThinMainLens {
     lens: MainLens,
     distorts: bool,
     /// Whether image points lie elsewhere than those of an ideal lens.
-    moves: bool,
-    pupil: Stop,
+    pub moves: bool,
+    pub pupil: Stop,
+    /// 1/F.
+    power: f64,
 }
 
 /// Distortion near one ray of a narrow bundle: linearised about its image point. For other rays it is
@@ -58,12 +61,14 @@ const FOLD_STEPS: u32 = 32;
 const FOUND_MM: f64 = 1e-6;
 /// With a distortion small against its argument, Newton's method gains five digits a step.
 const NEWTON_STEPS: usize = 4;
+/// After a step from nearer than this, mm, no other is needed.
+const NEAR_MM: f64 = 1e-7;
 
 impl ThinMainLens {
     pub fn new(lens: &MainLens, pupil: Stop) -> Self {
         let distorts = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
         let moves = distorts || lens.field_curvature_per_mm != 0.0;
-        Self { lens: *lens, distorts, moves, pupil }
+        Self { lens: *lens, distorts, moves, pupil, power: 1.0 / lens.focal_length_mm }
     }
 
     /// Where all rays of an object point meet behind the lens; `None` if the point is not beyond F.
@@ -79,14 +84,16 @@ impl ThinMainLens {
 
     /// How much nearer to the lens the image of a point lies than that of an ideal lens, which is at x:
     /// κ|x|², both in mm.
-    #[inline]
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     fn nearer_mm(&self, x: Vector2<f64>) -> f64 {
         self.lens.field_curvature_per_mm * x.norm_squared()
     }
 
     /// How far distortion moves an ideal image point, both in mm in the camera frame
     /// (Brown-Conrady; paper, section 2.1). The tracer has its own, so that it can contradict the core's.
-    #[inline]
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     fn distortion_mm(&self, x: Vector2<f64>) -> Vector2<f64> {
         let [q1, q2, q3] = self.lens.radial;
         let [p1, p2] = self.lens.tangential;
@@ -112,7 +119,7 @@ impl ThinMainLens {
     /// image, if it does.
     pub fn first_fold(&self, distorted: &Vector2<f64>) -> Option<f64> {
         (1..=FOLD_STEPS).map(|step| f64::from(step) / f64::from(FOLD_STEPS)).find(|&part| {
-            let local = self.about(distorted * part);
+            let local = self.about(distorted * part, distorted * part);
             let ideal = local.undistorted;
             let miss = ideal + self.distortion_mm(ideal) - local.distorted;
             let jacobian = Matrix2::identity() + self.distortion_jacobian(ideal);
@@ -121,9 +128,9 @@ impl ThinMainLens {
         })
     }
 
-    /// The distortion about a point of image space.
-    fn about(&self, distorted: Vector2<f64>) -> LocalDistortion {
-        let mut undistorted = distorted;
+    /// The distortion about a point of image space, searched for from a guess.
+    fn about(&self, distorted: Vector2<f64>, guess: Vector2<f64>) -> LocalDistortion {
+        let mut undistorted = guess;
         let mut inverse = Matrix2::identity();
         if self.distorts {
             for _ in 0..NEWTON_STEPS {
@@ -131,7 +138,12 @@ impl ThinMainLens {
                 let jacobian = Matrix2::identity() + self.distortion_jacobian(undistorted);
                 inverse = jacobian.try_inverse().unwrap_or_else(Matrix2::identity);
                 undistorted -= inverse * miss;
+                if miss.norm_squared() < NEAR_MM * NEAR_MM {
+                    break;
+                }
             }
+        } else {
+            undistorted = distorted;
         }
         let nearer = self.nearer_mm(undistorted);
         let gradient = undistorted * (2.0 * self.lens.field_curvature_per_mm);
@@ -151,7 +163,10 @@ impl ThinMainLens {
             return Some(aim);
         }
         // The image of a bent board is a plane within the bundle.
-        let outer = self.object_ray(ray, aim.plane.z(ray)?, &aim.local);
+        let (outer, meets) = self.object_ray(ray, &aim, self.moves);
+        if !meets {
+            return None;
+        }
         match board.tangent(&outer) {
             Some(plane) => self.aim_at(ray, &plane),
             None => Some(aim),
@@ -159,9 +174,23 @@ impl ThinMainLens {
     }
 
     fn aim_at(&self, ray: &Ray, board: &BoardPlane) -> Option<Aim> {
-        let about = |shift| Some(self.about(ray.at(board.image_plane(shift).z(ray)?)));
-        let local = about(&about(&ImageShift::none())?.shift)?;
+        let about = |shift: ImageShift, guess: Option<Vector2<f64>>| {
+            let (z, meets) = board.image_plane(&shift).z(ray);
+            let at = ray.at(z);
+            meets.then(|| self.about(at, guess.unwrap_or(at)))
+        };
+        let first = about(ImageShift::none(), None)?;
+        let local = about(first.shift, Some(first.undistorted))?;
         Some(Aim { local, plane: board.image_plane(&local.shift) })
+    }
+
+    /// The ray in front of the lens that belongs to `ray` behind it, for the board that it aims at, and whether it leads
+    /// there; `moves` is [`ThinMainLens::moves`], known to the compiler.
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
+    pub fn object_ray(&self, ray: &Ray, aim: &Aim, moves: bool) -> (Ray, bool) {
+        let (z, meets) = aim.plane.z(ray);
+        (self.refracted(ray, z, &aim.local, moves), meets)
     }
 
     /// The ray in front of the lens that belongs to `ray` behind it, for an object whose image lies at
@@ -170,32 +199,29 @@ impl ThinMainLens {
     /// A ray aims at an image point; with an ideal lens it would aim at the point that distortion and
     /// the curvature of the field move there. The thin lens refracts that ray: it subtracts x/F from the
     /// slope.
-    #[inline]
-    fn object_ray(&self, ray: &Ray, image_z: f64, local: &LocalDistortion) -> Ray {
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
+    fn refracted(&self, ray: &Ray, image_z: f64, local: &LocalDistortion, moves: bool) -> Ray {
         let mut slope = ray.slope;
-        if self.moves {
+        if moves {
             let target = ray.at(image_z);
             let near = local.undistorted + local.inverse * (target - local.distorted);
             let ideal = near - local.inverse * (near + self.distortion_mm(near) - target);
-            slope = (ideal - ray.at_lens) / (image_z - self.nearer_mm(ideal));
+            slope = (ideal - ray.at_lens) * (image_z - self.nearer_mm(ideal)).recip();
         }
-        Ray { at_lens: ray.at_lens, slope: slope - ray.at_lens / self.lens.focal_length_mm }
-    }
-}
-
-impl Refracts for ThinMainLens {
-    #[inline]
-    fn passes(&self, ray: &Ray) -> bool {
-        self.pupil.passes(ray)
+        Ray { at_lens: ray.at_lens, slope: slope - ray.at_lens * self.power }
     }
 
-    #[inline]
-    fn follow(&self, ray: &Ray, aim: Option<&Aim>, _: &PlacedTarget) -> Passage {
+    /// Follows a ray to the board that it aims at.
+    #[cfg(test)]
+    pub fn follow(&self, ray: &Ray, aim: Option<&Aim>) -> Passage {
         if !self.pupil.passes(ray) {
             return Passage::Blocked;
         }
-        let outer = |aim: &Aim| Some(self.object_ray(ray, aim.plane.z(ray)?, &aim.local));
-        aim.and_then(outer).map_or(Passage::Away, Passage::Seen)
+        match aim.map(|aim| self.object_ray(ray, aim, self.moves)) {
+            Some((outer, true)) => Passage::Seen(outer),
+            _ => Passage::Away,
+        }
     }
 }
 
@@ -226,8 +252,8 @@ mod tests {
         for (x, y) in [(0.0, 0.0), (6.0, 0.0), (-3.0, 5.0), (0.5, -6.0)] {
             let at_lens = Vector2::new(x, y);
             let ray = Ray { at_lens, slope: (image.xy().coords - at_lens) / image.z };
-            let local = lens.about(image.xy().coords);
-            let hit = lens.object_ray(&ray, image.z, &local).at(point.z);
+            let local = lens.about(image.xy().coords, image.xy().coords);
+            let hit = lens.refracted(&ray, image.z, &local, lens.moves).at(point.z);
             assert!((hit - point.xy().coords).norm() < 1e-9, "{hit} through {at_lens}");
         }
     }

@@ -21,7 +21,7 @@ pub struct Tracer {
     pub(super) lens: Lens,
     pub(super) focal_length: f64,
     pub(super) array: MicroLenses,
-    second_stop: Option<Stop>,
+    pub(super) second_stop: Option<Stop>,
     pub(super) dust: Dust,
     pub(super) fall_off: FallOffLaw,
     pub(super) point_spread_px: f64,

@@ -2,8 +2,6 @@
 
 use nalgebra::Vector2;
 
-use super::sampling::RayPoint;
-
 /// A window is used where it is smaller than this part of the disc.
 const WORTH: f64 = 0.8;
 
@@ -38,16 +36,18 @@ impl Window {
         }
     }
 
-    /// Where on the unit disc a ray is drawn; `None` if that is beside it.
-    #[inline]
-    pub fn place(&self, point: &RayPoint) -> Option<Vector2<f64>> {
-        match self {
-            Self::Disc => Some(Vector2::from(point.disc)),
+    /// Where on the unit disc a ray is drawn that belongs to a place on it and to one in the square from −1 to 1, and
+    /// whether that is on the disc.
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
+    pub fn place(&self, disc: Vector2<f64>, square: Vector2<f64>) -> (Vector2<f64>, bool) {
+        match *self {
+            Self::Disc => (disc, true),
             Self::Rectangle { along, low, high, half } => {
-                let [a, b] = point.square;
-                let (x, y) = (low + (high - low) * a, half * (2.0 * b - 1.0));
-                let place = along * x + Vector2::new(-along.y, along.x) * y;
-                (x * x + y * y <= 1.0).then_some(place)
+                let x = 0.5 * (low + high) + 0.5 * (high - low) * square.x;
+                let y = half * square.y;
+                let place = Vector2::new(along.x * x - along.y * y, along.y * x + along.x * y);
+                (place, x * x + y * y <= 1.0)
             }
         }
     }
@@ -55,7 +55,7 @@ impl Window {
 
 #[cfg(test)]
 mod tests {
-    use super::super::sampling::RaySets;
+    use super::super::sampling::{BLOCK, PointBlock, RaySets};
     use super::super::spread::Footprint;
     use super::*;
     use crate::vignetting::overlap_area;
@@ -68,11 +68,16 @@ mod tests {
         for (distance, radius) in cases {
             let middle = Vector2::new(0.6, -0.8) * distance;
             let window = Window::about(middle, radius);
-            let covered = |p: &RayPoint| {
-                window.place(p).is_some_and(|place| (place - middle).norm() < radius)
+            let set = sets.set(0);
+            let covered = |block: &PointBlock, i: usize| {
+                let [disc, square] =
+                    [block.disc, block.square].map(|axes| Vector2::from(axes.map(|of| of[i])));
+                let (place, inside) = window.place(disc, square);
+                inside && (place - middle).norm() < radius
             };
-            let points = sets.set(0);
-            let share = points.iter().filter(|p| covered(p)).count() as f64 / points.len() as f64;
+            let in_block = |block: PointBlock| (0..BLOCK).filter(|&i| covered(&block, i)).count();
+            let all: usize = (0..set.blocks()).map(|i| in_block(set.block(i))).sum();
+            let share = all as f64 / set.rays() as f64;
             let smaller = radius.min(1.0);
             let expected = overlap_area(distance, 1.0 + radius, (1.0 - radius).abs())
                 * std::f64::consts::PI

@@ -1,0 +1,313 @@
+//! The light along all rays between a pixel and a micro-lens.
+//!
+//! Rays go from stage to stage in blocks: each stage is a loop over short equations without branches, which the
+//! compiler turns into operations on several rays at once.
+
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
+use std::ops::Range;
+
+use nalgebra::{Vector2, Vector3};
+use pulp::{Arch, NullaryFnOnce};
+
+use super::array::MicroLens;
+use super::imperfections::FallOffLaw;
+use super::main_lens::{Optics, Passage};
+use super::ray::Ray;
+use super::real_lens::RealLens;
+use super::rendering::{Bundle, Draw};
+use super::sampling::{BLOCK, PointBlock, RaySet};
+use super::scene::PlacedTarget;
+use super::thin_lens::{Aim, ThinMainLens};
+use super::tracer::Tracer;
+use super::window::Window;
+
+/// Rays side by side.
+struct Block {
+    /// The place on the sensor, local to the micro-lens.
+    pixel: [[f64; BLOCK]; 3],
+    /// That on the micro-lens.
+    on_lens: [[f64; BLOCK]; 2],
+    /// The ray from there on: where it crosses z = 0, and its slopes.
+    at_lens: [[f64; BLOCK]; 2],
+    slope: [[f64; BLOCK]; 2],
+    /// The light that it brings: at first the area that it is drawn from, 0 once it is blocked.
+    light: [f64; BLOCK],
+}
+
+/// What the rays of a bundle bring.
+pub(super) struct Gathering<'a> {
+    pub tracer: &'a Tracer,
+    pub lens: &'a MicroLens,
+    pub bundle: &'a Bundle,
+    pub set: RaySet<'a>,
+    /// u and v.
+    pub at: [usize; 2],
+    pub board: Option<&'a PlacedTarget>,
+}
+
+impl Gathering<'_> {
+    /// The mean over the rays of the light that each brings, times the area that it is drawn from, but 0 for those that dust
+    /// stops.
+    pub fn light(self) -> f64 {
+        Arch::new().dispatch(self)
+    }
+}
+
+impl NullaryFnOnce for Gathering<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        let Self { tracer, lens, bundle, set, at: [u, v], board } = self;
+        let dusty = tracer.dust.touches(u, v);
+        let mut sums = [0.0; BLOCK];
+        for index in 0..set.blocks() {
+            let points = set.block(index);
+            let mut block = Block::of(&points, bundle);
+            if dusty {
+                block.clear_of_dust(tracer, &points, [u, v]);
+            }
+            if tracer.point_spread_px > 0.0 {
+                block.draw_each(tracer, lens, &points);
+            } else {
+                block.draw_all(tracer, lens, &bundle.draw, &points);
+            }
+            block.refract(tracer, lens);
+            if let Some(stop) = tracer.second_stop {
+                block.keep(|ray| stop.passes(ray));
+            }
+            match (&tracer.lens.optics, board) {
+                (Optics::Thin(thin), None) => {
+                    let pupil = thin.pupil;
+                    block.keep(|ray| pupil.passes(ray));
+                }
+                (Optics::Thin(thin), Some(board)) => {
+                    block.see_through_thin(thin, bundle.aim.as_ref(), board);
+                }
+                (Optics::Real(real), None) => block.keep(|ray| real.passes(ray)),
+                (Optics::Real(real), Some(board)) => block.see_through_real(real, board),
+            }
+            block.fall_off(tracer.fall_off, tracer.mla_to_sensor);
+            for i in 0..BLOCK {
+                sums[i] += block.light[i];
+            }
+        }
+        sums.iter().sum::<f64>() / set.rays() as f64
+    }
+}
+
+impl Block {
+    /// Rays from their places in a pixel.
+    #[inline(always)]
+    fn of(points: &PointBlock, bundle: &Bundle) -> Self {
+        let none = [0.0; BLOCK];
+        let mut block = Self {
+            pixel: [none; 3],
+            on_lens: [none; 2],
+            at_lens: [none; 2],
+            slope: [none; 2],
+            light: points.share,
+        };
+        for i in 0..BLOCK {
+            let [x, y] = [points.pixel[0][i], points.pixel[1][i]];
+            for axis in 0..3 {
+                block.pixel[axis][i] =
+                    bundle.pixel[axis] + bundle.right[axis] * x + bundle.down[axis] * y;
+            }
+        }
+        block
+    }
+
+    #[inline(always)]
+    fn pixel(&self, i: usize) -> Vector3<f64> {
+        Vector3::new(self.pixel[0][i], self.pixel[1][i], self.pixel[2][i])
+    }
+
+    #[inline(always)]
+    fn ray(&self, i: usize) -> Ray {
+        Ray {
+            at_lens: Vector2::new(self.at_lens[0][i], self.at_lens[1][i]),
+            slope: Vector2::new(self.slope[0][i], self.slope[1][i]),
+        }
+    }
+
+    #[inline(always)]
+    fn set_ray(&mut self, i: usize, ray: &Ray) {
+        self.at_lens[0][i] = ray.at_lens.x;
+        self.at_lens[1][i] = ray.at_lens.y;
+        self.slope[0][i] = ray.slope.x;
+        self.slope[1][i] = ray.slope.y;
+    }
+
+    #[inline(never)]
+    fn clear_of_dust(&mut self, tracer: &Tracer, points: &PointBlock, [u, v]: [usize; 2]) {
+        for i in 0..BLOCK {
+            let place = [points.pixel[0][i], points.pixel[1][i]];
+            if tracer.dust.covers(u, v, place) {
+                self.light[i] = 0.0;
+            }
+        }
+    }
+
+    /// Over the reach of a point spread the overlap of both openings changes much: every ray has its own.
+    #[inline(always)]
+    fn draw_each(&mut self, tracer: &Tracer, lens: &MicroLens, points: &PointBlock) {
+        for i in 0..BLOCK {
+            match tracer.draw(lens, &self.pixel(i), 0.0) {
+                Some(draw) => self.draw(tracer, lens, &draw, points, i..i + 1),
+                None => self.light[i] = 0.0,
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn draw_all(&mut self, tracer: &Tracer, lens: &MicroLens, draw: &Draw, points: &PointBlock) {
+        self.draw(tracer, lens, draw, points, 0..BLOCK);
+    }
+
+    /// Places on the micro-lens. Each kind of window has a loop of its own.
+    #[inline(always)]
+    fn draw(
+        &mut self,
+        tracer: &Tracer,
+        lens: &MicroLens,
+        draw: &Draw,
+        points: &PointBlock,
+        which: Range<usize>,
+    ) {
+        let opening = tracer.array.opening_radius;
+        let radius = if draw.on_opening { opening } else { tracer.lens.drawn.radius };
+        match draw.window {
+            Window::Disc => self.place(Window::Disc, (radius, draw.area), points, which.clone()),
+            Window::Rectangle { along, low, high, half } => {
+                let window = Window::Rectangle { along, low, high, half };
+                self.place(window, (radius, draw.area), points, which.clone());
+            }
+        }
+        if !draw.on_opening {
+            for i in which {
+                let aim = Vector2::new(self.on_lens[0][i], self.on_lens[1][i]);
+                let on_lens = tracer.towards_pupil(lens, &self.pixel(i), aim);
+                self.on_lens[0][i] = on_lens.x;
+                self.on_lens[1][i] = on_lens.y;
+                let inside = on_lens.norm_squared() <= opening * opening;
+                self.light[i] = if inside { self.light[i] } else { 0.0 };
+            }
+        }
+    }
+
+    /// Places in a window of a disc with a radius and, of all of it, an area.
+    #[inline(always)]
+    fn place(
+        &mut self,
+        window: Window,
+        (radius, area): (f64, f64),
+        points: &PointBlock,
+        which: Range<usize>,
+    ) {
+        for i in which {
+            let disc = Vector2::new(points.disc[0][i], points.disc[1][i]);
+            let square = Vector2::new(points.square[0][i], points.square[1][i]);
+            let (place, inside) = window.place(disc, square);
+            self.on_lens[0][i] = place.x * radius;
+            self.on_lens[1][i] = place.y * radius;
+            self.light[i] = if inside { self.light[i] * area } else { 0.0 };
+        }
+    }
+
+    /// The rays behind the micro-lens.
+    #[inline(always)]
+    fn refract(&mut self, tracer: &Tracer, lens: &MicroLens) {
+        for i in 0..BLOCK {
+            let on_lens = Vector2::new(self.on_lens[0][i], self.on_lens[1][i]);
+            let ray = tracer.through(lens, on_lens, &self.pixel(i));
+            self.set_ray(i, &ray);
+        }
+    }
+
+    /// Blocks the others.
+    #[inline(always)]
+    fn keep(&mut self, passes: impl Fn(&Ray) -> bool) {
+        for i in 0..BLOCK {
+            self.light[i] = if passes(&self.ray(i)) { self.light[i] } else { 0.0 };
+        }
+    }
+
+    #[inline(always)]
+    fn see_through_thin(&mut self, thin: &ThinMainLens, aim: Option<&Aim>, board: &PlacedTarget) {
+        let pupil = thin.pupil;
+        self.keep(|ray| pupil.passes(ray));
+        match aim {
+            Some(aim) if thin.moves => self.see_board(thin, aim, true, board),
+            Some(aim) => self.see_board(thin, aim, false, board),
+            None => {
+                for i in 0..BLOCK {
+                    self.light[i] *= board.background();
+                }
+            }
+        }
+    }
+
+    /// Those that pass the lens see the board or what is beside it.
+    #[inline(always)]
+    fn see_board(&mut self, thin: &ThinMainLens, aim: &Aim, moves: bool, board: &PlacedTarget) {
+        let (mut meeting, mut radiance) = ([0.0; BLOCK], [0.0; BLOCK]);
+        for i in 0..BLOCK {
+            let (outer, meets) = thin.object_ray(&self.ray(i), aim, moves);
+            self.set_ray(i, &outer);
+            meeting[i] = if meets { 1.0 } else { 0.0 };
+        }
+        if board.is_bent() {
+            for i in 0..BLOCK {
+                radiance[i] = board.radiance(&self.ray(i));
+            }
+        } else {
+            for i in 0..BLOCK {
+                radiance[i] = board.radiance_of_flat(&self.ray(i));
+            }
+        }
+        for i in 0..BLOCK {
+            let background = board.background();
+            self.light[i] *= if meeting[i] > 0.0 { radiance[i] } else { background };
+        }
+    }
+
+    #[inline(never)]
+    fn see_through_real(&mut self, real: &RealLens, board: &PlacedTarget) {
+        for i in 0..BLOCK {
+            if self.light[i] > 0.0 {
+                self.light[i] *= match real.follow(&self.ray(i), board) {
+                    Passage::Blocked => 0.0,
+                    Passage::Away => board.background(),
+                    Passage::Seen(outer) => board.radiance(&outer),
+                };
+            }
+        }
+    }
+
+    /// The light that arrives, by the angle at which it does. Each law has a loop of its own.
+    #[inline(always)]
+    fn fall_off(&mut self, law: FallOffLaw, distance: f64) {
+        match law {
+            FallOffLaw::Cos4 => self.fall_off_by(FallOffLaw::Cos4, distance),
+            FallOffLaw::None => self.fall_off_by(FallOffLaw::None, distance),
+            FallOffLaw::HalfResponseDeg(angle) => {
+                self.fall_off_by(FallOffLaw::HalfResponseDeg(angle), distance);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn fall_off_by(&mut self, law: FallOffLaw, distance: f64) {
+        for i in 0..BLOCK {
+            let inner = Vector3::new(
+                self.on_lens[0][i] - self.pixel[0][i],
+                self.on_lens[1][i] - self.pixel[1][i],
+                -self.pixel[2][i],
+            );
+            self.light[i] = law.light(self.light[i], &inner, distance);
+        }
+    }
+}
