@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 use super::overlap::Overlap;
 
 /// Numbers of points in rings, from the middle.
-const RINGS: [usize; 3] = [1, 6, 12];
+const RINGS: [usize; 3] = [1, 5, 10];
 /// Number of all points.
 pub(crate) const POINTS: usize = RINGS[0] + RINGS[1] + RINGS[2];
 /// Room for them that fills registers.
