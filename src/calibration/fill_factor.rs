@@ -119,13 +119,6 @@ impl InPixels<'_> {
 }
 
 impl FillMeasurement {
-    /// The fill factor that a camera is calibrated with: openings end where their neighbours begin, so it is 1 if more was
-    /// measured.
-    #[must_use]
-    pub fn taken(&self) -> FillFactor {
-        FillFactor { value: self.fill_factor.value.min(1.0), ..self.fill_factor }
-    }
-
     /// By features that state their measured blur, with internal parameters of a datasheet; `None` if there are none. An
     /// error if it is not possible.
     pub(super) fn of(
@@ -194,7 +187,7 @@ pub(super) fn with_fill_factor(
     match (start, grid, measured) {
         (Start::Datasheet(sheet, internal), Some(grid), Some(measured)) => {
             let pitch_mm = pitch_mm(&internal, grid, sheet.sensor.pixel_size_mm);
-            let internal = internal.with_fill_factor(measured.taken(), pitch_mm);
+            let internal = internal.with_fill_factor(measured.fill_factor.taken(), pitch_mm);
             Start::Datasheet(sheet, internal)
         }
         (start, ..) => start,

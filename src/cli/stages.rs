@@ -12,7 +12,7 @@ use plenocal::detection::DepthEstimator;
 use plenocal::evaluation::{Candidate, EvaluationInput, Folds, PosePairs};
 use plenocal::image::Color;
 use plenocal::io::{self, OutputFolder, Project, TruthSection, WhiteImage};
-use plenocal::model::{BapFeature, Board, Datasheet, Observations, Subset};
+use plenocal::model::{BapFeature, Board, Datasheet, FillFactor, Observations, Subset};
 use plenocal::precalibration::PrecalibrationOptions;
 use plenocal::report::{Figure, Part, Section};
 use plenocal::{Result, report};
@@ -87,6 +87,8 @@ struct BoardsInput<'a> {
     precalibration: Vec<InputFile>,
     estimator: DepthEstimator,
     pictures: bool,
+    /// That which the boards for calibration have shown, for the others.
+    fill_factor: Option<FillFactor>,
 }
 
 #[derive(Serialize)]
@@ -188,9 +190,14 @@ impl Stages<'_> {
             precalibration: self.measured(ledger),
             estimator: self.estimator,
             pictures: self.pictures,
+            fill_factor: self.known_fill_factor(subset)?,
         };
         ledger.stage(boards_stage(subset), &input, |input, Work { output, again }| {
-            let micro_images = self.shoot.read_precalibration(&self.folder(PRECALIBRATION))?;
+            let mut micro_images =
+                self.shoot.read_precalibration(&self.folder(PRECALIBRATION))?;
+            if let Some(fill_factor) = &input.fill_factor {
+                micro_images = micro_images.settled_at(fill_factor);
+            }
             let options = Options {
                 subset,
                 estimator: input.estimator,
@@ -203,6 +210,15 @@ impl Stages<'_> {
             let figures = boards::figures(&found, options);
             Ok(report::detection_section(subset.name(), &found, figures))
         })
+    }
+
+    /// The fill factor that the boards for calibration have shown, for those of the other subsets.
+    fn known_fill_factor(&self, subset: Subset) -> Result<Option<FillFactor>> {
+        if subset == Subset::Calibration {
+            return Ok(None);
+        }
+        let folder = self.folder(boards_stage(Subset::Calibration));
+        io::read_fill_factor_of_boards(&folder.join("detection.json"))
     }
 
     fn calibration_input(

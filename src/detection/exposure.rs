@@ -3,8 +3,9 @@
 use rayon::prelude::*;
 
 use super::Rejection;
+use super::first_pass::REACH;
 use super::frame::Frame;
-use super::patch::{Pair, Unusable};
+use super::patch::{Pair, Patch, Room, Unusable};
 use crate::numerics::median;
 
 /// So many micro-images show how bright the frame is, and every second one along both rows and columns at most.
@@ -73,10 +74,11 @@ impl Frame<'_> {
         nodes: impl Iterator<Item = &'n (i32, i32)>,
     ) -> Vec<Result<Level, Unusable>> {
         let micro_images = self.search.micro_images;
-        let of_node = |&(k, l): &(i32, i32)| {
+        let reach = REACH * micro_images.grid.pitch_px;
+        let of_node = |(patch, room): &mut (Patch, Room), &(k, l): &(i32, i32)| {
             let place = std::iter::once(micro_images.center(k, l));
-            let pair = Pair::about(self.image, self.white, place, micro_images.grid.pitch_px);
-            let patch = pair.patch(micro_images, (k, l))?;
+            let pair = Pair::about(self.image, self.white, place, reach);
+            pair.read(micro_images, (k, l), patch, room)?;
             if patch.saturated_white > SATURATED_WHITE {
                 return Err(Unusable::SaturatedWhite);
             }
@@ -85,7 +87,8 @@ impl Frame<'_> {
             }
             Ok(Level { mean: patch.mean(), white: patch.brightest.into() })
         };
-        nodes.collect::<Vec<_>>().into_par_iter().map(of_node).collect()
+        let nodes: Vec<_> = nodes.collect();
+        nodes.into_par_iter().map_init(Default::default, of_node).collect()
     }
 
     /// The reason if too many micro-images are unusable.

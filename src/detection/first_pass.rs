@@ -96,8 +96,8 @@ impl<'a> FirstPass<'a> {
     }
 
     fn index(&self, (k, l): (i32, i32)) -> usize {
-        let columns = self.frame.search.micro_images.grid.lattice.columns;
-        usize::try_from(l * columns + k).expect("nodes of the lattice")
+        let lattice = &self.frame.search.micro_images.grid.lattice;
+        lattice.index(k, l).expect("nodes of the lattice")
     }
 
     /// Takes micro-images of those that are left.

@@ -1,6 +1,5 @@
 //! Every micro-image as the pre-calibration describes it.
 
-use std::collections::HashMap;
 
 use nalgebra::Vector2;
 
@@ -8,6 +7,7 @@ use super::MicroOptics;
 use super::levers::STEPS;
 use crate::error::{Error, Result};
 use crate::model::taken::{FALL_OFF, FILL_FACTOR, INTERCEPT, POINT_SPREAD, PUPIL};
+use crate::model::FillFactor;
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, MicroImageCenter,
     ROW_DISTANCE, SampleLevels, Sensor, check_centers, growth_per_px, optics,
@@ -22,13 +22,16 @@ pub struct MicroImages {
     pub grid: MicroImageArray,
     /// Behind or before the array.
     pub configuration: Configuration,
-    centers: HashMap<(i32, i32), Vector2<f64>>,
+    /// Of all nodes of the lattice, row by row, px.
+    centers: Vec<Vector2<f64>>,
     /// a in the middle of the image, where m and q'ᵢ are measured, px.
     pupil_px: f64,
     /// q'ᵢ there, px.
     q_prime_px: Vec<f64>,
     /// φ, the fill factor.
     fill_factor: f64,
+    /// σ of φ, if other boards have shown it.
+    settled: Option<f64>,
     /// Variance of the point spread along an axis, px².
     point_spread_px2: f64,
     /// Black and saturation level of the images, where they are known.
@@ -101,7 +104,6 @@ impl MicroImages {
                 "the pre-calibration has no lens types: it takes white images at several f-numbers",
             ));
         }
-        let place = |c: &MicroImageCenter| ((c.k, c.l), Vector2::new(c.u_px, c.v_px));
         let pupil_px = internal.pupil_radius_mm(sheet.f_number) / pixel_size_mm;
         let sizes = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm);
         for size in sizes.chain(std::iter::once(pupil_px)) {
@@ -133,12 +135,13 @@ impl MicroImages {
         let mut micro_images = Self {
             grid: *grid,
             configuration: sheet.configuration,
-            centers: centers.iter().map(place).collect(),
+            centers: all_centers(grid, centers),
             pupil_px,
             vignetting: Default::default(),
             first_step: 0,
             q_prime_px: internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect(),
             fill_factor,
+            settled: None,
             point_spread_px2: internal.point_spread_px2(),
             levels: internal.levels,
             middle,
@@ -195,7 +198,10 @@ impl MicroImages {
     /// Centre of a micro-image, px.
     #[must_use]
     pub fn center(&self, k: i32, l: i32) -> Vector2<f64> {
-        self.centers.get(&(k, l)).copied().unwrap_or_else(|| self.grid.center_of(k, l))
+        match self.grid.lattice.index(k, l) {
+            Some(index) => self.centers[index],
+            None => self.grid.center_of(k, l),
+        }
     }
 
     /// The micro-images of a camera as its white images show them.
@@ -231,6 +237,17 @@ impl MicroImages {
         let mut other = Self { q_prime_px, fill_factor, in_the_middle, lean, ..self.clone() };
         other.tabulate();
         other
+    }
+
+    /// The same with the fill factor that other boards of this camera have shown: those in its images are not asked for it.
+    #[must_use]
+    pub fn settled_at(&self, fill: &FillFactor) -> Self {
+        Self { settled: Some(fill.std_dev), ..self.with_fill_factor(fill.value) }
+    }
+
+    /// σ of the fill factor, if it is that which other boards have shown.
+    pub(super) fn settled(&self) -> Option<f64> {
+        self.settled
     }
 
     /// φ, the fill factor.
@@ -371,4 +388,17 @@ impl MicroImages {
             .filter(|&(k, l)| (self.center(k, l) - place).norm() <= reach)
             .collect()
     }
+}
+
+/// The centres of all nodes, row by row: as measured, or where the grid has them.
+fn all_centers(grid: &MicroImageArray, measured: &[MicroImageCenter]) -> Vec<Vector2<f64>> {
+    let lattice = &grid.lattice;
+    let nodes = (0..lattice.rows).flat_map(|l| (0..lattice.columns).map(move |k| (k, l)));
+    let mut all: Vec<Vector2<f64>> = nodes.map(|(k, l)| grid.center_of(k, l)).collect();
+    for c in measured {
+        if let Some(index) = lattice.index(c.k, c.l) {
+            all[index] = Vector2::new(c.u_px, c.v_px);
+        }
+    }
+    all
 }

@@ -153,7 +153,7 @@ pub fn detect<'i>(
     let looking = Looking { search, white: white.grey_between(levels), levels };
     let mut micro_images = Cow::Borrowed(search.micro_images);
     let spread = micro_images.point_spread_px2();
-    let (mut frames, mut fill_is_known) = (Vec::new(), false);
+    let (mut frames, mut fill_is_known) = (Vec::new(), micro_images.settled().is_some());
     // Reading takes one core, so that a few frames at once keep all of them busy.
     for some in images.chunks(AT_ONCE) {
         let read = |image: &BoardImage<'i>| looking.read(image, &micro_images);
@@ -168,7 +168,7 @@ pub fn detect<'i>(
         };
         let done = some.par_iter().zip(found).map(of_image);
         frames.extend(done.collect::<Result<Vec<DetectedFrame>>>()?);
-        fill_is_known = widths(detections(&frames), spread).is_some();
+        fill_is_known |= widths(detections(&frames), spread).is_some();
     }
     let fitted_with = micro_images.fill_factor();
     let fill_factor = widths(detections(&frames), spread).map(|widths| {
@@ -180,7 +180,7 @@ pub fn detect<'i>(
         widths.fill
     });
     let mut warnings = warnings(&frames, search.board, subset);
-    warnings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, fitted_with)));
+    warnings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, &micro_images)));
     Ok(DetectedBoards { frames, fill_factor, fitted_with, warnings })
 }
 
@@ -267,15 +267,30 @@ fn differs(found: &FillFactor, fitted_with: f64, std_devs: f64) -> bool {
 }
 
 /// A warning if corners were fitted with another fill factor than all frames show.
-fn fitted_otherwise(found: &FillFactor, fitted_with: f64) -> Option<String> {
-    differs(found, fitted_with, CHANCE).then(|| {
-        format!(
-            "corners were fitted with the fill factor {fitted_with:.4}, as the first frames show it, but all frames show \
-             {:.4} ± {:.4}. If the first frames are blurred or moved, leave them out; or else state the fill factor that \
-             all frames show in the project",
-            found.value, found.std_dev
-        )
-    })
+fn fitted_otherwise(found: &FillFactor, micro_images: &MicroImages) -> Option<String> {
+    let fitted_with = micro_images.fill_factor();
+    let (shown_by, std_dev, remedy) = match micro_images.settled() {
+        Some(std_dev) => (
+            "the boards for calibration show",
+            std_dev,
+            "take all images with the same camera at the same settings",
+        ),
+        None => (
+            "the first frames show",
+            0.0,
+            "if the first frames are blurred or moved, leave them out; or else state the fill factor that all frames \
+             show in the project",
+        ),
+    };
+    let of_both = FillFactor { std_dev: found.std_dev.hypot(std_dev), ..*found };
+    if !differs(&of_both, fitted_with, CHANCE) {
+        return None;
+    }
+    Some(format!(
+        "corners were fitted with the fill factor {fitted_with:.4}, as {shown_by} it, but all frames show {:.4} ± \
+         {:.4}: {remedy}",
+        found.value, found.std_dev
+    ))
 }
 
 fn check_size(white: &RawImage, sensor: &Sensor) -> Result<()> {

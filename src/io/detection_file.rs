@@ -1,9 +1,13 @@
 //! `detection.json`: what was found in each frame, and what was dropped and why.
 
+use std::path::Path;
+
 use serde_json::{Value, json};
 
+use super::json_file::{document_of, read_json};
 use crate::detection::{DetectedBoards, DetectedFrame, Detection, Edges};
-use crate::model::Board;
+use crate::error::Result;
+use crate::model::{Board, FillFactor};
 
 /// The content of `detection.json`.
 #[must_use]
@@ -59,4 +63,13 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
         "fitted_with_fill_factor": found.fitted_with,
         "frames": found.frames.iter().map(of_frame).collect::<Vec<_>>(),
     })
+}
+
+/// The fill factor that boards have shown, from `detection.json`; `None` if they do not show it.
+pub fn read_fill_factor_of_boards(path: &Path) -> Result<Option<FillFactor>> {
+    let found = read_json(path)?["fill_factor"].take();
+    let found: Option<FillFactor> =
+        document_of(found, "detection.json").map_err(|e| e.in_file(path))?;
+    found.iter().try_for_each(FillFactor::validate).map_err(|e| e.in_file(path))?;
+    Ok(found.map(|fill| fill.taken()))
 }

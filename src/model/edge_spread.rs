@@ -86,6 +86,12 @@ impl FillFactor {
         [self.value / 2.0, self.std_dev / 2.0]
     }
 
+    /// That which a camera is taken to have: openings end where their neighbours begin, so it is 1 if more was measured.
+    #[must_use]
+    pub fn taken(&self) -> Self {
+        Self { value: self.value.min(1.0), ..*self }
+    }
+
     /// An error that names a value that no camera has.
     pub(crate) fn validate(&self) -> Result<()> {
         if !FILL_FACTORS.contains(&self.value) {

@@ -163,6 +163,12 @@ impl Lattice {
         (0..self.columns).contains(&k) && (0..self.rows).contains(&l)
     }
 
+    /// Number of a node, counted row by row; `None` if the indices name none.
+    #[must_use]
+    pub fn index(&self, k: i32, l: i32) -> Option<usize> {
+        self.contains(k, l).then(|| usize::try_from(l * self.columns + k).ok()).flatten()
+    }
+
     /// Position of node (k, l) in pitches along u and v, from the midpoint of the bounding box of
     /// all nodes.
     #[must_use]

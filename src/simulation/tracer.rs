@@ -165,10 +165,7 @@ impl Tracer {
     }
 
     pub(super) fn micro_lens(&self, k: i32, l: i32) -> Option<&MicroLens> {
-        if !self.lattice.contains(k, l) {
-            return None;
-        }
-        self.array.lenses.get(usize::try_from(l * self.lattice.columns + k).ok()?)
+        self.array.lenses.get(self.lattice.index(k, l)?)
     }
 
     fn one_of_each_type(&self) -> impl Iterator<Item = &MicroLens> {

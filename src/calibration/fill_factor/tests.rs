@@ -139,7 +139,7 @@ fn no_more_than_full_openings_are_taken() {
     for (value, taken) in [(0.92, 0.92), (1.0, 1.0), (1.01, 1.0)] {
         let fill_factor = FillFactor { value, std_dev: 0.006 };
         let measured = FillMeasurement { fill_factor, types: Vec::new() };
-        assert_eq!(measured.taken(), FillFactor { value: taken, std_dev: 0.006 });
+        assert_eq!(measured.fill_factor.taken(), FillFactor { value: taken, std_dev: 0.006 });
     }
 }
 
