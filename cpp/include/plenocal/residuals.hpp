@@ -6,6 +6,8 @@
 
 #include <ceres/ceres.h>
 
+#include <algorithm>
+#include <array>
 #include <memory>
 #include <stdexcept>
 #include <tuple>
@@ -58,8 +60,6 @@ class FeatureResiduals {
   /// The parameter blocks in their order, then the residuals.
   template <typename T, typename... Rest>
   bool operator()(const T* lens, const T* array, Rest... rest) const {
-    constexpr std::size_t kShapeAt = I > 0 ? 1 : 0, kRigAt = kShapeAt + (Bent ? 1 : 0);
-    constexpr std::size_t kPoseAt = kRigAt + (InRig ? 1 : 0);
     static_assert(sizeof...(Rest) == kPoseAt + 2, "the blocks do not fit I, Bent and InRig");
     const std::tuple<Rest...> blocks(rest...);
     const T *focal_lengths = nullptr, *shape = nullptr;
@@ -69,78 +69,151 @@ class FeatureResiduals {
     if constexpr (InRig) {
       camera_from_board = Motion<T>(std::get<kRigAt>(blocks)).after(camera_from_board);
     }
-    return evaluate(lens, array, focal_lengths, shape, camera_from_board,
-                    std::get<kPoseAt + 1>(blocks));
+    const MainLens<T> main_lens = from_block<MainLens>(lens);
+    const Optics<T> optics(main_lens, from_block<MicroLensArray>(array), focal_lengths, I,
+                           pixel_size_);
+    T* next = std::get<kPoseAt + 1>(blocks);
+    return evaluate(
+        main_lens, optics, shape, camera_from_board, [](const Vector3<T>& image) { return image; },
+        [&next](const T* residual) { next = std::copy(residual, residual + kResiduals, next); });
   }
 
   /// A cost function over these features.
   static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedFeature> features,
                                                      double pixel_size, Loss loss,
                                                      const Board& board = {}) {
-    const int n = kResiduals * static_cast<int>(features.size());
-    auto functor = std::make_unique<FeatureResiduals>(std::move(features), pixel_size, loss, board);
-    constexpr int kLens = kMainLensParameters, kArray = kArrayParameters;
-    constexpr int kShape = kBoardShapeParameters;
-    if constexpr (I > 0 && Bent) {
-      return function<kLens, kArray, I, kShape>(std::move(functor), n);
-    } else if constexpr (I > 0) {
-      return function<kLens, kArray, I>(std::move(functor), n);
-    } else if constexpr (Bent) {
-      return function<kLens, kArray, kShape>(std::move(functor), n);
-    } else {
-      return function<kLens, kArray>(std::move(functor), n);
-    }
+    return std::make_unique<Cost>(FeatureResiduals(std::move(features), pixel_size, loss, board));
   }
 
  private:
-  // Of blocks of these sizes, and the poses.
-  template <int... Sizes>
-  static std::unique_ptr<ceres::CostFunction> function(std::unique_ptr<FeatureResiduals> functor,
-                                                       int n) {
-    using ceres::AutoDiffCostFunction;
-    using ceres::DYNAMIC;
-    if constexpr (InRig) {
-      return std::make_unique<
-          AutoDiffCostFunction<FeatureResiduals, DYNAMIC, Sizes..., Pose::kSize, Pose::kSize>>(
-          functor.release(), n);
-    } else {
-      return std::make_unique<
-          AutoDiffCostFunction<FeatureResiduals, DYNAMIC, Sizes..., Pose::kSize>>(functor.release(),
-                                                                                  n);
-    }
-  }
+  // Places of the blocks after the array.
+  static constexpr std::size_t kShapeAt = I > 0 ? 1 : 0, kRigAt = kShapeAt + (Bent ? 1 : 0),
+                               kPoseAt = kRigAt + (InRig ? 1 : 0);
 
-  template <typename T>
-  PLENOCAL_FLATTEN bool evaluate(const T* lens, const T* array, const T* focal_lengths,
-                                 const T* shape, const Motion<T>& camera_from_board,
-                                 T* residuals) const {
-    const Optics<T> optics(from_block<MainLens>(lens), from_block<MicroLensArray>(array),
-                           focal_lengths, I, pixel_size_);
-    Vector3<T> image;
+  // What is between the board and p', and what follows, may have derivatives of its own: `cross`
+  // takes an image from the one to the other, `take` the residuals of a feature.
+  template <typename Outer, typename Inner, typename Cross, typename Take>
+  PLENOCAL_FLATTEN bool evaluate(const MainLens<Outer>& lens, const Optics<Inner>& optics,
+                                 const Outer* shape, const Motion<Outer>& camera_from_board,
+                                 Cross&& cross, Take&& take) const {
+    Vector3<Inner> image;
     const Vector3<double>* imaged = nullptr;
     for (const WeightedFeature& f : features_) {
       // Features of a corner are consecutive, so its image is computed once.
       if (imaged == nullptr || !same(*imaged, f.board_point)) {
-        Vector3<T> point;
+        Vector3<Outer> point, formed;
         if constexpr (Bent) {
           point =
               camera_from_board(corner_of(board_, from_block<BoardShape>(shape), f.board_point));
         } else {
           point = camera_from_board(f.board_point);
         }
-        if (!main_lens_image(optics.main_lens, point, &image)) return false;
+        if (!main_lens_image(lens, point, &formed)) return false;
+        image = cross(formed);
         imaged = &f.board_point;
       }
-      Feature<T> projected;
+      Feature<Inner> projected;
       if (!project_image(optics, image, f.micro_lens, &projected)) return false;
-      residuals[0] = (projected.u - f.observed.u) * f.weight.u;
-      residuals[1] = (projected.v - f.observed.v) * f.weight.v;
-      if constexpr (I > 0) residuals[2] = (projected.rho - f.observed.rho) * f.weight.rho;
-      apply_loss(loss_, kResiduals, residuals);
-      residuals += kResiduals;
+      Inner residual[kResiduals];
+      residual[0] = (projected.u - f.observed.u) * f.weight.u;
+      residual[1] = (projected.v - f.observed.v) * f.weight.v;
+      if constexpr (I > 0) residual[2] = (projected.rho - f.observed.rho) * f.weight.rho;
+      apply_loss(loss_, kResiduals, residual);
+      take(residual);
     }
     return true;
   }
+
+  // Derivatives in two parts, by the chain rule: those of p' by what is before it, once for each
+  // corner, and those of a feature by p' and by what follows. Jets of both parts are small.
+  class Cost : public ceres::CostFunction {
+   public:
+    explicit Cost(FeatureResiduals residuals) : residuals_(std::move(residuals)) {
+      set_num_residuals(kResiduals * static_cast<int>(residuals_.features_.size()));
+      auto& sizes = *mutable_parameter_block_sizes();
+      sizes = {kLens, kArray};
+      for (int size : {I, kShape, kRig, Pose::kSize}) {
+        if (size > 0) sizes.push_back(size);
+      }
+    }
+
+    bool Evaluate(double const* const* blocks, double* values, double** jacobians) const override {
+      if (jacobians == nullptr) return evaluate_values(blocks, values);
+      const auto lens = seeded<Before, kLens>(blocks[0], 0);
+      const auto array = seeded<Behind, kArray>(blocks[1], 3);
+      const auto focal_lengths = seeded<Behind, I>(blocks[I > 0 ? 2 : 1], 3 + kArray);
+      const auto shape = seeded<Before, kShape>(blocks[2 + kShapeAt], kLens);
+      const auto pose = seeded<Before, Pose::kSize>(blocks[2 + kPoseAt], kLens + kShape + kRig);
+      Motion<Before> camera_from_board(pose.data());
+      if constexpr (InRig) {
+        const auto rig = seeded<Before, kRig>(blocks[2 + kRigAt], kLens + kShape);
+        camera_from_board = Motion<Before>(rig.data()).after(camera_from_board);
+      }
+      const MainLens<double> main_lens = from_block<MainLens>(blocks[0]);
+      const Optics<Behind> optics(cast<Behind>(main_lens), from_block<MicroLensArray>(array.data()),
+                                  focal_lengths.data(), I, residuals_.pixel_size_);
+      Eigen::Matrix<double, 3, kBefore, Eigen::RowMajor> of_image;
+      const auto cross = [&of_image](const Vector3<Before>& image) {
+        of_image.row(0) = image.x.v;
+        of_image.row(1) = image.y.v;
+        of_image.row(2) = image.z.v;
+        return Vector3<Behind>{{image.x.a, 0}, {image.y.a, 1}, {image.z.a, 2}};
+      };
+      int row = 0;
+      const auto take = [&](const Behind* residual) {
+        for (int i = 0; i < kResiduals; ++i, ++row) {
+          const Eigen::Matrix<double, 1, kBefore> before =
+              residual[i].v.template head<3>().transpose() * of_image;
+          const double* behind = residual[i].v.data() + 3;
+          values[row] = residual[i].a;
+          put<kLens>(before.data(), jacobians[0], row);
+          put<kArray>(behind, jacobians[1], row);
+          if constexpr (I > 0) put<I>(behind + kArray, jacobians[2], row);
+          if constexpr (Bent) put<kShape>(before.data() + kLens, jacobians[2 + kShapeAt], row);
+          if constexpr (InRig)
+            put<kRig>(before.data() + kLens + kShape, jacobians[2 + kRigAt], row);
+          put<Pose::kSize>(before.data() + kBefore - Pose::kSize, jacobians[2 + kPoseAt], row);
+        }
+      };
+      return residuals_.evaluate(from_block<MainLens>(lens.data()), optics, shape.data(),
+                                 camera_from_board, cross, take);
+    }
+
+   private:
+    static constexpr int kLens = kMainLensParameters, kArray = kArrayParameters;
+    static constexpr int kShape = Bent ? kBoardShapeParameters : 0, kRig = InRig ? Pose::kSize : 0;
+    static constexpr int kBefore = kLens + kShape + kRig + Pose::kSize;
+    using Before = ceres::Jet<double, kBefore>;
+    using Behind = ceres::Jet<double, 3 + kArray + I>;
+
+    // The parameters of a block, which are the derivatives from `at` on.
+    template <typename Jet, int Size>
+    static std::array<Jet, Size> seeded(const double* block, int at) {
+      std::array<Jet, Size> jets;
+      for (int i = 0; i < Size; ++i) jets[i] = Jet(block[i], at + i);
+      return jets;
+    }
+
+    template <int Size>
+    static void put(const double* derivatives, double* jacobian, int row) {
+      if (jacobian != nullptr) std::copy(derivatives, derivatives + Size, jacobian + row * Size);
+    }
+
+    bool evaluate_values(double const* const* blocks, double* values) const {
+      const double* const* rest = blocks + 2;
+      if constexpr (kPoseAt == 0) {
+        return residuals_(blocks[0], blocks[1], rest[0], values);
+      } else if constexpr (kPoseAt == 1) {
+        return residuals_(blocks[0], blocks[1], rest[0], rest[1], values);
+      } else if constexpr (kPoseAt == 2) {
+        return residuals_(blocks[0], blocks[1], rest[0], rest[1], rest[2], values);
+      } else {
+        return residuals_(blocks[0], blocks[1], rest[0], rest[1], rest[2], rest[3], values);
+      }
+    }
+
+    FeatureResiduals residuals_;
+  };
 
   static bool same(const Vector3<double>& a, const Vector3<double>& b) {
     return a.x == b.x && a.y == b.y && a.z == b.z;
