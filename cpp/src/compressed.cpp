@@ -17,19 +17,32 @@
 namespace plenocal {
 namespace {
 
-// Rows that are added up at once, so that sums are loaded and stored less often.
-constexpr int kAtOnce = 4;
+// Sums of products that stay in registers: of so many columns with so many others.
+constexpr int kTileRows = 4, kTileColumns = 8;
 
-// Adds A'A of `rows` rows, a multiple of kAtOnce, of `width` numbers to the lower triangle of a
-// matrix of that width, row by row.
-PLENOCAL_WIDE void add_gram(const double* a, int rows, int width, double* gram) {
-  for (int row = 0; row < rows; row += kAtOnce, a += kAtOnce * width) {
-    const double *a0 = a, *a1 = a + width, *a2 = a + 2 * width, *a3 = a + 3 * width;
-    for (int i = 0; i < width; ++i) {
-      double* sum = gram + i * width;
-      const double x0 = a0[i], x1 = a1[i], x2 = a2[i], x3 = a3[i];
-      for (int j = 0; j <= i; ++j) sum[j] += x0 * a0[j] + x1 * a1[j] + x2 * a2[j] + x3 * a3[j];
+// A'A of `rows` rows of `width` numbers, a multiple of kTileColumns: its lower triangle, and some
+// numbers beside it, row by row.
+PLENOCAL_WIDE void gram_of(const double* a, int rows, int width, double* gram) {
+  for (int i = 0; i < width; i += kTileRows) {
+    for (int j = 0; j < i + kTileRows; j += kTileColumns) {
+      double sum[kTileRows][kTileColumns] = {};
+      const double *left = a + i, *right = a + j;
+      for (int row = 0; row < rows; ++row, left += width, right += width) {
+        for (int p = 0; p < kTileRows; ++p) {
+          for (int q = 0; q < kTileColumns; ++q) sum[p][q] += left[p] * right[q];
+        }
+      }
+      for (int p = 0; p < kTileRows; ++p) {
+        for (int q = 0; q < kTileColumns; ++q) gram[(i + p) * width + j + q] = sum[p][q];
+      }
     }
+  }
+}
+
+// Puts rows of `size` numbers into rows of `width`.
+void pack(const double* from, int rows, int size, int width, double* to) {
+  for (int row = 0; row < rows; ++row, from += size, to += width) {
+    for (int i = 0; i < size; ++i) to[i] = from[i];
   }
 }
 
@@ -85,21 +98,23 @@ class Compressed : public ceres::CostFunction {
   Eigen::MatrixXd factor(const double* residuals, const std::vector<double*>& parts, int width,
                          std::vector<double>* packed) const {
     const int n = of_.num_residuals(), all = width + 1;
-    const int padded = (n + kAtOnce - 1) / kAtOnce * kAtOnce;
+    const int padded = (all + kTileColumns - 1) / kTileColumns * kTileColumns;
     const auto& sizes = of_.parameter_block_sizes();
-    packed->assign(static_cast<std::size_t>(padded) * all, 0.0);
+    packed->resize(static_cast<std::size_t>(n) * padded);
     double* to = packed->data();
-    for (int row = 0; row < n; ++row) {
-      for (std::size_t k = 0; k < sizes.size(); ++k) {
-        if (parts[k] == nullptr) continue;
-        const double* from = parts[k] + static_cast<std::ptrdiff_t>(row) * sizes[k];
-        to = std::copy(from, from + sizes[k], to);
-      }
-      *to++ = residuals[row];
+    for (std::size_t k = 0; k < sizes.size(); ++k) {
+      if (parts[k] == nullptr) continue;
+      pack(parts[k], n, sizes[k], padded, to);
+      to += sizes[k];
+    }
+    pack(residuals, n, 1, padded, to);
+    for (int column = all; column < padded; ++column) {
+      for (int row = 0; row < n; ++row) (*packed)[row * padded + column] = 0.0;
     }
     using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-    RowMajor gram = RowMajor::Zero(all, all);
-    add_gram(packed->data(), padded, all, gram.data());
+    RowMajor sums = RowMajor::Zero(padded, padded);
+    gram_of(packed->data(), n, padded, sums.data());
+    RowMajor gram = sums.topLeftCorner(all, all);
     // Cholesky, without the units of the parameters; with pivots, since a few observations do not
     // determine all parameters.
     const Eigen::VectorXd scale =
