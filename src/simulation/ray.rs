@@ -43,6 +43,6 @@ impl Stop {
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn passes(&self, ray: &Ray) -> bool {
         let off = ray.at(self.center.z) - self.center.xy().coords;
-        off.norm_squared() <= self.limit2
+        off.x * off.x + off.y * off.y <= self.limit2
     }
 }

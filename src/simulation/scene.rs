@@ -66,9 +66,10 @@ impl ImagePlane {
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn z(&self, ray: &Ray) -> (f64, bool) {
-        let start = ray.at_lens - self.shift;
+        let (start, slope) = (ray.at_lens - self.shift, ray.slope);
+        let at = self.across.x * start.x + self.across.y * start.y;
         let z =
-            (self.offset - self.across.dot(&start)) / (self.across.dot(&ray.slope) + self.along);
+            (self.offset - at) / (self.across.x * slope.x + self.across.y * slope.y + self.along);
         (z, z < self.limit)
     }
 }
