@@ -193,8 +193,7 @@ impl Stages<'_> {
             fill_factor: self.known_fill_factor(subset)?,
         };
         ledger.stage(boards_stage(subset), &input, |input, Work { output, again }| {
-            let mut micro_images =
-                self.shoot.read_precalibration(&self.folder(PRECALIBRATION))?;
+            let mut micro_images = self.shoot.read_precalibration(&self.folder(PRECALIBRATION))?;
             if let Some(fill_factor) = &input.fill_factor {
                 micro_images = micro_images.settled_at(fill_factor);
             }

@@ -1,13 +1,12 @@
 //! Every micro-image as the pre-calibration describes it.
 
-
 use nalgebra::Vector2;
 
 use super::MicroOptics;
 use super::levers::STEPS;
 use crate::error::{Error, Result};
-use crate::model::taken::{FALL_OFF, FILL_FACTOR, INTERCEPT, POINT_SPREAD, PUPIL};
 use crate::model::FillFactor;
+use crate::model::taken::{FALL_OFF, FILL_FACTOR, INTERCEPT, POINT_SPREAD, PUPIL};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, MicroImageCenter,
     ROW_DISTANCE, SampleLevels, Sensor, check_centers, growth_per_px, optics,

@@ -3,8 +3,8 @@
 //! Rays go from stage to stage in blocks: each stage is a loop over short equations without branches, which the
 //! compiler turns into operations on several rays at once.
 
-// Only what is inlined into a dispatched function is compiled for its registers.
-#![allow(clippy::inline_always)]
+// Only what is inlined into a dispatched function is compiled for its registers, and of loops those over a constant number.
+#![allow(clippy::inline_always, clippy::needless_range_loop)]
 
 use std::ops::Range;
 

@@ -155,10 +155,7 @@ fn no_ray_that_passes_is_left_out() {
             let mut passed = 0;
             let z = -settings.camera.mla.lens_to_mla_mm;
             let half = corner_mm(&settings.camera);
-            for (place, disc) in RaySets::new(2048, &Footprint::new(0.0))
-                .set(0)
-                .points()
-            {
+            for (place, disc) in RaySets::new(2048, &Footprint::new(0.0)).set(0).points() {
                 // Every direction at every place, a third of them at the border.
                 let place = Vector2::from(place) * 2.0;
                 let place = place / place.amax().max(2.0 / 3.0);

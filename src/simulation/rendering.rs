@@ -154,7 +154,12 @@ impl Tracer {
     /// Where rays are drawn to all places within a reach of one on the sensor (local); `None` if no ray
     /// through the micro-lens leads there.
     #[inline]
-    pub(super) fn draw(&self, lens: &MicroLens, pixel: &Vector3<f64>, reach_px: f64) -> Option<Draw> {
+    pub(super) fn draw(
+        &self,
+        lens: &MicroLens,
+        pixel: &Vector3<f64>,
+        reach_px: f64,
+    ) -> Option<Draw> {
         let array = &self.array;
         let drawn = &self.lens.drawn;
         let pupil = array.local(lens, &drawn.center);
@@ -196,10 +201,10 @@ impl Tracer {
         // It comes from the pixel, and the lens takes x/f off its slopes.
         let outer = (pixel.xy() - on_lens) * pixel.z.recip() - on_lens * lens.power;
         let axes = &self.array.axes;
-        let along = |row: usize| axes[(row, 0)] * outer.x + axes[(row, 1)] * outer.y + axes[(row, 2)];
-        let on_plane = |row: usize| {
-            lens.center[row] + axes[(row, 0)] * on_lens.x + axes[(row, 1)] * on_lens.y
-        };
+        let along =
+            |row: usize| axes[(row, 0)] * outer.x + axes[(row, 1)] * outer.y + axes[(row, 2)];
+        let on_plane =
+            |row: usize| lens.center[row] + axes[(row, 0)] * on_lens.x + axes[(row, 1)] * on_lens.y;
         let slope = Vector2::new(along(0), along(1)) * along(2).recip();
         Ray { at_lens: Vector2::new(on_plane(0), on_plane(1)) - slope * on_plane(2), slope }
     }
@@ -216,8 +221,9 @@ impl Tracer {
     ) -> Vector2<f64> {
         let (axes, to) = (&self.array.axes, self.lens.drawn.center - lens.center);
         let (x, y) = (to.x + aim.x, to.y + aim.y);
-        let local =
-            |column: usize| axes[(0, column)] * x + axes[(1, column)] * y + axes[(2, column)] * to.z;
+        let local = |column: usize| {
+            axes[(0, column)] * x + axes[(1, column)] * y + axes[(2, column)] * to.z
+        };
         let z = local(2);
         let seen = Vector2::new(local(0), local(1)) - pixel.xy() * (z / pixel.z);
         seen * lens.demagnification(-pixel.z, z).recip()

@@ -55,8 +55,8 @@ impl RaySets {
                 let part = |d: u32| f64::from(sample(ray, d, set));
                 let (a, b) = (2.0 * part(2) - 1.0, 2.0 * part(3) - 1.0);
                 let [x, y] = disc(a, b);
-                for axis in 0..2 {
-                    block.pixel[axis][i] = footprint.place(part(axis as u32));
+                for (axis, dimension) in (0..2).zip(0..) {
+                    block.pixel[axis][i] = footprint.place(part(dimension));
                     block.square[axis][i] = [a, b][axis];
                     block.disc[axis][i] = [x, y][axis];
                 }
@@ -97,6 +97,7 @@ impl RaySet<'_> {
 
     /// Some of the rays.
     #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn block(&self, index: usize) -> PointBlock {
         let mut block = self.blocks[index];
         for axis in 0..2 {

@@ -213,7 +213,8 @@ impl PlacedTarget {
             (x >= -margin) & (x < columns + margin) & (y >= -margin) & (y < rows + margin)
         };
         let pairs = 0.5 * (x.floor() + y.floor());
-        let black = within(0.0) & (pairs == pairs.floor());
+        // Whole, or with a half.
+        let black = within(0.0) & (pairs - pairs.floor() < 0.25);
         let print = if black { self.target.black } else { self.target.white };
         let light = print * self.target.light(x - 1.0, y - 1.0);
         if within(self.border) { light } else { self.target.background }
