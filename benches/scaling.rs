@@ -56,7 +56,7 @@ fn scaled(part: f64) -> plenocal::Result<Settings> {
     Settings::preset(
         "r12-a",
         &[
-            "rays=24".to_owned(),
+            "rays=64".to_owned(),
             set("camera.sensor.width_px", 4080.0),
             set("camera.sensor.height_px", 3068.0),
             set("camera.micro_lens_array.columns", 176.0),

@@ -5,7 +5,7 @@ use sobol_burley::sample;
 use super::spread::Footprint;
 
 /// Rays that are traced side by side.
-pub(super) const BLOCK: usize = 8;
+pub(super) const BLOCK: usize = 32;
 
 /// Some rays: positions from the middle of the pixel (±½ px, and more with a point spread), and in the
 /// square from −1 to 1, which is also mapped onto the unit disc.

@@ -90,10 +90,10 @@ class PLENOCAL_API CalibrationProblem {
   /// Where a further camera of a rig is.
   Pose camera_from_first() const { return pose_from_block(camera_from_first_); }
 
-  /// The same over the same parameter blocks, but with few rows: of each residual block with more,
-  /// one more than it has parameters. Cost, gradient and Gauss-Newton matrix are the same, to
-  /// rounding, and a solve takes half of the time; residuals have no meaning of their own. Without
-  /// what you have added, and only as long as this lives.
+  /// The same over the same parameter blocks, but with few rows: each residual block has one more
+  /// than it has parameters. Cost, gradient and Gauss-Newton matrix are the same, to rounding, and a
+  /// solve takes half of the time; residuals have no meaning of their own. Without what you have
+  /// added, and only as long as this lives.
   std::unique_ptr<ceres::Problem> compressed() const;
 
   /// Cost, residuals and derivatives of this camera at the present values, without what you have
