@@ -91,8 +91,8 @@ class PLENOCAL_API CalibrationProblem {
   Pose camera_from_first() const { return pose_from_block(camera_from_first_); }
 
   /// The same over the same parameter blocks, but with few rows: each residual block has one more
-  /// than it has parameters. Cost, gradient and Gauss-Newton matrix are the same, to rounding, and a
-  /// solve takes half of the time; residuals have no meaning of their own. Without what you have
+  /// than it has parameters. Cost, gradient and Gauss-Newton matrix are the same, to rounding, and
+  /// a solve takes half of the time; residuals have no meaning of their own. Without what you have
   /// added, and only as long as this lives.
   std::unique_ptr<ceres::Problem> compressed() const;
 
