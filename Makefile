@@ -25,7 +25,7 @@ help:
 	@echo "make test-faults  kills, full and broken disks, pipes and links (some minutes)"
 	@echo "make fuzz       a million damaged files, solves and runs (ten minutes); FUZZ=\"--cases N\" or a target"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
-	@echo "make bench      speed, against a plain Ceres program"
+	@echo "make bench      speed, against a plain Ceres program, and how it grows (a quarter of an hour)"
 	@echo "make sanitizers the C++ tests with address, undefined-behaviour and thread sanitizers, and shared"
 	@echo "make doc        API documentation in target/doc"
 	@echo "make doc-cpp    that of the C++ library in build/doc-cpp"

@@ -6,8 +6,8 @@
 #include <limits>
 #include <vector>
 
-// The same in the widest registers that the processor has.
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && \
+// The same for AVX2 as well, where compiler and C library can choose at the start.
+#if defined(__x86_64__) && defined(__GLIBC__) && __GNUC__ >= 12 && !defined(__clang__) && \
     !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__)
 #define PLENOCAL_WIDE __attribute__((target_clones("arch=x86-64-v3", "default")))
 #else

@@ -60,6 +60,7 @@ std::vector<std::pair<double*, int>> CalibrationProblem::shared_blocks() {
 }
 
 std::unique_ptr<ceres::Problem> CalibrationProblem::compressed() const {
+  if (in_rig_ || !blocks_of_others_.empty()) reject("of a rig there is no problem with few rows");
   ceres::Problem::Options options;
   options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   auto result = std::make_unique<ceres::Problem>(options);

@@ -9,7 +9,7 @@ use plenocal::detection::{
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
-use plenocal::model::{Board, Datasheet, InternalParameters, Subset};
+use plenocal::model::{Board, Datasheet, FillFactor, InternalParameters, Subset};
 use plenocal::report::Figure;
 use plenocal::{Error, Result, report};
 
@@ -214,6 +214,15 @@ pub fn detect_subset(
     output.stage("features.csv", |out| io::write_features(out, &features))?;
     output.stage_json("detection.json", &io::detection_document(&found, &shoot.board))?;
     Ok(found)
+}
+
+/// The fill factor that the boards for calibration have shown, by what was staged in their folder, for those of the other
+/// subsets.
+pub fn known_fill_factor(subset: Subset, of_calibration: &Path) -> Result<Option<FillFactor>> {
+    match subset {
+        Subset::Calibration => Ok(None),
+        _ => io::read_fill_factor_of_boards(&of_calibration.join("detection.json")),
+    }
 }
 
 /// Whether the image of a frame could not be read for a reason that may pass, such as a network drive that does not answer;

@@ -190,7 +190,10 @@ impl Stages<'_> {
             precalibration: self.measured(ledger),
             estimator: self.estimator,
             pictures: self.pictures,
-            fill_factor: self.known_fill_factor(subset)?,
+            fill_factor: boards::known_fill_factor(
+                subset,
+                &self.folder(boards_stage(Subset::Calibration)),
+            )?,
         };
         ledger.stage(boards_stage(subset), &input, |input, Work { output, again }| {
             let mut micro_images = self.shoot.read_precalibration(&self.folder(PRECALIBRATION))?;
@@ -209,15 +212,6 @@ impl Stages<'_> {
             let figures = boards::figures(&found, options);
             Ok(report::detection_section(subset.name(), &found, figures))
         })
-    }
-
-    /// The fill factor that the boards for calibration have shown, for those of the other subsets.
-    fn known_fill_factor(&self, subset: Subset) -> Result<Option<FillFactor>> {
-        if subset == Subset::Calibration {
-            return Ok(None);
-        }
-        let folder = self.folder(boards_stage(Subset::Calibration));
-        io::read_fill_factor_of_boards(&folder.join("detection.json"))
     }
 
     fn calibration_input(

@@ -9,7 +9,7 @@ use crate::model::FillFactor;
 use crate::model::taken::{FALL_OFF, FILL_FACTOR, INTERCEPT, POINT_SPREAD, PUPIL};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, MicroImageCenter,
-    ROW_DISTANCE, SampleLevels, Sensor, check_centers, growth_per_px, optics,
+    ROW_DISTANCE, SampleLevels, Sensor, check_array_size, check_centers, growth_per_px, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::vignetting::{Obliquity, Pixel, Vignetting};
@@ -134,7 +134,7 @@ impl MicroImages {
         let mut micro_images = Self {
             grid: *grid,
             configuration: sheet.configuration,
-            centers: all_centers(grid, centers),
+            centers: grid.all_centers(centers),
             pupil_px,
             vignetting: Default::default(),
             first_step: 0,
@@ -216,6 +216,7 @@ impl MicroImages {
         sheet: &Datasheet,
     ) -> Result<Self> {
         let (columns, rows) = sheet.array_size_by(centers);
+        check_array_size(columns, rows)?;
         check_centers(centers, &sheet.sensor, (columns, rows))?;
         let grid = fit_grid(centers, sheet.lattice_kind, columns, rows)?;
         internal.validate(sheet.lens_types)?;
@@ -387,17 +388,4 @@ impl MicroImages {
             .filter(|&(k, l)| (self.center(k, l) - place).norm() <= reach)
             .collect()
     }
-}
-
-/// The centres of all nodes, row by row: as measured, or where the grid has them.
-fn all_centers(grid: &MicroImageArray, measured: &[MicroImageCenter]) -> Vec<Vector2<f64>> {
-    let lattice = &grid.lattice;
-    let nodes = (0..lattice.rows).flat_map(|l| (0..lattice.columns).map(move |k| (k, l)));
-    let mut all: Vec<Vector2<f64>> = nodes.map(|(k, l)| grid.center_of(k, l)).collect();
-    for c in measured {
-        if let Some(index) = lattice.index(c.k, c.l) {
-            all[index] = Vector2::new(c.u_px, c.v_px);
-        }
-    }
-    all
 }

@@ -40,6 +40,7 @@ mod stage;
 mod summed;
 #[cfg(test)]
 mod tests;
+mod warnings;
 
 pub use aberration::Aberration;
 pub use board::check_board_size;

@@ -5,13 +5,13 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 use tracing::debug;
 
-use super::edge_width::{EdgeWidth, MOVED, MOVED_PX2, OfFrames};
-use super::likeness::{Likeness, unlike};
+use super::edge_width::{EdgeWidth, OfFrames};
+use super::likeness::Likeness;
+use super::warnings::{fitted_otherwise, warnings};
 use super::{Detection, FrameCounts, MicroImages, Rejection, Search, detect_frame};
 use crate::error::{Error, Result};
 use crate::image::{Grey, RawImage};
-use crate::model::{BapFeature, Board, FillFactor, SampleLevels, Sensor, Subset};
-use crate::numerics::median;
+use crate::model::{BapFeature, FillFactor, SampleLevels, Sensor, Subset};
 
 /// An image of a board.
 pub struct BoardImage<'a> {
@@ -114,8 +114,6 @@ impl DetectedBoards {
     }
 }
 
-/// Boards in fewer positions say little about a camera.
-const FEW_FRAMES: usize = 4;
 /// Frames that are in memory at once.
 const AT_ONCE: usize = 4;
 
@@ -126,12 +124,9 @@ const ROUNDS: usize = 8;
 /// be chance.
 const SAME_FILL: f64 = 0.002;
 const SAME: f64 = 0.1;
-const CHANCE: f64 = 3.0;
+pub(super) const CHANCE: f64 = 3.0;
 /// Largest part of the fill factor that corners are fitted with which their edges show again.
 const MOST_FOLLOWS: f64 = 0.75;
-
-/// The variance of both axes together of an even motion is a twelfth of its square, that along an axis half of it.
-const MOTION: f64 = 24.0;
 
 /// Detects the board in a set of images. `white` is the white image in their light and at their
 /// f-number.
@@ -261,36 +256,9 @@ fn following(before: Option<[f64; 2]>, [fitted_with, shown]: [f64; 2]) -> f64 {
 }
 
 /// Whether a fill factor is another one than that which corners were fitted with, by so many standard deviations.
-fn differs(found: &FillFactor, fitted_with: f64, std_devs: f64) -> bool {
+pub(super) fn differs(found: &FillFactor, fitted_with: f64, std_devs: f64) -> bool {
     let change = (found.value - fitted_with).abs();
     change > SAME_FILL * found.value && change > std_devs * found.std_dev
-}
-
-/// A warning if corners were fitted with another fill factor than all frames show.
-fn fitted_otherwise(found: &FillFactor, micro_images: &MicroImages) -> Option<String> {
-    let fitted_with = micro_images.fill_factor();
-    let (shown_by, std_dev, remedy) = match micro_images.settled() {
-        Some(std_dev) => (
-            "the boards for calibration show",
-            std_dev,
-            "take all images with the same camera at the same settings",
-        ),
-        None => (
-            "the first frames show",
-            0.0,
-            "if the first frames are blurred or moved, leave them out; or else state the fill factor that all frames \
-             show in the project",
-        ),
-    };
-    let of_both = FillFactor { std_dev: found.std_dev.hypot(std_dev), ..*found };
-    if !differs(&of_both, fitted_with, CHANCE) {
-        return None;
-    }
-    Some(format!(
-        "corners were fitted with the fill factor {fitted_with:.4}, as {shown_by} it, but all frames show {:.4} ± \
-         {:.4}: {remedy}",
-        found.value, found.std_dev
-    ))
 }
 
 fn check_size(white: &RawImage, sensor: &Sensor) -> Result<()> {
@@ -303,72 +271,6 @@ fn check_size(white: &RawImage, sensor: &Sensor) -> Result<()> {
          the image uncropped as the camera delivered it",
         white.width, white.height
     )))
-}
-
-fn warnings(frames: &[DetectedFrame], board: &Board, subset: Subset) -> Vec<String> {
-    let left_out = |frame: &DetectedFrame| {
-        let why = frame.result.as_ref().err()?;
-        Some(format!("frame {} ({}) is left out: {why}", frame.frame, frame.name))
-    };
-    // Other light may be why frames are left out.
-    let mut warnings = unlike(frames);
-    warnings.extend(frames.iter().filter_map(left_out));
-    let found = frames.iter().filter(|frame| frame.result.is_ok()).count();
-    if found == 0 {
-        return warnings;
-    }
-    if found < FEW_FRAMES && subset == Subset::Calibration {
-        warnings.push(format!(
-            "{found} frame(s) are few for a calibration: take ten or more, at several distances and tilts"
-        ));
-    }
-    warnings.extend(blurred(frames));
-    if !shows_all_sides(frames, board) {
-        warnings.push(format!(
-            "no frame shows the board from its first to its last row and column: check that it has {} x \
-             {} inner corners",
-            board.columns, board.rows
-        ));
-    }
-    warnings
-}
-
-/// Warnings about frames whose edges are wider than those of the others.
-fn blurred(frames: &[DetectedFrame]) -> Vec<String> {
-    let edges: Vec<(&DetectedFrame, [f64; 2])> = frames
-        .iter()
-        .filter_map(|frame| Some((frame, frame.result.as_ref().ok()?.edges?.spread_px2)))
-        .collect();
-    let Some(usual) = median(edges.iter().map(|(_, [spread, _])| *spread)) else {
-        return Vec::new();
-    };
-    let wider = |(_, [spread, std_dev]): &&(&DetectedFrame, [f64; 2])| {
-        edges.len() >= FEW_FRAMES && spread - usual > MOVED_PX2.max(MOVED * std_dev)
-    };
-    let words = |(frame, [spread, _]): &(&DetectedFrame, [f64; 2])| {
-        format!(
-            "the edges in frame {} ({}) are wider than those of the others, as if something had moved by {:.1} px in its micro-images: hold \
-             board and camera still, or leave the frame out if it does not fit",
-            frame.frame,
-            frame.name,
-            (MOTION * (spread - usual)).sqrt()
-        )
-    };
-    edges.iter().filter(wider).map(words).collect()
-}
-
-/// A board that is stated too large fits as well where its other sides are out of view.
-fn shows_all_sides(frames: &[DetectedFrame], board: &Board) -> bool {
-    let spans = |of: fn(i32, i32) -> i32, last: i32| {
-        let all = |detection: &Detection| {
-            let seen: Vec<i32> =
-                detection.corners.iter().map(|c| of(c.corner, board.columns)).collect();
-            seen.contains(&0) && seen.contains(&last)
-        };
-        frames.iter().filter_map(|frame| frame.result.as_ref().ok()).any(all)
-    };
-    spans(|corner, columns| corner % columns, board.columns - 1)
-        && spans(|corner, columns| corner / columns, board.rows - 1)
 }
 
 #[cfg(test)]

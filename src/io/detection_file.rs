@@ -2,12 +2,15 @@
 
 use std::path::Path;
 
+use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::json_file::{document_of, read_json};
 use crate::detection::{DetectedBoards, DetectedFrame, Detection, Edges};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::model::{Board, FillFactor};
+
+const FORMAT: &str = "plenocal-detection";
 
 /// The content of `detection.json`.
 #[must_use]
@@ -56,7 +59,7 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
         })
     };
     json!({
-        "format": "plenocal-detection",
+        "format": FORMAT,
         "version": 1,
         "board": { "columns": board.columns, "rows": board.rows, "square_mm": board.square_mm },
         "fill_factor": found.fill_factor,
@@ -65,11 +68,22 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
     })
 }
 
+#[derive(Deserialize)]
+struct FillFactorOfBoards {
+    format: String,
+    fill_factor: Option<FillFactor>,
+}
+
 /// The fill factor that boards have shown, from `detection.json`; `None` if they do not show it.
 pub fn read_fill_factor_of_boards(path: &Path) -> Result<Option<FillFactor>> {
-    let found = read_json(path)?["fill_factor"].take();
-    let found: Option<FillFactor> =
+    let found = read_json(path)?;
+    let found: FillFactorOfBoards =
         document_of(found, "detection.json").map_err(|e| e.in_file(path))?;
-    found.iter().try_for_each(FillFactor::validate).map_err(|e| e.in_file(path))?;
-    Ok(found.map(|fill| fill.taken()))
+    if found.format != FORMAT {
+        return Err(Error::invalid(format!("its format is '{}' and not '{FORMAT}'", found.format))
+            .in_file(path));
+    }
+    let fill = found.fill_factor;
+    fill.iter().try_for_each(FillFactor::validate).map_err(|e| e.in_file(path))?;
+    Ok(fill.map(|fill| fill.taken()))
 }

@@ -271,11 +271,19 @@ impl PlenopticCamera {
 /// The largest number of micro-lenses along a side; beyond what any sensor has pixels for.
 pub const MAX_MICRO_LENSES: i32 = 1 << 16;
 
+/// Every micro-image has its place in memory; an R12 has 26 000.
+const MOST_IN_ALL: i64 = 1 << 24;
+
 /// An error unless an array can have these numbers of micro-lenses.
 pub(crate) fn check_array_size(columns: i32, rows: i32) -> Result<()> {
     let possible = 1..=MAX_MICRO_LENSES;
     if possible.contains(&columns) && possible.contains(&rows) {
-        return Ok(());
+        if i64::from(columns) * i64::from(rows) <= MOST_IN_ALL {
+            return Ok(());
+        }
+        return Err(Error::invalid(format!(
+            "a micro-lens array of {columns} x {rows} is not possible: it may have {MOST_IN_ALL} in all"
+        )));
     }
     Err(Error::invalid(format!(
         "a micro-lens array of {columns} x {rows} is not possible: each side takes 1 to \

@@ -166,7 +166,11 @@ impl Lattice {
     /// Number of a node, counted row by row; `None` if the indices name none.
     #[must_use]
     pub fn index(&self, k: i32, l: i32) -> Option<usize> {
-        self.contains(k, l).then(|| usize::try_from(l * self.columns + k).ok()).flatten()
+        if !self.contains(k, l) {
+            return None;
+        }
+        let [k, l, columns] = [k, l, self.columns].map(usize::try_from);
+        Some(l.ok()? * columns.ok()? + k.ok()?)
     }
 
     /// Position of node (k, l) in pitches along u and v, from the midpoint of the bounding box of

@@ -22,12 +22,12 @@ mod reprojection;
 mod sight;
 
 pub use board::{BentBoard, Board, BoardShape, FramePose, Subset};
-pub(crate) use camera::check_lens_types;
 #[cfg(test)]
 pub(crate) use camera::small_camera;
 pub use camera::{
     LensSetting, MAX_MICRO_LENSES, MainLens, MicroLensArray, PlenopticCamera, Sensor,
 };
+pub(crate) use camera::{check_array_size, check_lens_types};
 pub(crate) use checks::{finite, positive};
 pub use datasheet::{Configuration, Datasheet, InternalParameters};
 pub(crate) use display::{display_unit, signed, with_std_dev};

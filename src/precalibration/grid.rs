@@ -42,6 +42,19 @@ impl MicroImageArray {
         let regular = self.pitch_px * (turn * self.lattice.node(k, l));
         self.center_px + regular * (1.0 + self.perspective_per_px.dot(&regular))
     }
+
+    /// The centres of all nodes, row by row, px: as measured, or else where the grid has them.
+    pub(crate) fn all_centers(&self, measured: &[MicroImageCenter]) -> Vec<Vector2<f64>> {
+        let lattice = &self.lattice;
+        let nodes = (0..lattice.rows).flat_map(|l| (0..lattice.columns).map(move |k| (k, l)));
+        let mut all: Vec<Vector2<f64>> = nodes.map(|(k, l)| self.center_of(k, l)).collect();
+        for c in measured {
+            if let Some(index) = lattice.index(c.k, c.l) {
+                all[index] = Vector2::new(c.u_px, c.v_px);
+            }
+        }
+        all
+    }
 }
 
 /// Fewest centres for the four parameters of the grid with redundancy.

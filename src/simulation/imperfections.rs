@@ -104,8 +104,6 @@ impl FallOffLaw {
     }
 
     /// Response of a pixel whose response is half at an angle.
-    // Not inlined: it would slow down rays that do not need it.
-    #[inline(never)]
     fn response(half_deg: f64, inner: &Vector3<f64>) -> f64 {
         let tangents = inner.xy().norm() / inner.z / half_deg.to_radians().tan();
         (-tangents * tangents).exp2()

@@ -86,7 +86,7 @@ impl NullaryFnOnce for Gathering<'_> {
                 (Optics::Thin(thin), Some(board)) => {
                     block.see_through_thin(thin, bundle.aim.as_ref(), board);
                 }
-                (Optics::Real(real), None) => block.keep(|ray| real.passes(ray)),
+                (Optics::Real(real), None) => block.pass_real(real),
                 (Optics::Real(real), Some(board)) => block.see_through_real(real, board),
             }
             block.fall_off(tracer.fall_off, tracer.mla_to_sensor);
@@ -271,6 +271,15 @@ impl Block {
         for i in 0..BLOCK {
             let background = board.background();
             self.light[i] *= if meeting[i] > 0.0 { radiance[i] } else { background };
+        }
+    }
+
+    #[inline(never)]
+    fn pass_real(&mut self, real: &RealLens) {
+        for i in 0..BLOCK {
+            if self.light[i] > 0.0 && !real.passes(&self.ray(i)) {
+                self.light[i] = 0.0;
+            }
         }
     }
 

@@ -244,8 +244,6 @@ impl BoardPlane {
 impl Bent {
     /// Where a ray in front of the lens meets the surface, from corner 0, if it meets the plane of the board
     /// at `on_plane`.
-    // Not inlined: it would slow down rays to flat boards.
-    #[inline(never)]
     fn meet(&self, on_plane: Vector3<f64>, ray: &Ray) -> Option<Vector3<f64>> {
         let to_board = self.rotation.inverse();
         let towards = to_board * ray.slope.push(1.0);

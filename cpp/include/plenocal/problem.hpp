@@ -93,7 +93,8 @@ class PLENOCAL_API CalibrationProblem {
   /// The same over the same parameter blocks, but with few rows: each residual block has one more
   /// than it has parameters. Cost, gradient and Gauss-Newton matrix are the same, to rounding, and
   /// a solve takes half of the time; residuals have no meaning of their own. Without what you have
-  /// added, and only as long as this lives.
+  /// added, with blocks constant that are so now, and only as long as this lives. Throws
+  /// std::invalid_argument for cameras of a rig.
   std::unique_ptr<ceres::Problem> compressed() const;
 
   /// Cost, residuals and derivatives of this camera at the present values, without what you have

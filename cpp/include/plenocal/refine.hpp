@@ -134,7 +134,7 @@ struct Refinement {
   std::vector<double> frame_costs;
   Termination termination = Termination::kFailed;
   std::string message;  ///< the reason as stated by Ceres
-  std::string report;   ///< Ceres' full report
+  std::string report;   ///< Ceres' full report, of the problem with few rows
   double time_s = 0.0;  ///< wall time of the solve
   std::vector<Iteration> iterations;
 };

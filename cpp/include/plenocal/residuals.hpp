@@ -1,7 +1,6 @@
 // Ceres auto-diff cost functors of the paper's cost function (section 5.3), many observations to a
 // residual block: the pose, the array's axes and the image of a board corner are then computed
-// once. With GCC forced to inline the Jet arithmetic (`flatten`), this takes a third of the time of
-// one block per observation.
+// once. GCC is forced to inline the Jet arithmetic (`flatten`).
 #pragma once
 
 #include <ceres/ceres.h>
@@ -38,8 +37,7 @@ struct WeightedFeature {
 /// Residuals (u, v, rho) / sigma of features of one frame: 3 each, or 2 for a pinhole array
 /// (I = 0). Parameter blocks: main lens, array, focal lengths (if I > 0), shape of the board (if
 /// Bent), camera_from_rig (if InRig), pose of the board: camera_from_board, or rig_from_board in a
-/// rig of several cameras. The derivatives by the shape take a quarter more time, and are left out
-/// where it is known.
+/// rig of several cameras. Where the shape is known, its derivatives are left out.
 template <int I, bool Bent = false, bool InRig = false>
 class FeatureResiduals {
  public:
