@@ -88,6 +88,8 @@ TEST(CalibrationProblem, CompressedHasTheSameMinimum) {
     options.fixed_poses = {1};
     options.anchors = {{"D", 60.0, 2.0}};
     options.features_loss = {LossKind::kCauchy, 2.0};
+    options.free = {"sag_x"};
+    scene.observations.board.half_width = scene.observations.board.half_height = 20.0;
     CalibrationProblem calibration(scene.camera, scene.poses, scene.observations, options);
     const auto compressed = calibration.compressed();
     ceres::Problem::EvaluateOptions in_order;
@@ -123,6 +125,18 @@ TEST(CalibrationProblem, CompressedHasTheSameMinimum) {
       }
     }
   }
+}
+
+TEST(CalibrationProblem, CompressedIsUndefinedWhereTheModelIs) {
+  const Scene scene = noisy(3);
+  CalibrationProblem calibration(scene.camera, scene.poses, scene.observations, {});
+  const auto compressed = calibration.compressed();
+  std::vector<double> gradient;
+  ASSERT_TRUE(compressed->Evaluate({}, nullptr, nullptr, &gradient, nullptr));
+  calibration.blocks().main_lens[0] = 1e6;  // every board point lies within F
+  EXPECT_FALSE(compressed->Evaluate({}, nullptr, nullptr, &gradient, nullptr));
+  calibration.blocks().main_lens[0] = NAN;
+  EXPECT_FALSE(compressed->Evaluate({}, nullptr, nullptr, &gradient, nullptr));
 }
 
 TEST(CostOptions, FixedParametersAreAdded) {

@@ -282,6 +282,56 @@ TEST(Gradients, Pinholes) { expect_feature_gradients<0>(); }
 TEST(Gradients, OneType) { expect_feature_gradients<1>(); }
 TEST(Gradients, ThreeTypes) { expect_feature_gradients<3>(); }
 
+// In a rig the chain rule has two poses before the image: against Jets of all parameters at once.
+template <int I>
+void expect_derivatives_in_rig() {
+  using Functor = FeatureResiduals<I, false, true>;
+  constexpr int kLens = kMainLensParameters, kArray = kArrayParameters, kPose = Pose::kSize;
+  RandomObservations random(11);
+  const Camera camera = random.camera(I);
+  const Pose pose = random.pose();
+  const auto features = random.features(camera, pose, 6);
+  const Loss loss{LossKind::kCauchy, 1.0};
+  const auto ours = Functor::create(features, camera.pixel_size, loss);
+  auto* functor = new Functor(features, camera.pixel_size, loss);
+  const int n = ours->num_residuals();
+  std::unique_ptr<ceres::CostFunction> whole;
+  if constexpr (I > 0) {
+    whole = std::make_unique<
+        ceres::AutoDiffCostFunction<Functor, ceres::DYNAMIC, kLens, kArray, I, kPose, kPose>>(
+        functor, n);
+  } else {
+    whole = std::make_unique<
+        ceres::AutoDiffCostFunction<Functor, ceres::DYNAMIC, kLens, kArray, kPose, kPose>>(functor,
+                                                                                           n);
+  }
+  ASSERT_EQ(ours->parameter_block_sizes(), whole->parameter_block_sizes());
+  const Blocks blocks(camera, pose);
+  const auto rig = pose_block({{0.02, -0.1, 0.05}, {1.0, -2.0, 3.0}});
+  auto pointers = blocks.pointers();
+  pointers.insert(pointers.end() - 1, rig.data());
+  const auto derivatives = [&](const ceres::CostFunction& cost) {
+    std::vector<double> all(n);
+    std::vector<std::vector<double>> parts;
+    for (int size : cost.parameter_block_sizes()) parts.emplace_back(n * size, NAN);
+    std::vector<double*> to;
+    for (auto& part : parts) to.push_back(part.data());
+    EXPECT_TRUE(cost.Evaluate(pointers.data(), all.data(), to.data()));
+    for (const auto& part : parts) all.insert(all.end(), part.begin(), part.end());
+    return all;
+  };
+  const auto found = derivatives(*ours), expected = derivatives(*whole);
+  for (std::size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_NEAR(found[i], expected[i], 1e-10 * (1.0 + std::abs(expected[i]))) << i;
+  }
+}
+
+TEST(Gradients, InARig) {
+  expect_derivatives_in_rig<0>();
+  expect_derivatives_in_rig<1>();
+  expect_derivatives_in_rig<3>();
+}
+
 TEST(Gradients, Centers) {
   for (unsigned seed = 1; seed <= 5; ++seed) {
     RandomObservations random(seed);

@@ -162,11 +162,12 @@ fn boards_are_seen_above_black_and_below_full_pixels() {
         DetectionScore::of_simulation(&preset("mini", &replaced), 3, DepthEstimator::Line).unwrap()
     };
     let plain = score(&[]);
-    for replaced in [
-        &[BLACK_16][..],
-        &["imaging.exposure=1.1", "imaging.saturation=0.85"],
-        &["target.uneven_light=[-0.2, 0.2]"],
-        &["imaging.hot_pixels=200", "imperfections.dust_specks=10"],
+    for (replaced, limit) in [
+        (&[BLACK_16][..], 1.2),
+        (&["imaging.exposure=1.1", "imaging.saturation=0.85"], 1.2),
+        // 1.15 to 1.20 in places by seed, with the same before corners were fitted with 16 points.
+        (&["target.uneven_light=[-0.2, 0.2]"], 1.3),
+        (&["imaging.hot_pixels=200", "imperfections.dust_specks=10"], 1.2),
     ] {
         let found = score(replaced);
         let summary = |score: &DetectionScore| {
@@ -176,10 +177,9 @@ fn boards_are_seen_above_black_and_below_full_pixels() {
         let told = format!("{replaced:?}: {:?} for {:?}", summary(&found), summary(&plain));
         assert_eq!(found.labelled, plain.labelled, "{told}");
         assert!(found.recall() > plain.recall() - 0.02, "{told}");
-        // Where the light is uneven, its darker half is noisier: 1.2 for most seeds.
-        assert!(found.rms_px() < 1.3 * plain.rms_px(), "{told}");
-        assert!(found.rho_rms_px() < 1.3 * plain.rho_rms_px(), "{told}");
-        assert!(found.depth_rms() < 1.3 * plain.depth_rms() + 1e-3, "{told}");
+        assert!(found.rms_px() < limit * plain.rms_px(), "{told}");
+        assert!(found.rho_rms_px() < limit * plain.rho_rms_px(), "{told}");
+        assert!(found.depth_rms() < limit * plain.depth_rms() + 1e-3, "{told}");
     }
 }
 
