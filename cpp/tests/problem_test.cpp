@@ -361,6 +361,11 @@ TEST(Rig, RefusesWhatIsNotOne) {
   CostOptions fixed;
   fixed.fixed_poses = {0};
   says(observations, fixed, "fixed in the first camera");
+  CalibrationProblem second(first, {}, scene.camera, observations, {});
+  for (const CalibrationProblem* camera : {&first, &second}) {
+    test::expect_names(test::rejection([&] { (void)camera->compressed(); }),
+                       "of a rig there is no");
+  }
 }
 
 TEST(FeatureResiduals, RefusesALensTypeThatThereIsNot) {

@@ -136,7 +136,9 @@ class FeatureResiduals {
     }
 
     bool Evaluate(double const* const* blocks, double* values, double** jacobians) const override {
-      if (jacobians == nullptr) return evaluate_values(blocks, values);
+      if (jacobians == nullptr) {
+        return evaluate_values(blocks, values, std::make_index_sequence<3 + kPoseAt>());
+      }
       const auto lens = seeded<Before, kLens>(blocks[0], 0);
       const auto array = seeded<Behind, kArray>(blocks[1], 3);
       const auto focal_lengths = seeded<Behind, I>(blocks[I > 0 ? 2 : 1], 3 + kArray);
@@ -197,17 +199,10 @@ class FeatureResiduals {
       if (jacobian != nullptr) std::copy(derivatives, derivatives + Size, jacobian + row * Size);
     }
 
-    bool evaluate_values(double const* const* blocks, double* values) const {
-      const double* const* rest = blocks + 2;
-      if constexpr (kPoseAt == 0) {
-        return residuals_(blocks[0], blocks[1], rest[0], values);
-      } else if constexpr (kPoseAt == 1) {
-        return residuals_(blocks[0], blocks[1], rest[0], rest[1], values);
-      } else if constexpr (kPoseAt == 2) {
-        return residuals_(blocks[0], blocks[1], rest[0], rest[1], rest[2], values);
-      } else {
-        return residuals_(blocks[0], blocks[1], rest[0], rest[1], rest[2], rest[3], values);
-      }
+    template <std::size_t... K>
+    bool evaluate_values(double const* const* blocks, double* values,
+                         std::index_sequence<K...>) const {
+      return residuals_(blocks[K]..., values);
     }
 
     FeatureResiduals residuals_;
