@@ -224,10 +224,10 @@ UncertaintyParts uncertainty(const CameraParts& camera, const BoardParts& board,
                              rust::Slice<const PoseBlock> poses,
                              rust::Slice<const FeatureRow> features,
                              rust::Slice<const CenterRow> centers, const CostParts& cost,
-                             rust::Slice<const CommonErrorParts> common) {
+                             rust::Slice<const CommonErrorParts> common, int32_t threads) {
   const Uncertainty u =
       plenocal::uncertainty(to_core(camera), to_core(poses), to_core(board, features, centers),
-                            to_core(cost), to_core(common));
+                            to_core(cost), to_core(common), threads);
   UncertaintyParts parts{};
   for (int index : u.free_intrinsics) parts.free_intrinsics.push_back(index);
   parts.size = u.size;
@@ -256,9 +256,10 @@ UncertaintyParts uncertainty(const CameraParts& camera, const BoardParts& board,
 
 rust::Vec<double> frame_information(const CameraParts& camera, const BoardParts& board,
                                     rust::Slice<const PoseBlock> poses,
-                                    rust::Slice<const FeatureRow> features, const CostParts& cost) {
-  return from_core(plenocal::frame_information(to_core(camera), to_core(poses),
-                                               to_core(board, features, {}), to_core(cost)));
+                                    rust::Slice<const FeatureRow> features, const CostParts& cost,
+                                    int32_t threads) {
+  return from_core(plenocal::frame_information(
+      to_core(camera), to_core(poses), to_core(board, features, {}), to_core(cost), threads));
 }
 
 rust::Vec<FeatureRow> visible_features(const CameraParts& parts, const BoardParts& board_parts,

@@ -52,11 +52,12 @@ UncertaintyParts uncertainty(const CameraParts& camera, const BoardParts& board,
                              rust::Slice<const PoseBlock> poses,
                              rust::Slice<const FeatureRow> features,
                              rust::Slice<const CenterRow> centers, const CostParts& cost,
-                             rust::Slice<const CommonErrorParts> common);
+                             rust::Slice<const CommonErrorParts> common, int32_t threads);
 
 rust::Vec<double> frame_information(const CameraParts& camera, const BoardParts& board,
                                     rust::Slice<const PoseBlock> poses,
-                                    rust::Slice<const FeatureRow> features, const CostParts& cost);
+                                    rust::Slice<const FeatureRow> features, const CostParts& cost,
+                                    int32_t threads);
 rust::Vec<FeatureRow> visible_features(const CameraParts& camera, const BoardParts& board,
                                        rust::Slice<const PoseBlock> poses,
                                        rust::Slice<const PointRow> board_points, double margin_px);

@@ -6,38 +6,10 @@
 #include <limits>
 #include <vector>
 
-// The same for AVX2 as well, where compiler and C library can choose at the start.
-#if defined(__x86_64__) && defined(__GLIBC__) && __GNUC__ >= 12 && !defined(__clang__) && \
-    !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__)
-#define PLENOCAL_WIDE __attribute__((target_clones("arch=x86-64-v3", "default")))
-#else
-#define PLENOCAL_WIDE
-#endif
+#include "gram.hpp"
 
 namespace plenocal {
 namespace {
-
-// Sums of products that stay in registers: of so many columns with so many others.
-constexpr int kTileRows = 4, kTileColumns = 8;
-
-// A'A of `rows` rows of `width` numbers, a multiple of kTileColumns: its lower triangle, and some
-// numbers beside it, row by row.
-PLENOCAL_WIDE void gram_of(const double* a, int rows, int width, double* gram) {
-  for (int i = 0; i < width; i += kTileRows) {
-    for (int j = 0; j < i + kTileRows; j += kTileColumns) {
-      double sum[kTileRows][kTileColumns] = {};
-      const double *left = a + i, *right = a + j;
-      for (int row = 0; row < rows; ++row, left += width, right += width) {
-        for (int p = 0; p < kTileRows; ++p) {
-          for (int q = 0; q < kTileColumns; ++q) sum[p][q] += left[p] * right[q];
-        }
-      }
-      for (int p = 0; p < kTileRows; ++p) {
-        for (int q = 0; q < kTileColumns; ++q) gram[(i + p) * width + j + q] = sum[p][q];
-      }
-    }
-  }
-}
 
 // Puts rows of `size` numbers into rows of `width`.
 void pack(const double* from, int rows, int size, int width, double* to) {
@@ -98,7 +70,7 @@ class Compressed : public ceres::CostFunction {
   Eigen::MatrixXd factor(const double* residuals, const std::vector<double*>& parts, int width,
                          std::vector<double>* packed) const {
     const int n = of_.num_residuals(), all = width + 1;
-    const int padded = (all + kTileColumns - 1) / kTileColumns * kTileColumns;
+    const int padded = gram_width(all);
     const auto& sizes = of_.parameter_block_sizes();
     packed->resize(static_cast<std::size_t>(n) * padded);
     double* to = packed->data();

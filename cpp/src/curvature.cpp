@@ -70,7 +70,7 @@ Eliminated without_poses(const NormalEquations& equations) {
   return result;
 }
 
-Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
+Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration, int threads) {
   const int p = static_cast<int>(groups.poses_by_intrinsics.cols());
   MatrixXd information = MatrixXd::Zero(p, p);
   for (const Group& group : groups.frames) information += group.information;
@@ -90,7 +90,7 @@ Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration) {
     const auto gradients_at = [&](double step) {
       calibration->set_state(
           moved(*calibration, state, step * direction, groups.poses_by_intrinsics));
-      return group_gradients(*calibration);
+      return group_gradients(*calibration, threads);
     };
     // Where the model ends within such a step, hardly anything determines this direction.
     GroupGradients ahead, behind;

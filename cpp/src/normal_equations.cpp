@@ -1,7 +1,11 @@
 #include "normal_equations.hpp"
 
 #include <Eigen/Dense>
-#include <stdexcept>
+#include <cmath>
+#include <utility>
+
+#include "gram.hpp"
+#include "parallel.hpp"
 
 namespace plenocal {
 namespace {
@@ -15,14 +19,116 @@ Group zero_group(int size) {
   return {Eigen::MatrixXd::Zero(size, size), Eigen::VectorXd::Zero(size)};
 }
 
-// Only the lower triangle of the information, until `mirror`.
-void add_rows(const Eigen::MatrixXd& jacobian, const Eigen::VectorXd& residuals, Group* group) {
-  group->information.selfadjointView<Eigen::Lower>().rankUpdate(jacobian.transpose());
-  group->gradient += jacobian.transpose() * residuals;
-}
-
 void mirror(Eigen::MatrixXd* lower) {
   lower->triangularView<Eigen::StrictlyUpper>() = lower->transpose();
+}
+
+// Blocks that are evaluated at once, by all threads, before their sums are added in their order.
+constexpr int kBlocksAtOnce = 128;
+
+using Linearised = CalibrationProblem::Linearised;
+
+// Calls of_block(const Linearised&) for every block, on several threads, and then add(result) one
+// after the other, in their order: sums do not depend on the number of threads.
+template <typename Result, typename OfBlock, typename Add>
+void in_order(const CalibrationProblem& calibration, int threads, const OfBlock& of_block,
+              const Add& add) {
+  const int blocks = calibration.residual_blocks();
+  std::vector<Result> results(std::min(blocks, kBlocksAtOnce));
+  for (int first = 0; first < blocks; first += kBlocksAtOnce) {
+    const int count = std::min(blocks - first, kBlocksAtOnce);
+    in_parallel(count, threads, [&](int i) {
+      thread_local Linearised block;
+      calibration.linearise(first + i, &block);
+      results[i] = of_block(block);
+    });
+    for (int i = 0; i < count; ++i) add(results[i]);
+  }
+}
+
+// Consecutive rows of one group: of a corner, of a patch, or an anchor. Calls f(begin, end).
+template <typename F>
+void for_runs(const RowOrigin* rows, int count, const F& f) {
+  for (int begin = 0, end = 0; begin < count; begin = end) {
+    const RowOrigin& first = rows[begin];
+    while (end < count && rows[end].group == first.group && rows[end].corner == first.corner) {
+      ++end;
+    }
+    f(begin, end);
+  }
+}
+
+// What the rows of one kind and group say: sums of products of J, r, and of by how much common
+// errors move the observation.
+struct Run {
+  RowOrigin origin;  // of the first row
+  int columns;       // of J
+  std::vector<double> products;
+  int width;  // of these
+  int count = 0;
+  double sum = 0.0;            // of residuals
+  double pixel_squares = 0.0;  // of residuals in px
+
+  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  // Only the lower triangle.
+  auto all() const { return Eigen::Map<const RowMajor>(products.data(), width, width); }
+  auto information() const { return all().topLeftCorner(columns, columns); }
+  auto gradient() const { return all().row(columns).head(columns).transpose(); }
+  double squares() const { return all()(columns, columns); }
+  auto by_common(int k) const { return all().row(columns + 1 + k).head(columns).transpose(); }
+};
+
+// By how much a common error moves the number that a row observes, over its standard deviation.
+double moved(const CommonError& common, const RowOrigin& row, bool is_u) {
+  if (row.kind == kCenter) {
+    if (common.centers.empty()) return 0.0;
+    const Pixel<double>& by = common.centers[row.observation];
+    return (is_u ? by.u : by.v) / row.std_dev;
+  }
+  const Feature<double>& by = common.features[row.observation];
+  return (row.kind == kRho ? by.rho : is_u ? by.u : by.v) / row.std_dev;
+}
+
+Run sums_of_run(const Linearised& block, const RowOrigin* rows, int begin, int end,
+                ResidualKind kind, const std::vector<CommonError>& common) {
+  const int columns = static_cast<int>(block.jacobian.cols());
+  const int width = gram_width(columns + 1 + static_cast<int>(common.size()));
+  Run run{rows[begin], columns, std::vector<double>(width * width), width};
+  run.origin.kind = kind;
+  thread_local std::vector<double> packed;
+  packed.clear();
+  for (int i = begin; i < end; ++i) {
+    const RowOrigin& row = rows[i];
+    if (row.kind != kind) continue;
+    const double residual = block.residuals[i];
+    const double* jacobian = block.jacobian.row(i).data();
+    packed.insert(packed.end(), jacobian, jacobian + columns);
+    packed.push_back(residual);
+    // u comes before v.
+    const bool is_u = i == 0 || rows[i - 1].observation != row.observation;
+    for (const CommonError& error : common) packed.push_back(moved(error, row, is_u));
+    ++run.count;
+    packed.resize(static_cast<std::size_t>(width) * run.count);
+    run.sum += residual;
+    run.pixel_squares += std::pow(residual * row.std_dev, 2);
+  }
+  gram_of(packed.data(), run.count, width, run.products.data());
+  return run;
+}
+
+// The sums of a block of features or centres.
+std::vector<Run> sums_of(const Linearised& block, const RowOrigin* rows,
+                         const std::vector<CommonError>& common) {
+  std::vector<Run> runs;
+  for_runs(rows, static_cast<int>(block.residuals.size()), [&](int begin, int end) {
+    const auto add = [&](ResidualKind kind) {
+      runs.push_back(sums_of_run(block, rows, begin, end, kind, common));
+    };
+    add(rows[begin].kind);
+    // u, v and rho by turns.
+    if (rows[end - 1].kind == kRho) add(kRho);
+  });
+  return runs;
 }
 
 class Accumulator {
@@ -48,34 +154,59 @@ class Accumulator {
     equations_.anchors.setZero(anchors, intrinsics);
   }
 
-  void add(const CalibrationProblem::Linearised& block, const std::vector<RowOrigin>& rows) {
-    const RowOrigin& first = rows[block.first_row];
-    const int n = static_cast<int>(block.residuals.size());
-    if (first.corner >= 0) {
-      add_features(block, rows);
-    } else if (block.jacobian.cols() > 0) {
-      for (int i = 0; i < n; ++i) {
-        const RowOrigin& row = rows[block.first_row + i];
-        add_rows(block.jacobian.row(i), block.residuals.segment<1>(i),
-                 row.kind == kCenter ? &equations_.patches[row.group] : &anchors_);
-        if (row.kind == kAnchor) add_anchor(block.jacobian.row(i), row);
-        // u comes before v.
-        if (row.kind == kCenter) add_center(block.jacobian.row(i), row, i % 2 == 0);
-      }
+  void add(const Run& run) {
+    const ResidualKind kind = run.origin.kind;
+    const int p = equations_.intrinsics;
+    if (run.origin.corner >= 0) {
+      add_to(&by_kind_[run.origin.group][kind], run);
+      Group& corner = corners_[run.origin.corner];
+      corner.information += run.information().bottomRightCorner<Pose::kSize, Pose::kSize>();
+      corner.gradient += run.gradient().tail<Pose::kSize>();
+      frame_of_corner_[run.origin.corner] = run.origin.group;
+    } else if (run.columns > 0) {
+      add_to(&equations_.patches[run.origin.group], run);
     }
-    for (int i = 0; i < n; ++i) {
-      const RowOrigin& row = rows[block.first_row + i];
-      const double residual = block.residuals[i];
-      if (row.kind == kRho) {
-        rho_[row.corner].sum += residual;
-        ++rho_[row.corner].count;
-      } else {
-        equations_.squares[row.kind] += residual * residual;
-        ++equations_.terms[row.kind];
-      }
-      equations_.pixel_squares[row.kind] += std::pow(residual * row.std_dev, 2);
-      ++equations_.count[row.kind];
+    for (int k = 0; k < static_cast<int>(common_.size()); ++k) {
+      auto sum = equations_.by_common_observations.col(k);
+      sum.head(p) += run.by_common(k).head(p);
+      if (run.origin.corner < 0) continue;
+      const int pose = equations_.pose(run.origin.group);
+      sum.segment<Pose::kSize>(pose) += run.by_common(k).tail<Pose::kSize>();
     }
+    if (kind == kRho) {
+      rho_[run.origin.corner].sum += run.sum;
+      rho_[run.origin.corner].count += run.count;
+    } else {
+      equations_.squares[kind] += run.squares();
+      equations_.terms[kind] += run.count;
+    }
+    equations_.pixel_squares[kind] += run.pixel_squares;
+    equations_.count[kind] += run.count;
+  }
+
+  // The only row of an anchor's block.
+  void add_anchor(const Linearised& block, const RowOrigin& row) {
+    const double residual = block.residuals[0];
+    equations_.squares[kAnchor] += residual * residual;
+    equations_.pixel_squares[kAnchor] += std::pow(residual * row.std_dev, 2);
+    ++equations_.terms[kAnchor];
+    ++equations_.count[kAnchor];
+    if (block.jacobian.cols() == 0) return;
+    const Eigen::RowVectorXd jacobian = block.jacobian.row(0);
+    anchors_.information += jacobian.transpose() * jacobian;
+    anchors_.gradient += residual * jacobian.transpose();
+    equations_.anchors.row(row.group) = jacobian;
+    double contained = 0.0;
+    for (std::size_t k = 0; k < common_.size(); ++k) {
+      const std::vector<double>& moved = common_[k].anchors;
+      if (moved.empty()) continue;
+      const auto column = static_cast<Eigen::Index>(k);
+      equations_.by_common_anchors.col(column).head(equations_.intrinsics) +=
+          moved[row.group] * jacobian.transpose();
+      if (common_[k].in_anchors) contained += moved[row.group] * moved[row.group];
+    }
+    equations_.in_anchors.col(row.group).head(equations_.intrinsics) =
+        std::sqrt(contained) * jacobian.transpose();
   }
 
   NormalEquations finish() {
@@ -113,72 +244,15 @@ class Accumulator {
       equations_.information[kCenter].topLeftCorner(p, p) += patch.information;
       equations_.gradient.head(p) += patch.gradient;
     }
-    mirror(&anchors_.information);
     equations_.information[kAnchor].topLeftCorner(p, p) = anchors_.information;
     equations_.gradient.head(p) += anchors_.gradient;
     return std::move(equations_);
   }
 
  private:
-  // A block of features: all of one frame.
-  void add_features(const CalibrationProblem::Linearised& block,
-                    const std::vector<RowOrigin>& rows) {
-    const int n = static_cast<int>(block.residuals.size());
-    const int p = equations_.intrinsics;
-    const int frame = rows[block.first_row].group, pose = equations_.pose(frame);
-    for (ResidualKind kind : {kUv, kRho}) {
-      std::vector<int> of_kind;
-      for (int i = 0; i < n; ++i) {
-        if (rows[block.first_row + i].kind == kind) of_kind.push_back(i);
-      }
-      add_rows(block.jacobian(of_kind, Eigen::all), block.residuals(of_kind),
-               &by_kind_[frame][kind]);
-    }
-    for (int i = 0; i < n;) {
-      const int begin = i, corner = rows[block.first_row + i].corner;
-      while (i < n && rows[block.first_row + i].corner == corner) ++i;
-      add_rows(block.jacobian.block(begin, p, i - begin, Pose::kSize),
-               block.residuals.segment(begin, i - begin), &corners_[corner]);
-      frame_of_corner_[corner] = frame;
-    }
-    for (std::size_t k = 0; k < common_.size(); ++k) {
-      Eigen::VectorXd moved(n);
-      for (int i = 0; i < n; ++i) {
-        const RowOrigin& row = rows[block.first_row + i];
-        const Feature<double>& by = common_[k].features[row.observation];
-        // u comes before v.
-        const bool is_u = i == 0 || rows[block.first_row + i - 1].observation != row.observation;
-        moved[i] = (row.kind == kRho ? by.rho : is_u ? by.u : by.v) / row.std_dev;
-      }
-      const Eigen::VectorXd change = block.jacobian.transpose() * moved;
-      auto sum = equations_.by_common_observations.col(static_cast<Eigen::Index>(k));
-      sum.head(p) += change.head(p);
-      sum.segment<Pose::kSize>(pose) += change.tail<Pose::kSize>();
-    }
-  }
-
-  void add_center(const Eigen::RowVectorXd& jacobian, const RowOrigin& row, bool is_u) {
-    for (std::size_t k = 0; k < common_.size(); ++k) {
-      if (common_[k].centers.empty()) continue;
-      const Pixel<double>& by = common_[k].centers[row.observation];
-      equations_.by_common_observations.col(static_cast<Eigen::Index>(k))
-          .head(equations_.intrinsics) += (is_u ? by.u : by.v) / row.std_dev * jacobian.transpose();
-    }
-  }
-
-  void add_anchor(const Eigen::RowVectorXd& jacobian, const RowOrigin& row) {
-    equations_.anchors.row(row.group) = jacobian;
-    double contained = 0.0;
-    for (std::size_t k = 0; k < common_.size(); ++k) {
-      const std::vector<double>& moved = common_[k].anchors;
-      if (moved.empty()) continue;
-      const Eigen::VectorXd change = moved[row.group] * jacobian.transpose();
-      const auto column = static_cast<Eigen::Index>(k);
-      equations_.by_common_anchors.col(column).head(equations_.intrinsics) += change;
-      if (common_[k].in_anchors) contained += moved[row.group] * moved[row.group];
-    }
-    equations_.in_anchors.col(row.group).head(equations_.intrinsics) =
-        std::sqrt(contained) * jacobian.transpose();
+  static void add_to(Group* group, const Run& run) {
+    group->information += run.information();
+    group->gradient += run.gradient();
   }
 
   const std::vector<CommonError>& common_;
@@ -196,29 +270,50 @@ class Accumulator {
 
 }  // namespace
 
-GroupGradients group_gradients(const CalibrationProblem& calibration) {
+GroupGradients group_gradients(const CalibrationProblem& calibration, int threads) {
   const auto p = static_cast<Eigen::Index>(calibration.free_intrinsics().size());
+  const std::vector<RowOrigin>& rows = calibration.rows();
   GroupGradients gradients;
   gradients.patches.assign(kPatches, Eigen::VectorXd::Zero(p));
-  calibration.linearise([&](const CalibrationProblem::Linearised& block) {
-    const RowOrigin* rows = &calibration.rows()[block.first_row];
-    if (rows->kind == kUv) {
-      gradients.frames.resize(std::max<std::size_t>(gradients.frames.size(), rows->group + 1),
-                              Eigen::VectorXd::Zero(p + Pose::kSize));
-      gradients.frames[rows->group] += block.jacobian.transpose() * block.residuals;
-    } else if (rows->kind == kCenter) {
-      for (Eigen::Index i = 0; i < block.residuals.size(); ++i) {
-        gradients.patches[rows[i].group] += block.residuals[i] * block.jacobian.row(i).transpose();
-      }
-    }
-  });
+  using OfGroup = std::pair<RowOrigin, Eigen::VectorXd>;
+  in_order<std::vector<OfGroup>>(
+      calibration, threads,
+      [&](const Linearised& block) {
+        std::vector<OfGroup> sums;
+        const RowOrigin* of_block = &rows[block.first_row];
+        const int n = static_cast<int>(block.residuals.size());
+        const auto add = [&](int begin, int end) {
+          sums.emplace_back(of_block[begin],
+                            block.jacobian.middleRows(begin, end - begin).transpose() *
+                                block.residuals.segment(begin, end - begin));
+        };
+        // A block of features is of one frame.
+        if (of_block->corner >= 0) {
+          add(0, n);
+        } else if (of_block->kind == kCenter) {
+          for_runs(of_block, n, add);
+        }
+        return sums;
+      },
+      [&](const std::vector<OfGroup>& sums) {
+        for (const auto& [origin, sum] : sums) {
+          if (origin.corner < 0) {
+            gradients.patches[origin.group] += sum;
+            continue;
+          }
+          gradients.frames.resize(std::max<std::size_t>(gradients.frames.size(), origin.group + 1),
+                                  Eigen::VectorXd::Zero(p + Pose::kSize));
+          gradients.frames[origin.group] += sum;
+        }
+      });
   return gradients;
 }
 
 NormalEquations normal_equations(const CalibrationProblem& calibration,
-                                 const std::vector<CommonError>& common) {
+                                 const std::vector<CommonError>& common, int threads) {
+  const std::vector<RowOrigin>& rows = calibration.rows();
   int frames = 0, corners = 0, anchors = 0;
-  for (const RowOrigin& row : calibration.rows()) {
+  for (const RowOrigin& row : rows) {
     anchors += row.kind == kAnchor ? 1 : 0;
     if (row.corner < 0) continue;
     frames = std::max(frames, row.group + 1);
@@ -226,8 +321,21 @@ NormalEquations normal_equations(const CalibrationProblem& calibration,
   }
   Accumulator sum(static_cast<int>(calibration.free_intrinsics().size()), frames, corners, anchors,
                   common);
-  calibration.linearise(
-      [&](const CalibrationProblem::Linearised& block) { sum.add(block, calibration.rows()); });
+  in_order<std::vector<Run>>(
+      calibration, threads,
+      [&](const Linearised& block) {
+        const RowOrigin* of_block = &rows[block.first_row];
+        return of_block->kind == kAnchor ? std::vector<Run>{} : sums_of(block, of_block, common);
+      },
+      [&](const std::vector<Run>& runs) {
+        for (const Run& run : runs) sum.add(run);
+      });
+  Linearised block;
+  for (int index = 0; index < calibration.residual_blocks(); ++index) {
+    if (rows[calibration.first_row(index)].kind != kAnchor) continue;
+    calibration.linearise(index, &block);
+    sum.add_anchor(block, rows[block.first_row]);
+  }
   return sum.finish();
 }
 

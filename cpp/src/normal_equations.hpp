@@ -46,9 +46,9 @@ struct NormalEquations {
   int pose(int frame) const { return intrinsics + Pose::kSize * frame; }
 };
 
-/// Throws std::invalid_argument where the model is not defined.
+/// The same for any number of threads. Throws std::invalid_argument where the model is not defined.
 NormalEquations normal_equations(const CalibrationProblem& calibration,
-                                 const std::vector<CommonError>& common = {});
+                                 const std::vector<CommonError>& common = {}, int threads = 1);
 
 /// Gradients of frames (on the free intrinsics and the pose of the frame) and of patches (on the
 /// free intrinsics), as in `NormalEquations`.
@@ -58,7 +58,7 @@ struct GroupGradients {
 };
 
 /// Only the gradients, much faster; throws like `normal_equations`.
-GroupGradients group_gradients(const CalibrationProblem& calibration);
+GroupGradients group_gradients(const CalibrationProblem& calibration, int threads);
 
 /// Pseudo-inverse of an information matrix scaled to a unit diagonal, so that units do not matter.
 struct ScaledInverse {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <numeric>
 #include <string>
 #include <utility>
 
@@ -81,35 +82,44 @@ std::unique_ptr<ceres::Problem> CalibrationProblem::compressed() const {
   return result;
 }
 
-CalibrationProblem::Linearised CalibrationProblem::linearised(const Block& block,
-                                                              int first_row) const {
+void CalibrationProblem::linearise(int index, Linearised* result) const {
   using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  const Block& block = blocks_[index];
   const int n = block.cost->num_residuals();
   const auto& sizes = block.cost->parameter_block_sizes();
-  std::vector<RowMajor> parts;
-  for (int size : sizes) parts.emplace_back(n, size);
-  std::vector<double*> pointers;
-  for (RowMajor& part : parts) pointers.push_back(part.data());
-  const int free = static_cast<int>(free_intrinsics_.size());
-  const bool has_pose = rows_[first_row].corner >= 0;
-  Linearised result{first_row, Eigen::VectorXd(n),
-                    Eigen::MatrixXd::Zero(n, free + (has_pose ? Pose::kSize : 0))};
-  if (!block.cost->Evaluate(block.parameters.data(), result.residuals.data(), pointers.data())) {
+  result->room.resize(static_cast<std::size_t>(n) * std::accumulate(sizes.begin(), sizes.end(), 0));
+  std::vector<double*> parts;
+  double* next = result->room.data();
+  for (int size : sizes) {
+    parts.push_back(next);
+    next += static_cast<std::size_t>(n) * size;
+  }
+  result->first_row = block.first_row;
+  result->residuals.resize(n);
+  if (!block.cost->Evaluate(block.parameters.data(), result->residuals.data(), parts.data())) {
     throw std::invalid_argument(
         "the model is not defined at this camera and these poses: a board point lies within the "
         "focal length of the main lens");
   }
+  const int free = static_cast<int>(free_intrinsics_.size());
+  const bool has_pose = rows_[block.first_row].corner >= 0;
+  result->jacobian.setZero(n, free + (has_pose ? Pose::kSize : 0));
   const bool is_fixed = has_pose && problem_->IsParameterBlockConstant(block.parameters.back());
-  if (has_pose && !is_fixed) result.jacobian.rightCols<Pose::kSize>() = parts.back();
-  int column = 0;
-  for (int index : free_intrinsics_) {
-    const auto [values, size, place] = places_[index];
-    for (std::size_t i = 0; i < parts.size(); ++i) {
-      if (block.parameters[i] == values) result.jacobian.col(column) = parts[i].col(place);
-    }
-    ++column;
+  if (has_pose && !is_fixed) {
+    result->jacobian.rightCols<Pose::kSize>() = Eigen::Map<const RowMajor>(parts.back(), n, Pose::kSize);
   }
-  return result;
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    std::vector<std::pair<int, int>> columns;  // of J, and of the part
+    for (int column = 0; column < free; ++column) {
+      const Place& place = places_[free_intrinsics_[column]];
+      if (block.parameters[i] == place.block) columns.emplace_back(column, place.index);
+    }
+    for (int row = 0; row < n; ++row) {
+      double* to = result->jacobian.row(row).data();
+      const double* from = parts[i] + static_cast<std::size_t>(row) * sizes[i];
+      for (const auto [column, index] : columns) to[column] = from[index];
+    }
+  }
 }
 
 void CalibrationProblem::fix(const CostOptions& options) {
@@ -205,7 +215,9 @@ Evaluation CalibrationProblem::evaluate() const {
   result.residuals.resize(rows);
   result.gradient.setZero(columns);
   std::vector<Eigen::Triplet<double>> entries;
-  linearise([&](const Linearised& block) {
+  Linearised block;
+  for (int index = 0; index < residual_blocks(); ++index) {
+    linearise(index, &block);
     result.residuals.segment(block.first_row, block.residuals.size()) = block.residuals;
     const Eigen::Index pose = free + Pose::kSize * rows_[block.first_row].group;
     const auto& jacobian = block.jacobian;
@@ -217,7 +229,7 @@ Evaluation CalibrationProblem::evaluate() const {
         if (entry != 0.0) entries.emplace_back(block.first_row + row, to, entry);
       }
     }
-  });
+  }
   result.cost = 0.5 * result.residuals.squaredNorm();
   result.jacobian.resize(rows, columns);
   result.jacobian.setFromTriplets(entries.begin(), entries.end());

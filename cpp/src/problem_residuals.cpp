@@ -143,7 +143,8 @@ void CalibrationProblem::add_centers(const Observations& observations, const Cos
 
 ceres::ResidualBlockId CalibrationProblem::add_block(std::unique_ptr<ceres::CostFunction> cost,
                                                      std::vector<double*> parameters) {
-  blocks_.push_back({cost.get(), parameters});
+  const int first_row = static_cast<int>(rows_.size()) - cost->num_residuals();
+  blocks_.push_back({cost.get(), parameters, first_row});
   return problem_->AddResidualBlock(cost.release(), nullptr, parameters);
 }
 

@@ -196,11 +196,11 @@ MatrixXd at_least(const MatrixXd& covariance, const VectorXd& least) {
 
 SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inverse,
                            const MatrixXd& independent, double anchor_weight,
-                           CalibrationProblem* calibration) {
+                           CalibrationProblem* calibration, int threads) {
   const int p = equations.intrinsics;
   const Eliminated groups = without_poses(equations);
   const MatrixXd& follow = groups.poses_by_intrinsics;
-  const Curvature curved = curvature(groups, calibration);
+  const Curvature curved = curvature(groups, calibration, threads);
   MatrixXd observed = MatrixXd::Zero(p, p);
   for (const MatrixXd& hessian : curved.frames) observed += hessian;
   for (const MatrixXd& hessian : curved.patches) observed += hessian;

@@ -52,7 +52,7 @@ struct SharedErrors {
 /// values nearby, and leaves it as it was.
 SharedErrors shared_errors(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
                            const Eigen::MatrixXd& independent, double anchor_weight,
-                           CalibrationProblem* calibration);
+                           CalibrationProblem* calibration, int threads);
 
 /// How many times larger than the weights claim the variance of the anchored quantities is if the
 /// gradient has the covariance `spread` instead of `information` (of all parameters, or of the

@@ -82,10 +82,11 @@ void require_common(const std::vector<CommonError>& common, const Observations& 
 
 Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const Observations& observations, const CostOptions& cost_options,
-                        const std::vector<CommonError>& common) {
+                        const std::vector<CommonError>& common, int threads) {
+  if (threads < 1) reject("threads have to be at least 1");
   require_common(common, observations, cost_options.anchors.size());
   CalibrationProblem calibration(camera, poses, observations, cost_options);
-  const NormalEquations equations = normal_equations(calibration, common);
+  const NormalEquations equations = normal_equations(calibration, common, threads);
 
   Uncertainty result;
   result.free_intrinsics = calibration.free_intrinsics();
@@ -113,7 +114,8 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
       symmetric(inverse * independent * inverse + common_covariance(equations, inverse, weight));
   result.independent_covariance = row_by_row(covariance);
   const MatrixXd observed = total - equations.information[kAnchor];
-  const SharedErrors shared = shared_errors(equations, inverse, independent, weight, &calibration);
+  const SharedErrors shared = 
+      shared_errors(equations, inverse, independent, weight, &calibration, threads);
   result.poses_by_intrinsics = row_by_row(shared.poses_by_intrinsics);
   result.frame_shares = row_by_row(shared.frame_shares);
   result.left_out_changes = row_by_row(shared.left_out_changes);
@@ -154,9 +156,10 @@ double Uncertainty::std_dev_of(const std::string& name) const {
 
 std::vector<double> frame_information(const Camera& camera, const std::vector<Pose>& poses,
                                       const Observations& observations,
-                                      const CostOptions& cost_options) {
+                                      const CostOptions& cost_options, int threads) {
+  if (threads < 1) reject("threads have to be at least 1");
   const CalibrationProblem calibration(camera, poses, observations, cost_options);
-  const Eliminated groups = without_poses(normal_equations(calibration));
+  const Eliminated groups = without_poses(normal_equations(calibration, {}, threads));
   std::vector<double> all;
   for (const Group& frame : groups.frames) {
     const auto values = row_by_row(frame.information);

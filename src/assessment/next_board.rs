@@ -8,6 +8,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, Isometry3, Translation3, UnitQuaternion, Vector3};
+use rayon::prelude::*;
 
 use super::object_space::{MARGIN, ObjectSpace, camera_covariance, largest_mm, point_seen_at};
 use crate::calibration::Calibration;
@@ -66,9 +67,11 @@ pub(super) fn next_board(
     let dispersion = (0..free).map(ratio).sum::<f64>() / free.max(1) as f64;
     let largest = |covariance: &DMatrix<f64>| largest_mm(space.points_within_boards(), covariance);
     let before = largest(&covariance);
+    let with_board =
+        |information: &DMatrix<f64>| largest(&with(&covariance, &(information / dispersion)));
+    let all: Vec<f64> = information.par_iter().map(with_board).collect();
     let mut best: Option<NextBoard> = None;
-    for (candidate, information) in candidates.into_iter().zip(&information) {
-        let after = largest(&with(&covariance, &(information / dispersion)));
+    for (candidate, after) in candidates.into_iter().zip(all) {
         if after < best.as_ref().map_or(WORTH * before, |b| b.largest_mm[1]) {
             best = Some(NextBoard { largest_mm: [before, after], ..candidate });
         }
@@ -157,7 +160,8 @@ fn information(
     let poses: Vec<_> = seen.iter().map(|&i| all[i]).collect();
     let problem = Problem { camera, board: bent, poses: &poses, features: &features, centers: &[] };
     let cost = CostOptions { fixed: calibration.cost.fixed.clone(), ..CostOptions::default() };
-    for (i, information) in seen.into_iter().zip(solver::frame_information(&problem, &cost)?) {
+    let found = solver::frame_information(&problem, &cost, calibration.options.solver.threads)?;
+    for (i, information) in seen.into_iter().zip(found) {
         result[i] = information;
     }
     Ok(result)

@@ -47,7 +47,7 @@ impl PointTrust {
     /// σ of the place in all three directions due to the calibration, mm.
     #[must_use]
     pub fn total_mm(&self, covariance: &DMatrix<f64>) -> f64 {
-        (&self.by_intrinsics * covariance * self.by_intrinsics.transpose()).trace().max(0.0).sqrt()
+        (&self.by_intrinsics * covariance).dot(&self.by_intrinsics).max(0.0).sqrt()
     }
 }
 

@@ -173,8 +173,13 @@ impl Settings<'_> {
             return Ok(known(flat, Trial::TooFewFrames, none));
         }
         let start = at_end(problem, Some(&flat.refinement));
+        let near = Settings {
+            common: self.common.clone(),
+            known_weight: Some(flat.cost.anchor_weight),
+            ..*self
+        };
         // If a trial fails, the present result stands.
-        let free_trial = match self.refine_free(&start, (cost, anchors), &free, progress) {
+        let free_trial = match near.refine_free(&start, (cost, anchors), &free, progress) {
             Ok(trial) => trial,
             Err(error) => return Ok(known(flat, Trial::Failed(error.to_string()), none)),
         };
@@ -199,7 +204,7 @@ impl Settings<'_> {
         }
         let found = Free { parameters, ..free };
         let (mut settled, failed) =
-            self.settle(&start, free_trial, (cost, anchors), (&free, found), progress);
+            near.settle(&start, free_trial, (cost, anchors), (&free, found), progress);
         settled.refined.refinement = flat.refinement.followed_by(settled.refined.refinement);
         Ok(Settled { trial: tried(failed), ..settled })
     }

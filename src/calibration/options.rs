@@ -206,12 +206,12 @@ impl CalibrationOptions {
         }
     }
 
-    /// These options with what a calibration has found of whether the board is flat: bent in what it was found to be, or
-    /// flat.
+    /// These options with what a calibration has found of whether the board is flat: bent in those parameters of its shape that
+    /// have a σ, or flat.
     #[must_use]
-    pub fn with_decision(&self, found: &BoardResult) -> Self {
+    pub fn with_decision(&self, shape_std_devs: [Option<f64>; SHAPE]) -> Self {
         let mut decided = self.clone();
-        let kept = shape_names().zip(found.std_devs).filter(|(_, std_dev)| std_dev.is_none());
+        let kept = shape_names().zip(shape_std_devs).filter(|(_, std_dev)| std_dev.is_none());
         let kept: Vec<String> = kept.map(|(name, _)| name.to_owned()).collect();
         decided.board = if kept.len() == SHAPE { BoardModel::Flat } else { BoardModel::Bent };
         if decided.board == BoardModel::Bent {

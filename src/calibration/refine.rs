@@ -16,10 +16,11 @@ use crate::solver::{
 /// Limit of repetitions: correcting one mirrored board may reveal others.
 const MAX_RECONSIDERATIONS: usize = 4;
 
-/// The weight of the anchors is measured at a rough minimum, after so many iterations, and again if it
+/// The weight of the anchors is measured at a rough minimum, after so many iterations (of which the first ones, where the
+/// trust region is too large, take little time and lead nowhere), and again if it
 /// differs from the weight used there by more than this factor. With as few frames as there are, it is
 /// known to some ten per cent at best.
-const ROUGH_ITERATIONS: usize = 4;
+const ROUGH_ITERATIONS: usize = 12;
 const ALIKE: f64 = 2.0;
 /// Limit of refinements, the first half of them rough.
 const MAX_ATTEMPTS: usize = 6;
@@ -34,6 +35,8 @@ pub(super) struct Settings<'a> {
     pub options: &'a CalibrationOptions,
     /// Errors that observations have in common.
     pub common: Vec<CommonError>,
+    /// The weight of the anchors of the refinement that has ended where this one begins; `None` far from a minimum.
+    pub known_weight: Option<f64>,
 }
 
 /// The refinement, its uncertainty, and the cost that it ended with: with the weight of the anchors, and
@@ -63,7 +66,7 @@ impl Settings<'_> {
         let stated = self.options.anchor_weight;
         let measured = !cost.anchors.is_empty() && stated.is_none();
         if !cost.anchors.is_empty() {
-            cost.anchor_weight = stated.unwrap_or(FIRST_WEIGHT);
+            cost.anchor_weight = stated.or(self.known_weight).unwrap_or(FIRST_WEIGHT);
         }
         // Far from the minimum nearly all residuals are in the flat part of a loss: without one the way
         // takes a fifth of the steps.
@@ -71,7 +74,8 @@ impl Settings<'_> {
             loss: Loss { kind: LossKind::None, ..cost.loss },
             ..cost.clone()
         };
-        let mut rough = !cost.anchors.is_empty() || cost.loss.kind != LossKind::None;
+        let is_far = self.known_weight.is_none();
+        let mut rough = is_far && (!cost.anchors.is_empty() || cost.loss.kind != LossKind::None);
         let mut so_far: Option<Refinement> = None;
         let mut attempt = 0;
         loop {
@@ -84,7 +88,7 @@ impl Settings<'_> {
             let stopped = next.termination == Termination::Stopped;
             let refinement = followed(so_far.take(), next);
             let refined = at_end(problem, Some(&refinement));
-            let uncertainty = solver::uncertainty(&refined, &used, &self.common)?;
+            let uncertainty = self.uncertainty(&refined, &used)?;
             let change = uncertainty.dispersion.max(LEAST_WEIGHT) / cost.anchor_weight;
             let settled = !measured || (1.0 / ALIKE..ALIKE).contains(&change);
             let done = stopped
@@ -106,13 +110,13 @@ impl Settings<'_> {
     pub fn evaluate(&self, problem: &Problem, mut cost: CostOptions) -> Result<Refined> {
         let solver = SolverOptions { max_iterations: 0, extrapolate: false, ..self.options.solver };
         cost.anchor_weight = self.options.anchor_weight.unwrap_or(FIRST_WEIGHT);
-        let mut uncertainty = solver::uncertainty(problem, &cost, &self.common)?;
+        let mut uncertainty = self.uncertainty(problem, &cost)?;
         if self.options.anchor_weight.is_none() && !cost.anchors.is_empty() {
             for _ in 0..MAX_ATTEMPTS {
                 let weight = uncertainty.dispersion.max(LEAST_WEIGHT);
                 let settled = (1.0 / ALIKE..ALIKE).contains(&(weight / cost.anchor_weight));
                 cost.anchor_weight = weight;
-                uncertainty = solver::uncertainty(problem, &cost, &self.common)?;
+                uncertainty = self.uncertainty(problem, &cost)?;
                 if settled {
                     break;
                 }
@@ -120,6 +124,10 @@ impl Settings<'_> {
         }
         let refinement = solver::refine(problem, &cost, &solver, &mut |_| true)?;
         Ok(Refined { refinement, uncertainty, cost })
+    }
+
+    fn uncertainty(&self, at: &Problem, cost: &CostOptions) -> Result<Uncertainty> {
+        solver::uncertainty(at, cost, &self.common, self.options.solver.threads)
     }
 
     /// Iterations that the options still allow.

@@ -102,7 +102,7 @@ fn completed(
     let mut cost = cost_for(options, &initial, &observations, &anchors);
     let all = (frames.features.as_slice(), observations.centers.as_slice());
     let common = common_errors(&start, &initial, all, &cost, options)?;
-    let settings = Settings { frames: &frames, options, common };
+    let settings = Settings { frames: &frames, options, common, known_weight: None };
     let (settled, outlying) = match at {
         Some(_) => (settings.evaluated(&problem, &cost, &anchors)?, None),
         None => withstanding(&settings, &problem, &mut cost, &anchors, progress)?,

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use plenocal::assessment::assess;
 use plenocal::calibration::{
-    Calibration, CalibrationOptions, Mode, Start, calibrate, initial_from,
+    BoardModel, Calibration, CalibrationOptions, Mode, Start, calibrate, initial_from,
 };
 use plenocal::detection::DepthEstimator;
 use plenocal::evaluation::{Candidate, EvaluationInput, Folds, PosePairs};
@@ -382,7 +382,12 @@ impl Stages<'_> {
         }
         let excluded = &self.options.exclude_frames;
         let frames = observations.frames().iter().filter(|f| !excluded.contains(f)).count();
-        let (options, count) = (self.options.clone(), input.folds.min(frames));
+        let count = input.folds.min(frames);
+        // The first camera is calibrated with these options and observations.
+        let options = match self.options.board {
+            BoardModel::Auto => self.options.with_decision(candidates[0].shape_std_devs),
+            _ => self.options.clone(),
+        };
         subjects.folds = (count > 1).then_some(Folds { start, observations, options, count });
         let found = evaluated(&candidates, &subjects, self.quiet);
         output.stage_json("evaluation.json", &io::evaluation_document(&found))?;

@@ -67,7 +67,7 @@ pub fn cross_validate(
     let mut options = match options.board {
         BoardModel::Auto => {
             let all = calibrate(start, board, observations, options, &mut |_| true)?;
-            options.with_decision(&all.board)
+            options.with_decision(all.board.std_devs)
         }
         _ => options.clone(),
     };

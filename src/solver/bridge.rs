@@ -338,6 +338,7 @@ mod ffi {
             centers: &[CenterRow],
             cost: &CostParts,
             common: &[CommonErrorParts],
+            threads: i32,
         ) -> Result<UncertaintyParts>;
         fn frame_information(
             camera: &CameraParts,
@@ -345,6 +346,7 @@ mod ffi {
             poses: &[PoseBlock],
             features: &[FeatureRow],
             cost: &CostParts,
+            threads: i32,
         ) -> Result<Vec<f64>>;
         fn visible_features(
             camera: &CameraParts,
@@ -460,6 +462,7 @@ pub(crate) fn uncertainty(
     problem: &Problem,
     cost: &CostOptions,
     common: &[CommonError],
+    threads: usize,
 ) -> Result<Uncertainty> {
     let common_parts: Vec<ffi::CommonErrorParts> = common.iter().map(Into::into).collect();
     let parts = ffi::uncertainty(
@@ -470,6 +473,7 @@ pub(crate) fn uncertainty(
         &problem.center_rows(),
         &cost.into(),
         &common_parts,
+        conversions::count(threads),
     )
     .map_err(solver_error)?;
     Ok(Uncertainty::from((&parts, problem.poses.len(), common)))

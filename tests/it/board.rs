@@ -208,7 +208,7 @@ fn bend_and_aspect_are_told_apart() {
     let found = scene.calibrated(&scene.observed(bent, 8), BoardModel::Auto).board;
     assert_eq!(found.std_devs.map(|s| s.is_some()), [true, true, true, false]);
     // Folds take that over.
-    let decided = anchored().with_decision(&found);
+    let decided = anchored().with_decision(found.std_devs);
     assert_eq!(decided.board, BoardModel::Bent);
     assert!(decided.cost.fixed.contains(&"aspect".to_owned()));
     let again = scene.with(&scene.observed(BoardShape::default(), 9), &decided).board;

@@ -124,20 +124,18 @@ class PLENOCAL_API CalibrationProblem {
   /// Residuals and Jacobian of a block: columns are the free intrinsics, then, for features, the
   /// six of their frame's pose, which are 0 if it is fixed.
   struct Linearised {
-    int first_row;  ///< in `rows`
+    int first_row = 0;  ///< in `rows`
     Eigen::VectorXd residuals;
-    Eigen::MatrixXd jacobian;
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> jacobian;
+    std::vector<double> room;  ///< what Ceres evaluates: memory that can be used again
   };
-  /// Calls f(const Linearised&) for every block, at the present values. Throws
+  /// Number of residual blocks; their rows follow each other.
+  int residual_blocks() const { return static_cast<int>(blocks_.size()); }
+  /// The first row of a block.
+  int first_row(int block) const { return blocks_[block].first_row; }
+  /// That of a block at the present values, from several threads if need be. Throws
   /// std::invalid_argument where the model is not defined.
-  template <typename F>
-  void linearise(F&& f) const {
-    int first_row = 0;
-    for (const Block& block : blocks_) {
-      f(linearised(block, first_row));
-      first_row += block.cost->num_residuals();
-    }
-  }
+  void linearise(int block, Linearised* result) const;
 
  private:
   CalibrationProblem(const Camera& camera, const Board& board, const CostOptions& options,
@@ -166,10 +164,10 @@ class PLENOCAL_API CalibrationProblem {
   struct Block {
     const ceres::CostFunction* cost;
     std::vector<double*> parameters;
+    int first_row;
   };
   ceres::ResidualBlockId add_block(std::unique_ptr<ceres::CostFunction> cost,
                                    std::vector<double*> parameters);
-  Linearised linearised(const Block& block, int first_row) const;
 
   Camera frame_;  // what is not a parameter: lattice, pixel size
   Board board_;   // its size

@@ -248,17 +248,19 @@ struct CommonError {
   bool in_anchors = true;  ///< whether the sigma of the anchors contains it already
 };
 
-/// Throws std::invalid_argument like `refine`, and if common errors are not of these observations.
+/// The same for any number of threads. Throws std::invalid_argument like `refine`, and if common
+/// errors are not of these observations.
 PLENOCAL_API Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                                      const Observations& observations,
                                      const CostOptions& cost_options,
-                                     const std::vector<CommonError>& common = {});
+                                     const std::vector<CommonError>& common = {}, int threads = 1);
 
 /// The information of each frame on the free intrinsics, with its pose unknown: a square matrix for
 /// each frame, row by row. Anchors and centres take no part. Throws like `refine`.
 PLENOCAL_API std::vector<double> frame_information(const Camera& camera,
                                                    const std::vector<Pose>& poses,
                                                    const Observations& observations,
-                                                   const CostOptions& cost_options);
+                                                   const CostOptions& cost_options,
+                                                   int threads = 1);
 
 }  // namespace plenocal

@@ -15,7 +15,7 @@ fn index(i: i32) -> usize {
     usize::try_from(i).unwrap_or(0)
 }
 
-fn count(n: usize) -> i32 {
+pub(super) fn count(n: usize) -> i32 {
     i32::try_from(n).unwrap_or(i32::MAX)
 }
 

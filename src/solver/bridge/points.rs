@@ -59,6 +59,7 @@ pub(crate) fn project_centers(
 pub(crate) fn frame_information(
     problem: &Problem,
     cost: &CostOptions,
+    threads: usize,
 ) -> Result<Vec<DMatrix<f64>>> {
     let values = ffi::frame_information(
         &problem.camera.into(),
@@ -66,6 +67,7 @@ pub(crate) fn frame_information(
         &problem.pose_blocks(),
         &problem.feature_rows(),
         &cost.into(),
+        conversions::count(threads),
     )
     .map_err(solver_error)?;
     let fixed: BTreeSet<&String> = cost.fixed.iter().collect();

@@ -151,8 +151,8 @@ fn absurd_values_come_back_as_errors_or_results() {
             Err(_) => errors += 1,
         }
         let _ = project(&problem);
-        let _ = uncertainty(&problem, cost, &[]);
-        let _ = frame_information(&problem, cost);
+        let _ = uncertainty(&problem, cost, &[], 1);
+        let _ = frame_information(&problem, cost, 1);
         let points = [problem.features[0].board_point_mm];
         let _ = visible_features(problem.camera, &problem.board, problem.poses, &points, 3.0);
         let _ = point_sensitivities(problem.camera, &points, [1.0; 3], 3.0);
