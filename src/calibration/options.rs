@@ -1,7 +1,7 @@
 //! Input of a calibration: its start, what it estimates, and its cost.
 
+use crate::calibration::BoardModel;
 use crate::calibration::anchors::check_anchors;
-use crate::calibration::{BoardModel, BoardResult};
 use crate::error::{Error, Result};
 use crate::model::{
     BoardShape, Datasheet, FramePose, InternalParameters, LatticeKind, MicroImageCenter,

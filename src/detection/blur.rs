@@ -41,6 +41,7 @@ pub(super) struct Blur<'a> {
 }
 
 /// The rays that arrive at the pixels of a micro-image.
+#[derive(Debug)]
 pub(super) enum Rays {
     /// A single one at each pixel (x, y): steps rise over 1 px to either side.
     Sharp { x: Vec<f32>, y: Vec<f32> },
@@ -78,6 +79,13 @@ pub(super) trait OfRays<S: Simd, const K: usize> {
     fn of_rays(&self, rays: &RayLanes<S>) -> [Lanes<S>; K];
 }
 
+impl Default for Rays {
+    /// None.
+    fn default() -> Self {
+        Self::Blurred(Vec::new())
+    }
+}
+
 impl Rays {
     /// For steps of unknown width, without blur.
     pub fn sharp(patch: &Patch) -> Self {
@@ -92,16 +100,27 @@ impl Rays {
         }
     }
 
-    /// Those of every n-th pixel: see [`Patch::thinned`].
-    pub fn thinned(&self, n: usize) -> Self {
-        match self {
-            Self::Sharp { x, y } => Self::Sharp {
-                x: x.iter().step_by(n).copied().collect(),
-                y: y.iter().step_by(n).copied().collect(),
-            },
-            Self::Blurred(of_pixels) => {
-                Self::Blurred(of_pixels.iter().step_by(n).copied().collect())
+    /// Puts those of every n-th pixel in the place of others: see [`Patch::thinned`].
+    pub fn thin(&self, n: usize, few: &mut Self) {
+        *few = match self {
+            Self::Blurred(all) => {
+                let mut kept = few.take();
+                kept.clear();
+                kept.extend(all.iter().step_by(n));
+                Self::Blurred(kept)
             }
+            Self::Sharp { x, y } => {
+                let of = |all: &[f32]| all.iter().step_by(n).copied().collect();
+                Self::Sharp { x: of(x), y: of(y) }
+            }
+        };
+    }
+
+    /// Memory to use again: the blurred rays, or none.
+    fn take(&mut self) -> Vec<PixelRays> {
+        match std::mem::take(self) {
+            Self::Blurred(all) => all,
+            Self::Sharp { .. } => Vec::new(),
         }
     }
 
@@ -148,6 +167,14 @@ impl Rays {
 }
 
 impl PixelRays {
+    const NONE: Self = Self {
+        origin_x: [0.0; ROOM],
+        origin_y: [0.0; ROOM],
+        pupil_x: [0.0; ROOM],
+        pupil_y: [0.0; ROOM],
+        inverse_width: [0.0; ROOM],
+    };
+
     #[inline(always)]
     fn lanes<S: Simd>(&self, simd: S, chunk: usize) -> RayLanes<S> {
         RayLanes {
@@ -186,8 +213,18 @@ impl<'a> Blur<'a> {
     }
 
     /// The rays that arrive at the pixels of a patch.
+    #[cfg(test)]
     pub fn rays(&self, patch: &Patch) -> Rays {
-        Rays::Blurred(Arch::new().dispatch(Tracing { blur: self, patch }))
+        let mut rays = Rays::default();
+        self.trace(patch, &mut rays);
+        rays
+    }
+
+    /// Puts the rays that arrive at the pixels of a patch in the place of others.
+    pub fn trace(&self, patch: &Patch, rays: &mut Rays) {
+        let mut all = rays.take();
+        Arch::new().dispatch(Tracing { blur: self, patch, all: &mut all });
+        *rays = Rays::Blurred(all);
     }
 }
 
@@ -195,19 +232,20 @@ impl<'a> Blur<'a> {
 struct Tracing<'a> {
     blur: &'a Blur<'a>,
     patch: &'a Patch,
+    all: &'a mut Vec<PixelRays>,
 }
 
 impl NullaryFnOnce for Tracing<'_> {
-    type Output = Vec<PixelRays>;
+    type Output = ();
 
     #[inline(always)]
-    fn call(self) -> Vec<PixelRays> {
-        let Self { blur, patch } = self;
+    fn call(self) {
+        let Self { blur, patch, all } = self;
         let (bends, bend) = (blur.bend.bends(), blur.bend.in_single());
-        let mut all = Vec::with_capacity(patch.x.len());
-        for (&x, &y) in patch.x.iter().zip(&patch.y) {
+        all.resize(patch.x.len(), PixelRays::NONE);
+        for (rays, (&x, &y)) in all.iter_mut().zip(patch.x.iter().zip(&patch.y)) {
             let pixel = OfPixel::new(blur, &Vector2::new(f64::from(x), f64::from(y)));
-            let mut rays = pixel.rays();
+            pixel.trace(rays);
             if bends {
                 for j in 0..ROOM {
                     let bent = bend.at(&Vector2::new(rays.pupil_x[j], rays.pupil_y[j]));
@@ -215,9 +253,7 @@ impl NullaryFnOnce for Tracing<'_> {
                     rays.origin_y[j] += bent.y;
                 }
             }
-            all.push(rays);
         }
-        all
     }
 }
 
@@ -264,16 +300,8 @@ impl<'a> OfPixel<'a> {
 
     /// Its rays as through an ideal main lens.
     #[inline(always)]
-    fn rays(&self) -> PixelRays {
+    fn trace(&self, rays: &mut PixelRays) {
         let disc = &*DISC;
-        let none = [0.0; ROOM];
-        let mut rays = PixelRays {
-            origin_x: none,
-            origin_y: none,
-            pupil_x: none,
-            pupil_y: none,
-            inverse_width: none,
-        };
         let ([o_x, o_y, o_along, o_across], [p_x, p_y, p_along, p_across]) =
             (self.sharp, self.pupil);
         for j in 0..ROOM {
@@ -287,7 +315,6 @@ impl<'a> OfPixel<'a> {
             let width = inverse_width(self.points.pixel(j, self.rho) * self.pixel + self.cell);
             rays.inverse_width[j] = disc.is_one[j] * width;
         }
-        rays
     }
 }
 
@@ -310,7 +337,7 @@ fn inverse_width(variance: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::corner_fit::Free;
+    use super::super::corner_fit::{FitRoom, Free};
     use super::super::exact_light::ExactLight;
     use super::*;
 
@@ -332,7 +359,9 @@ mod tests {
         let vignetting = light.vignetting();
         let blur = light.blur(&vignetting);
         let all = light.corners(distance).map(|(start, patch)| {
-            let found = start.fitted(&patch, &blur.rays(&patch), Free::Place).unwrap();
+            let found = start
+                .fitted(&patch, &blur.rays(&patch), Free::Place, &mut FitRoom::default())
+                .unwrap();
             (found.place - start.place).dot(&start.place) / distance
         });
         all.iter().sum::<f64>() / all.len() as f64

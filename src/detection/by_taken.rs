@@ -18,72 +18,125 @@ use crate::model::TAKEN;
 /// How much information of all pixels the few are held by, over their own: see [`place_by_few`].
 const HOLD: f64 = 0.3;
 
-impl Corner {
-    /// How the place changes with what is taken from white images, px, by a few pixels of those that were fitted: `others` are
-    /// their rays if that is larger by [`STEPS`]. Few pixels may not determine the place, so `inverse` is that of all of
-    /// them, of which these are the part `share`.
+/// Those of a few pixels of a corner that see an edge of it: what else is taken from white images makes no difference to the
+/// others.
+#[derive(Default)]
+pub(super) struct OnEdges {
+    /// The pixels.
+    pub patch: Patch,
+    /// Derivatives of their light by the place, 1, and the shape that they see.
+    rows: [Vec<f32>; UNKNOWNS],
+    /// Normal matrix of all of the few.
+    normal: [[f32; UNKNOWNS]; UNKNOWNS],
+    room: Vec<f32>,
+}
+
+impl OnEdges {
+    /// Puts the pixels of a corner in the place of those of another.
+    pub fn find(&mut self, corner: &Corner, few: &Patch, rays: &Rays) {
+        let n = few.x.len();
+        for row in &mut self.rows {
+            row.resize(n, 0.0);
+        }
+        self.room.resize(n, 0.0);
+        let Self { rows, room, .. } = self;
+        self.normal = Arch::new().dispatch(OfFew { rows, weighted: room, few, corner, rays });
+        self.patch.clone_from(few);
+        let [by_u, by_v, ..] = &self.rows;
+        let sees = |(u, v): (&f32, &f32)| u8::from(*u != 0.0 || *v != 0.0);
+        let marks: Vec<u8> = by_u.iter().zip(by_v).map(sees).collect();
+        self.patch.keep(&marks);
+        for row in &mut self.rows {
+            let mut kept = 0;
+            for (i, mark) in marks.iter().enumerate() {
+                row[kept] = row[i];
+                kept += usize::from(*mark);
+            }
+            row.truncate(kept);
+        }
+    }
+
+    /// How the place changes with what is taken from white images, px: `others` are the rays of the pixels on edges if that is
+    /// larger by [`STEPS`]. Few pixels may not determine the place, so `inverse` is that of all that were fitted, of which the
+    /// few are the part `share`.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn by_taken(
-        &self,
-        few: &Patch,
-        rays: &Rays,
+        &mut self,
+        corner: &Corner,
         others: &[Rays; TAKEN],
         inverse: &Matrix4<f64>,
         share: f64,
     ) -> ByTaken {
-        let mut room = vec![0.0; (UNKNOWNS + 2) * few.x.len()];
-        let (corner, patch) = (self, few);
-        let changes = Changes { room: &mut room, patch, corner, rays, others };
-        let (normal, right) = Arch::new().dispatch(changes);
+        let Self { patch, rows, room, normal } = self;
+        room.resize(patch.x.len(), 0.0);
+        let right = Arch::new().dispatch(Changes { rows, change: room, patch, corner, others });
         let normal = Matrix4::from_fn(|a, b| f64::from(normal[a.max(b)][a.min(b)]));
         let right = SMatrix::from_fn(|a, b| f64::from(right[a][b]) / STEPS[b]);
         place_by_few(&normal, &right, inverse, share)
     }
 }
 
-/// Normal equations of the unknowns, with the changes of the light by what is taken from white images on their right.
-struct Changes<'a> {
-    /// Room for [`UNKNOWNS`] and two more rows.
-    room: &'a mut [f32],
-    patch: &'a Patch,
+/// Normal equations of the unknowns.
+struct OfFew<'a> {
+    rows: &'a mut [Vec<f32>; UNKNOWNS],
+    weighted: &'a mut [f32],
+    few: &'a Patch,
     corner: &'a Corner,
     rays: &'a Rays,
-    others: &'a [Rays; TAKEN],
 }
 
-impl WithSimd for Changes<'_> {
-    type Output = ([[f32; UNKNOWNS]; UNKNOWNS], [[f32; TAKEN]; UNKNOWNS]);
+impl WithSimd for OfFew<'_> {
+    type Output = [[f32; UNKNOWNS]; UNKNOWNS];
 
     #[inline(always)]
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
-        let Self { room, patch, corner, rays, others } = self;
-        let n = patch.x.len();
-        let mut rows = room.chunks_exact_mut(n.max(1));
-        let [by_u, by_v, ones, shape, change, weighted] =
-            std::array::from_fn(|_| rows.next().map_or(&mut [][..], |row| &mut row[..n]));
+        let Self { rows, weighted, few, corner, rays } = self;
+        let n = few.x.len();
+        let [by_u, by_v, ones, shape] = rows.each_mut().map(|row| &mut row[..n]);
         let mut all = [&mut *shape, &mut *by_u, &mut *by_v];
         rays.means(simd, &WithPlace(Edges::of(simd, corner)), &mut all);
-        let (h, of_shape) = (corner.contrast as f32, Shape(Edges::of(simd, corner)));
+        let h = corner.contrast as f32;
         for i in 0..n {
             by_u[i] *= h;
             by_v[i] *= h;
         }
         ones.fill(1.0);
-        let rows = [&*by_u, by_v, ones, shape];
-        let (normal, _) = products(simd, rows, [], &patch.weight, weighted);
+        products(simd, [&*by_u, by_v, ones, shape], [], &few.weight, weighted).0
+    }
+}
+
+/// The changes of the light by what is taken from white images, times the unknowns.
+struct Changes<'a> {
+    rows: &'a [Vec<f32>; UNKNOWNS],
+    change: &'a mut [f32],
+    patch: &'a Patch,
+    corner: &'a Corner,
+    others: &'a [Rays; TAKEN],
+}
+
+impl WithSimd for Changes<'_> {
+    type Output = [[f32; TAKEN]; UNKNOWNS];
+
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Self { rows, change, patch, corner, others } = self;
+        let n = patch.x.len();
+        let (h, of_shape) = (corner.contrast as f32, Shape(Edges::of(simd, corner)));
+        let (shape, weight) = (&rows[3][..n], &patch.weight[..n]);
         let mut right = [[0.0; TAKEN]; UNKNOWNS];
         for (k, other) in others.iter().enumerate() {
             other.means(simd, &of_shape, &mut [&mut *change]);
             // The corner moves to where it makes up for the change.
             for i in 0..n {
-                change[i] = (shape[i] - change[i]) * h * patch.weight[i];
+                change[i] = (shape[i] - change[i]) * h * weight[i];
             }
             for (right, row) in right.iter_mut().zip(rows) {
                 right[k] = dot(simd, row, change);
             }
         }
-        (normal, right)
+        right
     }
 }
 
@@ -154,9 +207,11 @@ mod tests {
             let (_, inverse) =
                 truth.levers(&patch, &rays(&patch, None), SLOPE, &Bend::none()).unwrap();
             let by = |few: &Patch| {
-                let others = std::array::from_fn(|taken| rays(few, Some(taken)));
+                let mut on_edges = OnEdges::default();
+                on_edges.find(&truth, few, &rays(few, None));
+                let others = std::array::from_fn(|taken| rays(&on_edges.patch, Some(taken)));
                 let share = few.sum_of_weights() / weights;
-                truth.by_taken(few, &rays(few, None), &others, &inverse, share)
+                on_edges.by_taken(&truth, &others, &inverse, share)
             };
             let all = by(&patch);
             let mut mean = ByTaken::zeros();

@@ -26,9 +26,10 @@ pub(super) enum Free {
 const ALL: usize = 7;
 const PLACE: usize = 4;
 
-/// How corners are followed down: to a third of a hundredth of a pixel, far below their uncertainty. Starts
-/// are so near that few steps are needed; in single precision no finer damping makes a difference.
-const DESCENT: Descent = Descent { steps: 12, settled: 0.003, factor: 10.0, damping: (1e-6, 1e4) };
+/// How corners are followed down: a last step of two hundredths of a pixel leaves some ten thousandths, far below their
+/// uncertainty. Starts are so near that few steps are needed; in single precision no finer damping makes a difference.
+const DESCENT: Descent =
+    Descent { steps: 12, settled: 0.003, unseen: 0.02, factor: 10.0, damping: (1e-6, 1e4) };
 /// Longest step of the place, px, of a direction, rad, and of the width, px: beyond, the linear model no
 /// longer describes the light.
 const LONGEST_STEP_PX: f64 = 2.0;
@@ -41,23 +42,31 @@ const FURTHEST_PX: f64 = 30.0;
 
 impl Corner {
     /// Fits the corner to the light; `None` if that leads nowhere.
-    pub fn fitted(&self, patch: &Patch, rays: &Rays, free: Free) -> Option<Self> {
+    pub fn fitted(
+        &self,
+        patch: &Patch,
+        rays: &Rays,
+        free: Free,
+        room: &mut FitRoom,
+    ) -> Option<Self> {
         match free {
-            Free::All => fit::<ALL>(*self, patch, rays),
-            Free::Place => fit::<PLACE>(Self { width: 1.0, ..*self }, patch, rays),
+            Free::All => fit::<ALL>(*self, patch, rays, room),
+            Free::Place => fit::<PLACE>(Self { width: 1.0, ..*self }, patch, rays, room),
         }
     }
 }
 
-fn fit<const P: usize>(start: Corner, patch: &Patch, rays: &Rays) -> Option<Corner> {
+fn fit<const P: usize>(
+    start: Corner,
+    patch: &Patch,
+    rays: &Rays,
+    room: &mut FitRoom,
+) -> Option<Corner> {
     let pixels = patch.x.len();
-    let mut squares = Squares::<P> {
-        patch,
-        rays,
-        trial: Model::new(pixels),
-        taken: Model::new(pixels),
-        weighted: vec![0.0; pixels],
-    };
+    room.trial.resize(pixels);
+    room.taken.resize(pixels);
+    room.weighted.resize(pixels, 0.0);
+    let mut squares = Squares::<P> { patch, rays, room };
     let (mut corner, cost) = DESCENT.from(start, &mut squares)?;
     let (normal, _) = squares.normal_equations()?;
     let inverse = normal.cholesky()?.inverse();
@@ -72,6 +81,12 @@ fn fit<const P: usize>(start: Corner, patch: &Patch, rays: &Rays) -> Option<Corn
 struct Squares<'a, const P: usize> {
     patch: &'a Patch,
     rays: &'a Rays,
+    room: &'a mut FitRoom,
+}
+
+/// Room for a fit, which others may have used before.
+#[derive(Default)]
+pub(super) struct FitRoom {
     trial: Model,
     taken: Model,
     weighted: Vec<f32>,
@@ -82,20 +97,20 @@ impl<const P: usize> LeastSquares<P> for Squares<'_, P> {
 
     fn evaluate(&mut self, at: &Corner) -> Option<f64> {
         // The same operations in the widest registers that the processor has.
-        let Self { trial, patch, rays, .. } = self;
+        let Self { room: FitRoom { trial, .. }, patch, rays } = self;
         trial.place = at.place;
         Some(Arch::new().dispatch(Evaluation::<P> { model: trial, corner: at, patch, rays }))
     }
 
     fn accept(&mut self) {
-        std::mem::swap(&mut self.trial, &mut self.taken);
+        std::mem::swap(&mut self.room.trial, &mut self.room.taken);
     }
 
     fn normal_equations(&mut self) -> Option<(SMatrix<f64, P, P>, SVector<f64, P>)> {
-        if self.taken.place.norm() > FURTHEST_PX {
+        let Self { room: FitRoom { taken, weighted, .. }, patch, .. } = self;
+        if taken.place.norm() > FURTHEST_PX {
             return None;
         }
-        let Self { taken, weighted, patch, .. } = self;
         let (products, right) =
             Arch::new().dispatch(Products::<P> { model: taken, weight: &patch.weight, weighted });
         let normal = SMatrix::from_fn(|a, b| f64::from(products[a.max(b)][a.min(b)]));
@@ -127,6 +142,7 @@ impl<const P: usize> LeastSquares<P> for Squares<'_, P> {
 }
 
 /// The model of the light and its derivatives, pixel by pixel.
+#[derive(Default)]
 struct Model {
     /// Place of the corner, px.
     place: Vector2<f64>,
@@ -136,11 +152,10 @@ struct Model {
 }
 
 impl Model {
-    fn new(pixels: usize) -> Self {
-        Self {
-            place: Vector2::zeros(),
-            residual: vec![0.0; pixels],
-            rows: std::array::from_fn(|_| vec![0.0; pixels]),
+    fn resize(&mut self, pixels: usize) {
+        self.residual.resize(pixels, 0.0);
+        for row in &mut self.rows {
+            row.resize(pixels, 0.0);
         }
     }
 }

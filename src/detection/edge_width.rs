@@ -90,6 +90,12 @@ impl EdgeWidth {
         (variance > 0.0 && finite).then_some((Self { information, right }, off))
     }
 
+    /// With this information of ln φ and v, and that times the change.
+    #[cfg(test)]
+    pub fn with(information: Matrix2<f64>, right: Vector2<f64>) -> Self {
+        Self { information, right }
+    }
+
     /// Its information of ln φ and v, and that times the change.
     #[cfg(test)]
     pub fn equations(&self) -> (Matrix2<f64>, Vector2<f64>) {

@@ -37,6 +37,9 @@ pub struct Detection {
     pub edges: Option<Edges>,
     /// By how much the measured blur of each feature grows with the variance of edges, px⁻¹.
     blur_by_width: Vec<f64>,
+    /// What corners were fitted with, for a further round: see [`SecondPassed`].
+    pub(super) contrast: f64,
+    pub(super) taken_wider_px2: f64,
 }
 
 /// What the widths of edges in a frame say.
@@ -131,8 +134,16 @@ impl Frame<'_> {
             }
         }
         let edges = passed.width.map(|width| self.edges(&width, passed.wider_px2));
-        let aberration = passed.aberration;
-        Detection { features, corners, homography, aberration, edges, blur_by_width }
+        Detection {
+            features,
+            corners,
+            homography,
+            aberration: passed.aberration,
+            edges,
+            blur_by_width,
+            contrast: passed.contrast,
+            taken_wider_px2: passed.wider_px2,
+        }
     }
 
     fn edges(&self, width: &WidthChange, wider_px2: f64) -> Edges {

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::blur::Rays;
 use super::corner::Corner;
-use super::corner_fit::Free;
+use super::corner_fit::{FitRoom, Free};
 use super::dbscan::dbscan;
 use super::frame::{Frame, FrameCounts};
 use super::grouping::{Group, LineSearch, groups_on_lines, is_texture};
@@ -144,13 +144,14 @@ impl<'a> FirstPass<'a> {
             let mut unusable = 0;
             let mut observations = Vec::new();
             let (mut patch, mut room) = (Patch::default(), Room::default());
+            let mut fit_room = FitRoom::default();
             for &node in *nodes {
                 if pair.read(micro_images, node, &mut patch, &mut room).is_err() {
                     unusable += 1;
                     continue;
                 }
                 let optics = micro_images.optics(node.0, node.1);
-                let corner = corner_alone(&patch, &optics, contrast);
+                let corner = corner_alone(&patch, &optics, contrast, &mut fit_room);
                 observations.extend(corner.map(|corner| frame.observation(node, &corner)));
             }
             (observations, unusable)
@@ -222,7 +223,12 @@ impl Frame<'_> {
 }
 
 /// The corner of a micro-image, if it clearly shows one.
-fn corner_alone(patch: &Patch, optics: &MicroOptics, contrast: f64) -> Option<Corner> {
+fn corner_alone(
+    patch: &Patch,
+    optics: &MicroOptics,
+    contrast: f64,
+    room: &mut FitRoom,
+) -> Option<Corner> {
     let reach = optics.outer_radius_px() - EDGE_PX;
     let rays = Rays::sharp(patch);
     let clear = |corner: &Corner| {
@@ -237,7 +243,7 @@ fn corner_alone(patch: &Patch, optics: &MicroOptics, contrast: f64) -> Option<Co
         .iter()
         .filter(|corner| corner.place.norm() < reach)
         .take(STARTS)
-        .filter_map(|corner| corner.fitted(patch, &rays, Free::All))
+        .filter_map(|corner| corner.fitted(patch, &rays, Free::All, room))
         .find(clear)
 }
 

@@ -101,6 +101,25 @@ pub fn detect_frame(
     (result, counts)
 }
 
+/// The board of a detection once more, with other micro-images: where it is, is known. What was found before if these do not
+/// show it.
+pub(super) fn detect_again(
+    frame: u32,
+    image: &Grey,
+    white: &Grey,
+    search: &Search,
+    (before, counts): (&Detection, &mut FrameCounts),
+) -> Option<Detection> {
+    let frame = Frame { frame, image, white, search };
+    let labelled = LabelledBoard { homography: before.homography, corners: Vec::new() };
+    let mut anew = *counts;
+    let passed = frame.last_round(before, &labelled, &mut anew);
+    (passed.corners.len() >= MIN_CORNERS).then(|| {
+        *counts = anew;
+        frame.detection(&passed, labelled.homography)
+    })
+}
+
 pub(super) struct Frame<'a> {
     pub frame: u32,
     pub image: &'a Grey<'a>,

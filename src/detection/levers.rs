@@ -196,7 +196,8 @@ pub(super) mod tests {
 
     use super::super::aberration::Aberration;
     use super::super::blur::Blur;
-    use super::super::corner_fit::Free;
+    use super::super::by_taken::OnEdges;
+    use super::super::corner_fit::{FitRoom, Free};
     use super::super::patch::tests::micro_images;
     use super::*;
 
@@ -258,7 +259,7 @@ pub(super) mod tests {
         let (levers, inverse) = truth.levers(&patch, &known, SLOPE, &bend).unwrap();
         let place_with = |slope: f64, coefficients: [f64; 3]| {
             let (rays, _) = rays(slope, coefficients, &patch);
-            truth.fitted(&patch, &rays, Free::Place).unwrap().place
+            truth.fitted(&patch, &rays, Free::Place, &mut FitRoom::default()).unwrap().place
         };
         assert!((place_with(SLOPE, [0.0; 3]) - place).norm() < 2e-3);
         let close = |change: Vector2<f64>, lever: Vector2<f64>, step: f64| {
@@ -281,13 +282,19 @@ pub(super) mod tests {
             };
             close(with(1.0) - with(-1.0), lever, 2.0 * step);
         }
-        let others: [Rays; TAKEN] = std::array::from_fn(|taken| {
-            let (optics, vignetting) = micro_images.otherwise(&optics, taken);
-            Blur::new(&optics, SLOPE, bend, vignetting).rays(&patch)
-        });
-        let by_taken = truth.by_taken(&patch, &known, &others, &inverse, 1.0);
-        for ((other, lever), step) in others.iter().zip(by_taken.column_iter()).zip(STEPS) {
-            let moved = truth.fitted(&patch, other, Free::Place).unwrap().place - place;
+        let others = |patch: &Patch| -> [Rays; TAKEN] {
+            std::array::from_fn(|taken| {
+                let (optics, vignetting) = micro_images.otherwise(&optics, taken);
+                Blur::new(&optics, SLOPE, bend, vignetting).rays(patch)
+            })
+        };
+        let mut on_edges = OnEdges::default();
+        on_edges.find(&truth, &patch, &known);
+        let by_taken = on_edges.by_taken(&truth, &others(&on_edges.patch), &inverse, 1.0);
+        for ((other, lever), step) in others(&patch).iter().zip(by_taken.column_iter()).zip(STEPS) {
+            let moved =
+                truth.fitted(&patch, other, Free::Place, &mut FitRoom::default()).unwrap().place
+                    - place;
             close(moved, lever.into_owned(), step);
         }
         assert!(by_taken.column(0).norm() > 0.5, "{by_taken}");

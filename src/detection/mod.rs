@@ -12,6 +12,7 @@ mod by_taken;
 mod cells;
 mod corner;
 mod corner_fit;
+mod corner_search;
 mod cut_normal;
 mod dbscan;
 mod distortion;

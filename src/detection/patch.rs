@@ -141,14 +141,7 @@ impl Pair {
         }
     }
 
-    /// The patch of a micro-image, or why there is none.
-    pub fn patch(&self, micro_images: &MicroImages, node: (i32, i32)) -> Result<Patch, Unusable> {
-        let mut patch = Patch::default();
-        self.read(micro_images, node, &mut patch, &mut Room::default())?;
-        Ok(patch)
-    }
-
-    /// The same into a patch that was used before, with room that was used before.
+    /// Reads the patch of a micro-image into one that may have been used before, or says why there is none.
     pub fn read(
         &self,
         micro_images: &MicroImages,
@@ -344,7 +337,9 @@ pub(super) mod tests {
         let flat = |light: f32| Image { width: 61, height: 61, pixels: vec![light; 61 * 61] };
         let of = |board: f32, white: f32, pitch_px: f64, corner: Vector2<f64>| {
             let pair = Pair { board: flat(board), white: flat(white), corner };
-            pair.patch(&micro_images(pitch_px), (1, 1)).map(|patch| patch.light.len())
+            let mut patch = Patch::default();
+            pair.read(&micro_images(pitch_px), (1, 1), &mut patch, &mut Room::default())
+                .map(|()| patch.light.len())
         };
         let whole = Vector2::zeros();
         assert!(of(0.5, 0.8, 16.0, whole).is_ok_and(|pixels| pixels > 100));

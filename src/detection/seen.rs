@@ -2,10 +2,10 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::CornerObservation;
 use super::corner::Corner;
 use super::edge_width::EdgeWidth;
 use super::levers::{Levers, STEPS};
+use super::{CornerObservation, MicroOptics};
 
 /// An observation of a corner, made with the slope and the aberration that were known before. Places are
 /// straightened, see [`super::aberration`].
@@ -51,14 +51,62 @@ impl Seen {
         self.moved(&(self.levers.by_aberration * change));
     }
 
-    /// Moves the observation to where the blur radius of another slope puts it.
-    pub fn change_slope(&mut self, slope: f64) {
+    /// Moves the observation to where the blur radius of another slope puts it. What its edges say of the fill factor is then
+    /// over that radius.
+    pub fn change_slope(&mut self, slope: f64, optics: &MicroOptics) {
         self.moved(&(self.levers.by_slope * (slope - self.slope_before)));
+        let wider_px = optics.blur_radius_px(slope) - optics.blur_radius_px(self.slope_before);
+        let log_fill = wider_px / optics.blur_by_fill_px(self.slope_before);
+        self.width = self.width.map(|width| width.about(&Vector2::new(-log_fill, 0.0)));
         self.slope_before = slope;
     }
 
     fn moved(&mut self, by: &Vector2<f64>) {
         self.observation.position += by;
         self.corner.place += by;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix2, Matrix2x3};
+
+    use super::super::levers::ByTaken;
+    use super::super::levers::tests::corner;
+    use super::super::patch::tests::micro_images;
+    use super::*;
+
+    /// What edges say of the fill factor is about the blur radius that they have, whatever slope they were looked at with.
+    #[test]
+    fn edges_say_the_same_of_the_blur_radius_after_another_slope() {
+        let optics = micro_images(23.0).optics(1, 1);
+        let width =
+            EdgeWidth::with(Matrix2::new(900.0, 100.0, 100.0, 400.0), Vector2::new(9.0, 2.0));
+        let mut seen = Seen {
+            observation: CornerObservation {
+                k: 1,
+                l: 1,
+                center: Vector2::zeros(),
+                position: Vector2::zeros(),
+                covariance: Matrix2::identity(),
+                squares: Matrix2::identity(),
+            },
+            corner: corner(Vector2::zeros()),
+            slope_before: 0.5,
+            levers: Levers {
+                by_slope: Vector2::new(0.3, -0.2),
+                by_aberration: Matrix2x3::zeros(),
+                by_taken: ByTaken::zeros(),
+            },
+            width: Some(width),
+        };
+        let radius_px = |seen: &Seen| {
+            let change = seen.width.unwrap().of_fill(&Vector2::zeros()).unwrap().0;
+            optics.blur_radius_px(seen.slope_before) + change * optics.blur_by_fill_px(0.5)
+        };
+        let before = radius_px(&seen);
+        seen.change_slope(0.52, &optics);
+        assert!((radius_px(&seen) - before).abs() < 1e-9, "{} for {before}", radius_px(&seen));
+        assert!((seen.observation.position - Vector2::new(0.006, -0.004)).norm() < 1e-12);
     }
 }

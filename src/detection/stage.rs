@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use tracing::debug;
 
 use super::edge_width::{EdgeWidth, OfFrames};
+use super::frame::detect_again;
 use super::likeness::Likeness;
 use super::warnings::{fitted_otherwise, warnings};
 use super::{Detection, FrameCounts, MicroImages, Rejection, Search, detect_frame};
@@ -220,8 +221,12 @@ impl Looking<'_> {
             micro_images = Cow::Owned(micro_images.with_fill_factor(following(before, step)));
             before = Some(step);
             images.par_iter().zip(&mut *found).for_each(|(image, found)| {
-                if let Ok((raw, found, _)) = found {
-                    *found = self.found(image, raw, &micro_images);
+                if let Ok((raw, (Ok(found), counts), _)) = found {
+                    let search = Search { micro_images: &micro_images, ..*self.search };
+                    let raw = raw.grey_between(self.levels);
+                    let again =
+                        detect_again(image.frame, &raw, &self.white, &search, (found, counts));
+                    *found = again.unwrap_or_else(|| found.clone());
                 }
             });
         }

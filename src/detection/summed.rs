@@ -32,6 +32,9 @@ const POINTS: usize = 61;
 /// Room for them that fills registers.
 const ROOM: usize = POINTS.next_multiple_of(8);
 
+/// Edges that are so many standard deviations beyond the blur of a pixel do not show in it.
+const FAR: f32 = 3.0;
+
 /// The points in single precision, as the light.
 struct Lens {
     x: [f32; ROOM],
@@ -123,8 +126,18 @@ impl WithSimd for Sum<'_> {
         let cosine = c1 * c2 + s1 * s2;
         let fourths = of_pixel([s1, c1], [s2, c2]);
         let falling = blur.obliquity.in_single();
+        let reach = rho.abs() + FAR * (origin.sqrt() + follows.abs());
+        let lit2 = (blur.pupil * blur.pupil) as f32;
         for ((&x, &y), shape) in patch.x.iter().zip(&patch.y).zip(shapes) {
             let [bent_x, bent_y] = blur.bent(lens, [x, y]);
+            let (from_x, from_y) = (x - place_x, y - place_y);
+            let distances = [c1 * from_y - s1 * from_x, c2 * from_y - s2 * from_x];
+            let reach = reach + furthest(&bent_x, &bent_y);
+            if distances.iter().all(|d| d.abs() > reach) && x * x + y * y < lit2 {
+                let shape_there = distances[0].signum() * distances[1].signum();
+                *shape = SummedShape { shape: shape_there, ..SummedShape::default() };
+                continue;
+            }
             let mut all = [0.0_f32; ROOM];
             let mut sums = [[0.0_f32; ROOM]; 5];
             for j in 0..ROOM {
@@ -185,6 +198,16 @@ impl WithSimd for Sum<'_> {
     }
 }
 
+/// The largest distance of some places from the origin.
+#[inline(always)]
+fn furthest(x: &[f32; ROOM], y: &[f32; ROOM]) -> f32 {
+    let mut most = 0.0_f32;
+    for j in 0..ROOM {
+        most = most.max(x[j] * x[j] + y[j] * y[j]);
+    }
+    most.sqrt()
+}
+
 /// The mean of the product of two steps whose edges vary together, by the covariance of their distances, the third cumulants,
 /// which are `cubed` times their numbers, and the fourth ones.
 #[inline(always)]
@@ -225,7 +248,7 @@ fn unit(angle: f64) -> (f32, f32) {
 mod tests {
     use nalgebra::Matrix2;
 
-    use super::super::corner_fit::Free;
+    use super::super::corner_fit::{FitRoom, Free};
     use super::super::edge_width::EdgeWidth;
     use super::super::exact_light::{DIRECTIONS, ExactLight};
     use super::*;
@@ -241,7 +264,7 @@ mod tests {
         let mut outwards = 0.0;
         for (corner, patch) in light.corners(distance) {
             let rays = blur.rays(&patch);
-            let found = corner.fitted(&patch, &rays, Free::Place).unwrap();
+            let found = corner.fitted(&patch, &rays, Free::Place, &mut FitRoom::default()).unwrap();
             let summed = blur.summed(&found, &patch);
             let (_, inverse) = found.levers(&patch, &rays, 0.5, &blur.bend).unwrap();
             let all = (&inverse, 1.0);

@@ -33,6 +33,9 @@ pub(crate) struct Descent {
     pub steps: usize,
     /// A step that lowers the sum and is shorter than this is the last one.
     pub settled: f64,
+    /// One that would be shorter than this is the last one too, and is taken without evaluating the sum there: what it leaves is
+    /// of the second order.
+    pub unseen: f64,
     /// The damping is divided by this after a step that lowers the sum, and multiplied by it otherwise.
     pub factor: f64,
     /// Smallest and largest damping. If even the largest does not lower the sum, the descent ends.
@@ -65,6 +68,9 @@ impl Descent {
             let step = damped.cholesky().map(|factors| factors.solve(&right));
             if let Some(step) = step {
                 let next = sum.moved(&point, &step);
+                if sum.distance(&point, &next) < self.unseen {
+                    return Some((next, cost - right.dot(&step)));
+                }
                 let next_cost = sum.evaluate(&next)?;
                 if next_cost < cost {
                     let length = sum.distance(&point, &next);
@@ -133,7 +139,8 @@ mod tests {
     #[test]
     fn the_minimum_of_a_curved_valley_is_reached() {
         let mut valley = Valley { trial: Vector2::zeros(), taken: Vector2::zeros() };
-        let descent = Descent { steps: 100, settled: 1e-10, factor: 5.0, damping: (1e-9, 1e6) };
+        let descent =
+            Descent { steps: 100, settled: 1e-10, unseen: 0.0, factor: 5.0, damping: (1e-9, 1e6) };
         let (end, cost) = descent.from(Vector2::new(-1.2, 1.0), &mut valley).unwrap();
         assert!((end - Vector2::new(1.0, 1.0)).norm() < 1e-9 && cost < 1e-18, "{end} {cost}");
     }

@@ -61,7 +61,8 @@ const COARSE: usize = 4;
 /// How radii are followed down. Gauss-Newton steps shrink fast: after one of a millionth of a pixel
 /// nothing is left to gain. Where much is clipped the valleys are long and bent, hence many small changes
 /// of the damping.
-const DESCENT: Descent = Descent { steps: 60, settled: 1e-6, factor: 5.0, damping: (1e-9, 1e6) };
+const DESCENT: Descent =
+    Descent { steps: 60, settled: 1e-6, unseen: 0.0, factor: 5.0, damping: (1e-9, 1e6) };
 /// Step of the numerical derivatives, px: the light is smooth over a pixel, and rounding errors of its
 /// sums are 1e-12 of it.
 const STEP_PX: f64 = 1e-4;

@@ -1,0 +1,281 @@
+//! The search for one corner of the board in all micro-images that should show it.
+
+use nalgebra::{Matrix2, Matrix4, Vector2, Vector3};
+
+use super::aberration::Aberration;
+use super::blur::{Blur, Rays};
+use super::board::LabelledBoard;
+use super::by_taken::OnEdges;
+use super::corner::Corner;
+use super::corner_fit::{FitRoom, Free};
+use super::distortion::Distortion;
+use super::edge_width::EdgeWidth;
+use super::first_pass::{LEAST_CONTRAST, REACH};
+use super::frame::Frame;
+use super::levers::{Levers, STEPS};
+use super::line::{CornerLine, possible_slope};
+use super::patch::{self, Pair, Patch};
+use super::second_pass::{BoardCorner, Found};
+use super::seen::Seen;
+use super::slope_field::SlopeField;
+use super::{CornerObservation, MicroOptics};
+use crate::model::TAKEN;
+use crate::numerics::median;
+
+/// How far from where it is expected a corner is found, px.
+const EXPECTED_PX: f64 = 1.2;
+/// The first round looks at one pixel of so many, and for the widths of edges at one observation of so many: it tells how all
+/// corners of the frame are blurred.
+const ROUGH_PIXELS: usize = 3;
+const ROUGH_WIDTHS: i32 = 4;
+/// One pixel of so many shows how a corner depends on what is taken from white images: that is summed over all corners.
+const FEW: usize = 5;
+/// Least part of the light of its micro-image that a corner explains.
+const EXPLAINED: f64 = 0.4;
+/// Largest median imbalance of its observations, see [`Corner::imbalance`].
+const IMBALANCE: f64 = 0.5;
+/// Largest standard deviation of an observation, px.
+const UNCERTAIN_PX: f64 = 0.35;
+/// Corners are not searched for nearer than this, px, to where none of their light arrives.
+const EDGE_PX: f64 = 0.15;
+/// Observations further than this many root mean square distances from their line are misplaced; the
+/// distance is not taken below the second number, px.
+const OUTLIER: f64 = 4.0;
+const LEAST_RMS_PX: f64 = 0.08;
+
+/// A corner of the board that was searched for: what was seen of it, without what is off its line.
+pub(super) struct Sought {
+    pub corner: i32,
+    pub seen: Vec<Seen>,
+}
+
+/// What came of the search for a board corner, in numbers of micro-images that should show it.
+pub(super) struct Outcome {
+    pub found: Option<Sought>,
+    pub unclear: usize,
+    pub misplaced: usize,
+    pub given_up: usize,
+}
+
+/// The search for corners of the board in a frame, in one round.
+pub(super) struct CornerSearch<'a> {
+    pub frame: &'a Frame<'a>,
+    pub labelled: &'a LabelledBoard,
+    pub field: &'a SlopeField,
+    pub distortion: &'a Distortion,
+    /// Of the frame.
+    pub contrast: f64,
+    /// As far as it is known.
+    pub aberration: Aberration,
+    /// See [`SecondPassed::wider_px2`].
+    pub wider_px2: f64,
+    /// Whether this is the last round.
+    pub last: bool,
+}
+
+/// Room for one micro-image after the other.
+#[derive(Default)]
+struct Room {
+    patch: Patch,
+    reading: patch::Room,
+    rays: Rays,
+    fit: FitRoom,
+    /// Some of the pixels, and their rays.
+    few: Patch,
+    few_rays: Rays,
+    /// Those of them that see edges, and their rays if something taken from white images were otherwise.
+    on_edges: OnEdges,
+    others: [Rays; TAKEN],
+}
+
+impl CornerSearch<'_> {
+    /// Searches for a corner in every micro-image that should show it.
+    pub fn search(&self, sought: &BoardCorner) -> Outcome {
+        let micro_images = self.frame.search.micro_images;
+        let (pinhole, slope) = (sought.line.pinhole(), sought.line.slope);
+        let lit = |optics: MicroOptics| optics.lit_px(optics.blur_radius_px(slope));
+        let largest = micro_images.all_optics_at(&pinhole).map(lit).fold(0.0, f64::max);
+        let nodes = micro_images.about(&pinhole, largest / (1.0 - slope).abs());
+        let places = nodes.iter().map(|&(k, l)| micro_images.center(k, l));
+        let reach = REACH * micro_images.grid.pitch_px;
+        let pair = Pair::about(self.frame.image, self.frame.white, places, reach);
+        let (mut observations, mut imbalances, mut unclear) = (Vec::new(), Vec::new(), 0);
+        let mut room = Room::default();
+        for node in nodes {
+            let center = micro_images.center(node.0, node.1);
+            let optics = micro_images.optics(node.0, node.1);
+            let expected = sought.line.at(&center) - center;
+            let rho = optics.blur_radius_px(slope);
+            if expected.norm() > optics.lit_px(rho) - EDGE_PX {
+                continue;
+            }
+            let Some((seen, imbalance)) = self.seen(sought, &pair, node, &mut room) else {
+                unclear += 1;
+                continue;
+            };
+            imbalances.extend(imbalance);
+            observations.push(seen);
+        }
+        // The outer corners of the board look like corners in some micro-images, but not in most.
+        let is_corner = median(imbalances).is_some_and(|median| median < IMBALANCE);
+        let all = observations.len();
+        let found = if is_corner { Sought::near_line(sought, observations) } else { None };
+        let kept = found.as_ref().map_or(0, |found| found.seen.len());
+        let (misplaced, given_up) = if found.is_some() { (all - kept, 0) } else { (0, all) };
+        Outcome { found, unclear, misplaced, given_up }
+    }
+
+    /// What is seen of a corner in a micro-image, and its imbalance; `None` if it does not clearly show.
+    fn seen(
+        &self,
+        sought: &BoardCorner,
+        pair: &Pair,
+        node: (i32, i32),
+        room: &mut Room,
+    ) -> Option<(Seen, Option<f64>)> {
+        let micro_images = self.frame.search.micro_images;
+        let (center, slope) = (micro_images.center(node.0, node.1), sought.line.slope);
+        let optics = micro_images.optics(node.0, node.1);
+        let vignetting = micro_images.vignetting(&optics);
+        let bend = self.aberration.bend(&center, slope);
+        let blur = Blur::new(&optics, slope, bend, vignetting).wider(self.wider_px2);
+        pair.read(micro_images, node, &mut room.patch, &mut room.reading).ok()?;
+        if !self.last {
+            room.patch = room.patch.thinned(ROUGH_PIXELS);
+        }
+        let start = self.expected_corner(sought, &center, room.patch.mean());
+        blur.trace(&room.patch, &mut room.rays);
+        let mut corner = self.fitted(&start, room)?;
+        let (mut levers, inverse) = corner.levers(&room.patch, &room.rays, slope, &bend)?;
+        let step = if self.last { FEW } else { FEW.div_ceil(ROUGH_PIXELS) };
+        room.few = room.patch.thinned(step);
+        room.rays.thin(step, &mut room.few_rays);
+        let has_width = self.last || (node.0 + node.1).rem_euclid(ROUGH_WIDTHS) == 0;
+        let mut width = None;
+        if has_width {
+            let blurred = (&optics, &blur, slope);
+            let (found, off) = self.by_few(&corner, blurred, (&mut levers, &inverse), room)?;
+            corner.place += off;
+            width = Some(found);
+        }
+        if (corner.place - start.place).norm() > EXPECTED_PX {
+            return None;
+        }
+        let imbalance = corner.imbalance(&room.few, &room.few_rays);
+        let observation = self.frame.observation(node, &corner);
+        Some((Seen { observation, slope_before: slope, levers, width, corner }, imbalance))
+    }
+
+    /// What a few pixels of a corner say of the width of its edges, and by how much its place is off, px; and, in the last
+    /// round, its levers by what is taken from white images.
+    fn by_few(
+        &self,
+        corner: &Corner,
+        (optics, blur, slope): (&MicroOptics, &Blur, f64),
+        (levers, inverse): (&mut Levers, &Matrix4<f64>),
+        room: &mut Room,
+    ) -> Option<(EdgeWidth, Vector2<f64>)> {
+        let Room { patch, few, few_rays, on_edges, others, .. } = room;
+        let share = few.sum_of_weights() / patch.sum_of_weights();
+        if self.last {
+            on_edges.find(corner, few, few_rays);
+            for (taken, rays) in others.iter_mut().enumerate() {
+                let (optics, vignetting) = self.frame.search.micro_images.otherwise(optics, taken);
+                let blur = Blur::new(&optics, slope, blur.bend, vignetting);
+                blur.wider(self.wider_px2).trace(&on_edges.patch, rays);
+            }
+            levers.by_taken = on_edges.by_taken(corner, others, inverse, share);
+        }
+        let summed = blur.summed(corner, few);
+        let by_fill_px = optics.blur_by_fill_px(slope);
+        EdgeWidth::of(corner, few, few_rays, &summed, by_fill_px, (inverse, share))
+    }
+
+    /// A corner as it should show in the micro-image about `center`, whose mean light is `level`.
+    fn expected_corner(&self, sought: &BoardCorner, center: &Vector2<f64>, level: f64) -> Corner {
+        let (pinhole, nearness) = (sought.line.pinhole(), 1.0 - sought.line.slope);
+        // Towards the next corner the slope changes, and with it the magnification.
+        let seen = |step: &Vector2<f64>| {
+            step * nearness - (pinhole - center) * self.field.gradient().dot(step)
+        };
+        // Rows and columns of the board in the pinhole image.
+        let board = self.frame.search.board;
+        let (right, down) = self.labelled.steps(board, sought.corner);
+        let sheared = self.distortion.jacobian(&self.labelled.pinhole(board, sought.corner));
+        let (right, down) = (seen(&(sheared * right)), seen(&(sheared * down)));
+        Corner {
+            place: sought.line.at(center) - center,
+            angles: [right.y.atan2(right.x), down.y.atan2(down.x)],
+            level,
+            contrast: if self.is_even(sought.corner) { self.contrast } else { -self.contrast },
+            width: 1.0,
+            covariance: Matrix2::zeros(),
+            explained: 0.0,
+        }
+    }
+
+    /// Squares alternate: those after an even corner are dark, see [`LabelledBoard::label`].
+    fn is_even(&self, corner: i32) -> bool {
+        let columns = self.frame.search.board.columns;
+        (corner / columns + corner % columns) % 2 == 0
+    }
+
+    /// The corner where it is expected; `None` if it does not clearly show there.
+    fn fitted(&self, expected: &Corner, room: &mut Room) -> Option<Corner> {
+        let Room { patch, rays, fit, .. } = room;
+        expected.fitted(patch, rays, Free::Place, fit).filter(|corner| {
+            (corner.place - expected.place).norm() < EXPECTED_PX
+                && corner.explained > EXPLAINED
+                && (corner.contrast > 0.0) == (expected.contrast > 0.0)
+                && corner.contrast.abs() > LEAST_CONTRAST * self.contrast
+                && corner.std_dev_px() < UNCERTAIN_PX
+        })
+    }
+
+    /// A corner with its line, once the aberrations are known better.
+    pub fn on_line(&self, found: Sought, change: &Vector3<f64>) -> Option<BoardCorner> {
+        let Sought { corner, mut seen } = found;
+        for seen in &mut seen {
+            seen.change_aberration(change);
+        }
+        let line = CornerLine::fit(seen.iter().map(Seen::on_line))?;
+        if self.last {
+            // With other places the line has another slope, and that blurs otherwise.
+            for (taken, step) in STEPS.into_iter().enumerate() {
+                let other = CornerLine::fit(seen.iter().map(|seen| seen.on_line_with(taken)))?;
+                let slope = (other.slope - line.slope) / step;
+                for seen in &mut seen {
+                    seen.take_slope(taken, slope);
+                }
+            }
+        }
+        for seen in &mut seen {
+            let CornerObservation { k, l, .. } = seen.observation;
+            seen.change_slope(line.slope, &self.frame.search.micro_images.optics(k, l));
+        }
+        let observations = seen
+            .into_iter()
+            .map(|seen| Found {
+                observation: seen.observation,
+                corner: seen.corner,
+                by_taken: seen.levers.by_taken,
+                width: seen.width,
+            })
+            .collect();
+        let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);
+        possible.then_some(BoardCorner { corner, line, observations })
+    }
+}
+
+impl Sought {
+    /// What was seen of a corner, without what is off its line.
+    fn near_line(sought: &BoardCorner, mut seen: Vec<Seen>) -> Option<Self> {
+        let line = CornerLine::fit(seen.iter().map(Seen::on_line))?;
+        let scale = line.rms_px.max(LEAST_RMS_PX);
+        seen.retain(|seen| {
+            let o = seen.on_line();
+            (o.position - line.at(&o.center)).norm() < OUTLIER * scale
+        });
+        (seen.len() > 1).then_some(Self { corner: sought.corner, seen })
+    }
+}
