@@ -199,6 +199,7 @@ RefinementParts refine(const CameraParts& camera, const BoardParts& board,
   SolverOptions options;
   options.max_iterations = solver.max_iterations;
   options.threads = solver.threads;
+  options.function_tolerance = solver.function_tolerance;
   options.initial_trust_region_radius = solver.initial_trust_region_radius;
   options.extrapolate = solver.extrapolate;
   const Refinement r = plenocal::refine(

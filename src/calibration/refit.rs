@@ -23,6 +23,9 @@ use crate::solver::{
 /// Where a parameter is taken away, the residuals are large at first. A few steps without loss lead back to
 /// where it can act.
 const ROUGH_ITERATIONS: usize = 4;
+/// Errors of frames that take no part are compared to a per cent: the cost need not be found closer than to this part, with
+/// parameters to a twentieth of their standard deviations.
+const HELD_OUT_TOLERANCE: f64 = 1e-8;
 
 /// A minimum of the cost.
 #[derive(Debug, Clone, PartialEq)]
@@ -87,9 +90,10 @@ impl<'a> Refit<'a> {
         if cost.loss.kind != LossKind::None {
             let loss = Loss { kind: LossKind::None, ..cost.loss };
             let plain = CostOptions { loss, ..cost.clone() };
-            start = self.refined(&start, &plain, ROUGH_ITERATIONS)?;
+            let rough = SolverOptions { max_iterations: ROUGH_ITERATIONS, ..self.solver() };
+            start = self.refined(&start, &plain, &rough)?;
         }
-        self.refined(&start, &cost, self.max_iterations())
+        self.refined(&start, &cost, &self.solver())
     }
 
     /// The errors of frames that take no part: the camera is refined from a minimum without them, and then
@@ -111,12 +115,13 @@ impl<'a> Refit<'a> {
             ..minimum.clone()
         };
         let cost = self.cost_without(parameters);
-        let rest = self.refined(&with_poses(false), &cost, self.max_iterations())?;
+        let solver = SolverOptions { function_tolerance: HELD_OUT_TOLERANCE, ..self.solver() };
+        let rest = self.refined(&with_poses(false), &cost, &solver)?;
         let all = shared_parameters(minimum.camera.lens_types());
         let fixed = all.iter().map(|parameter| parameter.name.to_owned()).collect();
         let poses_only = CostOptions { fixed, anchors: Vec::new(), ..cost };
         let left_out = Minimum { camera: rest.camera, shape: rest.shape, ..with_poses(true) };
-        let solved = self.solve(&left_out, &poses_only, &[], self.max_iterations())?;
+        let solved = self.solve(&left_out, &poses_only, &[], &solver)?;
         let squares = |(pose, cost): (&FramePose, &f64)| {
             let count = self.features.iter().filter(|f| f.frame == pose.frame).count();
             (pose.frame, 2.0 * cost / count.max(1) as f64)
@@ -146,8 +151,9 @@ impl<'a> Refit<'a> {
         Problem { camera: &at.camera, board, poses, features, centers }
     }
 
-    fn max_iterations(&self) -> usize {
-        self.calibration.options.solver.max_iterations
+    /// With one thread: several are solved at a time.
+    fn solver(&self) -> SolverOptions {
+        SolverOptions { threads: 1, ..self.calibration.options.solver }
     }
 
     fn cost_without(&self, parameters: &[&str]) -> CostOptions {
@@ -162,9 +168,9 @@ impl<'a> Refit<'a> {
         &self,
         start: &Minimum,
         cost: &CostOptions,
-        max_iterations: usize,
+        solver: &SolverOptions,
     ) -> Result<Minimum> {
-        let solved = self.solve(start, cost, &self.solver_centers, max_iterations)?;
+        let solved = self.solve(start, cost, &self.solver_centers, solver)?;
         let of = |(pose, &camera_from_board): (&FramePose, &Isometry3<f64>)| FramePose {
             frame: pose.frame,
             camera_from_board,
@@ -179,7 +185,7 @@ impl<'a> Refit<'a> {
         start: &Minimum,
         cost: &CostOptions,
         centers: &[SolverCenter],
-        max_iterations: usize,
+        solver: &SolverOptions,
     ) -> Result<Refinement> {
         let seen: Vec<BapFeature> = self
             .features
@@ -190,10 +196,7 @@ impl<'a> Refit<'a> {
         let features = solver_features(&seen, &start.poses, self.board);
         let poses = transforms(&start.poses);
         let problem = self.problem(start, &poses, &features, centers);
-        // Several are solved at a time.
-        let solver =
-            SolverOptions { max_iterations, threads: 1, ..self.calibration.options.solver };
-        let refinement = solver::refine(&problem, cost, &solver, &mut |_| true)?;
+        let refinement = solver::refine(&problem, cost, solver, &mut |_| true)?;
         check_refined(&refinement)?;
         Ok(refinement)
     }

@@ -1,5 +1,6 @@
 //! From raw samples to grey values that are linear in light.
 
+use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 use super::{Color, Image, RawImage, Samples};
@@ -103,6 +104,31 @@ impl RawImage {
     }
 }
 
+/// Samples of a row without colours as grey values.
+struct GreyRow<'a, T> {
+    samples: &'a [T],
+    pixels: &'a mut [f32],
+    black: f32,
+    scale: f32,
+}
+
+impl<T: Copy + Into<f32>> NullaryFnOnce for GreyRow<'_, T> {
+    type Output = ();
+
+    // Only what is inlined into a dispatched function is compiled for its registers.
+    #[allow(clippy::inline_always)]
+    #[inline(always)]
+    fn call(self) {
+        let Self { samples, pixels, black, scale } = self;
+        let n = pixels.len();
+        let samples = &samples[..n];
+        for i in 0..n {
+            let light = (samples[i].into() - black) * scale;
+            pixels[i] = if light > 1.0 { 1.0 } else { light };
+        }
+    }
+}
+
 /// A raw image as grey values, linear from 0 to 1, at full resolution.
 ///
 /// Black level and saturation level become 0 and 1. Noise about black is kept: values may be
@@ -172,7 +198,7 @@ impl Grey<'_> {
             let samples = &samples[(v * raw.width + left) * per_pixel..][..width * per_pixel];
             match raw.color {
                 Color::Grey => {
-                    pixels.iter_mut().zip(samples).for_each(|(p, &s)| *p = value(s, 1.0));
+                    Arch::new().dispatch(GreyRow { samples, pixels, black, scale });
                 }
                 Color::Rgb => {
                     for (pixel, rgb) in pixels.iter_mut().zip(samples.chunks_exact(3)) {

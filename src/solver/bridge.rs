@@ -230,6 +230,7 @@ mod ffi {
     struct SolverParts {
         max_iterations: i32,
         threads: i32,
+        function_tolerance: f64,
         initial_trust_region_radius: f64,
         extrapolate: bool,
     }

@@ -92,6 +92,8 @@ pub struct SolverOptions {
     pub max_iterations: usize,
     /// Threads of the solver.
     pub threads: usize,
+    /// The solve ends with a step that lowers the cost by less than this part.
+    pub function_tolerance: f64,
     /// Whether to jump to the extrapolated limit of the steps when they converge slowly; if false, Ceres
     /// does all the work.
     pub extrapolate: bool,
@@ -102,6 +104,12 @@ pub struct SolverOptions {
 impl Default for SolverOptions {
     fn default() -> Self {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { max_iterations: 200, threads, initial_trust_region_radius: 1e10, extrapolate: true }
+        Self {
+            max_iterations: 200,
+            threads,
+            function_tolerance: 1e-13,
+            initial_trust_region_radius: 1e10,
+            extrapolate: true,
+        }
     }
 }

@@ -171,6 +171,7 @@ impl From<&SolverOptions> for ffi::SolverParts {
         Self {
             max_iterations: count(solver.max_iterations),
             threads: count(solver.threads),
+            function_tolerance: solver.function_tolerance,
             initial_trust_region_radius: solver.initial_trust_region_radius,
             extrapolate: solver.extrapolate,
         }
