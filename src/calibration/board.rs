@@ -12,6 +12,7 @@ use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{AnchorSource, Warning};
 use crate::error::{Error, Result};
 use crate::model::{BentBoard, BoardShape, SHAPE, SHAPE_PARAMETERS};
+use crate::numerics::normal_deviate;
 use crate::solver::{
     Anchor, CostOptions, Iteration, Problem, Refinement, Termination, shape_names,
 };
@@ -334,16 +335,6 @@ fn std_devs_from_zero(refined: &Refined) -> [Option<f64>; 2] {
     [bend, one(ASPECT)]
 }
 
-/// The normal deviate that is as rare as a value of `ratio` times its σ, if σ has so many degrees of freedom: few
-/// frames often differ by several of the σ that they show (Student's t, by the approximation of Wallace 1959).
-fn normal_deviate(ratio: f64, freedom: f64) -> f64 {
-    if freedom.is_infinite() {
-        return ratio.abs();
-    }
-    let scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0);
-    scale * (freedom * (ratio * ratio / freedom).ln_1p()).sqrt()
-}
-
 /// Warnings if a board bends so far that it should be replaced, and if its shape was not found.
 pub(super) fn warnings_of(board: &BoardResult) -> impl Iterator<Item = Warning> {
     let (bend_mm, diagonal_mm) = (board.bent.bend_mm(), board.bent.board.diagonal_mm());
@@ -369,16 +360,6 @@ pub(super) fn warnings_of(board: &BoardResult) -> impl Iterator<Item = Warning> 
 mod tests {
     use super::*;
     use crate::model::Board;
-
-    /// From tables of Student's t: these are exceeded as rarely as 3 σ of a normal variable, by 0.27 %.
-    #[test]
-    fn few_frames_need_a_larger_ratio() {
-        for (freedom, ratio) in [(4.0, 6.62), (5.0, 5.507), (10.0, 3.957), (30.0, 3.270)] {
-            let deviate = normal_deviate(ratio, freedom);
-            assert!((deviate - 3.0).abs() < 0.03, "{freedom}: {deviate}");
-        }
-        assert!((normal_deviate(-3.0, f64::INFINITY) - 3.0).abs() < 1e-12);
-    }
 
     #[test]
     fn a_shape_that_did_not_settle_is_a_warning() {

@@ -206,11 +206,14 @@ impl CalibrationOptions {
         }
     }
 
-    /// These options with what a calibration has found of whether the board is flat: bent in those parameters of its shape that
-    /// have a σ, or flat.
+    /// These options with what a calibration has found of whether the board is flat, where they leave that open: bent in those
+    /// parameters of its shape that have a σ, or flat.
     #[must_use]
     pub fn with_decision(&self, shape_std_devs: [Option<f64>; SHAPE]) -> Self {
         let mut decided = self.clone();
+        if self.board != BoardModel::Auto {
+            return decided;
+        }
         let kept = shape_names().zip(shape_std_devs).filter(|(_, std_dev)| std_dev.is_none());
         let kept: Vec<String> = kept.map(|(name, _)| name.to_owned()).collect();
         decided.board = if kept.len() == SHAPE { BoardModel::Flat } else { BoardModel::Bent };

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use plenocal::assessment::assess;
 use plenocal::calibration::{
-    BoardModel, Calibration, CalibrationOptions, Mode, Start, calibrate, initial_from,
+    Calibration, CalibrationOptions, Mode, Start, calibrate, initial_from,
 };
 use plenocal::detection::DepthEstimator;
 use plenocal::evaluation::{Candidate, EvaluationInput, Folds, PosePairs};
@@ -357,20 +357,18 @@ impl Stages<'_> {
             let read = |file: &InputFile| Ok(io::read_features(&file.path, true)?.features);
             file.as_ref().map_or(Ok(Vec::new()), read)
         };
-        let poses = |file: &Option<InputFile>| {
-            file.as_ref().map(|file| io::read_poses(&file.path)).transpose()
-        };
+        let poses =
+            |file: &Option<InputFile>| file.as_ref().map(|f| io::read_poses(&f.path)).transpose();
         let candidates = self.candidates(input)?;
         let (start, observations) = (self.start()?, self.observations()?);
         let initial = initial_from(&start, &self.shoot.board, &observations, &self.options)?;
         let translation = features(&input.translation)?;
-        let truth = input.truth.as_ref();
         let mut subjects = EvaluationInput::new(self.shoot.board);
         subjects.evaluation = features(&input.evaluation)?;
         subjects.translation =
             input.step_mm.filter(|_| !translation.is_empty()).map(|step_mm| (translation, step_mm));
         subjects.clouds_mm = clouds(self.shoot)?;
-        if let Some(truth) = truth {
+        if let Some(truth) = &input.truth {
             subjects.truth = Some(calibrated(&truth.camera.path)?);
             let board = truth.board.as_ref().map(|file| io::read_true_board(&file.path));
             subjects.true_board = board.transpose()?;
@@ -382,12 +380,9 @@ impl Stages<'_> {
         }
         let excluded = &self.options.exclude_frames;
         let frames = observations.frames().iter().filter(|f| !excluded.contains(f)).count();
-        let count = input.folds.min(frames);
         // The first camera is calibrated with these options and observations.
-        let options = match self.options.board {
-            BoardModel::Auto => self.options.with_decision(candidates[0].shape_std_devs),
-            _ => self.options.clone(),
-        };
+        let options = self.options.with_decision(candidates[0].shape_std_devs);
+        let count = input.folds.min(frames);
         subjects.folds = (count > 1).then_some(Folds { start, observations, options, count });
         let found = evaluated(&candidates, &subjects, self.quiet);
         output.stage_json("evaluation.json", &io::evaluation_document(&found))?;

@@ -7,12 +7,12 @@
 use nalgebra::{Matrix2, Matrix4, SMatrix};
 use pulp::{Arch, Simd, WithSimd};
 
-use super::blur::Rays;
 use super::corner::{Corner, Edges};
 use super::corner_fit::WithPlace;
 use super::lanes::{dot, products};
 use super::levers::{ByTaken, STEPS, Shape, UNKNOWNS};
 use super::patch::Patch;
+use super::rays::Rays;
 use crate::model::TAKEN;
 
 /// How much information of all pixels the few are held by, over their own: see [`place_by_few`].

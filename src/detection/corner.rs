@@ -6,9 +6,9 @@
 use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
 use pulp::{Arch, Simd, WithSimd};
 
-use super::blur::{OfRays, RayLanes, Rays};
 use super::lanes::{Lanes, products};
 use super::patch::Patch;
+use super::rays::{OfRays, RayLanes, Rays};
 
 /// Two edges that cross: light m + h at directions between n₁ and n₂, m − h beside.
 #[derive(Debug, Clone, Copy, PartialEq)]

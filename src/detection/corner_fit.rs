@@ -6,10 +6,10 @@
 use nalgebra::{SMatrix, SVector, Vector2};
 use pulp::{Arch, Simd, WithSimd};
 
-use super::blur::{OfRays, RayLanes, Rays};
 use super::corner::{Corner, Edges};
 use super::lanes::{Lanes, products, weighted_squares};
 use super::patch::Patch;
+use super::rays::{OfRays, RayLanes, Rays};
 use crate::numerics::{Descent, LeastSquares};
 
 /// What a fit is free to change.

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix2, Matrix4, Vector2, Vector3};
 
 use super::aberration::Aberration;
-use super::blur::{Blur, Rays};
+use super::blur::Blur;
 use super::board::LabelledBoard;
 use super::by_taken::OnEdges;
 use super::corner::Corner;
@@ -15,6 +15,7 @@ use super::frame::Frame;
 use super::levers::{Levers, STEPS};
 use super::line::{CornerLine, possible_slope};
 use super::patch::{self, Pair, Patch};
+use super::rays::Rays;
 use super::second_pass::{BoardCorner, Found};
 use super::seen::Seen;
 use super::slope_field::SlopeField;

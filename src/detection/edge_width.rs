@@ -7,10 +7,10 @@
 
 use nalgebra::{Matrix1x3, Matrix1x4, Matrix2, Matrix3, Matrix4, RowVector3, Vector2, Vector4};
 
-use super::blur::Rays;
 use super::by_taken::place_by_few;
 use super::corner::Corner;
 use super::patch::Patch;
+use super::rays::Rays;
 use super::summed::SummedShape;
 use crate::model::FillFactor;
 use crate::numerics::{NormalEquations, median};

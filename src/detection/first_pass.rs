@@ -3,13 +3,13 @@
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use super::blur::Rays;
 use super::corner::Corner;
 use super::corner_fit::{FitRoom, Free};
 use super::dbscan::dbscan;
 use super::frame::{Frame, FrameCounts};
 use super::grouping::{Group, LineSearch, groups_on_lines, is_texture};
 use super::patch::{Pair, Patch, Room};
+use super::rays::Rays;
 use super::saddle::saddles;
 use super::{CornerObservation, MicroOptics};
 use crate::model::{Configuration, LatticeKind};
@@ -17,7 +17,7 @@ use crate::model::{Configuration, LatticeKind};
 /// Micro-images along the edge of a tile that is read at once.
 const TILE: i32 = 16;
 /// Micro-images whose centres are up to so many pitches from that of one with a corner may show it too.
-const ABOUT: f64 = 2.05;
+const ABOUT: f64 = 1.8;
 /// How far from the centre of a micro-image its pixels are read, in pitches.
 pub(super) const REACH: f64 = 0.6;
 /// Least and largest contrast of corners, in parts of the frame's: nothing is brighter or darker than its

@@ -11,11 +11,11 @@ use nalgebra::{Matrix2x3, Matrix4, SMatrix, Vector2};
 use pulp::{Arch, Simd, WithSimd};
 
 use super::aberration::Bend;
-use super::blur::{OfRays, RayLanes, Rays};
 use super::corner::{Corner, Edges};
 use super::lanes::{Lanes, products};
 use super::micro_images::OTHERWISE;
 use super::patch::Patch;
+use super::rays::{OfRays, RayLanes, Rays};
 use crate::model::TAKEN;
 
 /// Derivatives of a place by what is taken from white images, px: see [`crate::model::TAKEN_FROM_WHITES`].

@@ -32,6 +32,7 @@ mod micro_images;
 mod micro_optics;
 mod observation;
 mod patch;
+mod rays;
 mod rejection;
 mod saddle;
 mod second_pass;

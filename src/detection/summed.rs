@@ -131,11 +131,10 @@ impl WithSimd for Sum<'_> {
         for ((&x, &y), shape) in patch.x.iter().zip(&patch.y).zip(shapes) {
             let [bent_x, bent_y] = blur.bent(lens, [x, y]);
             let (from_x, from_y) = (x - place_x, y - place_y);
-            let distances = [c1 * from_y - s1 * from_x, c2 * from_y - s2 * from_x];
-            let reach = reach + furthest(&bent_x, &bent_y);
-            if distances.iter().all(|d| d.abs() > reach) && x * x + y * y < lit2 {
-                let shape_there = distances[0].signum() * distances[1].signum();
-                *shape = SummedShape { shape: shape_there, ..SummedShape::default() };
+            let [d1, d2] = [c1 * from_y - s1 * from_x, c2 * from_y - s2 * from_x];
+            let sees_none = d1.abs().min(d2.abs()) > reach + furthest(&bent_x, &bent_y);
+            if sees_none && x * x + y * y < lit2 {
+                *shape = SummedShape { shape: d1.signum() * d2.signum(), ..Default::default() };
                 continue;
             }
             let mut all = [0.0_f32; ROOM];

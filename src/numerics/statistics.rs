@@ -19,6 +19,16 @@ pub(crate) fn weighted_mean(values: impl IntoIterator<Item = [f64; 2]>) -> Optio
     mean.is_finite().then(|| [mean, (excess / weights).sqrt()])
 }
 
+/// The normal deviate that is as rare as a value of `ratio` times its σ, if σ has so many degrees of freedom: few
+/// frames often differ by several of the σ that they show (Student's t, by the approximation of Wallace 1959).
+pub(crate) fn normal_deviate(ratio: f64, freedom: f64) -> f64 {
+    if freedom.is_infinite() {
+        return ratio.abs();
+    }
+    let scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0);
+    scale * (freedom * (ratio * ratio / freedom).ln_1p()).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -39,5 +49,15 @@ mod tests {
         let [mean, std_dev] = weighted_mean([[1.0, 0.1], [3.0, 0.1], [2.0, 0.1]]).unwrap();
         assert!((mean - 2.0).abs() < 1e-12 && (std_dev - 1.0 / 3.0_f64.sqrt()).abs() < 1e-12);
         assert_eq!(weighted_mean([]), None);
+    }
+
+    /// From tables of Student's t: these are exceeded as rarely as 3 σ of a normal variable, by 0.27 %.
+    #[test]
+    fn few_frames_need_a_larger_ratio() {
+        for (freedom, ratio) in [(4.0, 6.62), (5.0, 5.507), (10.0, 3.957), (30.0, 3.270)] {
+            let deviate = normal_deviate(ratio, freedom);
+            assert!((deviate - 3.0).abs() < 0.03, "{freedom}: {deviate}");
+        }
+        assert!((normal_deviate(-3.0, f64::INFINITY) - 3.0).abs() < 1e-12);
     }
 }
