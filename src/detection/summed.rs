@@ -69,6 +69,20 @@ pub(super) struct SummedShape {
     pub by_width: f32,
 }
 
+impl SummedShape {
+    /// The mean over points of the lens, from their light, and that times their shapes.
+    #[inline(always)]
+    fn mean<S: Simd>(simd: S, light: &[f32; ROOM], shapes: &[[f32; ROOM]; 5]) -> Self {
+        let per_light = sum(simd, light).recip();
+        Self {
+            shape: sum(simd, &shapes[0]) * per_light,
+            by_place: [sum(simd, &shapes[1]) * per_light, sum(simd, &shapes[2]) * per_light],
+            by_radius: sum(simd, &shapes[3]) * per_light,
+            by_width: sum(simd, &shapes[4]) * per_light,
+        }
+    }
+}
+
 impl Blur<'_> {
     /// How the pixels of a patch see a corner. Derivatives leave out third and fourth moments, and how the light of a pixel
     /// changes.
@@ -163,12 +177,7 @@ impl WithSimd for Sum<'_> {
                 let thirds = cut.thirds([n1, t1], [n2, t2]);
                 let value = mean_of_product([&a, &b], both, cubed, thirds, fourths);
                 let light = lens.is_one[j] * light * cut.visible;
-                // By the distance from either step, their variances and their covariance.
-                let by_1 = a.first * b.value + both * a.second * b.first;
-                let by_2 = a.value * b.first + both * a.first * b.second;
-                let by_11 = 0.5 * (a.second * b.value + both * a.third * b.first);
-                let by_22 = 0.5 * (a.value * b.second + both * a.first * b.third);
-                let by_12 = a.first * b.first + both * a.second * b.second;
+                let [by_1, by_2, by_11, by_22, by_12] = derivatives([&a, &b], both);
                 let moved = follows_by_radius * cut.mean;
                 let (moved_x, moved_y) = (w_x + moved * out_x, w_y + moved * out_y);
                 let wider = origin_by_radius - squared_by_radius * cut.sideways;
@@ -186,13 +195,7 @@ impl WithSimd for Sum<'_> {
                 sums[3][j] = light * by_radius;
                 sums[4][j] = light * by_width;
             }
-            let per_light = sum(simd, &all).recip();
-            *shape = SummedShape {
-                shape: sum(simd, &sums[0]) * per_light,
-                by_place: [sum(simd, &sums[1]) * per_light, sum(simd, &sums[2]) * per_light],
-                by_radius: sum(simd, &sums[3]) * per_light,
-                by_width: sum(simd, &sums[4]) * per_light,
-            };
+            *shape = SummedShape::mean(simd, &all, &sums);
         }
     }
 }
@@ -223,6 +226,19 @@ fn mean_of_product(
         + 0.5 * cubed * (mixed_1 * a.second * b.first + mixed_2 * a.first * b.second)
         + (fourth_31 * a.third * b.first + fourth_13 * a.first * b.third) / 6.0
         + 0.25 * fourth_22 * a.second * b.second
+}
+
+/// How that changes with the distance from either step, with their variances and with their covariance, without third and fourth
+/// moments.
+#[inline(always)]
+fn derivatives([a, b]: [&Step; 2], both: f32) -> [f32; 5] {
+    [
+        a.first * b.value + both * a.second * b.first,
+        a.value * b.first + both * a.first * b.second,
+        0.5 * (a.second * b.value + both * a.third * b.first),
+        0.5 * (a.value * b.second + both * a.first * b.third),
+        a.first * b.first + both * a.second * b.second,
+    ]
 }
 
 /// The fourth cumulants of places in a pixel across two edges, px⁴: of the first four, three, two, one and no times. Along
