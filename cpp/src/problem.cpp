@@ -106,7 +106,8 @@ void CalibrationProblem::linearise(int index, Linearised* result) const {
   result->jacobian.setZero(n, free + (has_pose ? Pose::kSize : 0));
   const bool is_fixed = has_pose && problem_->IsParameterBlockConstant(block.parameters.back());
   if (has_pose && !is_fixed) {
-    result->jacobian.rightCols<Pose::kSize>() = Eigen::Map<const RowMajor>(parts.back(), n, Pose::kSize);
+    result->jacobian.rightCols<Pose::kSize>() =
+        Eigen::Map<const RowMajor>(parts.back(), n, Pose::kSize);
   }
   for (std::size_t i = 0; i < parts.size(); ++i) {
     std::vector<std::pair<int, int>> columns;  // of J, and of the part
@@ -117,7 +118,7 @@ void CalibrationProblem::linearise(int index, Linearised* result) const {
     for (int row = 0; row < n; ++row) {
       double* to = result->jacobian.row(row).data();
       const double* from = parts[i] + static_cast<std::size_t>(row) * sizes[i];
-      for (const auto [column, index] : columns) to[column] = from[index];
+      for (const auto& [column, index] : columns) to[column] = from[index];
     }
   }
 }

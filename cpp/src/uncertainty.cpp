@@ -114,7 +114,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
       symmetric(inverse * independent * inverse + common_covariance(equations, inverse, weight));
   result.independent_covariance = row_by_row(covariance);
   const MatrixXd observed = total - equations.information[kAnchor];
-  const SharedErrors shared = 
+  const SharedErrors shared =
       shared_errors(equations, inverse, independent, weight, &calibration, threads);
   result.poses_by_intrinsics = row_by_row(shared.poses_by_intrinsics);
   result.frame_shares = row_by_row(shared.frame_shares);

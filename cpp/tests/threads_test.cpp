@@ -34,6 +34,30 @@ TEST(Threads, RefinementsDoNotDisturbEachOther) {
   EXPECT_EQ(costs, std::vector<double>(kThreads, alone));
 }
 
+TEST(Threads, UncertaintyIsTheSameWithAnyNumberOfThem) {
+  test::Scene scene = test::make_scene(3);
+  scene.poses.resize(3);
+  scene.observations = test::observe(scene.camera, scene.poses);
+  test::add_noise(0.1, 0.05, 0.02, 5, &scene.observations);
+  const auto with = [&](int threads) {
+    return uncertainty(scene.camera, scene.poses, scene.observations, test::paper(), {}, threads);
+  };
+  const Uncertainty alone = with(1);
+  EXPECT_GT(alone.rank, 0);
+  for (int threads : {2, 5}) {
+    const Uncertainty together = with(threads);
+    EXPECT_EQ(together.covariance, alone.covariance);
+    EXPECT_EQ(together.gradient, alone.gradient);
+    EXPECT_EQ(
+        frame_information(scene.camera, scene.poses, scene.observations, test::paper(), threads),
+        frame_information(scene.camera, scene.poses, scene.observations, test::paper()));
+  }
+  // What fails in another thread fails here.
+  scene.poses[2].translation.z = 1.0;
+  EXPECT_THROW(with(5), std::invalid_argument);
+  EXPECT_THROW(with(0), std::invalid_argument);
+}
+
 TEST(Threads, ACameraIsUsedByAllAtOnce) {
   constexpr int kThreads = 4;
   const Camera camera = test::make_scene(3).camera;

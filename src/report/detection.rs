@@ -86,17 +86,20 @@ const QUALITY: u8 = 60;
 pub fn features_figure(image: &RawImage, detection: &Detection, board: &Board) -> Result<String> {
     let (width, height) = (image.width, image.height);
     let reduced = width.div_ceil(PICTURE).max(1);
-    let grey = image.to_grey();
+    let grey = image.grey();
     let (columns, rows) = ((width / reduced).max(1), (height / reduced).max(1));
-    let mean = |x: usize, y: usize| {
-        let rows = y * reduced..((y + 1) * reduced).min(height);
-        let row = |v: usize| &grey.pixels[v * width + x * reduced..][..reduced.min(width)];
-        rows.flat_map(row).sum::<f32>() / (reduced * reduced) as f32
-    };
-    let values: Vec<f32> = (0..rows)
-        .flat_map(|y| (0..columns).map(move |x| (x, y)))
-        .map(|(x, y)| mean(x, y))
-        .collect();
+    let mut values = Vec::with_capacity(columns * rows);
+    let mut sums = vec![0.0; width];
+    for y in 0..rows {
+        sums.fill(0.0);
+        for row in grey.part(0, y * reduced, width, reduced).pixels.chunks_exact(width) {
+            for (sum, pixel) in sums.iter_mut().zip(row) {
+                *sum += pixel;
+            }
+        }
+        let mean = |block: &[f32]| block.iter().sum::<f32>() / (reduced * reduced) as f32;
+        values.extend(sums.chunks(reduced).take(columns).map(mean));
+    }
     let brightest = values.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
     let picture = GrayImage::from_fn(columns as u32, rows as u32, |x, y| {
         Luma([(values[y as usize * columns + x as usize] / brightest * 255.0) as u8])
