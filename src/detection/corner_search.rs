@@ -35,6 +35,8 @@ const FEW: usize = 5;
 const EXPLAINED: f64 = 0.4;
 /// Largest median imbalance of its observations, see [`Corner::imbalance`].
 const IMBALANCE: f64 = 0.5;
+/// So many of them are enough for that.
+const ENOUGH: usize = 16;
 /// Largest standard deviation of an observation, px.
 const UNCERTAIN_PX: f64 = 0.35;
 /// Corners are not searched for nearer than this, px, to where none of their light arrives.
@@ -102,7 +104,9 @@ impl CornerSearch<'_> {
         let pair = Pair::about(self.frame.image, self.frame.white, places, reach);
         let (mut observations, mut imbalances, mut unclear) = (Vec::new(), Vec::new(), 0);
         let mut room = Room::default();
-        for node in nodes {
+        let step = nodes.len().div_ceil(ENOUGH).max(1);
+        let mut next = 0;
+        for (i, node) in nodes.into_iter().enumerate() {
             let center = micro_images.center(node.0, node.1);
             let optics = micro_images.optics(node.0, node.1);
             let expected = sought.line.at(&center) - center;
@@ -110,11 +114,14 @@ impl CornerSearch<'_> {
             if expected.norm() > optics.lit_px(rho) - EDGE_PX {
                 continue;
             }
-            let Some((seen, imbalance)) = self.seen(sought, &pair, node, &mut room) else {
+            let Some(seen) = self.seen(sought, &pair, node, &mut room) else {
                 unclear += 1;
                 continue;
             };
-            imbalances.extend(imbalance);
+            if i >= next {
+                imbalances.extend(seen.corner.imbalance(&room.patch, &room.rays));
+                next = i + step;
+            }
             observations.push(seen);
         }
         // The outer corners of the board look like corners in some micro-images, but not in most.
@@ -126,14 +133,14 @@ impl CornerSearch<'_> {
         Outcome { found, unclear, misplaced, given_up }
     }
 
-    /// What is seen of a corner in a micro-image, and its imbalance; `None` if it does not clearly show.
+    /// What is seen of a corner in a micro-image; `None` if it does not clearly show.
     fn seen(
         &self,
         sought: &BoardCorner,
         pair: &Pair,
         node: (i32, i32),
         room: &mut Room,
-    ) -> Option<(Seen, Option<f64>)> {
+    ) -> Option<Seen> {
         let micro_images = self.frame.search.micro_images;
         let (center, slope) = (micro_images.center(node.0, node.1), sought.line.slope);
         let optics = micro_images.optics(node.0, node.1);
@@ -148,12 +155,12 @@ impl CornerSearch<'_> {
         blur.trace(&room.patch, &mut room.rays);
         let mut corner = self.fitted(&start, room)?;
         let (mut levers, inverse) = corner.levers(&room.patch, &room.rays, slope, &bend)?;
-        let step = if self.last { FEW } else { FEW.div_ceil(ROUGH_PIXELS) };
-        room.few = room.patch.thinned(step);
-        room.rays.thin(step, &mut room.few_rays);
         let has_width = self.last || (node.0 + node.1).rem_euclid(ROUGH_WIDTHS) == 0;
         let mut width = None;
         if has_width {
+            let step = if self.last { FEW } else { FEW.div_ceil(ROUGH_PIXELS) };
+            room.few = room.patch.thinned(step);
+            room.rays.thin(step, &mut room.few_rays);
             let blurred = (&optics, &blur, slope);
             let (found, off) = self.by_few(&corner, blurred, (&mut levers, &inverse), room)?;
             corner.place += off;
@@ -162,9 +169,8 @@ impl CornerSearch<'_> {
         if (corner.place - start.place).norm() > EXPECTED_PX {
             return None;
         }
-        let imbalance = corner.imbalance(&room.few, &room.few_rays);
         let observation = self.frame.observation(node, &corner);
-        Some((Seen { observation, slope_before: slope, levers, width, corner }, imbalance))
+        Some(Seen { observation, slope_before: slope, levers, width, corner })
     }
 
     /// What a few pixels of a corner say of the width of its edges, and by how much its place is off, px; and, in the last
