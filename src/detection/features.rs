@@ -37,9 +37,8 @@ pub struct Detection {
     pub edges: Option<Edges>,
     /// By how much the measured blur of each feature grows with the variance of edges, px⁻¹.
     blur_by_width: Vec<f64>,
-    /// What corners were fitted with, for a further round: see [`SecondPassed`].
+    /// That of the frame, for a search with other micro-images.
     pub(super) contrast: f64,
-    pub(super) taken_wider_px2: f64,
 }
 
 /// What the widths of edges in a frame say.
@@ -142,7 +141,6 @@ impl Frame<'_> {
             edges,
             blur_by_width,
             contrast: passed.contrast,
-            taken_wider_px2: passed.wider_px2,
         }
     }
 

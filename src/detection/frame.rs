@@ -113,7 +113,7 @@ pub(super) fn detect_again(
     let frame = Frame { frame, image, white, search };
     let labelled = LabelledBoard { homography: before.homography, corners: Vec::new() };
     let mut anew = *counts;
-    let passed = frame.last_round(before, &labelled, &mut anew);
+    let passed = frame.second_pass_again(before, &labelled, &mut anew);
     (passed.corners.len() >= MIN_CORNERS).then(|| {
         *counts = anew;
         frame.detection(&passed, labelled.homography)

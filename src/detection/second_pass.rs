@@ -68,19 +68,11 @@ impl Frame<'_> {
             Some(BoardCorner { corner: (*corner)?, line: group.line, observations: Vec::new() })
         };
         let corners = groups.iter().zip(&labelled.corners).filter_map(of_group).collect();
-        let (middle, pupil) = (self.search.sensor.center_px(), self.search.micro_images.pupil_px());
-        let start = SecondPassed {
-            corners,
-            aberration: Aberration::none(middle, pupil),
-            contrast,
-            wider_px2: 0.0,
-            width: None,
-        };
-        self.rounds(1, start, labelled, counts)
+        self.rounds(corners, labelled, contrast, counts)
     }
 
-    /// The last round again, for corners that were found with other micro-images.
-    pub(super) fn last_round(
+    /// The same for corners that were found with other micro-images.
+    pub(super) fn second_pass_again(
         &self,
         found: &Detection,
         labelled: &LabelledBoard,
@@ -91,29 +83,22 @@ impl Frame<'_> {
             line: found.line,
             observations: Vec::new(),
         };
-        let start = SecondPassed {
-            corners: found.corners.iter().map(of_corner).collect(),
-            aberration: found.aberration,
-            contrast: found.contrast,
-            wider_px2: found.taken_wider_px2,
-            width: None,
-        };
-        self.rounds(ROUNDS, start, labelled, counts)
+        let corners = found.corners.iter().map(of_corner).collect();
+        self.rounds(corners, labelled, found.contrast, counts)
     }
 
-    /// The rounds from one on.
     fn rounds(
         &self,
-        first: usize,
-        start: SecondPassed,
+        mut corners: Vec<BoardCorner>,
         labelled: &LabelledBoard,
+        contrast: f64,
         counts: &mut FrameCounts,
     ) -> SecondPassed {
-        let SecondPassed { mut corners, mut aberration, contrast, mut wider_px2, mut width } =
-            start;
         let at_first: Vec<i32> = corners.iter().map(|c| c.corner).collect();
-        let middle = self.search.sensor.center_px();
-        for round in first..=ROUNDS {
+        let (middle, pupil) = (self.search.sensor.center_px(), self.search.micro_images.pupil_px());
+        let mut aberration = Aberration::none(middle, pupil);
+        let (mut wider_px2, mut width) = (0.0, None);
+        for round in 1..=ROUNDS {
             let lines: Vec<CornerLine> = corners.iter().map(|c| c.line).collect();
             let Some(field) = SlopeField::fit(&lines) else { break };
             let pinholes =
