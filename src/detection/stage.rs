@@ -150,12 +150,13 @@ pub fn detect<'i>(
     let mut micro_images = Cow::Borrowed(search.micro_images);
     let spread = micro_images.point_spread_px2();
     let (mut frames, mut fill_is_known) = (Vec::new(), micro_images.settled().is_some());
+    let mut follows = 0.0;
     // Reading takes one core, so that a few frames at once keep all of them busy.
     for some in images.chunks(AT_ONCE) {
         let read = |image: &BoardImage<'i>| looking.read(image, &micro_images);
         let mut found: Vec<Result<Searched>> = some.par_iter().map(read).collect();
         if !fill_is_known {
-            micro_images = looking.settle(some, &mut found, micro_images);
+            (micro_images, follows) = looking.settle(some, &mut found, micro_images);
         }
         let of_image = |(image, found): (&BoardImage, Result<Searched>)| {
             let (detected, raw) = DetectedFrame::new(image, found);
@@ -173,7 +174,8 @@ pub fn detect<'i>(
         for (found, _) in with_edges.zip(widths.alike).filter(|(_, alike)| *alike) {
             found.take_width(widths.wider_px2);
         }
-        widths.fill
+        // Where edges follow what they were fitted with, errors of theirs have moved that again and again.
+        FillFactor { std_dev: widths.fill.std_dev / (1.0 - follows), ..widths.fill }
     });
     let mut warnings = warnings(&frames, search.board, subset);
     warnings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, &micro_images)));
@@ -201,14 +203,16 @@ impl Looking<'_> {
         Ok((raw, found, likeness))
     }
 
-    /// Searches images again until the fill factor that their edges show is that which corners are fitted with.
+    /// Searches images again until the fill factor that their edges show is that which corners are fitted with. Also the part of
+    /// that which their edges show again.
     fn settle<'m>(
         &self,
         images: &[BoardImage],
         found: &mut [Result<Searched>],
         mut micro_images: Cow<'m, MicroImages>,
-    ) -> Cow<'m, MicroImages> {
+    ) -> (Cow<'m, MicroImages>, f64) {
         let (spread, mut before) = (micro_images.point_spread_px2(), None);
+        let mut follows = 0.0;
         for _ in 1..ROUNDS {
             let searched = found.iter().filter_map(|found| found.as_ref().ok());
             let fitted_with = micro_images.fill_factor();
@@ -218,7 +222,8 @@ impl Looking<'_> {
             let Some(fill) = shown.map(|widths| widths.fill).filter(other) else { break };
             debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
             let step = [fitted_with, fill.value];
-            micro_images = Cow::Owned(micro_images.with_fill_factor(following(before, step)));
+            follows = before.map_or(follows, |before| part_that_follows(before, step));
+            micro_images = Cow::Owned(micro_images.with_fill_factor(following(follows, step)));
             before = Some(step);
             images.par_iter().zip(&mut *found).for_each(|(image, found)| {
                 if let Ok((raw, (Ok(found), counts), _)) = found {
@@ -230,7 +235,7 @@ impl Looking<'_> {
                 }
             });
         }
-        micro_images
+        (micro_images, follows)
     }
 }
 
@@ -252,12 +257,15 @@ fn widths<'a>(
     OfFrames::fit(&of_frames, point_spread_px2)
 }
 
-/// The fill factor to fit corners with after one step, from that which they were fitted with to that which their edges showed,
-/// or two. Where the blur is not much wider than the point spread, edges show only a part of the change, and each step the
-/// same part of what is left (Aitken).
-fn following(before: Option<[f64; 2]>, [fitted_with, shown]: [f64; 2]) -> f64 {
-    let follows = before.map_or(0.0, |before| (shown - before[1]) / (fitted_with - before[0]));
-    fitted_with + (shown - fitted_with) / (1.0 - follows.clamp(0.0, MOST_FOLLOWS))
+/// The part of the fill factor that corners are fitted with which their edges show again, from two steps: from that which they
+/// were fitted with to that which their edges showed. It is large where the blur is not much wider than the point spread.
+fn part_that_follows(before: [f64; 2], [fitted_with, shown]: [f64; 2]) -> f64 {
+    ((shown - before[1]) / (fitted_with - before[0])).clamp(0.0, MOST_FOLLOWS)
+}
+
+/// The fill factor to fit corners with after a step: of what is left, each step shows the same part (Aitken).
+fn following(follows: f64, [fitted_with, shown]: [f64; 2]) -> f64 {
+    fitted_with + (shown - fitted_with) / (1.0 - follows)
 }
 
 /// Whether a fill factor is another one than that which corners were fitted with, by so many standard deviations.
@@ -287,10 +295,12 @@ mod tests {
     fn two_steps_find_the_fill_factor_where_edges_show_a_part_of_it() {
         let shown = |fitted_with: f64| 0.9 + 0.6 * (fitted_with - 0.9);
         let first = [1.0, shown(1.0)];
-        let second = following(None, first);
+        let second = following(0.0, first);
         assert!((second - first[1]).abs() < 1e-12, "{second}");
-        let third = following(Some(first), [second, shown(second)]);
-        assert!((third - 0.9).abs() < 1e-12, "{third}");
+        let next = [second, shown(second)];
+        let follows = part_that_follows(first, next);
+        let third = following(follows, next);
+        assert!((follows - 0.6).abs() < 1e-12 && (third - 0.9).abs() < 1e-12, "{third}");
     }
 
     #[test]
@@ -298,7 +308,7 @@ mod tests {
         let step = [0.98, 0.97];
         // What was shown before: as if all that corners are fitted with showed again, and as if its contrary did.
         for (before, expected) in [([1.0, 0.99], 0.98 - 4.0 * 0.01), ([1.0, 0.96], 0.97)] {
-            let found = following(Some(before), step);
+            let found = following(part_that_follows(before, step), step);
             assert!((found - expected).abs() < 1e-12, "{found} for {expected}");
         }
     }
