@@ -124,7 +124,7 @@ const ROUNDS: usize = 8;
 /// Fill factors that are the same for that, relative, or within so many standard deviations; and within so many that this may
 /// be chance.
 const SAME_FILL: f64 = 0.002;
-const SAME: f64 = 0.1;
+const SAME: f64 = 0.5;
 pub(super) const CHANCE: f64 = 3.0;
 /// Largest part of the fill factor that corners are fitted with which their edges show again.
 const MOST_FOLLOWS: f64 = 0.75;
