@@ -70,7 +70,7 @@ pub(super) struct CornerSearch<'a> {
     pub contrast: f64,
     /// As far as it is known.
     pub aberration: Aberration,
-    /// See [`SecondPassed::wider_px2`].
+    /// Variance along an axis by which edges are wider than blur and pixels make them, px².
     pub wider_px2: f64,
     /// Whether this is the last round.
     pub last: bool,
