@@ -26,10 +26,13 @@ pub(super) enum Free {
 const ALL: usize = 7;
 const PLACE: usize = 4;
 
-/// How corners are followed down: a last step of two hundredths of a pixel leaves some ten thousandths, far below their
-/// uncertainty. Starts are so near that few steps are needed; in single precision no finer damping makes a difference.
+/// How corners are followed down: to a third of a hundredth of a pixel, far below their uncertainty. Starts
+/// are so near that few steps are needed; in single precision no finer damping makes a difference.
 const DESCENT: Descent =
-    Descent { steps: 12, settled: 0.003, unseen: 0.02, factor: 10.0, damping: (1e-6, 1e4) };
+    Descent { steps: 12, settled: 0.003, unseen: 0.0, factor: 10.0, damping: (1e-6, 1e4) };
+/// Where only place and levels are free, a last step of two hundredths of a pixel leaves some ten thousandths. (Directions and
+/// width may have far to go where the place has not.)
+const UNSEEN_PX: f64 = 0.02;
 /// Longest step of the place, px, of a direction, rad, and of the width, px: beyond, the linear model no
 /// longer describes the light.
 const LONGEST_STEP_PX: f64 = 2.0;
@@ -67,7 +70,8 @@ fn fit<const P: usize>(
     room.taken.resize(pixels);
     room.weighted.resize(pixels, 0.0);
     let mut squares = Squares::<P> { patch, rays, room };
-    let (mut corner, cost) = DESCENT.from(start, &mut squares)?;
+    let unseen = if P == PLACE { UNSEEN_PX } else { 0.0 };
+    let (mut corner, cost) = Descent { unseen, ..DESCENT }.from(start, &mut squares)?;
     let (normal, _) = squares.normal_equations()?;
     let inverse = normal.cholesky()?.inverse();
     let variance = cost / (pixels as f64 - P as f64).max(1.0);

@@ -101,23 +101,19 @@ pub fn detect_frame(
     (result, counts)
 }
 
-/// The board of a detection once more, with other micro-images: where it is, is known. What was found before if these do not
-/// show it.
+/// The board of a detection once more, with other micro-images, where it is known to be; `None` if it hardly shows there.
 pub(super) fn detect_again(
     frame: u32,
     image: &Grey,
     white: &Grey,
     search: &Search,
-    (before, counts): (&Detection, &mut FrameCounts),
-) -> Option<Detection> {
+    (before, mut counts): (&Detection, FrameCounts),
+) -> Option<(Detection, FrameCounts)> {
     let frame = Frame { frame, image, white, search };
     let labelled = LabelledBoard { homography: before.homography, corners: Vec::new() };
-    let mut anew = *counts;
-    let passed = frame.second_pass_again(before, &labelled, &mut anew);
-    (passed.corners.len() >= MIN_CORNERS).then(|| {
-        *counts = anew;
-        frame.detection(&passed, labelled.homography)
-    })
+    let passed = frame.second_pass_again(before, &labelled, &mut counts);
+    let enough = passed.corners.len() >= MIN_CORNERS;
+    enough.then(|| (frame.detection(&passed, labelled.homography), counts))
 }
 
 pub(super) struct Frame<'a> {

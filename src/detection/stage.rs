@@ -121,10 +121,10 @@ const AT_ONCE: usize = 4;
 /// The first frames with a board are searched so many times, until the fill factor that their edges show is that which
 /// corners are fitted with.
 const ROUNDS: usize = 8;
-/// Fill factors that are the same for that, relative, or within so many standard deviations; and within so many that this may
-/// be chance.
+/// Fill factors are the same for that if they differ by less than this part, or by less than so many standard deviations; by less
+/// than so many they may differ by chance.
 const SAME_FILL: f64 = 0.002;
-const SAME: f64 = 0.5;
+const SAME: f64 = 1.0;
 pub(super) const CHANCE: f64 = 3.0;
 /// Largest part of the fill factor that corners are fitted with which their edges show again.
 const MOST_FOLLOWS: f64 = 0.75;
@@ -174,8 +174,7 @@ pub fn detect<'i>(
         for (found, _) in with_edges.zip(widths.alike).filter(|(_, alike)| *alike) {
             found.take_width(widths.wider_px2);
         }
-        // Where edges follow what they were fitted with, errors of theirs have moved that again and again.
-        FillFactor { std_dev: widths.fill.std_dev / (1.0 - follows), ..widths.fill }
+        in_the_end(&widths.fill, fitted_with, follows)
     });
     let mut warnings = warnings(&frames, search.board, subset);
     warnings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, &micro_images)));
@@ -193,6 +192,24 @@ impl Looking<'_> {
     fn found(&self, image: &BoardImage, raw: &RawImage, micro_images: &MicroImages) -> Found {
         let search = Search { micro_images, ..*self.search };
         detect_frame(image.frame, &raw.grey_between(self.levels), &self.white, &search)
+    }
+
+    /// The same of an image that was searched with other micro-images: where it showed a board, only that is searched for.
+    fn found_again(
+        &self,
+        image: &BoardImage,
+        raw: &RawImage,
+        micro_images: &MicroImages,
+        (before, counts): &Found,
+    ) -> Found {
+        let search = Search { micro_images, ..*self.search };
+        let grey = raw.grey_between(self.levels);
+        let again =
+            |before| detect_again(image.frame, &grey, &self.white, &search, (before, *counts));
+        match before.as_ref().ok().and_then(again) {
+            Some((found, counts)) => (Ok(found), counts),
+            None => self.found(image, raw, micro_images),
+        }
     }
 
     /// Reads an image and searches it.
@@ -216,22 +233,20 @@ impl Looking<'_> {
         for _ in 1..ROUNDS {
             let searched = found.iter().filter_map(|found| found.as_ref().ok());
             let fitted_with = micro_images.fill_factor();
-            let other = |fill: &FillFactor| differs(fill, fitted_with, SAME);
             let shown =
                 widths(searched.filter_map(|(_, (found, _), _)| found.as_ref().ok()), spread);
-            let Some(fill) = shown.map(|widths| widths.fill).filter(other) else { break };
-            debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
+            let Some(fill) = shown.map(|widths| widths.fill) else { break };
             let step = [fitted_with, fill.value];
-            follows = before.map_or(follows, |before| part_that_follows(before, step));
+            follows = before.map_or(0.0, |before| part_that_follows(before, step));
+            if !differs(&fill, fitted_with, SAME) {
+                break;
+            }
+            debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
             micro_images = Cow::Owned(micro_images.with_fill_factor(following(follows, step)));
             before = Some(step);
             images.par_iter().zip(&mut *found).for_each(|(image, found)| {
-                if let Ok((raw, (Ok(found), counts), _)) = found {
-                    let search = Search { micro_images: &micro_images, ..*self.search };
-                    let raw = raw.grey_between(self.levels);
-                    let again =
-                        detect_again(image.frame, &raw, &self.white, &search, (found, counts));
-                    *found = again.unwrap_or_else(|| found.clone());
+                if let Ok((raw, found, _)) = found {
+                    *found = self.found_again(image, raw, &micro_images, found);
                 }
             });
         }
@@ -268,6 +283,13 @@ fn following(follows: f64, [fitted_with, shown]: [f64; 2]) -> f64 {
     fitted_with + (shown - fitted_with) / (1.0 - follows)
 }
 
+/// The fill factor that edges would show if they had been fitted with it, from what they show. Where they follow what they were
+/// fitted with, its σ is larger as well.
+fn in_the_end(shown: &FillFactor, fitted_with: f64, follows: f64) -> FillFactor {
+    let value = following(follows, [fitted_with, shown.value]);
+    FillFactor { value, std_dev: shown.std_dev / (1.0 - follows) }
+}
+
 /// Whether a fill factor is another one than that which corners were fitted with, by so many standard deviations.
 pub(super) fn differs(found: &FillFactor, fitted_with: f64, std_devs: f64) -> bool {
     let change = (found.value - fitted_with).abs();
@@ -301,6 +323,13 @@ mod tests {
         let follows = part_that_follows(first, next);
         let third = following(follows, next);
         assert!((follows - 0.6).abs() < 1e-12 && (third - 0.9).abs() < 1e-12, "{third}");
+        // Errors of what edges show move the end of these steps further, and so does σ say.
+        for (error, moved) in [(0.0, 0.0), (0.01, 0.025)] {
+            let fill = FillFactor { value: shown(0.95) + error, std_dev: 0.01 };
+            let end = in_the_end(&fill, 0.95, follows);
+            assert!((end.value - 0.9 - moved).abs() < 1e-12, "{end:?}");
+            assert!((end.std_dev - 0.025).abs() < 1e-12, "{end:?}");
+        }
     }
 
     #[test]

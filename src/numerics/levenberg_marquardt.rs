@@ -34,7 +34,7 @@ pub(crate) struct Descent {
     /// A step that lowers the sum and is shorter than this is the last one.
     pub settled: f64,
     /// One that would be shorter than this is the last one too, and is taken without evaluating the sum there: what it leaves is
-    /// of the second order.
+    /// of the second order. Not after a step that did not lower the sum.
     pub unseen: f64,
     /// The damping is divided by this after a step that lowers the sum, and multiplied by it otherwise.
     pub factor: f64,
@@ -68,8 +68,9 @@ impl Descent {
             let step = damped.cholesky().map(|factors| factors.solve(&right));
             if let Some(step) = step {
                 let next = sum.moved(&point, &step);
-                if sum.distance(&point, &next) < self.unseen {
-                    return Some((next, cost - right.dot(&step)));
+                if damping <= FIRST_DAMPING && sum.distance(&point, &next) < self.unseen {
+                    // By the linear model; rounding must not make it negative.
+                    return Some((next, (cost - right.dot(&step)).max(f64::EPSILON * cost)));
                 }
                 let next_cost = sum.evaluate(&next)?;
                 if next_cost < cost {
@@ -143,5 +144,48 @@ mod tests {
             Descent { steps: 100, settled: 1e-10, unseen: 0.0, factor: 5.0, damping: (1e-9, 1e6) };
         let (end, cost) = descent.from(Vector2::new(-1.2, 1.0), &mut valley).unwrap();
         assert!((end - Vector2::new(1.0, 1.0)).norm() < 1e-9 && cost < 1e-18, "{end} {cost}");
+    }
+
+    /// Of a straight valley one step finds the bottom: it need not be looked at, and its sum is known.
+    #[test]
+    fn a_short_last_step_is_taken_unseen() {
+        struct Straight {
+            trial: f64,
+            taken: f64,
+            evaluations: usize,
+        }
+        impl LeastSquares<1> for Straight {
+            type Point = f64;
+            fn evaluate(&mut self, at: &f64) -> Option<f64> {
+                self.evaluations += 1;
+                self.trial = *at;
+                // Residuals 1 − x and −0.4 − x.
+                Some((1.0 - at).powi(2) + (-0.4 - at).powi(2))
+            }
+            fn accept(&mut self) {
+                self.taken = self.trial;
+            }
+            fn normal_equations(&mut self) -> Option<(SMatrix<f64, 1, 1>, SVector<f64, 1>)> {
+                Some((SMatrix::from([[2.0]]), SVector::from([0.6 - 2.0 * self.taken])))
+            }
+            fn moved(&self, from: &f64, step: &SVector<f64, 1>) -> f64 {
+                from + step[0]
+            }
+            fn distance(&self, from: &f64, to: &f64) -> f64 {
+                (to - from).abs()
+            }
+        }
+        let settings =
+            Descent { steps: 9, settled: 1e-3, unseen: 0.1, factor: 9.0, damping: (1e-9, 1e6) };
+        for (start, evaluations) in [(0.25, 1), (2.0, 2)] {
+            let mut valley = Straight { trial: 0.0, taken: 0.0, evaluations: 0 };
+            let (end, sum) = settings.from(start, &mut valley).unwrap();
+            assert!((end - 0.3).abs() < 1e-4 && (sum - 0.98).abs() < 1e-4, "{end} {sum}");
+            assert_eq!(valley.evaluations, evaluations);
+        }
+        // The linear model is that of the evaluated sum, to the damping of the first step.
+        let mut seen = Straight { trial: 0.0, taken: 0.0, evaluations: 0 };
+        let (_, sum) = Descent { unseen: 0.0, ..settings }.from(0.25, &mut seen).unwrap();
+        assert!(seen.evaluations > 1 && (sum - 0.98).abs() < 1e-6, "{sum}");
     }
 }

@@ -133,7 +133,7 @@ class PLENOCAL_API CalibrationProblem {
   int residual_blocks() const { return static_cast<int>(blocks_.size()); }
   /// The first row of a block.
   int first_row(int block) const { return blocks_[block].first_row; }
-  /// That of a block at the present values, from several threads if need be. Throws
+  /// Linearises a block at the present values; several threads may do so at once. Throws
   /// std::invalid_argument where the model is not defined.
   void linearise(int block, Linearised* result) const;
 

@@ -256,7 +256,8 @@ PLENOCAL_API Uncertainty uncertainty(const Camera& camera, const std::vector<Pos
                                      const std::vector<CommonError>& common = {}, int threads = 1);
 
 /// The information of each frame on the free intrinsics, with its pose unknown: a square matrix for
-/// each frame, row by row. Anchors and centres take no part. Throws like `refine`.
+/// each frame, row by row, the same for any number of threads. Anchors and centres take no part.
+/// Throws like `refine`.
 PLENOCAL_API std::vector<double> frame_information(const Camera& camera,
                                                    const std::vector<Pose>& poses,
                                                    const Observations& observations,
