@@ -10,11 +10,11 @@ use super::corner::Corner;
 use super::corner_fit::{FitRoom, Free};
 use super::distortion::Distortion;
 use super::edge_width::EdgeWidth;
-use super::first_pass::{LEAST_CONTRAST, REACH};
+use super::first_pass::LEAST_CONTRAST;
 use super::frame::Frame;
 use super::levers::{Levers, STEPS};
 use super::line::{CornerLine, possible_slope};
-use super::patch::{self, Pair, Patch};
+use super::patch::{self, Patch};
 use super::rays::Rays;
 use super::second_pass::{BoardCorner, Found};
 use super::seen::Seen;
@@ -99,9 +99,6 @@ impl CornerSearch<'_> {
         let lit = |optics: MicroOptics| optics.lit_px(optics.blur_radius_px(slope));
         let largest = micro_images.all_optics_at(&pinhole).map(lit).fold(0.0, f64::max);
         let nodes = micro_images.about(&pinhole, largest / (1.0 - slope).abs());
-        let places = nodes.iter().map(|&(k, l)| micro_images.center(k, l));
-        let reach = REACH * micro_images.grid.pitch_px;
-        let pair = Pair::about(self.frame.image, self.frame.white, places, reach);
         let (mut observations, mut imbalances, mut unclear) = (Vec::new(), Vec::new(), 0);
         let mut room = Room::default();
         let step = nodes.len().div_ceil(ENOUGH).max(1);
@@ -114,7 +111,7 @@ impl CornerSearch<'_> {
             if expected.norm() > optics.lit_px(rho) - EDGE_PX {
                 continue;
             }
-            let Some(seen) = self.seen(sought, &pair, node, &mut room) else {
+            let Some(seen) = self.seen(sought, node, &mut room) else {
                 unclear += 1;
                 continue;
             };
@@ -134,20 +131,14 @@ impl CornerSearch<'_> {
     }
 
     /// What is seen of a corner in a micro-image; `None` if it does not clearly show.
-    fn seen(
-        &self,
-        sought: &BoardCorner,
-        pair: &Pair,
-        node: (i32, i32),
-        room: &mut Room,
-    ) -> Option<Seen> {
+    fn seen(&self, sought: &BoardCorner, node: (i32, i32), room: &mut Room) -> Option<Seen> {
         let micro_images = self.frame.search.micro_images;
         let (center, slope) = (micro_images.center(node.0, node.1), sought.line.slope);
         let optics = micro_images.optics(node.0, node.1);
         let vignetting = micro_images.vignetting(&optics);
         let bend = self.aberration.bend(&center, slope);
         let blur = Blur::new(&optics, slope, bend, vignetting).wider(self.wider_px2);
-        pair.read(micro_images, node, &mut room.patch, &mut room.reading).ok()?;
+        self.frame.pair().read(micro_images, node, &mut room.patch, &mut room.reading).ok()?;
         if !self.last {
             room.patch = room.patch.thinned(ROUGH_PIXELS);
         }

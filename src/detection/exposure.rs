@@ -3,9 +3,8 @@
 use rayon::prelude::*;
 
 use super::Rejection;
-use super::first_pass::REACH;
 use super::frame::Frame;
-use super::patch::{Pair, Patch, Room, Unusable};
+use super::patch::{Patch, Room, Unusable};
 use crate::numerics::median;
 
 /// So many micro-images show how bright the frame is, and every second one along both rows and columns at most.
@@ -74,11 +73,8 @@ impl Frame<'_> {
         nodes: impl Iterator<Item = &'n (i32, i32)>,
     ) -> Vec<Result<Level, Unusable>> {
         let micro_images = self.search.micro_images;
-        let reach = REACH * micro_images.grid.pitch_px;
         let of_node = |(patch, room): &mut (Patch, Room), &(k, l): &(i32, i32)| {
-            let place = std::iter::once(micro_images.center(k, l));
-            let pair = Pair::about(self.image, self.white, place, reach);
-            pair.read(micro_images, (k, l), patch, room)?;
+            self.pair().read(micro_images, (k, l), patch, room)?;
             if patch.saturated_white > SATURATED_WHITE {
                 return Err(Unusable::SaturatedWhite);
             }

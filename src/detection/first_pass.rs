@@ -8,7 +8,7 @@ use super::corner_fit::{FitRoom, Free};
 use super::dbscan::dbscan;
 use super::frame::{Frame, FrameCounts};
 use super::grouping::{Group, LineSearch, groups_on_lines, is_texture};
-use super::patch::{Pair, Patch, Room};
+use super::patch::{Patch, Room};
 use super::rays::Rays;
 use super::saddle::saddles;
 use super::{CornerObservation, MicroOptics};
@@ -18,8 +18,6 @@ use crate::model::{Configuration, LatticeKind};
 const TILE: i32 = 16;
 /// Micro-images whose centres are up to so many pitches from that of one with a corner may show it too.
 const ABOUT: f64 = 1.8;
-/// How far from the centre of a micro-image its pixels are read, in pitches.
-pub(super) const REACH: f64 = 0.6;
 /// Least and largest contrast of corners, in parts of the frame's: nothing is brighter or darker than its
 /// squares, but for noise.
 pub(super) const LEAST_CONTRAST: f64 = 0.35;
@@ -138,9 +136,7 @@ impl<'a> FirstPass<'a> {
         nodes.sort_by_key(|&node| tile(node));
         let tiles: Vec<&[(i32, i32)]> = nodes.chunk_by(|&a, &b| tile(a) == tile(b)).collect();
         let of_tile = |nodes: &&[(i32, i32)]| {
-            let places = nodes.iter().map(|&(k, l)| micro_images.center(k, l));
-            let reach = REACH * micro_images.grid.pitch_px;
-            let pair = Pair::about(frame.image, frame.white, places, reach);
+            let pair = frame.pair();
             let mut unusable = 0;
             let mut observations = Vec::new();
             let (mut patch, mut room) = (Patch::default(), Room::default());

@@ -9,6 +9,7 @@ use super::board::{LabelledBoard, LatticePoint};
 use super::corner::Corner;
 use super::first_pass::FirstPass;
 use super::grouping::Group;
+use super::patch::Pair;
 use super::{CornerObservation, DepthEstimator, Detection, MicroImages, Rejection};
 use crate::image::Grey;
 use crate::model::{Board, MIN_CORNERS, Sensor};
@@ -205,6 +206,11 @@ impl Frame<'_> {
     pub fn in_view(&self, place: &Vector2<f64>, pitches: f64) -> bool {
         let micro_images = self.search.micro_images;
         micro_images.show(place, self.search.sensor, pitches * micro_images.grid.pitch_px)
+    }
+
+    /// The board and its white image.
+    pub fn pair(&self) -> Pair<'_> {
+        Pair { board: self.image, white: self.white }
     }
 
     /// The micro-images whose centres are in the image.

@@ -7,9 +7,9 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::MicroImages;
-use super::patch::{Pair, USABLE};
+use super::patch::USABLE;
 use super::stage::DetectedFrame;
-use crate::image::Grey;
+use crate::image::{Grey, bounds};
 use crate::numerics::median;
 
 /// The white image, its Laplacian, which takes up the noise that both have, and what may be wrong.
@@ -214,16 +214,17 @@ struct Compared {
 impl Compared {
     fn of(board: &Grey, white: &Grey, all: &MicroImages, (k, l): (i32, i32)) -> Option<Self> {
         let (place, reach) = (all.center(k, l), all.grid.pitch_px / 2.0);
-        let pair = Pair::about(board, white, std::iter::once(place), reach + 2.0);
-        let (width, height) = (pair.white.width, pair.white.height);
-        let center = place - pair.corner;
+        let ((left, top, width, height), corner) = bounds(std::iter::once(place), reach + 2.0);
+        let [board, white] = [board, white].map(|image| image.part(left, top, width, height));
+        let (width, height) = (white.width, white.height);
+        let center = place - corner;
         let inside = center.min() >= reach + 1.0
             && center.x + reach + 1.0 < width as f64 - 1.0
             && center.y + reach + 1.0 < height as f64 - 1.0;
         if !inside {
             return None;
         }
-        let at = |u: usize, v: usize| f64::from(pair.white.pixels[v * width + u]);
+        let at = |u: usize, v: usize| f64::from(white.pixels[v * width + u]);
         let pixels = (1..height - 1).flat_map(|v| (1..width - 1).map(move |u| (u, v)));
         let off = |&(u, v): &(usize, usize)| (u as f64 - center.x).hypot(v as f64 - center.y);
         let pixels: Vec<(usize, usize)> = pixels.filter(|pixel| off(pixel) < reach).collect();
@@ -231,7 +232,7 @@ impl Compared {
         let (from_middle, mut sums) = (place - all.middle(), Sums::none());
         let mut kept = 0;
         for pixel @ &(u, v) in &pixels {
-            let (w, b) = (at(u, v), f64::from(pair.board.pixels[v * width + u]));
+            let (w, b) = (at(u, v), f64::from(board.pixels[v * width + u]));
             if w < f64::from(USABLE) * brightest || w >= 1.0 || b >= 1.0 {
                 continue;
             }

@@ -8,7 +8,7 @@ use pulp::{Arch, NullaryFnOnce, Simd, WithSimd};
 
 use super::lanes::{dot, largest, sum, weighted_squares};
 use super::micro_images::MicroImages;
-use crate::image::{Grey, Image};
+use crate::image::Grey;
 
 /// Pixels of a micro-image: offsets from its centre (px), light relative to the white image, and
 /// weights, 1 where the white image is brightest.
@@ -117,30 +117,14 @@ pub(super) fn weight(white: f32) -> f32 {
 /// Fewest pixels for a corner of seven parameters, with some redundancy.
 const FEWEST_PIXELS: usize = 40;
 
-/// Two images of the same place: a board and its white image.
-pub(super) struct Pair {
-    pub board: Image,
-    pub white: Image,
-    /// Place of the first pixel.
-    pub corner: Vector2<f64>,
+/// Two images of the same size: a board and its white image.
+#[derive(Clone, Copy)]
+pub(super) struct Pair<'a> {
+    pub board: &'a Grey<'a>,
+    pub white: &'a Grey<'a>,
 }
 
-impl Pair {
-    /// The part of both images that is up to `reach` from some places.
-    pub fn about(
-        board: &Grey,
-        white: &Grey,
-        places: impl Iterator<Item = Vector2<f64>>,
-        reach: f64,
-    ) -> Self {
-        let ((left, top, width, height), corner) = crate::image::bounds(places, reach);
-        Self {
-            board: board.part(left, top, width, height),
-            white: white.part(left, top, width, height),
-            corner,
-        }
-    }
-
+impl Pair<'_> {
     /// Reads the patch of a micro-image into one that may have been used before, or says why there is none.
     pub fn read(
         &self,
@@ -149,7 +133,7 @@ impl Pair {
         patch: &mut Patch,
         room: &mut Room,
     ) -> Result<(), Unusable> {
-        let center = micro_images.center(k, l) - self.corner;
+        let center = micro_images.center(k, l);
         let optics = micro_images.optics(k, l);
         let reach = optics.outer_radius_px().min(optics.half_pitch_px);
         let whole = self.collect(&center, reach, patch, &mut room.white).ok_or(Unusable::Cut)?;
@@ -187,7 +171,7 @@ impl Pair {
     ) -> Option<(f32, u32, u32)> {
         let (top, bottom) = ((center.y - reach).ceil(), (center.y + reach).floor());
         let (left, right) = ((center.x - reach).ceil(), (center.x + reach).floor());
-        let (width, height) = (self.white.width, self.white.height);
+        let (width, height) = self.white.size();
         if top < 0.0 || left < 0.0 || right >= width as f64 || bottom >= height as f64 {
             return None;
         }
@@ -205,8 +189,11 @@ impl Pair {
             let from_center = (first as f64 - center.x) as f32;
             patch.x.extend((0..(last - first) as u16).map(|i| from_center + f32::from(i)));
             patch.y.resize(patch.x.len(), y as f32);
-            patch.light.extend_from_slice(&self.board.pixels[v * width..][first..last]);
-            whites.extend_from_slice(&self.white.pixels[v * width..][first..last]);
+            let so_far = patch.light.len();
+            for (image, light) in [(self.board, &mut patch.light), (self.white, &mut *whites)] {
+                light.resize(patch.x.len(), 0.0);
+                image.read_row((first, v), &mut light[so_far..]);
+            }
         }
         Some(Arch::new().dispatch(Brightness { board: &patch.light, white: whites }))
     }
@@ -289,6 +276,7 @@ impl NullaryFnOnce for Divided<'_> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::image::{Color, RawImage, Samples};
     use crate::model::{
         Configuration, Datasheet, InternalParameters, Lattice, LatticeKind, Packing, Sensor,
     };
@@ -334,21 +322,28 @@ pub(super) mod tests {
 
     #[test]
     fn an_unusable_micro_image_says_why() {
-        let flat = |light: f32| Image { width: 61, height: 61, pixels: vec![light; 61 * 61] };
-        let of = |board: f32, white: f32, pitch_px: f64, corner: Vector2<f64>| {
-            let pair = Pair { board: flat(board), white: flat(white), corner };
+        let of = |board: f64, white: f64, pitch_px: f64, (width, height): (usize, usize)| {
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // of 8 bits
+            let flat = |light: f64| RawImage {
+                width,
+                height,
+                color: Color::Grey,
+                samples: Samples::Bits8(vec![(255.0 * light) as u8; width * height]),
+            };
+            let (board, white) = (flat(board), flat(white));
+            let pair = Pair { board: &board.as_they_are(), white: &white.as_they_are() };
             let mut patch = Patch::default();
             pair.read(&micro_images(pitch_px), (1, 1), &mut patch, &mut Room::default())
                 .map(|()| patch.light.len())
         };
-        let whole = Vector2::zeros();
+        let whole = (61, 61);
         assert!(of(0.5, 0.8, 16.0, whole).is_ok_and(|pixels| pixels > 100));
         assert_eq!(of(1.0, 0.8, 16.0, whole), Err(Unusable::Saturated));
         assert_eq!(of(0.5, 1.0, 16.0, whole), Err(Unusable::SaturatedWhite));
         assert_eq!(of(1.0, 1.0, 16.0, whole), Err(Unusable::SaturatedWhite));
         assert_eq!(of(0.5, 0.0, 16.0, whole), Err(Unusable::Dark));
         assert_eq!(of(0.5, 0.8, 6.0, whole), Err(Unusable::TooSmall));
-        assert_eq!(of(0.5, 0.8, 16.0, Vector2::new(25.0, 0.0)), Err(Unusable::Cut));
+        assert_eq!(of(0.5, 0.8, 16.0, (36, 61)), Err(Unusable::Cut));
     }
 
     /// The array may be smaller than the sensor.

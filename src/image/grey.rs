@@ -190,36 +190,55 @@ impl Grey<'_> {
         let raw = self.raw;
         let (right, bottom) = (raw.width.min(left + width), raw.height.min(top + height));
         let (width, height) = (right.saturating_sub(left), bottom.saturating_sub(top));
-        let (black, scale) = (self.black, self.scale);
-        let value = |sample: T, gain: f32| ((sample.into() - black) * scale * gain).min(1.0);
-        let per_pixel = raw.color.samples();
-        let fill = |(row, pixels): (usize, &mut [f32])| {
-            let v = top + row;
-            let samples = &samples[(v * raw.width + left) * per_pixel..][..width * per_pixel];
-            match raw.color {
-                Color::Grey => {
-                    Arch::new().dispatch(GreyRow { samples, pixels, black, scale });
-                }
-                Color::Rgb => {
-                    for (pixel, rgb) in pixels.iter_mut().zip(samples.chunks_exact(3)) {
-                        let sum: f32 = (0..3).map(|c| value(rgb[c], self.gains[c])).sum();
-                        *pixel = sum / 3.0;
-                    }
-                }
-                mosaic => {
-                    let gain = |u| self.gains[mosaic.mosaic(u, v).unwrap_or_default()];
-                    let gains = [gain(left), gain(left + 1)];
-                    for (u, (pixel, &sample)) in pixels.iter_mut().zip(samples).enumerate() {
-                        *pixel = value(sample, gains[u % 2]);
-                    }
-                }
-            }
-        };
         let mut pixels = vec![0.0; width * height];
         if width > 0 {
             let rows = pixels.par_chunks_exact_mut(width).enumerate();
+            let fill = |(row, pixels): (usize, &mut [f32])| {
+                self.row_of(samples, (left, top + row), pixels);
+            };
             rows.with_min_len(SIDE_BY_SIDE).for_each(fill);
         }
         Image { width, height, pixels }
+    }
+
+    /// Reads pixels of a row, from (u, v) on.
+    #[inline]
+    pub(crate) fn read_row(&self, from: (usize, usize), pixels: &mut [f32]) {
+        match &self.raw.samples {
+            Samples::Bits8(samples) => self.row_of(samples, from, pixels),
+            Samples::Bits16(samples) => self.row_of(samples, from, pixels),
+        }
+    }
+
+    #[inline]
+    fn row_of<T: Copy + Into<f32>>(
+        &self,
+        samples: &[T],
+        (left, v): (usize, usize),
+        pixels: &mut [f32],
+    ) {
+        let (color, black, scale) = (self.raw.color, self.black, self.scale);
+        let per_pixel = color.samples();
+        let first = (v * self.raw.width + left) * per_pixel;
+        let samples = &samples[first..][..pixels.len() * per_pixel];
+        let value = |sample: T, gain: f32| ((sample.into() - black) * scale * gain).min(1.0);
+        match color {
+            Color::Grey => {
+                Arch::new().dispatch(GreyRow { samples, pixels, black, scale });
+            }
+            Color::Rgb => {
+                for (pixel, rgb) in pixels.iter_mut().zip(samples.chunks_exact(3)) {
+                    let sum: f32 = (0..3).map(|c| value(rgb[c], self.gains[c])).sum();
+                    *pixel = sum / 3.0;
+                }
+            }
+            mosaic => {
+                let gain = |u| self.gains[mosaic.mosaic(u, v).unwrap_or_default()];
+                let gains = [gain(left), gain(left + 1)];
+                for (u, (pixel, &sample)) in pixels.iter_mut().zip(samples).enumerate() {
+                    *pixel = value(sample, gains[u % 2]);
+                }
+            }
+        }
     }
 }
