@@ -1,6 +1,7 @@
 //! Every micro-image as the pre-calibration describes it.
 
 use nalgebra::Vector2;
+use rayon::prelude::*;
 
 use super::MicroOptics;
 use super::levers::STEPS;
@@ -188,7 +189,7 @@ impl MicroImages {
                     let q = self.fill_factor * (q_prime * intercept * scale - half_pitch);
                     Vignetting::new(self.pupil_px * pupil * scale, q, &pixel)
                 };
-                (self.first_step..=-self.first_step).map(of_step).collect()
+                (self.first_step..=-self.first_step).into_par_iter().map(of_step).collect()
             };
             self.q_prime_px.iter().map(of_type).collect()
         })
