@@ -17,14 +17,14 @@ use super::main_lens::{Optics, Passage};
 use super::ray::Ray;
 use super::real_lens::RealLens;
 use super::rendering::{Bundle, Draw};
-use super::sampling::{BLOCK, PointBlock, RaySet};
+use super::sampling::{BLOCK, Points, RaySet};
 use super::scene::PlacedTarget;
 use super::thin_lens::{Aim, ThinMainLens};
 use super::tracer::Tracer;
 use super::window::Window;
 
-/// Rays side by side.
-struct Block {
+/// Rays side by side, in the place of others.
+pub(super) struct Block {
     /// The place on the sensor, local to the micro-lens.
     pixel: [[f64; BLOCK]; 3],
     /// That on the micro-lens.
@@ -44,7 +44,18 @@ pub(super) struct Gathering<'a> {
     pub set: RaySet<'a>,
     /// u and v.
     pub at: [usize; 2],
-    pub board: Option<&'a PlacedTarget>,
+    pub sees: Sees<'a>,
+    /// Room for rays.
+    pub block: &'a mut Block,
+}
+
+/// What all rays of a bundle see that pass the main lens.
+#[derive(Clone, Copy)]
+pub(super) enum Sees<'a> {
+    /// One radiance.
+    Plain(f64),
+    /// A board, or what is beside it.
+    Board(&'a PlacedTarget),
 }
 
 impl Gathering<'_> {
@@ -60,12 +71,12 @@ impl NullaryFnOnce for Gathering<'_> {
 
     #[inline(always)]
     fn call(self) -> f64 {
-        let Self { tracer, lens, bundle, set, at: [u, v], board } = self;
+        let Self { tracer, lens, bundle, set, at: [u, v], sees, block } = self;
         let dusty = tracer.dust.touches(u, v);
         let mut sums = [0.0; BLOCK];
         for index in 0..set.blocks() {
             let points = set.block(index);
-            let mut block = Block::of(&points, bundle);
+            block.start(&points, bundle);
             if dusty {
                 block.clear_of_dust(tracer, &points, [u, v]);
             }
@@ -78,16 +89,20 @@ impl NullaryFnOnce for Gathering<'_> {
             if let Some(stop) = tracer.second_stop {
                 block.keep(|ray| stop.passes(ray));
             }
-            match (&tracer.lens.optics, board) {
-                (Optics::Thin(thin), None) => {
+            match (&tracer.lens.optics, sees) {
+                (Optics::Thin(thin), Sees::Plain(radiance)) => {
                     let pupil = thin.pupil;
                     block.keep(|ray| pupil.passes(ray));
+                    block.see_plain(radiance);
                 }
-                (Optics::Thin(thin), Some(board)) => {
+                (Optics::Thin(thin), Sees::Board(board)) => {
                     block.see_through_thin(thin, bundle.aim.as_ref(), board);
                 }
-                (Optics::Real(real), None) => block.pass_real(real),
-                (Optics::Real(real), Some(board)) => block.see_through_real(real, board),
+                (Optics::Real(real), Sees::Plain(radiance)) => {
+                    block.pass_real(real);
+                    block.see_plain(radiance);
+                }
+                (Optics::Real(real), Sees::Board(board)) => block.see_through_real(real, board),
             }
             block.fall_off(tracer.fall_off, tracer.mla_to_sensor);
             for i in 0..BLOCK {
@@ -99,25 +114,29 @@ impl NullaryFnOnce for Gathering<'_> {
 }
 
 impl Block {
-    /// Rays from their places in a pixel.
-    #[inline(always)]
-    fn of(points: &PointBlock, bundle: &Bundle) -> Self {
+    /// Room for rays.
+    pub fn new() -> Self {
         let none = [0.0; BLOCK];
-        let mut block = Self {
+        Self {
             pixel: [none; 3],
             on_lens: [none; 2],
             at_lens: [none; 2],
             slope: [none; 2],
-            light: points.share,
-        };
+            light: none,
+        }
+    }
+
+    /// Rays from their places in a pixel.
+    #[inline(always)]
+    fn start(&mut self, points: &Points, bundle: &Bundle) {
+        self.light = *points.share();
         for i in 0..BLOCK {
-            let [x, y] = [points.pixel[0][i], points.pixel[1][i]];
+            let [x, y] = points.pixel(i);
             for axis in 0..3 {
-                block.pixel[axis][i] =
+                self.pixel[axis][i] =
                     bundle.pixel[axis] + bundle.right[axis] * x + bundle.down[axis] * y;
             }
         }
-        block
     }
 
     #[inline(always)]
@@ -142,10 +161,9 @@ impl Block {
     }
 
     #[inline(never)]
-    fn clear_of_dust(&mut self, tracer: &Tracer, points: &PointBlock, [u, v]: [usize; 2]) {
+    fn clear_of_dust(&mut self, tracer: &Tracer, points: &Points, [u, v]: [usize; 2]) {
         for i in 0..BLOCK {
-            let place = [points.pixel[0][i], points.pixel[1][i]];
-            if tracer.dust.covers(u, v, place) {
+            if tracer.dust.covers(u, v, points.pixel(i)) {
                 self.light[i] = 0.0;
             }
         }
@@ -153,7 +171,7 @@ impl Block {
 
     /// Over the reach of a point spread the overlap of both openings changes much: every ray has its own.
     #[inline(always)]
-    fn draw_each(&mut self, tracer: &Tracer, lens: &MicroLens, points: &PointBlock) {
+    fn draw_each(&mut self, tracer: &Tracer, lens: &MicroLens, points: &Points) {
         for i in 0..BLOCK {
             match tracer.draw(lens, &self.pixel(i), 0.0) {
                 Some(draw) => self.draw(tracer, lens, &draw, points, i..i + 1),
@@ -163,7 +181,7 @@ impl Block {
     }
 
     #[inline(always)]
-    fn draw_all(&mut self, tracer: &Tracer, lens: &MicroLens, draw: &Draw, points: &PointBlock) {
+    fn draw_all(&mut self, tracer: &Tracer, lens: &MicroLens, draw: &Draw, points: &Points) {
         self.draw(tracer, lens, draw, points, 0..BLOCK);
     }
 
@@ -174,7 +192,7 @@ impl Block {
         tracer: &Tracer,
         lens: &MicroLens,
         draw: &Draw,
-        points: &PointBlock,
+        points: &Points,
         which: Range<usize>,
     ) {
         let opening = tracer.array.opening_radius;
@@ -204,13 +222,11 @@ impl Block {
         &mut self,
         window: Window,
         (radius, area): (f64, f64),
-        points: &PointBlock,
+        points: &Points,
         which: Range<usize>,
     ) {
         for i in which {
-            let disc = Vector2::new(points.disc[0][i], points.disc[1][i]);
-            let square = Vector2::new(points.square[0][i], points.square[1][i]);
-            let (place, inside) = window.place(disc, square);
+            let (place, inside) = window.place(points.disc(i), points.square(i));
             self.on_lens[0][i] = place.x * radius;
             self.on_lens[1][i] = place.y * radius;
             self.light[i] = if inside { self.light[i] * area } else { 0.0 };
@@ -242,11 +258,14 @@ impl Block {
         match aim {
             Some(aim) if thin.moves => self.see_board(thin, aim, true, board),
             Some(aim) => self.see_board(thin, aim, false, board),
-            None => {
-                for i in 0..BLOCK {
-                    self.light[i] *= board.background();
-                }
-            }
+            None => self.see_plain(board.background()),
+        }
+    }
+
+    #[inline(always)]
+    fn see_plain(&mut self, radiance: f64) {
+        for i in 0..BLOCK {
+            self.light[i] *= radiance;
         }
     }
 

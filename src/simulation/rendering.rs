@@ -1,11 +1,14 @@
 //! Renders images: the light along all rays from the pixels through the micro-lenses.
 
+use std::ops::Range;
+
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::array::MicroLens;
 use super::ray::Ray;
-use super::rays::Gathering;
+use super::main_lens::Optics;
+use super::rays::{Block, Gathering, Sees};
 use super::sampling::{RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
 use super::spread::{Footprint, half_width_px};
@@ -18,6 +21,13 @@ use crate::image::Image;
 /// Tilt changes the outline of a micro-image by less than this fraction; testing a few pixels too
 /// many is cheap.
 const OUTLINE_MARGIN: f64 = 1.02;
+
+/// Whether all see the same is asked of so many pixels together.
+const SIDE_BY_SIDE: usize = 8;
+/// How much further than the ends of their pixels and of the micro-lens tell rays surely do not reach: by this part, and by so
+/// many squares.
+const SURELY: f64 = 1.2;
+const SURELY_SQUARES: f64 = 0.01;
 
 /// The rays between one pixel and one micro-lens, in local coordinates.
 pub(super) struct Bundle {
@@ -115,13 +125,63 @@ impl Tracer {
         let lens = &self.array.lenses[i];
         let (center, radius) = self.outline(lens);
         let half = (radius * radius - (v as f64 - center.y).powi(2)).max(0.0).sqrt();
-        for u in pixels_between(center.x - half, center.x + half, sums.len()) {
-            let Some(bundle) = self.bundle(lens, u, v, board) else { continue };
-            let set = sets.set(hash([seed, i as u64, u as u64, v as u64]));
-            let gathering =
-                Gathering { tracer: self, lens, bundle: &bundle, set, at: [u, v], board };
-            sums[u] += gathering.light();
+        let pixels = pixels_between(center.x - half, center.x + half, sums.len());
+        let mut block = Block::new();
+        for first in pixels.clone().step_by(SIDE_BY_SIDE) {
+            let some = first..(first + SIDE_BY_SIDE).min(pixels.end);
+            let sees = match board {
+                None => Sees::Plain(1.0),
+                Some(board) => {
+                    self.plain(lens, &some, v, board).map_or(Sees::Board(board), Sees::Plain)
+                }
+            };
+            for u in some {
+                let aims_at = if let Sees::Board(board) = sees { Some(board) } else { None };
+                let Some(bundle) = self.bundle(lens, u, v, aims_at) else { continue };
+                let set = sets.set(hash([seed, i as u64, u as u64, v as u64]));
+                let block = &mut block;
+                let gathering =
+                    Gathering { tracer: self, lens, bundle: &bundle, set, at: [u, v], sees, block };
+                sums[u] += gathering.light();
+            }
         }
+    }
+
+    /// What all rays see that lead from pixels side by side through a micro-lens and a thin main lens, if that surely is one
+    /// radiance: the square, border or background of a flat board.
+    fn plain(
+        &self,
+        lens: &MicroLens,
+        columns: &Range<usize>,
+        v: usize,
+        board: &PlacedTarget,
+    ) -> Option<f64> {
+        let Optics::Thin(thin) = &self.lens.optics else { return None };
+        let (array, none) = (&self.array, Vector2::zeros());
+        let [half_width, half_height] =
+            [columns.len() as f64 / 2.0, 0.5].map(|half| half - 0.5 + self.pixel_reach_px());
+        let middle = Vector2::new((columns.start + columns.end - 1) as f64 / 2.0, v as f64);
+        let ray = |off_px: Vector2<f64>, on_lens: Vector2<f64>| {
+            let place = middle + off_px;
+            self.through(lens, on_lens, &array.local(lens, &array.on_sensor(place.x, place.y)))
+        };
+        let in_the_middle = ray(none, none);
+        let aim = thin.aim(&in_the_middle, board)?;
+        let place = |ray: &Ray| {
+            let (outer, meets) = thin.object_ray(ray, &aim, thin.moves);
+            meets.then(|| board.squares(&outer))
+        };
+        let at = place(&in_the_middle)?;
+        let mut reach = Vector2::repeat(SURELY_SQUARES);
+        for axis in [Vector2::x(), Vector2::y()] {
+            let half_px = axis.x * half_width + axis.y * half_height;
+            for (off_px, on_lens) in [(axis * half_px, none), (none, axis * array.opening_radius)] {
+                let ends = [place(&ray(off_px, on_lens))?, place(&ray(-off_px, -on_lens))?];
+                let [one, other] = ends.map(|end| (end - at).abs());
+                reach += one.sup(&other) * SURELY;
+            }
+        }
+        board.radiance_between(&(at - reach), &(at + reach))
     }
 
     /// The rays between a pixel and the pupil through one micro-lens; `None` if there are none.

@@ -1,5 +1,6 @@
 //! Where the rays of a pixel go: low-discrepancy points over the pixel and a disc.
 
+use nalgebra::Vector2;
 use sobol_burley::sample;
 
 use super::spread::Footprint;
@@ -10,12 +11,50 @@ pub(super) const BLOCK: usize = 32;
 /// Some rays: positions from the middle of the pixel (±½ px, and more with a point spread), and in the
 /// square from −1 to 1, which is also mapped onto the unit disc.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct PointBlock {
-    pub pixel: [[f64; BLOCK]; 2],
-    pub square: [[f64; BLOCK]; 2],
-    pub disc: [[f64; BLOCK]; 2],
+struct PointBlock {
+    pixel: [[f64; BLOCK]; 2],
+    square: [[f64; BLOCK]; 2],
+    disc: [[f64; BLOCK]; 2],
     /// 1, but 0 where there is no further ray.
-    pub share: [f64; BLOCK],
+    share: [f64; BLOCK],
+}
+
+/// The same or their mirror images.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Points<'a> {
+    block: &'a PointBlock,
+    /// Signs of the axes of the pixel and of the disc.
+    signs: [f64; 4],
+}
+
+#[allow(clippy::inline_always)] // compiled for the registers of loops over rays
+impl Points<'_> {
+    /// Where in the pixel ray `i` arrives.
+    #[inline(always)]
+    pub fn pixel(&self, i: usize) -> [f64; 2] {
+        let ([x, y], [sign_x, sign_y, ..]) = (&self.block.pixel, self.signs);
+        [x[i] * sign_x, y[i] * sign_y]
+    }
+
+    /// Where it comes from in the square.
+    #[inline(always)]
+    pub fn square(&self, i: usize) -> Vector2<f64> {
+        let ([x, y], [.., sign_x, sign_y]) = (&self.block.square, self.signs);
+        Vector2::new(x[i] * sign_x, y[i] * sign_y)
+    }
+
+    /// Where on the disc.
+    #[inline(always)]
+    pub fn disc(&self, i: usize) -> Vector2<f64> {
+        let ([x, y], [.., sign_x, sign_y]) = (&self.block.disc, self.signs);
+        Vector2::new(x[i] * sign_x, y[i] * sign_y)
+    }
+
+    /// 1, but 0 where there is no further ray.
+    #[inline(always)]
+    pub fn share(&self) -> &[f64; BLOCK] {
+        &self.block.share
+    }
 }
 
 /// Many differently scrambled sets of points. Every pixel of every micro-lens takes a random one, so
@@ -98,27 +137,18 @@ impl RaySet<'_> {
     /// Some of the rays.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
-    pub fn block(&self, index: usize) -> PointBlock {
-        let mut block = self.blocks[index];
-        for axis in 0..2 {
-            let (of_pixel, of_disc) = (self.signs[axis], self.signs[2 + axis]);
-            for i in 0..BLOCK {
-                block.pixel[axis][i] *= of_pixel;
-                block.square[axis][i] *= of_disc;
-                block.disc[axis][i] *= of_disc;
-            }
-        }
-        block
+    pub fn block(&self, index: usize) -> Points<'_> {
+        Points { block: &self.blocks[index], signs: self.signs }
     }
 
     /// All of them: the places in the pixel and on the disc.
     #[cfg(test)]
     pub fn points(&self) -> Vec<([f64; 2], [f64; 2])> {
         let of = |index: usize| {
-            let block = self.block(index);
+            let points = self.block(index);
             (0..BLOCK)
-                .filter(move |&i| block.share[i] > 0.0)
-                .map(move |i| (block.pixel.map(|p| p[i]), block.disc.map(|d| d[i])))
+                .filter(move |&i| points.share()[i] > 0.0)
+                .map(move |i| (points.pixel(i), points.disc(i).into()))
         };
         (0..self.blocks()).flat_map(of).collect()
     }

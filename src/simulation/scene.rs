@@ -201,13 +201,52 @@ impl PlacedTarget {
         self.radiance_at(&self.on_plane(ray))
     }
 
+    /// Where a ray in front of the lens meets the plane of the board, in squares, the first one from 0 to 1.
+    pub fn squares(&self, ray: &Ray) -> Vector2<f64> {
+        self.in_squares(&self.on_plane(ray)).into()
+    }
+
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
+    fn in_squares(&self, hit: &Vector3<f64>) -> [f64; 2] {
+        let along = |axis: &Vector3<f64>| axis.x * hit.x + axis.y * hit.y + axis.z * hit.z + 1.0;
+        [along(&self.x), along(&self.y)]
+    }
+
+    /// The radiance of all places of a flat board between two, in squares, if it is the same.
+    pub fn radiance_between(&self, low: &Vector2<f64>, high: &Vector2<f64>) -> Option<f64> {
+        if self.is_bent() || self.target.uneven_light != [0.0; 2] {
+            return None;
+        }
+        let ends = [self.target.columns + 1, self.target.rows + 1].map(f64::from);
+        let (mut is_beside, mut is_within) = (false, true);
+        for axis in 0..2 {
+            let (low, high, end) = (low[axis], high[axis], ends[axis]);
+            is_beside |= high < -self.border || low > end + self.border;
+            // Edges of the sheet and of squares.
+            let crosses = |edge| (low..=high).contains(&edge);
+            let between_squares = high >= 0.0 && low <= end && low.floor() != high.floor();
+            let edges = [-self.border, 0.0, end, end + self.border];
+            is_within &= low <= high && !between_squares && !edges.into_iter().any(crosses);
+        }
+        if is_beside {
+            return Some(self.target.background);
+        }
+        is_within.then(|| self.radiance_of_squares((low + high) / 2.0))
+    }
+
     /// Radiance of a place in the plane of a board, from corner 0.
     #[inline(always)]
     #[allow(clippy::inline_always, clippy::needless_bitwise_bool)] // the same, without branches
     fn radiance_at(&self, hit: &Vector3<f64>) -> f64 {
-        // In squares, the first one from 0 to 1.
-        let along = |axis: &Vector3<f64>| axis.x * hit.x + axis.y * hit.y + axis.z * hit.z + 1.0;
-        let (x, y) = (along(&self.x), along(&self.y));
+        self.radiance_of_squares(self.in_squares(hit).into())
+    }
+
+    /// Radiance of a place in the plane of a board, in squares.
+    #[inline(always)]
+    #[allow(clippy::inline_always, clippy::needless_bitwise_bool)] // the same, without branches
+    fn radiance_of_squares(&self, place: Vector2<f64>) -> f64 {
+        let (x, y) = (place.x, place.y);
         let (columns, rows) = (f64::from(self.target.columns + 1), f64::from(self.target.rows + 1));
         let within = |margin: f64| {
             (x >= -margin) & (x < columns + margin) & (y >= -margin) & (y < rows + margin)

@@ -55,7 +55,7 @@ impl Window {
 
 #[cfg(test)]
 mod tests {
-    use super::super::sampling::{BLOCK, PointBlock, RaySets};
+    use super::super::sampling::{BLOCK, Points, RaySets};
     use super::super::spread::Footprint;
     use super::*;
     use crate::vignetting::overlap_area;
@@ -69,13 +69,11 @@ mod tests {
             let middle = Vector2::new(0.6, -0.8) * distance;
             let window = Window::about(middle, radius);
             let set = sets.set(0);
-            let covered = |block: &PointBlock, i: usize| {
-                let [disc, square] =
-                    [block.disc, block.square].map(|axes| Vector2::from(axes.map(|of| of[i])));
-                let (place, inside) = window.place(disc, square);
+            let covered = |points: &Points, i: usize| {
+                let (place, inside) = window.place(points.disc(i), points.square(i));
                 inside && (place - middle).norm() < radius
             };
-            let in_block = |block: PointBlock| (0..BLOCK).filter(|&i| covered(&block, i)).count();
+            let in_block = |points: Points| (0..BLOCK).filter(|&i| covered(&points, i)).count();
             let all: usize = (0..set.blocks()).map(|i| in_block(set.block(i))).sum();
             let share = all as f64 / set.rays() as f64;
             let smaller = radius.min(1.0);
