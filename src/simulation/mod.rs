@@ -28,6 +28,7 @@ mod sampling;
 mod scene;
 mod sensor;
 mod settings;
+mod sheet;
 mod spread;
 mod stage;
 mod target;

@@ -258,7 +258,7 @@ impl Block {
         match aim {
             Some(aim) if thin.moves => self.see_board(thin, aim, true, board),
             Some(aim) => self.see_board(thin, aim, false, board),
-            None => self.see_plain(board.background()),
+            None => self.see_plain(board.sheet.background),
         }
     }
 
@@ -283,12 +283,14 @@ impl Block {
                 radiance[i] = board.radiance(&self.ray(i));
             }
         } else {
+            // In registers, a choice between two radiances costs nothing.
+            let sheet = board.sheet;
             for i in 0..BLOCK {
-                radiance[i] = board.radiance_of_flat(&self.ray(i));
+                radiance[i] = sheet.radiance(board.place(&self.ray(i)));
             }
         }
         for i in 0..BLOCK {
-            let background = board.background();
+            let background = board.sheet.background;
             self.light[i] *= if meeting[i] > 0.0 { radiance[i] } else { background };
         }
     }
@@ -308,7 +310,7 @@ impl Block {
             if self.light[i] > 0.0 {
                 self.light[i] *= match real.follow(&self.ray(i), board) {
                     Passage::Blocked => 0.0,
-                    Passage::Away => board.background(),
+                    Passage::Away => board.sheet.background,
                     Passage::Seen(outer) => board.radiance(&outer),
                 };
             }

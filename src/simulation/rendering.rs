@@ -6,8 +6,8 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::array::MicroLens;
-use super::ray::Ray;
 use super::main_lens::Optics;
+use super::ray::Ray;
 use super::rays::{Block, Gathering, Sees};
 use super::sampling::{RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
@@ -157,6 +157,9 @@ impl Tracer {
         board: &PlacedTarget,
     ) -> Option<f64> {
         let Optics::Thin(thin) = &self.lens.optics else { return None };
+        if board.is_bent() {
+            return None;
+        }
         let (array, none) = (&self.array, Vector2::zeros());
         let [half_width, half_height] =
             [columns.len() as f64 / 2.0, 0.5].map(|half| half - 0.5 + self.pixel_reach_px());
@@ -169,7 +172,7 @@ impl Tracer {
         let aim = thin.aim(&in_the_middle, board)?;
         let place = |ray: &Ray| {
             let (outer, meets) = thin.object_ray(ray, &aim, thin.moves);
-            meets.then(|| board.squares(&outer))
+            meets.then(|| board.place(&outer))
         };
         let at = place(&in_the_middle)?;
         let mut reach = Vector2::repeat(SURELY_SQUARES);
@@ -181,7 +184,7 @@ impl Tracer {
                 reach += one.sup(&other) * SURELY;
             }
         }
-        board.radiance_between(&(at - reach), &(at + reach))
+        board.sheet.radiance_between(&(at - reach), &(at + reach))
     }
 
     /// The rays between a pixel and the pupil through one micro-lens; `None` if there are none.

@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 
 use super::ray::Ray;
+use super::sheet::Sheet;
 use super::target::{Surface, Target};
 use super::thin_lens::ImageShift;
 use crate::error::{Error, Result};
@@ -19,14 +20,13 @@ pub enum Scene {
 /// A checkerboard in the camera frame, prepared for ray tracing.
 #[derive(Debug, Clone)]
 pub(super) struct PlacedTarget {
-    target: Target,
+    pub sheet: Sheet,
     origin: Point3<f64>,
     /// Board axes in units of a square.
     x: Vector3<f64>,
     y: Vector3<f64>,
     plane: BoardPlane,
     bent: Option<Bent>,
-    border: f64,
     /// Depth of the nearest point of the sheet.
     nearest: f64,
 }
@@ -112,13 +112,12 @@ impl PlacedTarget {
         let stretch = target.stretch();
         let offset = normal.dot(&pose.translation.vector);
         Ok(Self {
-            target: *target,
+            sheet: Sheet::new(target),
             origin: Point3::from(pose.translation.vector),
             x: pose.rotation * Vector3::x() / (target.square_mm * stretch.x),
             y: pose.rotation * Vector3::y() / (target.square_mm * stretch.y),
             plane: BoardPlane::new(normal, offset, focal_length),
             bent: surface.map(|surface| Bent { surface, rotation: pose.rotation }),
-            border: target.border_mm / target.square_mm,
             nearest,
         })
     }
@@ -182,81 +181,25 @@ impl PlacedTarget {
         Some(self.origin + hit)
     }
 
-    /// Radiance of the background.
-    pub fn background(&self) -> f64 {
-        self.target.background
-    }
-
     /// Radiance along a ray in front of the lens.
     pub fn radiance(&self, ray: &Ray) -> f64 {
-        let Some(bent) = &self.bent else { return self.radiance_of_flat(ray) };
+        let Some(bent) = &self.bent else { return self.sheet.radiance(self.place(ray)) };
         let hit = bent.meet(self.on_plane(ray), ray);
-        hit.map_or(self.target.background, |hit| self.radiance_at(&hit))
+        hit.map_or(self.sheet.background, |hit| self.sheet.radiance(self.in_squares(&hit)))
     }
 
-    /// The same of a board that is not bent.
+    /// Where a ray in front of the lens meets the plane of the board: see [`Sheet`].
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
-    pub fn radiance_of_flat(&self, ray: &Ray) -> f64 {
-        self.radiance_at(&self.on_plane(ray))
-    }
-
-    /// Where a ray in front of the lens meets the plane of the board, in squares, the first one from 0 to 1.
-    pub fn squares(&self, ray: &Ray) -> Vector2<f64> {
-        self.in_squares(&self.on_plane(ray)).into()
+    pub fn place(&self, ray: &Ray) -> Vector2<f64> {
+        self.in_squares(&self.on_plane(ray))
     }
 
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
-    fn in_squares(&self, hit: &Vector3<f64>) -> [f64; 2] {
+    fn in_squares(&self, hit: &Vector3<f64>) -> Vector2<f64> {
         let along = |axis: &Vector3<f64>| axis.x * hit.x + axis.y * hit.y + axis.z * hit.z + 1.0;
-        [along(&self.x), along(&self.y)]
-    }
-
-    /// The radiance of all places of a flat board between two, in squares, if it is the same.
-    pub fn radiance_between(&self, low: &Vector2<f64>, high: &Vector2<f64>) -> Option<f64> {
-        if self.is_bent() || self.target.uneven_light != [0.0; 2] {
-            return None;
-        }
-        let ends = [self.target.columns + 1, self.target.rows + 1].map(f64::from);
-        let (mut is_beside, mut is_within) = (false, true);
-        for axis in 0..2 {
-            let (low, high, end) = (low[axis], high[axis], ends[axis]);
-            is_beside |= high < -self.border || low > end + self.border;
-            // Edges of the sheet and of squares.
-            let crosses = |edge| (low..=high).contains(&edge);
-            let between_squares = high >= 0.0 && low <= end && low.floor() != high.floor();
-            let edges = [-self.border, 0.0, end, end + self.border];
-            is_within &= low <= high && !between_squares && !edges.into_iter().any(crosses);
-        }
-        if is_beside {
-            return Some(self.target.background);
-        }
-        is_within.then(|| self.radiance_of_squares((low + high) / 2.0))
-    }
-
-    /// Radiance of a place in the plane of a board, from corner 0.
-    #[inline(always)]
-    #[allow(clippy::inline_always, clippy::needless_bitwise_bool)] // the same, without branches
-    fn radiance_at(&self, hit: &Vector3<f64>) -> f64 {
-        self.radiance_of_squares(self.in_squares(hit).into())
-    }
-
-    /// Radiance of a place in the plane of a board, in squares.
-    #[inline(always)]
-    #[allow(clippy::inline_always, clippy::needless_bitwise_bool)] // the same, without branches
-    fn radiance_of_squares(&self, place: Vector2<f64>) -> f64 {
-        let (x, y) = (place.x, place.y);
-        let (columns, rows) = (f64::from(self.target.columns + 1), f64::from(self.target.rows + 1));
-        let within = |margin: f64| {
-            (x >= -margin) & (x < columns + margin) & (y >= -margin) & (y < rows + margin)
-        };
-        let pairs = 0.5 * (x.floor() + y.floor());
-        // Whole, or with a half.
-        let black = within(0.0) & (pairs - pairs.floor() < 0.25);
-        let print = if black { self.target.black } else { self.target.white };
-        let light = print * self.target.light(x - 1.0, y - 1.0);
-        if within(self.border) { light } else { self.target.background }
+        Vector2::new(along(&self.x), along(&self.y))
     }
 }
 

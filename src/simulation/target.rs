@@ -47,8 +47,6 @@ pub struct Target {
     pub uneven_light: [f64; 2],
 }
 
-/// The least light on any part of the sheet, relative to its middle.
-const LEAST_LIGHT: f64 = 0.05;
 /// Largest difference of both spacings, relative: a print is off by much less.
 const MAX_ASPECT: f64 = 0.2;
 /// Points along each side of a bent sheet that are looked at to find the nearest one.
@@ -100,16 +98,6 @@ impl Target {
         };
         let places = (0..=last).flat_map(|j| (0..=last).map(move |i| at([i, j])));
         places.map(|place| self.on_surface(place)).collect()
-    }
-
-    /// The light on the sheet where x and y are in squares from corner 0, relative to its middle.
-    #[inline(always)]
-    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
-    pub(super) fn light(&self, x: f64, y: f64) -> f64 {
-        let [half_x, half_y] = [self.columns, self.rows].map(|n| f64::from(n - 1) / 2.0);
-        let [along_x, along_y] = self.uneven_light;
-        let light = 1.0 + along_x * (x / half_x - 1.0) + along_y * (y / half_y - 1.0);
-        light.max(LEAST_LIGHT)
     }
 
     fn on_surface(&self, place: Vector2<f64>) -> Point3<f64> {
@@ -297,15 +285,6 @@ mod tests {
         };
         let expected = Vector2::new(along(Vector2::x()), along(Vector2::y()));
         assert!((surface.slope(&place) - expected).norm() < 1e-9);
-    }
-
-    /// In squares from corner 0, with the middle at (2, 1).
-    #[test]
-    fn light_is_even_in_the_middle_and_never_lost() {
-        let target = target();
-        for (x, y, light) in [(2.0, 1.0, 1.0), (4.0, 1.0, 1.5), (2.0, 0.5, 1.5), (0.0, 2.0, 0.05)] {
-            assert!((target.light(x, y) - light).abs() < 1e-12, "{x}, {y}");
-        }
     }
 
     /// The sheet ends 14 mm beyond the corners, at ξ = ±1.7.
