@@ -110,10 +110,10 @@ impl Lens {
         }
     }
 
-    /// What a narrow bundle of rays about `ray` has in common, if the lens needs it.
-    pub fn aim(&self, ray: &Ray, board: &PlacedTarget) -> Option<Aim> {
+    /// What a narrow bundle of rays about `ray` has in common, if the lens needs it. That of a ray nearby is a start.
+    pub fn aim(&self, ray: &Ray, board: &PlacedTarget, nearby: Option<&Aim>) -> Option<Aim> {
         let Optics::Thin(thin) = &self.optics else { return None };
-        thin.aim(ray, board)
+        thin.aim(ray, board, nearby)
     }
 
     /// Follows a ray to a board, with [`Lens::aim`] for its bundle.

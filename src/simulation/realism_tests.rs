@@ -108,7 +108,7 @@ fn rays_from_true_features_end_in_the_corners_of_a_bent_board() {
             let local = |u, v| tracer.array.local(lens, &tracer.array.on_sensor(u, v));
             let pixel = local(feature.u_px, feature.v_px);
             let ray = tracer.through(lens, Vector2::zeros(), &pixel);
-            let aim = tracer.lens.aim(&ray, &board);
+            let aim = tracer.lens.aim(&ray, &board, None);
             let Passage::Seen(outer) = tracer.lens.follow(&ray, aim.as_ref(), &board) else {
                 continue;
             };

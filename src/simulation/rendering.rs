@@ -1,7 +1,5 @@
 //! Renders images: the light along all rays from the pixels through the micro-lenses.
 
-use std::ops::Range;
-
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
@@ -129,15 +127,20 @@ impl Tracer {
         let mut block = Block::new();
         for first in pixels.clone().step_by(SIDE_BY_SIDE) {
             let some = first..(first + SIDE_BY_SIDE).min(pixels.end);
-            let sees = match board {
-                None => Sees::Plain(1.0),
-                Some(board) => {
-                    self.plain(lens, &some, v, board).map_or(Sees::Board(board), Sees::Plain)
+            let middle = Vector2::new((some.start + some.end - 1) as f64 / 2.0, v as f64);
+            let ray = self.between(lens, middle, Vector2::zeros());
+            let aim = board.and_then(|board| self.lens.aim(&ray, board, None));
+            let sees = match (board, &aim) {
+                (None, _) => Sees::Plain(1.0),
+                (Some(board), None) => Sees::Board(board),
+                (Some(board), Some(aim)) => {
+                    let plain = self.plain(lens, (middle, some.len()), aim, board);
+                    plain.map_or(Sees::Board(board), Sees::Plain)
                 }
             };
             for u in some {
                 let aims_at = if let Sees::Board(board) = sees { Some(board) } else { None };
-                let Some(bundle) = self.bundle(lens, u, v, aims_at) else { continue };
+                let Some(bundle) = self.bundle(lens, u, v, aims_at, aim.as_ref()) else { continue };
                 let set = sets.set(hash([seed, i as u64, u as u64, v as u64]));
                 let block = &mut block;
                 let gathering =
@@ -147,53 +150,55 @@ impl Tracer {
         }
     }
 
-    /// What all rays see that lead from pixels side by side through a micro-lens and a thin main lens, if that surely is one
-    /// radiance: the square, border or background of a flat board.
+    /// The ray from a place in the image, px, through one on a micro-lens, local, to the main lens.
+    fn between(&self, lens: &MicroLens, place: Vector2<f64>, on_lens: Vector2<f64>) -> Ray {
+        let pixel = self.array.local(lens, &self.array.on_sensor(place.x, place.y));
+        self.through(lens, on_lens, &pixel)
+    }
+
+    /// What all rays see that lead from pixels side by side, so many about one place, through a micro-lens and a thin main lens,
+    /// if that surely is one radiance: a square, border or background of a flat board. `aim` is that of the ray from the place
+    /// through the middle of the micro-lens.
     fn plain(
         &self,
         lens: &MicroLens,
-        columns: &Range<usize>,
-        v: usize,
+        (middle, pixels): (Vector2<f64>, usize),
+        aim: &Aim,
         board: &PlacedTarget,
     ) -> Option<f64> {
         let Optics::Thin(thin) = &self.lens.optics else { return None };
         if board.is_bent() {
             return None;
         }
-        let (array, none) = (&self.array, Vector2::zeros());
+        let none = Vector2::zeros();
         let [half_width, half_height] =
-            [columns.len() as f64 / 2.0, 0.5].map(|half| half - 0.5 + self.pixel_reach_px());
-        let middle = Vector2::new((columns.start + columns.end - 1) as f64 / 2.0, v as f64);
-        let ray = |off_px: Vector2<f64>, on_lens: Vector2<f64>| {
-            let place = middle + off_px;
-            self.through(lens, on_lens, &array.local(lens, &array.on_sensor(place.x, place.y)))
-        };
-        let in_the_middle = ray(none, none);
-        let aim = thin.aim(&in_the_middle, board)?;
-        let place = |ray: &Ray| {
-            let (outer, meets) = thin.object_ray(ray, &aim, thin.moves);
+            [pixels as f64 / 2.0, 0.5].map(|half| half - 0.5 + self.pixel_reach_px());
+        let place = |off_px: Vector2<f64>, on_lens: Vector2<f64>| {
+            let ray = self.between(lens, middle + off_px, on_lens);
+            let (outer, meets) = thin.object_ray(&ray, aim, thin.moves);
             meets.then(|| board.place(&outer))
         };
-        let at = place(&in_the_middle)?;
+        let at = place(none, none)?;
         let mut reach = Vector2::repeat(SURELY_SQUARES);
         for axis in [Vector2::x(), Vector2::y()] {
             let half_px = axis.x * half_width + axis.y * half_height;
-            for (off_px, on_lens) in [(axis * half_px, none), (none, axis * array.opening_radius)] {
-                let ends = [place(&ray(off_px, on_lens))?, place(&ray(-off_px, -on_lens))?];
-                let [one, other] = ends.map(|end| (end - at).abs());
-                reach += one.sup(&other) * SURELY;
+            let ends = [(axis * half_px, none), (none, axis * self.array.opening_radius)];
+            for (off_px, on_lens) in ends {
+                reach += (place(off_px, on_lens)? - at).abs() * SURELY;
             }
         }
         board.sheet.radiance_between(&(at - reach), &(at + reach))
     }
 
-    /// The rays between a pixel and the pupil through one micro-lens; `None` if there are none.
+    /// The rays between a pixel and the pupil through one micro-lens; `None` if there are none. The aim of a ray nearby is a
+    /// start for theirs.
     pub(super) fn bundle(
         &self,
         lens: &MicroLens,
         u: usize,
         v: usize,
         board: Option<&PlacedTarget>,
+        nearby: Option<&Aim>,
     ) -> Option<Bundle> {
         let array = &self.array;
         let pixel = array.local(lens, &array.on_sensor(u as f64, v as f64));
@@ -202,7 +207,7 @@ impl Tracer {
             // The ray through the middle of the projected pupil, or the nearest point of the opening.
             let within = (array.opening_radius / draw.middle.norm()).min(1.0);
             let ray = self.through(lens, draw.middle * within, &pixel);
-            self.lens.aim(&ray, board)
+            self.lens.aim(&ray, board, nearby)
         });
         let step = array.pixel_size;
         Some(Bundle {

@@ -56,7 +56,7 @@ fn light_returns_along_the_rays() {
             }
             let (u, v) = pixel_at(&center);
             let u = u + i % 3;
-            let bundle = tracer.bundle(lens, u, v, Some(&board)).unwrap();
+            let bundle = tracer.bundle(lens, u, v, Some(&board), None).unwrap();
             for ([right, down], disc) in sets.set(i as u64).points() {
                 let pixel = bundle.pixel + bundle.right * right + bundle.down * down;
                 let on_lens = Vector2::from(disc) * tracer.array.opening_radius;

@@ -156,9 +156,9 @@ impl ThinMainLens {
         LocalDistortion { distorted, undistorted, inverse, shift }
     }
 
-    /// What the rays about `ray` have in common; `None` if it leads away from the board.
-    pub fn aim(&self, ray: &Ray, board: &PlacedTarget) -> Option<Aim> {
-        let aim = self.aim_at(ray, board.plane())?;
+    /// What the rays about `ray` have in common; `None` if it leads away from the board. That of a ray nearby is a start.
+    pub fn aim(&self, ray: &Ray, board: &PlacedTarget, nearby: Option<&Aim>) -> Option<Aim> {
+        let aim = self.aim_at(ray, board.plane(), nearby)?;
         if !board.is_bent() {
             return Some(aim);
         }
@@ -168,19 +168,20 @@ impl ThinMainLens {
             return None;
         }
         match board.tangent(&outer) {
-            Some(plane) => self.aim_at(ray, &plane),
+            Some(plane) => self.aim_at(ray, &plane, Some(&aim)),
             None => Some(aim),
         }
     }
 
-    fn aim_at(&self, ray: &Ray, board: &BoardPlane) -> Option<Aim> {
-        let about = |shift: ImageShift, guess: Option<Vector2<f64>>| {
-            let (z, meets) = board.image_plane(&shift).z(ray);
-            let at = ray.at(z);
-            meets.then(|| self.about(at, guess.unwrap_or(at)))
+    fn aim_at(&self, ray: &Ray, board: &BoardPlane, nearby: Option<&Aim>) -> Option<Aim> {
+        let at = |shift: &ImageShift| {
+            let (z, meets) = board.image_plane(shift).z(ray);
+            meets.then(|| ray.at(z))
         };
-        let first = about(ImageShift::none(), None)?;
-        let local = about(first.shift, Some(first.undistorted))?;
+        let without = || at(&ImageShift::none()).map(|at| self.about(at, at));
+        let start = nearby.map_or_else(without, |nearby| Some(nearby.local))?;
+        let at = at(&start.shift)?;
+        let local = self.about(at, start.undistorted + start.inverse * (at - start.distorted));
         Some(Aim { local, plane: board.image_plane(&local.shift) })
     }
 
