@@ -178,12 +178,12 @@ impl Alike {
     pub fn gradients(
         &self,
         reach: f64,
-        lever: impl Fn(f64) -> f64,
-        light_and_growth: impl Fn(f64) -> (f64, f64),
+        lever: impl Fn(f64) -> f64 + Sync,
+        light_and_growth: impl Fn(f64) -> (f64, f64) + Sync,
     ) -> Vec<Gradient> {
         let brightest = self.mean.iter().map(|ring| ring.light).fold(0.0, f64::max);
         let of_rings: Vec<(&Ring, (f64, f64))> =
-            self.mean.iter().map(|ring| (ring, light_and_growth(ring.radius))).collect();
+            self.mean.par_iter().map(|ring| (ring, light_and_growth(ring.radius))).collect();
         // Where the middle is clipped, its light follows from the edge.
         let whole = || of_rings.iter().filter(|(ring, _)| ring.whole && ring.radius < reach);
         let products = whole().map(|(ring, (light, _))| ring.light * light).sum::<f64>();
@@ -206,7 +206,7 @@ impl Alike {
             );
             (ring.whole && ring.radius < reach).then_some((columns, weight))
         };
-        let design: Vec<Option<Design>> = of_rings.iter().map(design).collect();
+        let design: Vec<Option<Design>> = of_rings.par_iter().map(design).collect();
         self.images.par_iter().filter_map(|image| gradient(image, &design)).collect()
     }
 }

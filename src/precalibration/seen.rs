@@ -4,6 +4,8 @@
 //! the overlap of the discs there, times how light falls off with the angles at which it arrives. So it is a sum over t with
 //! weights that depend on r and the pixel alone. They are found once, and then used for any discs.
 
+use rayon::prelude::*;
+
 use crate::vignetting::{Obliquity, Overlap, Pixel, overlap, overlap_area};
 
 /// Steps of the distances from the middle that light is seen at, and of those that it comes from, px.
@@ -99,7 +101,7 @@ impl Seen {
         let count = (reach_px / SEEN_PX).ceil() as usize + 4;
         let from_px = if pixel.variance > WIDE_PX2 { 2.0 * FROM_PX } else { FROM_PX };
         let row = |i: usize| Row::new(i as f64 * SEEN_PX, &places, from_px);
-        let rows: Vec<Row> = (0..count).map(row).collect();
+        let rows: Vec<Row> = (0..count).into_par_iter().map(row).collect();
         let from = rows.iter().map(|row| row.first + row.weights.len()).max().unwrap_or_default();
         Self { rows, from_px, from }
     }
