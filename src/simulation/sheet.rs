@@ -66,6 +66,7 @@ impl Sheet {
     }
 
     /// The radiance of all places in a rectangle, if it is the same.
+    #[allow(clippy::float_cmp)] // whole numbers, and light that is even or not
     pub fn radiance_between(&self, low: &Vector2<f64>, high: &Vector2<f64>) -> Option<f64> {
         if self.light_by_square != [0.0; 2] {
             return None;
@@ -118,6 +119,7 @@ mod tests {
 
     /// A rectangle with one radiance has no other anywhere; small ones on squares, border and background have one.
     #[test]
+    #[allow(clippy::float_cmp)] // of the same print
     fn a_plain_rectangle_shows_one_radiance() {
         let sheet = Sheet::new(&target());
         let (mut plain, mut mixed) = (0, 0);
