@@ -123,7 +123,7 @@ const AT_ONCE: usize = 4;
 const ROUNDS: usize = 8;
 /// Fill factors are the same for that if they differ by less than this part, or by less than so many standard deviations; by less
 /// than so many they may differ by chance.
-const SAME_FILL: f64 = 0.01;
+const SAME_FILL: f64 = 0.002;
 const SAME: f64 = 1.0;
 pub(super) const CHANCE: f64 = 3.0;
 /// Largest part of the fill factor that corners are fitted with which their edges show again.
