@@ -14,7 +14,7 @@ use super::saddle::saddles;
 use super::{CornerObservation, MicroOptics};
 use crate::model::{Configuration, LatticeKind};
 
-/// Micro-images along the edge of a tile that is read at once.
+/// Micro-images along the edge of a tile, which one thread searches.
 const TILE: i32 = 16;
 /// Micro-images whose centres are up to so many pitches from that of one with a corner may show it too.
 const ABOUT: f64 = 1.8;

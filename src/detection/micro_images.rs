@@ -263,11 +263,12 @@ impl MicroImages {
         self.point_spread_px2
     }
 
-    /// a in the middle of the image, px.
+    /// The middle of the image, px.
     pub(super) fn middle(&self) -> Vector2<f64> {
         self.middle
     }
 
+    /// a in the middle of the image, px.
     pub(super) fn pupil_px(&self) -> f64 {
         self.pupil_px
     }

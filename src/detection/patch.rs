@@ -344,6 +344,10 @@ pub(super) mod tests {
         assert_eq!(of(0.5, 0.0, 16.0, whole), Err(Unusable::Dark));
         assert_eq!(of(0.5, 0.8, 6.0, whole), Err(Unusable::TooSmall));
         assert_eq!(of(0.5, 0.8, 16.0, (36, 61)), Err(Unusable::Cut));
+        assert_eq!(of(0.5, 0.8, 16.0, (61, 36)), Err(Unusable::Cut));
+        // The middle is 30 px from the first pixels.
+        assert!(of(0.5, 0.8, 60.0, whole).is_ok());
+        assert_eq!(of(0.5, 0.8, 62.0, (100, 100)), Err(Unusable::Cut));
     }
 
     /// The array may be smaller than the sensor.

@@ -249,6 +249,21 @@ mod tests {
         }
     }
 
+    /// Wherever it begins.
+    #[test]
+    fn a_part_of_a_row_is_that_of_the_image() {
+        for color in [Color::Grey, Color::Rgb, Color::BayerGrbg, Color::BayerBggr] {
+            let samples = (0..24 * color.samples()).map(|i| (i * i % 251) as u8).collect();
+            let image = RawImage { width: 6, height: 4, color, samples: Samples::Bits8(samples) };
+            let (grey, whole) = (image.grey(), image.to_grey());
+            for (left, v) in [(0, 0), (1, 0), (2, 1), (3, 3)] {
+                let mut row = [0.0; 3];
+                grey.read_row((left, v), &mut row);
+                assert_eq!(row, whole.pixels[v * 6 + left..][..3], "{color:?} at ({left}, {v})");
+            }
+        }
+    }
+
     #[test]
     fn an_image_without_pixels_has_nothing_to_compare() {
         for (width, height) in [(0, 5), (5, 0)] {

@@ -110,7 +110,8 @@ impl Lens {
         }
     }
 
-    /// What a narrow bundle of rays about `ray` has in common, if the lens needs it. That of a ray nearby is a start.
+    /// What a narrow bundle of rays about `ray` has in common, if the lens needs it. The search starts from what was
+    /// found for a ray nearby, if there is one.
     pub fn aim(&self, ray: &Ray, board: &PlacedTarget, nearby: Option<&Aim>) -> Option<Aim> {
         let Optics::Thin(thin) = &self.optics else { return None };
         thin.aim(ray, board, nearby)

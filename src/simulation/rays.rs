@@ -23,7 +23,7 @@ use super::thin_lens::{Aim, ThinMainLens};
 use super::tracer::Tracer;
 use super::window::Window;
 
-/// Rays side by side, in the place of others.
+/// Rays side by side; the room is used again for the next ones.
 pub(super) struct Block {
     /// The place on the sensor, local to the micro-lens.
     pixel: [[f64; BLOCK]; 3],
@@ -283,7 +283,7 @@ impl Block {
                 radiance[i] = board.radiance(&self.ray(i));
             }
         } else {
-            // In registers, a choice between two radiances costs nothing.
+            // A copy, so that both radiances stay in registers.
             let sheet = board.sheet;
             for i in 0..BLOCK {
                 radiance[i] = sheet.radiance(board.place(&self.ray(i)));

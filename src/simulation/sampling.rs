@@ -10,7 +10,7 @@ pub(super) const BLOCK: usize = 32;
 
 /// Some rays: positions from the middle of the pixel (±½ px, and more with a point spread), and in the
 /// square from −1 to 1, which is also mapped onto the unit disc.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug)]
 struct PointBlock {
     pixel: [[f64; BLOCK]; 2],
     square: [[f64; BLOCK]; 2],
@@ -19,7 +19,7 @@ struct PointBlock {
     share: [f64; BLOCK],
 }
 
-/// The same or their mirror images.
+/// The rays of a block, or their mirror images.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Points<'a> {
     block: &'a PointBlock,

@@ -117,7 +117,7 @@ mod tests {
         }
     }
 
-    /// A rectangle with one radiance has no other anywhere; small ones on squares, border and background have one.
+    /// A rectangle that is said to have one radiance has it everywhere; most small ones are said to.
     #[test]
     #[allow(clippy::float_cmp)] // of the same print
     fn a_plain_rectangle_shows_one_radiance() {

@@ -76,6 +76,56 @@ fn light_returns_along_the_rays() {
     }
 }
 
+/// Where pixels are said to see one radiance through a micro-lens, every ray from them does: also from a board that is near and
+/// tilted, through a lens with distortion, a curved field and a pupil off the axis, and with a point spread.
+#[test]
+fn pixels_that_see_one_radiance_see_no_other() {
+    let (mut plain, mut mixed, mut looked_at) = (0, 0, 0);
+    for (name, board, curvature, point_spread_px, fill_factor) in [
+        ("mini", pose(-9.0, -7.0, 75.0, [0.6, -0.4, 0.3]), 0.0, 0.0, 1.0),
+        ("mini", pose(-9.0, -7.0, 65.0, [-0.6, 0.4, 0.3]), 1e-2, 0.5, 0.8),
+        ("keplerian", pose(-20.0, -15.0, 220.0, [0.5, 0.5, -0.4]), 0.0, 0.0, 1.0),
+    ] {
+        let mut settings = settings(name);
+        settings.camera.main_lens.field_curvature_per_mm = curvature;
+        settings.camera.main_lens.exit_pupil_mm = [0.3 * point_spread_px, 0.0, 0.0].into();
+        let imperfections =
+            Imperfections { point_spread_px, fill_factor, ..Imperfections::default() };
+        let tracer = Tracer::new(&settings.camera, 4.0, &imperfections, 0).unwrap();
+        let board = PlacedTarget::new(&settings.target, &board, tracer.focal_length).unwrap();
+        let sets = RaySets::new(32, &Footprint::new(point_spread_px));
+        for (i, lens) in tracer.array.lenses.iter().enumerate().step_by(7) {
+            let (center, radius) = tracer.outline(lens);
+            let up = [-0.9, -0.4, 0.0, 0.5, 0.9][i % 5] * radius;
+            let (first, v) = pixel_at(&(center + Vector2::new(-0.8 * radius, up)));
+            let middle = Vector2::new(first as f64 + 2.0, v as f64);
+            let in_the_middle = tracer.between(lens, middle, Vector2::zeros());
+            let Some(aim) = tracer.lens.aim(&in_the_middle, &board, None) else { continue };
+            let Some(radiance) = tracer.plain(lens, (middle, 5), &aim, &board) else {
+                mixed += 1;
+                continue;
+            };
+            plain += 1;
+            for u in first..first + 5 {
+                let Some(bundle) = tracer.bundle(lens, u, v, Some(&board), None) else { continue };
+                for ([right, down], disc) in sets.set((i * 31 + u) as u64).points() {
+                    let pixel = bundle.pixel + bundle.right * right + bundle.down * down;
+                    let on_lens = Vector2::from(disc) * tracer.array.opening_radius;
+                    let ray = tracer.through(lens, on_lens, &pixel);
+                    let seen = match tracer.lens.follow(&ray, bundle.aim.as_ref(), &board) {
+                        Passage::Blocked => continue,
+                        Passage::Away => board.sheet.background,
+                        Passage::Seen(outer) => board.radiance(&outer),
+                    };
+                    assert!((seen - radiance).abs() < 1e-12, "{name} ({u}, {v}): {seen}");
+                    looked_at += 1;
+                }
+            }
+        }
+    }
+    assert!(plain > 100 && mixed > 100 && looked_at > 2000, "{plain} {mixed} {looked_at}");
+}
+
 /// Mean over all pairs of points of two discs of a function of the squared distance between them.
 fn mean_over_discs(one: f64, other: f64, of: &dyn Fn(f64) -> f64) -> f64 {
     let points = |radius: f64| {

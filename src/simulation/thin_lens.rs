@@ -156,7 +156,8 @@ impl ThinMainLens {
         LocalDistortion { distorted, undistorted, inverse, shift }
     }
 
-    /// What the rays about `ray` have in common; `None` if it leads away from the board. That of a ray nearby is a start.
+    /// What the rays about `ray` have in common; `None` if it leads away from the board. The search
+    /// starts from what was found for a ray nearby, if there is one.
     pub fn aim(&self, ray: &Ray, board: &PlacedTarget, nearby: Option<&Aim>) -> Option<Aim> {
         let aim = self.aim_at(ray, board.plane(), nearby)?;
         if !board.is_bent() {
@@ -179,6 +180,8 @@ impl ThinMainLens {
             meets.then(|| ray.at(z))
         };
         let without = || at(&ImageShift::none()).map(|at| self.about(at, at));
+        // Without an end of the search there is no start.
+        let nearby = nearby.filter(|nearby| nearby.local.undistorted.iter().all(|x| x.is_finite()));
         let start = nearby.map_or_else(without, |nearby| Some(nearby.local))?;
         let at = at(&start.shift)?;
         let local = self.about(at, start.undistorted + start.inverse * (at - start.distorted));
