@@ -118,7 +118,7 @@ pub(super) fn check_refined(refinement: &Refinement) -> Result<()> {
     };
     Err(Error::invalid(format!(
         "the refinement diverged ({reason}): the observations do not fit this camera and board; \
-         check the focus distance, the board's size and the frames"
+         check the focus distance (focus_distance_mm), the size of the squares (square_mm) and the frames"
     )))
 }
 

@@ -70,6 +70,8 @@ pub struct DetectedFrame {
     pub counts: FrameCounts,
     /// How its light follows the white image.
     pub(super) likeness: Option<Likeness>,
+    /// How many levels its image has, if these are few.
+    pub(super) few_levels: Option<u16>,
 }
 
 impl DetectedFrame {
@@ -83,7 +85,9 @@ impl DetectedFrame {
             }
             Err(error) => (None, Err(NoFeatures::Unreadable(error)), FrameCounts::default(), None),
         };
-        (Self { frame: image.frame, name: image.name.clone(), result, counts, likeness }, raw)
+        let few_levels = raw.as_ref().and_then(|raw| raw.rounded_to_levels());
+        let name = image.name.clone();
+        (Self { frame: image.frame, name, result, counts, likeness, few_levels }, raw)
     }
 
     /// Number of its features; 0 where it is left out.

@@ -20,6 +20,7 @@ pub(super) fn warnings(frames: &[DetectedFrame], board: &Board, subset: Subset) 
     };
     // Other light may be why frames are left out.
     let mut warnings = unlike(frames);
+    warnings.extend(coarse(frames));
     warnings.extend(frames.iter().filter_map(left_out));
     let found = frames.iter().filter(|frame| frame.result.is_ok()).count();
     if found == 0 {
@@ -39,6 +40,20 @@ pub(super) fn warnings(frames: &[DetectedFrame], board: &Board, subset: Subset) 
         ));
     }
     warnings
+}
+
+/// A warning about images that were rounded to few levels.
+fn coarse(frames: &[DetectedFrame]) -> Option<String> {
+    let few: Vec<(u32, u16)> =
+        frames.iter().filter_map(|frame| Some((frame.frame, frame.few_levels?))).collect();
+    let fewest = few.iter().map(|(_, levels)| *levels).min()?;
+    let numbers: Vec<String> = few.iter().map(|(frame, _)| frame.to_string()).collect();
+    Some(format!(
+        "{} image(s) of boards have few grey levels, as few as {fewest} (frames {}): edges are not where the light puts them. \
+         Export images with all bits of the camera",
+        few.len(),
+        numbers.join(", ")
+    ))
 }
 
 /// Warnings about frames whose edges are wider than those of the others.

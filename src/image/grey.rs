@@ -50,6 +50,19 @@ impl RawImage {
     /// The largest sample, and the largest step that all samples are multiples of: 16 of samples of 12 bits that are shifted
     /// into 16.
     pub(crate) fn largest_and_step(&self) -> [u16; 2] {
+        self.largest_and_step_of_rows(1)
+    }
+
+    /// How many levels it has, by one row in some, if its samples were rounded to few.
+    pub(crate) fn rounded_to_levels(&self) -> Option<u16> {
+        const ONE_ROW_IN: usize = 16;
+        const FEW: u16 = 64;
+        let [largest, step] = self.largest_and_step_of_rows(ONE_ROW_IN);
+        let levels = largest / step;
+        (step > 1 && levels < FEW).then_some(levels + 1)
+    }
+
+    fn largest_and_step_of_rows(&self, one_in: usize) -> [u16; 2] {
         fn of(samples: impl Iterator<Item = u16>) -> [u16; 2] {
             let (mut largest, mut step) = (0, 0);
             for sample in samples {
@@ -62,9 +75,12 @@ impl RawImage {
             }
             [largest, step.max(1)]
         }
+        let row = (self.width * self.color.samples()).max(1);
         match &self.samples {
-            Samples::Bits8(all) => of(all.iter().map(|&sample| u16::from(sample))),
-            Samples::Bits16(all) => of(all.iter().copied()),
+            Samples::Bits8(all) => {
+                of(all.chunks(row).step_by(one_in).flatten().map(|&sample| u16::from(sample)))
+            }
+            Samples::Bits16(all) => of(all.chunks(row).step_by(one_in).flatten().copied()),
         }
     }
 
