@@ -256,9 +256,11 @@ mod tests {
 
     /// Wherever it begins.
     #[test]
+    #[allow(clippy::float_cmp)] // of the same samples
     fn a_part_of_a_row_is_that_of_the_image() {
         for color in [Color::Grey, Color::Rgb, Color::BayerGrbg, Color::BayerBggr] {
-            let samples = (0..24 * color.samples()).map(|i| (i * i % 251) as u8).collect();
+            let samples =
+                (0..24 * color.samples()).map(|i| u8::try_from(i * i % 251).unwrap()).collect();
             let image = RawImage { width: 6, height: 4, color, samples: Samples::Bits8(samples) };
             let (grey, whole) = (image.grey(), image.to_grey());
             for (left, v) in [(0, 0), (1, 0), (2, 1), (3, 3)] {

@@ -90,7 +90,7 @@ fn pixels_that_see_one_radiance_see_no_other() {
         settings.camera.main_lens.field_curvature_per_mm = curvature;
         settings.camera.main_lens.exit_pupil_mm = [0.3 * point_spread_px, 0.0, 0.0].into();
         let imperfections =
-            Imperfections { point_spread_px, fill_factor, ..Imperfections::default() };
+            Imperfections { fill_factor, point_spread_px, ..Imperfections::default() };
         let tracer = Tracer::new(&settings.camera, 4.0, &imperfections, 0).unwrap();
         let board = PlacedTarget::new(&settings.target, &board, tracer.focal_length).unwrap();
         let sets = RaySets::new(32, &Footprint::new(point_spread_px));
