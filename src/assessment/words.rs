@@ -40,8 +40,8 @@ impl fmt::Display for Reason {
             Self::Scatter(ratio) => write!(
                 f,
                 "the features scatter by {ratio:.1} times what the detection says of them: edges are not what it takes them \
-                 for (moved, blurred, sharpened or otherwise processed images, another f-number), or frames are not of one \
-                 and the same camera at one focus"
+                 for (images that were moved, blurred, sharpened or otherwise processed, or resized: then pixel_size_mm is another; \
+                 another f-number), or frames are not of one and the same camera at one focus"
             ),
             Self::Frame(frame) => frame.fmt(f),
             Self::Features { outlying, all } => write!(
@@ -100,7 +100,10 @@ impl fmt::Display for OutlyingFrame {
         write!(f, "frame {frame} does not fit the others: ")?;
         let larger = *residual_ratio > LARGER;
         if larger || influence.is_none() {
-            write!(f, "its residuals are {residual_ratio:.1} times theirs")?;
+            write!(
+                f,
+                "its residuals are {residual_ratio:.1} times theirs, as if board or camera had moved"
+            )?;
         }
         let Some(Influence { parameter, std_devs, unexpected }) = influence else { return Ok(()) };
         f.write_str(if larger { ", and " } else { "" })?;
@@ -127,13 +130,16 @@ mod tests {
             OutlyingFrame { frame: 4, residual_ratio, influence }.to_string()
         };
         let begins = "frame 4 does not fit the others: ";
-        assert_eq!(frame(2.0, None), format!("{begins}its residuals are 2.0 times theirs"));
+        assert_eq!(
+            frame(2.0, None),
+            format!("{begins}its residuals are 2.0 times theirs, as if board or camera had moved")
+        );
         let than = "6 times as much as the others let expect";
         assert_eq!(frame(0.7, Some(7.0)), format!("{begins}without it F moves by 7.0 σ, {than}"));
         assert_eq!(
             frame(3.0, Some(5.0)),
             format!(
-                "{begins}its residuals are 3.0 times theirs, and without it F moves by 5.0 σ, {than}"
+                "{begins}its residuals are 3.0 times theirs, as if board or camera had moved, and without it F moves by 5.0 σ, {than}"
             )
         );
         assert_eq!(

@@ -70,8 +70,8 @@ pub struct DetectedFrame {
     pub counts: FrameCounts,
     /// How its light follows the white image.
     pub(super) likeness: Option<Likeness>,
-    /// How many levels its image has, if these are few.
-    pub(super) few_levels: Option<u16>,
+    /// How many levels the samples of its image were rounded to, if these are few.
+    pub(super) few_levels: Option<u32>,
 }
 
 impl DetectedFrame {

@@ -44,13 +44,13 @@ pub(super) fn warnings(frames: &[DetectedFrame], board: &Board, subset: Subset) 
 
 /// A warning about images that were rounded to few levels.
 fn coarse(frames: &[DetectedFrame]) -> Option<String> {
-    let few: Vec<(u32, u16)> =
+    let few: Vec<(u32, u32)> =
         frames.iter().filter_map(|frame| Some((frame.frame, frame.few_levels?))).collect();
     let fewest = few.iter().map(|(_, levels)| *levels).min()?;
     let numbers: Vec<String> = few.iter().map(|(frame, _)| frame.to_string()).collect();
     Some(format!(
-        "{} image(s) of boards have few grey levels, as few as {fewest} (frames {}): edges are not where the light puts them. \
-         Export images with all bits of the camera",
+        "the samples of {} image(s) of boards were rounded to few grey levels, as few as {fewest} (frames {}), so that edges seem to be \
+         elsewhere: export images with all bits of the camera",
         few.len(),
         numbers.join(", ")
     ))

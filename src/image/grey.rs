@@ -53,13 +53,16 @@ impl RawImage {
         self.largest_and_step_of_rows(1)
     }
 
-    /// How many levels it has, by one row in some, if its samples were rounded to few.
-    pub(crate) fn rounded_to_levels(&self) -> Option<u16> {
+    /// How many levels its samples can have, by the step between those of one row in some, if they were rounded to few. (An image
+    /// with little light has few as well, but nothing was rounded.)
+    pub(crate) fn rounded_to_levels(&self) -> Option<u32> {
         const ONE_ROW_IN: usize = 16;
-        const FEW: u16 = 64;
+        const FEW: u32 = 64;
         let [largest, step] = self.largest_and_step_of_rows(ONE_ROW_IN);
-        let levels = largest / step;
-        (step > 1 && levels < FEW).then_some(levels + 1)
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 16 bits
+        let levels = self.full_scale() as u32 / u32::from(step) + 1;
+        // One level alone, as of an image that is all full, shows no step.
+        (levels <= FEW && largest > step).then_some(levels)
     }
 
     fn largest_and_step_of_rows(&self, one_in: usize) -> [u16; 2] {

@@ -212,10 +212,12 @@ mod tests {
         assert_eq!(of(vec![0, 4095, 12]).largest_and_step(), [4095, 3]);
         assert_eq!(of(vec![7, 4095, 12]).largest_and_step(), [4095, 1]);
         assert_eq!(of(vec![0, 0]).largest_and_step(), [0, 1]);
-        // Of 4 bits in 8; of 12 bits in 16; few levels because there is little light.
+        // Of 4 bits in 16; of 12 bits in 16, also with little light; of 16 bits with hardly any.
         let levels = |samples: Vec<u16>| of(samples).rounded_to_levels();
-        assert_eq!(levels(vec![17, 0, 255, 34]), Some(16));
+        assert_eq!(levels(vec![4369, 0, 13_107]), Some(16));
         assert_eq!(levels(vec![0, 65_520, 16]), None);
+        assert_eq!(levels(vec![0, 480, 16]), None);
+        assert_eq!(levels(vec![65_535, 65_535]), None);
         assert_eq!(levels(vec![0, 9, 4]), None);
         // Raised to a power the largest one stays full.
         let raised = of(vec![0, 1000, 4095]).to_the_power(2.2);

@@ -90,28 +90,17 @@ impl Sheet {
 
 #[cfg(test)]
 mod tests {
+    use super::super::target::tests::target;
     use super::*;
 
-    fn target() -> Target {
-        Target {
-            columns: 5,
-            rows: 3,
-            square_mm: 10.0,
-            border_mm: 4.0,
-            white: 0.9,
-            black: 0.05,
-            background: 0.3,
-            sag_mm: [0.0; 2],
-            twist_mm: 0.0,
-            aspect: 0.0,
-            uneven_light: [0.0; 2],
-        }
+    fn even() -> Target {
+        Target { uneven_light: [0.0; 2], ..target() }
     }
 
     /// Where the middle of the corners is at (3, 2).
     #[test]
     fn light_is_even_in_the_middle_and_never_lost() {
-        let sheet = Sheet::new(&Target { uneven_light: [0.5, -1.0], ..target() });
+        let sheet = Sheet::new(&target());
         for (x, y, light) in [(3.0, 2.0, 1.0), (5.0, 2.0, 1.5), (3.0, 1.5, 1.5), (1.0, 3.0, 0.05)] {
             assert!((sheet.light(Vector2::new(x, y)) - light).abs() < 1e-12, "{x}, {y}");
         }
@@ -121,7 +110,7 @@ mod tests {
     #[test]
     #[allow(clippy::float_cmp)] // of the same print
     fn a_plain_rectangle_shows_one_radiance() {
-        let sheet = Sheet::new(&target());
+        let sheet = Sheet::new(&even());
         let (mut plain, mut mixed) = (0, 0);
         for i in 0..40 {
             for j in 0..30 {
@@ -149,7 +138,7 @@ mod tests {
         }
         assert!(plain > 1500 && mixed > 1000, "{plain} {mixed}");
         let inside = Vector2::new(2.2, 1.3);
-        let uneven = Sheet::new(&Target { uneven_light: [0.1, 0.0], ..target() });
+        let uneven = Sheet::new(&Target { uneven_light: [0.1, 0.0], ..even() });
         assert!(uneven.radiance_between(&inside, &inside.add_scalar(0.1)).is_none());
         let nowhere = Vector2::repeat(f64::NAN);
         assert!(sheet.radiance_between(&nowhere, &nowhere).is_none());

@@ -213,12 +213,13 @@ impl Surface {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use nalgebra::Point2;
 
     use super::*;
 
-    fn target() -> Target {
+    /// Five by three corners, bent, stretched and unevenly lit.
+    pub fn target() -> Target {
         Target {
             columns: 5,
             rows: 3,

@@ -86,7 +86,11 @@ fn tones() -> Vec<Mistake> {
             Told(&["linear", "level", "black"]),
             |image| pixels::curve(image, |x| 128.0 + 1.5 * (x - 128.0)),
         ));
-        let coarse = Warned(&["scatter", "linear", "grey levels"]);
+        let coarse = if of == Of::Whites {
+            Warned(&["scatter", "linear"])
+        } else {
+            Warned(&["grey levels"])
+        };
         all.push(change("16 grey levels only", of, coarse, |image| {
             pixels::curve(image, |x| (x / 17.0).round() * 17.0)
         }));
@@ -161,7 +165,7 @@ fn placed() -> Vec<Mistake> {
         all.push(change(&format!("shifted by {by} px"), Of::Whites, named, move |image| {
             pixels::shifted(image, by)
         }));
-        let left_out = Told(&["centre", "moved", "shift", "left out", "does not fit the others"]);
+        let left_out = Told(&["centre", "moved", "shift", "left out"]);
         all.push(change(&format!("shifted by {by} px"), Of::OneBoard, left_out, move |image| {
             pixels::shifted(image, by)
         }));
@@ -196,7 +200,7 @@ fn placed() -> Vec<Mistake> {
             if (by - 1.0_f64).abs() < 0.01 {
                 Right
             } else {
-                Warned(&["pixel_size_mm", "square_mm", "pixel", "processed"])
+                Warned(&["pixel_size_mm", "square_mm", "pixel"])
             },
             move |image| pixels::enlarged(image, by, by),
         ));
