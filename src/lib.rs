@@ -144,6 +144,7 @@ pub mod report;
 pub mod simulation;
 pub mod solver;
 
+mod checks;
 mod numerics;
 mod vignetting;
 

@@ -6,11 +6,10 @@ mod outliers;
 mod patterns;
 mod stage;
 mod verdict;
-mod words;
 
 pub use next_board::NextBoard;
 pub use object_space::{Distance, ObjectSpace, PointTrust};
 pub use outliers::{Influence, Outliers, OutlyingFrame};
 pub use patterns::{Patterns, image_pattern};
 pub use stage::{Assessment, assess};
-pub use verdict::{Reason, Verdict};
+pub use verdict::Verdict;

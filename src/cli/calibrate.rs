@@ -25,7 +25,7 @@ use super::cost;
 use super::evaluate::calibrated;
 use super::input::{Files, Input};
 use super::progress;
-use super::talk::{self, print_result, say, warn};
+use super::talk::{print_result, say, tell, warn};
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///
@@ -249,9 +249,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     }
     let mut paths = output.commit()?;
     paths.extend(exported(export, &calibration, &input.board)?);
-    warn(&calibration.left_out);
-    warn(&talk::of_calibration(&calibration.warnings));
-    warn(&talk::of_frames(&assessment));
+    tell(&calibration.findings);
     print_result(json, &document, &text, &paths)?;
     Ok(status(&calibration))
 }

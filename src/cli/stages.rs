@@ -272,9 +272,7 @@ impl Stages<'_> {
             let result = calibrate(&start, board, &observations, &options, &mut |_| true)?;
             let assessment = assess(&result, board)?;
             let warnings = if stage == CALIBRATION {
-                let left_out = result.left_out.iter().map(ToString::to_string).collect();
-                [left_out, talk::of_calibration(&result.warnings), talk::of_frames(&assessment)]
-                    .concat()
+                result.findings.iter().map(talk::told).collect()
             } else if result.converged {
                 Vec::new()
             } else {

@@ -193,7 +193,7 @@ fn candidate_result(
         let posed = pose_boards(&candidate.camera, &board, features);
         let what = format!("{name}, boards of {subset}");
         if let Ok(posed) = &posed {
-            problems.extend(posed.left_out.iter().map(|l| format!("{what}: {l}")));
+            problems.extend(posed.left_out.iter().map(|l| format!("{what}: {}", l.finding())));
             if !posed.converged {
                 problems.push(format!("{what}: the poses did not converge"));
             }

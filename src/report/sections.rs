@@ -68,9 +68,7 @@ pub fn calibration_section(
     figures: Vec<Figure>,
 ) -> Section {
     let mut parts: Vec<Part> = verdict_lines(assessment).into_iter().map(Part::Text).collect();
-    let left_out = calibration.left_out.iter().map(ToString::to_string);
-    let warnings: Vec<String> =
-        left_out.chain(calibration.warnings.iter().map(ToString::to_string)).collect();
+    let warnings: Vec<String> = calibration.findings.iter().map(ToString::to_string).collect();
     parts.extend(warnings_part(&warnings));
     parts.push(Part::Table(parameters_table(calibration).captioned("Parameters")));
     parts.extend(anchors_table(calibration).map(|t| {
