@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::house;
 
 /// The rooms of `src`, the lowest first; a room may import those before it.
-const ROOMS: [&str; 16] = [
+const ROOMS: [&str; 15] = [
     "error",
     "model",
     "numerics",
@@ -19,7 +19,6 @@ const ROOMS: [&str; 16] = [
     "detection",
     "calibration",
     "assessment",
-    "evaluation",
     "io",
     "report",
     "cli",
