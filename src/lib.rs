@@ -133,10 +133,12 @@ pub mod back_projection;
 pub mod calibration;
 pub mod detection;
 pub mod error;
+pub mod finding;
 pub mod image;
 pub mod io;
 pub mod model;
 pub mod precalibration;
+pub mod quantity;
 pub mod report;
 pub mod simulation;
 pub mod solver;
@@ -145,3 +147,5 @@ mod numerics;
 mod vignetting;
 
 pub use error::{Error, Result};
+pub use finding::{Finding, Issue, Severity, Subject};
+pub use quantity::Estimate;

@@ -9,7 +9,6 @@ mod camera_checks;
 mod camera_fields;
 mod checks;
 mod datasheet;
-mod display;
 mod edge_spread;
 mod fall_off;
 mod lattice;
@@ -29,7 +28,6 @@ pub(crate) use camera::small_camera;
 pub use camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera};
 pub(crate) use checks::{finite, positive};
 pub use datasheet::{Datasheet, InternalParameters};
-pub(crate) use display::{display_unit, signed, with_std_dev};
 pub use edge_spread::{EdgeSpread, FillFactor, PointSpread};
 pub use fall_off::FallOff;
 pub use lattice::{
