@@ -5,11 +5,10 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Args;
-use plenocal::assessment::assess;
+use plenocal::assessment::{ModelComparison, assess, compare_models, comparison_steps};
 use plenocal::calibration::{
     Calibration, Mode, Solution, SolvedProblem, Weights, calibrate, termination_text,
 };
-use plenocal::evaluation::{ModelComparison, compare_models, comparison_steps};
 use plenocal::io::{
     self, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil, FieldCurvature,
     OutputFolder, Pitches, compote,

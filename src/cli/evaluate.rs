@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
-use plenocal::detection::DepthEstimator;
-use plenocal::evaluation::{
+use plenocal::assessment::{
     Candidate, Evaluation, EvaluationInput, Folds, evaluate, foldable_frames,
 };
+use plenocal::detection::DepthEstimator;
 use plenocal::io::{self, CameraSource, OutputFolder, Project};
 use plenocal::model::{BapFeature, Board, PlenopticCamera, Subset};
 use plenocal::{Error, Result, report};

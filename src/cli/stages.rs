@@ -4,12 +4,11 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use plenocal::assessment::assess;
+use plenocal::assessment::{Candidate, EvaluationInput, Folds, PosePairs, assess};
 use plenocal::calibration::{
     Calibration, CalibrationOptions, Mode, Start, calibrate, initial_from,
 };
 use plenocal::detection::DepthEstimator;
-use plenocal::evaluation::{Candidate, EvaluationInput, Folds, PosePairs};
 use plenocal::image::Color;
 use plenocal::io::{self, OutputFolder, Project, TruthSection, WhiteImage};
 use plenocal::model::{BapFeature, Board, Datasheet, FillFactor, Observations, Subset};

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::calibration_file::rmse_document;
-use crate::evaluation::{
+use crate::assessment::{
     Displacement, Displacements, Evaluation, ParameterError, Reconstruction, Spread,
 };
 

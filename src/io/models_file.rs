@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::evaluation::{ModelComparison, WithoutGroup};
+use crate::assessment::{ModelComparison, WithoutGroup};
 
 /// A comparison of models as JSON.
 #[must_use]

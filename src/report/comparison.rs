@@ -2,8 +2,8 @@
 
 use super::calibration_figures::shifts_picture;
 use super::table::{Table, table};
+use crate::assessment::{CameraComparison, DistanceDifference, ParameterPair};
 use crate::error::Result;
-use crate::evaluation::{CameraComparison, DistanceDifference, ParameterPair};
 use crate::model::Sensor;
 use crate::quantity::{display_unit, with_std_dev};
 

@@ -2,7 +2,7 @@
 
 use super::html::HtmlTable;
 use super::table::table;
-use crate::evaluation::{
+use crate::assessment::{
     Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors,
     Reconstruction,
 };

@@ -3,8 +3,8 @@
 use super::assessment::two_digits;
 use super::html::{Figure, Part};
 use super::table::{Table, table};
+use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
-use crate::evaluation::{ModelComparison, WithoutGroup};
 use crate::quantity::{signed, with_std_dev};
 
 /// Caption of the table of models.

@@ -1,12 +1,11 @@
 //! Boards that are not flat.
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
-use plenocal::assessment::assess;
+use plenocal::assessment::{Group, Posed, Worth, assess, compare_models, pose_boards};
 use plenocal::calibration::{
     AnchorSource, BoardModel, Calibration, CalibrationOptions, Mode, Start, Trial, Warning,
     calibrate,
 };
-use plenocal::evaluation::{Group, Posed, Worth, compare_models, pose_boards};
 use plenocal::model::{
     BentBoard, Board, BoardShape, FramePose, Noise, NoiseSource, Observations, PlenopticCamera,
     SHAPE_PARAMETERS, optics,

@@ -4,8 +4,8 @@
 use std::fs;
 use std::path::Path;
 
+use plenocal::assessment::DetectionScore;
 use plenocal::detection::DepthEstimator;
-use plenocal::evaluation::DetectionScore;
 use plenocal::model::{InternalParameters, SampleLevels};
 use plenocal::precalibration::{Precalibration, PrecalibrationOptions, White, precalibrate};
 use plenocal::simulation::{DataSet, Settings};

@@ -1,8 +1,8 @@
 //! Whether a group of parameters is said to be worth what it is.
 
 use nalgebra::Vector3;
+use plenocal::assessment::{Group, ModelComparison, WithoutGroup, Worth, compare_models};
 use plenocal::calibration::{Calibration, CalibrationOptions, Refit, Start};
-use plenocal::evaluation::{Group, ModelComparison, WithoutGroup, Worth, compare_models};
 use plenocal::model::{Noise, Observations, PlenopticCamera, optics};
 use plenocal::report::model_figures;
 use plenocal::solver::synthesize;

@@ -3,14 +3,13 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use super::{
-    CrossValidation, Displacements, ParameterError, PoseErrors, Reconstruction, cross_validate,
-    parameter_errors, pose_errors, shape_errors,
+    CrossValidation, Displacements, ParameterError, PoseErrors, Posed, Reconstruction,
+    cross_validate, parameter_errors, pose_boards, pose_errors, shape_errors,
 };
-use crate::calibration::{Calibration, CalibrationOptions, LeftOut, Start, calibrate};
+use crate::calibration::{CalibrationOptions, Start};
 use crate::error::Result;
 use crate::model::{
-    BapFeature, BentBoard, Board, BoardShape, FramePose, Observations, PlenopticCamera,
-    Reprojection, SHAPE,
+    BapFeature, BentBoard, Board, BoardShape, FramePose, Observations, PlenopticCamera, SHAPE,
 };
 
 /// A camera to evaluate.
@@ -94,19 +93,6 @@ impl EvaluationInput {
     }
 }
 
-/// Poses of boards, estimated with a fixed camera.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Posed {
-    /// Their poses.
-    pub poses: Vec<FramePose>,
-    /// Reprojection errors.
-    pub reprojection: Reprojection,
-    /// Frames without a pose.
-    pub left_out: Vec<LeftOut>,
-    /// Whether the poses are at a minimum.
-    pub converged: bool,
-}
-
 /// The evaluation of one camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CandidateResult {
@@ -135,20 +121,6 @@ pub struct Evaluation {
     pub folds: Option<CrossValidation>,
     /// What could not be evaluated, and why; and what known steps speak against.
     pub problems: Vec<String>,
-}
-
-/// Estimates the poses of a board of known shape with a fixed camera.
-pub fn pose_boards(
-    camera: &PlenopticCamera,
-    bent: &BentBoard,
-    features: &[BapFeature],
-) -> Result<Posed> {
-    let options = CalibrationOptions::default().of_poses_only(bent.shape);
-    let seen = Observations { centers: Vec::new(), features: features.to_vec() };
-    let start = Start::Camera(camera.clone());
-    let result = calibrate(&start, &bent.board, &seen, &options, &mut |_| true)?;
-    let Calibration { poses, reprojection, left_out, converged, .. } = result;
-    Ok(Posed { poses, reprojection, left_out, converged })
 }
 
 /// Evaluates cameras. What fails (boards without a pose, a translation with only one frame, a true

@@ -6,7 +6,7 @@ use std::fmt;
 use rayon::prelude::*;
 
 use super::cross_validation::frames_of_fold;
-use crate::assessment::image_pattern;
+use super::patterns::image_pattern;
 use crate::calibration::{Calibration, Minimum, Refit};
 use crate::error::{Error, Result};
 use crate::model::{Board, PlenopticCamera, Reprojection, shared_parameters};
