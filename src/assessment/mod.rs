@@ -39,6 +39,6 @@ pub use outliers::{Influence, Outliers, OutlyingFrame};
 pub use patterns::{Patterns, image_pattern};
 pub use reconstruction::Reconstruction;
 pub use stage::{Assessment, assess};
-pub use translation::{Displacement, Displacements, Spread, StepDoubt};
+pub use translation::{Displacement, Displacements, Spread};
 pub use truth::{ParameterError, PoseErrors, parameter_errors, pose_errors, shape_errors};
 pub use verdict::Verdict;

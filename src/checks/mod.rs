@@ -2,4 +2,7 @@
 //!
 //! The stages measure; everything that judges images, white images, arrays, boards and results stands here.
 
+pub(crate) mod boards;
 pub(crate) mod calibration;
+pub(crate) mod steps;
+pub(crate) mod whites;

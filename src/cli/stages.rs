@@ -385,8 +385,12 @@ impl Stages<'_> {
         output.stage_json("evaluation.json", &io::evaluation_document(&found))?;
         let mut tables = vec![report::cameras_table(&initial, &candidates)];
         tables.extend(report::evaluation_tables(&found, &candidates));
-        let section = report::tables_section("Evaluation", tables, &found.problems);
-        Ok(Section { warnings: found.problems, ..section })
+        let section = report::tables_section(
+            "Evaluation",
+            tables,
+            &found.findings.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        );
+        Ok(Section { warnings: found.findings.iter().map(talk::told).collect(), ..section })
     }
 }
 

@@ -39,6 +39,6 @@ pub fn models_document(comparison: &ModelComparison) -> Value {
         "error": comparison.mean_error(),
         "pattern": comparison.pattern,
         "groups": comparison.groups.iter().map(of_group).collect::<Vec<_>>(),
-        "problems": comparison.problems,
+        "problems": comparison.findings.iter().map(ToString::to_string).collect::<Vec<_>>(),
     })
 }

@@ -93,7 +93,7 @@ fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Str
     )];
     let unasked = comparison.groups.iter().filter(|without| without.moves_unasked());
     sentences.extend(unasked.map(|without| unasked_text(calibration, without)));
-    sentences.extend(comparison.problems.iter().map(|problem| format!("Not compared: {problem}.")));
+    sentences.extend(comparison.findings.iter().map(|finding| format!("Not compared: {finding}.")));
     sentences
 }
 

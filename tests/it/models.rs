@@ -22,7 +22,7 @@ const NOISE: Noise = Noise { uv_px: 0.02, rho_px: 0.005, centers_px: 0.005 };
 
 fn compared(calibration: &Calibration) -> ModelComparison {
     let result = compare_models(calibration, &board(), FOLDS, &|| ()).unwrap();
-    assert_eq!(result.problems, Vec::<String>::new());
+    assert_eq!(result.findings, []);
     for without in &result.groups {
         println!(
             "{}: {:?}, {:?}",
