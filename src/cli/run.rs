@@ -8,14 +8,14 @@ use std::time::Instant;
 use clap::Args;
 use plenocal::calibration::{CalibrationOptions, Mode};
 use plenocal::detection::DepthEstimator;
-use plenocal::io::{self, OutputFolder, Project, first_look};
+use plenocal::io::{self, CalibrationSection, Method, OutputFolder, Project, first_look};
 use plenocal::model::Subset;
 use plenocal::report::{HtmlReport, HtmlTable, Part, Section};
 use plenocal::{Error, Result, report};
 use serde_json::{Value, json};
 
 use super::boards::{Shoot, images_of};
-use super::choices::{DEPTH_ESTIMATORS, choice};
+use super::choices::{DEPTH_ESTIMATORS, METHODS, choice};
 use super::ledger::{Ledger, REPORT, SECTION, VERDICT};
 use super::stages::{CALIBRATION, CORNERS_ONLY, EVALUATION, IMAGES, Stages};
 use super::talk::{print_result, say};
@@ -42,6 +42,9 @@ pub struct Arguments {
     /// Frames of the calibration to leave out, e.g. 3,7; in place of those of the project.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub exclude: Option<Vec<u32>>,
+    /// Set of calibration options to begin with; in place of that of the project.
+    #[arg(long, value_parser = choice(METHODS))]
+    pub method: Option<Method>,
     /// Folds of the cross-validation, of models too; 0 for none.
     #[arg(long, value_name = "K", default_value_t = 5)]
     pub folds: usize,
@@ -66,7 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let path = &arguments.project;
     let project = Project::read(path)?;
     let shoot = Shoot::of(path, &project)?;
-    let mut options = calibration_options(path, &project)?;
+    let mut options = calibration_options(path, &project, arguments.method)?;
     if let Some(frames) = &arguments.exclude {
         options.exclude_frames.clone_from(frames);
     }
@@ -261,7 +264,11 @@ fn overview(project: &Path, ledger: &Ledger, time_s: f64) -> Section {
 }
 
 /// The calibration options of a project; an error if they ask for poses only.
-fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOptions> {
+fn calibration_options(
+    path: &Path,
+    project: &Project,
+    method: Option<Method>,
+) -> Result<CalibrationOptions> {
     if project.calibration.mode == Some(Mode::PosesOnly) {
         return Err(Error::invalid(
             "[calibration] says mode = \"poses-only\", but a run calibrates: leave it out, or use \
@@ -269,5 +276,6 @@ fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOpti
         )
         .in_file(path));
     }
-    Ok(project.calibration.options())
+    let stated = CalibrationSection { method, ..CalibrationSection::default() };
+    Ok(stated.or(project.calibration.clone()).options())
 }

@@ -43,7 +43,7 @@ pub use board_shape_file::{read_board_shape, read_true_board};
 pub use calibration_file::{calibrated_camera_document, calibration_document};
 pub use calibration_section::{
     AnchorEntry, AnchorValue, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil,
-    FieldCurvature, NoAnchor, Pitches,
+    FieldCurvature, Method, NoAnchor, Pitches,
 };
 pub use camera_file::{
     CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_doubts, read_board_distances,
