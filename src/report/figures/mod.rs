@@ -1,20 +1,24 @@
-//! Figures of a calibration.
+//! Figures.
 
 mod blur;
 mod charts;
 mod correlations;
 mod distortion;
+mod features;
 mod histograms;
 mod models;
 mod object_space;
 mod scene;
 mod vectors;
+mod white_images;
 
+pub use features::features_figure;
 pub use models::model_figures;
-pub use vectors::array_residuals_figure;
-pub(super) use vectors::shifts_picture;
+pub use vectors::{array_residuals_figure, comparison_figures};
+pub use white_images::{micro_images_figure, precalibration_figures, radii_figure};
 
-use super::html::Figure;
+use super::drawing::Drawing;
+use super::tree::Figure;
 use crate::assessment::Assessment;
 use crate::calibration::Calibration;
 use crate::error::Result;
@@ -27,23 +31,23 @@ pub fn calibration_figures(
     assessment: &Assessment,
     board: &Board,
 ) -> Result<Vec<Figure>> {
-    let space = assessment.object_space.as_ref().map(object_space::object_space).transpose()?;
     let figures = [
-        space.flatten(),
-        vectors::residual_vectors(calibration)?,
-        histograms::residual_histograms(calibration)?,
-        charts::rmse(calibration)?,
-        blur::measured_blur(calibration)?,
-        vectors::center_residuals(calibration)?,
-        correlations::correlations(calibration)?,
-        charts::convergence(calibration)?,
-        scene::scene(calibration, board)?,
+        assessment.object_space.as_ref().and_then(object_space::object_space),
+        vectors::residual_vectors(calibration),
+        histograms::residual_histograms(calibration),
+        charts::rmse(calibration),
+        blur::measured_blur(calibration),
+        vectors::center_residuals(calibration),
+        correlations::correlations(calibration),
+        charts::convergence(calibration),
+        scene::scene(calibration, board),
         distortion::distortion(&calibration.camera)?,
     ];
     Ok(figures.into_iter().flatten().collect())
 }
 
 /// A figure; `name` is without the extension.
-fn figure(name: &str, caption: String, svg: String) -> Figure {
+fn figure(name: &str, caption: String, drawing: Drawing) -> Figure {
+    let svg = drawing.finish(&caption);
     Figure { name: format!("{name}.svg"), caption, svg }
 }
