@@ -134,10 +134,12 @@ pub mod calibration;
 pub mod detection;
 pub mod error;
 pub mod evaluation;
+pub mod finding;
 pub mod image;
 pub mod io;
 pub mod model;
 pub mod precalibration;
+pub mod quantity;
 pub mod report;
 pub mod simulation;
 pub mod solver;
@@ -146,3 +148,5 @@ mod numerics;
 mod vignetting;
 
 pub use error::{Error, Result};
+pub use finding::{Finding, Issue, Severity, Subject};
+pub use quantity::Estimate;

@@ -3,7 +3,8 @@
 use std::fmt;
 
 use crate::calibration::{AnchorResult, SLOPE};
-use crate::model::{FillFactor, MIN_CORNERS, display_unit, with_std_dev};
+use crate::model::{FillFactor, MIN_CORNERS};
+use crate::quantity::{display_unit, with_std_dev};
 use crate::solver::Anchor;
 
 /// What may be wrong with a calibration that succeeded.

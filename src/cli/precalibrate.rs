@@ -9,8 +9,8 @@ use plenocal::image::Color;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project, compote};
 use plenocal::model::{Datasheet, MicroImageCenter};
 use plenocal::precalibration::{
-    ArrayMeasurement, Precalibration, PrecalibrationOptions, RadiusEstimator, White, fit_grid,
-    measure_array, precalibrate,
+    ArrayMeasurement, Precalibration, PrecalibrationOptions, RadiusEstimator, White, array_doubts,
+    fit_grid, measure_array, precalibrate,
 };
 use plenocal::report::{self, Figure};
 use plenocal::{Error, Result};
@@ -129,7 +129,7 @@ fn of_image(
     let image = io::read_image(path, arguments.color)?;
     let array = measure_array(&image, None).map_err(|e| e.in_file(path))?;
     let of_color = image.doubtful_color().map(str::to_owned);
-    for doubt in of_color.into_iter().chain(array.doubts(&image)) {
+    for doubt in of_color.into_iter().chain(array_doubts(&array, &image)) {
         warn(&[format!("{}: {doubt}", path.display())]);
     }
     let half_pitch = array.grid.pitch_px / 2.0;

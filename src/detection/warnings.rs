@@ -1,9 +1,8 @@
 //! What the user should know of the frames in which boards were searched for.
 
-use super::edge_width::{MOVED, MOVED_PX2};
-use super::likeness::unlike;
-use super::stage::{CHANCE, DetectedFrame, differs};
-use super::{Detection, MicroImages};
+use super::edge_width::{MOVED, MOVED_PX2, differs};
+use super::flat_field::unlike;
+use super::{DetectedFrame, Detection, MicroImages};
 use crate::model::{Board, FillFactor, Subset};
 use crate::numerics::median;
 
@@ -11,6 +10,8 @@ use crate::numerics::median;
 const FEW_FRAMES: usize = 4;
 /// The variance of both axes together of an even motion is a twelfth of its square, that along an axis half of it.
 const MOTION: f64 = 24.0;
+/// Fill factors that differ by fewer standard deviations may differ by chance.
+const CHANCE: f64 = 3.0;
 
 /// About frames that are left out or blurred, and a doubtful board.
 pub(super) fn warnings(frames: &[DetectedFrame], board: &Board, subset: Subset) -> Vec<String> {
@@ -19,7 +20,9 @@ pub(super) fn warnings(frames: &[DetectedFrame], board: &Board, subset: Subset) 
         Some(format!("frame {} ({}) is left out: {why}", frame.frame, frame.name))
     };
     // Other light may be why frames are left out.
-    let mut warnings = unlike(frames);
+    let compared =
+        frames.iter().filter_map(|f| Some((f.frame, f.name.as_str(), f.likeness.as_ref()?)));
+    let mut warnings = unlike(&compared.collect::<Vec<_>>());
     warnings.extend(coarse(frames));
     warnings.extend(frames.iter().filter_map(left_out));
     let found = frames.iter().filter(|frame| frame.result.is_ok()).count();
@@ -125,7 +128,7 @@ pub(super) fn fitted_otherwise(found: &FillFactor, micro_images: &MicroImages) -
 
 #[cfg(test)]
 mod tests {
-    use super::super::patch::tests::micro_images;
+    use super::super::micro_images::tests::micro_images;
     use super::*;
 
     /// What other boards have shown is taken as at most 1, and both σ count.

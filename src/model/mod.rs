@@ -8,7 +8,6 @@ mod camera;
 mod camera_fields;
 mod checks;
 mod datasheet;
-mod display;
 mod edge_spread;
 mod fall_off;
 mod lattice;
@@ -30,7 +29,6 @@ pub use camera::{
 pub(crate) use camera::{check_array_size, check_lens_types};
 pub(crate) use checks::{finite, positive};
 pub use datasheet::{Configuration, Datasheet, InternalParameters};
-pub(crate) use display::{display_unit, signed, with_std_dev};
 pub use edge_spread::{EdgeSpread, FillFactor, PointSpread};
 pub use fall_off::FallOff;
 pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};

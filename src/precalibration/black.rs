@@ -9,8 +9,8 @@ use tracing::debug;
 
 use super::centers::{measure_sample, nodes_in, part_with};
 use super::centroid::{Blob, pixels_about};
+use super::options::White;
 use super::pattern::Pattern;
-use super::stage::White;
 use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::model::{LatticeKind, full_scale};

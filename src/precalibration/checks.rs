@@ -1,12 +1,12 @@
 //! Whether white images belong together and to the camera that is stated, and what the user should know.
 
+use super::array::LensTypes;
+use super::disc_geometry::DiscGeometry;
 use super::grid::MicroImageArray;
-use super::levers::Levers;
+use super::options::White;
 use super::pattern::Pattern;
 use super::radii::{REACH, profile_at};
 use super::samples::Samples;
-use super::stage::{Precalibration, White};
-use super::types::LensTypes;
 use crate::error::{Error, Result};
 use crate::image::Grey;
 use crate::model::{Datasheet, InternalParameters, Sensor, positive};
@@ -115,36 +115,10 @@ pub fn check_stated_pitch(
     Ok(())
 }
 
-impl Precalibration {
-    /// An error naming both values where the images contradict what is stated of the camera.
-    pub fn check_stated(&self, sheet: &Datasheet) -> Result<()> {
-        let grid = &self.array.grid;
-        if grid.lattice.kind() != sheet.lattice_kind {
-            return Err(Error::invalid(format!(
-                "the micro-images lie on a '{}' lattice, but the camera is stated to have a '{}' one: \
-                 correct that, or give the images of that camera",
-                grid.lattice.kind().name(),
-                sheet.lattice_kind.name()
-            )));
-        }
-        check_stated_pitch(sheet, &self.internal.parameters, grid)?;
-        let types = self.lens_types.types;
-        // Pinholes have no lens types that could show.
-        if sheet.lens_types > 0 && types != sheet.lens_types {
-            return Err(Error::invalid(format!(
-                "{types} lens type(s) show in the white images, but the camera is stated to have {}: \
-                 correct that, or take sharper white images",
-                sheet.lens_types
-            )));
-        }
-        Ok(())
-    }
-}
-
 /// A warning if the micro-images of the reference do not have the size of its f-number.
 pub(super) fn different_aperture(
     (reference, grey): (&White, &Grey),
-    levers: &Levers,
+    levers: &DiscGeometry,
     samples: &Samples,
     pattern: &Pattern,
 ) -> Option<String> {

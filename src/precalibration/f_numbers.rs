@@ -2,7 +2,7 @@
 //! Eq. (miradiusfnumber).
 
 use super::internal::{RadiusMeasurement, fit_internal};
-use super::stage::White;
+use super::options::White;
 use crate::error::{Error, Result};
 use crate::model::Configuration;
 

@@ -9,7 +9,8 @@
 use tracing::debug;
 
 use super::discs::Discs;
-use super::stage::{PrecalibrationOptions, White, measured};
+use super::measurement::measured;
+use super::options::{PrecalibrationOptions, White};
 use crate::error::Error;
 
 /// Powers this close to 1 are linear: on simulated cameras discs tell them to 0.01, with JPEG to 0.03,

@@ -4,7 +4,7 @@ use super::html::{Part, Section};
 use super::table::{Table, table};
 use crate::assessment::{Assessment, NextBoard, ObjectSpace, Verdict};
 use crate::calibration::{Calibration, OutlyingFeature};
-use crate::model::{display_unit, with_std_dev};
+use crate::quantity::{display_unit, with_std_dev};
 use crate::solver::Anchor;
 
 /// Outlying features that are named one by one.

@@ -6,9 +6,8 @@ use crate::evaluation::{
     Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors,
     Reconstruction,
 };
-use crate::model::{
-    PlenopticCamera, Rmse, display_unit, intrinsic_parameters, signed, with_std_dev,
-};
+use crate::model::{PlenopticCamera, Rmse, intrinsic_parameters};
+use crate::quantity::{display_unit, signed, with_std_dev};
 
 /// What tables call the point clouds of other software.
 const CLOUDS: &str = "point clouds";

@@ -5,7 +5,7 @@ use super::html::{Figure, Part};
 use super::table::{Table, table};
 use crate::calibration::Calibration;
 use crate::evaluation::{ModelComparison, WithoutGroup};
-use crate::model::{signed, with_std_dev};
+use crate::quantity::{signed, with_std_dev};
 
 /// Caption of the table of models.
 pub const MODELS: &str = "What each group of parameters is worth: the calibration without it, and how much \

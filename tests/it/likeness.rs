@@ -7,7 +7,9 @@ use plenocal::detection::{
 };
 use plenocal::image::{RawImage, Samples};
 use plenocal::model::Subset;
-use plenocal::precalibration::{PrecalibrationOptions, White, measure_array, precalibrate};
+use plenocal::precalibration::{
+    PrecalibrationOptions, White, array_doubts, measure_array, precalibrate,
+};
 use plenocal::simulation::{DataSet, Settings};
 
 use crate::support::preset;
@@ -112,7 +114,7 @@ fn another_f_number_is_named() {
 
 #[test]
 fn a_board_is_no_white_image() {
-    let doubts = |image: &RawImage| measure_array(image, None).unwrap().doubts(image);
+    let doubts = |image: &RawImage| array_doubts(&measure_array(image, None).unwrap(), image);
     assert_eq!(doubts(&SHOOT.white), Vec::<String>::new());
     let of_board = doubts(&SHOOT.board);
     assert!(of_board[0].contains("is this a white image"), "{of_board:?}");
@@ -131,7 +133,7 @@ fn pixels_that_are_not_square_are_named() {
         samples: Samples::Bits8(samples),
         ..white.clone()
     };
-    let doubts = measure_array(&narrow, None).unwrap().doubts(&narrow);
+    let doubts = array_doubts(&measure_array(&narrow, None).unwrap(), &narrow);
     assert!(doubts.iter().any(|doubt| doubt.contains("pixels were not square")), "{doubts:?}");
 }
 

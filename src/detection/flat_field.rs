@@ -8,7 +8,6 @@ use nalgebra::{SMatrix, SVector};
 
 use super::MicroImages;
 use super::patch::USABLE;
-use super::stage::DetectedFrame;
 use crate::image::{Grey, bounds};
 use crate::numerics::median;
 
@@ -283,11 +282,12 @@ impl Sums {
     }
 }
 
+/// A frame by its number and name, and how its light follows the white image.
+pub(super) type ComparedFrame<'a> = (u32, &'a str, &'a Likeness);
+
 /// What the user should know of frames that were not taken as the white image was.
-pub(super) fn unlike(frames: &[DetectedFrame]) -> Vec<String> {
-    let all: Vec<(&DetectedFrame, &Likeness)> =
-        frames.iter().filter_map(|frame| Some((frame, frame.likeness.as_ref()?))).collect();
-    let weighty = |(_, likeness): &(&DetectedFrame, &Likeness), limit: f64| {
+pub(super) fn unlike(all: &[ComparedFrame]) -> Vec<String> {
+    let weighty = |(_, _, likeness): &ComparedFrame, limit: f64| {
         let Difference { field, value } = likeness.difference()?;
         (likeness.weight(field, &value).abs() > limit).then_some((field, value))
     };
@@ -298,16 +298,15 @@ pub(super) fn unlike(frames: &[DetectedFrame]) -> Vec<String> {
     {
         let values: Vec<Vector> = of_field(&found, field).collect();
         let middle = Vector::from_fn(|row, _| median(values.iter().map(|v| v[row])).unwrap_or(0.0));
-        let words = all[0].1.words(field, &middle);
+        let words = all[0].2.words(field, &middle);
         return vec![format!("boards are not like the white image: their {words}")];
     }
     if all.len() < FEWEST_FRAMES {
         return Vec::new();
     }
-    let of_one = |one: &(&DetectedFrame, &Likeness)| {
+    let of_one = |one @ (frame, name, likeness): &ComparedFrame| {
         let (field, value) = weighty(one, OF_ONE)?;
-        let DetectedFrame { frame, name, .. } = one.0;
-        let words = one.1.words(field, &value);
+        let words = likeness.words(field, &value);
         Some(format!("frame {frame} ({name}) is not like the white image: its {words}"))
     };
     all.iter().filter_map(of_one).collect()
