@@ -34,6 +34,6 @@ pub(super) fn run(
     paths.extend(exported(export, &evaluated, &input.board)?);
     warn(&evaluated.left_out);
     warn(&talk::of_calibration(&evaluated.warnings));
-    print_result(json, &document, &report::cost_text(&evaluated, parts), &paths)?;
+    print_result(json, &document, &report::cost_section(&evaluated, parts).to_text(), &paths)?;
     Ok(ExitCode::SUCCESS)
 }

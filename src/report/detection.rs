@@ -1,18 +1,28 @@
 //! Detected features.
 
-use super::table::{Table, table};
+use super::tree::{Cell, Column, Figure, Part, Section, Table};
 use crate::detection::{DetectedBoards, DetectedFrame};
 
-/// What was found and what was dropped in each frame.
+/// Number of frames whose figures are shown at once; the others are shown on demand.
+const FRAMES_SHOWN: usize = 1;
+
+/// The boards of a subset: what was found and what was dropped in each frame, and figures of frames.
 #[must_use]
-pub fn detection_text(frames: &[DetectedFrame]) -> String {
-    format!("{}\n\n{}", detection_table(frames), dropped_text(frames))
+pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Figure>) -> Section {
+    let mut parts = vec![Part::Table(frames_table(&boards.frames))];
+    parts.extend(Part::paragraphs(&dropped_text(&boards.frames)));
+    let mut figures = figures.into_iter().map(Part::Figure);
+    parts.extend(figures.by_ref().take(FRAMES_SHOWN));
+    let others: Vec<Part> = figures.collect();
+    if !others.is_empty() {
+        parts.push(Part::Details { summary: "The other frames".to_owned(), parts: others });
+    }
+    let section = Section::new(&format!("Boards: {subset}"), parts);
+    Section { warnings: boards.warnings.clone(), ..section }
 }
 
-pub(super) fn detection_table(frames: &[DetectedFrame]) -> Table {
-    let header = [
-        "Frame",
-        "Image",
+fn frames_table(frames: &[DetectedFrame]) -> Table {
+    let counts = [
         "Micro-images",
         "Corners",
         "Clusters",
@@ -27,7 +37,9 @@ pub(super) fn detection_table(frames: &[DetectedFrame]) -> Table {
         "Misplaced",
         "Given up",
     ];
-    let mut text = table(&header, &[1]);
+    let frame_and_image = [Column::number("Frame"), Column::text("Image")];
+    let mut table =
+        Table::new("Frame by frame", frame_and_image.into_iter().chain(counts.map(Column::number)));
     for frame in frames {
         let c = &frame.counts;
         let numbers = [
@@ -45,15 +57,14 @@ pub(super) fn detection_table(frames: &[DetectedFrame]) -> Table {
             c.misplaced,
             c.given_up,
         ];
-        let mut cells = vec![frame.frame.to_string(), frame.name.clone()];
-        cells.extend(numbers.iter().map(ToString::to_string));
-        text.add_row(cells);
+        let frame_and_image = [frame.frame.into(), frame.name.as_str().into()];
+        table.push(frame_and_image.into_iter().chain(numbers.map(Cell::from)));
     }
-    text
+    table
 }
 
 /// What the columns mean.
-pub(super) fn dropped_text(frames: &[DetectedFrame]) -> String {
+fn dropped_text(frames: &[DetectedFrame]) -> String {
     let features: usize = frames.iter().map(DetectedFrame::features).sum();
     let with_features = frames.iter().filter(|frame| frame.features() > 0).count();
     format!(

@@ -241,9 +241,11 @@ impl Drawing {
     ) -> Self {
         let [left, top, width, height] = view;
         let encoded = STANDARD.encode(bytes);
+        // Enlarged pixels stay visible.
+        let rendering = if size.x > width { "pixelated" } else { "auto" };
         let marks = format!(
             "<image x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\" \
-             preserveAspectRatio=\"none\" style=\"image-rendering:pixelated\" \
+             preserveAspectRatio=\"none\" style=\"image-rendering:{rendering}\" \
              href=\"data:image/{jpeg_or_png};base64,{encoded}\"/>\n"
         );
         Self { size, view, decimals: 2, marks }

@@ -2,11 +2,11 @@
 
 use nalgebra::Vector2;
 
+use super::super::drawing::{Area, Axis, Drawing, FITTED, INK, TYPE_COLORS, quantile};
+use super::super::tree::Figure;
 use super::figure;
 use crate::calibration::Calibration;
 use crate::numerics::weighted_mean;
-use super::super::drawing::{Area, Axis, Drawing, FITTED, INK, TYPE_COLORS, quantile};
-use super::super::tree::Figure;
 
 /// Blur radii with as many features are one dot.
 const DOTS: usize = 24;

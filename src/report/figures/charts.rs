@@ -2,11 +2,11 @@
 
 use nalgebra::Vector2;
 
+use super::super::drawing::{Anchor, Area, Axis, BLUE, Drawing, ORANGE, Ticks, WHITE};
+use super::super::tree::Figure;
 use super::figure;
 use crate::calibration::Calibration;
 use crate::model::Rmse;
-use super::super::drawing::{Anchor, Area, Axis, BLUE, Drawing, ORANGE, Ticks, WHITE};
-use super::super::tree::Figure;
 
 /// Height of a name under a bar, px.
 const NAME: f64 = 26.0;

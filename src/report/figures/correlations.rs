@@ -2,11 +2,11 @@
 
 use nalgebra::Vector2;
 
+use super::super::drawing::{Anchor, BLUE, Color, Drawing, INK, ORANGE, WHITE};
+use super::super::tree::Figure;
 use super::figure;
 use crate::calibration::Calibration;
 use crate::model::shared_parameters;
-use super::super::drawing::{Anchor, BLUE, Color, Drawing, INK, ORANGE, WHITE};
-use super::super::tree::Figure;
 
 /// Correlations beyond this are labelled with their value.
 const STRONG: f64 = 0.9;

@@ -2,12 +2,12 @@
 
 use nalgebra::Vector2;
 
+use super::super::drawing::{Anchor, BLUE, Drawing, INK, Plane, axis_number, round_below};
+use super::super::tree::Figure;
 use super::figure;
 use super::vectors::{Arrow, draw_arrows, enlarged, enlargement, key, sensor_picture};
 use crate::error::Result;
 use crate::model::PlenopticCamera;
-use super::super::drawing::{Anchor, BLUE, Drawing, INK, Plane, axis_number, round_below};
-use super::super::tree::Figure;
 use crate::solver::distortion_mm;
 
 /// Number of samples along the longer side: of the colours, and of the arrows.

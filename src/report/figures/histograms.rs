@@ -2,10 +2,10 @@
 
 use nalgebra::Vector2;
 
-use super::figure;
-use crate::calibration::Calibration;
 use super::super::drawing::{Area, Axis, BLUE, Drawing, FITTED, quantile};
 use super::super::tree::Figure;
+use super::figure;
+use crate::calibration::Calibration;
 use crate::solver::LossKind;
 
 const BINS: usize = 40;

@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector2;
 
+use super::super::drawing::{Area, Axis, BLUE, Drawing, INK, ORANGE};
+use super::super::tree::Figure;
 use super::figure;
 use super::vectors::means_side_by_side;
 use crate::calibration::Calibration;
 use crate::evaluation::{ModelComparison, WithoutGroup};
 use crate::model::{FeatureResidual, PlenopticCamera};
-use super::super::drawing::{Area, Axis, BLUE, Drawing, INK, ORANGE};
-use super::super::tree::Figure;
 
 /// Rings around the axis.
 const RINGS: usize = 12;
@@ -38,8 +38,7 @@ fn titles(without: &WithoutGroup) -> [String; 2] {
 fn arrows(calibration: &Calibration, without: &WithoutGroup) -> Figure {
     let residuals = [&calibration.reprojection, &without.reprojection].map(|r| &r.features[..]);
     let [with, gone] = titles(without);
-    let (drawing, how) =
-        means_side_by_side(&calibration.camera.sensor, residuals, [&with, &gone]);
+    let (drawing, how) = means_side_by_side(&calibration.camera.sensor, residuals, [&with, &gone]);
     let caption = format!(
         "Observed minus projected (u, v) of features with the {0} and without: {how}. Arrows that line up only \
          on the right are what the {0} explains.",
@@ -141,13 +140,7 @@ fn rings(calibration: &Calibration, without: &WithoutGroup) -> Figure {
     figure(&name(without, "over-radius"), caption, drawing)
 }
 
-fn panel(
-    chart: &Area,
-    series: &[Vec<Ring>; 2],
-    farthest: f64,
-    what: &str,
-    drawing: &mut Drawing,
-) {
+fn panel(chart: &Area, series: &[Vec<Ring>; 2], farthest: f64, what: &str, drawing: &mut Drawing) {
     let ends = series.iter().flatten().flat_map(|r| [r.mean - r.std_error, r.mean + r.std_error]);
     let largest = ends.filter(|v| v.is_finite()).map(f64::abs).fold(1e-9, f64::max) * 1.1;
     let x = Axis::new("distance from the axis, px", [0.0, farthest]);

@@ -2,11 +2,11 @@
 
 use nalgebra::Vector2;
 
-use super::figure;
-use crate::assessment::{Distance, ObjectSpace, PointTrust};
-use super::super::assessment::two_digits;
 use super::super::drawing::{Anchor, BLUE, Drawing, INK, ORANGE};
 use super::super::tree::Figure;
+use super::figure;
+use crate::assessment::{Distance, ObjectSpace, PointTrust};
+use crate::quantity::two_digits;
 
 /// A cell, px, and the room beside and above the cells of a panel.
 const CELL: Vector2<f64> = Vector2::new(52.0, 30.0);

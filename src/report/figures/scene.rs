@@ -2,13 +2,13 @@
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
-use super::figure;
-use crate::calibration::Calibration;
-use crate::model::{Board, PlenopticCamera};
 use super::super::drawing::{
     Anchor, BLUE, Color, Drawing, FITTED, INK, ORANGE, TYPE_COLORS, ticks,
 };
 use super::super::tree::Figure;
+use super::figure;
+use crate::calibration::Calibration;
+use crate::model::{Board, PlenopticCamera};
 
 /// Viewing direction: angle from the side towards the back of the camera, and from above, rad.
 const TURNED: f64 = 0.55;

@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector2;
 
+use super::super::drawing::{
+    Anchor, Area, Axis, BLUE, Color, Drawing, INK, Plane, ROOM, TYPE_COLORS, axis_number, quantile,
+    round_below,
+};
+use super::super::tree::Figure;
 use super::figure;
 use crate::calibration::Calibration;
 use crate::evaluation::{CameraComparison, DistanceDifference};
 use crate::model::{FeatureResidual, Sensor};
 use crate::precalibration::ArrayMeasurement;
-use super::super::drawing::{
-    Anchor, Area, Axis, BLUE, Drawing, INK, Plane, ROOM, TYPE_COLORS, axis_number, quantile, round_below,
-};
-use super::super::tree::Figure;
 
 /// More arrows than this would hide each other, so their means over cells are drawn.
 const MOST_ARROWS: usize = 3000;
@@ -241,7 +242,8 @@ pub fn comparison_figures(comparison: &CameraComparison, sensor: &Sensor) -> Vec
         // To the micrometre, without zeros at its end: distances apart have names apart.
         let at_mm = (1e3 * d.at_mm).round() / 1e3;
         let title = format!("Second camera minus first at {at_mm} mm");
-        let caption = format!("{title}: shifts of pixels after their frames were brought together.");
+        let caption =
+            format!("{title}: shifts of pixels after their frames were brought together.");
         figure(&format!("shifts-{at_mm}-mm"), caption, shifts(&d.shifts_px, sensor, &title))
     };
     comparison.distances.iter().map(of).collect()

@@ -45,7 +45,8 @@ fn lines(chart: &Area, result: &Precalibration, drawing: &mut Drawing) {
     let largest_inverse = radii.iter().map(|r| 1.0 / r.f_number).fold(0.0, f64::max) * 1.05;
     let largest_radius = radii.iter().map(|r| r.radius_px).fold(0.0, f64::max) * 1.08;
     let x = Axis::new("1/N", [0.0, largest_inverse]).with_grid();
-    let plane = drawing.axes(chart, &x, &Axis::new("radius, px", [0.0, largest_radius]).with_grid());
+    let plane =
+        drawing.axes(chart, &x, &Axis::new("radius, px", [0.0, largest_radius]).with_grid());
     drawing.title(chart, "Radii of micro-images");
     for (lens_type, color) in TYPE_COLORS.into_iter().enumerate().take(result.lens_types.types) {
         let of_type = || radii.iter().filter(move |r| r.lens_type == lens_type);
@@ -136,9 +137,10 @@ pub fn micro_images_figure(
         let lens_type = array.grid.lattice.lens_type(c.k, c.l, radii_px.len());
         let radius = radii_px.get(lens_type).copied().unwrap_or(0.0);
         let from_edge = Vector2::new(c.u_px - view[0], c.v_px - view[1]);
-        let is_inside = from_edge.iter().zip([width, height]).all(|(&at, edge)| {
-            (-radius..edge as f64 + radius).contains(&at)
-        });
+        let is_inside = from_edge
+            .iter()
+            .zip([width, height])
+            .all(|(&at, edge)| (-radius..edge as f64 + radius).contains(&at));
         if is_inside {
             drawing.circle(Vector2::new(c.u_px, c.v_px), radius, TYPE_COLORS[lens_type], 0.5);
         }
