@@ -162,15 +162,18 @@ impl<'a> Axis<'a> {
         let (low, high) = (from.min(to), from.max(to));
         match self.ticks {
             Ticks::Numbers => ticks(low, high, apart),
-            Ticks::Whole => ticks(low, high, apart.max(1.0)),
+            Ticks::Whole => ticks(low, high, apart.max(ONE)),
             Ticks::Decades => {
-                let powers = ticks(low, high, apart.max(1.0)).into_iter();
+                let powers = ticks(low, high, apart.max(ONE)).into_iter();
                 powers.map(|(exponent, label)| (exponent, format!("1e{label}"))).collect()
             }
             Ticks::None => Vec::new(),
         }
     }
 }
+
+/// The distance between ticks for which [`ticks`] takes a step of 1.
+const ONE: f64 = 0.4;
 
 /// Round numbers from `low` to `high`, at least `apart` from each other, with their labels.
 pub(super) fn ticks(low: f64, high: f64, apart: f64) -> Vec<(f64, String)> {

@@ -87,8 +87,8 @@ mod tests {
                 "",
                 "Values",
                 " Name  Length, mm",
-                " F          16.2",
-                " D             -",
+                " F           16.2",
+                " D              -",
                 "",
                 "More",
                 "Three."
