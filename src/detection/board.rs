@@ -12,8 +12,8 @@ use rayon::prelude::*;
 
 use self::homography::{Pair, homography, project, step_at};
 use self::lattice::{FEWEST, Nodes, lattices, turned};
-use super::Rejection;
 use crate::error::Error;
+use crate::finding::Issue;
 use crate::model::Board;
 
 /// The pinhole image of a corner, and how the squares about it lie.
@@ -80,13 +80,13 @@ impl LabelledBoard {
         points: &[LatticePoint],
         board: &Board,
         in_view: &(dyn Fn(&Vector2<f64>) -> bool + Sync),
-    ) -> Result<Self, Rejection> {
+    ) -> Result<Self, Issue> {
         if points.len() < FEWEST {
-            return Err(Rejection::TooFewCorners { corners: points.len() });
+            return Err(Issue::TooFewCorners { corners: points.len() });
         }
         let corners = size_in_reach(board)?;
         if points.len() > MOST_CLUTTER * corners.max(FEWEST * FEWEST) {
-            return Err(Rejection::TooMuchTexture { places: points.len(), corners });
+            return Err(Issue::TooMuchTexture { places: points.len(), corners });
         }
         let view = View { points, board, in_view };
         let places: Vec<Vector2<f64>> = points.iter().map(|point| point.place).collect();
@@ -96,13 +96,13 @@ impl LabelledBoard {
         let best = best_of(&placements, board)?;
         let (found, in_view) = (best.labelled(), best.labelled() + best.missing);
         if (found as f64) < FOUND * in_view as f64 || found < FEWEST {
-            return Err(Rejection::TooFewInView { found, in_view });
+            return Err(Issue::TooFewInView { found, in_view });
         }
         let labelled = view.completed(best);
         let beyond = view.beyond(&labelled);
         if beyond >= BEYOND {
             let (columns, rows) = (board.columns, board.rows);
-            return Err(Rejection::BeyondBoard { corners: beyond, columns, rows });
+            return Err(Issue::BeyondBoard { corners: beyond, columns, rows });
         }
         Ok(labelled)
     }
@@ -125,18 +125,18 @@ impl LabelledBoard {
 }
 
 /// Number of corners of a board; the reason if boards of this size are not searched for.
-fn size_in_reach(board: &Board) -> Result<usize, Rejection> {
+fn size_in_reach(board: &Board) -> Result<usize, Issue> {
     let corners = usize::try_from(board.corners()).unwrap_or(usize::MAX);
     if (FEWEST..=MOST_CORNERS).contains(&corners) {
         return Ok(corners);
     }
     let (columns, rows) = (board.columns, board.rows);
-    Err(Rejection::BoardSize { columns, rows, fewest: FEWEST, most: MOST_CORNERS })
+    Err(Issue::BoardSize { columns, rows, fewest: FEWEST, most: MOST_CORNERS })
 }
 
 /// The best of some placements, the one with the highest score first.
-fn best_of<'a>(placements: &'a [Placement], board: &Board) -> Result<&'a Placement, Rejection> {
-    let best = placements.first().ok_or(Rejection::NoLattice)?;
+fn best_of<'a>(placements: &'a [Placement], board: &Board) -> Result<&'a Placement, Issue> {
+    let best = placements.first().ok_or(Issue::NoLattice)?;
     let limit = best.score - ALIKE * f64::from(board.corners());
     // Of those that are equally good the one whose rows run most to the right; that has to be one place.
     let alike = || placements.iter().filter(|p| p.score >= limit);
@@ -145,7 +145,7 @@ fn best_of<'a>(placements: &'a [Placement], board: &Board) -> Result<&'a Placeme
     let best = towards().next().unwrap_or(best);
     if let Some(other) = towards().find(|p| !p.covers(best)) {
         let (corners, elsewhere) = (best.labelled(), other.labelled());
-        return Err(Rejection::SeveralPlaces { corners, elsewhere });
+        return Err(Issue::SeveralPlaces { corners, elsewhere });
     }
     // What is left is the board, turned.
     let top = |p: &&Placement| p.outline[0].y;

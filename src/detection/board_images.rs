@@ -3,8 +3,9 @@
 use std::borrow::Cow;
 
 use super::flat_field::Likeness;
-use super::{Detection, FrameCounts, Rejection};
-use crate::error::{Error, Result};
+use super::{Detection, FrameCounts};
+use crate::error::Result;
+use crate::finding::{Finding, Issue};
 use crate::image::RawImage;
 use crate::model::{BapFeature, FillFactor};
 
@@ -33,24 +34,6 @@ impl<'a> BoardImage<'a> {
     }
 }
 
-/// Why an image has no features.
-#[derive(Debug)]
-pub enum NoFeatures {
-    /// It cannot be read.
-    Unreadable(Error),
-    /// The board was not found in it.
-    Rejected(Rejection),
-}
-
-impl std::fmt::Display for NoFeatures {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Unreadable(error) => error.fmt(f),
-            Self::Rejected(rejection) => rejection.fmt(f),
-        }
-    }
-}
-
 /// What was found in an image.
 #[derive(Debug)]
 pub struct DetectedFrame {
@@ -59,7 +42,7 @@ pub struct DetectedFrame {
     /// What messages call the image.
     pub name: String,
     /// The board, or why it is left out.
-    pub result: std::result::Result<Detection, NoFeatures>,
+    pub result: std::result::Result<Detection, Issue>,
     /// What was done with the micro-images.
     pub counts: FrameCounts,
     /// How its light follows the white image.
@@ -85,8 +68,8 @@ pub struct DetectedBoards {
     pub fill_factor: Option<FillFactor>,
     /// That which corners were fitted with.
     pub fitted_with: f64,
-    /// What the user should know, in words: frames left out and why, a doubtful board.
-    pub warnings: Vec<String>,
+    /// What the user should know: frames left out and why, a doubtful board.
+    pub findings: Vec<Finding>,
 }
 
 impl DetectedBoards {

@@ -5,6 +5,7 @@ use std::time::Instant;
 use nalgebra::Vector2;
 use tracing::{debug, info, trace};
 
+use super::CornerObservation;
 use super::board::{LabelledBoard, LatticePoint};
 use super::exposure::{contrast, count_unusable};
 use super::features::{DetectedCorner, Detection, detection};
@@ -12,7 +13,7 @@ use super::first_pass::{FirstPass, groups};
 use super::frame::{Frame, FrameCounts, MARGIN, Search};
 use super::grouping::Group;
 use super::second_pass::{BoardCorner, second_pass};
-use super::{CornerObservation, Rejection};
+use crate::finding::Issue;
 use crate::image::Grey;
 use crate::model::MIN_CORNERS;
 
@@ -35,7 +36,7 @@ pub fn detect_frame(
     image: &Grey,
     white: &Grey,
     search: &Search,
-) -> (Result<Detection, Rejection>, FrameCounts) {
+) -> (Result<Detection, Issue>, FrameCounts) {
     let mut counts = FrameCounts::default();
     let begun = Instant::now();
     let result = detect(&Frame { frame, image, white, search }, &mut counts);
@@ -69,10 +70,10 @@ pub(super) fn detect_again(
     enough.then(|| (detection(&frame, &passed, labelled.homography), counts))
 }
 
-fn detect(frame: &Frame, counts: &mut FrameCounts) -> Result<Detection, Rejection> {
+fn detect(frame: &Frame, counts: &mut FrameCounts) -> Result<Detection, Issue> {
     let (image, white) = (frame.image.size(), frame.white.size());
     if image != white {
-        return Err(Rejection::Size { image, white });
+        return Err(Issue::SizesDiffer { image_px: image.into(), white_px: white.into() });
     }
     let nodes = frame.nodes();
     let contrast = contrast(frame, &nodes).inspect_err(|_| {
@@ -95,7 +96,7 @@ fn of_board(
     frame: &Frame,
     first: &FirstPass,
     counts: &mut FrameCounts,
-) -> Result<(Detection, bool), Rejection> {
+) -> Result<(Detection, bool), Issue> {
     let FirstPass { observations, contrast, .. } = first;
     *counts = FrameCounts {
         looked_at: first.looked_at,
@@ -114,7 +115,7 @@ fn of_board(
     let corners = &passed.corners;
     check_sides(frame, &labelled, |corner| corners.iter().any(|c| c.corner == corner))?;
     if corners.len() < MIN_CORNERS {
-        return Err(Rejection::TooFewForPose { corners: corners.len(), fewest: MIN_CORNERS });
+        return Err(Issue::TooFewForPose { corners: corners.len(), fewest: MIN_CORNERS });
     }
     check_lost(counts.lost, labelled.corners.iter().flatten().count())?;
     let in_view =
@@ -131,7 +132,7 @@ fn labelled_board(
     observations: &[CornerObservation],
     groups: &[Group],
     counts: &mut FrameCounts,
-) -> Result<LabelledBoard, Rejection> {
+) -> Result<LabelledBoard, Issue> {
     let points: Vec<LatticePoint> = groups
         .iter()
         .map(|group| LatticePoint {
@@ -143,7 +144,7 @@ fn labelled_board(
     let labelled = LabelledBoard::label(&points, frame.search.board, &in_view);
     let labelled = labelled.map_err(|reason| match counts.texture {
         0 => reason,
-        corners => Rejection::Texture { reason: Box::new(reason), corners },
+        corners => Issue::Texture { reason: Box::new(reason), corners },
     })?;
     let off_board = groups.iter().zip(&labelled.corners).filter(|(_, c)| c.is_none());
     counts.off_board = off_board.map(|(group, _)| group.members.len()).sum();
@@ -155,7 +156,7 @@ fn check_sides(
     frame: &Frame,
     labelled: &LabelledBoard,
     found: impl Fn(i32) -> bool,
-) -> Result<(), Rejection> {
+) -> Result<(), Issue> {
     let board = frame.search.board;
     let in_view = |corner: &i32| frame.in_view(&labelled.pinhole(board, *corner), SURE_MARGIN);
     let (columns, rows) = (board.columns, board.rows);
@@ -170,16 +171,16 @@ fn check_sides(
     for (side, corners) in sides {
         let seen: Vec<i32> = corners.into_iter().filter(in_view).collect();
         if seen.len() >= SIDE && !seen.iter().any(|&corner| found(corner)) {
-            return Err(Rejection::SideMissing { side, columns, rows });
+            return Err(Issue::SideMissing { side, columns, rows });
         }
     }
     Ok(())
 }
 
 /// The reason if so many labelled corners were lost that their labels are wrong.
-fn check_lost(lost: usize, labelled: usize) -> Result<(), Rejection> {
+fn check_lost(lost: usize, labelled: usize) -> Result<(), Issue> {
     if lost >= MANY_LOST && lost as f64 > LOST * labelled as f64 {
-        return Err(Rejection::Lost { lost, labelled });
+        return Err(Issue::LabelsLost { lost, labelled });
     }
     Ok(())
 }
@@ -194,7 +195,7 @@ mod tests {
             assert_eq!(check_lost(lost, labelled), Ok(()));
         }
         for (lost, labelled) in [(4, 8), (4, 15), (14, 28)] {
-            assert_eq!(check_lost(lost, labelled), Err(Rejection::Lost { lost, labelled }));
+            assert_eq!(check_lost(lost, labelled), Err(Issue::LabelsLost { lost, labelled }));
         }
     }
 }

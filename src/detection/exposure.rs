@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::Rejection;
 use super::frame::Frame;
 use super::patch::{Patch, Room, Unusable};
+use crate::finding::Issue;
 use crate::numerics::median;
 
 /// So many micro-images show how bright the frame is, and every second one along both rows and columns at most.
@@ -36,7 +36,7 @@ struct Level {
 }
 
 /// Half the difference between the bright and the dark squares, relative to the white image.
-pub(super) fn contrast(frame: &Frame, nodes: &[(i32, i32)]) -> Result<f64, Rejection> {
+pub(super) fn contrast(frame: &Frame, nodes: &[(i32, i32)]) -> Result<f64, Issue> {
     #[allow(clippy::cast_possible_truncation, clippy::cast_possible_wrap)] // a few
     let step = ((nodes.len() / ENOUGH).isqrt() as i32).max(LEAST_STEP);
     let sampled = nodes.iter().filter(|(k, l)| k % step == 0 && l % step == 0);
@@ -46,7 +46,7 @@ pub(super) fn contrast(frame: &Frame, nodes: &[(i32, i32)]) -> Result<f64, Rejec
     check_exposure(frame, &levels)?;
     let lit: Vec<Level> = levels.into_iter().flatten().collect();
     let Some(usual) = median(lit.iter().map(|level| level.white)) else {
-        return Err(Rejection::NothingUsable);
+        return Err(Issue::NothingUsable);
     };
     // Where something covered the white image, light relative to it says nothing.
     let uncovered = lit.iter().filter(|level| level.white > COVERED * usual);
@@ -56,7 +56,7 @@ pub(super) fn contrast(frame: &Frame, nodes: &[(i32, i32)]) -> Result<f64, Rejec
     let at = |part: f64| means[(part * (means.len() - 1) as f64) as usize];
     let contrast = (at(1.0 - TAIL) - at(TAIL)) / 2.0;
     if contrast < LEAST_DIFFERENCE * at(1.0 - TAIL).max(LEAST_LEVEL) {
-        return Err(Rejection::Uniform);
+        return Err(Issue::Uniform);
     }
     Ok(contrast)
 }
@@ -86,9 +86,9 @@ fn levels<'n>(
 }
 
 /// The reason if too many micro-images are unusable.
-fn check_exposure(frame: &Frame, levels: &[Result<Level, Unusable>]) -> Result<(), Rejection> {
+fn check_exposure(frame: &Frame, levels: &[Result<Level, Unusable>]) -> Result<(), Issue> {
     if levels.is_empty() {
-        return Err(Rejection::NoWholeMicroImage);
+        return Err(Issue::NoWholeMicroImage);
     }
     let part = |why: Unusable| {
         let unusable = levels.iter().filter_map(|level| level.err());
@@ -96,12 +96,12 @@ fn check_exposure(frame: &Frame, levels: &[Result<Level, Unusable>]) -> Result<(
         count as f64 / levels.len() as f64
     };
     let micro_image_pitch_px = frame.search.micro_images.grid.pitch_px;
-    let too_small = |part| Rejection::TooSmall { part, micro_image_pitch_px };
-    let reasons: [(Unusable, &dyn Fn(f64) -> Rejection); 4] = [
-        (Unusable::SaturatedWhite, &|part| Rejection::SaturatedWhite { part }),
-        (Unusable::Saturated, &|part| Rejection::Saturated { part }),
+    let too_small = |part| Issue::MicroImagesTooSmall { part, pitch_px: micro_image_pitch_px };
+    let reasons: [(Unusable, &dyn Fn(f64) -> Issue); 4] = [
+        (Unusable::SaturatedWhite, &|part| Issue::SaturatedWhite { part }),
+        (Unusable::Saturated, &|part| Issue::Saturated { part }),
         (Unusable::TooSmall, &too_small),
-        (Unusable::Dark, &|part| Rejection::Dark { part }),
+        (Unusable::Dark, &|part| Issue::DarkWhite { part }),
     ];
     match reasons.iter().find(|(why, _)| part(*why) > TOO_MANY) {
         Some((why, rejection)) => Err(rejection(part(*why))),

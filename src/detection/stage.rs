@@ -5,13 +5,14 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 use tracing::debug;
 
-use super::board_images::{BoardImage, DetectedBoards, DetectedFrame, NoFeatures};
+use super::board_images::{BoardImage, DetectedBoards, DetectedFrame};
 use super::detect_frame::{detect_again, detect_frame};
 use super::edge_width::{EdgeWidth, OfFrames, differs};
+use super::findings::{findings, fitted_otherwise};
 use super::flat_field::Likeness;
-use super::warnings::{fitted_otherwise, warnings};
-use super::{Detection, FrameCounts, MicroImages, Rejection, Search};
+use super::{Detection, FrameCounts, MicroImages, Search};
 use crate::error::{Error, Result};
+use crate::finding::Issue;
 use crate::image::{Grey, RawImage};
 use crate::model::{FillFactor, SampleLevels, Sensor, Subset};
 
@@ -73,9 +74,9 @@ pub fn detect<'i>(
         }
         in_the_end(&widths.fill, fitted_with, follows)
     });
-    let mut warnings = warnings(&frames, search.board, subset);
-    warnings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, &micro_images)));
-    Ok(DetectedBoards { frames, fill_factor, fitted_with, warnings })
+    let mut findings = findings(&frames, search.board, subset);
+    findings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, &micro_images)));
+    Ok(DetectedBoards { frames, fill_factor, fitted_with, findings })
 }
 
 /// A search in several images.
@@ -157,10 +158,13 @@ fn detected_frame<'i>(
     found: Result<Searched<'i>>,
 ) -> (DetectedFrame, Option<Cow<'i, RawImage>>) {
     let (raw, result, counts, likeness) = match found {
-        Ok((raw, (found, counts), likeness)) => {
-            (Some(raw), found.map_err(NoFeatures::Rejected), counts, likeness)
-        }
-        Err(error) => (None, Err(NoFeatures::Unreadable(error)), FrameCounts::default(), None),
+        Ok((raw, (found, counts), likeness)) => (Some(raw), found, counts, likeness),
+        Err(error) => (
+            None,
+            Err(Issue::Unreadable { reason: error.to_string() }),
+            FrameCounts::default(),
+            None,
+        ),
     };
     let few_levels = raw.as_ref().and_then(|raw| raw.rounded_to_levels());
     let name = image.name.clone();
@@ -172,7 +176,7 @@ fn detections(frames: &[DetectedFrame]) -> impl Iterator<Item = &Detection> {
 }
 
 /// What was found in an image.
-type Found = (std::result::Result<Detection, Rejection>, FrameCounts);
+type Found = (std::result::Result<Detection, Issue>, FrameCounts);
 /// The image as well, and how its light follows the white image.
 type Searched<'i> = (Cow<'i, RawImage>, Found, Option<Likeness>);
 

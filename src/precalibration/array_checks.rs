@@ -5,21 +5,15 @@ use std::collections::HashMap;
 use nalgebra::{Matrix2, Vector2};
 
 use super::array::ArrayMeasurement;
+use crate::checks::whites::{self as checks, MOSTLY_FULL};
 use crate::error::Error;
+use crate::finding::Finding;
 use crate::image::{Grey, Image, RawImage};
 use crate::model::MicroImageCenter;
 use crate::numerics::median;
 
-/// Images with this part of their pixels full are over-exposed.
-const MOSTLY_FULL: f64 = 0.85;
-/// Arrays are this regular, root mean square in pitches: real ones that were measured to 0.012.
-const IRREGULAR: f64 = 0.025;
-/// A pitch along one direction is that across it within this part, where pixels are square: four real arrays were measured
-/// to 0.6, 0.7, 1.5 and 3.5 in 10⁴.
-const STRETCHED: f64 = 1e-3;
-/// In a white image a micro-image is within this factor as bright as its neighbours, but for this part of them.
+/// In a white image a micro-image is within this factor as bright as its neighbours.
 const AS_BRIGHT: f64 = 2.0;
-const UNEVEN: f64 = 0.03;
 
 /// An error for an image that is full nearly all over.
 pub(super) fn over_exposed(image: &Grey) -> Option<Error> {
@@ -38,38 +32,12 @@ fn full_part(image: &Image) -> f64 {
     image.pixels.iter().filter(|light| **light >= 1.0).count() as f64 / image.pixels.len() as f64
 }
 
-/// What is doubtful about the image that an array was measured in: that it is no white image, over-exposed,
-/// or not regular.
+/// Findings about the image that an array was measured in: that it is no white image, over-exposed, or not regular.
 #[must_use]
-pub fn array_doubts(array: &ArrayMeasurement, image: &RawImage) -> Vec<String> {
+pub fn array_findings(array: &ArrayMeasurement, image: &RawImage) -> Vec<Finding> {
     let (grid, image) = (&array.grid, image.to_grey());
     let (full, uneven) = (full_part(&image), uneven_part(array, &image));
-    let no_white_image = (uneven > UNEVEN).then(|| {
-        format!(
-            "{:.0} % of its micro-images are not nearly as bright as their neighbours: is this a white image, of \
-             something bright and even right before the lens?",
-            100.0 * uneven
-        )
-    });
-    let irregular = (grid.rms_px > IRREGULAR * grid.pitch_px).then(|| {
-        format!(
-            "its micro-images are {:.2} px RMS off a regular grid, {:.1} % of their pitch: arrays are more regular. Give \
-             a white image that is evenly lit, and neither processed nor put together from others",
-            grid.rms_px,
-            100.0 * grid.rms_px / grid.pitch_px
-        )
-    });
-    let stretched = stretch(array).filter(|stretch| *stretch > STRETCHED).map(|stretch| {
-        format!(
-            "its lattice is {:.2} % longer along one direction than across it, as if pixels were not square: give images \
-             as the camera delivers them, not resized along one side",
-            100.0 * stretch
-        )
-    });
-    let over_exposed = (full > MOSTLY_FULL).then(|| {
-        format!("{:.0} % of its pixels are full: expose it less, so that edges show", 100.0 * full)
-    });
-    [no_white_image, irregular, stretched, over_exposed].into_iter().flatten().collect()
+    checks::array(uneven, (grid.rms_px, grid.pitch_px), stretch(array), full)
 }
 
 /// By which part the lattice is longer along one direction than across it: what the linear map from a regular lattice to

@@ -16,6 +16,7 @@ use super::lean::{Growth, lean, with_shared};
 use super::options::PrecalibrationOptions;
 use super::rings::{Alike, Gradient};
 use super::samples::Samples;
+use crate::finding::{Finding, Issue};
 use crate::image::Grey;
 use crate::model::{FallOff, FillFactor, InternalParameters, Lean};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
@@ -45,7 +46,7 @@ pub(super) struct Measured {
     /// The lean of the array, where it shows.
     pub lean: Option<Lean>,
     /// That the fall-off was not measured.
-    pub warning: Option<String>,
+    pub finding: Option<Finding>,
 }
 
 /// The light of micro-images in a sample of every white image.
@@ -115,12 +116,13 @@ impl Light {
         let lean = self.lean(&gradients);
         debug!("{lean:?}");
         let Some(measured) = plane(&gradients.concat()).filter(known) else {
-            let warning = "how light falls off with its angle does not show in the white images: it is taken \
-                           to be cos⁴, and corners far from the axis may be off by 0.1 px; take white images \
-                           that are not clipped";
             let within_std_dev_per_px2 = cos4.within_per_px2;
             let fall_off = FallOff { within_std_dev_per_px2, ..cos4 };
-            return Measured { fall_off, lean, warning: Some(warning.to_owned()) };
+            return Measured {
+                fall_off,
+                lean,
+                finding: Some(Finding::caution(Issue::ResponseUnknown)),
+            };
         };
         let [growth, std_dev] =
             [measured.growth_per_px2, measured.std_dev_per_px2].map(|x| x / cos4.growth_per_px2);
@@ -134,7 +136,7 @@ impl Light {
         Measured {
             fall_off: FallOff { within_per_px2, within_std_dev_per_px2, ..measured },
             lean,
-            warning: None,
+            finding: None,
         }
     }
 

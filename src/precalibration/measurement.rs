@@ -6,7 +6,7 @@ use super::array::FoundArray;
 use super::array_search::{found_array, patterns};
 use super::black::black_level;
 use super::centroid_shift::{corrected_array, shift_moments};
-use super::checks::{different_aperture, disagreeing_types, doubtful_colors, named};
+use super::checks::{different_aperture, doubtful_colors, named};
 use super::disc_geometry::DiscGeometry;
 use super::discs::Discs;
 use super::f_numbers::{Doubt, doubtful};
@@ -18,7 +18,9 @@ use super::radii::{RadiusEstimator, TypeRadius};
 use super::result::Precalibration;
 use super::roundness::oblong;
 use super::samples::Samples;
+use crate::checks::whites as checks;
 use crate::error::Result;
+use crate::finding::Finding;
 use crate::image::Grey;
 use crate::model::{FallOff, InternalParameters, SampleLevels, full_scale};
 use crate::vignetting::Obliquity;
@@ -65,7 +67,7 @@ pub(super) fn measured(
         samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
     let oblique = internal_of(&by_profile)?;
     // Again with the discs as they are.
-    let Measured { mut fall_off, lean, warning: unknown_fall_off } =
+    let Measured { mut fall_off, lean, finding: unknown_fall_off } =
         light.fall_off(&oblique.parameters, options, &obliquity);
     take_within(&mut fall_off, discs);
     let levers = DiscGeometry::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
@@ -84,20 +86,20 @@ pub(super) fn measured(
     internal.parameters.lean = lean
         .and_then(|lean| light.complete(lean, &oblique.parameters, options, &obliquity, &fall_off));
     internal.parameters.levels = Some(levels);
-    let wrong_f_number = doubt.map(|doubt| doubt.text);
+    let wrong_f_number = doubt.map(|doubt| doubt.finding);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
     let wrong_aperture = different_aperture((reference, &grey), &levers, &samples, &found.pattern)
         .filter(|_| wrong_f_number.is_none());
     let by_lines = by_lines(discs, options.estimator, &mut internal.parameters);
     let oblong = oblong(&grey, &array.centers, array.grid.pitch_px);
-    let types = disagreeing_types(&lens_types);
+    let types = checks::lens_types(lens_types.agreement);
     // A wrong f-number is reason enough for there being no discs.
     let by_light = wrong_f_number.or(by_lines);
     let told = [by_light, wrong_aperture, oblong, types, unknown_fall_off, black];
-    let warnings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
+    let findings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
     let images = whites.iter().map(|white| white.name.clone()).collect();
     let measured =
-        Precalibration { array, lens_types, images, radii, internal, pitch_correction, warnings };
+        Precalibration { array, lens_types, images, radii, internal, pitch_correction, findings };
     Ok((measured, of_light))
 }
 
@@ -133,7 +135,7 @@ fn without(
     let f_number = if doubtful.name == reference.name { f_number } else { reference.f_number };
     let reference = White { f_number, ..reference.clone() };
     let (mut result, discs) = measured(&others, &reference, options, &|| ())?;
-    result.warnings.insert(0, doubt.text.clone());
+    result.findings.insert(0, doubt.finding.clone());
     Ok((result, discs))
 }
 
@@ -144,7 +146,7 @@ fn levels_of(
     reference: &White,
     pattern: Option<&Pattern>,
     stated: Option<f64>,
-) -> Result<(SampleLevels, Option<String>)> {
+) -> Result<(SampleLevels, Option<Finding>)> {
     let black = black_level(whites, pattern, stated)?;
     let full = |white: &White| Some(white.image.plateau()? / white.image.full_scale());
     let full = whites.iter().chain([reference]).filter_map(full).fold(1.0, f64::min);
@@ -156,36 +158,25 @@ fn levels_of(
     };
     levels.validate()?;
     debug!("{levels:?}");
-    Ok((levels, black.warning))
+    Ok((levels, black.finding))
 }
 
-/// How far off m and q' are by straight lines through the radii with f-numbers 2 % off at random, relative
-/// (docs/precalibration.md).
-const BY_LINES: (f64, f64) = (0.06, 0.03);
-
-/// A warning if m and q' are from straight lines for want of discs, and not because the paper's estimator was asked for;
+/// A finding if m and q' are from straight lines for want of discs, and not because the paper's estimator was asked for;
 /// their standard deviations are made to know it.
 fn by_lines(
     discs: Option<&Discs>,
     estimator: RadiusEstimator,
     internal: &mut InternalParameters,
-) -> Option<String> {
+) -> Option<Finding> {
     if discs.is_some() || estimator == RadiusEstimator::Moments {
         return None;
     }
-    internal.m_std_dev_mm = internal.m_std_dev_mm.map(|x| x.hypot(BY_LINES.0 * internal.m_mm));
+    internal.m_std_dev_mm =
+        internal.m_std_dev_mm.map(|x| x.hypot(checks::BY_LINES.0 * internal.m_mm));
     for (std_dev, q) in internal.q_prime_std_dev_mm.iter_mut().zip(&internal.q_prime_mm) {
-        *std_dev = std_dev.hypot(BY_LINES.1 * q);
+        *std_dev = std_dev.hypot(checks::BY_LINES.1 * q);
     }
-    let (m, q) = BY_LINES;
-    Some(format!(
-        "the light inside the micro-images is not that of two discs, as where noise is clipped at black or a point spread \
-         (1.6 px or more) is as wide as the discs: m and q' are from straight lines through the radii, and with f-numbers \
-         2 % off they are {:.0} % and {:.0} % off. Expose white images longer with less gain, keep their black level above \
-         0, and check that the images are sharp",
-        100.0 * m,
-        100.0 * q
-    ))
+    Some(checks::no_discs())
 }
 
 /// H as the discs show it, if they do.
@@ -233,7 +224,7 @@ mod tests {
             (by_lines(None, estimator, &mut internal), internal)
         };
         let (warning, internal) = of(RadiusEstimator::Profile);
-        assert!(warning.unwrap().contains("they are 6 % and 3 % off"));
+        assert!(warning.unwrap().to_string().contains("make them 6 % and 3 % wrong"));
         assert!((internal.m_std_dev_mm.unwrap() / measured.m_mm - 0.06).abs() < 1e-4);
         for (std_dev, q) in internal.q_prime_std_dev_mm.iter().zip(&internal.q_prime_mm) {
             assert!((std_dev / q - 0.03).abs() < 1e-4);

@@ -34,7 +34,7 @@ mod samples;
 mod stage;
 
 pub use array::{ArrayMeasurement, LeftOutCenters, LensTypes};
-pub use array_checks::array_doubts;
+pub use array_checks::array_findings;
 pub use array_search::{lattice_centers, lattice_orientation, measure_array};
 pub use checks::check_stated_pitch;
 pub use grid::{MicroImageArray, fit_grid};

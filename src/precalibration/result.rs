@@ -6,6 +6,7 @@ use super::array::{ArrayMeasurement, LensTypes};
 use super::checks::check_stated_pitch;
 use super::internal::{InternalFit, RadiusMeasurement};
 use crate::error::{Error, Result};
+use crate::finding::Finding;
 use crate::model::Datasheet;
 
 /// What white images show of a camera.
@@ -23,8 +24,8 @@ pub struct Precalibration {
     pub internal: InternalFit,
     /// Relative change of the pitch by that correction.
     pub pitch_correction: f64,
-    /// What the user should know, in words.
-    pub warnings: Vec<String>,
+    /// What the user should know.
+    pub findings: Vec<Finding>,
 }
 
 impl Precalibration {

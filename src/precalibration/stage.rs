@@ -1,11 +1,12 @@
 //! The pre-calibration as one stage: from white images to the array and the internal parameters.
 
-use super::array_checks::array_doubts;
+use super::array_checks::array_findings;
 use super::checks::reference_of;
-use super::linearity::{explained, not_linear, power_for_discs, power_of_discs};
+use super::linearity::{explained, power_for_discs, power_of_discs};
 use super::measurement::measured;
 use super::options::{PrecalibrationOptions, White};
 use super::result::Precalibration;
+use crate::checks::whites::not_linear;
 use crate::error::Result;
 use crate::model::positive;
 
@@ -31,11 +32,11 @@ pub fn precalibrate(
     if let Some(sheet) = &options.stated {
         result.check_stated(sheet).map_err(|error| explained(error, power))?;
     }
-    let doubts = array_doubts(&result.array, &reference.image).into_iter();
-    result.warnings.extend(doubts.map(|doubt| format!("{}: {doubt}", reference.name)));
+    let of_array = array_findings(&result.array, &reference.image).into_iter();
+    result.findings.extend(of_array.map(|finding| finding.about_image(&reference.name)));
     if let Some(power) = power {
         // It may be the reason for others.
-        result.warnings.insert(0, not_linear(power));
+        result.findings.insert(0, not_linear(power));
     }
     result.log();
     Ok(result)

@@ -3,6 +3,7 @@
 use super::tree::{Cell, Column, Part, Section, Table};
 use crate::assessment::{Assessment, NextBoard, ObjectSpace, Verdict};
 use crate::calibration::OutlyingFeature;
+use crate::finding::Severity;
 use crate::quantity::two_digits;
 
 /// Outlying features that are named one by one.
@@ -11,11 +12,11 @@ const NAMED: usize = 5;
 /// The verdict with its reasons, and what to do next: a line each.
 #[must_use]
 pub fn verdict_lines(assessment: &Assessment) -> Vec<String> {
-    let mut lines = vec![match (assessment.verdict, assessment.reasons.len()) {
-        (Verdict::Good, _) => "Verdict: good. Nothing speaks against this calibration.".to_owned(),
-        (verdict, _) => format!("Verdict: {verdict}, because"),
+    let mut lines = vec![match assessment.verdict {
+        Verdict::Good => "Verdict: good. Nothing speaks against this calibration.".to_owned(),
+        verdict => format!("Verdict: {verdict}, because"),
     }];
-    let numbered = assessment.reasons.iter().enumerate();
+    let numbered = assessment.findings.iter().filter(|f| f.severity > Severity::Note).enumerate();
     lines.extend(numbered.map(|(i, reason)| format!("{}. {reason}.", i + 1)));
     lines.extend(assessment.next_board.as_ref().map(next_text));
     lines

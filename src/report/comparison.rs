@@ -1,7 +1,7 @@
 //! Two cameras compared.
 
 use super::tree::{Cell, Column, Part, Section, Table};
-use crate::evaluation::{CameraComparison, ParameterPair};
+use crate::assessment::{CameraComparison, ParameterPair};
 use crate::quantity::display_unit;
 
 /// Beyond so many σ a parameter is named as different.

@@ -18,7 +18,7 @@ pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Fig
         parts.push(Part::Details { summary: "The other frames".to_owned(), parts: others });
     }
     let section = Section::new(&format!("Boards: {subset}"), parts);
-    Section { warnings: boards.warnings.clone(), ..section }
+    Section { warnings: boards.findings.iter().map(ToString::to_string).collect(), ..section }
 }
 
 fn frames_table(frames: &[DetectedFrame]) -> Table {

@@ -1,7 +1,7 @@
 //! An evaluation.
 
 use super::tree::{Cell, Column, Part, Section, Table};
-use crate::evaluation::{
+use crate::assessment::{
     Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors,
     Reconstruction,
 };
@@ -11,11 +11,10 @@ use crate::quantity::display_unit;
 /// What tables call the point clouds of other software.
 const CLOUDS: &str = "point clouds";
 
-/// Tables, and what could not be evaluated.
+/// The section of an evaluation.
 #[must_use]
-pub fn evaluation_section(tables: Vec<Table>, problems: &[String]) -> Section {
-    let section = Section::new("Evaluation", tables.into_iter().map(Part::Table).collect());
-    Section { warnings: problems.to_vec(), ..section }
+pub fn evaluation_section(tables: Vec<Table>) -> Section {
+    Section::new("Evaluation", tables.into_iter().map(Part::Table).collect())
 }
 
 /// The tables of an evaluation: reprojection (Table 4), known displacements (Table 3), errors

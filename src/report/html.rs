@@ -21,6 +21,7 @@ impl Report {
                 "<section id=\"{id}\" aria-labelledby=\"{id}-heading\">\n\
                  <h2 id=\"{id}-heading\">{heading}</h2>"
             ));
+            writer.warnings(&section.warnings);
             writer.parts(&section.parts);
             writer.line("</section>");
         }
@@ -67,6 +68,14 @@ impl Writer {
     fn line(&mut self, line: &str) {
         self.html.push_str(line);
         self.html.push('\n');
+    }
+
+    fn warnings(&mut self, warnings: &[String]) {
+        if warnings.is_empty() {
+            return;
+        }
+        let parts: Vec<Part> = warnings.iter().cloned().map(Part::Text).collect();
+        self.parts(&[Part::Details { summary: format!("{} warning(s)", warnings.len()), parts }]);
     }
 
     fn parts(&mut self, parts: &[Part]) {
@@ -166,6 +175,16 @@ mod tests {
         let sections = ["A", "A 2", "A", "A"].map(|title| Section::new(title, Vec::new()));
         let report = Report { sections: sections.to_vec(), ..Report::default() };
         assert_eq!(report.ids(), ["section-a", "section-a-2", "section-a--2", "section-a--3"]);
+    }
+
+    #[test]
+    fn warnings_stand_first_in_their_section() {
+        let parts = vec![Part::Text("text".into())];
+        let section = Section { warnings: vec!["a < b".into()], ..Section::new("A", parts) };
+        let html = Report { sections: vec![section], ..Report::default() }.to_html();
+        let at = |words: &str| html.find(words).unwrap_or_else(|| panic!("{words}: {html}"));
+        assert!(at("<summary>1 warning(s)</summary>") < at("<p>a &lt; b</p>"));
+        assert!(at("<p>a &lt; b</p>") < at("<p>text</p>"));
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! What groups of parameters are worth.
 
 use super::tree::{Cell, Column, Figure, Part, Table};
+use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
-use crate::evaluation::{ModelComparison, WithoutGroup};
 
 /// Caption of the table of models.
 pub const MODELS: &str = "What each group of parameters is worth: the calibration without it, and how much \
@@ -83,7 +83,7 @@ fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Str
     )];
     let unasked = comparison.groups.iter().filter(|without| without.moves_unasked());
     sentences.extend(unasked.map(|without| unasked_text(calibration, without)));
-    sentences.extend(comparison.problems.iter().map(|problem| format!("Not compared: {problem}.")));
+    sentences.extend(comparison.findings.iter().map(|finding| format!("Not compared: {finding}.")));
     sentences
 }
 

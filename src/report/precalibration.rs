@@ -16,7 +16,10 @@ pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> 
     parts.extend(levels_text(result).map(Part::Text));
     parts.extend([radii_table(result), internal_table(result)].map(Part::Table));
     parts.extend(figures.into_iter().map(Part::Figure));
-    Section { warnings: result.warnings.clone(), ..Section::new("Pre-calibration", parts) }
+    Section {
+        warnings: result.findings.iter().map(ToString::to_string).collect(),
+        ..Section::new("Pre-calibration", parts)
+    }
 }
 
 /// Black level and saturation level in a line, unless samples go from 0 to full scale.

@@ -26,7 +26,7 @@ pub struct Section {
     pub title: String,
     /// In order.
     pub parts: Vec<Part>,
-    /// What was said as warnings when it was made, to be said again.
+    /// Warnings of its stage: first in the section of a page; a terminal has them apart from results.
     #[serde(default)]
     pub warnings: Vec<String>,
 }

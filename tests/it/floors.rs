@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::house;
 
 /// The rooms of `src`, the lowest first; a room may import those before it.
-const ROOMS: [&str; 18] = [
+const ROOMS: [&str; 17] = [
     "error",
     "quantity",
     "finding",
@@ -21,7 +21,6 @@ const ROOMS: [&str; 18] = [
     "detection",
     "calibration",
     "assessment",
-    "evaluation",
     "io",
     "report",
     "cli",

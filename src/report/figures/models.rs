@@ -8,8 +8,8 @@ use super::super::drawing::{Area, Axis, BLUE, Drawing, INK, ORANGE};
 use super::super::tree::Figure;
 use super::figure;
 use super::vectors::means_side_by_side;
+use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
-use crate::evaluation::{ModelComparison, WithoutGroup};
 use crate::model::{FeatureResidual, PlenopticCamera};
 
 /// Rings around the axis.

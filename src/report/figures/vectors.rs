@@ -10,8 +10,8 @@ use super::super::drawing::{
 };
 use super::super::tree::Figure;
 use super::figure;
+use crate::assessment::{CameraComparison, DistanceDifference};
 use crate::calibration::Calibration;
-use crate::evaluation::{CameraComparison, DistanceDifference};
 use crate::model::{FeatureResidual, Sensor};
 use crate::precalibration::ArrayMeasurement;
 
