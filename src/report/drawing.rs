@@ -6,6 +6,8 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use nalgebra::Vector2;
 
+use super::tree::Figure;
+
 /// A colour: red, green, blue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Color(pub u8, pub u8, pub u8);
@@ -212,6 +214,9 @@ impl Plane {
     }
 }
 
+/// The namespace of the root of an SVG file, which an element of a page does not need.
+pub(super) const NAMESPACE: &str = " xmlns=\"http://www.w3.org/2000/svg\"";
+
 /// A picture, drawn mark by mark. Lengths are in px, x to the right, y down.
 #[derive(Debug)]
 pub(super) struct Drawing {
@@ -258,13 +263,19 @@ impl Drawing {
     pub fn finish(self, description: &str) -> String {
         let [left, top, width, height] = self.view;
         format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{}\" height=\"{}\" \
+            "<svg{NAMESPACE} width=\"{}\" height=\"{}\" \
              viewBox=\"{left} {top} {width} {height}\" role=\"img\" aria-label=\"{}\">\n{}</svg>\n",
             self.size.x,
             self.size.y,
             escaped(description),
             self.marks
         )
+    }
+
+    /// The picture as a figure with its caption; `name` is without the extension.
+    pub fn figure(self, name: &str, caption: String) -> Figure {
+        let svg = self.finish(&caption);
+        Figure { name: format!("{name}.svg"), caption, svg }
     }
 
     /// A line through points.

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::drawing::escaped;
+use super::drawing::{NAMESPACE, escaped};
 use super::tree::{Column, Figure, Part, Report, Table};
 
 const STYLE: &str = include_str!("html.css");
@@ -128,10 +128,8 @@ impl Writer {
 
     fn figure(&mut self, figure: &Figure) {
         let caption = escaped(&figure.caption);
-        self.line(&format!(
-            "<figure>\n{}<figcaption>{caption}</figcaption>\n</figure>",
-            figure.svg
-        ));
+        let svg = figure.svg.replacen(NAMESPACE, "", 1);
+        self.line(&format!("<figure>\n{svg}<figcaption>{caption}</figcaption>\n</figure>"));
     }
 }
 
@@ -207,6 +205,7 @@ mod tests {
         ] {
             assert!(html.contains(piece), "{piece}");
         }
+        assert!(!html.contains("http://"));
         assert_eq!(html.matches("<h1>").count(), 1);
         assert!(!html.contains("<script"));
     }

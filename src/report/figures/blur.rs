@@ -4,7 +4,6 @@ use nalgebra::Vector2;
 
 use super::super::drawing::{Area, Axis, Drawing, FITTED, INK, TYPE_COLORS, quantile};
 use super::super::tree::Figure;
-use super::figure;
 use crate::calibration::Calibration;
 use crate::numerics::weighted_mean;
 
@@ -48,7 +47,7 @@ pub(super) fn measured_blur(calibration: &Calibration) -> Option<Figure> {
          the fill factor; the dashed line would be 1. Dots of one type that lie off the line say that q' of that type, \
          or its order among the types, is wrong."
     );
-    Some(figure("measured-blur", caption, drawing))
+    Some(drawing.figure("measured-blur", caption))
 }
 
 fn dots(calibration: &Calibration, lens_type: usize) -> Vec<Dot> {

@@ -4,7 +4,6 @@ use nalgebra::Vector2;
 
 use super::super::drawing::{Anchor, Area, Axis, BLUE, Drawing, ORANGE, Ticks, WHITE};
 use super::super::tree::Figure;
-use super::figure;
 use crate::calibration::Calibration;
 use crate::model::Rmse;
 
@@ -60,7 +59,7 @@ pub(super) fn rmse(calibration: &Calibration) -> Option<Figure> {
         "Root mean square errors of features by {by}; the dashed lines are those of all features. A \
          {which} that stands out has worse observations than the others, or the model fits it worst."
     );
-    Some(figure("rmse", caption, drawing))
+    Some(drawing.figure("rmse", caption))
 }
 
 fn bars(area: &Area, bars: &Bars, all: &Rmse, largest: f64, drawing: &mut Drawing) {
@@ -147,7 +146,7 @@ pub(super) fn convergence(calibration: &Calibration) -> Option<Figure> {
                    straight fall to the end shows sound convergence, a long flat stretch a valley of \
                    weak directions."
             .to_owned();
-    Some(figure("convergence", caption, drawing))
+    Some(drawing.figure("convergence", caption))
 }
 
 fn short(cost: f64) -> String {

@@ -4,7 +4,6 @@ use nalgebra::Vector2;
 
 use super::super::drawing::{Anchor, BLUE, Color, Drawing, INK, ORANGE, WHITE};
 use super::super::tree::Figure;
-use super::figure;
 use crate::calibration::Calibration;
 use crate::model::shared_parameters;
 
@@ -47,7 +46,7 @@ pub(super) fn correlations(calibration: &Calibration) -> Option<Figure> {
     if uncertainty.determined[..names.len()].contains(&false) {
         caption.push_str(" A question mark stands for parameters that are not determined at all.");
     }
-    Some(figure("correlations", caption, drawing))
+    Some(drawing.figure("correlations", caption))
 }
 
 fn cell(row: usize, column: usize, value: f64, drawing: &mut Drawing) {

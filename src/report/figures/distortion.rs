@@ -4,7 +4,6 @@ use nalgebra::Vector2;
 
 use super::super::drawing::{Anchor, BLUE, Drawing, INK, Plane, axis_number, round_below};
 use super::super::tree::Figure;
-use super::figure;
 use super::vectors::{Arrow, draw_arrows, enlarged, enlargement, key, sensor_picture};
 use crate::error::Result;
 use crate::model::PlenopticCamera;
@@ -51,7 +50,7 @@ pub(super) fn distortion(camera: &PlenopticCamera) -> Result<Option<Figure>> {
          px (colours); the arrows are {}. The distortion is known only where there are features.",
         enlarged(factor)
     );
-    Ok(Some(figure("distortion", caption, drawing)))
+    Ok(Some(drawing.figure("distortion", caption)))
 }
 
 /// Positions in the image, and how far distortion moves them, px.

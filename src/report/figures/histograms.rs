@@ -4,7 +4,6 @@ use nalgebra::Vector2;
 
 use super::super::drawing::{Area, Axis, BLUE, Drawing, FITTED, quantile};
 use super::super::tree::Figure;
-use super::figure;
 use crate::calibration::Calibration;
 use crate::solver::LossKind;
 
@@ -63,7 +62,7 @@ pub(super) fn residual_histograms(calibration: &Calibration) -> Option<Figure> {
         "Residuals with the normal curve of {spread}. Bars that do not follow the curve, or lie far \
          out, are errors other than noise: false observations, or something that the model lacks."
     );
-    Some(figure("residual-histograms", caption, drawing))
+    Some(drawing.figure("residual-histograms", caption))
 }
 
 fn histogram(chart: &Area, panel: &Panel, drawing: &mut Drawing) {

@@ -17,7 +17,6 @@ pub use models::model_figures;
 pub use vectors::{array_residuals_figure, comparison_figures};
 pub use white_images::{micro_images_figure, precalibration_figures, radii_figure};
 
-use super::drawing::Drawing;
 use super::tree::Figure;
 use crate::assessment::Assessment;
 use crate::calibration::Calibration;
@@ -44,10 +43,4 @@ pub fn calibration_figures(
         distortion::distortion(&calibration.camera)?,
     ];
     Ok(figures.into_iter().flatten().collect())
-}
-
-/// A figure; `name` is without the extension.
-fn figure(name: &str, caption: String, drawing: Drawing) -> Figure {
-    let svg = drawing.finish(&caption);
-    Figure { name: format!("{name}.svg"), caption, svg }
 }

@@ -6,7 +6,6 @@ use nalgebra::Vector2;
 
 use super::super::drawing::{Area, Axis, BLUE, Drawing, INK, ORANGE};
 use super::super::tree::Figure;
-use super::figure;
 use super::vectors::means_side_by_side;
 use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
@@ -44,7 +43,7 @@ fn arrows(calibration: &Calibration, without: &WithoutGroup) -> Figure {
          on the right are what the {0} explains.",
         without.group
     );
-    figure(&name(without, "residuals"), caption, drawing)
+    drawing.figure(&name(without, "residuals"), caption)
 }
 
 /// What the micro-images that show a corner have in common, and where it is.
@@ -137,7 +136,7 @@ fn rings(calibration: &Calibration, without: &WithoutGroup) -> Figure {
          not without it is what the {0} explains and the poses of the boards cannot.",
         without.group
     );
-    figure(&name(without, "over-radius"), caption, drawing)
+    drawing.figure(&name(without, "over-radius"), caption)
 }
 
 fn panel(chart: &Area, series: &[Vec<Ring>; 2], farthest: f64, what: &str, drawing: &mut Drawing) {

@@ -4,7 +4,6 @@ use nalgebra::Vector2;
 
 use super::super::drawing::{Anchor, BLUE, Drawing, INK, ORANGE};
 use super::super::tree::Figure;
-use super::figure;
 use crate::assessment::{Distance, ObjectSpace, PointTrust};
 use crate::quantity::two_digits;
 
@@ -44,7 +43,7 @@ pub(super) fn object_space(space: &ObjectSpace) -> Option<Figure> {
                    outside those of the boards: the camera is extrapolated there. Empty cells: fewer \
                    than two micro-lenses see the point."
         .to_owned();
-    Some(figure("object-space", caption, drawing))
+    Some(drawing.figure("object-space", caption))
 }
 
 /// The points nearest to the middle of the image along v.

@@ -6,7 +6,6 @@ use super::super::drawing::{
     Anchor, BLUE, Color, Drawing, FITTED, INK, ORANGE, TYPE_COLORS, ticks,
 };
 use super::super::tree::Figure;
-use super::figure;
 use crate::calibration::Calibration;
 use crate::model::{Board, PlenopticCamera};
 
@@ -102,7 +101,7 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Option<Figure> 
                    through the middle of the main lens. Boards at many distances and tilts, all \
                    over the field of view, determine a camera well."
             .to_owned();
-    Some(figure("scene", caption, drawing))
+    Some(drawing.figure("scene", caption))
 }
 
 /// The outline of a board: its inner corners and one square around them, from the first corner.

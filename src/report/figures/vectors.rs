@@ -9,7 +9,6 @@ use super::super::drawing::{
     round_below,
 };
 use super::super::tree::Figure;
-use super::figure;
 use crate::assessment::{CameraComparison, DistanceDifference};
 use crate::calibration::Calibration;
 use crate::model::{FeatureResidual, Sensor};
@@ -216,7 +215,7 @@ pub(super) fn residual_vectors(calibration: &Calibration) -> Option<Figure> {
         "{what}: {how}. Good residuals point in random directions everywhere; a pattern over the \
          sensor means that the model lacks something."
     );
-    Some(figure("residual-vectors", caption, drawing))
+    Some(drawing.figure("residual-vectors", caption))
 }
 
 /// Shifts of pixels over the sensor.
@@ -244,7 +243,7 @@ pub fn comparison_figures(comparison: &CameraComparison, sensor: &Sensor) -> Vec
         let title = format!("Second camera minus first at {at_mm} mm");
         let caption =
             format!("{title}: shifts of pixels after their frames were brought together.");
-        figure(&format!("shifts-{at_mm}-mm"), caption, shifts(&d.shifts_px, sensor, &title))
+        shifts(&d.shifts_px, sensor, &title).figure(&format!("shifts-{at_mm}-mm"), caption)
     };
     comparison.distances.iter().map(of).collect()
 }
@@ -291,7 +290,7 @@ pub(super) fn center_residuals(calibration: &Calibration) -> Option<Figure> {
          an array that is not flat or not regular, or centres measured with a bias.",
         arrows.len()
     );
-    Some(figure("center-residuals", caption, drawing))
+    Some(drawing.figure("center-residuals", caption))
 }
 
 /// Measured centres of a white image minus the grid fitted to them.
@@ -317,5 +316,5 @@ pub fn array_residuals_figure(array: &ArrayMeasurement) -> Figure {
          moves the centres.",
         arrows.len()
     );
-    figure("array-residuals", caption, drawing)
+    drawing.figure("array-residuals", caption)
 }

@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 
 use super::super::drawing::{Area, Axis, Drawing, FITTED, TYPE_COLORS, Ticks, quantile};
 use super::super::tree::Figure;
-use super::{array_residuals_figure, figure};
+use super::vectors::array_residuals_figure;
 use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::precalibration::{ArrayMeasurement, Precalibration, RadiusMeasurement};
@@ -37,7 +37,7 @@ pub fn radii_figure(result: &Precalibration) -> Figure {
                    scatter of the radii of single micro-images. The lines of all lens types \
                    have the same slope m."
         .to_owned();
-    figure("radii", caption, drawing)
+    drawing.figure("radii", caption)
 }
 
 fn lines(chart: &Area, result: &Precalibration, drawing: &mut Drawing) {
@@ -146,5 +146,5 @@ pub fn micro_images_figure(
         }
     }
     let caption = "The middle of a white image with the micro-images found, coloured by lens type.";
-    Ok(figure("micro-images", caption.to_owned(), drawing))
+    Ok(drawing.figure("micro-images", caption.to_owned()))
 }
