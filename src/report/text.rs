@@ -5,7 +5,7 @@ use std::fmt;
 use comfy_table::CellAlignment;
 use comfy_table::presets::NOTHING;
 
-use super::tree::{Part, Section, Table};
+use super::tree::{Cell, Column, Part, Section, Table};
 
 impl Section {
     /// The content of the section as text: paragraphs and tables, without figures.
@@ -44,14 +44,14 @@ impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut table = comfy_table::Table::new();
         table.load_style(NOTHING);
-        table.set_header(self.columns.iter().map(|column| column.heading()));
+        table.set_header(self.columns.iter().map(Column::heading));
         for (of_terminal, column) in table.column_iter_mut().zip(&self.columns) {
             if column.is_number {
                 of_terminal.set_cell_alignment(CellAlignment::Right);
             }
         }
         for row in &self.rows {
-            table.add_row(row.iter().map(|cell| cell.as_text()));
+            table.add_row(row.iter().map(Cell::as_text));
         }
         writeln!(f, "{}", self.caption)?;
         table.fmt(f)
@@ -61,7 +61,7 @@ impl fmt::Display for Table {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::{Cell, Column, Figure};
+    use crate::report::Figure;
 
     #[test]
     fn text_has_sentences_and_tables_and_no_figures() {
