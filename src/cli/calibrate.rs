@@ -229,15 +229,12 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
 
     let time_s = begun.elapsed().as_secs_f64();
     let mut document = io::calibration_document(&calibration, &assessment, time_s);
-    let mut text = report::calibration_text(&calibration, &assessment);
+    let mut section =
+        report::calibration_section("Calibration", &calibration, &assessment, Vec::new());
     match compared {
         Some(Ok(comparison)) => {
             document["models"] = io::models_document(&comparison);
-            text = format!(
-                "{}\n\n{}",
-                text.trim_end(),
-                report::models_text(&calibration, &comparison)
-            );
+            section.parts.extend(report::models_parts(&calibration, &comparison, Vec::new()));
         }
         Some(Err(error)) => warn(&[error]),
         None => {}
@@ -250,7 +247,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut paths = output.commit()?;
     paths.extend(cost::exported(export, &calibration, &input.board)?);
     tell(&calibration.findings);
-    print_result(json, &document, &text, &paths)?;
+    print_result(json, &document, &section.to_text(), &paths)?;
     Ok(status(&calibration))
 }
 

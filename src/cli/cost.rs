@@ -34,7 +34,7 @@ pub(super) fn run(
     let mut paths = output.commit()?;
     paths.extend(exported(export, &evaluated, &input.board)?);
     tell(&evaluated.findings);
-    print_result(json, &document, &report::cost_text(&evaluated, parts), &paths)?;
+    print_result(json, &document, &report::cost_section(&evaluated, parts).to_text(), &paths)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -10,7 +10,7 @@ use plenocal::calibration::{CalibrationOptions, Mode};
 use plenocal::detection::DepthEstimator;
 use plenocal::io::{self, CalibrationSection, Method, OutputFolder, Project, first_look};
 use plenocal::model::Subset;
-use plenocal::report::{HtmlReport, HtmlTable, Part, Section};
+use plenocal::report::{Cell, Column, Part, Report, Section, Table};
 use plenocal::{Error, Result, report};
 use serde_json::{Value, json};
 
@@ -149,14 +149,15 @@ fn print_results(
             Value::Null
         },
     });
-    let mut tables = tables_of(&read_section(&folder.join(CALIBRATION))?);
+    let mut tables: Vec<Table> =
+        read_section(&folder.join(CALIBRATION))?.tables().cloned().collect();
     let mut number = 0;
     tables.retain(|table| {
         number += 1;
         number == 1 || table.caption == report::MODELS
     });
     if ledger.has(EVALUATION) {
-        tables.extend(tables_of(&read_section(&folder.join(EVALUATION))?));
+        tables.extend(read_section(&folder.join(EVALUATION))?.tables().cloned());
     }
     let mut texts = vec![verdict.lines().join("\n")];
     texts.extend(tables.iter().map(ToString::to_string));
@@ -188,14 +189,6 @@ fn read_section(folder: &Path) -> Result<Section> {
     Ok(section)
 }
 
-fn tables_of(section: &Section) -> Vec<HtmlTable> {
-    let table = |part: &Part| match part {
-        Part::Table(table) => Some(table.clone()),
-        _ => None,
-    };
-    section.parts.iter().filter_map(table).collect()
-}
-
 /// Writes report.html from what the stages have written.
 fn write_report(
     arguments: &Arguments,
@@ -212,7 +205,7 @@ fn write_report(
         sections.push(read_section(&arguments.out.join(name))?);
     }
     let camera = arguments.project.parent().and_then(Path::file_name).unwrap_or_default();
-    let report = HtmlReport {
+    let report = Report {
         title: "Calibration of a plenoptic camera".to_owned(),
         subtitle: format!(
             "{} · plenocal {}",
@@ -233,34 +226,29 @@ fn write_report(
 }
 
 fn overview(project: &Path, ledger: &Ledger, time_s: f64) -> Section {
-    let rows = ledger
-        .stages
-        .iter()
-        .filter_map(|(name, done)| {
-            let record = ledger.manifest.stage(name)?;
-            let when = if *done { "this run" } else { "an earlier run" };
-            Some(vec![
-                name.clone(),
-                when.to_owned(),
-                format!("{:.2}", record.time_s),
-                record.files.len().to_string(),
-            ])
-        })
-        .collect();
-    let table = HtmlTable {
-        caption: "Stages".to_owned(),
-        header: ["Stage", "Done in", "Time, s", "Files"].map(str::to_owned).to_vec(),
-        rows,
-        text_columns: vec![0, 1],
-    };
+    let mut table = Table::new(
+        "Stages",
+        [
+            Column::text("Stage"),
+            Column::text("Done in"),
+            Column::of("Time", "s"),
+            Column::number("Files"),
+        ],
+    );
+    for (name, done) in &ledger.stages {
+        let Some(record) = ledger.manifest.stage(name) else { continue };
+        let when = if *done { "this run" } else { "an earlier run" };
+        let time = Cell::fixed(record.time_s, 2);
+        table.push([name.as_str().into(), when.into(), time, record.files.len().into()]);
+    }
     let text = format!(
         "Project {}, {} files read; this run took {time_s:.1} s. manifest.json has \
          their hashes.",
         project.display(),
         ledger.manifest.inputs.len()
     );
-    let texts: Vec<String> = ledger.missing.iter().cloned().chain([text]).collect();
-    report::tables_section("Overview", vec![table], &texts)
+    let texts = ledger.missing.iter().cloned().chain([text]).map(Part::Text);
+    Section::new("Overview", [Part::Table(table)].into_iter().chain(texts).collect())
 }
 
 /// The calibration options of a project; an error if they ask for poses only.
