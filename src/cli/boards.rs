@@ -9,9 +9,9 @@ use plenocal::detection::{
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
-use plenocal::model::{Board, Datasheet, FillFactor, InternalParameters, Subset};
+use plenocal::model::{Board, Datasheet, InternalParameters, Subset};
 use plenocal::report::Figure;
-use plenocal::{Error, Finding, Issue, Result, report};
+use plenocal::{Error, Finding, Result, report};
 
 use super::progress;
 
@@ -142,8 +142,16 @@ pub struct Options {
     pub quiet: bool,
 }
 
-fn picture(frame: u32) -> String {
-    format!("frame-{frame:02}.svg")
+/// The picture of a frame.
+fn picture(frame: &DetectedFrame, svg: String) -> Figure {
+    let DetectedFrame { frame, name, .. } = frame;
+    Figure {
+        name: format!("frame-{frame:02}.svg"),
+        caption: format!(
+            "Frame {frame} ({name}): features with their blur circles, coloured by corner, and the grid of the board."
+        ),
+        svg,
+    }
 }
 
 fn file_name(path: &Path) -> String {
@@ -151,14 +159,14 @@ fn file_name(path: &Path) -> String {
 }
 
 /// Detects the features of a subset and stages features.csv, detection.json and the pictures. An
-/// error if no frame shows the board.
+/// error if no frame shows the board. The pictures come back too.
 pub fn detect_subset(
     path: &Path,
     shoot: &Shoot,
     micro_images: &MicroImages,
     options: Options,
     output: &mut OutputFolder,
-) -> Result<DetectedBoards> {
+) -> Result<(DetectedBoards, Vec<Figure>)> {
     let images = images_of(options.subset, &shoot.images);
     if images.is_empty() {
         let subset = options.subset.name();
@@ -184,14 +192,14 @@ pub fn detect_subset(
         .collect();
     let bar = progress::steps(options.quiet, images.len(), "searching for boards");
     // Pictures are drawn while the image is in memory.
-    let pictures: Mutex<Vec<(u32, String)>> = Mutex::default();
+    let pictures: Mutex<Vec<(u32, Figure)>> = Mutex::default();
     let draw = |frame: &DetectedFrame, image: Option<&RawImage>| {
         if let (true, Ok(detection), Some(image)) = (options.pictures, &frame.result, image) {
             let svg = report::features_figure(image, detection, &shoot.board)?;
             pictures
                 .lock()
                 .unwrap_or_else(std::sync::PoisonError::into_inner)
-                .push((frame.frame, svg));
+                .push((frame.frame, picture(frame, svg)));
         }
         bar.inc(1);
         Ok(())
@@ -208,40 +216,13 @@ pub fn detect_subset(
             report::detection_section(options.subset.name(), &found, Vec::new()).to_text()
         )));
     }
-    for (frame, svg) in pictures.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {
-        output.stage(picture(frame), |out| out.write_all(svg.as_bytes()))?;
+    let mut pictures = pictures.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    pictures.sort_by_key(|(frame, _)| *frame);
+    let pictures: Vec<Figure> = pictures.into_iter().map(|(_, figure)| figure).collect();
+    for figure in &pictures {
+        output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))?;
     }
     output.stage("features.csv", |out| io::write_features(out, &features))?;
     output.stage_json("detection.json", &io::detection_document(&found, &shoot.board))?;
-    Ok(found)
-}
-
-/// The fill factor that the boards for calibration have shown, by what was staged in their folder, for those of the other
-/// subsets.
-pub fn known_fill_factor(subset: Subset, of_calibration: &Path) -> Result<Option<FillFactor>> {
-    match subset {
-        Subset::Calibration => Ok(None),
-        _ => io::read_fill_factor_of_boards(&of_calibration.join("detection.json")),
-    }
-}
-
-/// Whether the image of a frame could not be read for a reason that may pass, such as a network drive that does not answer;
-/// a file that is no image stays so.
-pub fn may_be_readable(frame: &DetectedFrame) -> bool {
-    matches!(&frame.result, Err(Issue::Unreadable { .. }))
-}
-
-/// The pictures that were staged, by name.
-pub fn figures(found: &DetectedBoards, options: Options) -> Vec<Figure> {
-    let labelled = found.frames.iter().filter(|frame| options.pictures && frame.result.is_ok());
-    let figure = |frame: &DetectedFrame| Figure {
-        name: picture(frame.frame),
-        caption: format!(
-            "Frame {} ({}): features with their blur circles, coloured by corner, and the grid of \
-             the board.",
-            frame.frame, frame.name
-        ),
-        svg: String::new(),
-    };
-    labelled.map(figure).collect()
+    Ok((found, pictures))
 }

@@ -32,10 +32,10 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     whole::run(&RunArguments {
         project: arguments.out.join("project.toml"),
         out: arguments.out.join("results"),
-        force: true,
         estimator: DepthEstimator::default(),
         exclude: None,
         method: None,
+        corners_only: true,
         folds: 5,
         no_pictures: false,
         json: false,

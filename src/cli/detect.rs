@@ -76,7 +76,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         pictures: !arguments.no_pictures,
         quiet: arguments.json,
     };
-    let found = boards::detect_subset(path, &shoot, &micro_images, options, &mut output)?;
+    let (found, _) = boards::detect_subset(path, &shoot, &micro_images, options, &mut output)?;
     tell(&found.findings);
     let paths = output.commit()?;
     let document = io::detection_document(&found, &shoot.board);

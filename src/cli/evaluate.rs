@@ -159,7 +159,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
             quiet: arguments.json,
         };
         let mut of_subset = OutputFolder::new(&arguments.out.join(subset.name()))?;
-        let found = boards::detect_subset(path, &shoot, &micro_images, options, &mut of_subset)?;
+        let (found, _) =
+            boards::detect_subset(path, &shoot, &micro_images, options, &mut of_subset)?;
         tell(&found.findings);
         output.take(of_subset);
         Ok(found.features())

@@ -78,7 +78,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         pictures: false,
         quiet: arguments.json,
     };
-    let found = boards::detect_subset(path, &shoot, &micro_images, search, &mut output)?;
+    let (found, _) = boards::detect_subset(path, &shoot, &micro_images, search, &mut output)?;
     let observations = Observations { centers: Vec::new(), features: found.features() };
     let options = CalibrationOptions::default().of_poses_only(shape);
     let result =

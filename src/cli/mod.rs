@@ -13,7 +13,6 @@ mod extrinsics;
 mod init;
 mod input;
 mod interrupt;
-mod ledger;
 mod logging;
 mod man;
 mod points;
@@ -22,9 +21,7 @@ mod progress;
 mod rays;
 mod run;
 mod simulate;
-mod stages;
 mod talk;
-mod verdict;
 
 use std::process::ExitCode;
 

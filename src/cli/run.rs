@@ -1,41 +1,48 @@
 //! `plenocal run`: from the images of a project to a report.
+//!
+//! The stages hand values to each other. All files are written at the end, together.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Args;
-use plenocal::calibration::{CalibrationOptions, Mode};
-use plenocal::detection::DepthEstimator;
-use plenocal::io::{self, CalibrationSection, Method, OutputFolder, Project, first_look};
-use plenocal::model::Subset;
-use plenocal::report::{Cell, Column, Part, Report, Section, Table};
-use plenocal::{Error, Result, report};
+use plenocal::assessment::{
+    Assessment, Candidate, EvaluationInput, Folds, PosePairs, Verdict, assess,
+};
+use plenocal::calibration::{
+    Calibration, CalibrationOptions, Mode, Start, calibrate, initial_from,
+};
+use plenocal::detection::{DepthEstimator, DetectedBoards, MicroImages};
+use plenocal::io::{
+    self, CalibrationSection, FolderLock, MANIFEST, Manifest, Method, OutputFolder, Project,
+    StageRecord, first_look,
+};
+use plenocal::model::{Observations, Subset};
+use plenocal::precalibration::{Precalibration, PrecalibrationOptions};
+use plenocal::report::{Cell, Column, Figure, Part, Report, Section, Table};
+use plenocal::{Error, Finding, Issue, Result, Severity, Subject, report};
 use serde_json::{Value, json};
 
-use super::boards::{Shoot, images_of};
+use super::boards::{self, Options, Shoot, images_of};
+use super::calibrate::{compared, stage_results, status};
 use super::choices::{DEPTH_ESTIMATORS, METHODS, choice};
-use super::ledger::{Ledger, REPORT, SECTION, VERDICT};
-use super::stages::{CALIBRATION, CORNERS_ONLY, EVALUATION, IMAGES, Stages};
-use super::talk::{print_result, say};
-use super::verdict::RunVerdict;
+use super::evaluate::{calibrated, clouds, evaluated};
+use super::precalibrate;
+use super::talk::{print_result, say, tell};
 
 /// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
 ///
-/// Everything goes into one folder, with a subfolder for each stage. A stage whose input has not
-/// changed since the last run is not repeated.
+/// Everything goes into one folder, with a subfolder for each stage; the results of an earlier run there are replaced.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images]; `plenocal init` writes one.
     pub project: PathBuf,
-    /// Folder for the results: report.html, manifest.json, and a folder for each stage.
+
+    /// Folder for the results: report.html, verdict.json, manifest.json, and a folder for each stage.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Repeat all stages.
-    #[arg(long)]
-    pub force: bool,
     /// How the virtual depth of a corner is estimated from the micro-images that show it.
     #[arg(long, value_parser = choice(DEPTH_ESTIMATORS), default_value = "line")]
     pub estimator: DepthEstimator,
@@ -45,6 +52,9 @@ pub struct Arguments {
     /// Set of calibration options to begin with; in place of that of the project.
     #[arg(long, value_parser = choice(METHODS))]
     pub method: Option<Method>,
+    /// Also calibrate from corners alone, for comparison.
+    #[arg(long)]
+    pub corners_only: bool,
     /// Folds of the cross-validation, of models too; 0 for none.
     #[arg(long, value_name = "K", default_value_t = 5)]
     pub folds: usize,
@@ -61,11 +71,30 @@ Examples:
   plenocal init images --preset r12-a --board 9x5x10 --out project.toml
   plenocal run project.toml --out results
   plenocal run project.toml --out results --exclude 3,7
-  plenocal run project.toml --out results --force --folds 0";
+  plenocal run project.toml --out results --folds 0 --method paper";
+
+/// Names of the stages and of their folders.
+const PRECALIBRATION: &str = "precalibration";
+const CALIBRATION: &str = "calibration";
+const CORNERS_ONLY: &str = "corners-only";
+const EVALUATION: &str = "evaluation";
+/// Names of the two methods in tables.
+const BLUR_AWARE: &str = "blur aware";
+const CORNERS: &str = "corners only";
+/// The files beside the folders of the stages.
+const REPORT: &str = "report.html";
+const VERDICT: &str = "verdict.json";
+
+fn boards_stage(subset: Subset) -> &'static str {
+    match subset {
+        Subset::Calibration => "boards-calibration",
+        Subset::Evaluation => "boards-evaluation",
+        Subset::Translation => "boards-translation",
+    }
+}
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
-    let begun = Instant::now();
     let path = &arguments.project;
     let project = Project::read(path)?;
     let shoot = Shoot::of(path, &project)?;
@@ -78,177 +107,440 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
             "one fold leaves nothing to calibrate with: give --folds 0 for none, or 2 or more",
         ));
     }
-    let doubtful = first_look(&shoot.images).map_err(|e| e.in_file(path))?;
-    // A folder that cannot be written is reported before the work, not after it.
-    OutputFolder::new(&arguments.out)?;
-    let mut ledger = Ledger::open(&arguments.out, path, arguments.force, arguments.json)?;
-    let stages = Stages {
-        path,
-        project: &project,
-        shoot: &shoot,
-        out: &arguments.out,
-        options,
-        estimator: arguments.estimator,
-        folds: arguments.folds,
-        pictures: !arguments.no_pictures,
-        quiet: arguments.json,
-    };
-    ledger.warn(IMAGES, &doubtful.iter().map(super::talk::told).collect::<Vec<_>>());
-    stages.precalibration(&mut ledger)?;
-    stages.boards(&mut ledger, Subset::Calibration)?;
-    for subset in [Subset::Evaluation, Subset::Translation] {
-        // Without these there is still a calibration.
-        if !images_of(subset, &shoot.images).is_empty() {
-            let result = stages.boards(&mut ledger, subset);
-            ledger.tolerate(&format!("boards for {}", subset.name()), result)?;
+    let of_images = first_look(&shoot.images).map_err(|e| e.in_file(path))?;
+    // Two runs at once would mix their files.
+    let _held = FolderLock::hold(&arguments.out)?;
+    let mut run = Run::new(arguments, &project, &shoot, options)?;
+    tell(&of_images);
+    run.findings.extend(of_images);
+    run.all_stages()
+}
+
+/// A run: its input, and what its stages have left so far.
+struct Run<'a> {
+    arguments: &'a Arguments,
+    project: &'a Project,
+    shoot: &'a Shoot,
+    options: CalibrationOptions,
+    begun: Instant,
+    manifest: Manifest,
+    /// Files of all stages, which get their names at the end.
+    output: OutputFolder,
+    /// Sections of the report by stage, in the order of the stages.
+    sections: Vec<(&'static str, Section)>,
+    /// Findings that bear on the camera: about images, the boards of the calibration, and the evaluation.
+    findings: Vec<Finding>,
+}
+
+/// What boards are calibrated with.
+struct Observed {
+    start: Start,
+    observations: Observations,
+}
+
+impl<'a> Run<'a> {
+    fn new(
+        arguments: &'a Arguments,
+        project: &'a Project,
+        shoot: &'a Shoot,
+        options: CalibrationOptions,
+    ) -> Result<Self> {
+        let truth = project.truth.iter().flat_map(|truth| truth.files());
+        let files = std::iter::once(arguments.project.as_path());
+        let files = files.chain(shoot.images.files()).chain(truth);
+        Ok(Self {
+            arguments,
+            project,
+            shoot,
+            options,
+            begun: Instant::now(),
+            manifest: Manifest::of(&arguments.project, files),
+            output: OutputFolder::new(&arguments.out)?,
+            sections: Vec::new(),
+            findings: Vec::new(),
+        })
+    }
+
+    fn all_stages(mut self) -> Result<ExitCode> {
+        let measured = self.stage(PRECALIBRATION, Self::precalibration)?;
+        let micro_images = MicroImages::of_precalibration(&measured, &self.shoot.sheet)?;
+        let boards = |subset: Subset, micro_images: &MicroImages| {
+            let micro_images = micro_images.clone();
+            move |run: &mut Self, output: &mut OutputFolder| {
+                run.boards(subset, &micro_images, output)
+            }
+        };
+        let of_calibration = Subset::Calibration;
+        let found =
+            self.stage(boards_stage(of_calibration), boards(of_calibration, &micro_images))?;
+        self.findings.extend(found.findings.iter().cloned());
+        // The other boards were taken by the same camera.
+        let settled = match &found.fill_factor {
+            Some(fill_factor) => micro_images.settled_at(fill_factor),
+            None => micro_images,
+        };
+        let mut others = Vec::new();
+        for subset in [Subset::Evaluation, Subset::Translation] {
+            // Without these there is still a calibration.
+            if !images_of(subset, &self.shoot.images).is_empty() {
+                let result = self.stage(boards_stage(subset), boards(subset, &settled));
+                let part = format!("boards for {}", subset.name());
+                others.extend(self.tolerated(&part, result)?.map(|found| (subset, found)));
+            }
+        }
+
+        let observed = self.observed(&measured, &found);
+        let options = self.options.clone();
+        let (calibration, assessment) =
+            self.stage(CALIBRATION, |run, output| run.calibration(&observed, &options, output))?;
+        self.findings.extend(assessment.findings.iter().cloned());
+        let corners = if self.arguments.corners_only && self.has_blur() {
+            let result = self.stage(CORNERS_ONLY, |run, output| run.corners(&observed, output));
+            self.tolerated(CORNERS, result)?
+        } else {
+            None
+        };
+        let cameras: Vec<&Calibration> = [&calibration].into_iter().chain(&corners).collect();
+        let result = self
+            .stage(EVALUATION, |run, output| run.evaluation(&observed, &cameras, &others, output));
+        let evaluation = self.tolerated(EVALUATION, result)?;
+        self.finish(&calibration, &assessment, evaluation)
+    }
+
+    /// Whether there is a calibration with blur, to which corners only can be compared.
+    fn has_blur(&self) -> bool {
+        self.options.mode == Mode::Full && self.shoot.sheet.lens_types > 0
+    }
+
+    /// Does the work of a stage, which stages files in a folder of its own.
+    fn stage<T>(
+        &mut self,
+        name: &'static str,
+        work: impl FnOnce(&mut Self, &mut OutputFolder) -> Result<T>,
+    ) -> Result<T> {
+        let begun = Instant::now();
+        let folder = self.arguments.out.join(name);
+        if folder.is_symlink() {
+            return Err(Error::invalid(
+                "is a link, but the results of a run belong into its own folder: remove the link",
+            )
+            .in_file(&folder));
+        }
+        let mut output = OutputFolder::new(&folder)?;
+        let result = work(self, &mut output)?;
+        let time_s = begun.elapsed().as_secs_f64();
+        let files = output.names();
+        self.manifest.stages.push(StageRecord { name: name.to_owned(), time_s, files });
+        self.output.take(output);
+        if !self.arguments.json {
+            say(&format!("{name}: {time_s:.1} s"));
+        }
+        Ok(result)
+    }
+
+    /// The result of a part that the rest can do without; its failure is a finding. What cannot be written is not
+    /// tolerated: the rest could not be written either.
+    fn tolerated<T>(&mut self, part: &str, result: Result<T>) -> Result<Option<T>> {
+        match result {
+            Ok(result) => Ok(Some(result)),
+            Err(error @ Error::Write { .. }) => Err(error),
+            Err(error) => {
+                let finding = Finding::caution(Issue::PartFailed { reason: error.to_string() })
+                    .about(Subject::Part(part.to_owned()));
+                tell([&finding]);
+                self.findings.push(finding);
+                Ok(None)
+            }
         }
     }
-    stages.calibration(&mut ledger, CALIBRATION)?;
-    if stages.has_both() {
-        let result = stages.calibration(&mut ledger, CORNERS_ONLY);
-        ledger.tolerate("corners only", result)?;
+
+    fn precalibration(&mut self, output: &mut OutputFolder) -> Result<Precalibration> {
+        let (images, sheet) = (&self.shoot.images, &self.shoot.sheet);
+        let options = PrecalibrationOptions {
+            black_level: images.black_level,
+            ..PrecalibrationOptions::of_datasheet(sheet)
+        };
+        let (path, quiet) = (&self.arguments.project, self.arguments.json);
+        let (result, whites) = precalibrate::measure(path, images, sheet, &options, quiet)?;
+        output.stage_json("precalibration.json", &io::precalibration_document(&result))?;
+        let figures = precalibrate::stage(output, &result, sheet, &whites)?;
+        tell(&result.findings);
+        self.findings.extend(result.findings.iter().cloned());
+        self.sections.push((PRECALIBRATION, report::precalibration_section(&result, figures)));
+        Ok(result)
     }
-    let result = stages.evaluation(&mut ledger);
-    ledger.tolerate("evaluation", result)?;
-    ledger.finish()?;
-    let verdict = verdict(arguments, &ledger)?;
-    let report = write_report(arguments, &ledger, &verdict, begun.elapsed().as_secs_f64())?;
 
-    print_results(arguments, &ledger, &verdict, &report)?;
-    let camera = read_json(&arguments.out.join(CALIBRATION).join("camera.json"))?;
-    let doubts = io::camera_doubts(&camera);
-    if doubts.is_empty() {
-        return Ok(ExitCode::SUCCESS);
+    fn boards(
+        &mut self,
+        subset: Subset,
+        micro_images: &MicroImages,
+        output: &mut OutputFolder,
+    ) -> Result<DetectedBoards> {
+        let options = Options {
+            subset,
+            estimator: self.arguments.estimator,
+            pictures: !self.arguments.no_pictures,
+            quiet: self.arguments.json,
+        };
+        let path = &self.arguments.project;
+        let (found, figures) =
+            boards::detect_subset(path, self.shoot, micro_images, options, output)?;
+        tell(&found.findings);
+        let section = report::detection_section(subset.name(), &found, figures);
+        self.sections.push((boards_stage(subset), section));
+        Ok(found)
     }
-    say(&format!("error: {}; see {}", doubts.join("; "), report.display()));
-    Ok(ExitCode::from(3))
-}
 
-fn verdict(arguments: &Arguments, ledger: &Ledger) -> Result<RunVerdict> {
-    let folder = arguments.out.join(CALIBRATION);
-    let calibration = read_json(&folder.join("calibration.json"))?;
-    let section = read_json_section(&folder.join(VERDICT))?;
-    Ok(RunVerdict::of(&calibration, &section, &ledger.warnings))
-}
-
-/// Prints the camera and how good it is, or everything as JSON.
-fn print_results(
-    arguments: &Arguments,
-    ledger: &Ledger,
-    verdict: &RunVerdict,
-    report: &Path,
-) -> Result<()> {
-    let folder = &arguments.out;
-    let document = json!({
-        "report": report.display().to_string(),
-        "verdict": verdict.document(),
-        "calibration": read_json(&folder.join(CALIBRATION).join("calibration.json"))?,
-        "evaluation": if ledger.has(EVALUATION) {
-            read_json(&folder.join(EVALUATION).join("evaluation.json"))?
-        } else {
-            Value::Null
-        },
-    });
-    let mut tables: Vec<Table> =
-        read_section(&folder.join(CALIBRATION))?.tables().cloned().collect();
-    let mut number = 0;
-    tables.retain(|table| {
-        number += 1;
-        number == 1 || table.caption == report::MODELS
-    });
-    if ledger.has(EVALUATION) {
-        tables.extend(read_section(&folder.join(EVALUATION))?.tables().cloned());
-    }
-    let mut texts = vec![verdict.lines().join("\n")];
-    texts.extend(tables.iter().map(ToString::to_string));
-    print_result(arguments.json, &document, &texts.join("\n\n"), &[report.to_owned()])
-}
-
-fn read_json(path: &Path) -> Result<Value> {
-    let text =
-        fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-    serde_json::from_str(&text).map_err(|e| {
-        Error::invalid(format!("this is not valid JSON: {e}; repeat the run with --force"))
-            .in_file(path)
-    })
-}
-
-fn read_json_section(path: &Path) -> Result<Section> {
-    serde_json::from_value(read_json(path)?)
-        .map_err(|e| Error::invalid(format!("not a section of a report: {e}")).in_file(path))
-}
-
-/// A stage's section of the report, figures included.
-fn read_section(folder: &Path) -> Result<Section> {
-    let mut section = read_json_section(&folder.join(SECTION))?;
-    for figure in section.figures_mut() {
-        let path = folder.join(&figure.name);
-        figure.svg = fs::read_to_string(&path)
-            .map_err(|source| Error::Read { path: path.clone(), source })?;
-    }
-    Ok(section)
-}
-
-/// Writes report.html from what the stages have written.
-fn write_report(
-    arguments: &Arguments,
-    ledger: &Ledger,
-    verdict: &RunVerdict,
-    time_s: f64,
-) -> Result<PathBuf> {
-    let mut sections = vec![verdict.section(), overview(&arguments.project, ledger, time_s)];
-    // First the results, then what they came from.
-    let is_result = |name: &str| [CALIBRATION, EVALUATION].contains(&name);
-    let (results, rest): (Vec<_>, Vec<_>) =
-        ledger.stages.iter().map(|(name, _)| name).partition(|name| is_result(name));
-    for name in results.into_iter().chain(rest) {
-        sections.push(read_section(&arguments.out.join(name))?);
-    }
-    let camera = arguments.project.parent().and_then(Path::file_name).unwrap_or_default();
-    let report = Report {
-        title: "Calibration of a plenoptic camera".to_owned(),
-        subtitle: format!(
-            "{} · plenocal {}",
-            if camera.is_empty() {
-                arguments.project.display().to_string()
-            } else {
-                camera.to_string_lossy().into_owned()
+    fn observed(&self, measured: &Precalibration, found: &DetectedBoards) -> Observed {
+        let internal = measured.internal.parameters.clone();
+        Observed {
+            start: Start::Datasheet(self.shoot.sheet, internal),
+            observations: Observations {
+                centers: measured.array.centers.clone(),
+                features: found.features(),
             },
-            ledger.manifest.plenocal
-        ),
-        sections,
-    };
-    let mut output = OutputFolder::new(&arguments.out)?;
-    output.stage(REPORT, |out| out.write_all(report.to_html().as_bytes()))?;
-    output.stage_json(VERDICT, &verdict.document())?;
-    output.commit()?;
-    Ok(arguments.out.join(REPORT))
+        }
+    }
+
+    fn calibration(
+        &mut self,
+        observed: &Observed,
+        options: &CalibrationOptions,
+        output: &mut OutputFolder,
+    ) -> Result<(Calibration, Assessment)> {
+        let begun = Instant::now();
+        let board = &self.shoot.board;
+        let Observed { start, observations } = observed;
+        let result = calibrate(start, board, observations, options, &mut |_| true)?;
+        let assessment = assess(&result, board)?;
+        tell(&result.findings);
+        stage_results(output, &result, false)?;
+        let time_s = begun.elapsed().as_secs_f64();
+        let mut document = io::calibration_document(&result, &assessment, time_s);
+        let mut models = Vec::new();
+        if self.arguments.folds > 0 {
+            (document["models"], models) = self.models(&result, output)?;
+        }
+        output.stage_json("calibration.json", &document)?;
+        let figures = report::calibration_figures(&result, &assessment, board)?;
+        stage_figures(output, &figures)?;
+        let mut section = report::calibration_section("Calibration", &result, &assessment, figures);
+        section.parts.extend(models);
+        self.sections.push((CALIBRATION, section));
+        Ok((result, assessment))
+    }
+
+    /// A calibration with corners only, for comparison.
+    fn corners(&mut self, observed: &Observed, output: &mut OutputFolder) -> Result<Calibration> {
+        let begun = Instant::now();
+        let mut options = self.options.clone();
+        options.mode = Mode::CornersOnly;
+        let known = |name: &String| !name.starts_with("f_");
+        options.cost.fixed.retain(known);
+        options.cost.anchors.retain(|anchor| known(&anchor.quantity));
+        options.not_anchored.retain(known);
+        let board = &self.shoot.board;
+        let Observed { start, observations } = observed;
+        let result = calibrate(start, board, observations, &options, &mut |_| true)?;
+        let assessment = assess(&result, board)?;
+        stage_results(output, &result, false)?;
+        let time_s = begun.elapsed().as_secs_f64();
+        let document = io::calibration_document(&result, &assessment, time_s);
+        output.stage_json("calibration.json", &document)?;
+        let figures = report::calibration_figures(&result, &assessment, board)?;
+        stage_figures(output, &figures)?;
+        if !result.converged {
+            let finding = Finding::note(Issue::NotConverged);
+            tell([&finding.about(Subject::Part(CORNERS.to_owned()))]);
+        }
+        let section = report::calibration_section("Corners only", &result, &assessment, figures);
+        self.sections.push((CORNERS_ONLY, section));
+        Ok(result)
+    }
+
+    /// What groups of parameters are worth, for the document and for the report. With too few frames there is
+    /// a sentence instead.
+    fn models(
+        &self,
+        calibration: &Calibration,
+        output: &mut OutputFolder,
+    ) -> Result<(Value, Vec<Part>)> {
+        let Arguments { folds, json, .. } = *self.arguments;
+        let comparison = match compared(calibration, &self.shoot.board, folds, json) {
+            Ok(comparison) => comparison,
+            Err(error) => return Ok((Value::Null, vec![Part::Text(format!("{error}."))])),
+        };
+        let figures = report::model_figures(calibration, &comparison);
+        stage_figures(output, &figures.concat())?;
+        let parts = report::models_parts(calibration, &comparison, figures);
+        Ok((io::models_document(&comparison), parts))
+    }
+
+    fn evaluation(
+        &mut self,
+        observed: &Observed,
+        calibrations: &[&Calibration],
+        boards: &[(Subset, DetectedBoards)],
+        output: &mut OutputFolder,
+    ) -> Result<Value> {
+        let own = if self.has_blur() { BLUR_AWARE } else { CORNERS };
+        let names = [own, CORNERS].into_iter();
+        let candidates: Vec<Candidate> = names.zip(calibrations).map(candidate).collect();
+        let Observed { start, observations } = observed;
+        let initial = initial_from(start, &self.shoot.board, observations, &self.options)?;
+        let features = |of: Subset| {
+            boards.iter().find(|(subset, _)| *subset == of).map(|(_, found)| found.features())
+        };
+        let step_mm = self.shoot.images.translation.as_ref().map(|t| t.step_mm);
+        let mut input = EvaluationInput::new(self.shoot.board);
+        input.evaluation = features(Subset::Evaluation).unwrap_or_default();
+        input.translation = features(Subset::Translation).zip(step_mm);
+        input.clouds_mm = clouds(self.shoot)?;
+        if let Some(truth) = &self.project.truth {
+            let poses = |path: &Option<PathBuf>| path.as_deref().map(io::read_poses).transpose();
+            input.truth = Some(calibrated(&truth.camera)?);
+            input.true_board = truth.board.as_deref().map(io::read_true_board).transpose()?;
+            input.evaluation_poses = poses(&truth.evaluation_poses)?;
+            if let Some(truth) = poses(&truth.calibration_poses)? {
+                let (name, found) = ("calibration".to_owned(), calibrations[0].poses.clone());
+                input.poses.push(PosePairs { name, truth, found });
+            }
+        }
+        let excluded = &self.options.exclude_frames;
+        let frames = observations.frames().iter().filter(|f| !excluded.contains(f)).count();
+        // The first camera is calibrated with these options and observations.
+        let options = self.options.with_decision(candidates[0].shape_std_devs);
+        let count = self.arguments.folds.min(frames);
+        input.folds = (count > 1).then(|| Folds {
+            start: start.clone(),
+            observations: observations.clone(),
+            options,
+            count,
+        });
+        let found = evaluated(&candidates, &input, self.arguments.json);
+        let document = json!(io::evaluation_document(&found));
+        output.stage_json("evaluation.json", &document)?;
+        let mut tables = vec![report::cameras_table(&initial, &candidates)];
+        tables.extend(report::evaluation_tables(&found, &candidates));
+        tell(&found.findings);
+        self.findings.extend(found.findings.iter().cloned());
+        let warnings = found.findings.iter().map(Finding::to_string).collect();
+        let section = Section { warnings, ..report::evaluation_section(tables) };
+        self.sections.push((EVALUATION, section));
+        Ok(document)
+    }
+
+    /// Gives all files their names, prints the result, and returns the exit status.
+    fn finish(
+        mut self,
+        calibration: &Calibration,
+        assessment: &Assessment,
+        evaluation: Option<Value>,
+    ) -> Result<ExitCode> {
+        let changed = self
+            .manifest
+            .changed_inputs()
+            .into_iter()
+            .map(|path| Finding::caution(Issue::FileChanged).about(Subject::File(path)));
+        let changed: Vec<Finding> = changed.collect();
+        tell(&changed);
+        self.findings.extend(changed);
+        plenocal::finding::sort(&mut self.findings);
+        let verdict = report::verdict_section(&self.findings, assessment.next_board.as_ref());
+        let of_findings = Verdict::of(&self.findings);
+        let document = json!({
+            "verdict": of_findings.to_string(),
+            "reasons": self.findings.iter().filter(|f| f.severity > Severity::Note).collect::<Vec<_>>(),
+            "notes": self.findings.iter().filter(|f| f.severity == Severity::Note).collect::<Vec<_>>(),
+        });
+        let text = self.printed(&verdict);
+        let time_s = self.begun.elapsed().as_secs_f64();
+        let report = self.report(verdict, time_s);
+        self.output.stage(REPORT, |out| out.write_all(report.to_html().as_bytes()))?;
+        self.output.stage_json(VERDICT, &document)?;
+        self.output.stage_json(MANIFEST, &self.manifest)?;
+        let out = &self.arguments.out;
+        let before = Manifest::read(out);
+        let written = self.output.commit()?;
+        if let Some(before) = before {
+            before.remove_stale(out, &written);
+        }
+        let path = out.join(REPORT);
+        let result = json!({
+            "report": path.display().to_string(),
+            "verdict": document,
+            "calibration": io::calibration_document(calibration, assessment, time_s),
+            "evaluation": evaluation,
+        });
+        print_result(self.arguments.json, &result, &text, &[path])?;
+        Ok(status(calibration))
+    }
+
+    /// The verdict, the parameters, what models are worth, and the evaluation, as printed.
+    fn printed(&self, verdict: &Section) -> String {
+        let tables = |of: &str| {
+            let section = self.sections.iter().find(|(stage, _)| *stage == of);
+            section.into_iter().flat_map(|(_, section)| section.tables())
+        };
+        let of_calibration = tables(CALIBRATION)
+            .enumerate()
+            .filter(|(i, table)| *i == 0 || table.caption == report::MODELS)
+            .map(|(_, table)| table);
+        let tables = of_calibration.chain(tables(EVALUATION)).map(ToString::to_string);
+        std::iter::once(verdict.to_text()).chain(tables).collect::<Vec<_>>().join("\n\n")
+    }
+
+    /// The report: the verdict, the results, then what they came from.
+    fn report(&self, verdict: Section, time_s: f64) -> Report {
+        let is_result = |stage: &str| [CALIBRATION, EVALUATION].contains(&stage);
+        let (results, rest): (Vec<_>, Vec<_>) =
+            self.sections.iter().cloned().partition(|(stage, _)| is_result(stage));
+        let stages = results.into_iter().chain(rest).map(|(_, section)| section);
+        let project = &self.arguments.project;
+        let camera = project.parent().and_then(Path::file_name).unwrap_or_default();
+        let camera = if camera.is_empty() {
+            project.display().to_string()
+        } else {
+            camera.to_string_lossy().into_owned()
+        };
+        Report {
+            title: "Calibration of a plenoptic camera".to_owned(),
+            subtitle: format!("{camera} · plenocal {}", self.manifest.plenocal),
+            sections: [verdict, self.overview(time_s)].into_iter().chain(stages).collect(),
+        }
+    }
+
+    fn overview(&self, time_s: f64) -> Section {
+        let columns = [Column::text("Stage"), Column::of("Time", "s"), Column::number("Files")];
+        let mut table = Table::new("Stages", columns);
+        for StageRecord { name, time_s, files } in &self.manifest.stages {
+            table.push([name.as_str().into(), Cell::fixed(*time_s, 2), files.len().into()]);
+        }
+        let text = format!(
+            "Project {}, {} files read; this run took {time_s:.1} s. manifest.json has their hashes.",
+            self.arguments.project.display(),
+            self.manifest.inputs.len()
+        );
+        Section::new("Overview", vec![Part::Table(table), Part::Text(text)])
+    }
 }
 
-fn overview(project: &Path, ledger: &Ledger, time_s: f64) -> Section {
-    let mut table = Table::new(
-        "Stages",
-        [
-            Column::text("Stage"),
-            Column::text("Done in"),
-            Column::of("Time", "s"),
-            Column::number("Files"),
-        ],
-    );
-    for (name, done) in &ledger.stages {
-        let Some(record) = ledger.manifest.stage(name) else { continue };
-        let when = if *done { "this run" } else { "an earlier run" };
-        let time = Cell::fixed(record.time_s, 2);
-        table.push([name.as_str().into(), when.into(), time, record.files.len().into()]);
+/// A calibration as a camera to evaluate.
+fn candidate((name, calibration): (&str, &&Calibration)) -> Candidate {
+    let Calibration { camera, uncertainty, board, .. } = *calibration;
+    Candidate {
+        name: name.to_owned(),
+        std_devs: uncertainty.intrinsic_std_devs(camera.lens_types()),
+        board_shape: board.bent.shape,
+        shape_std_devs: board.std_devs,
+        camera: camera.clone(),
     }
-    let text = format!(
-        "Project {}, {} files read; this run took {time_s:.1} s. manifest.json has \
-         their hashes.",
-        project.display(),
-        ledger.manifest.inputs.len()
-    );
-    let texts = ledger.missing.iter().cloned().chain([text]).map(Part::Text);
-    Section::new("Overview", [Part::Table(table)].into_iter().chain(texts).collect())
+}
+
+fn stage_figures(output: &mut OutputFolder, figures: &[Figure]) -> Result<()> {
+    figures.iter().try_for_each(|figure| {
+        output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))
+    })
 }
 
 /// The calibration options of a project; an error if they ask for poses only.

@@ -1,53 +1,53 @@
-//! `manifest.json`: what a run was made from, so that it can be traced, checked and resumed.
+//! `manifest.json`: what a run was made from and what it has written.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fmt::Write as _;
+use std::fs;
 use std::io::{self, BufRead, BufReader};
 use std::path::{Component, Path, PathBuf};
+use std::time::SystemTime;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::{OutputFolder, open, read_text};
+use super::{open, read_text};
 use crate::error::{Error, Result};
 
 /// Name of the file in the folder of a run.
 pub const MANIFEST: &str = "manifest.json";
 const FORMAT: &str = "plenocal-run";
-const VERSION: u64 = 2;
+/// Files of version 2 and before have hashes of the results too.
+const VERSION: u64 = 3;
 
-/// What a run was made from.
+/// What a run was made from and what it has written.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     format: String,
     version: u64,
     /// Version of plenocal.
     pub plenocal: String,
-    /// SHA-256 of the program.
-    pub program_sha256: String,
     /// The project file.
     pub project: PathBuf,
     /// SHA-256 of every file that was read, by its path.
-    pub inputs: BTreeMap<String, String>,
-    /// The stages that are done, in order.
+    pub inputs: BTreeMap<PathBuf, String>,
+    /// The stages, in order.
     pub stages: Vec<StageRecord>,
+    /// Size and time of change of the inputs when they were hashed.
+    #[serde(skip)]
+    seen: BTreeMap<PathBuf, Option<(u64, Option<SystemTime>)>>,
 }
 
-/// A stage that is done.
+/// A stage of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StageRecord {
     /// Name of the stage and of its folder.
     pub name: String,
-    /// SHA-256 of its input and of the program: while it is the same, the stage need not be
-    /// repeated.
-    pub key: String,
-    /// What it was made from: values, and files by name and SHA-256.
-    pub input: serde_json::Value,
     /// Wall time, s.
     pub time_s: f64,
-    /// SHA-256 of what it wrote, by name.
-    pub files: BTreeMap<String, String>,
+    /// Names of the files that it wrote.
+    pub files: Vec<String>,
 }
 
 /// Bytes read at a time.
@@ -71,12 +71,6 @@ pub fn hash_file(path: &Path) -> Result<String> {
     digest().map_err(|source| Error::Read { path: path.to_owned(), source })
 }
 
-/// SHA-256 of a text, hexadecimal.
-#[must_use]
-pub fn hash_text(text: &str) -> String {
-    hexadecimal(&Sha256::digest(text))
-}
-
 fn hexadecimal(bytes: &[u8]) -> String {
     bytes.iter().fold(String::new(), |mut text, byte| {
         // Writing to a String cannot fail.
@@ -85,67 +79,72 @@ fn hexadecimal(bytes: &[u8]) -> String {
     })
 }
 
+fn look(path: &Path) -> Option<(u64, Option<SystemTime>)> {
+    let metadata = fs::metadata(path).ok()?;
+    Some((metadata.len(), metadata.modified().ok()))
+}
+
 impl Manifest {
-    /// The manifest of a run in which nothing is done yet, by a program with this SHA-256.
+    /// The manifest of a run that has done nothing yet, with the hashes of its input files. A file that cannot be read has
+    /// an empty hash: it is reported when its turn comes.
     #[must_use]
-    pub fn new(project: &Path, program_sha256: String) -> Self {
+    pub fn of<'a>(project: &Path, files: impl Iterator<Item = &'a Path>) -> Self {
+        let files: Vec<PathBuf> = files.map(Path::to_owned).collect();
+        let seen = files.iter().map(|path| (path.clone(), look(path))).collect();
+        let hashed: Vec<(PathBuf, String)> = files
+            .into_par_iter()
+            .map(|path| {
+                let hash = hash_file(&path).unwrap_or_default();
+                (path, hash)
+            })
+            .collect();
         Self {
             format: FORMAT.to_owned(),
             version: VERSION,
             plenocal: env!("CARGO_PKG_VERSION").to_owned(),
-            program_sha256,
             project: project.to_owned(),
-            inputs: BTreeMap::new(),
+            inputs: hashed.into_iter().collect(),
             stages: Vec::new(),
+            seen,
         }
     }
 
-    /// Reads the manifest of a folder; `None` if there is none, or if it has another version: then
-    /// nothing in the folder is relied on. Nor is a stage whose files are not plain names: what a later run removes has to
-    /// lie in the folder.
+    /// Input files that have changed since they were hashed: what was computed may be of either content.
+    #[must_use]
+    pub fn changed_inputs(&self) -> Vec<PathBuf> {
+        let changed = self.seen.iter().filter(|(path, seen)| look(path) != **seen);
+        changed.map(|(path, _)| path.clone()).collect()
+    }
+
+    /// Reads the manifest of a folder; `None` if there is none of this version.
     #[must_use]
     pub fn read(folder: &Path) -> Option<Self> {
         let text = read_text(&folder.join(MANIFEST)).ok()?;
-        let mut manifest: Self = serde_json::from_str(&text).ok()?;
-        manifest.stages.retain(|stage| stage.files.keys().all(|name| is_plain(name)));
+        let manifest: Self = serde_json::from_str(&text).ok()?;
         (manifest.format == FORMAT && manifest.version == VERSION).then_some(manifest)
     }
 
-    /// The record of a stage.
-    #[must_use]
-    pub fn stage(&self, name: &str) -> Option<&StageRecord> {
-        self.stages.iter().find(|stage| stage.name == name)
-    }
-
-    /// Records a stage as done, in place of an earlier record.
-    pub fn note(&mut self, record: StageRecord) {
-        self.stages.retain(|stage| stage.name != record.name);
-        self.stages.push(record);
-    }
-
-    /// Writes it into a folder.
-    pub fn write(&self, folder: &Path) -> Result<()> {
-        let value = serde_json::to_value(self)
-            .map_err(|e| Error::invalid(format!("the manifest cannot be written: {e}")))?;
-        let mut output = OutputFolder::new(folder)?;
-        output.stage_json(MANIFEST, &value)?;
-        output.commit().map(|_| ())
+    /// Removes the files that the run of this manifest wrote into a folder and that are not among those `written` now, such as
+    /// pictures of frames that no longer exist.
+    pub fn remove_stale(&self, folder: &Path, written: &[PathBuf]) {
+        for StageRecord { name, files, .. } in &self.stages {
+            // A manifest is a file that anyone can change: what is removed has to lie in the folder.
+            let inside = files.iter().filter(|file| is_plain(name) && is_plain(file));
+            let paths = inside.map(|file| folder.join(name).join(file));
+            for path in paths.filter(|path| !written.contains(path)) {
+                let _ = fs::remove_file(path);
+            }
+            if is_plain(name) {
+                // Only an empty folder goes.
+                let _ = fs::remove_dir(folder.join(name));
+            }
+        }
     }
 }
 
-/// Whether a name is that of a file in a folder, and leads nowhere else.
+/// Whether a name is the name of a file in a folder, and leads nowhere else.
 fn is_plain(name: &str) -> bool {
     Path::new(name).components().eq([Component::Normal(OsStr::new(name))])
-}
-
-impl StageRecord {
-    /// Whether everything the stage wrote is still there, unchanged.
-    #[must_use]
-    pub fn is_intact(&self, folder: &Path) -> bool {
-        self.files
-            .iter()
-            .all(|(name, hash)| hash_file(&folder.join(name)).is_ok_and(|found| found == *hash))
-    }
 }
 
 #[cfg(test)]
@@ -153,34 +152,36 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hashes_are_those_of_sha256sum() {
+    fn hashes_agree_with_sha256sum_and_changes_are_noticed() {
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("abc");
-        std::fs::write(&path, "abc").unwrap();
+        fs::write(&path, "abc").unwrap();
+        let manifest = Manifest::of(Path::new("project.toml"), [path.as_path()].into_iter());
         let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(hash_file(&path).unwrap(), known);
-        assert_eq!(hash_text("abc"), known);
-        let record = StageRecord {
-            name: "s".to_owned(),
-            key: String::new(),
-            input: serde_json::Value::Null,
-            time_s: 0.0,
-            files: BTreeMap::from([("abc".to_owned(), known.to_owned())]),
-        };
-        assert!(record.is_intact(folder.path()));
-        let mut manifest = Manifest::new(Path::new("project.toml"), String::new());
-        manifest.note(record.clone());
-        manifest.write(folder.path()).unwrap();
-        assert_eq!(Manifest::read(folder.path()).unwrap(), manifest);
-        for elsewhere in ["../abc", "/abc", "a/../../abc", "", ".", ".."] {
-            let mut manifest = manifest.clone();
-            manifest.stages[0].files.insert(elsewhere.to_owned(), known.to_owned());
-            manifest.write(folder.path()).unwrap();
-            assert!(Manifest::read(folder.path()).unwrap().stages.is_empty(), "{elsewhere}");
+        assert_eq!(manifest.inputs[&path], known);
+        assert!(manifest.changed_inputs().is_empty());
+        fs::write(&path, "abcd").unwrap();
+        assert_eq!(manifest.changed_inputs(), [path]);
+    }
+
+    #[test]
+    fn only_files_of_the_folder_that_are_not_written_anew_are_removed() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let stage = folder.path().join("stage");
+        fs::create_dir(&stage).unwrap();
+        let [old, new, beside] = ["old", "new", "../beside"].map(|name| stage.join(name));
+        for path in [&old, &new, &beside] {
+            fs::write(path, "").unwrap();
         }
-        std::fs::write(&path, "abd").unwrap();
-        assert!(!record.is_intact(folder.path()));
-        std::fs::write(folder.path().join(MANIFEST), "{}").unwrap();
+        let mut manifest = Manifest::of(Path::new("project.toml"), [].into_iter());
+        let files = ["old", "new", "../beside", "", "."].map(str::to_owned).to_vec();
+        manifest.stages.push(StageRecord { name: "stage".to_owned(), time_s: 0.0, files });
+        let text = serde_json::to_string(&manifest).unwrap();
+        fs::write(folder.path().join(MANIFEST), text).unwrap();
+        let read = Manifest::read(folder.path()).unwrap();
+        read.remove_stale(folder.path(), &[new.clone()]);
+        assert!(!old.exists() && new.exists() && beside.exists());
+        fs::write(folder.path().join(MANIFEST), "{}").unwrap();
         assert!(Manifest::read(folder.path()).is_none());
     }
 }

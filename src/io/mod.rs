@@ -60,7 +60,7 @@ pub use input::{
     CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
 };
 pub use json_file::read_json;
-pub use manifest::{MANIFEST, Manifest, StageRecord, hash_file, hash_text};
+pub use manifest::{MANIFEST, Manifest, StageRecord};
 pub use npy_file::NpyHeader;
 pub use observations_file::{line_of, read_centers, read_features, write_centers, write_features};
 pub use output::{OutputFolder, abandon_output};

@@ -144,6 +144,14 @@ impl OutputFolder {
         })
     }
 
+    /// Names of the staged files, relative to the folder.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        let name =
+            |path: &Path| path.strip_prefix(&self.folder).unwrap_or(path).display().to_string();
+        self.staged.iter().map(|(_, path)| name(path)).collect()
+    }
+
     /// Takes over what another folder has staged, to be committed with this one.
     pub fn take(&mut self, mut other: Self) {
         self.created.append(&mut other.created);

@@ -53,6 +53,15 @@ pub struct TruthSection {
     pub evaluation_poses: Option<PathBuf>,
 }
 
+impl TruthSection {
+    /// All files of the truth.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        let optional = [&self.board, &self.calibration_poses, &self.evaluation_poses];
+        let optional = optional.into_iter().filter_map(|path| path.as_deref());
+        std::iter::once(self.camera.as_path()).chain(optional)
+    }
+}
+
 /// `[main_lens]`
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -3,22 +3,21 @@
 use super::tree::{Cell, Column, Part, Section, Table};
 use crate::assessment::{Assessment, NextBoard, ObjectSpace, Verdict};
 use crate::calibration::OutlyingFeature;
-use crate::finding::Severity;
+use crate::finding::{Finding, Severity};
 use crate::quantity::two_digits;
 
 /// Outlying features that are named one by one.
 const NAMED: usize = 5;
 
 /// The verdict with its reasons, and what to do next: a line each.
-#[must_use]
-pub fn verdict_lines(assessment: &Assessment) -> Vec<String> {
-    let mut lines = vec![match assessment.verdict {
+pub(super) fn verdict_lines(findings: &[Finding], next: Option<&NextBoard>) -> Vec<String> {
+    let mut lines = vec![match Verdict::of(findings) {
         Verdict::Good => "Verdict: good. Nothing speaks against this calibration.".to_owned(),
         verdict => format!("Verdict: {verdict}, because"),
     }];
-    let numbered = assessment.findings.iter().filter(|f| f.severity > Severity::Note).enumerate();
-    lines.extend(numbered.map(|(i, reason)| format!("{}. {reason}.", i + 1)));
-    lines.extend(assessment.next_board.as_ref().map(next_text));
+    let reasons = findings.iter().filter(|f| f.severity > Severity::Note).enumerate();
+    lines.extend(reasons.map(|(i, reason)| format!("{}. {reason}.", i + 1)));
+    lines.extend(next.map(next_text));
     lines
 }
 
@@ -84,9 +83,8 @@ pub(super) fn object_space_table(space: &ObjectSpace) -> Table {
     table
 }
 
-/// The verdict as a section of its own.
+/// The verdict that findings lead to, as a section of its own.
 #[must_use]
-pub fn verdict_section(assessment: &Assessment) -> Section {
-    let parts = verdict_lines(assessment).into_iter().map(Part::Text).collect();
-    Section::new("Verdict", parts)
+pub fn verdict_section(findings: &[Finding], next: Option<&NextBoard>) -> Section {
+    Section::new("Verdict", verdict_lines(findings, next).into_iter().map(Part::Text).collect())
 }

@@ -24,7 +24,7 @@ pub fn calibration_section(
     figures: Vec<Figure>,
 ) -> Section {
     let is_fixed = calibration.uncertainty.free_intrinsics.is_empty();
-    let mut parts: Vec<Part> = verdict_lines(assessment)
+    let mut parts: Vec<Part> = verdict_lines(&assessment.findings, assessment.next_board.as_ref())
         .into_iter()
         .chain(outliers_text(assessment))
         .map(Part::Text)
