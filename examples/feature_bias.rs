@@ -6,9 +6,9 @@
 //!     cargo run --release --example feature_bias [PART OF A NAME [SETTING…]]
 
 use plenocal::Result;
+use plenocal::assessment::DetectionScore;
+use plenocal::assessment::bias::{Bias, by_offset, by_place, of_rho, outwards, worst};
 use plenocal::detection::DepthEstimator;
-use plenocal::evaluation::DetectionScore;
-use plenocal::evaluation::bias::{Bias, by_offset, by_place, of_rho, outwards, worst};
 use plenocal::simulation::Settings;
 
 /// Name, preset, replaced settings, and number of frames.

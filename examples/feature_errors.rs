@@ -3,8 +3,8 @@
 //!     cargo run --release --example feature_errors [PART OF A NAME]
 
 use plenocal::Result;
+use plenocal::assessment::DetectionScore;
 use plenocal::detection::DepthEstimator;
-use plenocal::evaluation::DetectionScore;
 use plenocal::simulation::Settings;
 
 /// Name, preset, replaced settings, and number of frames.

@@ -7,13 +7,13 @@
 //!
 //! Every stage is a function that takes values and returns a value: [`simulation::simulate`],
 //! [`precalibration::precalibrate`], [`detection::detect`], [`calibration::calibrate`],
-//! [`evaluation::evaluate`]. Warnings to the user are part of the result; only [`io`] reads and
+//! [`assessment::evaluate`]. Warnings to the user are part of the result; only [`io`] reads and
 //! writes files. The whole pipeline in memory, on a simulated camera:
 //!
 //! ```
 //! use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 //! use plenocal::detection::{BoardImage, DepthEstimator, MicroImages, Search, detect};
-//! use plenocal::evaluation::{Candidate, EvaluationInput, evaluate};
+//! use plenocal::assessment::{Candidate, EvaluationInput, evaluate};
 //! use plenocal::image::RawImage;
 //! use plenocal::model::{BoardShape, Observations, Subset};
 //! use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
@@ -133,16 +133,20 @@ pub mod back_projection;
 pub mod calibration;
 pub mod detection;
 pub mod error;
-pub mod evaluation;
+pub mod finding;
 pub mod image;
 pub mod io;
 pub mod model;
 pub mod precalibration;
+pub mod quantity;
 pub mod report;
 pub mod simulation;
 pub mod solver;
 
+mod checks;
 mod numerics;
 mod vignetting;
 
 pub use error::{Error, Result};
+pub use finding::{Finding, Issue, Severity, Subject};
+pub use quantity::Estimate;

@@ -1,16 +1,44 @@
-//! Whether a calibration is to be trusted, where in space, and what would improve it.
+//! How good a calibration is.
+//!
+//! By itself: whether it is to be trusted, where in space, and what would improve it ([`assess`]). Beside other data: reprojection
+//! errors on boards that were not used, known displacements, cross-validation, what groups of parameters are worth, and cameras,
+//! poses and features against the truth ([`evaluate`]).
 
+pub mod bias;
+mod camera_comparison;
+mod cross_validation;
+mod detection_score;
+mod evaluation;
+mod held_out_boards;
+mod model_comparison;
 mod next_board;
 mod object_space;
 mod outliers;
 mod patterns;
+mod reconstruction;
 mod stage;
+mod translation;
+mod truth;
 mod verdict;
-mod words;
 
+pub use camera_comparison::{
+    CameraComparison, DistanceDifference, ParameterPair, WithStdDevs, compare_cameras,
+};
+pub use cross_validation::{CrossValidation, Fold, cross_validate, foldable_frames};
+pub use detection_score::{DetectionScore, INSIDE_PX, SMALL_RHO_PX, TRUE_PX};
+pub use evaluation::{
+    Candidate, CandidateResult, Evaluation, EvaluationInput, Folds, PosePairs, evaluate,
+};
+pub use held_out_boards::{Posed, pose_boards};
+pub use model_comparison::{
+    Group, ModelComparison, WithoutGroup, Worth, compare_models, comparison_steps,
+};
 pub use next_board::NextBoard;
 pub use object_space::{Distance, ObjectSpace, PointTrust};
 pub use outliers::{Influence, Outliers, OutlyingFrame};
 pub use patterns::{Patterns, image_pattern};
+pub use reconstruction::Reconstruction;
 pub use stage::{Assessment, assess};
-pub use verdict::{Reason, Verdict};
+pub use translation::{Displacement, Displacements, Spread};
+pub use truth::{ParameterError, PoseErrors, parameter_errors, pose_errors, shape_errors};
+pub use verdict::Verdict;

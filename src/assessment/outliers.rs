@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::calibration::{Calibration, OutlyingFeature};
+use crate::finding::{Finding, Issue};
 use crate::model::{FramePose, shared_parameters};
 use crate::numerics::median;
 use crate::solver::Uncertainty;
@@ -45,6 +46,21 @@ pub struct Influence {
 }
 
 impl OutlyingFrame {
+    /// A finding that says so.
+    #[must_use]
+    pub fn finding(&self) -> Finding {
+        let Self { frame, residual_ratio, influence } = *self;
+        let issue = Issue::OutlyingFrame {
+            frame,
+            residual_ratio,
+            parameter: influence.map(|i| i.parameter.to_owned()),
+            std_devs: influence.map(|i| i.std_devs),
+            unexpected: influence.map(|i| i.unexpected),
+        };
+        let weight = 5.0 + self.unexpected_influence().max(residual_ratio);
+        Finding::caution(issue).about_frame(frame, None).weighing(weight)
+    }
+
     pub(super) fn unexpected_influence(&self) -> f64 {
         self.influence.map_or(0.0, |influence| influence.unexpected)
     }

@@ -4,9 +4,10 @@ use super::next_board::{NextBoard, next_board};
 use super::object_space::{ObjectSpace, object_space};
 use super::outliers::{Outliers, outliers};
 use super::patterns::{Patterns, patterns};
-use super::verdict::{Reason, Verdict, reasons};
+use super::verdict::{Verdict, findings};
 use crate::calibration::{Calibration, Mode};
 use crate::error::Result;
+use crate::finding::Finding;
 use crate::model::Board;
 
 /// Whether a calibration is to be trusted, and where.
@@ -14,8 +15,8 @@ use crate::model::Board;
 pub struct Assessment {
     /// What to do with the camera.
     pub verdict: Verdict,
-    /// What speaks against it, the heaviest first.
-    pub reasons: Vec<Reason>,
+    /// The findings of the calibration and of this assessment, the heaviest first.
+    pub findings: Vec<Finding>,
     /// Observations and frames that do not fit.
     pub outliers: Outliers,
     /// Systematic parts of the residuals.
@@ -35,8 +36,8 @@ pub fn assess(calibration: &Calibration, board: &Board) -> Result<Assessment> {
     let _span = tracing::info_span!("assessment").entered();
     let outliers = outliers(calibration);
     let patterns = patterns(calibration)?;
-    let reasons = reasons(calibration, &outliers, &patterns);
-    let verdict = reasons.iter().map(Reason::verdict).max().unwrap_or(Verdict::Good);
+    let findings = findings(calibration, &outliers, &patterns);
+    let verdict = Verdict::of(&findings);
     let uncertainty = &calibration.uncertainty;
     let known = calibration.converged
         && calibration.options.mode != Mode::PosesOnly
@@ -47,5 +48,5 @@ pub fn assess(calibration: &Calibration, board: &Board) -> Result<Assessment> {
         Some(space) => next_board(calibration, board, space)?,
         None => None,
     };
-    Ok(Assessment { verdict, reasons, outliers, patterns, object_space, next_board })
+    Ok(Assessment { verdict, findings, outliers, patterns, object_space, next_board })
 }

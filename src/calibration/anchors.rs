@@ -9,11 +9,14 @@
 
 use std::fmt;
 
-use crate::calibration::{CalibrationOptions, Mode, Start, Warning};
+use crate::calibration::{CalibrationOptions, Mode, Start};
+use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
+use crate::finding::Finding;
 use crate::model::{
     BoardShape, PlenopticCamera, SHAPE_PARAMETERS, intrinsic_parameters, optics, shared_parameters,
 };
+use crate::quantity::Estimate;
 use crate::solver::Anchor;
 
 /// Name of |m| among the quantities of anchors.
@@ -225,12 +228,13 @@ pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> 
     Ok(())
 }
 
-/// A pull by more σ than this is a contradiction.
-const PULLED: f64 = 3.0;
-
-/// A warning for each anchor that the observations contradict.
-pub(super) fn pulled(results: &[AnchorResult]) -> impl Iterator<Item = Warning> {
-    results.iter().filter(|r| r.pull().abs() > PULLED).cloned().map(Warning::AnchorPulled)
+/// A finding for each anchor that the observations contradict.
+pub(super) fn contradicted(results: &[AnchorResult]) -> impl Iterator<Item = Finding> {
+    results.iter().filter_map(|r| {
+        let Anchor { quantity, value, std_dev } = &r.anchor;
+        let prior = Estimate { value: *value, std_dev: *std_dev };
+        checks::prior((quantity, r.unit()), prior, r.result, &r.source.to_string())
+    })
 }
 
 /// What became of the anchors in the refined camera and board.

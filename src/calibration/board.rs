@@ -8,9 +8,11 @@
 use serde::Serialize;
 use tracing::info;
 
+use crate::calibration::AnchorSource;
 use crate::calibration::refine::{Refined, Settings, at_end};
-use crate::calibration::{AnchorSource, Warning};
+use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
+use crate::finding::{Finding, Issue};
 use crate::model::{BentBoard, BoardShape, SHAPE, SHAPE_PARAMETERS};
 use crate::numerics::normal_deviate;
 use crate::solver::{
@@ -21,10 +23,6 @@ use crate::solver::{
 const FLAT: f64 = 1e-3;
 /// What is further from 0 in σ is not chance.
 const SIGNIFICANT: f64 = 3.0;
-/// A bend by more of the diagonal is a warning.
-const WARPED: f64 = 5e-3;
-/// A larger aspect is one, since the squares may have been measured along either side.
-const STRETCHED: f64 = 0.01;
 /// Index of the aspect in the table of parameters; before it are those of the bend.
 const ASPECT: usize = 3;
 
@@ -335,25 +333,18 @@ fn std_devs_from_zero(refined: &Refined) -> [Option<f64>; 2] {
     [bend, one(ASPECT)]
 }
 
-/// Warnings if a board bends so far that it should be replaced, and if its shape was not found.
-pub(super) fn warnings_of(board: &BoardResult) -> impl Iterator<Item = Warning> {
-    let (bend_mm, diagonal_mm) = (board.bent.bend_mm(), board.bent.board.diagonal_mm());
+/// Findings about the shape of the board, and about a trial of its shape that failed.
+pub(super) fn findings_of(board: &BoardResult) -> Vec<Finding> {
     let estimated = board.std_devs.iter().any(Option::is_some);
-    let warped = (bend_mm > WARPED * diagonal_mm).then_some(Warning::WarpedBoard {
-        bend_mm,
-        diagonal_mm,
-        estimated,
-    });
     let failed = match &board.trial {
-        Trial::Failed(reason) => Some(Warning::BoardShapeNotFound { reason: reason.clone() }),
+        Trial::Failed(reason) => Some(Issue::BoardShapeNotFound { reason: reason.clone() }),
         Trial::Tried { unsettled: Some(reason), .. } => {
-            Some(Warning::BoardShapeNotSettled { reason: reason.clone() })
+            Some(Issue::BoardShapeNotSettled { reason: reason.clone() })
         }
         Trial::NotTried | Trial::TooFewFrames | Trial::Tried { unsettled: None, .. } => None,
     };
-    let aspect = board.bent.shape.aspect;
-    let stretched = (aspect.abs() > STRETCHED).then_some(Warning::StretchedBoard { aspect });
-    warped.into_iter().chain(stretched).chain(failed)
+    let failed = failed.map(|issue| Finding::caution(issue).weighing(50.0));
+    checks::board_shape(&board.bent, estimated).into_iter().chain(failed).collect()
 }
 
 #[cfg(test)]
@@ -362,8 +353,8 @@ mod tests {
     use crate::model::Board;
 
     #[test]
-    fn a_shape_that_did_not_settle_is_a_warning() {
-        let warnings = |unsettled: Option<&str>| {
+    fn a_shape_that_did_not_settle_is_a_finding() {
+        let findings = |unsettled: Option<&str>| {
             let board = BoardResult {
                 bent: BentBoard {
                     board: Board { columns: 8, rows: 5, square_mm: 10.0 },
@@ -377,10 +368,11 @@ mod tests {
                 },
                 aside: Effort::default(),
             };
-            warnings_of(&board).collect::<Vec<_>>()
+            findings_of(&board)
         };
-        assert_eq!(warnings(None), []);
+        assert_eq!(findings(None), []);
         let reason = "no minimum".to_owned();
-        assert_eq!(warnings(Some("no minimum")), [Warning::BoardShapeNotSettled { reason }]);
+        let [finding] = &findings(Some("no minimum"))[..] else { panic!("one finding") };
+        assert_eq!(finding.issue, Issue::BoardShapeNotSettled { reason });
     }
 }

@@ -6,13 +6,16 @@
 
 use std::collections::BTreeMap;
 
+use crate::calibration::Start;
 use crate::calibration::anchors::INTERCEPTS;
-use crate::calibration::{Start, Warning};
+use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
+use crate::finding::Finding;
 use crate::model::taken::FILL_FACTOR;
 use crate::model::{BapFeature, FillFactor, InternalParameters, Lattice, optics};
 use crate::numerics::{median, weighted_mean};
 use crate::precalibration::MicroImageArray;
+use crate::quantity::Estimate;
 
 /// What the widths of edges say of a camera.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,9 +44,6 @@ const OUTLIERS: f64 = 5.0;
 const ROUNDS: usize = 5;
 /// Half the width of a normal distribution, its median deviation, in σ.
 const MEDIAN_DEVIATION: f64 = 0.6745;
-/// Lens types disagree on the fill factor if they differ by more σ than this and by more than this part.
-const CONTRADICTION: f64 = 3.0;
-const CONTRADICTION_PART: f64 = 0.01;
 
 /// A feature whose blur was measured.
 struct Measured {
@@ -159,22 +159,13 @@ impl FillMeasurement {
         Ok(Some(Self { fill_factor, types: (0..types).map(of_type).collect() }))
     }
 
-    /// A warning about the two lens types that disagree most on the fill factor, if they do.
-    pub(super) fn contradiction(&self) -> Option<Warning> {
-        let of_types =
-            || self.types.iter().enumerate().filter_map(|(i, t)| Some((i, (*t)?.fill_factor)));
-        let pairs = of_types().flat_map(|a| of_types().map(move |b| (a, b)));
-        let apart =
-            |(a, b): &(FillFactor, FillFactor)| (a.value - b.value) / a.std_dev.hypot(b.std_dev);
-        let worst = pairs
-            .map(|((i, a), (k, b))| ([i, k], [a, b]))
-            .max_by(|(_, x), (_, y)| apart(&(x[0], x[1])).total_cmp(&apart(&(y[0], y[1]))));
-        let ([larger, smaller], [a, b]) = worst?;
-        let clearly = a.value - b.value > CONTRADICTION_PART * self.fill_factor.value;
-        (clearly && apart(&(a, b)) > CONTRADICTION).then_some(Warning::FillFactorsDiffer {
-            lens_types: [larger, smaller],
-            fill_factors: [a, b],
-        })
+    /// A finding about the two lens types that disagree most on the fill factor, if they do.
+    pub(super) fn contradiction(&self) -> Option<Finding> {
+        let of_types = self.types.iter().enumerate().filter_map(|(i, t)| {
+            let FillFactor { value, std_dev } = (*t)?.fill_factor;
+            Some((i, Estimate { value, std_dev }))
+        });
+        checks::aperture_ratios(&of_types.collect::<Vec<_>>(), self.fill_factor.value)
     }
 }
 

@@ -8,7 +8,8 @@
 use std::collections::BTreeMap;
 
 use crate::calibration::poses::poses_of_board;
-use crate::calibration::{CalibrationOptions, Start, Warning};
+use crate::calibration::{CalibrationOptions, Start};
+use crate::finding::{Finding, Issue};
 use crate::model::{BapFeature, Board, Datasheet, InternalParameters, PlenopticCamera, optics};
 use crate::numerics::median;
 
@@ -38,7 +39,7 @@ pub(super) fn refocused(
     board: &Board,
     features: &[BapFeature],
     options: &CalibrationOptions,
-) -> Option<(Start, Option<Warning>)> {
+) -> Option<(Start, Option<Finding>)> {
     let Start::Datasheet(sheet, internal) = start else { return None };
     let held = |names: &[String]| names.iter().any(|name| name == "D");
     let anchors = &options.cost.anchors;
@@ -66,8 +67,8 @@ pub(super) fn refocused(
         return None;
     }
     let sheet = Datasheet { focus_distance_mm: by_boards_mm, ..*sheet };
-    let warning = Warning::FocusDistance { stated_mm, by_boards_mm };
-    Some((Start::Datasheet(sheet, internal.clone()), (off > REMARKABLE).then_some(warning)))
+    let finding = Finding::caution(Issue::FocusDistance { stated_mm, by_boards_mm }).weighing(50.0);
+    Some((Start::Datasheet(sheet, internal.clone()), (off > REMARKABLE).then_some(finding)))
 }
 
 /// What D and d follow from, besides h.

@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use nalgebra::Isometry3;
 use tracing::debug;
 
-use crate::calibration::{LeftOut, NoPose, initial_poses};
+use crate::calibration::{LeftOut, initial_poses};
 use crate::error::{Error, Result};
+use crate::finding::Issue;
 use crate::model::{
     BapFeature, BentBoard, Board, FeatureResidual, FramePose, MicroImageCenter, Observations,
     PlenopticCamera, shared_parameters,
@@ -88,7 +89,7 @@ pub(super) fn given_frames(observations: &Observations, given: &[FramePose]) -> 
     let poses: Vec<FramePose> = by_frame.keys().filter_map(|&frame| pose_of(frame)).collect();
     let missing = by_frame.iter().filter(|&(&frame, _)| pose_of(frame).is_none());
     let left_out = missing
-        .map(|(&frame, &features)| LeftOut { frame, features, reason: NoPose::NotGiven })
+        .map(|(&frame, &features)| LeftOut { frame, features, reason: Issue::PoseNotGiven })
         .collect();
     let of_these = observations.features.iter().filter(|f| pose_of(f.frame).is_some());
     Frames { poses, features: of_these.copied().collect(), left_out }

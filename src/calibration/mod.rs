@@ -17,7 +17,6 @@ mod refine;
 mod refit;
 mod result;
 mod stage;
-mod warning;
 mod words;
 
 pub use anchors::{AnchorResult, AnchorSource, SLOPE, intercept_name};
@@ -32,5 +31,4 @@ pub use problem::{ProblemFeature, SolvedProblem};
 pub use refit::{Minimum, Refit};
 pub use result::{Calibration, LeftOut};
 pub use stage::{Solution, calibrate, cost_at};
-pub use warning::{NoPose, Warning};
 pub use words::{termination_text, weakest_directions_text};

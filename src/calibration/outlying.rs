@@ -1,6 +1,7 @@
 //! Features far from where the camera projects them, and the loss that withstands them where features state no σ.
 
-use crate::calibration::{Calibration, Warning};
+use crate::calibration::Calibration;
+use crate::finding::{Finding, Issue};
 use crate::model::FeatureResidual;
 use crate::numerics::median;
 use crate::solver::{CostOptions, Loss, LossKind};
@@ -50,11 +51,11 @@ fn outlying(residuals: &[FeatureResidual]) -> Vec<OutlyingFeature> {
 }
 
 /// The loss for features that state no σ, if some of them outlie: its scale is that of the residuals of a cost
-/// without one. With a warning.
+/// without one. With a finding.
 pub(super) fn loss_by_residuals(
     residuals: &[FeatureResidual],
     cost: &CostOptions,
-) -> Option<(Loss, Warning)> {
+) -> Option<(Loss, Finding)> {
     let features = outlying(residuals).len();
     let norm = |r: &FeatureResidual| {
         let rho = r.drho_px.filter(|_| cost.rho).unwrap_or(0.0) / cost.rho_std_dev_px;
@@ -62,6 +63,7 @@ pub(super) fn loss_by_residuals(
     };
     let typical = typical(residuals, norm).filter(|typical| features > 0 && *typical > 0.0)?;
     let scale = LOSS_SCALE * typical;
-    let of = residuals.len();
-    Some((Loss { kind: LossKind::Huber, scale }, Warning::OutlyingFeatures { features, of, scale }))
+    let finding =
+        Finding::note(Issue::OutlyingUnweighted { features, all: residuals.len(), scale });
+    Some((Loss { kind: LossKind::Huber, scale }, finding))
 }

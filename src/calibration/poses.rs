@@ -9,7 +9,7 @@ use opencv::calib3d;
 use opencv::core::{Mat, Point2d, Point3d, Vector, no_array};
 use opencv::prelude::*;
 
-use crate::calibration::NoPose;
+use crate::finding::Issue;
 use crate::model::{BapFeature, Board, MIN_CORNERS, PlenopticCamera};
 
 /// Corners count as collinear if their spread across the best line is below this fraction of the
@@ -26,14 +26,14 @@ pub fn initial_poses(
     camera: &PlenopticCamera,
     board: &Board,
     features: &[BapFeature],
-) -> Result<Vec<Isometry3<f64>>, NoPose> {
+) -> Result<Vec<Isometry3<f64>>, Issue> {
     let mut candidates = poses_of_board(camera, board, features)?;
     let seen: BTreeSet<i32> = features.iter().map(|f| f.corner).collect();
     let points: Vec<Point3<f64>> = seen.into_iter().map(|corner| board.point_mm(corner)).collect();
     candidates
         .retain(|pose| points.iter().all(|p| (pose * p).z > camera.main_lens.focal_length_mm));
     if candidates.is_empty() {
-        return Err(NoPose::BehindFocalPlane);
+        return Err(Issue::PoseBehindFocalPlane);
     }
     Ok(candidates)
 }
@@ -43,7 +43,7 @@ pub(super) fn poses_of_board(
     camera: &PlenopticCamera,
     board: &Board,
     features: &[BapFeature],
-) -> Result<Vec<Isometry3<f64>>, NoPose> {
+) -> Result<Vec<Isometry3<f64>>, Issue> {
     let mut sums: BTreeMap<i32, (Point2<f64>, f64)> = BTreeMap::new();
     for f in features {
         let (sum, count) = sums.entry(f.corner).or_insert((Point2::origin(), 0.0));
@@ -54,13 +54,13 @@ pub(super) fn poses_of_board(
     let points: Vec<Point3<f64>> = sums.keys().map(|&corner| board.point_mm(corner)).collect();
     let pixels: Vec<Point2<f64>> = sums.values().map(|(sum, count)| sum / *count).collect();
     if points.len() < MIN_CORNERS {
-        return Err(NoPose::TooFewCorners(points.len()));
+        return Err(Issue::PoseTooFewCorners { corners: points.len(), fewest: MIN_CORNERS });
     }
     if collinear(&points) {
-        return Err(NoPose::Collinear);
+        return Err(Issue::PoseCollinear);
     }
-    let mut candidates =
-        solve_pnp(camera, &points, &pixels).map_err(|error| NoPose::PnpFailed(error.message))?;
+    let mut candidates = solve_pnp(camera, &points, &pixels)
+        .map_err(|error| Issue::PoseNotFound { reason: error.message })?;
     candidates.sort_by(|a, b| a.1.total_cmp(&b.1));
     Ok(candidates.into_iter().map(|(pose, _)| pose).collect())
 }

@@ -1,16 +1,16 @@
 //! The start of a calibration: what is known before poses are, and the poses.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 use crate::calibration::checks::{check_indices, check_observations, without_frames};
 use crate::calibration::fill_factor::{with_fill_factor, with_that_of_start};
 use crate::calibration::focus::refocused;
 use crate::calibration::frames::{Frames, given_frames, initial_frames};
 use crate::calibration::{
-    CalibrationOptions, FillMeasurement, LeftOut, NoPose, Solution, Start, Warning, Weights,
-    initial_camera,
+    CalibrationOptions, FillMeasurement, LeftOut, Solution, Start, Weights, initial_camera,
 };
 use crate::error::{Error, Result};
+use crate::finding::{Finding, Issue};
 use crate::model::{BentBoard, Board, Observations, PlenopticCamera};
 use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
 
@@ -20,7 +20,7 @@ pub(super) struct Prepared {
     pub initial: PlenopticCamera,
     pub grid: Option<MicroImageArray>,
     pub fill: Option<FillMeasurement>,
-    pub misfocused: Option<Warning>,
+    pub misfocused: Option<Finding>,
     pub observations: Observations,
     pub excluded: Vec<LeftOut>,
 }
@@ -145,17 +145,18 @@ fn start_camera(
 
 /// Why no frame could be used.
 fn no_frame(left_out: &[LeftOut]) -> String {
-    let reasons: BTreeSet<&NoPose> = left_out.iter().map(|frame| &frame.reason).collect();
-    if reasons == BTreeSet::from([&NoPose::BehindFocalPlane]) {
+    if left_out.iter().all(|frame| frame.reason == Issue::PoseBehindFocalPlane) {
         return "no frame could be used: all boards would have to be nearer to the main lens than its focal length. Check \
                 the size of the squares (square_mm) and of a pixel (pixel_size_mm), and the focal length (focal_length_mm)"
             .to_owned();
     }
-    let of_reason = |reason: &&NoPose| {
-        let frames = left_out.iter().filter(|frame| frame.reason == **reason);
-        let frames: Vec<String> = frames.map(|frame| frame.frame.to_string()).collect();
-        format!("{reason} (frames {})", frames.join(", "))
-    };
-    let reasons: Vec<String> = reasons.iter().map(of_reason).collect();
+    let mut by_reason: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for LeftOut { frame, reason, .. } in left_out {
+        by_reason.entry(reason.to_string()).or_default().push(frame.to_string());
+    }
+    let reasons = by_reason.iter();
+    let reasons: Vec<String> = reasons
+        .map(|(reason, frames)| format!("{reason} (frames {})", frames.join(", ")))
+        .collect();
     format!("no frame could be used: {}", reasons.join("; "))
 }

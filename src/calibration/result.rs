@@ -1,23 +1,20 @@
 //! The result of a calibration.
 
-use std::fmt;
-
-use crate::calibration::{
-    AnchorResult, BoardResult, CalibrationOptions, FillMeasurement, NoPose, Warning,
-};
+use crate::calibration::{AnchorResult, BoardResult, CalibrationOptions, FillMeasurement};
+use crate::finding::{Finding, Issue};
 use crate::model::{FramePose, PlenopticCamera, Reprojection, optics};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{CostOptions, Refinement, Uncertainty};
 
 /// A frame that was not used.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct LeftOut {
     /// Number of the frame.
     pub frame: u32,
     /// Number of its features.
     pub features: usize,
     /// Why.
-    pub reason: NoPose,
+    pub reason: Issue,
 }
 
 /// A calibration: the camera, and a record of how it was estimated.
@@ -59,8 +56,8 @@ pub struct Calibration {
     pub fill: Option<FillMeasurement>,
     /// What became of the anchors.
     pub anchors: Vec<AnchorResult>,
-    /// Warnings to the user.
-    pub warnings: Vec<Warning>,
+    /// What the user should know.
+    pub findings: Vec<Finding>,
 }
 
 impl Calibration {
@@ -73,12 +70,10 @@ impl Calibration {
     }
 }
 
-impl fmt::Display for LeftOut {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "frame {} is left out with its {} features: {}",
-            self.frame, self.features, self.reason
-        )
+impl LeftOut {
+    /// A finding that says so.
+    #[must_use]
+    pub fn finding(&self) -> Finding {
+        Finding::left_out(self.frame, None, self.reason.clone())
     }
 }

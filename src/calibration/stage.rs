@@ -1,30 +1,26 @@
 //! The calibration as one stage: from observations to a refined camera.
 
-use std::collections::BTreeSet;
-
 use nalgebra::Isometry3;
 use tracing::debug;
 
-use crate::calibration::anchors::{anchors, pulled, results};
-use crate::calibration::board::{Settled, warnings_of};
-use crate::calibration::checks::{
-    array_beyond_image, bad_fit, fronto_parallel, outlying_centers, undetermined,
-};
+use crate::calibration::anchors::{anchors, contradicted, results};
+use crate::calibration::board::{Settled, findings_of};
 use crate::calibration::common_errors::common_errors;
 use crate::calibration::frames::{Frames, feature_residuals, solver_centers, solver_features};
 use crate::calibration::outlying::{LOSS_SCALE, loss_by_residuals};
 use crate::calibration::prepare::{Prepared, prepared};
 use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{
-    AnchorSource, BoardResult, Calibration, CalibrationOptions, FillMeasurement, Mode, Start,
-    Warning,
+    AnchorSource, BoardResult, Calibration, CalibrationOptions, FillMeasurement, LeftOut, Mode,
+    Start,
 };
+use crate::checks::calibration as checks;
 use crate::error::Result;
+use crate::finding::Finding;
 use crate::model::{
     BentBoard, Board, CenterResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
     Reprojection, shared_parameters,
 };
-use crate::precalibration::MicroImageArray;
 use crate::solver::{
     self, Anchor, CostOptions, Iteration, LossKind, Problem, Refinement, Termination, Uncertainty,
 };
@@ -121,16 +117,26 @@ fn completed(
     let converged = (at.is_some() || refinement.termination == Termination::Converged)
         && is_minimum(&refinement, &uncertainty, &reprojection);
     let results = results(anchors, &refinement.camera, &refinement.shape);
-    let mut warnings = warnings_before(&initial, grid.as_ref(), &observations);
-    warnings.extend(misfocused);
-    warnings.extend(outlying);
-    warnings.extend(pulled(&results));
-    warnings.extend(undetermined(&refinement.camera, &uncertainty));
-    warnings.extend(bad_fit(&refinement.camera, &reprojection));
-    warnings.extend(fronto_parallel(&poses, options.mode));
-    warnings.extend(fill.as_ref().and_then(FillMeasurement::contradiction));
-    warnings.extend(warnings_of(&board).filter(|_| options.mode != Mode::PosesOnly));
-    warnings.extend(poses_of_no_frame(at.map_or(&options.poses, |at| &at.poses), &observations));
+    let estimates_camera = options.mode != Mode::PosesOnly;
+    let given = at.map_or(&options.poses, |at| &at.poses);
+    let mut findings: Vec<Finding> = grid
+        .as_ref()
+        .and_then(|g| checks::outlying_centers(g.outliers, observations.centers.len(), g.rms_px))
+        .into_iter()
+        .chain(checks::array_beyond_image(&initial))
+        .chain(misfocused)
+        .chain(outlying)
+        .chain(contradicted(&results))
+        .chain(checks::undetermined(&refinement.camera, &uncertainty))
+        .chain(checks::fit(&refinement.camera, &reprojection))
+        .chain(checks::poses_of_no_frame(given, &observations))
+        .chain(fill.as_ref().and_then(FillMeasurement::contradiction))
+        .chain(frames.left_out.iter().map(LeftOut::finding))
+        .collect();
+    if estimates_camera {
+        findings.extend(checks::fronto_parallel(&poses));
+        findings.extend(findings_of(&board));
+    }
     Ok(Calibration {
         camera: refinement.camera.clone(),
         board,
@@ -149,19 +155,19 @@ fn completed(
         anchors: results,
         fill,
         cost,
-        warnings,
+        findings,
     })
 }
 
 /// Refines. Where the loss is to be found and there is none, since features state no σ, once more with one if some
-/// outlie; then with a warning.
+/// outlie; then with a finding.
 fn withstanding(
     settings: &Settings,
     problem: &Problem,
     cost: &mut CostOptions,
     anchors: &[(Anchor, AnchorSource)],
     progress: &mut dyn FnMut(&Iteration) -> bool,
-) -> Result<(Settled, Option<Warning>)> {
+) -> Result<(Settled, Option<Finding>)> {
     let settled = settings.refine_with_board(problem, cost, anchors, progress)?;
     let refinement = &settled.refined.refinement;
     let has_loss = !settings.options.automatic_loss || cost.loss.kind != LossKind::None;
@@ -170,12 +176,12 @@ fn withstanding(
     }
     let refined = at_end(problem, Some(refinement));
     let residuals = feature_residuals(&refined, &settings.frames.features)?;
-    let Some((loss, warning)) = loss_by_residuals(&residuals, cost) else {
+    let Some((loss, finding)) = loss_by_residuals(&residuals, cost) else {
         return Ok((settled, None));
     };
-    debug!("{warning}");
+    debug!("{finding}");
     cost.loss = loss;
-    Ok((settings.refine_with_board(problem, cost, anchors, progress)?, Some(warning)))
+    Ok((settings.refine_with_board(problem, cost, anchors, progress)?, Some(finding)))
 }
 
 pub(super) fn center_residuals(
@@ -243,20 +249,4 @@ fn is_minimum(
     let negligible =
         (MAX_EXPECTED_DECREASE * refinement.cost).max(ZERO_COST_PER_RESIDUAL * residuals as f64);
     uncertainty.expected_decrease <= negligible
-}
-
-/// Poses that belong to no feature.
-fn poses_of_no_frame(given: &[FramePose], observations: &Observations) -> Option<Warning> {
-    let seen: BTreeSet<u32> = observations.features.iter().map(|f| f.frame).collect();
-    let frames: Vec<u32> = given.iter().map(|p| p.frame).filter(|f| !seen.contains(f)).collect();
-    (!frames.is_empty()).then_some(Warning::PosesOfNoFrame { frames })
-}
-
-fn warnings_before(
-    initial: &PlenopticCamera,
-    grid: Option<&MicroImageArray>,
-    observations: &Observations,
-) -> Vec<Warning> {
-    let of_grid = grid.and_then(|grid| outlying_centers(grid, observations.centers.len()));
-    of_grid.into_iter().chain(array_beyond_image(initial)).collect()
 }

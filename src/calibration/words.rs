@@ -1,7 +1,7 @@
 //! A calibration as sentences: how it ended, and its weakest directions.
 
 use crate::calibration::Calibration;
-use crate::model::{display_unit, signed};
+use crate::quantity::{display_unit, signed};
 use crate::solver::{Termination, WeakDirection};
 
 /// A direction names the distance of the boards if it explains this share of its variance.

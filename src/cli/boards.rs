@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 use plenocal::detection::{
-    BoardImage, DepthEstimator, DetectedBoards, DetectedFrame, MicroImages, NoFeatures, Search,
+    BoardImage, DepthEstimator, DetectedBoards, DetectedFrame, MicroImages, Search,
     check_board_size, check_configuration, detect,
 };
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
 use plenocal::model::{Board, Datasheet, FillFactor, InternalParameters, Subset};
 use plenocal::report::Figure;
-use plenocal::{Error, Result, report};
+use plenocal::{Error, Finding, Issue, Result, report};
 
 use super::progress;
 
@@ -204,7 +204,7 @@ pub fn detect_subset(
         return Err(Error::invalid(format!(
             "no frame shows the board: check [board], the images, the configuration of the array, and that the \
              white images are of the same camera and f-number, neither turned, cut nor resized\n  {}\n{}",
-            found.warnings.join("\n  "),
+            found.findings.iter().map(Finding::to_string).collect::<Vec<_>>().join("\n  "),
             report::detection_text(&found.frames)
         )));
     }
@@ -228,7 +228,7 @@ pub fn known_fill_factor(subset: Subset, of_calibration: &Path) -> Result<Option
 /// Whether the image of a frame could not be read for a reason that may pass, such as a network drive that does not answer;
 /// a file that is no image stays so.
 pub fn may_be_readable(frame: &DetectedFrame) -> bool {
-    matches!(&frame.result, Err(NoFeatures::Unreadable(Error::Read { .. })))
+    matches!(&frame.result, Err(Issue::Unreadable { .. }))
 }
 
 /// The pictures that were staged, by name.

@@ -5,11 +5,10 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Args;
-use plenocal::assessment::assess;
+use plenocal::assessment::{ModelComparison, assess, compare_models, comparison_steps};
 use plenocal::calibration::{
     Calibration, Mode, Solution, SolvedProblem, Weights, calibrate, termination_text,
 };
-use plenocal::evaluation::{ModelComparison, compare_models, comparison_steps};
 use plenocal::io::{
     self, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil, FieldCurvature,
     OutputFolder, Pitches, compote,
@@ -25,7 +24,7 @@ use super::cost;
 use super::evaluate::calibrated;
 use super::input::{Files, Input};
 use super::progress;
-use super::talk::{self, print_result, say, warn};
+use super::talk::{print_result, say, tell, warn};
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///
@@ -249,9 +248,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     }
     let mut paths = output.commit()?;
     paths.extend(exported(export, &calibration, &input.board)?);
-    warn(&calibration.left_out);
-    warn(&talk::of_calibration(&calibration.warnings));
-    warn(&talk::of_frames(&assessment));
+    tell(&calibration.findings);
     print_result(json, &document, &text, &paths)?;
     Ok(status(&calibration))
 }

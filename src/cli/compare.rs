@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
-use plenocal::evaluation::compare_cameras;
+use plenocal::assessment::compare_cameras;
 use plenocal::io::{self, OutputFolder};
 use plenocal::model::PlenopticCamera;
 use plenocal::{Error, Result, report};

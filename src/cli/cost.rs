@@ -10,7 +10,7 @@ use plenocal::{Result, report};
 
 use super::calibrate::exported;
 use super::input::Input;
-use super::talk::{self, print_result, warn};
+use super::talk::{print_result, tell};
 
 /// Evaluates, and writes cost.json and residuals.csv, and the problem if it is wanted.
 pub(super) fn run(
@@ -32,8 +32,7 @@ pub(super) fn run(
     output.stage("residuals.csv", |out| io::write_residuals(out, &evaluated.reprojection))?;
     let mut paths = output.commit()?;
     paths.extend(exported(export, &evaluated, &input.board)?);
-    warn(&evaluated.left_out);
-    warn(&talk::of_calibration(&evaluated.warnings));
+    tell(&evaluated.findings);
     print_result(json, &document, &report::cost_text(&evaluated, parts), &paths)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -13,7 +13,7 @@ use plenocal::{Result, report};
 use super::boards::{self, Options, Shoot};
 use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::precalibrate::{measure, stage_centers};
-use super::talk::{print_result, warn};
+use super::talk::{print_result, tell};
 
 /// Detect the corners of a checkerboard in raw images automatically.
 ///
@@ -65,7 +65,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
             ..PrecalibrationOptions::of_datasheet(&shoot.sheet)
         };
         let (measured, _) = measure(path, &shoot.images, &shoot.sheet, &options, arguments.json)?;
-        warn(&measured.warnings);
+        tell(&measured.findings);
         stage_centers(&mut output, &measured)?;
         output.stage_json("precalibration.json", &io::precalibration_document(&measured))?;
         MicroImages::of_precalibration(&measured, &shoot.sheet)?
@@ -77,7 +77,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         quiet: arguments.json,
     };
     let found = boards::detect_subset(path, &shoot, &micro_images, options, &mut output)?;
-    warn(&found.warnings);
+    tell(&found.findings);
     let paths = output.commit()?;
     let document = io::detection_document(&found, &shoot.board);
     print_result(arguments.json, &document, &report::detection_text(&found.frames), &paths)?;

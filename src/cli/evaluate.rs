@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
-use plenocal::detection::DepthEstimator;
-use plenocal::evaluation::{
+use plenocal::assessment::{
     Candidate, Evaluation, EvaluationInput, Folds, evaluate, foldable_frames,
 };
+use plenocal::detection::DepthEstimator;
 use plenocal::io::{self, CameraSource, OutputFolder, Project};
 use plenocal::model::{BapFeature, Board, PlenopticCamera, Subset};
 use plenocal::{Error, Result, report};
@@ -16,7 +16,7 @@ use super::boards::{self, Options, Shoot, images_of};
 use super::choices::{DEPTH_ESTIMATORS, choice};
 use super::input::{Files, Input, board_shape, camera_source};
 use super::progress;
-use super::talk::{print_result, warn};
+use super::talk::{print_result, tell};
 
 /// Evaluate a camera: on boards not used in its calibration, on known displacements, against the truth,
 /// and by leaving frames out.
@@ -160,7 +160,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         };
         let mut of_subset = OutputFolder::new(&arguments.out.join(subset.name()))?;
         let found = boards::detect_subset(path, &shoot, &micro_images, options, &mut of_subset)?;
-        warn(&found.warnings);
+        tell(&found.findings);
         output.take(of_subset);
         Ok(found.features())
     };
@@ -183,7 +183,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         folds,
     };
     let evaluation = evaluated(&candidates, &input, arguments.json);
-    warn(&evaluation.problems);
+    tell(&evaluation.findings);
     let tables = report::evaluation_tables(&evaluation, &candidates);
     if tables.is_empty() {
         return Err(Error::invalid(

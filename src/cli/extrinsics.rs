@@ -16,7 +16,7 @@ use super::calibrate::{stage_results, status};
 use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::evaluate::calibrated;
 use super::input::board_shape;
-use super::talk::{self, print_result, warn};
+use super::talk::{print_result, tell};
 
 /// Find the poses of boards in raw images with a calibrated camera.
 ///
@@ -86,10 +86,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let assessment = assess(&result, &shoot.board)?;
     stage_results(&mut output, &result, false)?;
     let paths = output.commit()?;
-    warn(&found.warnings);
-    warn(&result.left_out);
-    warn(&talk::of_calibration(&result.warnings));
-    warn(&talk::of_frames(&assessment));
+    tell(&found.findings);
+    tell(&result.findings);
     let document = io::calibration_document(&result, &assessment, begun.elapsed().as_secs_f64());
     print_result(
         arguments.json,

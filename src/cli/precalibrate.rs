@@ -9,17 +9,17 @@ use plenocal::image::Color;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project, compote};
 use plenocal::model::{Datasheet, MicroImageCenter};
 use plenocal::precalibration::{
-    ArrayMeasurement, Precalibration, PrecalibrationOptions, RadiusEstimator, White, fit_grid,
-    measure_array, precalibrate,
+    ArrayMeasurement, Precalibration, PrecalibrationOptions, RadiusEstimator, White,
+    array_findings, fit_grid, measure_array, precalibrate,
 };
 use plenocal::report::{self, Figure};
-use plenocal::{Error, Result};
+use plenocal::{Error, Finding, Result, Subject};
 use rayon::prelude::*;
 
 use super::boards::{camera_of, listed_images};
 use super::choices::{COLORS, RADIUS_ESTIMATORS, choice};
 use super::progress;
-use super::talk::{print_result, warn};
+use super::talk::{print_result, tell};
 
 /// Measure the micro-image array and the internal parameters on white images.
 ///
@@ -128,10 +128,9 @@ fn of_image(
     let path = &arguments.input;
     let image = io::read_image(path, arguments.color)?;
     let array = measure_array(&image, None).map_err(|e| e.in_file(path))?;
-    let of_color = image.doubtful_color().map(str::to_owned);
-    for doubt in of_color.into_iter().chain(array.doubts(&image)) {
-        warn(&[format!("{}: {doubt}", path.display())]);
-    }
+    let of_color = image.doubtful_color().map(Finding::caution).into_iter();
+    let findings = of_color.chain(array_findings(&array, &image));
+    tell(&findings.map(|f| f.about(Subject::File(path.clone()))).collect::<Vec<_>>());
     let half_pitch = array.grid.pitch_px / 2.0;
     let types = array.lens_types.types;
     let figure = report::micro_images_figure(&image, &array, &vec![half_pitch; types])?;
@@ -190,7 +189,7 @@ fn of_project(
         ..PrecalibrationOptions::of_datasheet(&sheet)
     };
     let (result, whites) = measure(path, &images, &sheet, &options, arguments.json)?;
-    warn(&result.warnings);
+    tell(&result.findings);
     stage(output, &result, &sheet, &whites)?;
     Ok((report::precalibration_text(&result), io::precalibration_document(&result)))
 }

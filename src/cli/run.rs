@@ -90,7 +90,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         pictures: !arguments.no_pictures,
         quiet: arguments.json,
     };
-    ledger.warn(IMAGES, &doubtful);
+    ledger.warn(IMAGES, &doubtful.iter().map(super::talk::told).collect::<Vec<_>>());
     stages.precalibration(&mut ledger)?;
     stages.boards(&mut ledger, Subset::Calibration)?;
     for subset in [Subset::Evaluation, Subset::Translation] {

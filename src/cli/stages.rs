@@ -4,12 +4,11 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use plenocal::assessment::assess;
+use plenocal::assessment::{Candidate, EvaluationInput, Folds, PosePairs, assess};
 use plenocal::calibration::{
     Calibration, CalibrationOptions, Mode, Start, calibrate, initial_from,
 };
 use plenocal::detection::DepthEstimator;
-use plenocal::evaluation::{Candidate, EvaluationInput, Folds, PosePairs};
 use plenocal::image::Color;
 use plenocal::io::{self, OutputFolder, Project, TruthSection, WhiteImage};
 use plenocal::model::{BapFeature, Board, Datasheet, FillFactor, Observations, Subset};
@@ -272,9 +271,7 @@ impl Stages<'_> {
             let result = calibrate(&start, board, &observations, &options, &mut |_| true)?;
             let assessment = assess(&result, board)?;
             let warnings = if stage == CALIBRATION {
-                let left_out = result.left_out.iter().map(ToString::to_string).collect();
-                [left_out, talk::of_calibration(&result.warnings), talk::of_frames(&assessment)]
-                    .concat()
+                result.findings.iter().map(talk::told).collect()
             } else if result.converged {
                 Vec::new()
             } else {
@@ -388,8 +385,12 @@ impl Stages<'_> {
         output.stage_json("evaluation.json", &io::evaluation_document(&found))?;
         let mut tables = vec![report::cameras_table(&initial, &candidates)];
         tables.extend(report::evaluation_tables(&found, &candidates));
-        let section = report::tables_section("Evaluation", tables, &found.problems);
-        Ok(Section { warnings: found.problems, ..section })
+        let section = report::tables_section(
+            "Evaluation",
+            tables,
+            &found.findings.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        );
+        Ok(Section { warnings: found.findings.iter().map(talk::told).collect(), ..section })
     }
 }
 

@@ -4,10 +4,8 @@ use std::fmt::Display;
 use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 
-use plenocal::assessment::Assessment;
-use plenocal::calibration::Warning;
 use plenocal::error::Input;
-use plenocal::{Error, Result};
+use plenocal::{Error, Finding, Issue, Result};
 use serde_json::Value;
 
 /// Writes a line to stderr. It is not an error if nobody reads it.
@@ -22,24 +20,28 @@ pub fn warn(warnings: &[impl Display]) {
     }
 }
 
-/// The warnings of a calibration, each with the option that helps.
-pub fn of_calibration(warnings: &[Warning]) -> Vec<String> {
-    let with_option = |warning: &Warning| {
-        let option = match warning {
-            Warning::OutlyingCenters { .. } | Warning::OutlyingFeatures { .. } => " (--loss)",
-            Warning::Undetermined { .. } => " (--fix)",
-            Warning::AnchorPulled(_) => " (--anchor)",
-            _ => "",
-        };
-        format!("{warning}{option}")
-    };
-    warnings.iter().map(with_option).collect()
+/// Prints findings as warnings, each with its code and the option that helps.
+pub fn tell<'a>(findings: impl IntoIterator<Item = &'a Finding>) {
+    for finding in findings {
+        say(&format!("warning: {}", told(finding)));
+    }
 }
 
-/// The frames that do not fit, each with the option that leaves it out.
-pub fn of_frames(assessment: &Assessment) -> Vec<String> {
-    let frames = assessment.outliers.frames.iter();
-    frames.map(|frame| format!("{frame} (--exclude {})", frame.frame)).collect()
+/// A finding as a warning: its text, the option that helps, and its code.
+pub fn told(finding: &Finding) -> String {
+    let option = option(&finding.issue).map_or(String::new(), |option| format!(" ({option})"));
+    format!("{finding}{option} [{}]", finding.code())
+}
+
+/// The option that helps; the library does not know of options.
+fn option(issue: &Issue) -> Option<String> {
+    match issue {
+        Issue::OutlyingCenters { .. } | Issue::OutlyingUnweighted { .. } => Some("--loss".into()),
+        Issue::Undetermined { .. } => Some("--fix".into()),
+        Issue::PriorContradicted { .. } => Some("--anchor".into()),
+        Issue::OutlyingFrame { frame, .. } => Some(format!("--exclude {frame}")),
+        _ => None,
+    }
 }
 
 /// Says what went wrong, and what helps.

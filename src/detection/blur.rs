@@ -184,7 +184,7 @@ fn inverse_width(variance: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::corner_fit::{FitRoom, Free};
+    use super::super::corner::{FitRoom, Free};
     use super::super::exact_light::ExactLight;
     use super::*;
     use crate::vignetting::POINTS;

@@ -7,8 +7,8 @@
 
 use nalgebra::{Matrix1x3, Matrix1x4, Matrix2, Matrix3, Matrix4, RowVector3, Vector2, Vector4};
 
-use super::by_taken::place_by_few;
 use super::corner::Corner;
+use super::corner_sensitivity::place_by_few;
 use super::patch::Patch;
 use super::rays::Rays;
 use super::summed::SummedShape;
@@ -150,6 +150,8 @@ const SIGNIFICANT: f64 = 3.0;
 /// standard deviations.
 pub(super) const MOVED_PX2: f64 = 0.05;
 pub(super) const MOVED: f64 = 5.0;
+/// Fill factors are the same if they differ by less than this part.
+const SAME_FILL: f64 = 0.002;
 /// Rounds in which they are left out.
 const ROUNDS: usize = 5;
 /// How well the model of a corner tells v, as a part of the variance of the point spread: light at the rim of the pupil is
@@ -250,6 +252,12 @@ impl OfFrames {
         let fill = FillFactor { value, std_dev: value * of_fill };
         Some(Self { fill, wider_px2: [at.y, std_dev(1).hypot(of_width)], alike })
     }
+}
+
+/// Whether a fill factor is another one than that which corners were fitted with, by so many standard deviations.
+pub(super) fn differs(found: &FillFactor, fitted_with: f64, std_devs: f64) -> bool {
+    let change = (found.value - fitted_with).abs();
+    change > SAME_FILL * found.value && change > std_devs * found.std_dev
 }
 
 impl std::ops::Div<f64> for EdgeWidth {

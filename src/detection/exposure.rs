@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::Rejection;
 use super::frame::Frame;
 use super::patch::{Patch, Room, Unusable};
+use crate::finding::Issue;
 use crate::numerics::median;
 
 /// So many micro-images show how bright the frame is, and every second one along both rows and columns at most.
@@ -35,79 +35,76 @@ struct Level {
     white: f64,
 }
 
-impl Frame<'_> {
-    /// Half the difference between the bright and the dark squares, relative to the white image.
-    pub(super) fn contrast(&self, nodes: &[(i32, i32)]) -> Result<f64, Rejection> {
-        #[allow(clippy::cast_possible_truncation, clippy::cast_possible_wrap)] // a few
-        let step = ((nodes.len() / ENOUGH).isqrt() as i32).max(LEAST_STEP);
-        let sampled = nodes.iter().filter(|(k, l)| k % step == 0 && l % step == 0);
-        let mut levels = self.levels(sampled);
-        // Those at the border say nothing of the light.
-        levels.retain(|level| !matches!(level, Err(Unusable::Cut)));
-        self.check_exposure(&levels)?;
-        let lit: Vec<Level> = levels.into_iter().flatten().collect();
-        let Some(usual) = median(lit.iter().map(|level| level.white)) else {
-            return Err(Rejection::NothingUsable);
-        };
-        // Where something covered the white image, light relative to it says nothing.
-        let uncovered = lit.iter().filter(|level| level.white > COVERED * usual);
-        let mut means: Vec<f64> = uncovered.map(|level| level.mean).collect();
-        means.sort_by(f64::total_cmp);
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a part of the length
-        let at = |part: f64| means[(part * (means.len() - 1) as f64) as usize];
-        let contrast = (at(1.0 - TAIL) - at(TAIL)) / 2.0;
-        if contrast < LEAST_DIFFERENCE * at(1.0 - TAIL).max(LEAST_LEVEL) {
-            return Err(Rejection::Uniform);
-        }
-        Ok(contrast)
+/// Half the difference between the bright and the dark squares, relative to the white image.
+pub(super) fn contrast(frame: &Frame, nodes: &[(i32, i32)]) -> Result<f64, Issue> {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_possible_wrap)] // a few
+    let step = ((nodes.len() / ENOUGH).isqrt() as i32).max(LEAST_STEP);
+    let sampled = nodes.iter().filter(|(k, l)| k % step == 0 && l % step == 0);
+    let mut levels = levels(frame, sampled);
+    // Those at the border say nothing of the light.
+    levels.retain(|level| !matches!(level, Err(Unusable::Cut)));
+    check_exposure(frame, &levels)?;
+    let lit: Vec<Level> = levels.into_iter().flatten().collect();
+    let Some(usual) = median(lit.iter().map(|level| level.white)) else {
+        return Err(Issue::NothingUsable);
+    };
+    // Where something covered the white image, light relative to it says nothing.
+    let uncovered = lit.iter().filter(|level| level.white > COVERED * usual);
+    let mut means: Vec<f64> = uncovered.map(|level| level.mean).collect();
+    means.sort_by(f64::total_cmp);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a part of the length
+    let at = |part: f64| means[(part * (means.len() - 1) as f64) as usize];
+    let contrast = (at(1.0 - TAIL) - at(TAIL)) / 2.0;
+    if contrast < LEAST_DIFFERENCE * at(1.0 - TAIL).max(LEAST_LEVEL) {
+        return Err(Issue::Uniform);
     }
+    Ok(contrast)
+}
 
-    /// Number of micro-images that are unusable.
-    pub(super) fn count_unusable(&self, nodes: &[(i32, i32)]) -> usize {
-        self.levels(nodes.iter()).iter().filter(|level| level.is_err()).count()
-    }
+/// Number of micro-images that are unusable.
+pub(super) fn count_unusable(frame: &Frame, nodes: &[(i32, i32)]) -> usize {
+    levels(frame, nodes.iter()).iter().filter(|level| level.is_err()).count()
+}
 
-    /// How bright micro-images are, or why they are unusable.
-    fn levels<'n>(
-        &self,
-        nodes: impl Iterator<Item = &'n (i32, i32)>,
-    ) -> Vec<Result<Level, Unusable>> {
-        let micro_images = self.search.micro_images;
-        let of_node = |(patch, room): &mut (Patch, Room), &(k, l): &(i32, i32)| {
-            self.pair().read(micro_images, (k, l), patch, room)?;
-            if patch.saturated_white > SATURATED_WHITE {
-                return Err(Unusable::SaturatedWhite);
-            }
-            if patch.saturated > SATURATED {
-                return Err(Unusable::Saturated);
-            }
-            Ok(Level { mean: patch.mean(), white: patch.brightest.into() })
-        };
-        let nodes: Vec<_> = nodes.collect();
-        nodes.into_par_iter().map_init(Default::default, of_node).collect()
-    }
-
-    /// The reason if too many micro-images are unusable.
-    fn check_exposure(&self, levels: &[Result<Level, Unusable>]) -> Result<(), Rejection> {
-        if levels.is_empty() {
-            return Err(Rejection::NoWholeMicroImage);
+/// How bright micro-images are, or why they are unusable.
+fn levels<'n>(
+    frame: &Frame,
+    nodes: impl Iterator<Item = &'n (i32, i32)>,
+) -> Vec<Result<Level, Unusable>> {
+    let of_node = |(patch, room): &mut (Patch, Room), &node: &(i32, i32)| {
+        frame.read(node, patch, room)?;
+        if patch.saturated_white > SATURATED_WHITE {
+            return Err(Unusable::SaturatedWhite);
         }
-        let part = |why: Unusable| {
-            let unusable = levels.iter().filter_map(|level| level.err());
-            let count = unusable.filter(|reason| *reason == why).count();
-            count as f64 / levels.len() as f64
-        };
-        let micro_image_pitch_px = self.search.micro_images.grid.pitch_px;
-        let too_small = |part| Rejection::TooSmall { part, micro_image_pitch_px };
-        let reasons: [(Unusable, &dyn Fn(f64) -> Rejection); 4] = [
-            (Unusable::SaturatedWhite, &|part| Rejection::SaturatedWhite { part }),
-            (Unusable::Saturated, &|part| Rejection::Saturated { part }),
-            (Unusable::TooSmall, &too_small),
-            (Unusable::Dark, &|part| Rejection::Dark { part }),
-        ];
-        match reasons.iter().find(|(why, _)| part(*why) > TOO_MANY) {
-            Some((why, rejection)) => Err(rejection(part(*why))),
-            None => Ok(()),
+        if patch.saturated > SATURATED {
+            return Err(Unusable::Saturated);
         }
+        Ok(Level { mean: patch.mean(), white: patch.brightest.into() })
+    };
+    let nodes: Vec<_> = nodes.collect();
+    nodes.into_par_iter().map_init(Default::default, of_node).collect()
+}
+
+/// The reason if too many micro-images are unusable.
+fn check_exposure(frame: &Frame, levels: &[Result<Level, Unusable>]) -> Result<(), Issue> {
+    if levels.is_empty() {
+        return Err(Issue::NoWholeMicroImage);
+    }
+    let part = |why: Unusable| {
+        let unusable = levels.iter().filter_map(|level| level.err());
+        let count = unusable.filter(|reason| *reason == why).count();
+        count as f64 / levels.len() as f64
+    };
+    let micro_image_pitch_px = frame.search.micro_images.grid.pitch_px;
+    let too_small = |part| Issue::MicroImagesTooSmall { part, pitch_px: micro_image_pitch_px };
+    let reasons: [(Unusable, &dyn Fn(f64) -> Issue); 4] = [
+        (Unusable::SaturatedWhite, &|part| Issue::SaturatedWhite { part }),
+        (Unusable::Saturated, &|part| Issue::Saturated { part }),
+        (Unusable::TooSmall, &too_small),
+        (Unusable::Dark, &|part| Issue::DarkWhite { part }),
+    ];
+    match reasons.iter().find(|(why, _)| part(*why) > TOO_MANY) {
+        Some((why, rejection)) => Err(rejection(part(*why))),
+        None => Ok(()),
     }
 }

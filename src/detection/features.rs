@@ -76,85 +76,87 @@ impl Detection {
     }
 }
 
-impl Frame<'_> {
-    /// The features of the corners that were found.
-    pub(super) fn detection(&self, passed: &SecondPassed, homography: Matrix3<f64>) -> Detection {
-        let micro_images = self.search.micro_images;
-        let change = passed.width.map(|width| width.change);
-        let half_pitch = micro_images.grid.pitch_px / 2.0;
-        let (mut features, mut corners) = (Vec::new(), Vec::new());
-        let mut blur_by_width = Vec::new();
-        for found in &passed.corners {
-            let observations: Vec<CornerObservation> =
-                found.observations.iter().map(|found| found.observation).collect();
-            // There are at least two.
-            let median = median_inverse_virtual_depth(&observations).unwrap_or(f64::NAN);
-            corners.push(DetectedCorner {
-                corner: found.corner,
-                line: found.line,
-                median_inverse_virtual_depth: median,
-                features: observations.len(),
+/// The features of the corners that were found.
+pub(super) fn detection(
+    frame: &Frame,
+    passed: &SecondPassed,
+    homography: Matrix3<f64>,
+) -> Detection {
+    let micro_images = frame.search.micro_images;
+    let change = passed.width.map(|width| width.change);
+    let half_pitch = micro_images.grid.pitch_px / 2.0;
+    let (mut features, mut corners) = (Vec::new(), Vec::new());
+    let mut blur_by_width = Vec::new();
+    for found in &passed.corners {
+        let observations: Vec<CornerObservation> =
+            found.observations.iter().map(|found| found.observation).collect();
+        // There are at least two.
+        let median = median_inverse_virtual_depth(&observations).unwrap_or(f64::NAN);
+        corners.push(DetectedCorner {
+            corner: found.corner,
+            line: found.line,
+            median_inverse_virtual_depth: median,
+            features: observations.len(),
+        });
+        for Found { observation, corner, by_taken, width } in &found.observations {
+            let optics = micro_images.optics(observation.k, observation.l);
+            let rho_px = match frame.search.estimator {
+                DepthEstimator::Median => optics.rho_of_depth_px(median),
+                DepthEstimator::Line => optics.rho_px(found.line.slope),
+            };
+            let per = optics.blur_by_fill_px(found.line.slope);
+            let blur = change.zip(*width).and_then(|(change, width)| {
+                let (by, variance) = width.of_fill(&Vector2::new(0.0, change.y))?;
+                Some(MeasuredBlur {
+                    radius_px: optics.blur_radius_px(found.line.slope) + by * per,
+                    std_dev_px: variance.sqrt() * per.abs(),
+                    shared_px: 0.0,
+                    fill_factor: optics.fill_factor,
+                })
             });
-            for Found { observation, corner, by_taken, width } in &found.observations {
-                let optics = micro_images.optics(observation.k, observation.l);
-                let rho_px = match self.search.estimator {
-                    DepthEstimator::Median => optics.rho_of_depth_px(median),
-                    DepthEstimator::Line => optics.rho_px(found.line.slope),
-                };
-                let per = optics.blur_by_fill_px(found.line.slope);
-                let blur = change.zip(*width).and_then(|(change, width)| {
-                    let (by, variance) = width.of_fill(&Vector2::new(0.0, change.y))?;
-                    Some(MeasuredBlur {
-                        radius_px: optics.blur_radius_px(found.line.slope) + by * per,
-                        std_dev_px: variance.sqrt() * per.abs(),
-                        shared_px: 0.0,
-                        fill_factor: optics.fill_factor,
-                    })
-                });
-                let std_devs = [0, 1].map(|i| corner.covariance[(i, i)].sqrt());
-                blur_by_width.push(width.map_or(0.0, |width| width.fill_by_width() * per));
-                features.push(BapFeature {
-                    frame: self.frame,
-                    corner: found.corner,
-                    k: observation.k,
-                    l: observation.l,
-                    u_px: observation.position.x,
-                    v_px: observation.position.y,
-                    rho_px: Some(rho_px),
-                    std_dev_px: Some(std_devs),
-                    correlation: corner.covariance[(0, 1)] / (std_devs[0] * std_devs[1]),
-                    // By that of the slope of the corner's line, also where ρ is from the median
-                    // over pairs. The uncertainty of q'ᵢ, which all features of a lens type share,
-                    // is not in it.
-                    rho_std_dev_px: Some(half_pitch * found.line.slope_std_dev),
-                    levers_px: Some((*by_taken).into()),
-                    blur,
-                });
-            }
-        }
-        let edges = passed.width.map(|width| self.edges(&width, passed.wider_px2));
-        Detection {
-            features,
-            corners,
-            homography,
-            aberration: passed.aberration,
-            edges,
-            blur_by_width,
-            contrast: passed.contrast,
+            let std_devs = [0, 1].map(|i| corner.covariance[(i, i)].sqrt());
+            blur_by_width.push(width.map_or(0.0, |width| width.fill_by_width() * per));
+            features.push(BapFeature {
+                frame: frame.frame,
+                corner: found.corner,
+                k: observation.k,
+                l: observation.l,
+                u_px: observation.position.x,
+                v_px: observation.position.y,
+                rho_px: Some(rho_px),
+                std_dev_px: Some(std_devs),
+                correlation: corner.covariance[(0, 1)] / (std_devs[0] * std_devs[1]),
+                // By that of the slope of the corner's line, also where ρ is from the median
+                // over pairs. The uncertainty of q'ᵢ, which all features of a lens type share,
+                // is not in it.
+                rho_std_dev_px: Some(half_pitch * found.line.slope_std_dev),
+                levers_px: Some((*by_taken).into()),
+                blur,
+            });
         }
     }
+    let edges = passed.width.map(|width| edges(frame, &width, passed.wider_px2));
+    Detection {
+        features,
+        corners,
+        homography,
+        aberration: passed.aberration,
+        edges,
+        blur_by_width,
+        contrast: passed.contrast,
+    }
+}
 
-    fn edges(&self, width: &WidthChange, wider_px2: f64) -> Edges {
-        let micro_images = self.search.micro_images;
-        let std_dev = |i: usize| width.covariance[(i, i)].sqrt();
-        let value = micro_images.fill_factor() * width.change.x.exp();
-        let about = Vector2::new(micro_images.fill_factor().ln(), wider_px2);
-        let wider_px2 = wider_px2 + width.change.y;
-        Edges {
-            fill_factor: FillFactor { value, std_dev: value * std_dev(0) },
-            spread_px2: [micro_images.point_spread_px2() + wider_px2, std_dev(1)],
-            corners: width.corners.about(&about),
-            wider_px2,
-        }
+fn edges(frame: &Frame, width: &WidthChange, wider_px2: f64) -> Edges {
+    let micro_images = frame.search.micro_images;
+    let std_dev = |i: usize| width.covariance[(i, i)].sqrt();
+    let value = micro_images.fill_factor() * width.change.x.exp();
+    let about = Vector2::new(micro_images.fill_factor().ln(), wider_px2);
+    let wider_px2 = wider_px2 + width.change.y;
+    Edges {
+        fill_factor: FillFactor { value, std_dev: value * std_dev(0) },
+        spread_px2: [micro_images.point_spread_px2() + wider_px2, std_dev(1)],
+        corners: width.corners.about(&about),
+        wider_px2,
     }
 }

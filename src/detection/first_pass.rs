@@ -3,8 +3,7 @@
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use super::corner::Corner;
-use super::corner_fit::{FitRoom, Free};
+use super::corner::{Corner, FitRoom, Free};
 use super::dbscan::dbscan;
 use super::frame::{Frame, FrameCounts};
 use super::grouping::{Group, LineSearch, groups_on_lines, is_texture};
@@ -136,13 +135,12 @@ impl<'a> FirstPass<'a> {
         nodes.sort_by_key(|&node| tile(node));
         let tiles: Vec<&[(i32, i32)]> = nodes.chunk_by(|&a, &b| tile(a) == tile(b)).collect();
         let of_tile = |nodes: &&[(i32, i32)]| {
-            let pair = frame.pair();
             let mut unusable = 0;
             let mut observations = Vec::new();
             let (mut patch, mut room) = (Patch::default(), Room::default());
             let mut fit_room = FitRoom::default();
             for &node in *nodes {
-                if pair.read(micro_images, node, &mut patch, &mut room).is_err() {
+                if frame.read(node, &mut patch, &mut room).is_err() {
                     unusable += 1;
                     continue;
                 }
@@ -172,50 +170,47 @@ fn is_among_some(kind: LatticeKind, (k, l): (i32, i32)) -> bool {
     row % 2 == 0 && (along - row / 2) % 2 == 0
 }
 
-impl Frame<'_> {
-    /// Clusters of observations, sorted into groups on lines.
-    pub(super) fn groups(
-        &self,
-        observations: &[CornerObservation],
-        counts: &mut FrameCounts,
-    ) -> Vec<Group> {
-        let micro_images = self.search.micro_images;
-        let pitch = micro_images.grid.pitch_px;
-        let furthest = match micro_images.configuration {
-            Configuration::Galilean => 1.0,
-            _ => FURTHEST_BEFORE,
-        };
-        let places: Vec<Vector2<f64>> = observations.iter().map(|o| o.position).collect();
-        let clusters = dbscan(&places, GAP * furthest * pitch, 2);
-        let count = clusters.iter().flatten().max().map_or(0, |last| last + 1);
-        let mut members = vec![Vec::new(); count];
-        for (i, cluster) in clusters.iter().enumerate() {
-            match cluster {
-                Some(cluster) => members[*cluster].push(i),
-                None => counts.alone += 1,
-            }
+/// Clusters of observations, sorted into groups on lines.
+pub(super) fn groups(
+    frame: &Frame,
+    observations: &[CornerObservation],
+    counts: &mut FrameCounts,
+) -> Vec<Group> {
+    let micro_images = frame.search.micro_images;
+    let pitch = micro_images.grid.pitch_px;
+    let furthest = match micro_images.configuration {
+        Configuration::Galilean => 1.0,
+        _ => FURTHEST_BEFORE,
+    };
+    let places: Vec<Vector2<f64>> = observations.iter().map(|o| o.position).collect();
+    let clusters = dbscan(&places, GAP * furthest * pitch, 2);
+    let count = clusters.iter().flatten().max().map_or(0, |last| last + 1);
+    let mut members = vec![Vec::new(); count];
+    for (i, cluster) in clusters.iter().enumerate() {
+        match cluster {
+            Some(cluster) => members[*cluster].push(i),
+            None => counts.alone += 1,
         }
-        counts.clusters = count;
-        let line_search = LineSearch {
-            tolerance_px: ROUGH * pitch,
-            reach_px: micro_images.largest_outer_radius_px(),
-            micro_image_pitch_px: pitch,
-            configuration: micro_images.configuration,
-        };
-        let of_cluster =
-            |members: &Vec<usize>| groups_on_lines(observations, members, &line_search);
-        let groups: Vec<Vec<Group>> = members.par_iter().map(of_cluster).collect();
-        for (members, groups) in members.iter().zip(&groups) {
-            let on_line: usize = groups.iter().map(|g| g.members.len()).sum();
-            let off_line = members.len() - on_line;
-            if is_texture(off_line, on_line) {
-                counts.texture += off_line;
-            } else {
-                counts.off_line += off_line;
-            }
-        }
-        groups.into_iter().flatten().collect()
     }
+    counts.clusters = count;
+    let line_search = LineSearch {
+        tolerance_px: ROUGH * pitch,
+        reach_px: micro_images.largest_outer_radius_px(),
+        micro_image_pitch_px: pitch,
+        configuration: micro_images.configuration,
+    };
+    let of_cluster = |members: &Vec<usize>| groups_on_lines(observations, members, &line_search);
+    let groups: Vec<Vec<Group>> = members.par_iter().map(of_cluster).collect();
+    for (members, groups) in members.iter().zip(&groups) {
+        let on_line: usize = groups.iter().map(|g| g.members.len()).sum();
+        let off_line = members.len() - on_line;
+        if is_texture(off_line, on_line) {
+            counts.texture += off_line;
+        } else {
+            counts.off_line += off_line;
+        }
+    }
+    groups.into_iter().flatten().collect()
 }
 
 /// The corner of a micro-image, if it clearly shows one.

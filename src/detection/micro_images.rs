@@ -4,13 +4,13 @@ use nalgebra::Vector2;
 use rayon::prelude::*;
 
 use super::MicroOptics;
-use super::levers::STEPS;
 use crate::error::{Error, Result};
 use crate::model::FillFactor;
 use crate::model::taken::{FALL_OFF, FILL_FACTOR, INTERCEPT, POINT_SPREAD, PUPIL};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, MicroImageCenter,
-    ROW_DISTANCE, SampleLevels, Sensor, check_array_size, check_centers, growth_per_px, optics,
+    ROW_DISTANCE, SampleLevels, Sensor, TAKEN, check_array_size, check_centers, growth_per_px,
+    optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::vignetting::{Obliquity, Pixel, Vignetting};
@@ -59,7 +59,10 @@ const MOST_PITCHES: f64 = 10.0;
 /// Step of the growth of d at which the vignetting is tabulated: the blur changes by 0.02 px.
 const GROWTH_STEP: f64 = 0.005;
 /// By which part of itself what is taken from white images is changed to see what depends on it.
-pub(super) const OTHERWISE: f64 = 0.01;
+const OTHERWISE: f64 = 0.01;
+/// By how much what is taken from white images is changed, by its index: the part [`OTHERWISE`] of it, and the variance of the
+/// point spread, which may be 0, by px².
+pub(super) const STEPS: [f64; TAKEN] = [OTHERWISE, OTHERWISE, OTHERWISE, OTHERWISE, 0.02];
 /// d/f of an unfocused camera is within this of 1; that of focused ones differs by a tenth and more.
 const UNFOCUSED: f64 = 0.03;
 /// d changes less than this across an array that was meant to be parallel to the sensor.
@@ -389,5 +392,65 @@ impl MicroImages {
             .flat_map(|l| columns.clone().map(move |k| (k, l)))
             .filter(|&(k, l)| (self.center(k, l) - place).norm() <= reach)
             .collect()
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::model::{Lattice, Packing};
+
+    /// Three by three micro-images about the middle of an image of 61 x 61 px.
+    pub fn micro_images(pitch_px: f64) -> MicroImages {
+        let sheet = Datasheet {
+            sensor: Sensor { width_px: 61, height_px: 61, pixel_size_mm: 0.0055 },
+            focal_length_mm: 16.0,
+            focus_distance_mm: 120.0,
+            f_number: 4.0,
+            configuration: Configuration::Galilean,
+            lattice_kind: LatticeKind::Orthogonal,
+            array_size: Some((3, 3)),
+            lens_types: 1,
+            micro_image_pitch_px: None,
+        };
+        let internal = InternalParameters {
+            m_mm: 0.5 * pitch_px * 0.0055,
+            q_prime_mm: vec![0.9 * pitch_px * 0.0055],
+            micro_image_pitch_mm: None,
+            m_std_dev_mm: None,
+            q_prime_std_dev_mm: Vec::new(),
+            pupil_growth: 0.0,
+            fall_off: None,
+            lean: None,
+            point_spread: None,
+            fill_factor: None,
+            levels: None,
+        };
+        let grid = MicroImageArray {
+            lattice: Lattice { packing: Packing::Orthogonal, columns: 3, rows: 3 },
+            pitch_px,
+            rotation_rad: 0.0,
+            center_px: Vector2::new(30.0, 30.0),
+            perspective_per_px: Vector2::zeros(),
+            rms_px: 0.0,
+            outliers: 0,
+        };
+        MicroImages::new(&grid, &[], &internal, &sheet).unwrap()
+    }
+
+    /// The array may be smaller than the sensor.
+    #[test]
+    fn in_view_is_what_the_micro_images_show() {
+        let micro_images = micro_images(16.0);
+        let large = Sensor { width_px: 61, height_px: 61, pixel_size_mm: 0.0055 };
+        let small = Sensor { height_px: 41, ..large };
+        let shows = |u: f64, v: f64, sensor: &Sensor, margin_px: f64| {
+            micro_images.show(&Vector2::new(u, v), sensor, margin_px)
+        };
+        // 24 px to every side of (30, 30).
+        assert!(shows(53.0, 30.0, &large, 0.0) && !shows(55.0, 30.0, &large, 0.0));
+        assert!(shows(7.0, 7.0, &large, 0.5) && !shows(7.0, 7.0, &large, 2.0));
+        assert!(shows(30.0, 53.0, &large, 0.0) && !shows(30.0, 53.0, &small, 0.0));
+        assert!(!shows(f64::NAN, 30.0, &large, 0.0));
     }
 }

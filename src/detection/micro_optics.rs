@@ -60,6 +60,12 @@ impl MicroOptics {
         self.pupil_px + self.q_px().abs()
     }
 
+    /// How far from the centre its own light reaches, px: beyond half the pitch it may be a neighbour's.
+    #[must_use]
+    pub fn reach_px(&self) -> f64 {
+        self.outer_radius_px().min(self.half_pitch_px)
+    }
+
     /// How far from the centre a point of blur radius ρ has light that comes through the pupil, px.
     #[must_use]
     pub fn lit_px(&self, rho_px: f64) -> f64 {

@@ -6,52 +6,52 @@
 //! second pass every corner of the board is searched for in the micro-images that should show it.
 
 mod aberration;
+mod aberration_fit;
 mod blur;
 mod board;
-mod by_taken;
+mod board_images;
 mod cells;
 mod corner;
-mod corner_fit;
-mod corner_search;
+mod corner_measurement;
+mod corner_sensitivity;
 mod cut_normal;
 mod dbscan;
+mod detect_frame;
 mod distortion;
 mod edge_width;
 #[cfg(test)]
 mod exact_light;
 mod exposure;
 mod features;
+mod findings;
 mod first_pass;
+mod flat_field;
 mod frame;
 mod grouping;
-mod lanes;
-mod levers;
-mod likeness;
 mod line;
 mod micro_images;
 mod micro_optics;
 mod observation;
 mod patch;
 mod rays;
-mod rejection;
 mod saddle;
 mod second_pass;
-mod seen;
+mod simd;
 mod slope_field;
 mod stage;
 mod summed;
 #[cfg(test)]
 mod tests;
-mod warnings;
 
 pub use aberration::Aberration;
 pub use board::check_board_size;
+pub use board_images::{BoardImage, DetectedBoards, DetectedFrame};
+pub use detect_frame::detect_frame;
 pub use features::{DetectedCorner, Detection, Edges};
-pub use frame::{FrameCounts, Search, detect_frame};
+pub use frame::{FrameCounts, Search};
 pub use line::CornerLine;
 pub use micro_images::{MicroImages, check_configuration};
 pub use micro_optics::MicroOptics;
 pub(crate) use observation::CornerObservation;
 pub use observation::DepthEstimator;
-pub use rejection::Rejection;
-pub use stage::{BoardImage, DetectedBoards, DetectedFrame, NoFeatures, detect};
+pub use stage::detect;

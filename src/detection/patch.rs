@@ -6,8 +6,7 @@
 use nalgebra::Vector2;
 use pulp::{Arch, NullaryFnOnce, Simd, WithSimd};
 
-use super::lanes::{dot, largest, sum, weighted_squares};
-use super::micro_images::MicroImages;
+use super::simd::{dot, largest, sum, weighted_squares};
 use crate::image::Grey;
 
 /// Pixels of a micro-image: offsets from its centre (px), light relative to the white image, and
@@ -125,18 +124,16 @@ pub(super) struct Pair<'a> {
 }
 
 impl Pair<'_> {
-    /// Reads the patch of a micro-image into one that may have been used before, or says why there is none.
+    /// Reads the patch of the micro-image that has its light up to `reach` px from a centre into one that may have been used
+    /// before, or says why there is none.
     pub fn read(
         &self,
-        micro_images: &MicroImages,
-        (k, l): (i32, i32),
+        center: &Vector2<f64>,
+        reach: f64,
         patch: &mut Patch,
         room: &mut Room,
     ) -> Result<(), Unusable> {
-        let center = micro_images.center(k, l);
-        let optics = micro_images.optics(k, l);
-        let reach = optics.outer_radius_px().min(optics.half_pitch_px);
-        let whole = self.collect(&center, reach, patch, &mut room.white).ok_or(Unusable::Cut)?;
+        let whole = self.collect(center, reach, patch, &mut room.white).ok_or(Unusable::Cut)?;
         let (brightest, saturated, saturated_white) = whole;
         if brightest <= 0.0 {
             return Err(Unusable::Dark);
@@ -274,51 +271,10 @@ impl NullaryFnOnce for Divided<'_> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
+    use super::super::micro_images::tests::micro_images;
     use super::*;
     use crate::image::{Color, RawImage, Samples};
-    use crate::model::{
-        Configuration, Datasheet, InternalParameters, Lattice, LatticeKind, Packing, Sensor,
-    };
-    use crate::precalibration::MicroImageArray;
-
-    /// Three by three micro-images about the middle of an image of 61 x 61 px.
-    pub fn micro_images(pitch_px: f64) -> MicroImages {
-        let sheet = Datasheet {
-            sensor: Sensor { width_px: 61, height_px: 61, pixel_size_mm: 0.0055 },
-            focal_length_mm: 16.0,
-            focus_distance_mm: 120.0,
-            f_number: 4.0,
-            configuration: Configuration::Galilean,
-            lattice_kind: LatticeKind::Orthogonal,
-            array_size: Some((3, 3)),
-            lens_types: 1,
-            micro_image_pitch_px: None,
-        };
-        let internal = InternalParameters {
-            m_mm: 0.5 * pitch_px * 0.0055,
-            q_prime_mm: vec![0.9 * pitch_px * 0.0055],
-            micro_image_pitch_mm: None,
-            m_std_dev_mm: None,
-            q_prime_std_dev_mm: Vec::new(),
-            pupil_growth: 0.0,
-            fall_off: None,
-            lean: None,
-            point_spread: None,
-            fill_factor: None,
-            levels: None,
-        };
-        let grid = MicroImageArray {
-            lattice: Lattice { packing: Packing::Orthogonal, columns: 3, rows: 3 },
-            pitch_px,
-            rotation_rad: 0.0,
-            center_px: Vector2::new(30.0, 30.0),
-            perspective_per_px: Vector2::zeros(),
-            rms_px: 0.0,
-            outliers: 0,
-        };
-        MicroImages::new(&grid, &[], &internal, &sheet).unwrap()
-    }
 
     #[test]
     fn an_unusable_micro_image_says_why() {
@@ -333,8 +289,9 @@ pub(super) mod tests {
             let (board, white) = (flat(board), flat(white));
             let pair = Pair { board: &board.as_they_are(), white: &white.as_they_are() };
             let mut patch = Patch::default();
-            pair.read(&micro_images(pitch_px), (1, 1), &mut patch, &mut Room::default())
-                .map(|()| patch.light.len())
+            let micro_images = micro_images(pitch_px);
+            let (center, reach) = (micro_images.center(1, 1), micro_images.optics(1, 1).reach_px());
+            pair.read(&center, reach, &mut patch, &mut Room::default()).map(|()| patch.light.len())
         };
         let whole = (61, 61);
         assert!(of(0.5, 0.8, 16.0, whole).is_ok_and(|pixels| pixels > 100));
@@ -348,21 +305,5 @@ pub(super) mod tests {
         // The middle is 30 px from the first pixels.
         assert!(of(0.5, 0.8, 60.0, whole).is_ok());
         assert_eq!(of(0.5, 0.8, 62.0, (100, 100)), Err(Unusable::Cut));
-    }
-
-    /// The array may be smaller than the sensor.
-    #[test]
-    fn in_view_is_what_the_micro_images_show() {
-        let micro_images = micro_images(16.0);
-        let large = Sensor { width_px: 61, height_px: 61, pixel_size_mm: 0.0055 };
-        let small = Sensor { height_px: 41, ..large };
-        let shows = |u: f64, v: f64, sensor: &Sensor, margin_px: f64| {
-            micro_images.show(&Vector2::new(u, v), sensor, margin_px)
-        };
-        // 24 px to every side of (30, 30).
-        assert!(shows(53.0, 30.0, &large, 0.0) && !shows(55.0, 30.0, &large, 0.0));
-        assert!(shows(7.0, 7.0, &large, 0.5) && !shows(7.0, 7.0, &large, 2.0));
-        assert!(shows(30.0, 53.0, &large, 0.0) && !shows(30.0, 53.0, &small, 0.0));
-        assert!(!shows(f64::NAN, 30.0, &large, 0.0));
     }
 }

@@ -5,8 +5,8 @@
 
 use pulp::Simd;
 
-use super::lanes::Lanes;
 use super::patch::Patch;
+use super::simd::Lanes;
 use crate::vignetting::{POINTS, ROOM};
 
 /// The rays that arrive at the pixels of a micro-image.

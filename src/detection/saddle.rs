@@ -7,8 +7,8 @@ use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 use pulp::{Arch, Simd, WithSimd};
 
 use super::corner::Corner;
-use super::lanes::{dot, sum};
 use super::patch::Patch;
+use super::simd::{dot, sum};
 
 /// Least saddle that may be a corner: its flatter curvature over the steeper.
 const SADDLE: f64 = 0.12;

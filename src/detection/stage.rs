@@ -5,119 +5,16 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 use tracing::debug;
 
-use super::edge_width::{EdgeWidth, OfFrames};
-use super::frame::detect_again;
-use super::likeness::Likeness;
-use super::warnings::{fitted_otherwise, warnings};
-use super::{Detection, FrameCounts, MicroImages, Rejection, Search, detect_frame};
+use super::board_images::{BoardImage, DetectedBoards, DetectedFrame};
+use super::detect_frame::{detect_again, detect_frame};
+use super::edge_width::{EdgeWidth, OfFrames, differs};
+use super::findings::{findings, fitted_otherwise};
+use super::flat_field::Likeness;
+use super::{Detection, FrameCounts, MicroImages, Search};
 use crate::error::{Error, Result};
+use crate::finding::Issue;
 use crate::image::{Grey, RawImage};
-use crate::model::{BapFeature, FillFactor, SampleLevels, Sensor, Subset};
-
-/// An image of a board.
-pub struct BoardImage<'a> {
-    /// Number of the frame.
-    pub frame: u32,
-    /// What messages call the image.
-    pub name: String,
-    read: Box<dyn Fn() -> Result<Cow<'a, RawImage>> + Sync + 'a>,
-}
-
-impl<'a> BoardImage<'a> {
-    /// An image in memory.
-    pub fn new(frame: u32, name: impl Into<String>, image: &'a RawImage) -> Self {
-        Self { frame, name: name.into(), read: Box::new(move || Ok(Cow::Borrowed(image))) }
-    }
-
-    /// An image that is read when its turn comes: a whole set need not fit into memory.
-    pub fn read_by(
-        frame: u32,
-        name: impl Into<String>,
-        read: impl Fn() -> Result<RawImage> + Sync + 'a,
-    ) -> Self {
-        Self { frame, name: name.into(), read: Box::new(move || read().map(Cow::Owned)) }
-    }
-}
-
-/// Why an image has no features.
-#[derive(Debug)]
-pub enum NoFeatures {
-    /// It cannot be read.
-    Unreadable(Error),
-    /// The board was not found in it.
-    Rejected(Rejection),
-}
-
-impl std::fmt::Display for NoFeatures {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Unreadable(error) => error.fmt(f),
-            Self::Rejected(rejection) => rejection.fmt(f),
-        }
-    }
-}
-
-/// What was found in an image.
-#[derive(Debug)]
-pub struct DetectedFrame {
-    /// Number of the frame.
-    pub frame: u32,
-    /// What messages call the image.
-    pub name: String,
-    /// The board, or why it is left out.
-    pub result: std::result::Result<Detection, NoFeatures>,
-    /// What was done with the micro-images.
-    pub counts: FrameCounts,
-    /// How its light follows the white image.
-    pub(super) likeness: Option<Likeness>,
-    /// How many levels the samples of its image were rounded to, if these are few.
-    pub(super) few_levels: Option<u32>,
-}
-
-impl DetectedFrame {
-    fn new<'i>(
-        image: &BoardImage,
-        found: Result<Searched<'i>>,
-    ) -> (Self, Option<Cow<'i, RawImage>>) {
-        let (raw, result, counts, likeness) = match found {
-            Ok((raw, (found, counts), likeness)) => {
-                (Some(raw), found.map_err(NoFeatures::Rejected), counts, likeness)
-            }
-            Err(error) => (None, Err(NoFeatures::Unreadable(error)), FrameCounts::default(), None),
-        };
-        let few_levels = raw.as_ref().and_then(|raw| raw.rounded_to_levels());
-        let name = image.name.clone();
-        (Self { frame: image.frame, name, result, counts, likeness, few_levels }, raw)
-    }
-
-    /// Number of its features; 0 where it is left out.
-    #[must_use]
-    pub fn features(&self) -> usize {
-        self.result.as_ref().map_or(0, |detection| detection.features.len())
-    }
-}
-
-/// What was found in a set of images.
-#[derive(Debug)]
-pub struct DetectedBoards {
-    /// Image by image.
-    pub frames: Vec<DetectedFrame>,
-    /// The fill factor of the micro-lenses by the edges of all frames, where these show it.
-    pub fill_factor: Option<FillFactor>,
-    /// That which corners were fitted with.
-    pub fitted_with: f64,
-    /// What the user should know, in words: frames left out and why, a doubtful board.
-    pub warnings: Vec<String>,
-}
-
-impl DetectedBoards {
-    /// The features of all frames.
-    #[must_use]
-    pub fn features(&self) -> Vec<BapFeature> {
-        let found = self.frames.iter().filter_map(|frame| frame.result.as_ref().ok());
-        found.flat_map(|detection| detection.features.iter().copied()).collect()
-    }
-}
+use crate::model::{FillFactor, SampleLevels, Sensor, Subset};
 
 /// Frames that are in memory at once.
 const AT_ONCE: usize = 4;
@@ -125,11 +22,8 @@ const AT_ONCE: usize = 4;
 /// The first frames with a board are searched so many times, until the fill factor that their edges show is that which
 /// corners are fitted with.
 const ROUNDS: usize = 8;
-/// Fill factors are the same for that if they differ by less than this part, or by less than so many standard deviations; by less
-/// than so many they may differ by chance.
-const SAME_FILL: f64 = 0.002;
+/// Fill factors are the same for that if they differ by less than so many standard deviations.
 const SAME: f64 = 1.0;
-pub(super) const CHANCE: f64 = 3.0;
 /// Largest part of the fill factor that corners are fitted with which their edges show again.
 const MOST_FOLLOWS: f64 = 0.75;
 
@@ -163,7 +57,7 @@ pub fn detect<'i>(
             (micro_images, follows) = looking.settle(some, &mut found, micro_images);
         }
         let of_image = |(image, found): (&BoardImage, Result<Searched>)| {
-            let (detected, raw) = DetectedFrame::new(image, found);
+            let (detected, raw) = detected_frame(image, found);
             inspect(&detected, raw.as_deref())?;
             Ok(detected)
         };
@@ -180,9 +74,9 @@ pub fn detect<'i>(
         }
         in_the_end(&widths.fill, fitted_with, follows)
     });
-    let mut warnings = warnings(&frames, search.board, subset);
-    warnings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, &micro_images)));
-    Ok(DetectedBoards { frames, fill_factor, fitted_with, warnings })
+    let mut findings = findings(&frames, search.board, subset);
+    findings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, &micro_images)));
+    Ok(DetectedBoards { frames, fill_factor, fitted_with, findings })
 }
 
 /// A search in several images.
@@ -258,12 +152,31 @@ impl Looking<'_> {
     }
 }
 
+/// What was found in an image, and the image if it could be read.
+fn detected_frame<'i>(
+    image: &BoardImage,
+    found: Result<Searched<'i>>,
+) -> (DetectedFrame, Option<Cow<'i, RawImage>>) {
+    let (raw, result, counts, likeness) = match found {
+        Ok((raw, (found, counts), likeness)) => (Some(raw), found, counts, likeness),
+        Err(error) => (
+            None,
+            Err(Issue::Unreadable { reason: error.to_string() }),
+            FrameCounts::default(),
+            None,
+        ),
+    };
+    let few_levels = raw.as_ref().and_then(|raw| raw.rounded_to_levels());
+    let name = image.name.clone();
+    (DetectedFrame { frame: image.frame, name, result, counts, likeness, few_levels }, raw)
+}
+
 fn detections(frames: &[DetectedFrame]) -> impl Iterator<Item = &Detection> {
     frames.iter().filter_map(|frame| frame.result.as_ref().ok())
 }
 
 /// What was found in an image.
-type Found = (std::result::Result<Detection, Rejection>, FrameCounts);
+type Found = (std::result::Result<Detection, Issue>, FrameCounts);
 /// The image as well, and how its light follows the white image.
 type Searched<'i> = (Cow<'i, RawImage>, Found, Option<Likeness>);
 
@@ -292,12 +205,6 @@ fn following(follows: f64, [fitted_with, shown]: [f64; 2]) -> f64 {
 fn in_the_end(shown: &FillFactor, fitted_with: f64, follows: f64) -> FillFactor {
     let value = following(follows, [fitted_with, shown.value]);
     FillFactor { value, std_dev: shown.std_dev / (1.0 - follows) }
-}
-
-/// Whether a fill factor is another one than that which corners were fitted with, by so many standard deviations.
-pub(super) fn differs(found: &FillFactor, fitted_with: f64, std_devs: f64) -> bool {
-    let change = (found.value - fitted_with).abs();
-    change > SAME_FILL * found.value && change > std_devs * found.std_dev
 }
 
 fn check_size(white: &RawImage, sensor: &Sensor) -> Result<()> {

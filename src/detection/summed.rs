@@ -22,8 +22,8 @@ use pulp::{Arch, Simd, WithSimd};
 use super::blur::Blur;
 use super::corner::Corner;
 use super::cut_normal::{Rim, Step};
-use super::lanes::sum;
 use super::patch::Patch;
+use super::simd::sum;
 use crate::vignetting::cells_of_disc;
 
 /// Numbers of points of the micro-lens in rings, from the middle.
@@ -83,30 +83,28 @@ impl SummedShape {
     }
 }
 
-impl Blur<'_> {
-    /// How the pixels of a patch see a corner. Derivatives leave out third and fourth moments, and how the light of a pixel
-    /// changes.
-    pub fn summed(&self, corner: &Corner, patch: &Patch) -> Vec<SummedShape> {
-        let mut shapes = vec![SummedShape::default(); patch.x.len()];
-        Arch::new().dispatch(Sum { blur: self, corner, patch, shapes: &mut shapes });
-        shapes
-    }
+/// How the pixels of a patch see a corner. Derivatives leave out third and fourth moments, and how the light of a pixel
+/// changes.
+pub(super) fn summed(blur: &Blur, corner: &Corner, patch: &Patch) -> Vec<SummedShape> {
+    let mut shapes = vec![SummedShape::default(); patch.x.len()];
+    Arch::new().dispatch(Sum { blur, corner, patch, shapes: &mut shapes });
+    shapes
+}
 
-    /// By how much the main lens bends the rays of a pixel at (x, y), px.
-    #[inline(always)]
-    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    fn bent(&self, lens: &Lens, [x, y]: [f32; 2]) -> [[f32; ROOM]; 2] {
-        let (mut bent_x, mut bent_y) = ([0.0; ROOM], [0.0; ROOM]);
-        if self.bend.bends() {
-            let (bend, q) = (self.bend.in_single(), self.q as f32);
-            let bent = bent_x.iter_mut().zip(&mut bent_y);
-            for ((bent_x, bent_y), (w_x, w_y)) in bent.zip(lens.x.iter().zip(&lens.y)) {
-                let by = bend.at(&Vector2::new(x - q * w_x, y - q * w_y));
-                (*bent_x, *bent_y) = (by.x, by.y);
-            }
+/// By how much the main lens bends the rays of a pixel at (x, y), px.
+#[inline(always)]
+#[allow(clippy::cast_possible_truncation)] // single precision, as the light
+fn bent(blur: &Blur, lens: &Lens, [x, y]: [f32; 2]) -> [[f32; ROOM]; 2] {
+    let (mut bent_x, mut bent_y) = ([0.0; ROOM], [0.0; ROOM]);
+    if blur.bend.bends() {
+        let (bend, q) = (blur.bend.in_single(), blur.q as f32);
+        let bent = bent_x.iter_mut().zip(&mut bent_y);
+        for ((bent_x, bent_y), (w_x, w_y)) in bent.zip(lens.x.iter().zip(&lens.y)) {
+            let by = bend.at(&Vector2::new(x - q * w_x, y - q * w_y));
+            (*bent_x, *bent_y) = (by.x, by.y);
         }
-        [bent_x, bent_y]
     }
+    [bent_x, bent_y]
 }
 
 struct Sum<'a> {
@@ -143,7 +141,7 @@ impl WithSimd for Sum<'_> {
         let reach = rho.abs() + FAR * (origin.sqrt() + follows.abs());
         let lit2 = (blur.pupil * blur.pupil) as f32;
         for ((&x, &y), shape) in patch.x.iter().zip(&patch.y).zip(shapes) {
-            let [bent_x, bent_y] = blur.bent(lens, [x, y]);
+            let [bent_x, bent_y] = bent(blur, lens, [x, y]);
             let (from_x, from_y) = (x - place_x, y - place_y);
             let [d1, d2] = [c1 * from_y - s1 * from_x, c2 * from_y - s2 * from_x];
             let sees_none = d1.abs().min(d2.abs()) > reach + furthest(&bent_x, &bent_y);
@@ -263,7 +261,8 @@ fn unit(angle: f64) -> (f32, f32) {
 mod tests {
     use nalgebra::Matrix2;
 
-    use super::super::corner_fit::{FitRoom, Free};
+    use super::super::corner::{FitRoom, Free};
+    use super::super::corner_sensitivity::levers;
     use super::super::edge_width::EdgeWidth;
     use super::super::exact_light::{DIRECTIONS, ExactLight};
     use super::*;
@@ -280,8 +279,8 @@ mod tests {
         for (corner, patch) in light.corners(distance) {
             let rays = blur.rays(&patch);
             let found = corner.fitted(&patch, &rays, Free::Place, &mut FitRoom::default()).unwrap();
-            let summed = blur.summed(&found, &patch);
-            let (_, inverse) = found.levers(&patch, &rays, 0.5, &blur.bend).unwrap();
+            let summed = summed(&blur, &found, &patch);
+            let (_, inverse) = levers(&found, &patch, &rays, 0.5, &blur.bend).unwrap();
             let all = (&inverse, 1.0);
             let (width, off) =
                 EdgeWidth::of(&found, &patch, &rays, &summed, taken.rho, all).unwrap();

@@ -9,6 +9,7 @@ use nalgebra::Vector2;
 pub use color::Color;
 pub use grey::Grey;
 
+use crate::finding::Issue;
 use crate::model::full_scale;
 
 /// A grey image in linear light, row by row from the top.
@@ -116,21 +117,16 @@ impl RawImage {
 
     /// Why the stated colour of a white image is doubtful; `None` if it is not.
     #[must_use]
-    pub fn doubtful_color(&self) -> Option<&'static str> {
+    pub fn doubtful_color(&self) -> Option<Issue> {
         let [a, b, c, d] = self.parity_means()?;
         let greens_differ = match self.color {
             Color::Grey => {
-                return self.shows_mosaic()?.then_some(
-                    "its pixels alternate in brightness like those behind a colour mosaic: give the \
-                     name of the mosaic as the colour of the images",
-                );
+                return self.shows_mosaic()?.then_some(Issue::ColorMosaic);
             }
             Color::BayerRggb | Color::BayerBggr => alternate(b, c),
             _ => alternate(a, d),
         };
-        greens_differ.then_some(
-            "the pixels that should both be green differ: the images have another mosaic",
-        )
+        greens_differ.then_some(Issue::WrongMosaic)
     }
 
     /// Calls `visit` with the channels and samples, as fractions of a range, of many places all

@@ -6,8 +6,9 @@ use super::blur_section::blur_document;
 use super::board_shape_file::board_shape_document;
 use super::camera_file::errors_text;
 use super::{camera_document, poses_document};
-use crate::assessment::{Assessment, Distance, PointTrust};
+use crate::assessment::{Assessment, Distance, PointTrust, Verdict};
 use crate::calibration::{AnchorResult, Calibration, termination_text, weakest_directions_text};
+use crate::finding::Severity;
 use crate::model::{Rmse, shared_parameters};
 use crate::solver::LossKind;
 
@@ -30,9 +31,13 @@ pub(super) fn rmse_document(rmse: &Rmse) -> Value {
 
 fn assessment_document(assessment: &Assessment) -> Value {
     let reasons: Vec<Value> = assessment
-        .reasons
+        .findings
         .iter()
-        .map(|r| json!({ "verdict": r.verdict().to_string(), "text": r.to_string() }))
+        .filter(|finding| finding.severity > Severity::Note)
+        .map(|finding| {
+            let verdict = Verdict::of(std::slice::from_ref(finding)).to_string();
+            json!({ "verdict": verdict, "text": finding.to_string(), "code": finding.code() })
+        })
         .collect();
     let features: Vec<Value> = assessment
         .outliers
@@ -185,7 +190,7 @@ pub fn calibration_document(
         .collect();
     let [uv, rho, centers] = calibration.uncertainty.residual_std_dev_px;
     let uncertainty = Some(&calibration.uncertainty);
-    let warnings: Vec<String> = calibration.warnings.iter().map(ToString::to_string).collect();
+    let warnings: Vec<String> = calibration.findings.iter().map(ToString::to_string).collect();
     json!({
         "verdict": assessment_document(assessment),
         "converged": calibration.converged,
@@ -225,6 +230,7 @@ pub fn calibration_document(
         "common_errors": common_errors_document(calibration),
         "weakest_directions": weakest_directions_text(calibration),
         "warnings": warnings,
+        "findings": calibration.findings,
         "models": null,
         "initial_camera": camera_document(&calibration.initial, None),
         "camera": calibrated_camera_document(calibration),

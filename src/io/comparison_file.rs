@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::evaluation::{CameraComparison, DistanceDifference, ParameterPair};
+use crate::assessment::{CameraComparison, DistanceDifference, ParameterPair};
 
 /// A comparison as JSON.
 #[must_use]

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::calibration_file::rmse_document;
-use crate::evaluation::{
+use crate::assessment::{
     Displacement, Displacements, Evaluation, ParameterError, Reconstruction, Spread,
 };
 
@@ -49,7 +49,8 @@ pub fn evaluation_document(evaluation: &Evaluation) -> Value {
         "cameras": candidates,
         "point_clouds": evaluation.clouds.as_ref().map(displacements_json),
         "poses_against_truth": poses,
-        "problems": evaluation.problems,
+        "problems": evaluation.findings.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "findings": evaluation.findings,
         "cross_validation": evaluation.folds.as_ref().map(|folds| json!({
             "rmse": rmse_document(&folds.rmse),
             "jackknife_standard_deviations": folds.jackknife_std_devs(),

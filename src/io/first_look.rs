@@ -11,6 +11,7 @@ use super::ImagesSection;
 use super::manifest::hash_file;
 use super::open;
 use crate::error::{Error, Result};
+use crate::finding::{Finding, Issue};
 
 /// What a JPEG file begins with.
 const JPEG: [u8; 2] = [0xff, 0xd8];
@@ -18,7 +19,7 @@ const JPEG: [u8; 2] = [0xff, 0xd8];
 /// Looks at all image files that a project lists. What is doubtful comes back, with its remedy.
 ///
 /// An error if a file does not exist, or if two white images of different f-numbers are one and the same.
-pub fn first_look(images: &ImagesSection) -> Result<Vec<String>> {
+pub fn first_look(images: &ImagesSection) -> Result<Vec<Finding>> {
     for path in images.files() {
         open(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
     }
@@ -58,14 +59,10 @@ pub fn repeated<P: AsRef<Path> + Sync>(before: &[P], images: &[P]) -> Vec<Option
 }
 
 /// JPEG files: their blocks of 8 px move edges and change the profile of micro-images.
-fn compressed(images: &ImagesSection) -> Option<String> {
+fn compressed(images: &ImagesSection) -> Option<Finding> {
     let jpegs: Vec<&Path> = images.files().filter(|path| is_jpeg(path)).collect();
-    Some(format!(
-        "{} image(s) are JPEG (the first is {}): compression moves edges and widens them, and d, fᵢ and m come out wrong by \
-         per cents; take images without loss (PNG, TIFF)",
-        jpegs.len(),
-        name(jpegs.first()?)
-    ))
+    let first = name(jpegs.first()?);
+    Some(Finding::caution(Issue::LossyCompression { images: jpegs.len(), first }))
 }
 
 fn is_jpeg(path: &Path) -> bool {
@@ -135,11 +132,9 @@ mod tests {
     #[test]
     fn jpeg_files_are_named_whatever_they_are_called() {
         let (_folder, paths) = files(&[b"a", &[0xff, 0xd8, 0xff]]);
-        let warnings = first_look(&section(&[], &paths)).unwrap();
-        assert_eq!(warnings.len(), 1);
-        assert!(
-            warnings[0].starts_with("1 image(s) are JPEG (the first is 1.png)"),
-            "{warnings:?}"
-        );
+        let findings = first_look(&section(&[], &paths)).unwrap();
+        let [finding] = &findings[..] else { panic!("{findings:?}") };
+        let first = "1.png".to_owned();
+        assert_eq!(finding.issue, Issue::LossyCompression { images: 1, first });
     }
 }

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::evaluation::{ModelComparison, WithoutGroup};
+use crate::assessment::{ModelComparison, WithoutGroup};
 
 /// A comparison of models as JSON.
 #[must_use]
@@ -39,6 +39,6 @@ pub fn models_document(comparison: &ModelComparison) -> Value {
         "error": comparison.mean_error(),
         "pattern": comparison.pattern,
         "groups": comparison.groups.iter().map(of_group).collect::<Vec<_>>(),
-        "problems": comparison.problems,
+        "problems": comparison.findings.iter().map(ToString::to_string).collect::<Vec<_>>(),
     })
 }

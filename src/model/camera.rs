@@ -1,70 +1,10 @@
 //! The camera model's parameters as plain values.
 
 use nalgebra::{Vector2, Vector3};
-use serde::{Deserialize, Serialize};
 
-use super::camera_fields::CameraFields;
-use super::checks::positive;
-use super::datasheet::Configuration;
 use super::edge_spread::EdgeSpread;
-use super::lattice::{Lattice, LatticeKind};
-use super::parameters::intrinsic_parameters;
-use crate::error::{Error, Result};
-
-/// The image sensor.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Sensor {
-    /// Width, px.
-    pub width_px: u32,
-    /// Height, px.
-    pub height_px: u32,
-    /// Edge of a pixel s, mm.
-    pub pixel_size_mm: f64,
-}
-
-impl Sensor {
-    /// Middle of the image, px; pixel (0, 0) is the centre of the top-left pixel.
-    #[must_use]
-    pub fn center_px(&self) -> Vector2<f64> {
-        Vector2::new(f64::from(self.width_px) - 1.0, f64::from(self.height_px) - 1.0) / 2.0
-    }
-
-    /// Whether a position lies between the centres of the outermost pixels.
-    #[must_use]
-    pub fn contains(&self, u_px: f64, v_px: f64) -> bool {
-        (0.0..=f64::from(self.width_px) - 1.0).contains(&u_px)
-            && (0.0..=f64::from(self.height_px) - 1.0).contains(&v_px)
-    }
-
-    /// An error unless the sensor has pixels.
-    pub(crate) fn validate(&self) -> Result<()> {
-        if self.width_px == 0 || self.height_px == 0 {
-            return Err(Error::invalid(format!(
-                "a sensor of {} x {} pixels has no area",
-                self.width_px, self.height_px
-            )));
-        }
-        positive(self.pixel_size_mm, "the pixel size (mm)")?;
-        if (SMALLEST_PIXEL_MM..=LARGEST_PIXEL_MM).contains(&self.pixel_size_mm) {
-            return Ok(());
-        }
-        Err(Error::invalid(format!(
-            "a pixel of {} mm is that of no sensor: pixel_size_mm is the distance between neighbouring pixels in mm, \
-             0.0055 for 5.5 µm",
-            self.pixel_size_mm
-        )))
-    }
-
-    /// Half the diagonal, mm.
-    pub(crate) fn half_diagonal_mm(&self) -> f64 {
-        f64::from(self.width_px).hypot(f64::from(self.height_px)) / 2.0 * self.pixel_size_mm
-    }
-}
-
-/// Pixels are larger than half the wavelength of light, and smaller than those of any sensor for images.
-const SMALLEST_PIXEL_MM: f64 = 2e-4;
-const LARGEST_PIXEL_MM: f64 = 0.2;
+use super::lattice::{Configuration, Lattice};
+use super::sensor::Sensor;
 
 /// The main lens: a thin lens with Brown-Conrady distortion of the image point, in mm, and a curved field.
 /// A thick lens does the same, with the origin at its image-side principal point, if all objects are moved
@@ -150,8 +90,7 @@ pub struct MicroLensArray {
 
 /// A camera, calibrated or to be refined: the 16 + I parameters of the paper, the curvature of the field,
 /// the exit pupil, and the ratio of the two pitches.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "CameraFields", into = "CameraFields")]
+#[derive(Debug, Clone, PartialEq)]
 pub struct PlenopticCamera {
     /// The image sensor.
     pub sensor: Sensor,
@@ -204,102 +143,6 @@ impl PlenopticCamera {
     pub fn micro_image_pitch_px(&self) -> f64 {
         let (mla, to_pupil) = (&self.mla, self.pupil_to_mla_mm());
         mla.pitch_mm * (to_pupil + mla.mla_to_sensor_mm) / (to_pupil * self.sensor.pixel_size_mm)
-    }
-
-    /// Checks all values; an error names the one that is not possible.
-    pub fn validate(&self) -> Result<()> {
-        self.sensor.validate()?;
-        self.edge_spread.validate()?;
-        check_array_size(self.lattice.columns, self.lattice.rows)?;
-        check_lens_types(self.lens_types(), self.lattice.kind())?;
-        if let Some(setting) = self.main_lens.setting {
-            positive(setting.f_number, "the f-number of the main lens")?;
-            if setting.focus_distance_mm.is_nan() || setting.focus_distance_mm <= 0.0 {
-                return Err(Error::invalid(format!(
-                    "the focus distance of the main lens (mm) is {}: it has to be positive, or inf",
-                    setting.focus_distance_mm
-                )));
-            }
-        }
-        let mla = &self.mla;
-        positive(self.main_lens.focal_length_mm, "the camera's F (mm)")?;
-        positive(mla.lens_to_mla_mm, "the camera's D (mm)")?;
-        positive(self.pupil_to_mla_mm(), "the camera's D + e_z, exit pupil to array (mm),")?;
-        positive(
-            self.main_lens.pupil_magnification(),
-            "the camera's 1 + e_z/F, the magnification of its pupil,",
-        )?;
-        positive(mla.mla_to_sensor_mm, "the camera's d (mm)")?;
-        positive(mla.pitch_mm, "the camera's dC (mm)")?;
-        positive(mla.pitch_ratio, "the camera's dC_ratio")?;
-        for (i, &f) in mla.focal_lengths_mm.iter().enumerate() {
-            positive(f, &format!("the camera's f_{} (mm)", i + 1))?;
-        }
-        for (parameter, value) in
-            intrinsic_parameters(self.lens_types()).iter().zip(self.intrinsics())
-        {
-            // Squares of values far beyond this overflow.
-            if !value.is_finite() || value.abs() > 1e100 {
-                return Err(Error::invalid(format!("the camera's {} is {value}", parameter.name)));
-            }
-        }
-        Ok(())
-    }
-
-    /// Values of all intrinsic parameters in the order and units of [`intrinsic_parameters`].
-    #[must_use]
-    pub fn intrinsics(&self) -> Vec<f64> {
-        intrinsic_parameters(self.lens_types()).iter().map(|p| p.value(self)).collect()
-    }
-
-    /// This camera with other values of its intrinsic parameters.
-    ///
-    /// # Panics
-    /// If the number of values is not that of [`PlenopticCamera::intrinsics`].
-    #[must_use]
-    pub fn with_intrinsics(&self, values: &[f64]) -> Self {
-        let parameters = intrinsic_parameters(self.lens_types());
-        assert_eq!(values.len(), parameters.len());
-        let mut camera = self.clone();
-        for (parameter, &value) in parameters.iter().zip(values) {
-            parameter.set(&mut camera, value);
-        }
-        camera
-    }
-}
-
-/// The largest number of micro-lenses along a side; beyond what any sensor has pixels for.
-pub const MAX_MICRO_LENSES: i32 = 1 << 16;
-
-/// Every micro-image has its place in memory; an R12 has 26 000.
-const MOST_IN_ALL: i64 = 1 << 24;
-
-/// An error unless an array can have these numbers of micro-lenses.
-pub(crate) fn check_array_size(columns: i32, rows: i32) -> Result<()> {
-    let possible = 1..=MAX_MICRO_LENSES;
-    if possible.contains(&columns) && possible.contains(&rows) {
-        if i64::from(columns) * i64::from(rows) <= MOST_IN_ALL {
-            return Ok(());
-        }
-        return Err(Error::invalid(format!(
-            "a micro-lens array of {columns} x {rows} is not possible: it may have {MOST_IN_ALL} in all"
-        )));
-    }
-    Err(Error::invalid(format!(
-        "a micro-lens array of {columns} x {rows} is not possible: each side takes 1 to \
-         {MAX_MICRO_LENSES}"
-    )))
-}
-
-/// An error unless the number of lens types is one that the lattice can have.
-pub(crate) fn check_lens_types(types: usize, kind: LatticeKind) -> Result<()> {
-    match (types, kind) {
-        (0 | 1, _) | (3, LatticeKind::HexagonalRows | LatticeKind::HexagonalColumns) => Ok(()),
-        _ => Err(Error::invalid(format!(
-            "{types} lens types on the lattice '{}' are not known: give 0 (pinholes) or 1, or 3 on a \
-             hexagonal lattice",
-            kind.name()
-        ))),
     }
 }
 

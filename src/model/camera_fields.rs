@@ -1,15 +1,16 @@
 //! A camera as stored in files: `camera.json` and simulation files.
 
 use nalgebra::{Vector2, Vector3};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera, Sensor};
+use super::camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera};
 use super::edge_spread::{EdgeSpread, FillFactor, PointSpread};
 use super::lattice::{Lattice, LatticeKind, Packing, Parity};
+use super::sensor::Sensor;
 
 /// A camera as stored in files.
 #[derive(Serialize, Deserialize)]
-pub(crate) struct CameraFields {
+struct CameraFields {
     sensor: Sensor,
     main_lens: MainLensFile,
     principal_point_px: [f64; 2],
@@ -17,6 +18,19 @@ pub(crate) struct CameraFields {
     /// Left out where it is not known, like the fill factor.
     #[serde(skip_serializing_if = "Option::is_none")]
     point_spread: Option<PointSpread>,
+}
+
+impl Serialize for PlenopticCamera {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        CameraFields::from(self.clone()).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for PlenopticCamera {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let fields = CameraFields::deserialize(deserializer)?;
+        Self::try_from(fields).map_err(serde::de::Error::custom)
+    }
 }
 
 #[derive(Serialize, Deserialize)]

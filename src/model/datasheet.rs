@@ -1,32 +1,20 @@
 //! What is known about a camera before it is calibrated: its datasheet, and its internal
 //! parameters.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
-use super::camera::{Sensor, check_array_size, check_lens_types};
 use super::checks::positive;
 use super::edge_spread::{FillFactor, PointSpread};
 use super::fall_off::FallOff;
-use super::lattice::LatticeKind;
+use super::lattice::{Configuration, LatticeKind, check_array_size, check_lens_types};
 use super::lean::Lean;
 use super::levels::SampleLevels;
 use super::observations::MicroImageCenter;
+use super::sensor::Sensor;
 use crate::error::{Error, Result};
 
 /// Lenses that do not distort see at most this off the axis, as a tangent: 63 degrees.
 const WIDEST: f64 = 2.0;
-
-/// Where the main lens focuses with respect to the micro-lens array.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Configuration {
-    /// Behind the array (and the sensor): f > d.
-    Galilean,
-    /// In front of the array: f < d.
-    Keplerian,
-    /// On the array: f = d.
-    Unfocused,
-}
 
 /// What the datasheet says about a camera: the starting point of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

@@ -8,6 +8,8 @@ use std::fmt;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
+use crate::error::{Error, Result};
+
 /// How the micro-lenses are packed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -219,6 +221,53 @@ impl Lattice {
             Parity::Odd => 2,
         };
         usize::try_from((along + step * across.rem_euclid(2)).rem_euclid(3)).unwrap_or(0)
+    }
+}
+
+/// Where the main lens focuses with respect to the micro-lens array.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Configuration {
+    /// Behind the array (and the sensor): f > d.
+    Galilean,
+    /// In front of the array: f < d.
+    Keplerian,
+    /// On the array: f = d.
+    Unfocused,
+}
+
+/// The largest number of micro-lenses along a side; beyond what any sensor has pixels for.
+pub const MAX_MICRO_LENSES: i32 = 1 << 16;
+
+/// Every micro-image has its place in memory; an R12 has 26 000.
+const MOST_IN_ALL: i64 = 1 << 24;
+
+/// An error unless an array can have these numbers of micro-lenses.
+pub(crate) fn check_array_size(columns: i32, rows: i32) -> Result<()> {
+    let possible = 1..=MAX_MICRO_LENSES;
+    if possible.contains(&columns) && possible.contains(&rows) {
+        if i64::from(columns) * i64::from(rows) <= MOST_IN_ALL {
+            return Ok(());
+        }
+        return Err(Error::invalid(format!(
+            "a micro-lens array of {columns} x {rows} is not possible: it may have {MOST_IN_ALL} in all"
+        )));
+    }
+    Err(Error::invalid(format!(
+        "a micro-lens array of {columns} x {rows} is not possible: each side takes 1 to \
+         {MAX_MICRO_LENSES}"
+    )))
+}
+
+/// An error unless the number of lens types is one that the lattice can have.
+pub(crate) fn check_lens_types(types: usize, kind: LatticeKind) -> Result<()> {
+    match (types, kind) {
+        (0 | 1, _) | (3, LatticeKind::HexagonalRows | LatticeKind::HexagonalColumns) => Ok(()),
+        _ => Err(Error::invalid(format!(
+            "{types} lens types on the lattice '{}' are not known: give 0 (pinholes) or 1, or 3 on a \
+             hexagonal lattice",
+            kind.name()
+        ))),
     }
 }
 

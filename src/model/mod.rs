@@ -5,10 +5,10 @@
 mod array_part;
 mod board;
 mod camera;
+mod camera_checks;
 mod camera_fields;
 mod checks;
 mod datasheet;
-mod display;
 mod edge_spread;
 mod fall_off;
 mod lattice;
@@ -19,21 +19,21 @@ mod observations;
 pub mod optics;
 mod parameters;
 mod reprojection;
+mod sensor;
 mod sight;
 
 pub use board::{BentBoard, Board, BoardShape, FramePose, Subset};
 #[cfg(test)]
 pub(crate) use camera::small_camera;
-pub use camera::{
-    LensSetting, MAX_MICRO_LENSES, MainLens, MicroLensArray, PlenopticCamera, Sensor,
-};
-pub(crate) use camera::{check_array_size, check_lens_types};
+pub use camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera};
 pub(crate) use checks::{finite, positive};
-pub use datasheet::{Configuration, Datasheet, InternalParameters};
-pub(crate) use display::{display_unit, signed, with_std_dev};
+pub use datasheet::{Datasheet, InternalParameters};
 pub use edge_spread::{EdgeSpread, FillFactor, PointSpread};
 pub use fall_off::FallOff;
-pub use lattice::{Lattice, LatticeKind, Packing, Parity, ROW_DISTANCE};
+pub use lattice::{
+    Configuration, Lattice, LatticeKind, MAX_MICRO_LENSES, Packing, Parity, ROW_DISTANCE,
+};
+pub(crate) use lattice::{check_array_size, check_lens_types};
 pub use lean::Lean;
 pub(crate) use lean::growth_per_px;
 pub use levels::SampleLevels;
@@ -49,4 +49,5 @@ pub use parameters::{
     shared_parameters,
 };
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
+pub use sensor::Sensor;
 pub use sight::{MetricPoint, MicroPixel, Ray, SeenPoint, Sighting, VirtualPoint};

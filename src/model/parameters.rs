@@ -129,3 +129,26 @@ pub fn shared_parameters(lens_types: usize) -> Vec<Named> {
     let of_shape = SHAPE_PARAMETERS.iter().map(Parameter::named);
     intrinsic_parameters(lens_types).iter().map(Parameter::named).chain(of_shape).collect()
 }
+
+impl PlenopticCamera {
+    /// Values of all intrinsic parameters in the order and units of [`intrinsic_parameters`].
+    #[must_use]
+    pub fn intrinsics(&self) -> Vec<f64> {
+        intrinsic_parameters(self.lens_types()).iter().map(|p| p.value(self)).collect()
+    }
+
+    /// This camera with other values of its intrinsic parameters.
+    ///
+    /// # Panics
+    /// If the number of values is not that of [`PlenopticCamera::intrinsics`].
+    #[must_use]
+    pub fn with_intrinsics(&self, values: &[f64]) -> Self {
+        let parameters = intrinsic_parameters(self.lens_types());
+        assert_eq!(values.len(), parameters.len());
+        let mut camera = self.clone();
+        for (parameter, &value) in parameters.iter().zip(values) {
+            parameter.set(&mut camera, value);
+        }
+        camera
+    }
+}

@@ -8,4 +8,4 @@ mod statistics;
 pub(crate) use levenberg_marquardt::{Descent, LeastSquares};
 pub(crate) use linear::NormalEquations;
 pub(crate) use robust::{Outliers, Reweighted, Scale, Weight, fit};
-pub(crate) use statistics::{median, normal_deviate, weighted_mean};
+pub(crate) use statistics::{mean_and_std_dev, median, normal_deviate, weighted_mean};

@@ -7,6 +7,14 @@ pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
+/// Mean and standard deviation of a sample; the latter is `None` for a single value.
+pub(crate) fn mean_and_std_dev(values: impl Iterator<Item = f64> + Clone) -> (f64, Option<f64>) {
+    let count = values.clone().count() as f64;
+    let mean = values.clone().sum::<f64>() / count;
+    let square: f64 = values.map(|v| (v - mean).powi(2)).sum();
+    (mean, (count > 1.0).then(|| (square / (count - 1.0)).sqrt()))
+}
+
 /// The mean of values with their standard deviations, weighted by these, and its own standard deviation: by theirs or by the
 /// scatter of the values, whichever is larger. `None` without values.
 pub(crate) fn weighted_mean(values: impl IntoIterator<Item = [f64; 2]>) -> Option<[f64; 2]> {

@@ -1,18 +1,10 @@
-//! The micro-image array of a white image: from pixels to centres and grid.
+//! The micro-image array of a white image.
 
-use nalgebra::{Matrix2, Vector2};
-
-use super::array_doubts::over_exposed;
-use super::centers::{measure, nodes_in};
 use super::centroid::Blob;
-use super::grid::{MicroImageArray, fit_grid};
+use super::grid::MicroImageArray;
 use super::indexing::Indexing;
-use super::pattern::{Pattern, find_pattern, of_steps};
-use super::types::{LensTypes, judge_single};
-use super::verdicts::{LeftOut, judge, lit_nodes};
-use crate::error::{Error, Result};
-use crate::image::{Grey, RawImage};
-use crate::model::{Lattice, LatticeKind, MicroImageCenter};
+use super::pattern::Pattern;
+use crate::model::MicroImageCenter;
 
 /// The micro-images of a white image.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,57 +49,28 @@ pub struct LeftOutCenters {
     pub misplaced: usize,
 }
 
-/// Centres further from the grid than this many times the root mean square distance of those that
-/// agree with it do not belong to it.
-const MISPLACED: f64 = 6.0;
-/// and this more, px: on a nearly perfect grid a hundredth of a pixel is no fault.
-const MISPLACED_PX: f64 = 0.05;
-/// Least part of the variance of an image that a pattern of micro-images explains.
-const PATTERN: f64 = 0.1;
-
-/// Finds and measures all micro-images of a white image, from the image alone.
-///
-/// `stated` is the number of columns and rows of the array where it is known. Indices (k, l) then
-/// count such that the middle of the array is nearest to that of the image; else they count from the
-/// first column and row that show light. An error if no lattice of micro-images shows, or not one of
-/// the stated size.
-pub fn measure_array(image: &RawImage, stated: Option<(i32, i32)>) -> Result<ArrayMeasurement> {
-    found_array(&image.grey(), None, stated).map(|found| found.array)
+/// Lens types as the micro-images show them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensTypes {
+    /// Number I of types that can be told apart: 1 or 3.
+    pub types: usize,
+    /// Least difference of two types' radii in the white image that tells them apart best, in its
+    /// standard deviations; none for one type, or where radii were not measured.
+    pub separation: Option<f64>,
+    /// Part of all micro-images of the reference whose size is nearest to that of neighbours of their own
+    /// lens type; none for one type, or where sizes were not measured.
+    pub agreement: Option<f64>,
 }
 
-/// The centres that a known lattice has in an image of `size` (width, height), px: one of them at
-/// `origin`, the next ones two `steps` away (columns, px). Indices count as in [`measure_array`].
-pub fn lattice_centers(
-    size: (u16, u16),
-    origin: &Vector2<f64>,
-    steps: &Matrix2<f64>,
-) -> Result<Vec<MicroImageCenter>> {
-    let pattern = Pattern { origin: *origin, ..known(steps)? };
-    let nodes = nodes_in((size.0.into(), size.1.into()), &pattern);
-    let indexing = Indexing::possible(&pattern, &nodes, None)?;
-    let indexing = indexing
-        .first()
-        .ok_or_else(|| Error::invalid("it holds no centre: give a larger image"))?;
-    let center =
-        |&node: &(i32, i32)| indexing.center(&pattern, node, &pattern.place(node.0, node.1), None);
-    Ok(nodes.iter().map(center).collect())
-}
+impl LensTypes {
+    /// One type.
+    pub const ONE: Self = Self::stated(1);
 
-/// Packing and rotation (rad, from u towards v) of the lattice that two steps (columns, px) make, and
-/// its steps to two neighbours: along the straight rows (columns), and to the next row (column) at 60
-/// degrees from it, or at 90 on a square lattice.
-pub fn lattice_orientation(steps: &Matrix2<f64>) -> Result<(LatticeKind, f64, Matrix2<f64>)> {
-    let pattern = known(steps)?;
-    let along_rows = pattern.lattice_axes().column(0).into_owned();
-    Ok((pattern.kind, along_rows.y.atan2(along_rows.x), pattern.basis()))
-}
-
-fn known(steps: &Matrix2<f64>) -> Result<Pattern> {
-    of_steps(steps).ok_or_else(|| {
-        Error::invalid(
-            "its steps make neither a hexagonal nor a square lattice with a pitch from 5 to 90 px",
-        )
-    })
+    /// A number of types that is known from elsewhere.
+    #[must_use]
+    pub const fn stated(types: usize) -> Self {
+        Self { types, separation: None, agreement: None }
+    }
 }
 
 /// The array, and how it was found.
@@ -116,7 +79,7 @@ pub(super) struct FoundArray {
     pub pattern: Pattern,
     /// The micro-images that have a centre in the array, in the same order.
     pub blobs: Vec<Blob>,
-    indexing: Indexing,
+    pub indexing: Indexing,
 }
 
 impl FoundArray {
@@ -124,116 +87,4 @@ impl FoundArray {
     pub fn index(&self, node: (i32, i32)) -> (i32, i32) {
         self.indexing.index(&self.pattern, node)
     }
-}
-
-/// Finds and measures all micro-images, as [`measure_array`] does, with the pattern where it is
-/// known.
-pub(super) fn found_array(
-    image: &Grey,
-    known: Option<Pattern>,
-    stated: Option<(i32, i32)>,
-) -> Result<FoundArray> {
-    search(image, known, stated).map_err(|error| over_exposed(image).unwrap_or(error))
-}
-
-fn search(image: &Grey, known: Option<Pattern>, stated: Option<(i32, i32)>) -> Result<FoundArray> {
-    let (pattern, blobs) = find(image, known)?;
-    let verdicts = judge(image, &pattern, &blobs);
-    let (width, height) = image.size();
-    let middle = Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
-    // From the middle of the image to that of the array.
-    let off = |indexing: &Indexing| {
-        let (k, l) = indexing.index(&pattern, (0, 0));
-        (pattern.origin
-            - pattern.lattice_axes() * indexing.lattice(pattern.kind).node(k, l)
-            - middle)
-            .norm()
-    };
-    let possible = Indexing::possible(&pattern, &lit_nodes(&verdicts), stated)?;
-    let Some(indexing) = possible.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
-        return Err(Error::invalid(
-            "the micro-images cannot be counted: give a white image of the whole array",
-        ));
-    };
-    let lattice = indexing.lattice(pattern.kind);
-    let of_array = |node: (i32, i32)| {
-        let (k, l) = indexing.index(&pattern, node);
-        lattice.contains(k, l)
-    };
-    let blobs: Vec<Blob> = blobs
-        .into_iter()
-        .zip(&verdicts)
-        .filter(|(blob, verdict)| verdict.left_out.is_none() && of_array(blob.node))
-        .map(|(blob, _)| blob)
-        .collect();
-    let center =
-        |blob: &Blob| indexing.center(&pattern, blob.node, &blob.center, Some(blob.std_dev));
-    let all: Vec<MicroImageCenter> = blobs.iter().map(center).collect();
-    let grid = fit_found(&all, &lattice)?;
-    let limit = MISPLACED * grid.rms_px + MISPLACED_PX;
-    let fits = |blob: &Blob| {
-        let (k, l) = indexing.index(&pattern, blob.node);
-        (grid.center_of(k, l) - blob.center).norm() <= limit
-    };
-    let (blobs, misplaced): (Vec<Blob>, Vec<Blob>) = blobs.into_iter().partition(fits);
-    let count = |reason: LeftOut| {
-        verdicts.iter().filter(|v| v.left_out == Some(reason) && of_array(v.node)).count()
-    };
-    let array = ArrayMeasurement {
-        grid,
-        lens_types: LensTypes::ONE,
-        centers: blobs.iter().map(center).collect(),
-        left_out: LeftOutCenters {
-            cut: count(LeftOut::Cut),
-            dark: count(LeftOut::Dark),
-            saturated: count(LeftOut::Saturated),
-            misplaced: misplaced.len(),
-        },
-    };
-    let mut found = FoundArray { array, pattern, blobs, indexing };
-    found.array.lens_types = judge_single(&found);
-    Ok(found)
-}
-
-/// The grid of centres that were found in an image.
-pub(super) fn fit_found(
-    centers: &[MicroImageCenter],
-    lattice: &Lattice,
-) -> Result<MicroImageArray> {
-    fit_grid(centers, lattice.kind(), lattice.columns, lattice.rows).map_err(|_| no_grid(centers))
-}
-
-fn no_grid(centers: &[MicroImageCenter]) -> Error {
-    Error::invalid(format!(
-        "{} micro-images show in the image, but they make no grid: give a white image, sharp, \
-         undistorted and not stretched, of a larger part of the array",
-        centers.len()
-    ))
-}
-
-/// The pattern that shows in the middle, or else, should that be damaged, those in the quarters.
-pub(super) fn patterns(image: &Grey) -> impl Iterator<Item = Pattern> {
-    let (w, h) = image.size();
-    let places = [
-        (w / 2, h / 2),
-        (w / 4, h / 4),
-        (3 * w / 4, h / 4),
-        (w / 4, 3 * h / 4),
-        (3 * w / 4, 3 * h / 4),
-    ];
-    let found = places.into_iter().filter_map(|place| find_pattern(image, place));
-    found.filter(|pattern| pattern.explained >= PATTERN)
-}
-
-/// The pattern that goes on over the image, and its micro-images; the first one that is tried may be
-/// known.
-fn find(image: &Grey, known: Option<Pattern>) -> Result<(Pattern, Vec<Blob>)> {
-    let mut tried = known.into_iter().chain(patterns(image));
-    if let Some(found) = tried.find_map(|pattern| measure(image, &pattern)) {
-        return Ok(found);
-    }
-    Err(Error::invalid(
-        "no array of micro-images shows in this image: nothing repeats on a hexagonal or square \
-         lattice with a pitch from 5 to 90 px; give a white image, neither black nor saturated",
-    ))
 }

@@ -9,9 +9,10 @@ use tracing::debug;
 
 use super::centers::{measure_sample, nodes_in, part_with};
 use super::centroid::{Blob, pixels_about};
+use super::options::White;
 use super::pattern::Pattern;
-use super::stage::White;
 use crate::error::{Error, Result};
+use crate::finding::{Finding, Issue};
 use crate::image::RawImage;
 use crate::model::{LatticeKind, full_scale};
 use crate::numerics::median;
@@ -51,7 +52,7 @@ pub(super) struct Black {
     /// Its σ, where it was measured.
     pub std_dev: Option<f64>,
     /// Where it is not known, or cannot be what is stated.
-    pub warning: Option<String>,
+    pub finding: Option<Finding>,
 }
 
 /// The darkest places of a white image, as parts of full scale.
@@ -111,28 +112,24 @@ pub(super) fn black_level(
         }
         let wrong =
             darkest.or(shown.first()).filter(|(_, darkest)| darkest.contradicts(level / full));
-        let warning = wrong.map(|(white, darkest)| {
-            format!(
-                "the black level is stated as {level} grey levels, but between the micro-images of {} \
-                 samples are {:.2}: correct black_level in [images], or leave it out",
-                white.name,
-                darkest.level * full
-            )
+        let finding = wrong.map(|(white, darkest)| {
+            Finding::caution(Issue::BlackLevelContradicted {
+                stated: level,
+                image: white.name.clone(),
+                measured: darkest.level * full,
+            })
         });
-        return Ok(Black { level, bits, std_dev: None, warning });
+        return Ok(Black { level, bits, std_dev: None, finding });
     }
     if let Some((_, darkest)) = darkest {
         let [level, std_dev] = [darkest.level, darkest.std_dev].map(|part| part * full);
-        return Ok(Black { level, bits, std_dev: Some(std_dev), warning: None });
+        return Ok(Black { level, bits, std_dev: Some(std_dev), finding: None });
     }
-    let warning = shown.iter().all(|(_, darkest)| !darkest.is_harmless()).then(|| {
-        "the black level cannot be measured, since at no f-number it is dark between the \
-         micro-images: samples are taken to be 0 without light. If they are not, give black_level in \
-         [images], the mean sample of an image with the lens covered, or add a white image at a \
-         larger f-number"
-            .to_owned()
-    });
-    Ok(Black { level: 0.0, bits, std_dev: None, warning })
+    let finding = shown
+        .iter()
+        .all(|(_, darkest)| !darkest.is_harmless())
+        .then(|| Finding::caution(Issue::BlackLevelUnknown));
+    Ok(Black { level: 0.0, bits, std_dev: None, finding })
 }
 
 /// What a white image shows between the micro-images about the origin of a pattern; `None` if there

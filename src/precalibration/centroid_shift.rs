@@ -1,9 +1,9 @@
-//! How far oblique light shifts the centroids of micro-images.
+//! How far oblique light shifts the centroids of micro-images, and the array without that.
 //!
 //! Light falls off with its angle of incidence, by cos⁴ and by what the pixels add. Away from the
 //! optical axis a micro-image is therefore brighter on one side, and its centroid is shifted in
 //! proportion to its distance from the axis: all centres together seem to have another pitch. How far
-//! depends on the micro-image: its light Ī(r) changes by −g·L Ī, with the lever L(r) of [`Levers::lever`], and
+//! depends on the micro-image: its light Ī(r) changes by −g·L Ī, with the lever L(r) of [`DiscGeometry::lever`], and
 //! a centroid that is off by ε sees its window with −ε Ī′ more light on that side. In a window w(r) the two
 //! balance at ε = −g X with
 //!
@@ -14,16 +14,21 @@
 //! over the rings of the mean micro-image as the image shows it. Light that is clipped changes nothing, and a
 //! window that cuts some of it is taken into account.
 //!
-//! [`Levers::lever`]: super::levers::Levers::lever
+//! [`DiscGeometry::lever`]: super::disc_geometry::DiscGeometry::lever
 
-use super::rings::Ring;
+use nalgebra::Vector2;
+
+use super::array::{ArrayMeasurement, FoundArray};
+use super::array_search::fit_found;
+use super::centroid::WINDOW;
+use super::disc_geometry::{DiscGeometry, GROWTH};
+use super::rings::{Alike, Ring};
+use crate::error::Result;
+use crate::model::FallOff;
+use crate::vignetting::Obliquity;
 
 /// X (px²) of micro-images with these rings, in a window by distance.
-pub(super) fn shift_moment(
-    rings: &[Ring],
-    window: impl Fn(f64) -> f64,
-    lever: impl Fn(f64) -> f64,
-) -> f64 {
+fn shift_moment(rings: &[Ring], window: impl Fn(f64) -> f64, lever: impl Fn(f64) -> f64) -> f64 {
     let (mut change, mut restoring) = (0.0, 0.0);
     for ring in rings {
         let weight = window(ring.radius) * ring.radius.powi(2);
@@ -33,6 +38,75 @@ pub(super) fn shift_moment(
         }
     }
     if restoring > 0.0 { change / restoring } else { 0.0 }
+}
+
+/// How far the centroids of one lens type are shifted.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Moment {
+    /// X in the middle of the array, px².
+    x: f64,
+    /// What the shift over g in the middle grows by where d grows, over the relative growth of d, px².
+    growth: f64,
+}
+
+/// Step of the slope of light, px.
+const STEP_PX: f64 = 0.1;
+
+/// The moments by lens type. `light` is that of each type where the centroids were measured, `law` how
+/// it falls off inside a micro-image.
+pub(super) fn shift_moments(
+    light: &[Alike],
+    levers: &DiscGeometry,
+    pitch_px: f64,
+    law: &Obliquity,
+) -> Vec<Moment> {
+    let (inner, outer) = (WINDOW.0 * pitch_px, WINDOW.1 * pitch_px);
+    let window =
+        |r: f64| ((outer * outer - r * r) / (outer * outer - inner * inner)).clamp(0.0, 1.0);
+    let of_type = |(lens_type, alike): (usize, &Alike)| {
+        let rings = &alike.mean;
+        let sum = |light: fn(&Ring) -> f64| rings.iter().map(|r| r.radius * light(r)).sum::<f64>();
+        let unclipped = sum(|ring| ring.unclipped) / sum(|ring| ring.light).max(1e-9);
+        // As the discs have it where d is larger: there g is smaller.
+        let of_discs = |growth: f64| {
+            let at = |r: f64| levers.light_and_lever(lens_type, r, growth, law);
+            let ring = |ring: &Ring| {
+                let (light, _) = at(ring.radius);
+                let slope = at(ring.radius + STEP_PX).0 - at(ring.radius - STEP_PX).0;
+                Ring { light, unclipped: light, slope: slope / (2.0 * STEP_PX), ..*ring }
+            };
+            let rings: Vec<Ring> = rings.iter().map(ring).collect();
+            shift_moment(&rings, window, |r| at(r).1) / (1.0 + growth)
+        };
+        Moment {
+            x: shift_moment(rings, window, |r| levers.lever(lens_type, r, law)),
+            // Light that is clipped shifts nothing.
+            growth: (of_discs(GROWTH) - of_discs(-GROWTH)) / (2.0 * GROWTH) * unclipped,
+        }
+    };
+    light.iter().enumerate().map(of_type).collect()
+}
+
+/// The array of the reference, its centres less the shift by the fall-off, and the relative change of the
+/// pitch by that. d grows over the image by `growth_per_px`.
+pub(super) fn corrected_array(
+    found: &FoundArray,
+    fall_off: &FallOff,
+    moments: &[Moment],
+    growth_per_px: &Vector2<f64>,
+) -> Result<(ArrayMeasurement, f64)> {
+    let grid = &found.array.grid;
+    let mut array = found.array.clone();
+    for center in &mut array.centers {
+        let moment = &moments[grid.lattice.lens_type(center.k, center.l, moments.len())];
+        let measured = Vector2::new(center.u_px, center.v_px);
+        let growth = growth_per_px.dot(&(measured - grid.center_px));
+        let place = measured + fall_off.gradient(&measured) * (moment.x + moment.growth * growth);
+        (center.u_px, center.v_px) = (place.x, place.y);
+    }
+    array.grid = fit_found(&array.centers, &grid.lattice)?;
+    let correction = array.grid.pitch_px / grid.pitch_px - 1.0;
+    Ok((array, correction))
 }
 
 #[cfg(test)]

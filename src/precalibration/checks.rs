@@ -1,25 +1,21 @@
 //! Whether white images belong together and to the camera that is stated, and what the user should know.
 
+use super::disc_geometry::DiscGeometry;
 use super::grid::MicroImageArray;
-use super::levers::Levers;
+use super::options::White;
 use super::pattern::Pattern;
 use super::radii::{REACH, profile_at};
 use super::samples::Samples;
-use super::stage::{Precalibration, White};
-use super::types::LensTypes;
+use crate::checks::whites as checks;
 use crate::error::{Error, Result};
+use crate::finding::Finding;
 use crate::image::Grey;
 use crate::model::{Datasheet, InternalParameters, Sensor, positive};
 
-/// A radius this part away from that of its f-number is the sign of another one: half a stop at f/4 changes a
-/// radius by 10 %.
-const CONTRADICTION: f64 = 0.05;
 /// Stated and measured pitch of the micro-images agree within this part. Both are known to a few parts in
 /// 10⁴, or to 10⁻³ where centres are not corrected for oblique light; beyond that they are of different
 /// cameras.
 const SAME_PITCH: f64 = 2e-3;
-/// Part of the micro-images that agrees with its lens type where nothing is wrong.
-const AGREEMENT: f64 = 0.9;
 
 /// An error that names the image.
 pub(super) fn named(name: &str, error: &Error) -> Error {
@@ -52,8 +48,10 @@ pub(super) fn reference_of<'a>(
 }
 
 /// White images whose colour is not what is stated.
-pub(super) fn doubtful_colors(whites: &[White]) -> Vec<String> {
-    let doubt = |white: &White| Some(format!("{}: {}", white.name, white.image.doubtful_color()?));
+pub(super) fn doubtful_colors(whites: &[White]) -> Vec<Finding> {
+    let doubt = |white: &White| {
+        Some(Finding::caution(white.image.doubtful_color()?).about_image(&white.name))
+    };
     whites.iter().filter_map(doubt).collect()
 }
 
@@ -115,62 +113,18 @@ pub fn check_stated_pitch(
     Ok(())
 }
 
-impl Precalibration {
-    /// An error naming both values where the images contradict what is stated of the camera.
-    pub fn check_stated(&self, sheet: &Datasheet) -> Result<()> {
-        let grid = &self.array.grid;
-        if grid.lattice.kind() != sheet.lattice_kind {
-            return Err(Error::invalid(format!(
-                "the micro-images lie on a '{}' lattice, but the camera is stated to have a '{}' one: \
-                 correct that, or give the images of that camera",
-                grid.lattice.kind().name(),
-                sheet.lattice_kind.name()
-            )));
-        }
-        check_stated_pitch(sheet, &self.internal.parameters, grid)?;
-        let types = self.lens_types.types;
-        // Pinholes have no lens types that could show.
-        if sheet.lens_types > 0 && types != sheet.lens_types {
-            return Err(Error::invalid(format!(
-                "{types} lens type(s) show in the white images, but the camera is stated to have {}: \
-                 correct that, or take sharper white images",
-                sheet.lens_types
-            )));
-        }
-        Ok(())
-    }
-}
-
-/// A warning if the micro-images of the reference do not have the size of its f-number.
+/// A finding if the micro-images of the reference do not have the size of its f-number.
 pub(super) fn different_aperture(
     (reference, grey): (&White, &Grey),
-    levers: &Levers,
+    levers: &DiscGeometry,
     samples: &Samples,
     pattern: &Pattern,
-) -> Option<String> {
+) -> Option<Finding> {
     let (middle, pattern) = samples.middle_of(grey, pattern);
     let profile = profile_at((&middle, grey.floor()), &pattern, samples.nodes.first()?);
     let (a, b) = levers.radii(0);
     let radius = profile.fit(REACH * pattern.pitch(), levers.pixel())?.outer;
     let looks_like = reference.f_number * a / (radius - b);
-    ((radius / (a + b) - 1.0).abs() > CONTRADICTION).then(|| {
-        format!(
-            "{}: at f/{:.2} micro-images of type 1 should have a radius of {:.2} px, but have \
-             {radius:.2} px: it was taken at about f/{looks_like:.2}. Check the f-number of the main lens \
-             (f_number), which is that of this image and of the boards",
-            reference.name,
-            reference.f_number,
-            a + b
-        )
-    })
-}
-
-/// A warning of lens types that do not follow the lattice.
-pub(super) fn disagreeing_types(lens_types: &LensTypes) -> Option<String> {
-    let agreement = lens_types.agreement.filter(|agreement| *agreement < AGREEMENT)?;
-    Some(format!(
-        "only {:.0} % of the micro-images have the size of their lens type: the image is noisy, \
-         not white, or the types do not follow the lattice",
-        100.0 * agreement
-    ))
+    checks::aperture(reference.f_number, radius, a + b, looks_like)
+        .map(|finding| finding.about_image(&reference.name))
 }

@@ -2,8 +2,9 @@
 //! Eq. (miradiusfnumber).
 
 use super::internal::{RadiusMeasurement, fit_internal};
-use super::stage::White;
+use super::options::White;
 use crate::error::{Error, Result};
+use crate::finding::{Finding, Issue};
 use crate::model::Configuration;
 
 /// A radius this part away from where the other f-numbers put it is the sign of a wrong f-number: half a
@@ -28,7 +29,7 @@ pub(super) struct Doubt {
     /// agree without it.
     pub looks_like: Option<f64>,
     /// What the user should know.
-    pub text: String,
+    pub finding: Finding,
 }
 
 /// The white image that contradicts the others, if one does. An error if the f-numbers fit in another order: micro-images
@@ -69,18 +70,13 @@ pub(super) fn doubtful(
     {
         return Ok(without[best].as_ref().map(|lines| sizes.misfit(best, lines)));
     }
-    let text = without[worst].as_ref().map(|lines| {
-        let own = sizes.of(worst);
-        format!(
-            "{}: at f/{:.2} the radius of type 1 is {:.2} px, but the other images say {:.2} px: check its \
-             f-number, and that neither contrast nor black level were changed",
-            whites[worst].name,
-            stated[worst],
-            own[0].radius_px,
-            lines.radius(stated[worst], 0)
-        )
+    let finding = without[worst].as_ref().map(|lines| {
+        let (f_number, radius_px) = (stated[worst], sizes.of(worst)[0].radius_px);
+        let expected_px = lines.radius(f_number, 0);
+        Finding::caution(Issue::FNumberContradicted { f_number, radius_px, expected_px })
+            .about_image(&whites[worst].name)
     });
-    Ok(text.map(|text| Doubt { white: worst, looks_like: None, text }))
+    Ok(finding.map(|finding| Doubt { white: worst, looks_like: None, finding }))
 }
 
 /// Lines ϱ = m/N + |qᵢ|, px.
@@ -167,11 +163,8 @@ impl Sizes<'_> {
         let f_number = |m: &RadiusMeasurement| lines.m / (m.radius_px - lines.q[m.lens_type]);
         let looks_like = own.iter().map(f_number).sum::<f64>() / self.types as f64;
         let White { name, f_number, .. } = &self.whites[white];
-        let text = format!(
-            "{name}: its micro-images have the size of f/{looks_like:.2} and not of f/{f_number:.2}, if the other \
-             white images are right, and is left out. Check its f-number, that it is a white image of this camera, and \
-             that neither contrast nor black level were changed"
-        );
-        Doubt { white, looks_like: Some(looks_like), text }
+        let issue = Issue::FNumberLeftOut { f_number: *f_number, looks_like };
+        let finding = Finding::caution(issue).about_image(name);
+        Doubt { white, looks_like: Some(looks_like), finding }
     }
 }

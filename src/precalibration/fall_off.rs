@@ -10,11 +10,13 @@ use tracing::debug;
 
 use super::array::FoundArray;
 use super::centroid::{Blob, WINDOW};
+use super::disc_geometry::DiscGeometry;
+use super::discs::WITHIN;
 use super::lean::{Growth, lean, with_shared};
-use super::levers::Levers;
+use super::options::PrecalibrationOptions;
 use super::rings::{Alike, Gradient};
 use super::samples::Samples;
-use super::stage::PrecalibrationOptions;
+use crate::finding::{Finding, Issue};
 use crate::image::Grey;
 use crate::model::{FallOff, FillFactor, InternalParameters, Lean};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
@@ -34,10 +36,6 @@ const ROUNDS: usize = 4;
 /// A fall-off is known if its σ is below this part of that of cos⁴: corners near the border of an R12 are then
 /// right to 0.01 px.
 const KNOWN: f64 = 0.2;
-/// How well H follows from G by the law of the angle, relative: the pupil may be off the lens, and pixels see the two
-/// angles differently.
-pub(super) const WITHIN: f64 = 0.25;
-
 /// Fill factors of micro-lenses with gaps: the parabola in ln φ through these and that of no gaps has the lean to half a
 /// per cent at 0.8.
 const OTHERWISE: [f64; 2] = [0.9, 0.7];
@@ -48,7 +46,7 @@ pub(super) struct Measured {
     /// The lean of the array, where it shows.
     pub lean: Option<Lean>,
     /// That the fall-off was not measured.
-    pub warning: Option<String>,
+    pub finding: Option<Finding>,
 }
 
 /// The light of micro-images in a sample of every white image.
@@ -118,12 +116,13 @@ impl Light {
         let lean = self.lean(&gradients);
         debug!("{lean:?}");
         let Some(measured) = plane(&gradients.concat()).filter(known) else {
-            let warning = "how light falls off with its angle does not show in the white images: it is taken \
-                           to be cos⁴, and corners far from the axis may be off by 0.1 px; take white images \
-                           that are not clipped";
             let within_std_dev_per_px2 = cos4.within_per_px2;
             let fall_off = FallOff { within_std_dev_per_px2, ..cos4 };
-            return Measured { fall_off, lean, warning: Some(warning.to_owned()) };
+            return Measured {
+                fall_off,
+                lean,
+                finding: Some(Finding::caution(Issue::ResponseUnknown)),
+            };
         };
         let [growth, std_dev] =
             [measured.growth_per_px2, measured.std_dev_per_px2].map(|x| x / cos4.growth_per_px2);
@@ -137,7 +136,7 @@ impl Light {
         Measured {
             fall_off: FallOff { within_per_px2, within_std_dev_per_px2, ..measured },
             lean,
-            warning: None,
+            finding: None,
         }
     }
 
@@ -191,7 +190,7 @@ impl Light {
         law: &Obliquity,
     ) -> Vec<Vec<Gradient>> {
         let of_image = |(f_number, types): &(f64, Vec<Alike>)| {
-            let levers = Levers::new(internal, *f_number, self.seen_pitch_px, options);
+            let levers = DiscGeometry::new(internal, *f_number, self.seen_pitch_px, options);
             let of_type = |(lens_type, alike): (usize, &Alike)| {
                 let lever = |r| levers.lever(lens_type, r, law);
                 let light = |r| levers.light_and_growth(lens_type, r, law);

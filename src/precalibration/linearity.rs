@@ -9,7 +9,9 @@
 use tracing::debug;
 
 use super::discs::Discs;
-use super::stage::{PrecalibrationOptions, White, measured};
+use super::measurement::measured;
+use super::options::{PrecalibrationOptions, White};
+use crate::checks::whites as checks;
 use crate::error::Error;
 
 /// Powers this close to 1 are linear: on simulated cameras discs tell them to 0.01, with JPEG to 0.03,
@@ -72,17 +74,7 @@ fn power_from(
     None
 }
 
-/// That samples are not linear, and what to do.
-pub(super) fn not_linear(power: f64) -> String {
-    format!(
-        "the samples of the white images are not linear in light: light is about their power of \
-         {power:.1} (gamma, or another tone curve). What is measured on them is wrong. Switch gamma, tone \
-         curves and sRGB off in the camera and its software, and take or export all images again, boards \
-         too"
-    )
-}
-
 /// The error instead of another one that a gamma explains.
 pub(super) fn explained(error: Error, power: Option<f64>) -> Error {
-    power.map_or(error, |power| Error::invalid(not_linear(power)))
+    power.map_or(error, |power| Error::invalid(checks::not_linear(power).to_string()))
 }

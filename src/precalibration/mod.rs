@@ -2,14 +2,14 @@
 //! section 3 and "Features extraction").
 
 mod array;
-mod array_doubts;
+mod array_checks;
+mod array_search;
 mod black;
 mod centers;
 mod centroid;
 mod centroid_shift;
 mod checks;
-mod correction;
-mod disc_fit;
+mod disc_geometry;
 mod discs;
 mod f_numbers;
 mod fall_off;
@@ -17,27 +17,29 @@ mod grid;
 mod indexing;
 mod internal;
 mod lean;
-mod levers;
+mod lens_types;
 mod linearity;
+mod measurement;
+mod micro_image_status;
 mod nodes;
+mod options;
 mod pattern;
+mod pixel_response;
 mod profile;
 mod radii;
+mod result;
 mod rings;
 mod roundness;
 mod samples;
-mod seen;
-mod stack;
 mod stage;
-mod types;
-mod verdicts;
 
-pub use array::{
-    ArrayMeasurement, LeftOutCenters, lattice_centers, lattice_orientation, measure_array,
-};
+pub use array::{ArrayMeasurement, LeftOutCenters, LensTypes};
+pub use array_checks::array_findings;
+pub use array_search::{lattice_centers, lattice_orientation, measure_array};
 pub use checks::check_stated_pitch;
 pub use grid::{MicroImageArray, fit_grid};
 pub use internal::{InternalFit, RadiusMeasurement};
+pub use options::{PrecalibrationOptions, White};
 pub use radii::RadiusEstimator;
-pub use stage::{Precalibration, PrecalibrationOptions, White, precalibrate};
-pub use types::LensTypes;
+pub use result::Precalibration;
+pub use stage::precalibrate;

@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix2, Vector1, Vector2};
 
-use super::seen::{Angles, Oblique, Seen};
+use super::pixel_response::{Angles, Oblique, PixelResponse};
 use crate::numerics::{Descent, LeastSquares, NormalEquations};
 use crate::vignetting::{Obliquity, Pixel};
 
@@ -126,7 +126,7 @@ impl Profile {
         &self,
         [a, b]: [f64; 2],
         law: &Obliquity,
-        seen: &Seen,
+        seen: &PixelResponse,
     ) -> Option<Vec<f64>> {
         let oblique = self.angles.oblique(law);
         let found = self.residuals_with(a + b, (a - b).abs(), seen, &oblique);
@@ -134,7 +134,12 @@ impl Profile {
     }
 
     /// The light in the middle between discs of radii a and b, px; 0 if the profile does not determine it.
-    pub fn light_in_the_middle(&self, [a, b]: [f64; 2], law: &Obliquity, seen: &Seen) -> f64 {
+    pub fn light_in_the_middle(
+        &self,
+        [a, b]: [f64; 2],
+        law: &Obliquity,
+        seen: &PixelResponse,
+    ) -> f64 {
         let (outer, inner, oblique) = (a + b, (a - b).abs(), self.angles.oblique(law));
         let fitted = self.residuals_with(outer, inner, seen, &oblique);
         fitted.map_or(0.0, |(linear, _)| linear.x * seen.discs(outer, inner, &oblique).at(0.0))
@@ -143,7 +148,7 @@ impl Profile {
     /// Fits the radii of the discs, the outer one up to 1.4 times `largest`, px; `None` if the profile
     /// does not show an edge.
     pub fn fit(&self, largest: f64, pixel: &Pixel) -> Option<Edge> {
-        let seen = &Seen::new(pixel, self.furthest_px());
+        let seen = &PixelResponse::new(pixel, self.furthest_px());
         // Where much is clipped the sum of squares has several valleys: try starts all over first, on
         // some of the bins.
         let bins = self.bins.iter().step_by(COARSE).copied().collect();
@@ -167,7 +172,12 @@ impl Profile {
     }
 
     /// Amplitude and background that fit best, and the weighted residuals.
-    fn residuals(&self, outer: f64, inner: f64, seen: &Seen) -> Option<(Vector2<f64>, Vec<f64>)> {
+    fn residuals(
+        &self,
+        outer: f64,
+        inner: f64,
+        seen: &PixelResponse,
+    ) -> Option<(Vector2<f64>, Vec<f64>)> {
         self.residuals_with(outer, inner, seen, &self.oblique)
     }
 
@@ -175,7 +185,7 @@ impl Profile {
         &self,
         outer: f64,
         inner: f64,
-        seen: &Seen,
+        seen: &PixelResponse,
         oblique: &Oblique,
     ) -> Option<(Vector2<f64>, Vec<f64>)> {
         let brightest = self.bins.iter().map(|b| b.light).fold(0.0, f64::max);
@@ -194,7 +204,13 @@ impl Profile {
     }
 
     /// The edge that a descent from one start ends at, and its sum of squares.
-    fn descend(&self, outer: f64, inner: f64, largest: f64, seen: &Seen) -> Option<(Edge, f64)> {
+    fn descend(
+        &self,
+        outer: f64,
+        inner: f64,
+        largest: f64,
+        seen: &PixelResponse,
+    ) -> Option<(Edge, f64)> {
         let (trial, taken) = (Radii::default(), Radii::default());
         let mut squares = Squares { profile: self, seen, largest, trial, taken };
         let start = squares.moved(&Vector2::new(outer, inner), &Vector2::zeros());
@@ -220,7 +236,7 @@ impl Profile {
 /// fit best.
 struct Squares<'a> {
     profile: &'a Profile,
-    seen: &'a Seen,
+    seen: &'a PixelResponse,
     largest: f64,
     trial: Radii,
     taken: Radii,
@@ -285,22 +301,117 @@ impl LeastSquares<2> for Squares<'_> {
     }
 }
 
+// How samples are collected.
+
+/// Fewest samples in a bin for a standard deviation worth having.
+const FEWEST: f64 = 8.0;
+/// Samples above this part of full scale may be clipped and are left out, and so are bins with more than
+/// this part of them: fewer are hot pixels.
+const CLIPPED: f64 = 0.97;
+const HOT: f64 = 0.01;
+/// Where noise is clipped at 0, bins with more than this part of their samples there are brighter than
+/// their light, and left out. An image with a black level has none.
+const BLACK: f64 = 0.02;
+/// Rounding makes black brighter by less than this part of a grey level.
+const ROUNDED: f64 = 0.1;
+/// Only light up to this part of the brightest is fitted: the outer radius shows at the edge, across
+/// which the effect of oblique rays changes little.
+const OUTER_LIGHT: f64 = 0.5;
+
+/// Collects samples into a profile.
+#[derive(Debug)]
+pub(super) struct RadialHistogram {
+    bins: Vec<Sums>,
+    /// The light of a sample of 0.
+    floor: f64,
+    /// The smallest light above it: a grey level, at most.
+    level: f64,
+}
+
+/// Sums over the samples of a bin that are not clipped at white: their number, distances, light, its
+/// square; the number of the others; and of those that may be clipped at black.
+type Sums = [f64; 6];
+
+impl RadialHistogram {
+    /// For distances up to `reach`, px, of light that is clipped at `floor`.
+    pub fn new(reach: f64, floor: f64) -> Self {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
+        let bins = (reach / BIN_PX).ceil() as usize;
+        Self { bins: vec![[0.0; 6]; bins], floor, level: f64::INFINITY }
+    }
+
+    #[inline]
+    pub fn add(&mut self, radius: f64, light: f64) {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a distance
+        let bin = (radius / BIN_PX) as usize;
+        let above = light - self.floor;
+        if above > 0.0 && above < self.level {
+            self.level = above;
+        }
+        if let Some(bin) = self.bins.get_mut(bin) {
+            if light > CLIPPED {
+                bin[4] += 1.0;
+                return;
+            }
+            bin[0] += 1.0;
+            bin[1] += radius;
+            bin[2] += light;
+            bin[3] += light * light;
+            bin[5] += f64::from(u8::from(above <= 0.0));
+        }
+    }
+
+    /// The profile, without what noise about black spoils unless no edge is left then.
+    pub fn profile(&self) -> Profile {
+        let without = self.noise_is_clipped().then(|| self.bins_with(BLACK));
+        without.filter(Profile::shows_an_edge).unwrap_or_else(|| self.bins_with(1.0))
+    }
+
+    /// The bins with at most this part of their samples at black.
+    fn bins_with(&self, most_black: f64) -> Profile {
+        let bin = |&[count, radius, light, square, white, black]: &Sums| {
+            let mean = light / count;
+            let variance = (square / count - mean * mean).max(0.0);
+            let hot = HOT * (count + white);
+            (count >= FEWEST && white <= hot && black <= most_black * count).then(|| Bin {
+                radius: radius / count,
+                light: mean,
+                std_dev: (variance / count).sqrt(),
+            })
+        };
+        let bins: Vec<Bin> = self.bins.iter().filter_map(bin).collect();
+        let clipped = self.bins.iter().any(|bin| bin[4] > HOT * (bin[0] + bin[4]));
+        let brightest = bins.iter().map(|bin| bin.light).fold(0.0, f64::max);
+        let limit = OUTER_LIGHT * if clipped { 1.0 } else { brightest };
+        let (bins, bright) = bins.into_iter().partition(|bin| bin.light <= limit);
+        Profile { bins, bright, ..Profile::default() }
+    }
+
+    /// Whether noise about black is clipped by enough to matter: the darkest bins are brighter than rounding makes them.
+    fn noise_is_clipped(&self) -> bool {
+        let filled = || self.bins.iter().filter(|bin| bin[0] >= FEWEST);
+        let darkest = filled().map(|bin| bin[2] / bin[0]).fold(f64::INFINITY, f64::min);
+        let clipped = filled().any(|bin| (BLACK..1.0 - BLACK).contains(&(bin[5] / bin[0])));
+        clipped && darkest - self.floor > ROUNDED * self.level
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::stack::Stack;
     use super::*;
 
     fn drawn(outer: f64, inner: f64, amplitude: f64) -> Profile {
-        let mut stack = Stack::new(14.0, 0.0);
-        let seen = Seen::new(&Pixel::default(), 14.0).discs(outer, inner, &Oblique::default());
+        let mut histogram = RadialHistogram::new(14.0, 0.0);
+        let seen =
+            PixelResponse::new(&Pixel::default(), 14.0).discs(outer, inner, &Oblique::default());
         for i in 0..4000_i32 {
             let radius = 14.0 * (f64::from(i) + 0.5) / 4000.0;
             let light = (0.02 + amplitude * seen.at(radius)).min(1.0);
             for _ in 0..8 {
-                stack.add(radius, light);
+                histogram.add(radius, light);
             }
         }
-        stack.profile()
+        histogram.profile()
     }
 
     /// An edge that is rounder than any overlap of discs draws the inner radius below 0.
@@ -310,7 +421,7 @@ mod tests {
         for bin in &mut profile.bins {
             bin.light -= 0.05 * bin.light * (1.0 - bin.light);
         }
-        let seen = Seen::new(&Pixel::default(), profile.furthest_px());
+        let seen = PixelResponse::new(&Pixel::default(), profile.furthest_px());
         let ends: Vec<Edge> = [(6.2, 0.3), (6.2, 1.5), (7.4, 5.0), (7.8, 2.0)]
             .iter()
             .filter_map(|&(outer, inner)| Some(profile.descend(outer, inner, 12.0, &seen)?.0))
@@ -327,7 +438,7 @@ mod tests {
         const PITCH: f64 = 23.3;
         let (outer, inner, pixel) = (11.6, 1.4, Pixel::new(1.0));
         let mut profile = drawn(outer, inner, 3.0);
-        let seen = Seen::new(&pixel, PITCH).discs(outer, inner, &Oblique::default());
+        let seen = PixelResponse::new(&pixel, PITCH).discs(outer, inner, &Oblique::default());
         for bin in profile.bins.iter_mut().chain(&mut profile.bright) {
             bin.light = 0.02 + 3.0 * (seen.at(bin.radius) + seen.at(PITCH - bin.radius) / 3.0);
         }

@@ -6,9 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::array::FoundArray;
 use super::centroid::{Blob, darkest_neighbourhood, measure_blob, pixels_about};
 use super::pattern::Pattern;
-use super::profile::{Edge, Profile};
-use super::seen::{Oblique, Seen};
-use super::stack::Stack;
+use super::pixel_response::{Oblique, PixelResponse};
+use super::profile::{Edge, Profile, RadialHistogram};
 use crate::image::Image;
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight, median};
 use crate::vignetting::{Obliquity, Pixel};
@@ -125,11 +124,13 @@ fn stacked(
     let blobs: Vec<Blob> =
         nodes.iter().filter_map(|&node| measure_blob(image, pattern, node)).collect();
     let reach = REACH * pattern.pitch();
-    let mut stack = Stack::new(reach, floor);
+    let mut histogram = RadialHistogram::new(reach, floor);
     for blob in &blobs {
-        pixels_about(image, &blob.center, reach, |offset, value| stack.add(offset.norm(), value));
+        pixels_about(image, &blob.center, reach, |offset, value| {
+            histogram.add(offset.norm(), value)
+        });
     }
-    (blobs, stack.profile())
+    (blobs, histogram.profile())
 }
 
 fn moments_radius(
@@ -212,7 +213,7 @@ impl Template {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
         let count = (reach / TEMPLATE_PX) as usize + 3;
         let place = |i: usize| i as f64 * TEMPLATE_PX;
-        let seen = Seen::new(&Pixel::default(), place(count));
+        let seen = PixelResponse::new(&Pixel::default(), place(count));
         let shape = |outer: f64| -> Vec<f64> {
             let discs = seen.discs(outer, edge.inner, &Oblique::default());
             (0..count).map(|i| discs.at(place(i))).collect()

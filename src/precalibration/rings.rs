@@ -171,10 +171,10 @@ impl Alike {
     }
 
     /// g and the growth of every micro-image that shows them, by its light up to a distance; see
-    /// [`Levers::lever`] and [`Levers::light_and_growth`].
+    /// [`DiscGeometry::lever`] and [`DiscGeometry::light_and_growth`].
     ///
-    /// [`Levers::lever`]: super::levers::Levers::lever
-    /// [`Levers::light_and_growth`]: super::levers::Levers::light_and_growth
+    /// [`DiscGeometry::lever`]: super::disc_geometry::DiscGeometry::lever
+    /// [`DiscGeometry::light_and_growth`]: super::disc_geometry::DiscGeometry::light_and_growth
     pub fn gradients(
         &self,
         reach: f64,

@@ -7,30 +7,18 @@
 use nalgebra::{Matrix2, Vector1, Vector2};
 use rayon::prelude::*;
 
+use crate::checks::whites as checks;
+use crate::finding::Finding;
 use crate::image::{Grey, bounds};
 use crate::model::MicroImageCenter;
 use crate::numerics::NormalEquations;
 
-/// How much narrower micro-images may be at the corners of the image, as a part of their width. Real lenses at their
-/// full aperture have 0 to 0.01 without a second stop.
-const NARROW: f64 = 0.02;
-/// It counts where it is so many σ from none.
-const SURE: f64 = 5.0;
 /// Light is read up to here from the centre, in pitches.
 const REACH: f64 = 0.5;
 
-/// A warning if micro-images towards the corners are not round.
-pub(super) fn oblong(image: &Grey, centers: &[MicroImageCenter], pitch_px: f64) -> Option<String> {
-    let (narrower, std_dev) = narrower_at_corners(image, centers, pitch_px)?;
-    (narrower > NARROW && narrower > SURE * std_dev).then(|| {
-        format!(
-            "micro-images at the corners are {:.0} % narrower along the direction from the middle of the image than \
-             across it: the main lens cuts oblique light, and its pupil is no disc there. Distortion, field \
-             curvature and the tilt of the array can be off by several of their standard deviations. Take boards \
-             and white images at a larger f-number, or keep boards away from the border",
-            100.0 * narrower
-        )
-    })
+/// A finding if micro-images towards the corners are not round.
+pub(super) fn oblong(image: &Grey, centers: &[MicroImageCenter], pitch_px: f64) -> Option<Finding> {
+    checks::roundness(narrower_at_corners(image, centers, pitch_px)?)
 }
 
 /// By which part of their width micro-images at the corners of the image are narrower towards its middle than across,
@@ -128,7 +116,7 @@ mod tests {
             std_dev_px: None,
         };
         let centers: Vec<MicroImageCenter> = (0..300).map(center).collect();
-        assert_eq!(oblong(&raw.grey(), &centers, PITCH).is_some(), narrower > NARROW);
+        assert_eq!(oblong(&raw.grey(), &centers, PITCH).is_some(), narrower > 0.02);
         narrower_at_corners(&raw.grey(), &centers, PITCH).unwrap().0
     }
 

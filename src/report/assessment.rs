@@ -4,7 +4,8 @@ use super::html::{Part, Section};
 use super::table::{Table, table};
 use crate::assessment::{Assessment, NextBoard, ObjectSpace, Verdict};
 use crate::calibration::{Calibration, OutlyingFeature};
-use crate::model::{display_unit, with_std_dev};
+use crate::finding::Severity;
+use crate::quantity::{display_unit, with_std_dev};
 use crate::solver::Anchor;
 
 /// Outlying features that are named one by one.
@@ -13,11 +14,11 @@ const NAMED: usize = 5;
 /// The verdict with its reasons, and what to do next: a line each.
 #[must_use]
 pub fn verdict_lines(assessment: &Assessment) -> Vec<String> {
-    let mut lines = vec![match (assessment.verdict, assessment.reasons.len()) {
-        (Verdict::Good, _) => "Verdict: good. Nothing speaks against this calibration.".to_owned(),
-        (verdict, _) => format!("Verdict: {verdict}, because"),
+    let mut lines = vec![match assessment.verdict {
+        Verdict::Good => "Verdict: good. Nothing speaks against this calibration.".to_owned(),
+        verdict => format!("Verdict: {verdict}, because"),
     }];
-    let numbered = assessment.reasons.iter().enumerate();
+    let numbered = assessment.findings.iter().filter(|f| f.severity > Severity::Note).enumerate();
     lines.extend(numbered.map(|(i, reason)| format!("{}. {reason}.", i + 1)));
     lines.extend(assessment.next_board.as_ref().map(next_text));
     lines

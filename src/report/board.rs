@@ -2,7 +2,8 @@
 
 use super::assessment::two_digits;
 use crate::calibration::{BoardModel, Calibration, Effort, Trial};
-use crate::model::{SHAPE_PARAMETERS, with_std_dev};
+use crate::model::SHAPE_PARAMETERS;
+use crate::quantity::with_std_dev;
 
 /// What a calibration says of the board: a sentence.
 pub(super) fn board_text(calibration: &Calibration) -> String {

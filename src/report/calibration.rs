@@ -12,9 +12,9 @@ use super::table::{Table, table};
 use crate::assessment::Assessment;
 use crate::calibration::{Calibration, termination_text, weakest_directions_text};
 use crate::model::{
-    BoardShape, Named, Parameter, Rmse, SHAPE_PARAMETERS, display_unit, intrinsic_parameters,
-    shared_parameters, with_std_dev,
+    BoardShape, Named, Parameter, Rmse, SHAPE_PARAMETERS, intrinsic_parameters, shared_parameters,
 };
+use crate::quantity::{display_unit, with_std_dev};
 use crate::solver::LossKind;
 
 /// The result of a calibration on a terminal: parameters, errors, convergence, weakest direction.

@@ -2,9 +2,10 @@
 
 use super::calibration_figures::shifts_picture;
 use super::table::{Table, table};
+use crate::assessment::{CameraComparison, DistanceDifference, ParameterPair};
 use crate::error::Result;
-use crate::evaluation::{CameraComparison, DistanceDifference, ParameterPair};
-use crate::model::{Sensor, display_unit, with_std_dev};
+use crate::model::Sensor;
+use crate::quantity::{display_unit, with_std_dev};
 
 /// Beyond so many σ a parameter is named as different.
 const DIFFERENT: f64 = 3.0;

@@ -3,7 +3,8 @@
 use super::calibration::errors_table;
 use super::table::{Table, table};
 use crate::calibration::Calibration;
-use crate::model::{SHAPE_PARAMETERS, display_unit, shared_parameters, with_std_dev};
+use crate::model::{SHAPE_PARAMETERS, shared_parameters};
+use crate::quantity::{display_unit, with_std_dev};
 
 /// How far from the minimum a camera may be, in σ of independent errors along the way there, to be as good.
 const NEGLIGIBLE: f64 = 0.01;

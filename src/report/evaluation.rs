@@ -2,13 +2,12 @@
 
 use super::html::HtmlTable;
 use super::table::table;
-use crate::evaluation::{
+use crate::assessment::{
     Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors,
     Reconstruction,
 };
-use crate::model::{
-    PlenopticCamera, Rmse, display_unit, intrinsic_parameters, signed, with_std_dev,
-};
+use crate::model::{PlenopticCamera, Rmse, intrinsic_parameters};
+use crate::quantity::{display_unit, signed, with_std_dev};
 
 /// What tables call the point clouds of other software.
 const CLOUDS: &str = "point clouds";

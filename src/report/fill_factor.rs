@@ -1,7 +1,8 @@
 //! What a calibration says of the widths of edges, in words.
 
 use crate::calibration::{Calibration, Mode};
-use crate::model::{FillFactor, PointSpread, with_std_dev};
+use crate::model::{FillFactor, PointSpread};
+use crate::quantity::with_std_dev;
 
 /// Which part of their pitch micro-lenses fill, and how sharp edges are: a sentence or two. Nothing where blur takes no
 /// part, or where neither is known of a camera that was calibrated before.

@@ -3,9 +3,9 @@
 use super::assessment::two_digits;
 use super::html::{Figure, Part};
 use super::table::{Table, table};
+use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
-use crate::evaluation::{ModelComparison, WithoutGroup};
-use crate::model::{signed, with_std_dev};
+use crate::quantity::{signed, with_std_dev};
 
 /// Caption of the table of models.
 pub const MODELS: &str = "What each group of parameters is worth: the calibration without it, and how much \
@@ -93,7 +93,7 @@ fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Str
     )];
     let unasked = comparison.groups.iter().filter(|without| without.moves_unasked());
     sentences.extend(unasked.map(|without| unasked_text(calibration, without)));
-    sentences.extend(comparison.problems.iter().map(|problem| format!("Not compared: {problem}.")));
+    sentences.extend(comparison.findings.iter().map(|finding| format!("Not compared: {finding}.")));
     sentences
 }
 

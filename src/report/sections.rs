@@ -10,6 +10,7 @@ use super::precalibration::{array_text, internal_table, levels_text, radii_table
 use crate::assessment::Assessment;
 use crate::calibration::Calibration;
 use crate::detection::DetectedBoards;
+use crate::finding::Finding;
 use crate::precalibration::Precalibration;
 
 /// Number of frames whose figures are shown at once; the others are shown on demand.
@@ -17,6 +18,10 @@ const FRAMES_SHOWN: usize = 1;
 
 fn paragraphs(text: &str) -> impl Iterator<Item = Part> {
     text.lines().map(str::trim).filter(|line| !line.is_empty()).map(|l| Part::Text(l.to_owned()))
+}
+
+fn texts(findings: &[Finding]) -> Vec<String> {
+    findings.iter().map(ToString::to_string).collect()
 }
 
 fn warnings_part(warnings: &[String]) -> Option<Part> {
@@ -32,7 +37,7 @@ pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> 
     let mut parts: Vec<Part> = paragraphs(&array_text(&result.array)).collect();
     parts.extend(paragraphs(&types_text(&result.lens_types)));
     parts.extend(levels_text(result).map(Part::Text));
-    parts.extend(warnings_part(&result.warnings));
+    parts.extend(warnings_part(&texts(&result.findings)));
     parts.push(Part::Table(
         internal_table(result).captioned("Internal parameters (paper, Table 2)"),
     ));
@@ -40,14 +45,14 @@ pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> 
         radii_table(result).captioned("Radii of the micro-images by f-number and lens type"),
     ));
     parts.extend(figures.into_iter().map(Part::Figure));
-    Section { title: "Pre-calibration".to_owned(), parts, warnings: result.warnings.clone() }
+    Section { title: "Pre-calibration".to_owned(), parts, warnings: texts(&result.findings) }
 }
 
 /// The boards of a subset, frame by frame.
 #[must_use]
 pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Figure>) -> Section {
     let mut parts = Vec::new();
-    parts.extend(warnings_part(&boards.warnings));
+    parts.extend(warnings_part(&texts(&boards.findings)));
     parts.push(Part::Table(detection_table(&boards.frames).captioned("Frame by frame")));
     parts.extend(paragraphs(&dropped_text(&boards.frames)));
     let mut figures = figures.into_iter().map(Part::Figure);
@@ -56,7 +61,7 @@ pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Fig
     if !others.is_empty() {
         parts.push(Part::Details { summary: "The other frames".to_owned(), parts: others });
     }
-    Section { title: format!("Boards: {subset}"), parts, warnings: boards.warnings.clone() }
+    Section { title: format!("Boards: {subset}"), parts, warnings: texts(&boards.findings) }
 }
 
 /// Parameters with their standard deviations, errors, and figures.
@@ -68,9 +73,7 @@ pub fn calibration_section(
     figures: Vec<Figure>,
 ) -> Section {
     let mut parts: Vec<Part> = verdict_lines(assessment).into_iter().map(Part::Text).collect();
-    let left_out = calibration.left_out.iter().map(ToString::to_string);
-    let warnings: Vec<String> =
-        left_out.chain(calibration.warnings.iter().map(ToString::to_string)).collect();
+    let warnings = texts(&calibration.findings);
     parts.extend(warnings_part(&warnings));
     parts.push(Part::Table(parameters_table(calibration).captioned("Parameters")));
     parts.extend(anchors_table(calibration).map(|t| {

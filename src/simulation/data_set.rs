@@ -14,10 +14,20 @@ use super::imaging::Imaging;
 use super::sampling::hash;
 use super::scene::Scene;
 use super::settings::Settings;
-use super::stage::Content;
 use crate::error::{Error, Result};
 use crate::image::{Image, RawImage};
 use crate::model::{FramePose, Subset};
+
+/// What an image of a data set shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Content {
+    /// A white image for the pre-calibration, by its index.
+    White(usize),
+    /// The white image in the light and at the f-number of the boards.
+    Devignetting,
+    /// The board of a frame.
+    Board(Subset, u32),
+}
 
 /// One image to take.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -4,6 +4,8 @@
 use nalgebra::{Point3, Vector3};
 
 use super::prescription::Prescription;
+#[cfg(test)]
+use super::ray::Passage;
 use super::ray::{Ray, Stop};
 use super::real_lens::{LensFigures, RealLens};
 use super::scene::PlacedTarget;
@@ -25,17 +27,6 @@ pub(super) struct Lens {
 pub(super) enum Optics {
     Thin(ThinMainLens),
     Real(RealLens),
-}
-
-/// What becomes of a ray from the sensor.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Passage {
-    /// It is blocked.
-    Blocked,
-    /// It leads away from the board.
-    Away,
-    /// It goes on in front of the lens.
-    Seen(Ray),
 }
 
 /// Beyond this an exit pupil might as well be at infinity, mm.

@@ -9,11 +9,11 @@
 //! [`simulate`] makes a whole data set from [`Settings`].
 
 mod array;
+mod board_texture;
 mod data_set;
 mod imaging;
 mod imperfections;
 mod main_lens;
-mod paraxial;
 mod prescription;
 mod presets;
 mod ray;
@@ -28,7 +28,6 @@ mod sampling;
 mod scene;
 mod sensor;
 mod settings;
-mod sheet;
 mod spread;
 mod stage;
 mod target;
@@ -39,7 +38,7 @@ mod tracer;
 mod truth;
 mod window;
 
-pub use data_set::{DataSet, Shot};
+pub use data_set::{Content, DataSet, Shot};
 pub use imaging::Imaging;
 pub use imperfections::{FallOffLaw, Imperfections, SecondStop};
 pub use prescription::{Prescription, Surface};
@@ -47,7 +46,7 @@ pub use presets::{PRESETS, Preset};
 pub use real_lens::LensFigures;
 pub use scene::Scene;
 pub use settings::{Boards, Settings, TranslationStage, WhiteImages};
-pub use stage::{Content, Progress, Simulated, Truth, simulate};
+pub use stage::{Progress, Simulated, Truth, simulate};
 pub use target::Target;
 pub use tracer::Tracer;
 pub use truth::{Spot, TrueCenter, TrueFeature};

@@ -1,4 +1,4 @@
-//! Straight rays, and openings that they pass.
+//! Straight rays, openings that they pass, and what becomes of them.
 
 use nalgebra::{Point3, Vector2};
 
@@ -45,4 +45,15 @@ impl Stop {
         let off = ray.at(self.center.z) - self.center.xy().coords;
         off.x * off.x + off.y * off.y <= self.limit2
     }
+}
+
+/// What becomes of a ray from the sensor.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Passage {
+    /// It is blocked.
+    Blocked,
+    /// It leads away from the board.
+    Away,
+    /// It goes on in front of the lens.
+    Seen(Ray),
 }

@@ -13,15 +13,39 @@ use pulp::{Arch, NullaryFnOnce};
 
 use super::array::MicroLens;
 use super::imperfections::FallOffLaw;
-use super::main_lens::{Optics, Passage};
-use super::ray::Ray;
+use super::main_lens::Optics;
+use super::ray::{Passage, Ray};
 use super::real_lens::RealLens;
-use super::rendering::{Bundle, Draw};
 use super::sampling::{BLOCK, Points, RaySet};
 use super::scene::PlacedTarget;
 use super::thin_lens::{Aim, ThinMainLens};
 use super::tracer::Tracer;
 use super::window::Window;
+
+/// The rays between one pixel and one micro-lens, in local coordinates.
+pub(super) struct Bundle {
+    /// Middle of the pixel, and the steps to its neighbours.
+    pub pixel: Vector3<f64>,
+    pub right: Vector3<f64>,
+    pub down: Vector3<f64>,
+    /// Where its rays are drawn.
+    pub draw: Draw,
+    /// What its rays have in common behind a thin main lens, if they lead to the board.
+    pub aim: Option<Aim>,
+}
+
+/// From where the rays to a place on the sensor, or to a pixel, are drawn.
+pub(super) struct Draw {
+    /// Whether rays are drawn on the opening of the micro-lens, or else on the pupil: on whichever is
+    /// smaller, projected onto the plane of the micro-lens.
+    pub on_opening: bool,
+    /// Which part of it.
+    pub window: Window,
+    /// Area of that part, in the plane of the micro-lens.
+    pub area: f64,
+    /// The middle of the pupil, projected onto the plane of the micro-lens.
+    pub middle: Vector2<f64>,
+}
 
 /// Rays side by side; the room is used again for the next ones.
 pub(super) struct Block {
@@ -37,28 +61,28 @@ pub(super) struct Block {
 }
 
 /// What the rays of a bundle bring.
-pub(super) struct Gathering<'a> {
+pub(super) struct BundleIntegral<'a> {
     pub tracer: &'a Tracer,
     pub lens: &'a MicroLens,
     pub bundle: &'a Bundle,
     pub set: RaySet<'a>,
     /// u and v.
     pub at: [usize; 2],
-    pub sees: Sees<'a>,
+    pub sees: BundleTarget<'a>,
     /// Room for rays.
     pub block: &'a mut Block,
 }
 
 /// What all rays of a bundle see that pass the main lens.
 #[derive(Clone, Copy)]
-pub(super) enum Sees<'a> {
+pub(super) enum BundleTarget<'a> {
     /// One radiance.
     Plain(f64),
     /// A board, or what is beside it.
     Board(&'a PlacedTarget),
 }
 
-impl Gathering<'_> {
+impl BundleIntegral<'_> {
     /// The mean over the rays of the light that each brings, times the area that it is drawn from, but 0 for those that dust
     /// stops.
     pub fn light(self) -> f64 {
@@ -66,7 +90,7 @@ impl Gathering<'_> {
     }
 }
 
-impl NullaryFnOnce for Gathering<'_> {
+impl NullaryFnOnce for BundleIntegral<'_> {
     type Output = f64;
 
     #[inline(always)]
@@ -90,19 +114,21 @@ impl NullaryFnOnce for Gathering<'_> {
                 block.keep(|ray| stop.passes(ray));
             }
             match (&tracer.lens.optics, sees) {
-                (Optics::Thin(thin), Sees::Plain(radiance)) => {
+                (Optics::Thin(thin), BundleTarget::Plain(radiance)) => {
                     let pupil = thin.pupil;
                     block.keep(|ray| pupil.passes(ray));
                     block.see_plain(radiance);
                 }
-                (Optics::Thin(thin), Sees::Board(board)) => {
+                (Optics::Thin(thin), BundleTarget::Board(board)) => {
                     block.see_through_thin(thin, bundle.aim.as_ref(), board);
                 }
-                (Optics::Real(real), Sees::Plain(radiance)) => {
+                (Optics::Real(real), BundleTarget::Plain(radiance)) => {
                     block.pass_real(real);
                     block.see_plain(radiance);
                 }
-                (Optics::Real(real), Sees::Board(board)) => block.see_through_real(real, board),
+                (Optics::Real(real), BundleTarget::Board(board)) => {
+                    block.see_through_real(real, board)
+                }
             }
             block.fall_off(tracer.fall_off, tracer.mla_to_sensor);
             for i in 0..BLOCK {
@@ -258,7 +284,7 @@ impl Block {
         match aim {
             Some(aim) if thin.moves => self.see_board(thin, aim, true, board),
             Some(aim) => self.see_board(thin, aim, false, board),
-            None => self.see_plain(board.sheet.background),
+            None => self.see_plain(board.texture.background),
         }
     }
 
@@ -284,13 +310,13 @@ impl Block {
             }
         } else {
             // A copy, so that both radiances stay in registers.
-            let sheet = board.sheet;
+            let texture = board.texture;
             for i in 0..BLOCK {
-                radiance[i] = sheet.radiance(board.place(&self.ray(i)));
+                radiance[i] = texture.radiance(board.place(&self.ray(i)));
             }
         }
         for i in 0..BLOCK {
-            let background = board.sheet.background;
+            let background = board.texture.background;
             self.light[i] *= if meeting[i] > 0.0 { radiance[i] } else { background };
         }
     }
@@ -310,7 +336,7 @@ impl Block {
             if self.light[i] > 0.0 {
                 self.light[i] *= match real.follow(&self.ray(i), board) {
                     Passage::Blocked => 0.0,
-                    Passage::Away => board.sheet.background,
+                    Passage::Away => board.texture.background,
                     Passage::Seen(outer) => board.radiance(&outer),
                 };
             }

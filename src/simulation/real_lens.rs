@@ -9,9 +9,8 @@
 use nalgebra::{Matrix2, Point3, Vector2, Vector3};
 use serde::Serialize;
 
-use super::main_lens::Passage;
-use super::paraxial::Paraxial;
-use super::prescription::Prescription;
+use super::prescription::{Paraxial, Prescription};
+use super::ray::Passage;
 use super::ray::Ray;
 use super::scene::PlacedTarget;
 use crate::error::{Error, Result};

@@ -2,9 +2,9 @@
 
 use nalgebra::{Point3, Vector2, Vector3};
 
-use super::main_lens::{Lens, Passage};
-use super::paraxial::Paraxial;
-use super::prescription::Prescription;
+use super::main_lens::Lens;
+use super::prescription::{Paraxial, Prescription};
+use super::ray::Passage;
 use super::ray::Ray;
 use super::real_lens::RealLens;
 use super::sampling::RaySets;

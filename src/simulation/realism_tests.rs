@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use super::data_set::DataSet;
-use super::main_lens::Passage;
+use super::ray::Passage;
 use super::scene::{PlacedTarget, Scene};
 use super::settings::Settings;
 use super::{Imperfections, Target, Tracer};

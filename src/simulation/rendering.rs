@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::array::MicroLens;
 use super::main_lens::Optics;
 use super::ray::Ray;
-use super::rays::{Block, Gathering, Sees};
+use super::rays::{Block, Bundle, BundleIntegral, BundleTarget, Draw};
 use super::sampling::{RaySets, hash};
 use super::scene::{PlacedTarget, Scene};
 use super::spread::{Footprint, half_width_px};
@@ -27,31 +27,6 @@ const SIDE_BY_SIDE: usize = 8;
 /// third across it.)
 const SURELY: f64 = 1.4;
 const SURELY_SQUARES: f64 = 0.01;
-
-/// The rays between one pixel and one micro-lens, in local coordinates.
-pub(super) struct Bundle {
-    /// Middle of the pixel, and the steps to its neighbours.
-    pub pixel: Vector3<f64>,
-    pub right: Vector3<f64>,
-    pub down: Vector3<f64>,
-    /// Where its rays are drawn.
-    pub draw: Draw,
-    /// What its rays have in common behind a thin main lens, if they lead to the board.
-    pub aim: Option<Aim>,
-}
-
-/// From where the rays to a place on the sensor, or to a pixel, are drawn.
-pub(super) struct Draw {
-    /// Whether rays are drawn on the opening of the micro-lens, or else on the pupil: on whichever is
-    /// smaller, projected onto the plane of the micro-lens.
-    pub on_opening: bool,
-    /// Which part of it.
-    pub window: Window,
-    /// Area of that part, in the plane of the micro-lens.
-    pub area: f64,
-    /// The middle of the pupil, projected onto the plane of the micro-lens.
-    middle: Vector2<f64>,
-}
 
 impl Tracer {
     /// Renders an image: irradiance of every pixel relative to [`Tracer::reference_irradiance`], from
@@ -132,20 +107,28 @@ impl Tracer {
             let ray = self.between(lens, middle, Vector2::zeros());
             let aim = board.and_then(|board| self.lens.aim(&ray, board, None));
             let sees = match (board, &aim) {
-                (None, _) => Sees::Plain(1.0),
-                (Some(board), None) => Sees::Board(board),
+                (None, _) => BundleTarget::Plain(1.0),
+                (Some(board), None) => BundleTarget::Board(board),
                 (Some(board), Some(aim)) => {
                     let plain = self.plain(lens, (middle, some.len()), aim, board);
-                    plain.map_or(Sees::Board(board), Sees::Plain)
+                    plain.map_or(BundleTarget::Board(board), BundleTarget::Plain)
                 }
             };
             for u in some {
-                let aims_at = if let Sees::Board(board) = sees { Some(board) } else { None };
+                let aims_at =
+                    if let BundleTarget::Board(board) = sees { Some(board) } else { None };
                 let Some(bundle) = self.bundle(lens, u, v, aims_at, aim.as_ref()) else { continue };
                 let set = sets.set(hash([seed, i as u64, u as u64, v as u64]));
                 let block = &mut block;
-                let gathering =
-                    Gathering { tracer: self, lens, bundle: &bundle, set, at: [u, v], sees, block };
+                let gathering = BundleIntegral {
+                    tracer: self,
+                    lens,
+                    bundle: &bundle,
+                    set,
+                    at: [u, v],
+                    sees,
+                    block,
+                };
                 sums[u] += gathering.light();
             }
         }
@@ -193,7 +176,7 @@ impl Tracer {
                 reach += (place(off_px, on_lens)? - at).abs() * SURELY;
             }
         }
-        board.sheet.radiance_between(&(at - reach), &(at + reach))
+        board.texture.radiance_between(&(at - reach), &(at + reach))
     }
 
     /// The rays between a pixel and the pupil through one micro-lens; `None` if there are none. The search for

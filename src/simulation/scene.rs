@@ -2,10 +2,9 @@
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 
+use super::board_texture::BoardTexture;
 use super::ray::Ray;
-use super::sheet::Sheet;
 use super::target::{Surface, Target};
-use super::thin_lens::ImageShift;
 use crate::error::{Error, Result};
 
 /// What an image shows.
@@ -20,7 +19,7 @@ pub enum Scene {
 /// A checkerboard in the camera frame, prepared for ray tracing.
 #[derive(Debug, Clone)]
 pub(super) struct PlacedTarget {
-    pub sheet: Sheet,
+    pub texture: BoardTexture,
     origin: Point3<f64>,
     /// Board axes in units of a square.
     x: Vector3<f64>,
@@ -47,6 +46,23 @@ pub(super) struct BoardPlane {
 struct Bent {
     surface: Surface,
     rotation: UnitQuaternion<f64>,
+}
+
+/// How far image points lie from those of an ideal lens: `across` to the side, and along z by `along` +
+/// `gradient` · x where the ideal point is x, which comes to `nearer` for this one; mm.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ImageShift {
+    pub across: Vector2<f64>,
+    pub along: f64,
+    pub gradient: Vector2<f64>,
+    pub nearer: f64,
+}
+
+impl ImageShift {
+    /// That of an ideal lens.
+    pub fn none() -> Self {
+        Self { across: Vector2::zeros(), along: 0.0, gradient: Vector2::zeros(), nearer: 0.0 }
+    }
 }
 
 /// The image of a board behind the lens about one of its points: points x, moved back by `shift`, with
@@ -112,7 +128,7 @@ impl PlacedTarget {
         let stretch = target.stretch();
         let offset = normal.dot(&pose.translation.vector);
         Ok(Self {
-            sheet: Sheet::new(target),
+            texture: BoardTexture::new(target),
             origin: Point3::from(pose.translation.vector),
             x: pose.rotation * Vector3::x() / (target.square_mm * stretch.x),
             y: pose.rotation * Vector3::y() / (target.square_mm * stretch.y),
@@ -183,12 +199,12 @@ impl PlacedTarget {
 
     /// Radiance along a ray in front of the lens.
     pub fn radiance(&self, ray: &Ray) -> f64 {
-        let Some(bent) = &self.bent else { return self.sheet.radiance(self.place(ray)) };
+        let Some(bent) = &self.bent else { return self.texture.radiance(self.place(ray)) };
         let hit = bent.meet(self.on_plane(ray), ray);
-        hit.map_or(self.sheet.background, |hit| self.sheet.radiance(self.in_squares(&hit)))
+        hit.map_or(self.texture.background, |hit| self.texture.radiance(self.in_squares(&hit)))
     }
 
-    /// Where a ray in front of the lens meets the plane of the board: see [`Sheet`].
+    /// Where a ray in front of the lens meets the plane of the board: see [`BoardTexture`].
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn place(&self, ray: &Ray) -> Vector2<f64> {

@@ -1,6 +1,6 @@
 //! The simulation as one stage: from settings to images, their truth, and observations drawn from it.
 
-use super::data_set::{DataSet, Shot};
+use super::data_set::{Content, DataSet, Shot};
 use super::real_lens::LensFigures;
 use super::settings::Settings;
 use super::tracer::Tracer;
@@ -9,19 +9,8 @@ use crate::error::Result;
 use crate::image::RawImage;
 use crate::model::{
     EdgeSpread, FramePose, InternalParameters, MicroImageCenter, NoiseSource, Observations,
-    PlenopticCamera, PointSpread, Subset,
+    PlenopticCamera, PointSpread,
 };
-
-/// What an image of a data set shows.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Content {
-    /// A white image for the pre-calibration, by its index.
-    White(usize),
-    /// The white image in the light and at the f-number of the boards.
-    Devignetting,
-    /// The board of a frame.
-    Board(Subset, u32),
-}
 
 /// Progress of a simulation.
 pub trait Progress: Sync {
@@ -52,7 +41,7 @@ pub struct Truth {
     pub internal: InternalParameters,
     /// Centres of all micro-images, dead micro-lenses included.
     pub centers: Vec<TrueCenter>,
-    /// Features by subset, in the order of [`Subset::ALL`].
+    /// Features by subset, in the order of [`Subset::ALL`](crate::model::Subset::ALL).
     pub features: [Vec<TrueFeature>; 3],
 }
 

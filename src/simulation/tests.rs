@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
-use super::main_lens::Passage;
+use super::ray::Passage;
 use super::sampling::RaySets;
 use super::scene::PlacedTarget;
 use super::spread::Footprint;
@@ -114,7 +114,7 @@ fn pixels_that_see_one_radiance_see_no_other() {
                     let ray = tracer.through(lens, on_lens, &pixel);
                     let seen = match tracer.lens.follow(&ray, bundle.aim.as_ref(), &board) {
                         Passage::Blocked => continue,
-                        Passage::Away => board.sheet.background,
+                        Passage::Away => board.texture.background,
                         Passage::Seen(outer) => board.radiance(&outer),
                     };
                     assert!((seen - radiance).abs() < 1e-12, "{name} ({u}, {v}): {seen}");

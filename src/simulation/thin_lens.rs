@@ -3,27 +3,10 @@
 use nalgebra::{Matrix2, Point3, Vector2};
 
 #[cfg(test)]
-use super::main_lens::Passage;
+use super::ray::Passage;
 use super::ray::{Ray, Stop};
-use super::scene::{BoardPlane, ImagePlane, PlacedTarget};
+use super::scene::{BoardPlane, ImagePlane, ImageShift, PlacedTarget};
 use crate::model::MainLens;
-
-/// How far image points lie from those of an ideal lens: `across` to the side, and along z by `along` +
-/// `gradient` · x where the ideal point is x, which comes to `nearer` for this one; mm.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ImageShift {
-    pub across: Vector2<f64>,
-    pub along: f64,
-    pub gradient: Vector2<f64>,
-    pub nearer: f64,
-}
-
-impl ImageShift {
-    /// That of an ideal lens.
-    pub fn none() -> Self {
-        Self { across: Vector2::zeros(), along: 0.0, gradient: Vector2::zeros(), nearer: 0.0 }
-    }
-}
 
 #[derive(Debug, Clone)]
 pub(super) struct ThinMainLens {

@@ -1,8 +1,9 @@
 //! What is known of a camera beforehand.
 
+use plenocal::Finding;
 use std::fs;
 
-use plenocal::calibration::{AnchorSource, Calibration, CalibrationOptions, Start, Warning};
+use plenocal::calibration::{AnchorSource, Calibration, CalibrationOptions, Start};
 use plenocal::model::{Lean, Noise, Observations};
 use plenocal::solver::{Anchor, CostOptions, LossKind, Termination};
 use predicates::str::contains;
@@ -212,8 +213,8 @@ fn anchors_are_replaced_removed_and_left_out_where_a_parameter_is_fixed() {
 #[test]
 fn a_contradiction_is_a_warning_that_says_what_it_may_mean() {
     let result = run(&datasheet_start(), &shipped_observations(), &with_anchor("F", 17.5, 0.2));
-    let pulled: Vec<&Warning> =
-        result.warnings.iter().filter(|w| matches!(w, Warning::AnchorPulled(_))).collect();
+    let pulled: Vec<&Finding> =
+        result.findings.iter().filter(|f| f.code() == "prior-contradicted").collect();
     assert_eq!(pulled.len(), 1);
     let words = pulled[0].to_string();
     assert!(words.contains("F is 16.") && words.contains("squares"), "{words}");

@@ -1,12 +1,12 @@
 //! Boards that are not flat.
 
+use crate::support::codes;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
-use plenocal::assessment::assess;
+use plenocal::Issue;
+use plenocal::assessment::{Group, Posed, Worth, assess, compare_models, pose_boards};
 use plenocal::calibration::{
-    AnchorSource, BoardModel, Calibration, CalibrationOptions, Mode, Start, Trial, Warning,
-    calibrate,
+    AnchorSource, BoardModel, Calibration, CalibrationOptions, Mode, Start, Trial, calibrate,
 };
-use plenocal::evaluation::{Group, Posed, Worth, compare_models, pose_boards};
 use plenocal::model::{
     BentBoard, Board, BoardShape, FramePose, Noise, NoiseSource, Observations, PlenopticCamera,
     SHAPE_PARAMETERS, optics,
@@ -152,7 +152,7 @@ fn the_shape_of_a_bent_board_is_found_and_the_camera_is_right() {
     for (std_devs, _) in length_errors(&found, &scene.camera) {
         assert!(std_devs.abs() < FOUR_SIGMA, "{std_devs}");
     }
-    assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+    assert_eq!(found.findings, []);
     // A flat board leaves d far off, and the residuals too large.
     let flat = scene.calibrated(&observations, BoardModel::Flat);
     let [.., (_, d)] = length_errors(&found, &scene.camera);
@@ -263,17 +263,22 @@ fn a_board_that_is_bent_too_far_is_a_warning() {
     let scene = scene(3);
     let shape = BoardShape { sag_x_mm: 0.3, ..BoardShape::default() };
     let found = scene.calibrated(&scene.observed(shape, 5), BoardModel::Auto);
-    let is_warped = |w: &Warning| matches!(w, Warning::WarpedBoard { bend_mm, .. } if (bend_mm - 0.3).abs() < 0.02);
-    assert!(found.warnings.iter().any(is_warped), "{:?}", found.warnings);
-    let of =
-        |found: &Calibration| found.warnings.iter().map(ToString::to_string).collect::<String>();
-    assert!(of(&found).contains("its shape is estimated with the camera"));
+    let warped = |found: &Calibration| {
+        found.findings.iter().find_map(|finding| match finding.issue {
+            Issue::WarpedBoard { bend_mm, estimated, .. } => Some((bend_mm, estimated)),
+            _ => None,
+        })
+    };
+    let is_warped = |told: Option<(f64, bool)>, estimated: bool| {
+        told.is_some_and(|(bend_mm, by)| (bend_mm - 0.3).abs() < 0.02 && by == estimated)
+    };
+    assert!(is_warped(warped(&found), true), "{:?}", found.findings);
     let known = scene.calibrated(&scene.observed(shape, 5), BoardModel::Known(shape));
-    assert!(of(&known).contains("its shape is taken as known"), "{:?}", known.warnings);
+    assert!(is_warped(warped(&known), false), "{:?}", known.findings);
     // The anchor that boards are flat to 0.1 % does not pull it back.
     assert!(found.anchors.iter().all(|known| known.pull().abs() < 3.0), "{:?}", found.anchors);
     let assessment = assess(&found, &scene.board).unwrap();
-    assert!(assessment.reasons.iter().any(|r| r.to_string().contains("the board is bent by 0.3")));
+    assert!(codes(&assessment.findings).contains(&"warped-board"));
     assert!(assessment.object_space.is_some() && assessment.next_board.is_some());
 }
 

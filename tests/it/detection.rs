@@ -1,8 +1,8 @@
 //! Detection on simulated images against their truth.
 
+use plenocal::assessment::DetectionScore;
+use plenocal::assessment::bias::{by_offset, by_place, outwards};
 use plenocal::detection::DepthEstimator;
-use plenocal::evaluation::DetectionScore;
-use plenocal::evaluation::bias::{by_offset, by_place, outwards};
 
 use crate::support::preset;
 

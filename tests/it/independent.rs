@@ -1,5 +1,6 @@
 //! The independent Ceres program (`cpp/examples/plain_ceres`) reaches the same minimum of an exported problem.
 
+use plenocal::Issue;
 use std::path::Path;
 use std::process::Command;
 
@@ -151,13 +152,14 @@ fn poses_may_be_given() {
     assert!((calibration.refinement.cost / reference.refinement.cost - 1.0).abs() < COST);
     assert_eq!(calibration.initial_poses[1], given[1]);
     assert_ne!(calibration.initial_poses[0].camera_from_board, given[0].camera_from_board);
-    let warnings: Vec<String> = calibration.warnings.iter().map(ToString::to_string).collect();
-    assert!(warnings.iter().any(|w| w.contains("frames without features") && w.contains("77")));
+    let frames = vec![77];
+    let expected = Issue::PosesOfNoFrame { frames };
+    assert!(calibration.findings.iter().any(|finding| finding.issue == expected));
 
     let solution = Solution { camera: reference.camera.clone(), poses: given };
     let at = cost_at(&solution, &datasheet_start(), &board(), &observations, &options).unwrap();
     assert_eq!(at.poses.len(), 2);
-    assert!(at.left_out.iter().any(|left| left.to_string().contains("no pose of it is given")));
+    assert!(at.left_out.iter().any(|left| left.reason == Issue::PoseNotGiven));
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! Boards that were not taken, or not exported, as their white image was.
 
+use crate::support::codes;
+use plenocal::{Finding, Issue};
 use std::sync::LazyLock;
 
 use plenocal::detection::{
@@ -7,7 +9,9 @@ use plenocal::detection::{
 };
 use plenocal::image::{RawImage, Samples};
 use plenocal::model::Subset;
-use plenocal::precalibration::{PrecalibrationOptions, White, measure_array, precalibrate};
+use plenocal::precalibration::{
+    PrecalibrationOptions, White, array_findings, measure_array, precalibrate,
+};
 use plenocal::simulation::{DataSet, Settings};
 
 use crate::support::preset;
@@ -46,10 +50,11 @@ static SHOOT: LazyLock<Shoot> = LazyLock::new(|| {
     }
 });
 
-/// What is said of a board.
-fn said_of(image: &RawImage) -> Vec<String> {
+/// Findings about the light of a board.
+fn said_of(image: &RawImage) -> Vec<Issue> {
     let found = found_in(image, &SHOOT.white);
-    found.warnings.into_iter().filter(|w| w.contains("not like the white image")).collect()
+    let of_light = |f: &Finding| f.code().starts_with("other-") || f.code() == "unlike-white";
+    found.findings.into_iter().filter(of_light).map(|finding| finding.issue).collect()
 }
 
 fn found_in(image: &RawImage, white: &RawImage) -> DetectedBoards {
@@ -75,9 +80,10 @@ fn changed(change: impl Fn(f64, f64) -> f64) -> RawImage {
     RawImage { samples: Samples::Bits8(samples), ..image.clone() }
 }
 
-fn assert_said(image: &RawImage, words: &str) {
-    let said = said_of(image);
-    assert!(said.len() == 1 && said[0].contains(words), "{said:?}, not {words:?}");
+/// The one finding about the light of a board.
+fn only_issue(image: &RawImage) -> Issue {
+    let [issue] = &said_of(image)[..] else { panic!("{:?}", said_of(image)) };
+    issue.clone()
 }
 
 #[test]
@@ -88,35 +94,45 @@ fn a_board_that_was_taken_as_the_white_image_is_like_it() {
 
 #[test]
 fn another_black_level_is_named() {
-    assert_said(&changed(|x, _| 16.0 + x * 239.0 / 255.0), "higher than in the white image");
-    assert_said(&changed(|x, _| x - 12.0), "lower than in the white image");
+    for (image, higher) in
+        [(changed(|x, _| 16.0 + x * 239.0 / 255.0), true), (changed(|x, _| x - 12.0), false)]
+    {
+        let issue = only_issue(&image);
+        let Issue::OtherBlackLevel { difference } = issue else { panic!("{issue}") };
+        assert_eq!(difference > 0.0, higher, "{difference}");
+    }
 }
 
 #[test]
 fn a_gamma_is_named() {
     let power = |power: f64| changed(move |x, _| 255.0 * (x / 255.0).powf(power));
-    assert_said(&power(1.25), "about the power 1.2");
-    assert_said(&power(0.83), "about the power 0.8");
+    for (stated, near) in [(1.25, 1.25), (0.83, 0.85)] {
+        let issue = only_issue(&power(stated));
+        let Issue::OtherToneCurve { power } = issue else { panic!("{issue}") };
+        assert!((power - near).abs() < 0.05, "{power}");
+    }
 }
 
 #[test]
 fn a_shift_is_named_with_its_size() {
-    assert_said(&changed(|x, before| 0.7 * x + 0.3 * before), "shifted by (0.30");
+    let issue = only_issue(&changed(|x, before| 0.7 * x + 0.3 * before));
+    let Issue::OtherOrigin { shift_px } = issue else { panic!("{issue}") };
+    assert!((shift_px[0] - 0.30).abs() < 0.01, "{shift_px:?}");
 }
 
 /// 4.3/4 = 1.075.
 #[test]
 fn another_f_number_is_named() {
-    assert_said(&SHOOT.at_another_f_number, "as at 1.07");
+    let issue = only_issue(&SHOOT.at_another_f_number);
+    let Issue::OtherAperture { ratio } = issue else { panic!("{issue}") };
+    assert!((ratio - 1.075).abs() < 0.01, "{ratio}");
 }
 
 #[test]
 fn a_board_is_no_white_image() {
-    let doubts = |image: &RawImage| measure_array(image, None).unwrap().doubts(image);
-    assert_eq!(doubts(&SHOOT.white), Vec::<String>::new());
-    let of_board = doubts(&SHOOT.board);
-    assert!(of_board[0].contains("is this a white image"), "{of_board:?}");
-    assert!(of_board[1].contains("off a regular grid"), "{of_board:?}");
+    let doubts = |image: &RawImage| array_findings(&measure_array(image, None).unwrap(), image);
+    assert_eq!(doubts(&SHOOT.white), []);
+    assert_eq!(codes(&doubts(&SHOOT.board))[..2], ["not-white", "irregular-array"]);
 }
 
 /// Every hundredth column left out: pixels that are 1 % wider than high.
@@ -131,8 +147,8 @@ fn pixels_that_are_not_square_are_named() {
         samples: Samples::Bits8(samples),
         ..white.clone()
     };
-    let doubts = measure_array(&narrow, None).unwrap().doubts(&narrow);
-    assert!(doubts.iter().any(|doubt| doubt.contains("pixels were not square")), "{doubts:?}");
+    let doubts = array_findings(&measure_array(&narrow, None).unwrap(), &narrow);
+    assert!(codes(&doubts).contains(&"stretched-array"), "{doubts:?}");
 }
 
 /// Relative to the white image the covered part is many times as bright as the rest of the board.

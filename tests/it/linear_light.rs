@@ -1,11 +1,13 @@
 //! Black level, saturation below full scale, gamma: what keeps samples from being linear in light from
 //! 0 to full scale.
 
+use crate::support::codes;
+use plenocal::{Finding, Issue};
 use std::fs;
 use std::path::Path;
 
+use plenocal::assessment::DetectionScore;
 use plenocal::detection::DepthEstimator;
-use plenocal::evaluation::DetectionScore;
 use plenocal::model::{InternalParameters, SampleLevels};
 use plenocal::precalibration::{Precalibration, PrecalibrationOptions, White, precalibrate};
 use plenocal::simulation::{DataSet, Settings};
@@ -70,7 +72,7 @@ fn the_black_level_is_found_between_micro_images() {
         let std_dev = black_level_std_dev.unwrap();
         assert!((black_level - expected).abs() < 3.0 * std_dev, "{replaced:?}: {black_level}");
         assert!(std_dev < 0.3 || expected > 255.0, "{replaced:?}: ± {std_dev}");
-        assert!(found.warnings.is_empty(), "{replaced:?}: {:?}", found.warnings);
+        assert!(found.findings.is_empty(), "{replaced:?}: {:?}", found.findings);
     }
 }
 
@@ -79,12 +81,14 @@ fn a_stated_black_level_is_taken_unless_it_is_impossible() {
     let settings = preset("mini", &["seed=32", "rays=32", BLACK_16]);
     let found = measured(&settings, Some(15.0)).unwrap();
     assert_eq!((levels(&found).black_level, levels(&found).black_level_std_dev), (15.0, None));
-    assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+    assert!(found.findings.is_empty(), "{:?}", found.findings);
     for wrong in [20, 8, 0] {
-        let doubted = measured(&settings, Some(f64::from(wrong))).unwrap().warnings.join("\n");
-        let expected =
-            format!("stated as {wrong} grey levels, but between the micro-images of f/16.00");
-        assert!(doubted.contains(&expected), "{doubted}");
+        let doubted = measured(&settings, Some(f64::from(wrong))).unwrap().findings;
+        let [finding] = &doubted[..] else { panic!("{doubted:?}") };
+        let Issue::BlackLevelContradicted { stated, image, .. } = &finding.issue else {
+            panic!("{finding}")
+        };
+        assert_eq!((*stated, image.as_str()), (f64::from(wrong), "f/16.00"));
     }
     let error = measured(&settings, Some(300.0)).unwrap_err().to_string();
     assert!(error.contains("a black level of 300 is not possible"), "{error}");
@@ -97,8 +101,7 @@ fn without_darkness_the_black_level_is_not_known() {
     let wide = ["seed=33", "rays=32", stops, "imperfections.point_spread_px=2", BLACK_16];
     let found = measured(&preset("mini", &wide), None).unwrap();
     assert_eq!((levels(&found).black_level, levels(&found).black_level_std_dev), (0.0, None));
-    let told = found.warnings.join("\n");
-    assert!(told.contains("the black level cannot be measured"), "{told}");
+    assert!(codes(&found.findings).contains(&"black-level-unknown"), "{:?}", found.findings);
     let stated = levels(&measured(&preset("mini", &wide), Some(16.0)).unwrap());
     assert_eq!((stated.black_level, stated.black_level_std_dev), (16.0, None));
 }
@@ -117,10 +120,14 @@ fn full_pixels_show_below_full_scale() {
         let found = measured(&settings, None).unwrap();
         assert_eq!(levels(&found).saturation_level, Some(expected));
         assert_right(&settings, &found.internal.parameters);
-        assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+        assert!(found.findings.is_empty(), "{:?}", found.findings);
     }
     let not_full = preset("mini", &["seed=34", "rays=32"]);
     assert_eq!(levels(&measured(&not_full, None).unwrap()).saturation_level, None);
+}
+
+fn texts(findings: &[Finding]) -> String {
+    findings.iter().map(|finding| format!("{finding}\n")).collect()
 }
 
 #[test]
@@ -129,7 +136,7 @@ fn gamma_is_noticed() {
         let setting = format!("imaging.gamma={gamma}");
         let found = measured(&preset("mini", &["seed=35", "rays=32", &setting]), None);
         let told = match found {
-            Ok(found) => found.warnings.join("\n"),
+            Ok(found) => texts(&found.findings),
             Err(error) => error.to_string(),
         };
         let power = told.split("light is about their power of ").nth(1).expect(&told);
@@ -146,7 +153,7 @@ fn a_wide_point_spread_is_not_taken_for_a_gamma() {
     for black in ["imaging.black_level=0", BLACK_16] {
         let wide = ["seed=33", "rays=32", stops, "imperfections.point_spread_px=2.5", black];
         let told = match measured(&preset("mini", &wide), None) {
-            Ok(found) => found.warnings.join("\n"),
+            Ok(found) => texts(&found.findings),
             Err(error) => error.to_string(),
         };
         assert!(!told.is_empty() && !told.contains("not linear"), "{told}");

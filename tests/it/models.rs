@@ -1,8 +1,8 @@
 //! Whether a group of parameters is said to be worth what it is.
 
 use nalgebra::Vector3;
+use plenocal::assessment::{Group, ModelComparison, WithoutGroup, Worth, compare_models};
 use plenocal::calibration::{Calibration, CalibrationOptions, Refit, Start};
-use plenocal::evaluation::{Group, ModelComparison, WithoutGroup, Worth, compare_models};
 use plenocal::model::{Noise, Observations, PlenopticCamera, optics};
 use plenocal::report::model_figures;
 use plenocal::solver::synthesize;
@@ -22,7 +22,7 @@ const NOISE: Noise = Noise { uv_px: 0.02, rho_px: 0.005, centers_px: 0.005 };
 
 fn compared(calibration: &Calibration) -> ModelComparison {
     let result = compare_models(calibration, &board(), FOLDS, &|| ()).unwrap();
-    assert_eq!(result.problems, Vec::<String>::new());
+    assert_eq!(result.findings, []);
     for without in &result.groups {
         println!(
             "{}: {:?}, {:?}",

@@ -1,5 +1,7 @@
 //! From simulated white images to the internal parameters.
 
+use crate::support::codes;
+use plenocal::{Issue, Subject};
 use std::collections::HashMap;
 use std::sync::LazyLock;
 
@@ -94,7 +96,7 @@ fn an_r12_is_measured_from_its_white_images() {
     let settings = preset("r12-a", &["rays=32"]);
     let (whites, reference) = taken(&settings);
     let result = precalibrate(&whites, Some(&reference), &options(&settings), &|| ()).unwrap();
-    assert!(result.warnings.is_empty(), "{:?}", result.warnings);
+    assert_eq!(codes(&result.findings), [""; 0]);
     assert_right("r12-a", &settings, &result);
 }
 
@@ -200,8 +202,8 @@ fn a_second_stop_gives_a_warning() {
     let stop = "imperfections.second_stop={z_mm=-9, diameter_mm=4}";
     let settings = preset("mini", &["rays=8", "white_images.f_numbers=[4.0, 8.0, 16.0]", stop]);
     let found = precalibrate(&taken(&settings).0, None, &options(&settings), &|| ()).unwrap();
-    let told = |found: &Precalibration| found.warnings.iter().any(|w| w.contains("oblique light"));
-    assert!(told(&found), "{:?}", found.warnings);
+    let told = |found: &Precalibration| codes(&found.findings).contains(&"oblique-pupil");
+    assert!(told(&found), "{:?}", found.findings);
     let small = &*SMALL;
     assert!(!told(&small.precalibrate(&small.whites).unwrap()));
 }
@@ -284,7 +286,11 @@ fn a_white_image_at_another_f_number_than_stated_is_left_out() {
     others.remove(2);
     whites[2].f_number = 11.31;
     let (found, expected) = (of(&whites), of(&others));
-    assert!(found.warnings[0].contains("white 3: its micro-images have the size of f/8.0"));
+    assert_eq!(found.findings[0].subject, Subject::Image("white 3".to_owned()));
+    let Issue::FNumberLeftOut { looks_like, .. } = found.findings[0].issue else {
+        panic!("{}", found.findings[0])
+    };
+    assert!((looks_like - 8.0).abs() < 0.1, "{looks_like}");
     assert_eq!(found.internal, expected.internal);
     assert_eq!(found.images, ["white 1", "white 2", "white 4", "white 5"]);
 }
@@ -305,8 +311,7 @@ fn swapped_f_numbers_are_named() {
 fn one_wrong_f_number_among_three_gives_a_warning() {
     let small = &*SMALL;
     let result = small.precalibrate(&small.at([4.0, 5.66, 16.0])).unwrap();
-    assert_eq!(result.warnings.len(), 1, "{:?}", result.warnings);
-    assert!(result.warnings[0].contains("check its f-number"), "{:?}", result.warnings);
+    assert_eq!(codes(&result.findings), ["f-number-contradicted"]);
 }
 
 #[test]

@@ -1,7 +1,9 @@
 //! A calibration recovers the known truth.
 
+use crate::support::codes;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
-use plenocal::calibration::{CalibrationOptions, Mode, Start, Warning, initial_poses};
+use plenocal::Issue;
+use plenocal::calibration::{CalibrationOptions, Mode, Start, initial_poses};
 use plenocal::model::{Datasheet, FramePose, Noise, intrinsic_parameters};
 use plenocal::solver::{BEYOND_THE_PAPER, Loss, LossKind, synthesize};
 
@@ -41,7 +43,7 @@ fn with_noise_the_truth_lies_within_the_predicted_uncertainty() {
     let truth = true_camera();
     let calibration = run(&datasheet_start(), &shipped_observations(), &options());
     assert!(calibration.converged);
-    assert!(calibration.left_out.is_empty() && calibration.warnings.is_empty());
+    assert!(calibration.left_out.is_empty() && calibration.findings.is_empty());
     // The shipped project states 0.1432 mm; the true camera has dF/2D.
     let m = truth.mla.mla_to_sensor_mm * truth.main_lens.focal_length_mm
         / (2.0 * truth.mla.lens_to_mla_mm);
@@ -228,7 +230,7 @@ fn the_covariance_agrees_with_monte_carlo() {
 fn a_wrong_focus_distance_is_noticed_and_mended() {
     let observations = shipped_observations();
     let right = run(&datasheet_start(), &observations, &anchored());
-    assert!(!right.warnings.iter().any(|w| matches!(w, Warning::FocusDistance { .. })));
+    assert!(!codes(&right.findings).contains(&"focus-distance"));
     let Start::Datasheet(sheet, internal) = datasheet_start() else { unreachable!() };
     for wrong in [0.6, 2.0, 5.0, f64::INFINITY] {
         let focus_distance_mm = wrong * sheet.focus_distance_mm;
@@ -242,8 +244,8 @@ fn a_wrong_focus_distance_is_noticed_and_mended() {
             let off = (value - expected).abs();
             assert!(off <= 0.3 * std_dev.unwrap_or(1e-9), "{wrong}: {name} is {off} off");
         }
-        let noticed = found.warnings.iter().find_map(|warning| match warning {
-            Warning::FocusDistance { by_boards_mm, .. } => Some(*by_boards_mm),
+        let noticed = found.findings.iter().find_map(|finding| match finding.issue {
+            Issue::FocusDistance { by_boards_mm, .. } => Some(by_boards_mm),
             _ => None,
         });
         let by_boards = noticed.expect("it is noticed") / sheet.focus_distance_mm;
@@ -254,5 +256,5 @@ fn a_wrong_focus_distance_is_noticed_and_mended() {
     held.cost.fixed = vec!["D".to_owned()];
     held.default_anchors = false;
     let found = run(&datasheet_start(), &observations, &held);
-    assert!(!found.warnings.iter().any(|w| matches!(w, Warning::FocusDistance { .. })));
+    assert!(!codes(&found.findings).contains(&"focus-distance"));
 }

@@ -13,6 +13,11 @@ use plenocal::solver::{CostOptions, SolverOptions, synthesize};
 
 pub const NO_NOISE: Noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };
 
+/// The codes of findings.
+pub fn codes(findings: &[plenocal::Finding]) -> Vec<&'static str> {
+    findings.iter().map(plenocal::Finding::code).collect()
+}
+
 /// Folder of the shipped feature set.
 pub fn synthetic_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data/synthetic")

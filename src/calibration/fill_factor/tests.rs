@@ -3,6 +3,7 @@
 use nalgebra::Vector2;
 
 use super::*;
+use crate::finding::Issue;
 use crate::model::small_camera;
 use crate::model::taken::FILL_FACTOR;
 use crate::model::{Configuration, Datasheet, LatticeKind, MeasuredBlur, TAKEN};
@@ -165,12 +166,12 @@ fn uncertain_white_images_are_in_its_uncertainty() {
 #[test]
 fn lens_types_that_disagree_are_named() {
     assert!(measured(&features(0.0, 0.004)).contradiction().is_none());
-    let warning = measured(&features(0.0, 0.05)).contradiction().unwrap();
-    let Warning::FillFactorsDiffer { lens_types: [larger, _], fill_factors: [a, b] } = warning
+    let finding = measured(&features(0.0, 0.05)).contradiction().unwrap();
+    let Issue::ApertureRatiosDiffer { lens_types: [larger, _], estimated: [a, b] } = finding.issue
     else {
-        panic!("{warning}")
+        panic!("{finding}")
     };
-    assert_eq!(larger, 2);
+    assert_eq!(larger, 3);
     assert!((a.value - b.value - 0.05).abs() < 0.01, "{a:?} {b:?}");
 }
 

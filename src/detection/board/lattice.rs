@@ -5,13 +5,14 @@ use std::collections::HashMap;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use super::{FEWEST, LatticePoint};
 use crate::detection::cells::Cells;
 use crate::model::Board;
 
 /// The points at the nodes of a lattice.
 pub(super) type Nodes = HashMap<(i32, i32), usize>;
 
+/// Fewest points that make a lattice, and its homography with some redundancy.
+pub(super) const FEWEST: usize = 6;
 /// Neighbours that a lattice may start with.
 const NEIGHBOURS: usize = 6;
 /// Number of points that lattices are grown from.
@@ -24,13 +25,12 @@ const TRIED: usize = 12;
 const LEAST_SINE: f64 = 0.35;
 const LARGEST_RATIO: f64 = 3.0;
 
-/// Lattices that points lie on, those first of which most points fit on the board.
-pub(super) fn lattices(points: &[LatticePoint], board: &Board) -> Vec<Nodes> {
-    let places: Vec<Vector2<f64>> = points.iter().map(|point| point.place).collect();
+/// Lattices that points at some places lie on, those first of which most points fit on the board.
+pub(super) fn lattices(places: &[Vector2<f64>], board: &Board) -> Vec<Nodes> {
     let (low, high) = places.iter().fold((places[0], places[0]), |(a, b), p| (a.inf(p), b.sup(p)));
-    let cells = Cells::new(&places, ((high - low).product() / places.len() as f64).sqrt());
+    let cells = Cells::new(places, ((high - low).product() / places.len() as f64).sqrt());
     let of_seed = |seed: usize| {
-        let mut others: Vec<usize> = (0..points.len()).filter(|&i| i != seed).collect();
+        let mut others: Vec<usize> = (0..places.len()).filter(|&i| i != seed).collect();
         let away = |i: usize| places[i] - places[seed];
         others.sort_by(|&a, &b| away(a).norm().total_cmp(&away(b).norm()));
         others.truncate(NEIGHBOURS);
@@ -42,7 +42,7 @@ pub(super) fn lattices(points: &[LatticePoint], board: &Board) -> Vec<Nodes> {
                 if a.perp(&b) > LEAST_SINE * a.norm() * b.norm()
                     && ratio(a.norm(), b.norm()) < LARGEST_RATIO
                 {
-                    let nodes = grow(&places, &cells, [seed, right, down]);
+                    let nodes = grow(places, &cells, [seed, right, down]);
                     let fitting = fitting(&nodes, board);
                     if fitting >= FEWEST {
                         found.push((fitting, nodes));
@@ -52,7 +52,7 @@ pub(super) fn lattices(points: &[LatticePoint], board: &Board) -> Vec<Nodes> {
         }
         found
     };
-    let seeds: Vec<usize> = (0..points.len()).step_by(points.len().div_ceil(SEEDS)).collect();
+    let seeds: Vec<usize> = (0..places.len()).step_by(places.len().div_ceil(SEEDS)).collect();
     let mut all: Vec<(usize, Nodes)> =
         seeds.par_iter().flat_map_iter(|&seed| of_seed(seed)).collect();
     // Skewed lattices hold as many points as the true one, but these do not fit on the board.

@@ -1,6 +1,7 @@
 //! Boards in perspective: turned, symmetric, incomplete, of another size.
 
 use super::*;
+use crate::finding::Issue;
 use crate::model::Sensor;
 
 const BOARD: Board = Board { columns: 8, rows: 5, square_mm: 3.0 };
@@ -38,7 +39,7 @@ fn on_sensor(place: &Vector2<f64>) -> bool {
     SENSOR.contains(low.x, low.y) && SENSOR.contains(high.x, high.y)
 }
 
-fn labelled(points: &[LatticePoint], board: &Board) -> Result<Vec<Option<i32>>, Rejection> {
+fn labelled(points: &[LatticePoint], board: &Board) -> Result<Vec<Option<i32>>, Issue> {
     LabelledBoard::label(points, board, &on_sensor).map(|board| board.corners)
 }
 
@@ -72,7 +73,7 @@ fn what_is_out_of_view_does_not_count_as_missing() {
     let expected: Vec<Option<i32>> = corners.iter().copied().map(Some).collect();
     assert_eq!(LabelledBoard::label(&points, &BOARD, &in_view).unwrap().corners, expected);
     let why = labelled(&points, &BOARD).unwrap_err();
-    assert!(matches!(why, Rejection::SeveralPlaces { .. }), "{why}");
+    assert!(matches!(why, Issue::SeveralPlaces { .. }), "{why}");
 }
 
 /// Turned by about 90 degrees neither way runs to the right; the first corner is on top then.
@@ -117,7 +118,7 @@ fn a_symmetric_board_on_its_side_is_at_one_place() {
         })
         .collect();
     let why = labelled(&points, &board).unwrap_err();
-    assert!(matches!(why, Rejection::SeveralPlaces { .. }), "{why}");
+    assert!(matches!(why, Issue::SeveralPlaces { .. }), "{why}");
 }
 
 #[test]
@@ -181,9 +182,9 @@ fn what_is_no_board_is_rejected_with_the_reason() {
     let smaller = Board { columns: 7, rows: 4, square_mm: 3.0 };
     // Both ask for another size of the board.
     let why = labelled(&points, &smaller).unwrap_err();
-    let is_size = matches!(why, Rejection::BeyondBoard { .. } | Rejection::SeveralPlaces { .. });
+    let is_size = matches!(why, Issue::BeyondBoard { .. } | Issue::SeveralPlaces { .. });
     assert!(is_size, "{why}");
-    let too_few = Rejection::TooFewCorners { corners: 3 };
+    let too_few = Issue::TooFewCorners { corners: 3 };
     assert_eq!(labelled(&points[..3], &BOARD), Err(too_few));
     let large = labelled(&points, &Board { columns: 90, rows: 90, square_mm: 1.0 }).unwrap_err();
     assert!(large.to_string().contains("6 to 2500"), "{large}");

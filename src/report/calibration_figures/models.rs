@@ -7,9 +7,9 @@ use plotters::prelude::*;
 
 use super::figure;
 use super::vectors::means_side_by_side;
+use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
 use crate::error::Result;
-use crate::evaluation::{ModelComparison, WithoutGroup};
 use crate::model::{FeatureResidual, PlenopticCamera};
 use crate::report::drawing::{
     Anchor, Area, BLUE, INK, ORANGE, Overlay, Plane, axis_number, drawing, font, picture,

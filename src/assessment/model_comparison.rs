@@ -6,9 +6,10 @@ use std::fmt;
 use rayon::prelude::*;
 
 use super::cross_validation::frames_of_fold;
-use crate::assessment::image_pattern;
+use super::patterns::image_pattern;
 use crate::calibration::{Calibration, Minimum, Refit};
 use crate::error::{Error, Result};
+use crate::finding::{Finding, Issue, Subject};
 use crate::model::{Board, PlenopticCamera, Reprojection, shared_parameters};
 
 /// With fewer frames, the scatter of their differences says too little.
@@ -176,7 +177,7 @@ pub struct ModelComparison {
     /// Groups with free parameters.
     pub groups: Vec<WithoutGroup>,
     /// What could not be compared, and why.
-    pub problems: Vec<String>,
+    pub findings: Vec<Finding>,
 }
 
 impl ModelComparison {
@@ -234,26 +235,28 @@ pub fn compare_models(
         },
     );
     let all = all?;
-    let (mut compared, mut problems) = (Vec::new(), Vec::new());
+    let about = |group: Group, issue: Issue| {
+        Finding::note(issue).about(Subject::Part(format!("without the {group}")))
+    };
+    let (mut compared, mut findings) = (Vec::new(), Vec::new());
     for ((group, parameters), model) in groups.into_iter().zip(without) {
         let found = model
             .and_then(|model| comparison.compared(calibration, group, parameters, &model, &all));
         match found {
             Ok(found) => {
                 if !found.converged {
-                    problems.push(format!(
-                        "without the {group} the calibration has not converged; its numbers are those where it \
-                         stopped"
-                    ));
+                    findings.push(about(group, Issue::ModelNotConverged));
                 }
                 compared.push(found);
             }
-            Err(error) => problems.push(format!("without the {group}: {error}")),
+            Err(error) => {
+                findings.push(about(group, Issue::PartFailed { reason: error.to_string() }));
+            }
         }
     }
     let sensor = &calibration.camera.sensor;
     let pattern = image_pattern(sensor, &calibration.reprojection.features);
-    Ok(ModelComparison { folds, errors: all.errors, pattern, groups: compared, problems })
+    Ok(ModelComparison { folds, errors: all.errors, pattern, groups: compared, findings })
 }
 
 impl Comparison<'_> {

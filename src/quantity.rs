@@ -1,4 +1,75 @@
-//! Numbers and units as they are shown to people.
+//! Measured values with their standard deviation, and how numbers and units are shown.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+
+/// A measured value with its standard deviation.
+///
+/// Shown with two significant digits of σ, as in `54.74 ± 0.11` (GUM, 7.2.6).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Estimate {
+    /// The value.
+    pub value: f64,
+    /// Its standard deviation σ, in the same unit; 0 for a value that is given.
+    pub std_dev: f64,
+}
+
+impl Estimate {
+    /// An estimate with a standard deviation.
+    #[must_use]
+    pub const fn new(value: f64, std_dev: f64) -> Self {
+        Self { value, std_dev }
+    }
+
+    /// A given value: σ is 0.
+    #[must_use]
+    pub const fn exact(value: f64) -> Self {
+        Self { value, std_dev: 0.0 }
+    }
+
+    /// The estimate in another unit, `factor` of which make one of this.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self { value: self.value * factor, std_dev: self.std_dev * factor.abs() }
+    }
+
+    /// The difference to an independent estimate, in standard deviations of that difference.
+    #[must_use]
+    pub fn std_devs_from(&self, other: &Self) -> f64 {
+        (self.value - other.value) / self.std_dev.hypot(other.std_dev)
+    }
+
+    /// Value and σ as they are shown, σ with two significant digits; σ is empty if it is 0.
+    #[must_use]
+    pub fn text(&self) -> (String, String) {
+        with_std_dev(self.value, Some(self.std_dev))
+    }
+
+    /// An error that names `what` unless the value is finite, and σ finite and not negative.
+    pub(crate) fn validate(&self, what: &str) -> Result<()> {
+        if !self.value.is_finite() {
+            return Err(Error::invalid(format!("{what} is {}", self.value)));
+        }
+        if !(self.std_dev.is_finite() && self.std_dev >= 0.0) {
+            return Err(Error::invalid(format!(
+                "the standard deviation of {what} is {}: it has to be 0 or more",
+                self.std_dev
+            )));
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Estimate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (value, std_dev) = self.text();
+        if std_dev.is_empty() { f.write_str(&value) } else { write!(f, "{value} ± {std_dev}") }
+    }
+}
 
 /// The unit in which a parameter is shown, and the factor to it.
 pub(crate) fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64) {

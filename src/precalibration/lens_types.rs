@@ -2,34 +2,10 @@
 
 use rayon::prelude::*;
 
-use super::array::FoundArray;
+use super::array::{FoundArray, LensTypes};
 use super::nodes::ByNode;
 use super::radii::TypeRadius;
 use crate::model::LatticeKind;
-
-/// Lens types as the micro-images show them.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LensTypes {
-    /// Number I of types that can be told apart: 1 or 3.
-    pub types: usize,
-    /// Least difference of two types' radii in the white image that tells them apart best, in its
-    /// standard deviations; none for one type, or where radii were not measured.
-    pub separation: Option<f64>,
-    /// Part of all micro-images of the reference whose size is nearest to that of neighbours of their own
-    /// lens type; none for one type, or where sizes were not measured.
-    pub agreement: Option<f64>,
-}
-
-impl LensTypes {
-    /// One type.
-    pub const ONE: Self = Self::stated(1);
-
-    /// A number of types that is known from elsewhere.
-    #[must_use]
-    pub const fn stated(types: usize) -> Self {
-        Self { types, separation: None, agreement: None }
-    }
-}
 
 /// Types count as different if two of their mean radii differ by this many standard deviations and by
 /// this part of the radius.

@@ -3,13 +3,14 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::corner::Corner;
+use super::corner_sensitivity::Levers;
 use super::edge_width::EdgeWidth;
-use super::levers::{Levers, STEPS};
+use super::micro_images::STEPS;
 use super::{CornerObservation, MicroOptics};
 
 /// An observation of a corner, made with the slope and the aberration that were known before. Places are
 /// straightened, see [`super::aberration`].
-pub(super) struct Seen {
+pub(super) struct CornerMeasurement {
     pub observation: CornerObservation,
     pub corner: Corner,
     /// γ₀, the slope that its line had before.
@@ -20,7 +21,7 @@ pub(super) struct Seen {
     pub width: Option<EdgeWidth>,
 }
 
-impl Seen {
+impl CornerMeasurement {
     /// The observation as it enters the line: its place i + (γ − γ₀) lever = β + γ c is a line in γ as well, that
     /// of i − γ₀ lever over c − lever. So the slope and the blur that follows from it are found together;
     /// by turns, each round would leave half of an error.
@@ -32,7 +33,7 @@ impl Seen {
         }
     }
 
-    /// [`Seen::on_line`] if one of what is taken from white images is larger by its part of [`STEPS`].
+    /// [`CornerMeasurement::on_line`] if one of what is taken from white images is larger by its part of [`STEPS`].
     pub fn on_line_with(&self, taken: usize) -> CornerObservation {
         let on_line = self.on_line();
         let moved = self.levers.by_taken.column(taken) * STEPS[taken];
@@ -71,9 +72,9 @@ impl Seen {
 mod tests {
     use nalgebra::{Matrix2, Matrix2x3};
 
-    use super::super::levers::ByTaken;
-    use super::super::levers::tests::corner;
-    use super::super::patch::tests::micro_images;
+    use super::super::corner_sensitivity::ByTaken;
+    use super::super::corner_sensitivity::tests::corner;
+    use super::super::micro_images::tests::micro_images;
     use super::*;
 
     /// What edges say of the fill factor is about the blur radius that they have, whatever slope they were looked at with.
@@ -82,7 +83,7 @@ mod tests {
         let optics = micro_images(23.0).optics(1, 1);
         let width =
             EdgeWidth::with(Matrix2::new(900.0, 100.0, 100.0, 400.0), Vector2::new(9.0, 2.0));
-        let mut seen = Seen {
+        let mut seen = CornerMeasurement {
             observation: CornerObservation {
                 k: 1,
                 l: 1,
@@ -100,7 +101,7 @@ mod tests {
             },
             width: Some(width),
         };
-        let radius_px = |seen: &Seen| {
+        let radius_px = |seen: &CornerMeasurement| {
             let change = seen.width.unwrap().of_fill(&Vector2::zeros()).unwrap().0;
             optics.blur_radius_px(seen.slope_before) + change * optics.blur_by_fill_px(0.5)
         };

@@ -1,9 +1,11 @@
 //! A board moved in known steps: the displacement along the optical axis against the truth (paper,
 //! Table 3).
 
+use crate::checks::steps::{Step, steps};
 use crate::error::{Error, Result};
+use crate::finding::Finding;
 use crate::model::{Board, FramePose};
-use crate::numerics::median;
+use crate::numerics::mean_and_std_dev;
 
 /// Displacement of the board between two frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,10 +45,8 @@ pub struct Spread {
 
 impl Spread {
     fn of(values: impl Iterator<Item = f64> + Clone) -> Self {
-        let count = values.clone().count() as f64;
-        let mean = values.clone().sum::<f64>() / count;
-        let square: f64 = values.map(|v| (v - mean).powi(2)).sum();
-        Self { mean, std_dev: (count > 1.0).then(|| (square / (count - 1.0)).sqrt()) }
+        let (mean, std_dev) = mean_and_std_dev(values);
+        Self { mean, std_dev }
     }
 }
 
@@ -60,59 +60,6 @@ pub struct Displacements {
     pub whole: Displacement,
     /// Whether poses moved against the sign of the step. Distances of other software have a direction of their own.
     pub reversed: bool,
-}
-
-/// What known steps say against a camera, its board, or themselves.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum StepDoubt {
-    /// The board moved the other way.
-    Reversed,
-    /// One step is so many times as long as the others.
-    Uneven {
-        /// That step.
-        step: Displacement,
-        /// Its length over that of the others.
-        ratio: f64,
-    },
-    /// All steps together come out so many times as long as they are known to be.
-    Scale {
-        /// Measured over known.
-        ratio: f64,
-        /// The known step, mm.
-        step_mm: f64,
-    },
-}
-
-/// A step that differs by more than this from the typical one is no step of the series.
-const UNEVEN: f64 = 0.3;
-/// Steps that are more than this off, and more than so many of their σ, contradict the scale.
-const SCALE: f64 = 0.01;
-const SCALE_STD_DEVS: f64 = 3.0;
-
-impl StepDoubt {
-    /// What it means for squares of this edge, mm.
-    #[must_use]
-    pub fn text(&self, square_mm: f64) -> String {
-        match self {
-            Self::Reversed => {
-                "the board of the translation moved the other way: step_mm is negative towards the \
-                               camera; change its sign, or the order of the images"
-                    .to_owned()
-            }
-            Self::Uneven { step, ratio } => format!(
-                "the step of the translation from frame {} to {} is {ratio:.2} times as long as the others: an image is \
-                 missing, there twice, or out of order",
-                step.from, step.to
-            ),
-            Self::Scale { ratio, step_mm } => format!(
-                "the known steps of the translation come out {ratio:.3} times as long as they are: if step_mm is right, \
-                 the squares of the board are {:.4} mm and not {square_mm} mm (square_mm); if these are right, the step \
-                 is {:.4} mm and not {step_mm} mm (step_mm). Measure both",
-                square_mm / ratio,
-                step_mm * ratio
-            ),
-        }
-    }
 }
 
 impl Displacements {
@@ -150,35 +97,14 @@ impl Displacements {
         })
     }
 
-    /// What they say against the camera, the board, or themselves.
+    /// Findings about the steps, for squares of this edge.
     #[must_use]
-    pub fn doubts(&self) -> Vec<StepDoubt> {
+    pub fn findings(&self, square_mm: f64) -> Vec<Finding> {
         let ratio = |step: &Displacement| step.measured_mm / step.true_mm;
-        let mut doubts = Vec::new();
-        if self.reversed {
-            doubts.push(StepDoubt::Reversed);
-        }
-        // Images that are out of order leave the whole way nearly as it is.
-        let whole = ratio(&self.whole);
-        let of_steps = || median(self.steps.iter().map(ratio)).unwrap_or(whole);
-        let typical = if (whole - 1.0).abs() < UNEVEN { 1.0 } else { of_steps() };
-        let uneven = |step: &&Displacement| (ratio(step) / typical - 1.0).abs() > UNEVEN;
-        let mut even: Vec<f64> = Vec::new();
-        for step in &self.steps {
-            if self.steps.len() > 2 && uneven(&step) {
-                doubts.push(StepDoubt::Uneven { step: *step, ratio: ratio(step) / typical });
-            } else {
-                even.push(ratio(step));
-            }
-        }
-        let spread = Spread::of(even.iter().copied());
-        let std_dev = spread.std_dev.unwrap_or(0.0) / (even.len() as f64).sqrt();
-        let all = even.len() == self.steps.len();
-        if all && (spread.mean - 1.0).abs() > SCALE.max(SCALE_STD_DEVS * std_dev) {
-            let step_mm = self.whole.true_mm / f64::from(self.whole.to - self.whole.from);
-            doubts.push(StepDoubt::Scale { ratio: spread.mean, step_mm });
-        }
-        doubts
+        let step = |d: &Displacement| Step { from: d.from, to: d.to, ratio: ratio(d) };
+        let all: Vec<Step> = self.steps.iter().map(step).collect();
+        let step_mm = self.whole.true_mm / f64::from(self.whole.to - self.whole.from);
+        steps(&all, ratio(&self.whole), self.reversed, (step_mm, square_mm))
     }
 
     /// Displacements from poses, measured at the middle of the board, where the distance is most
@@ -210,6 +136,7 @@ impl Displacements {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::finding::Issue;
 
     #[test]
     fn errors_are_those_of_steps_and_missing_frames_make_longer_steps() {
@@ -238,25 +165,22 @@ mod tests {
 
     #[test]
     fn steps_tell_what_is_wrong_with_them() {
-        assert!(moved(&[10.0, 10.01, 9.99, 10.02]).doubts().is_empty());
-        let [StepDoubt::Scale { ratio, step_mm }] = moved(&[9.0, 9.01, 8.99, 9.0]).doubts()[..]
-        else {
-            panic!("no scale");
-        };
+        let of = |steps_mm: &[f64]| moved(steps_mm).findings(3.0);
+        assert!(of(&[10.0, 10.01, 9.99, 10.02]).is_empty());
+        let [scale] = &of(&[9.0, 9.01, 8.99, 9.0])[..] else { panic!("no scale") };
+        let Issue::StepScale { ratio, step_mm, .. } = scale.issue else { panic!("{scale}") };
         assert!((ratio - 0.9).abs() < 1e-9 && (step_mm - 10.0).abs() < 1e-12);
-        let text = StepDoubt::Scale { ratio, step_mm }.text(3.0);
+        let text = scale.to_string();
         assert!(text.contains("3.3333 mm") && text.contains("9.0000 mm"), "{text}");
         // An image is missing between frames 1 and 2.
-        let [StepDoubt::Uneven { step, ratio }] = moved(&[10.0, 20.0, 10.0, 10.0]).doubts()[..]
-        else {
-            panic!("no uneven step");
-        };
-        assert!((step.from, step.to) == (1, 2) && (ratio - 2.0).abs() < 1e-9);
+        let [uneven] = &of(&[10.0, 20.0, 10.0, 10.0])[..] else { panic!("no uneven step") };
+        let Issue::StepUneven { from: 1, to: 2, ratio } = uneven.issue else { panic!("{uneven}") };
+        assert!((ratio - 2.0).abs() < 1e-9);
         // Two images in the other's place.
-        let swapped = moved(&[20.0, -10.0, 20.0, 10.0]).doubts();
+        let swapped = of(&[20.0, -10.0, 20.0, 10.0]);
         assert_eq!(swapped.len(), 3);
-        assert!(swapped.iter().all(|doubt| matches!(doubt, StepDoubt::Uneven { .. })));
+        assert!(swapped.iter().all(|finding| finding.code() == "step-uneven"));
         // Scattering steps do not contradict the scale.
-        assert!(moved(&[10.9, 9.6, 10.8, 9.4]).doubts().is_empty());
+        assert!(of(&[10.9, 9.6, 10.8, 9.4]).is_empty());
     }
 }

@@ -9,7 +9,7 @@ const LEAST_LIGHT: f64 = 0.05;
 
 /// A sheet. Places on it are in squares, the first one from 0 to 1.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sheet {
+pub(super) struct BoardTexture {
     /// Numbers of squares along x and y.
     squares: [f64; 2],
     /// Width of the white border, squares.
@@ -24,7 +24,7 @@ pub(super) struct Sheet {
     light_by_square: [f64; 2],
 }
 
-impl Sheet {
+impl BoardTexture {
     pub fn new(target: &Target) -> Self {
         let half = [target.columns, target.rows].map(|n| f64::from(n - 1) / 2.0);
         let [along_x, along_y] = target.uneven_light;
@@ -100,9 +100,9 @@ mod tests {
     /// Where the middle of the corners is at (3, 2).
     #[test]
     fn light_is_even_in_the_middle_and_never_lost() {
-        let sheet = Sheet::new(&target());
+        let texture = BoardTexture::new(&target());
         for (x, y, light) in [(3.0, 2.0, 1.0), (5.0, 2.0, 1.5), (3.0, 1.5, 1.5), (1.0, 3.0, 0.05)] {
-            assert!((sheet.light(Vector2::new(x, y)) - light).abs() < 1e-12, "{x}, {y}");
+            assert!((texture.light(Vector2::new(x, y)) - light).abs() < 1e-12, "{x}, {y}");
         }
     }
 
@@ -110,7 +110,7 @@ mod tests {
     #[test]
     #[allow(clippy::float_cmp)] // of the same print
     fn a_plain_rectangle_shows_one_radiance() {
-        let sheet = Sheet::new(&even());
+        let texture = BoardTexture::new(&even());
         let (mut plain, mut mixed) = (0, 0);
         for i in 0..40 {
             for j in 0..30 {
@@ -119,11 +119,13 @@ mod tests {
                     let high = low.add_scalar(size);
                     let parts = (0..=20).map(|part| f64::from(part) / 20.0);
                     let mut seen = parts.clone().flat_map(|x| {
-                        let sheet = &sheet;
-                        parts.clone().map(move |y| sheet.radiance(low + Vector2::new(x, y) * size))
+                        let texture = &texture;
+                        parts
+                            .clone()
+                            .map(move |y| texture.radiance(low + Vector2::new(x, y) * size))
                     });
                     let first = seen.next().unwrap();
-                    match sheet.radiance_between(&low, &high) {
+                    match texture.radiance_between(&low, &high) {
                         Some(radiance) => {
                             assert!(
                                 first == radiance && seen.all(|seen| seen == radiance),
@@ -138,9 +140,9 @@ mod tests {
         }
         assert!(plain > 1500 && mixed > 1000, "{plain} {mixed}");
         let inside = Vector2::new(2.2, 1.3);
-        let uneven = Sheet::new(&Target { uneven_light: [0.1, 0.0], ..even() });
+        let uneven = BoardTexture::new(&Target { uneven_light: [0.1, 0.0], ..even() });
         assert!(uneven.radiance_between(&inside, &inside.add_scalar(0.1)).is_none());
         let nowhere = Vector2::repeat(f64::NAN);
-        assert!(sheet.radiance_between(&nowhere, &nowhere).is_none());
+        assert!(texture.radiance_between(&nowhere, &nowhere).is_none());
     }
 }

@@ -74,7 +74,7 @@ impl Oblique {
 
 /// The weights by which pixels of one kind see the light.
 #[derive(Debug)]
-pub(super) struct Seen {
+pub(super) struct PixelResponse {
     rows: Vec<Row>,
     /// Step of the distances that light comes from, px, and their number.
     from_px: f64,
@@ -93,7 +93,7 @@ struct Row {
 /// The light of two discs as pixels see it, by distance.
 pub(super) struct SeenDiscs(Vec<f64>);
 
-impl Seen {
+impl PixelResponse {
     /// Of such pixels up to a distance from the middle, px.
     pub fn new(pixel: &Pixel, reach_px: f64) -> Self {
         let places = pixel.places();
@@ -183,7 +183,7 @@ mod tests {
         ] {
             let oblique = Angles::new(a, -b, 11.5).oblique(&law);
             let (outer, inner) = (a + b, f64::abs(a - b));
-            let seen = Seen::new(&Pixel::new(spread), 10.0).discs(outer, inner, &oblique);
+            let seen = PixelResponse::new(&Pixel::new(spread), 10.0).discs(outer, inner, &oblique);
             for r in [0.0, 0.6, 2.9, 4.5, 6.4, 8.1, 9.6] {
                 let (mut sum, mut weights) = (0.0, 0.0);
                 let reach = 0.5 + 5.0 * f64::sqrt(spread);

@@ -3,14 +3,14 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use super::{
-    CrossValidation, Displacements, ParameterError, PoseErrors, Reconstruction, cross_validate,
-    parameter_errors, pose_errors, shape_errors,
+    CrossValidation, Displacements, ParameterError, PoseErrors, Posed, Reconstruction,
+    cross_validate, parameter_errors, pose_boards, pose_errors, shape_errors,
 };
-use crate::calibration::{Calibration, CalibrationOptions, LeftOut, Start, calibrate};
-use crate::error::Result;
+use crate::calibration::{CalibrationOptions, LeftOut, Start};
+use crate::error::{Error, Result};
+use crate::finding::{Finding, Issue, Subject};
 use crate::model::{
-    BapFeature, BentBoard, Board, BoardShape, FramePose, Observations, PlenopticCamera,
-    Reprojection, SHAPE,
+    BapFeature, BentBoard, Board, BoardShape, FramePose, Observations, PlenopticCamera, SHAPE,
 };
 
 /// A camera to evaluate.
@@ -94,19 +94,6 @@ impl EvaluationInput {
     }
 }
 
-/// Poses of boards, estimated with a fixed camera.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Posed {
-    /// Their poses.
-    pub poses: Vec<FramePose>,
-    /// Reprojection errors.
-    pub reprojection: Reprojection,
-    /// Frames without a pose.
-    pub left_out: Vec<LeftOut>,
-    /// Whether the poses are at a minimum.
-    pub converged: bool,
-}
-
 /// The evaluation of one camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CandidateResult {
@@ -133,26 +120,12 @@ pub struct Evaluation {
     pub poses: Vec<(String, PoseErrors)>,
     /// The result of the cross-validation.
     pub folds: Option<CrossValidation>,
-    /// What could not be evaluated, and why; and what known steps speak against.
-    pub problems: Vec<String>,
-}
-
-/// Estimates the poses of a board of known shape with a fixed camera.
-pub fn pose_boards(
-    camera: &PlenopticCamera,
-    bent: &BentBoard,
-    features: &[BapFeature],
-) -> Result<Posed> {
-    let options = CalibrationOptions::default().of_poses_only(bent.shape);
-    let seen = Observations { centers: Vec::new(), features: features.to_vec() };
-    let start = Start::Camera(camera.clone());
-    let result = calibrate(&start, &bent.board, &seen, &options, &mut |_| true)?;
-    let Calibration { poses, reprojection, left_out, converged, .. } = result;
-    Ok(Posed { poses, reprojection, left_out, converged })
+    /// What could not be evaluated, and why; and findings about known steps.
+    pub findings: Vec<Finding>,
 }
 
 /// Evaluates cameras. What fails (boards without a pose, a translation with only one frame, a true
-/// camera of another kind) is listed in `problems`, and the rest is evaluated all the same. `progress`
+/// camera of another kind) is listed in `findings`, and the rest is evaluated all the same. `progress`
 /// is called after every fold of the cross-validation.
 #[must_use]
 pub fn evaluate(
@@ -161,31 +134,30 @@ pub fn evaluate(
     progress: &(dyn Fn() + Sync),
 ) -> Evaluation {
     let _span = tracing::info_span!("evaluation").entered();
-    let mut problems = Vec::new();
+    let mut findings = Vec::new();
     let results: Vec<CandidateResult> = candidates
         .iter()
-        .map(|candidate| candidate_result(candidate, input, &mut problems))
+        .map(|candidate| candidate_result(candidate, input, &mut findings))
         .collect();
     let moved = results.first().and_then(|result| result.translation.as_ref());
-    let doubts = moved.into_iter().flat_map(Displacements::doubts);
-    problems.extend(doubts.map(|doubt| doubt.text(input.board.square_mm)));
+    findings.extend(moved.into_iter().flat_map(|moved| moved.findings(input.board.square_mm)));
     let step_mm = input.translation.as_ref().map(|(_, step_mm)| *step_mm);
     let clouds = step_mm.filter(|_| !input.clouds_mm.is_empty()).and_then(|step_mm| {
-        kept("point clouds", Displacements::of(&input.clouds_mm, step_mm), &mut problems)
+        kept("point clouds", Displacements::of(&input.clouds_mm, step_mm), &mut findings)
     });
     let folds = input.folds.as_ref().and_then(|folds| {
         let Folds { start, observations, options, count } = folds;
         let result = cross_validate(start, &input.board, observations, options, *count, progress);
-        kept("cross-validation", result, &mut problems)
+        kept("cross-validation", result, &mut findings)
     });
     let poses = poses_against_truth(&results, input);
-    Evaluation { candidates: results, clouds, poses, folds, problems }
+    Evaluation { candidates: results, clouds, poses, folds, findings }
 }
 
 fn candidate_result(
     candidate: &Candidate,
     input: &EvaluationInput,
-    problems: &mut Vec<String>,
+    findings: &mut Vec<Finding>,
 ) -> CandidateResult {
     let name = &candidate.name;
     let board = BentBoard { board: input.board, shape: candidate.board_shape };
@@ -193,12 +165,14 @@ fn candidate_result(
         let posed = pose_boards(&candidate.camera, &board, features);
         let what = format!("{name}, boards of {subset}");
         if let Ok(posed) = &posed {
-            problems.extend(posed.left_out.iter().map(|l| format!("{what}: {l}")));
+            findings.extend(posed.left_out.iter().map(LeftOut::finding));
             if !posed.converged {
-                problems.push(format!("{what}: the poses did not converge"));
+                findings.push(
+                    Finding::caution(Issue::PosesNotConverged).about(Subject::Part(what.clone())),
+                );
             }
         }
-        kept(&what, posed, problems)
+        kept(&what, posed, findings)
     };
     let evaluation =
         (!input.evaluation.is_empty()).then(|| posed("evaluation", &input.evaluation)).flatten();
@@ -208,20 +182,20 @@ fn candidate_result(
         .and_then(|(features, step_mm)| Some((posed("translation", features)?, *step_mm)));
     let translation = moved.and_then(|(posed, step_mm)| {
         let found = Displacements::of_poses(&posed.poses, &input.board, step_mm);
-        kept(&format!("{name}, known displacement"), found, problems)
+        kept(&format!("{name}, known displacement"), found, findings)
     });
     let reconstruction = evaluation.as_ref().and_then(|posed| {
         let found = Reconstruction::of(&candidate.camera, &board, posed);
         let what = format!("{name}, reconstructed points");
-        let found = kept(&what, found, problems)?;
+        let found = kept(&what, found, findings)?;
         if found.is_none() {
-            problems.push(format!("{what}: no frame has enough points"));
+            findings.push(Finding::caution(Issue::TooFewPoints).about(Subject::Part(what)));
         }
         found
     });
     let of_camera = input.truth.as_ref().and_then(|truth| {
         let errors = parameter_errors(truth, &candidate.camera, &candidate.std_devs);
-        kept(&format!("{name}, truth"), errors, problems)
+        kept(&format!("{name}, truth"), errors, findings)
     });
     let of_board = input
         .true_board
@@ -255,6 +229,11 @@ fn half_turn(board: &Board) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(last.x, last.y, 0.0), turn)
 }
 
-fn kept<T>(what: &str, result: Result<T>, problems: &mut Vec<String>) -> Option<T> {
-    result.map_err(|error| problems.push(format!("{what}: {error}"))).ok()
+/// The result, or a finding that a part failed.
+fn kept<T>(part: &str, result: Result<T>, findings: &mut Vec<Finding>) -> Option<T> {
+    let failed = |error: Error| {
+        Finding::caution(Issue::PartFailed { reason: error.to_string() })
+            .about(Subject::Part(part.to_owned()))
+    };
+    result.map_err(|error| findings.push(failed(error))).ok()
 }

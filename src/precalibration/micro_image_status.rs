@@ -27,7 +27,7 @@ pub(super) enum LeftOut {
 }
 
 /// What an image shows of a node of its pattern.
-pub(super) struct Verdict {
+pub(super) struct MicroImageStatus {
     pub node: (i32, i32),
     /// Why it gave no centre, if it gave none.
     pub left_out: Option<LeftOut>,
@@ -35,8 +35,8 @@ pub(super) struct Verdict {
     pub lit: bool,
 }
 
-/// Verdicts on the micro-images that were measured, then on the other nodes in the image.
-pub(super) fn judge(image: &Grey, pattern: &Pattern, blobs: &[Blob]) -> Vec<Verdict> {
+/// The status of the micro-images that were measured, then on the other nodes in the image.
+pub(super) fn judge(image: &Grey, pattern: &Pattern, blobs: &[Blob]) -> Vec<MicroImageStatus> {
     let light: Vec<((i32, i32), f64)> = blobs.iter().map(|b| (b.node, b.light)).collect();
     let light = ByNode::new(&light);
     let unlit = UNLIT * usual_light(blobs);
@@ -48,7 +48,7 @@ pub(super) fn judge(image: &Grey, pattern: &Pattern, blobs: &[Blob]) -> Vec<Verd
         } else {
             (blob.saturated > SATURATED).then_some(LeftOut::Saturated)
         };
-        Verdict { node: blob.node, left_out, lit: !dark }
+        MicroImageStatus { node: blob.node, left_out, lit: !dark }
     };
     let of_other = |&node: &(i32, i32)| {
         let (light, saturated) = middle_light(image, pattern, node).unwrap_or_default();
@@ -60,7 +60,7 @@ pub(super) fn judge(image: &Grey, pattern: &Pattern, blobs: &[Blob]) -> Vec<Verd
         } else {
             LeftOut::Dark
         };
-        Verdict { node, left_out: Some(left_out), lit: full || light > unlit }
+        MicroImageStatus { node, left_out: Some(left_out), lit: full || light > unlit }
     };
     let mut others = nodes_in(image.size(), pattern);
     others.retain(|&node| light.at(node).is_none());
@@ -68,9 +68,9 @@ pub(super) fn judge(image: &Grey, pattern: &Pattern, blobs: &[Blob]) -> Vec<Verd
 }
 
 /// The nodes that show light of the array.
-pub(super) fn lit_nodes(verdicts: &[Verdict]) -> Vec<(i32, i32)> {
+pub(super) fn lit_nodes(statuses: &[MicroImageStatus]) -> Vec<(i32, i32)> {
     let lit: Vec<((i32, i32), ())> =
-        verdicts.iter().filter(|v| v.lit).map(|v| (v.node, ())).collect();
+        statuses.iter().filter(|v| v.lit).map(|v| (v.node, ())).collect();
     let by_node = ByNode::new(&lit);
     let among_others = |node: &(i32, i32)| by_node.around(*node, 1).count() >= FEWEST_NEIGHBOURS;
     lit.iter().map(|&(node, ())| node).filter(among_others).collect()

@@ -4,7 +4,7 @@
 use nalgebra::Vector2;
 
 use super::grid::MicroImageArray;
-use super::stage::PrecalibrationOptions;
+use super::options::PrecalibrationOptions;
 use crate::model::{InternalParameters, Lean, growth_per_px};
 use crate::vignetting::{Obliquity, Pixel};
 
@@ -16,7 +16,7 @@ pub(super) const GROWTH: f64 = 1e-2;
 
 /// The discs of pupil and blur in a white image.
 #[derive(Debug)]
-pub(super) struct Levers {
+pub(super) struct DiscGeometry {
     /// a, px.
     pupil_px: f64,
     /// φqᵢ with its sign, by lens type, px.
@@ -28,7 +28,7 @@ pub(super) struct Levers {
     pixel: Pixel,
 }
 
-impl Levers {
+impl DiscGeometry {
     /// Of an image at this f-number.
     pub fn new(
         internal: &InternalParameters,

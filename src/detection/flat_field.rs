@@ -8,7 +8,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::MicroImages;
 use super::patch::USABLE;
-use super::stage::DetectedFrame;
+use crate::finding::{Finding, Issue, Subject};
 use crate::image::{Grey, bounds};
 use crate::numerics::median;
 
@@ -158,46 +158,21 @@ impl Likeness {
         }
     }
 
-    fn words(&self, field: usize, value: &Vector) -> String {
+    fn issue(&self, field: usize, value: &Vector) -> Issue {
         if self.weight(field, value).abs() > STRANGE {
-            return "light is spread over the micro-images in another way: another f-number, a gamma, another black \
-                    level, a shift, another size, or a white image of another camera. Take and export all images with the same settings"
-                .to_owned();
+            return Issue::UnlikeWhite;
         }
         match field {
-            BLACK => format!(
-                "samples without light are {:.1} % of a bright square {} than in the white image: another black level. \
-                 Take and export all images with the same settings, and without changing their contrast",
-                100.0 * value[BLACK].abs(),
-                if value[BLACK] > 0.0 { "higher" } else { "lower" }
-            ),
-            TONE => format!(
-                "light goes with about the power {:.2} of that of the white image (gamma, contrast or another tone \
-                 curve). Take and export all images linear in light",
-                1.0 + value[TONE]
-            ),
-            RADIUS => format!(
-                "micro-images have an edge as at {:.3} times the f-number of the white image. Take the white image for \
-                 the boards (devignetting) and the boards at one f-number",
+            BLACK => Issue::OtherBlackLevel { difference: value[BLACK] },
+            TONE => Issue::OtherToneCurve { power: 1.0 + value[TONE] },
+            RADIUS => {
                 // They are as bright farther inside where the pupil is smaller.
-                self.pupil_px / (self.pupil_px - value[RADIUS]).max(0.1 * self.pupil_px)
-            ),
-            SCALE => format!(
-                "micro-images are {:.2} % {} each other than in the white image: one of them was resized, or is of another \
-                 focus or camera. Take both as the camera delivers them, with nothing moved between",
-                100.0 * value[SCALE].abs(),
-                if value[SCALE] < 0.0 { "farther from" } else { "nearer to" }
-            ),
-            TURN => format!(
-                "micro-images are turned by {:.3} degrees against the white image. Take both as the camera delivers them, \
-                 with nothing moved between",
-                value[TURN].to_degrees().abs()
-            ),
-            _ => format!(
-                "micro-images are shifted by ({:.2}, {:.2}) px against the white image: something has moved in the camera, \
-                 or one of the images was cut. Take white images with the camera as it is for the boards",
-                -value[SHIFT[0]], -value[SHIFT[1]]
-            ),
+                let pupil_px = (self.pupil_px - value[RADIUS]).max(0.1 * self.pupil_px);
+                Issue::OtherAperture { ratio: self.pupil_px / pupil_px }
+            }
+            SCALE => Issue::OtherScale { scale: value[SCALE] },
+            TURN => Issue::OtherRotation { angle_deg: value[TURN].to_degrees().abs() },
+            _ => Issue::OtherOrigin { shift_px: [-value[SHIFT[0]], -value[SHIFT[1]]] },
         }
     }
 }
@@ -283,11 +258,12 @@ impl Sums {
     }
 }
 
-/// What the user should know of frames that were not taken as the white image was.
-pub(super) fn unlike(frames: &[DetectedFrame]) -> Vec<String> {
-    let all: Vec<(&DetectedFrame, &Likeness)> =
-        frames.iter().filter_map(|frame| Some((frame, frame.likeness.as_ref()?))).collect();
-    let weighty = |(_, likeness): &(&DetectedFrame, &Likeness), limit: f64| {
+/// A frame by its number and name, and how its light follows the white image.
+pub(super) type ComparedFrame<'a> = (u32, &'a str, &'a Likeness);
+
+/// Findings about frames that were not taken as the white image was: one about most of them, or one about each.
+pub(super) fn unlike(all: &[ComparedFrame]) -> Vec<Finding> {
+    let weighty = |(_, _, likeness): &ComparedFrame, limit: f64| {
         let Difference { field, value } = likeness.difference()?;
         (likeness.weight(field, &value).abs() > limit).then_some((field, value))
     };
@@ -298,17 +274,15 @@ pub(super) fn unlike(frames: &[DetectedFrame]) -> Vec<String> {
     {
         let values: Vec<Vector> = of_field(&found, field).collect();
         let middle = Vector::from_fn(|row, _| median(values.iter().map(|v| v[row])).unwrap_or(0.0));
-        let words = all[0].1.words(field, &middle);
-        return vec![format!("boards are not like the white image: their {words}")];
+        let boards = Subject::Part("boards are not like the white image".to_owned());
+        return vec![Finding::caution(all[0].2.issue(field, &middle)).about(boards)];
     }
     if all.len() < FEWEST_FRAMES {
         return Vec::new();
     }
-    let of_one = |one: &(&DetectedFrame, &Likeness)| {
+    let of_one = |one @ (frame, name, likeness): &ComparedFrame| {
         let (field, value) = weighty(one, OF_ONE)?;
-        let DetectedFrame { frame, name, .. } = one.0;
-        let words = one.1.words(field, &value);
-        Some(format!("frame {frame} ({name}) is not like the white image: its {words}"))
+        Some(Finding::note(likeness.issue(field, &value)).about_frame(*frame, Some(name)))
     };
     all.iter().filter_map(of_one).collect()
 }

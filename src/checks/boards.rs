@@ -1,0 +1,59 @@
+//! Checks of images of boards, and of the boards found in them.
+
+use crate::finding::{Finding, Issue};
+use crate::model::{Board, Subset};
+use crate::numerics::median;
+use crate::quantity::Estimate;
+
+/// Boards in fewer positions carry little information on a camera.
+const FEW_FRAMES: usize = 4;
+/// The variance of both axes together of an even motion is a twelfth of its square, the variance along an axis half of it.
+const MOTION: f64 = 24.0;
+
+/// Images whose samples were rounded to few levels: the frames with their number of levels.
+pub(crate) fn few_levels(frames: &[(u32, u32)]) -> Option<Finding> {
+    let fewest = frames.iter().map(|(_, levels)| *levels).min()?;
+    let (images, frames) = (frames.len(), frames.iter().map(|(frame, _)| *frame).collect());
+    Some(Finding::caution(Issue::FewLevels { images, fewest, frames }))
+}
+
+/// The number of frames with a board.
+pub(crate) fn enough(frames: usize, subset: Subset) -> Option<Finding> {
+    (frames < FEW_FRAMES && subset == Subset::Calibration)
+        .then(|| Finding::note(Issue::FewBoards { frames }))
+}
+
+/// Frames whose edges are wider than the others': each frame with the excess variance of its edges, px². A frame is named
+/// beyond `least_px2` and so many `std_devs`.
+pub(crate) fn motion_blur(
+    frames: &[(u32, &str, Estimate)],
+    (least_px2, std_devs): (f64, f64),
+) -> Vec<Finding> {
+    let Some(usual) = median(frames.iter().map(|(.., spread)| spread.value)) else {
+        return Vec::new();
+    };
+    let wider = |(.., spread): &&(u32, &str, Estimate)| {
+        frames.len() >= FEW_FRAMES
+            && spread.value - usual > least_px2.max(std_devs * spread.std_dev)
+    };
+    let finding = |(frame, name, spread): &(u32, &str, Estimate)| {
+        let motion_px = (MOTION * (spread.value - usual)).sqrt();
+        Finding::note(Issue::MotionBlur { motion_px }).about_frame(*frame, Some(name))
+    };
+    frames.iter().filter(wider).map(finding).collect()
+}
+
+/// Whether any frame shows the board from side to side: a board that is stated too large fits as well where its other sides
+/// are out of view. `corners` are the numbers of the corners found in each frame.
+pub(crate) fn all_sides(corners: &[Vec<i32>], board: &Board) -> Option<Finding> {
+    let Board { columns, rows, .. } = *board;
+    let spans = |of: fn(i32, i32) -> i32, last: i32| {
+        corners.iter().any(|frame| {
+            let at = |side: i32| frame.iter().any(|corner| of(*corner, columns) == side);
+            at(0) && at(last)
+        })
+    };
+    let whole = spans(|corner, columns| corner % columns, columns - 1)
+        && spans(|corner, columns| corner / columns, rows - 1);
+    (!whole).then(|| Finding::caution(Issue::BoardNeverWhole { columns, rows }))
+}

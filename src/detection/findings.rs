@@ -1,0 +1,81 @@
+//! Findings about a set of images of boards.
+
+use super::edge_width::{MOVED, MOVED_PX2, differs};
+use super::flat_field::unlike;
+use super::{DetectedFrame, MicroImages};
+use crate::checks::boards as checks;
+use crate::finding::{Finding, Issue};
+use crate::model::{Board, FillFactor, Subset};
+use crate::quantity::Estimate;
+
+/// Fill factors that differ by fewer standard deviations may differ by chance.
+const CHANCE: f64 = 3.0;
+
+/// Findings about frames that are left out or blurred, and about a doubtful board.
+pub(super) fn findings(frames: &[DetectedFrame], board: &Board, subset: Subset) -> Vec<Finding> {
+    let left_out = |frame: &DetectedFrame| {
+        let why = frame.result.as_ref().err()?.clone();
+        Some(Finding::left_out(frame.frame, Some(&frame.name), why))
+    };
+    // Other light may be why frames are left out.
+    let compared =
+        frames.iter().filter_map(|f| Some((f.frame, f.name.as_str(), f.likeness.as_ref()?)));
+    let mut findings = unlike(&compared.collect::<Vec<_>>());
+    let few_levels = frames.iter().filter_map(|f| Some((f.frame, f.few_levels?)));
+    findings.extend(checks::few_levels(&few_levels.collect::<Vec<_>>()));
+    findings.extend(frames.iter().filter_map(left_out));
+    let found = || frames.iter().filter_map(|f| Some((f, f.result.as_ref().ok()?)));
+    if found().next().is_none() {
+        return findings;
+    }
+    findings.extend(checks::enough(found().count(), subset));
+    let widths: Vec<(u32, &str, Estimate)> = found()
+        .filter_map(|(frame, detection)| {
+            let [value, std_dev] = detection.edges?.spread_px2;
+            Some((frame.frame, frame.name.as_str(), Estimate { value, std_dev }))
+        })
+        .collect();
+    findings.extend(checks::motion_blur(&widths, (MOVED_PX2, MOVED)));
+    let corners: Vec<Vec<i32>> =
+        found().map(|(_, found)| found.corners.iter().map(|c| c.corner).collect()).collect();
+    findings.extend(checks::all_sides(&corners, board));
+    findings
+}
+
+/// A finding if corners were fitted with another fill factor than all frames show.
+pub(super) fn fitted_otherwise(found: &FillFactor, micro_images: &MicroImages) -> Option<Finding> {
+    let fitted_with = micro_images.fill_factor();
+    let estimated = Estimate { value: found.value, std_dev: found.std_dev };
+    let (taken, issue) = match micro_images.settled() {
+        // What is taken of those boards is at most 1.
+        Some(std_dev) => (
+            FillFactor { std_dev: found.std_dev.hypot(std_dev), ..found.taken() },
+            Issue::ApertureRatioOfOtherBoards { fitted_with, estimated },
+        ),
+        None => (*found, Issue::ApertureRatioOfFirstFrames { fitted_with, estimated }),
+    };
+    differs(&taken, fitted_with, CHANCE).then(|| Finding::caution(issue))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::micro_images::tests::micro_images;
+    use super::*;
+
+    /// What other boards have shown is taken as at most 1, and both σ count.
+    #[test]
+    fn boards_may_show_another_fill_factor_than_those_for_calibration() {
+        let of = |value: f64, std_dev: f64| FillFactor { value, std_dev };
+        let told = |known: FillFactor, found: FillFactor| {
+            fitted_otherwise(&found, &micro_images(16.0).settled_at(&known))
+        };
+        let (wide, narrow) = (of(1.04, 0.004), of(0.93, 0.004));
+        assert_eq!(told(wide.taken(), wide), None);
+        assert_eq!(told(narrow, of(0.945, 0.004)), None);
+        let finding = told(narrow, of(0.96, 0.004)).unwrap();
+        assert_eq!(finding.code(), "aperture-ratio-of-other-boards");
+        assert!(finding.to_string().contains("(0.9600 ± 0.0040)"), "{finding}");
+        let first = fitted_otherwise(&narrow, &micro_images(16.0)).unwrap();
+        assert_eq!(first.code(), "aperture-ratio-of-first-frames");
+    }
+}

@@ -1,0 +1,749 @@
+//! Findings: everything that is told about images, boards, cameras and results, in one shape.
+//!
+//! A finding has a code, a severity, a subject, the measured values behind it, and a remedy. Checks (`crate::checks`)
+//! create findings from measured values; stages return them; verdicts, exit statuses and tests use severities and codes.
+//! The wording of all findings is the table in this file, and nowhere else.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::ser::SerializeStruct;
+use serde::{Serialize, Serializer};
+
+use crate::quantity::{Estimate, display_unit};
+
+/// The consequence of a finding for the camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Severity {
+    /// Worth knowing; the camera is not in doubt.
+    Note,
+    /// The camera is usable with care.
+    Caution,
+    /// The camera should not be used.
+    Unusable,
+}
+
+/// The object that a finding is about.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Subject {
+    /// The input or result as a whole.
+    #[default]
+    Whole,
+    /// A file.
+    File(PathBuf),
+    /// A white image, by its name.
+    Image(String),
+    /// A frame of the board.
+    Frame {
+        /// Number of the frame.
+        frame: u32,
+        /// Name of its image, where it is known.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        image: Option<String>,
+        /// Whether the frame is not used.
+        left_out: bool,
+    },
+    /// A part of the work, such as `point clouds` or the name of a camera that is evaluated.
+    Part(String),
+}
+
+/// Something to tell about an input or a result.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Finding {
+    /// Consequence for the camera.
+    pub severity: Severity,
+    /// The object that it is about.
+    pub subject: Subject,
+    /// What was found, with the measured values.
+    pub issue: Issue,
+    /// Importance among findings of the same severity: a measured value over its limit, as a rule.
+    pub weight: f64,
+}
+
+impl Finding {
+    /// A finding about the whole input or result.
+    #[must_use]
+    pub fn new(severity: Severity, issue: Issue) -> Self {
+        Self { severity, subject: Subject::Whole, issue, weight: 1.0 }
+    }
+
+    /// A note.
+    #[must_use]
+    pub fn note(issue: Issue) -> Self {
+        Self::new(Severity::Note, issue)
+    }
+
+    /// A finding that calls for care.
+    #[must_use]
+    pub fn caution(issue: Issue) -> Self {
+        Self::new(Severity::Caution, issue)
+    }
+
+    /// A finding after which the camera should not be used.
+    #[must_use]
+    pub fn unusable(issue: Issue) -> Self {
+        Self::new(Severity::Unusable, issue)
+    }
+
+    /// The finding about this subject.
+    #[must_use]
+    pub fn about(self, subject: Subject) -> Self {
+        Self { subject, ..self }
+    }
+
+    /// The finding about a white image.
+    #[must_use]
+    pub fn about_image(self, name: &str) -> Self {
+        self.about(Subject::Image(name.to_owned()))
+    }
+
+    /// The finding about a frame, with the name of its image.
+    #[must_use]
+    pub fn about_frame(self, frame: u32, image: Option<&str>) -> Self {
+        self.about(Subject::Frame { frame, image: image.map(str::to_owned), left_out: false })
+    }
+
+    /// A note that a frame is not used, and why.
+    #[must_use]
+    pub fn left_out(frame: u32, image: Option<&str>, issue: Issue) -> Self {
+        let image = image.map(str::to_owned);
+        Self::note(issue).about(Subject::Frame { frame, image, left_out: true })
+    }
+
+    /// The finding with another weight.
+    #[must_use]
+    pub fn weighing(self, weight: f64) -> Self {
+        Self { weight, ..self }
+    }
+
+    /// The identifier of its kind, such as `bad-fit`: stable, for programs.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        self.issue.code()
+    }
+
+    /// What to do about it; empty where there is nothing to do.
+    #[must_use]
+    pub fn remedy(&self) -> String {
+        self.issue.remedy()
+    }
+
+    /// What was found, without the remedy.
+    #[must_use]
+    pub fn message(&self) -> String {
+        format!("{}{}", self.subject, self.issue)
+    }
+}
+
+impl fmt::Display for Finding {
+    /// The message and the remedy.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message())?;
+        match self.remedy() {
+            remedy if remedy.is_empty() => Ok(()),
+            remedy => write!(f, ": {remedy}"),
+        }
+    }
+}
+
+impl fmt::Display for Subject {
+    /// The beginning of a message, with a colon; nothing for the whole.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Whole => Ok(()),
+            Self::File(path) => write!(f, "{}: ", path.display()),
+            Self::Image(name) | Self::Part(name) => write!(f, "{name}: "),
+            Self::Frame { frame, image, left_out } => {
+                write!(f, "frame {frame}")?;
+                image.as_ref().map_or(Ok(()), |image| write!(f, " ({image})"))?;
+                f.write_str(if *left_out { " is left out: " } else { ": " })
+            }
+        }
+    }
+}
+
+impl Serialize for Finding {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut fields = serializer.serialize_struct("Finding", 6)?;
+        fields.serialize_field("code", self.code())?;
+        fields.serialize_field("severity", &self.severity)?;
+        fields.serialize_field("subject", &self.subject)?;
+        fields.serialize_field("values", &self.issue)?;
+        fields.serialize_field("text", &self.message())?;
+        fields.serialize_field("remedy", &self.remedy())?;
+        fields.end()
+    }
+}
+
+/// Sorts findings by severity, then by weight, the heaviest first.
+pub fn sort(findings: &mut [Finding]) {
+    findings.sort_by(|a, b| b.severity.cmp(&a.severity).then(b.weight.total_cmp(&a.weight)));
+}
+
+/// The heaviest severity among findings; `None` without any.
+#[must_use]
+pub fn worst(findings: &[Finding]) -> Option<Severity> {
+    findings.iter().map(|finding| finding.severity).max()
+}
+
+/// Declares [`Issue`]: for each kind of finding its code, its measured values, its message, and its remedy.
+macro_rules! issues {
+    ($(
+        $(#[$doc:meta])*
+        $variant:ident $code:literal $({ $($field:ident: $type:ty),* $(,)? })?
+            => $text:expr, $remedy:expr;
+    )*) => {
+        /// What was found, with the measured values; units are in the names.
+        #[derive(Debug, Clone, PartialEq, Serialize)]
+        #[serde(untagged)]
+        #[allow(missing_docs)] // of fields, whose names say what they are and in which unit
+        pub enum Issue {
+            $($(#[$doc])* $variant $({ $($field: $type),* })?,)*
+        }
+
+        impl Issue {
+            /// All codes, in the order of the table.
+            pub const CODES: &'static [&'static str] = &[$($code),*];
+
+            /// The identifier of the kind of finding.
+            #[must_use]
+            pub fn code(&self) -> &'static str {
+                match self {
+                    $(Self::$variant { .. } => $code,)*
+                }
+            }
+
+            /// What to do about it.
+            #[must_use]
+            #[allow(unused_variables)] // most remedies need no values
+            pub fn remedy(&self) -> String {
+                match self {
+                    $(Self::$variant $({ $($field),* })? => $remedy.to_string(),)*
+                }
+            }
+        }
+
+        impl fmt::Display for Issue {
+            #[allow(unused_variables)] // values that only the remedy needs
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                match self {
+                    $(Self::$variant $({ $($field),* })? => f.write_str(&$text.to_string()),)*
+                }
+            }
+        }
+    };
+}
+
+const NONE: &str = "";
+/// The remedy for images that were changed after the exposure.
+const SAME_SETTINGS: &str = "take and export all images with the same settings, linear in light";
+/// The remedy where two images of one camera do not lie on each other.
+const NOTHING_MOVED: &str =
+    "take both as the camera delivers them, with nothing moved in the camera between";
+
+issues! {
+    // Files and images.
+
+    /// Image files are JPEG.
+    LossyCompression "lossy-compression" { images: usize, first: String } =>
+        format!("{images} image(s) are JPEG (the first is {first}): compression moves and widens edges, and biases d, fᵢ and m by some per cent"),
+        "take images without loss (PNG, TIFF)";
+    /// A file was changed while it was read.
+    FileChanged "file-changed" =>
+        "was changed while it was read", "run again";
+    /// The pixels of an image that is stated to be grey alternate as behind a colour mosaic.
+    ColorMosaic "color-mosaic" =>
+        "its pixels alternate in brightness like those behind a colour mosaic",
+        "give the name of the mosaic as the colour of the images";
+    /// The two green pixels of a mosaic differ.
+    WrongMosaic "wrong-mosaic" =>
+        "the pixels that should both be green differ", "give the name of the mosaic that the camera has";
+    /// The work on a part was not possible; the rest went on.
+    PartFailed "part-failed" { reason: String } =>
+        reason, NONE;
+
+    // White images.
+
+    /// The samples are not linear in light.
+    NotLinear "not-linear" { power: f64 } =>
+        format!("the samples of the white images are not linear in light: light is about their power of {power:.1} (gamma, or another tone curve)"),
+        "switch gamma, tone curves and sRGB off in the camera and its software, and take or export all images again, boards too";
+    /// The stated black level contradicts the darkness between micro-images.
+    BlackLevelContradicted "black-level-contradicted" { stated: f64, image: String, measured: f64 } =>
+        format!("the black level is stated as {stated} grey levels, but between the micro-images of {image} samples are {measured:.2}"),
+        "correct black_level in [images], or leave it out";
+    /// The black level cannot be measured.
+    BlackLevelUnknown "black-level-unknown" =>
+        "the black level cannot be measured, since at no f-number it is dark between the micro-images: samples are taken to be 0 without light",
+        "if they are not, give black_level in [images], the mean sample of an image with the lens covered, or add a white image at a larger f-number";
+    /// The radius of micro-images contradicts the f-numbers of the other white images.
+    FNumberContradicted "f-number-contradicted" { f_number: f64, radius_px: f64, expected_px: f64 } =>
+        format!("at f/{f_number:.2} the radius of type 1 is {radius_px:.2} px, but the other white images predict {expected_px:.2} px"),
+        "check its f-number, and that neither contrast nor black level were changed";
+    /// A white image is left out, since its micro-images have the size of another f-number.
+    FNumberLeftOut "f-number-left-out" { f_number: f64, looks_like: f64 } =>
+        format!("its micro-images have the size of f/{looks_like:.2} and not of f/{f_number:.2}, if the other white images are right; it is left out"),
+        "check its f-number, that it is a white image of this camera, and that neither contrast nor black level were changed";
+    /// The white image of the boards was taken at another aperture than stated.
+    ApertureContradicted "aperture-contradicted" { f_number: f64, radius_px: f64, expected_px: f64, looks_like: f64 } =>
+        format!("at f/{f_number:.2} micro-images of type 1 should have a radius of {expected_px:.2} px, but have {radius_px:.2} px, as at about f/{looks_like:.2}"),
+        "check the f-number of the main lens (f_number), which is that of this image and of the boards";
+    /// m and q' come from straight lines, since the light shows no discs.
+    NoDiscs "no-discs" { m_error: f64, q_prime_error: f64 } =>
+        format!("the light inside the micro-images is not that of two discs, as where noise is clipped at black or a point spread (1.6 px or more) is as wide as the discs: m and q' are from straight lines through the radii, and f-numbers that are 2 % off make them {:.0} % and {:.0} % wrong", 100.0 * m_error, 100.0 * q_prime_error),
+        "expose white images longer with less gain, keep their black level above 0, and check that the images are sharp";
+    /// The angular response of the pixels cannot be measured.
+    ResponseUnknown "response-unknown" =>
+        "the fall-off of light with its angle does not show in the white images: it is taken to be cos⁴, and corners far from the axis may be off by 0.1 px",
+        "take white images that are not clipped";
+    /// Micro-images at the corners of the image are not round.
+    ObliquePupil "oblique-pupil" { narrower: f64 } =>
+        format!("micro-images at the corners are {:.0} % narrower along the direction from the middle of the image than across it: the main lens cuts oblique light, and its pupil is no disc there; distortion, field curvature and the tilt of the array can be off by several of their standard deviations", 100.0 * narrower),
+        "take boards and white images at a larger f-number, or keep boards away from the border";
+    /// Few micro-images have the size of their lens type.
+    LensTypesDisagree "lens-types-disagree" { agreement: f64 } =>
+        format!("only {:.0} % of the micro-images have the size of their lens type: the image is noisy, not white, or the types do not follow the lattice", 100.0 * agreement),
+        NONE;
+    /// Neighbouring micro-images differ in brightness.
+    NotWhite "not-white" { uneven: f64 } =>
+        format!("{:.0} % of its micro-images are not nearly as bright as their neighbours", 100.0 * uneven),
+        "give a white image, of something bright and even right before the lens";
+    /// The micro-images lie off a regular lattice.
+    IrregularArray "irregular-array" { rms_px: f64, pitch_px: f64 } =>
+        format!("its micro-images are {rms_px:.2} px RMS off a regular grid, {:.1} % of their pitch: arrays are more regular", 100.0 * rms_px / pitch_px),
+        "give a white image that is evenly lit, and neither processed nor put together from others";
+    /// The lattice is longer along one direction.
+    StretchedArray "stretched-array" { stretch: f64 } =>
+        format!("its lattice is {:.2} % longer along one direction than across it, as if pixels were not square", 100.0 * stretch),
+        "give images as the camera delivers them, not resized along one side";
+    /// Most pixels of a white image are saturated.
+    OverExposed "over-exposed" { full: f64 } =>
+        format!("{:.0} % of its pixels are saturated", 100.0 * full),
+        "expose it less, so that edges show";
+
+    // Images of boards.
+
+    /// A frame shows no board, or cannot be read.
+    Unreadable "unreadable" { reason: String } =>
+        reason, NONE;
+    /// The samples were rounded to few levels.
+    FewLevels "few-levels" { images: usize, fewest: u32, frames: Vec<u32> } =>
+        format!("the samples of {images} image(s) of boards were rounded to few grey levels, as few as {fewest} (frames {}), which moves edges", list(frames)),
+        "export images with all bits of the camera";
+    /// Few frames for a calibration.
+    FewBoards "few-boards" { frames: usize } =>
+        format!("{frames} frame(s) are few for a calibration"),
+        "take ten or more, at several distances and tilts";
+    /// The edges of one frame are wider than the others'.
+    MotionBlur "motion-blur" { motion_px: f64 } =>
+        format!("its edges are wider than in the other frames, as if something had moved by {motion_px:.1} px in its micro-images"),
+        "hold board and camera still, or leave the frame out if it does not fit";
+    /// No frame shows all sides of the board.
+    BoardNeverWhole "board-never-whole" { columns: i32, rows: i32 } =>
+        "no frame shows the board from its first to its last row and column",
+        format!("check that it has {columns} x {rows} inner corners");
+    /// Corners were fitted with another aperture ratio than all frames give.
+    ApertureRatioOfFirstFrames "aperture-ratio-of-first-frames" { fitted_with: f64, estimated: Estimate } =>
+        format!("the aperture ratio estimated from the first frames ({fitted_with:.4}) differs from the one of all frames ({estimated})"),
+        format!("exclude blurred first frames, or state the aperture ratio {:.4} in the project", estimated.value);
+    /// These boards give another aperture ratio than the boards of the calibration.
+    ApertureRatioOfOtherBoards "aperture-ratio-of-other-boards" { fitted_with: f64, estimated: Estimate } =>
+        format!("the aperture ratio estimated from the boards of the calibration ({fitted_with:.4}) differs from the one of these boards ({estimated})"),
+        "take all images with the same camera at the same settings";
+    /// The light of boards differs from the white image in no single way.
+    UnlikeWhite "unlike-white" =>
+        "the light is spread over the micro-images in another way than in the white image: another f-number, a gamma, another black level, a shift, another size, or a white image of another camera",
+        SAME_SETTINGS;
+    /// Boards have another black level than the white image.
+    OtherBlackLevel "other-black-level" { difference: f64 } =>
+        format!("samples without light are {:.1} % of a bright square {} than in the white image", 100.0 * difference.abs(), if *difference > 0.0 { "higher" } else { "lower" }),
+        SAME_SETTINGS;
+    /// Boards have another tone curve than the white image.
+    OtherToneCurve "other-tone-curve" { power: f64 } =>
+        format!("board images are not linear relative to the white image: light is about its power of {power:.2} (gamma, contrast or another tone curve)"),
+        SAME_SETTINGS;
+    /// Boards have another aperture than the white image.
+    OtherAperture "other-aperture" { ratio: f64 } =>
+        format!("micro-images have an edge as at {ratio:.3} times the f-number of the white image"),
+        "take the white image for the boards (devignetting) and the boards at one f-number";
+    /// Boards have another scale than the white image.
+    OtherScale "other-scale" { scale: f64 } =>
+        format!("micro-images are {:.2} % {} each other than in the white image: one of them was resized, or is of another focus or camera", 100.0 * scale.abs(), if *scale < 0.0 { "farther from" } else { "nearer to" }),
+        NOTHING_MOVED;
+    /// Boards are turned against the white image.
+    OtherRotation "other-rotation" { angle_deg: f64 } =>
+        format!("micro-images are turned by {angle_deg:.3} degrees against the white image"),
+        NOTHING_MOVED;
+    /// Boards are shifted against the white image.
+    OtherOrigin "other-origin" { shift_px: [f64; 2] } =>
+        format!("micro-images are shifted by ({:.2}, {:.2}) px against the white image: something has moved in the camera, or one of the images was cropped", shift_px[0], shift_px[1]),
+        "take white images with the camera in the state of the boards";
+
+    // A frame without a board.
+
+    /// Frame and white image differ in size.
+    SizesDiffer "sizes-differ" { image_px: [usize; 2], white_px: [usize; 2] } =>
+        format!("it has {} x {} px, but the white image has {} x {}", image_px[0], image_px[1], white_px[0], white_px[1]),
+        NONE;
+    /// The border cuts every micro-image.
+    NoWholeMicroImage "no-whole-micro-image" =>
+        "no micro-image is whole in it: the white images are of another camera, or the array has too few micro-lenses",
+        NONE;
+    /// Micro-images are saturated in the white image.
+    SaturatedWhite "saturated-white" { part: f64 } =>
+        format!("{:.0} % of the micro-images are saturated in the white image", 100.0 * part),
+        "take it with a shorter exposure";
+    /// Micro-images are saturated in the frame.
+    Saturated "saturated" { part: f64 } =>
+        format!("{:.0} % of the micro-images are saturated", 100.0 * part), "expose it less";
+    /// Micro-images have too few pixels to fit a corner to.
+    MicroImagesTooSmall "micro-images-too-small" { part: f64, pitch_px: f64 } =>
+        format!("{:.0} % of the micro-images have too few pixels with light to hold a corner: at a pitch of {pitch_px:.1} px no corners can be found in them", 100.0 * part),
+        NONE;
+    /// Micro-images have no light in the white image.
+    DarkWhite "dark-white" { part: f64 } =>
+        format!("{:.0} % of the micro-images are without light in the white image: it is of another camera, or no white image", 100.0 * part),
+        NONE;
+    /// No micro-image is usable, for one reason or another.
+    NothingUsable "nothing-usable" =>
+        "none of the micro-images can be used", NONE;
+    /// Bright and dark squares do not differ.
+    Uniform "uniform" =>
+        "there is no board in it: all is of one brightness", NONE;
+    /// Too few corners were found for a board.
+    TooFewCorners "too-few-corners" { corners: usize } =>
+        format!("{corners} corners are too few for a board"), NONE;
+    /// Boards of this size are not searched for.
+    BoardSize "board-size" { columns: i32, rows: i32, fewest: usize, most: usize } =>
+        format!("a board of {columns} x {rows} inner corners cannot be found: it needs {fewest} to {most} of them"), NONE;
+    /// Far more places look like corners than the board has.
+    TooMuchTexture "too-much-texture" { places: usize, corners: usize } =>
+        format!("{places} places look like corners, but the board has {corners}: the image is full of texture"), NONE;
+    /// No lattice has enough of the corners.
+    NoLattice "no-lattice" =>
+        "the corners lie on no lattice", NONE;
+    /// What shows may be one part of the board or another.
+    SeveralPlaces "several-places" { corners: usize, elsewhere: usize } =>
+        format!("{corners} corners could be more than one part of the board (as many as {elsewhere} at another place)"),
+        "show more of it, or its edges, or correct its size";
+    /// Too few of the corners in view were found.
+    TooFewInView "too-few-in-view" { found: usize, in_view: usize } =>
+        format!("only {found} of the {in_view} corners in view were found"), NONE;
+    /// The board is larger than stated.
+    BeyondBoard "beyond-board" { corners: usize, columns: i32, rows: i32 } =>
+        format!("{corners} corners lie on the lattice beyond the board of {columns} x {rows} inner corners"),
+        "correct the size of the board";
+    /// A side of the board is in view, but none of its corners was found.
+    SideMissing "side-missing" { side: &'static str, columns: i32, rows: i32 } =>
+        format!("no corner of the {side} shows, though it is in view"),
+        format!("check that the board has {columns} x {rows} inner corners and is not hidden there");
+    /// Many labelled corners were not found at the positions that their labels predict.
+    LabelsLost "labels-lost" { lost: usize, labelled: usize } =>
+        format!("{lost} of the {labelled} labelled corners were not found at the positions that their labels predict, so the labels are probably wrong"),
+        "show more of the board, or take a sharper image";
+    /// Too few corners were confirmed for a pose.
+    TooFewForPose "too-few-for-pose" { corners: usize, fewest: usize } =>
+        format!("only {corners} corners of the board were found again in the second pass, but a pose takes {fewest}"), NONE;
+    /// Another reason, in a frame with texture.
+    Texture "texture" { reason: Box<Issue>, corners: usize } =>
+        format!("{reason}; {corners} more corners are texture, not a board"), reason.remedy();
+
+    // A frame without a pose.
+
+    /// The caller left the frame out.
+    Excluded "excluded" =>
+        "excluded on request", NONE;
+    /// The frame has too few corners for a pose.
+    PoseTooFewCorners "pose-too-few-corners" { corners: usize, fewest: usize } =>
+        format!("{corners} corner(s) are too few; a pose needs {fewest}"), NONE;
+    /// The corners of the frame lie on one line.
+    PoseCollinear "pose-collinear" =>
+        "its corners lie on one line", NONE;
+    /// `solvePnP` failed.
+    PoseNotFound "pose-not-found" { reason: String } =>
+        format!("solvePnP failed: {reason}"), NONE;
+    /// No pose has the whole board beyond the focal plane.
+    PoseBehindFocalPlane "pose-behind-focal-plane" =>
+        "solvePnP found no pose with the whole board in front of the focal plane of the main lens", NONE;
+    /// Poses are given, but none of this frame.
+    PoseNotGiven "pose-not-given" =>
+        "no pose of it is given", NONE;
+    /// Poses are given of frames that show no features.
+    PosesOfNoFrame "poses-of-no-frame" { frames: Vec<u32> } =>
+        format!("poses are given of frames without features, which are not used: {}", list(frames)),
+        "check that they count frames as the features do";
+
+    // Calibrations.
+
+    /// The calibration is not at a minimum.
+    NotConverged "not-converged" =>
+        "it has not converged", NONE;
+    /// Micro-image centres lie far from the grid; they are kept.
+    OutlyingCenters "outlying-centers" { outliers: usize, centers: usize, grid_rms_px: f64 } =>
+        format!("{outliers} of {centers} micro-image centres lie far from the grid (its RMS is {grid_rms_px:.3} px)"),
+        "they are kept; a robust loss (loss) reduces their weight";
+    /// Features without σ lie far from their projections.
+    OutlyingUnweighted "outlying-unweighted" { features: usize, all: usize, scale: f64 } =>
+        format!("{features} of {all} features lie more than 10 times as far as usual from where the camera projects them: features without σ are refined again with Huber's loss, which sets in at {scale:.2} as their residuals let expect"),
+        "look for them in residuals.csv, or choose a loss";
+    /// The array reaches far beyond the image.
+    ArrayBeyondImage "array-beyond-image" { array: [i32; 2], extent_px: [f64; 2], image_px: [u32; 2] } =>
+        format!("{} x {} micro-lenses cover {:.0} x {:.0} px, but the image has {} x {}", array[0], array[1], extent_px[0], extent_px[1], image_px[0], image_px[1]),
+        "check the size of the array: D, d, t_x and t_y are those at its middle";
+    /// The observations do not determine all parameters.
+    Undetermined "undetermined" { rank: usize, parameters: usize, names: Vec<String> } =>
+        format!("the observations determine {rank} of {parameters} parameters; not determined: {}", if names.is_empty() { "some poses".to_owned() } else { names.join(", ") }),
+        "fix parameters, or add observations that determine them: frames at other distances and tilts, every lens type";
+    /// Residuals are far larger than noise.
+    BadFit "bad-fit" { rms_px: f64, micro_image_pitch_px: f64 } =>
+        format!("the residuals of the features are {rms_px:.2} px RMS, a large part of a micro-image ({micro_image_pitch_px:.1} px): noise alone is far smaller"),
+        "check the board (columns, rows, square_mm), the sign of rho and the frames with large residuals";
+    /// The camera does not explain the blur radii.
+    UnexplainedBlur "unexplained-blur" { rms_px: f64, spread_px: f64 } =>
+        format!("the residuals of the blur radii are {rms_px:.3} px RMS, though the radii themselves spread by only {spread_px:.3} px: the camera does not explain them"),
+        "check the sign of rho and the order of q'";
+    /// The observations contradict a prior.
+    PriorContradicted "prior-contradicted" { quantity: String, unit: &'static str, prior: Estimate, result: f64, source: String } =>
+        prior_text(quantity, unit, prior, *result, source),
+        prior_remedy(quantity);
+    /// m of the white images and of the camera differ.
+    SlopeContradicted "slope-contradicted" { error: f64 } =>
+        format!("|m| of the white images is {:.1} % off that of the camera: F, d and distances may be as much off", 100.0 * error.abs()),
+        "check the f-numbers (f_number), the size of a pixel (pixel_size_mm) and of the squares (square_mm)";
+    /// Two lens types give different aperture ratios.
+    ApertureRatiosDiffer "aperture-ratios-differ" { lens_types: [usize; 2], estimated: [Estimate; 2] } =>
+        format!("the edges of lens type {} give an aperture ratio of {:.3} ± {:.3}, those of type {} {:.3} ± {:.3}: the camera has one for all, so the focal lengths of both types are off", lens_types[0], estimated[0].value, estimated[0].std_dev, lens_types[1], estimated[1].value, estimated[1].std_dev),
+        "check the white images, and that lens types are in the same order everywhere";
+    /// The board is bent so far that it should be replaced.
+    WarpedBoard "warped-board" { bend_mm: f64, diagonal_mm: f64, estimated: bool } =>
+        format!("the board is bent by {bend_mm:.2} mm, {:.1} % of its diagonal: its shape is {}, but as a smooth bend that is the same in all frames", 100.0 * bend_mm / diagonal_mm, if *estimated { "estimated with the camera" } else { "taken as known" }),
+        "take a flatter board";
+    /// The squares of the board are oblong.
+    StretchedBoard "stretched-board" { aspect: f64 } =>
+        format!("the squares of the board are {:.1} % longer along {}: the mean of both sides is used, and an error in it scales F, d and all distances", 100.0 * aspect.abs(), if *aspect > 0.0 { "rows than along columns" } else { "columns than along rows" }),
+        "measure both sides";
+    /// The shape of the board could not be found, and it is taken to be flat.
+    BoardShapeNotFound "board-shape-not-found" { reason: String } =>
+        format!("the shape of the board could not be estimated, and it is taken to be flat: {reason}"),
+        "if you know that it is flat, say so; else check it, and the frames with large residuals";
+    /// The shape of the board was found once, and refining it further failed.
+    BoardShapeNotSettled "board-shape-not-settled" { reason: String } =>
+        format!("the board is not flat, and has the shape of a first trial, with priors that hold it to be flat; a second refinement without them failed: {reason}"),
+        "measure the board, and state its shape";
+    /// The main lens is focused at another distance than stated.
+    FocusDistance "focus-distance" { stated_mm: f64, by_boards_mm: f64 } =>
+        format!("the boards show that the lens is focused at about {by_boards_mm:.0} mm and not at {stated_mm} mm: the calibration starts from there"),
+        "check the focus distance (focus_distance_mm), the focal length (focal_length_mm) and the size of the squares (square_mm)";
+    /// All boards are nearly parallel to the image plane.
+    FrontoParallel "fronto-parallel" { largest_tilt_deg: f64 } =>
+        format!("all boards are fronto-parallel (tilted by at most {largest_tilt_deg:.1} degrees): the focal length F and the distance of the boards can hardly be separated"),
+        "add boards tilted by 20 to 40 degrees";
+
+    // Residuals and coverage.
+
+    /// Residuals are larger than the detection predicts.
+    Scatter "scatter" { ratio: f64 } =>
+        format!("residuals are {ratio:.1} times as large as the detection predicts: the images may have been moved, blurred, sharpened, resized (then pixel_size_mm is another) or taken at another f-number, or frames are not of one camera at one focus"),
+        NONE;
+    /// A frame does not fit the others.
+    OutlyingFrame "outlying-frame" { frame: u32, residual_ratio: f64, parameter: Option<String>, std_devs: Option<f64>, unexpected: Option<f64> } =>
+        outlying_frame_text(*residual_ratio, parameter.as_deref(), *std_devs, *unexpected),
+        format!("exclude frame {frame}, or find out what moved");
+    /// Features lie far from their projections.
+    OutlyingFeatures "outlying-features" { outlying: usize, all: usize } =>
+        format!("{outlying} of {all} features lie far from where the camera projects them"), NONE;
+    /// The residuals have a pattern over the image.
+    ImagePattern "image-pattern" { part: f64 } =>
+        format!("the residuals have a pattern over the image, {:.0} % of their size: the model lacks something, or the board is not flat", 100.0 * part), NONE;
+    /// The residuals grow with the distance from the centre of the micro-image.
+    MicroImagePattern "micro-image-pattern" { part: f64 } =>
+        format!("the residuals change with the distance from the centre of the micro-image, by {:.0} % of their size: the corners are biased, as where boards are blurred, sharpened or taken at another f-number than the white images", 100.0 * part), NONE;
+    /// One lens type has larger residuals than another.
+    LensTypePattern "lens-type-pattern" { ratio: f64 } =>
+        format!("the residuals of one lens type are {ratio:.1} times those of another"), NONE;
+    /// Few frames.
+    FewFrames "few-frames" { frames: usize } =>
+        format!("with only {frames} frame(s) the errors that all features of a frame share cannot be estimated: σ treats all observations as independent"), NONE;
+    /// Few tilted boards.
+    FewTilts "few-tilts" { tilted: usize, frames: usize } =>
+        format!("only {tilted} of {frames} boards are tilted by more than 10 degrees: F and the distances are hardly told apart"), NONE;
+    /// All boards at nearly the same distance.
+    OneDistance "one-distance" { ratio: f64 } =>
+        format!("all boards are at nearly the same distance (the largest is {ratio:.2} times the smallest)"), NONE;
+    /// Boards in a part of the image only.
+    Coverage "coverage" { part: f64 } =>
+        format!("boards cover {:.0} % of the image", 100.0 * part), NONE;
+    /// One frame has most of the information on a parameter.
+    DominantFrame "dominant-frame" { frame: u32, parameter: String, share: f64 } =>
+        format!("frame {frame} alone carries {:.0} % of the information on {parameter}", 100.0 * share), NONE;
+    /// A parameter has a large σ.
+    Uncertain "uncertain" { parameter: String, relative: f64 } =>
+        format!("{parameter} is known to {:.1} % only", 100.0 * relative), NONE;
+
+    // Evaluations.
+
+    /// The poses of boards did not converge.
+    PosesNotConverged "poses-not-converged" =>
+        "the poses did not converge", NONE;
+    /// No frame has enough points for a reconstruction.
+    TooFewPoints "too-few-points" =>
+        "no frame has enough points", NONE;
+    /// A model without some parameters did not converge.
+    ModelNotConverged "model-not-converged" =>
+        "the calibration has not converged; its numbers are those where it stopped", NONE;
+    /// The moved board went the other way.
+    StepsReversed "steps-reversed" =>
+        "the board of the translation moved the other way: step_mm is negative towards the camera",
+        "change its sign, or the order of the images";
+    /// One step of the moved board differs from the others.
+    StepUneven "step-uneven" { from: u32, to: u32, ratio: f64 } =>
+        format!("the step of the translation from frame {from} to {to} is {ratio:.2} times as long as the others"),
+        "an image is missing, there twice, or out of order";
+    /// All steps of the moved board contradict the size of the squares.
+    StepScale "step-scale" { ratio: f64, step_mm: f64, square_mm: f64 } =>
+        step_scale_text(*ratio, *step_mm, *square_mm),
+        "measure both, and correct one of them";
+}
+
+/// Numbers in a row.
+fn list(numbers: &[u32]) -> String {
+    numbers.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+}
+
+fn prior_text(
+    quantity: &str,
+    unit: &'static str,
+    prior: &Estimate,
+    result: f64,
+    source: &str,
+) -> String {
+    let (unit, factor) = display_unit(quantity, unit);
+    let prior = prior.scaled(factor);
+    let shown = Estimate::new(result * factor, prior.std_dev);
+    let (result, _) = shown.text();
+    format!(
+        "{quantity} is {result} {unit}, but its prior is {prior} {unit} ({source}): it is {:+.1} σ off",
+        (shown.value - prior.value) / prior.std_dev
+    )
+}
+
+/// What a contradicted prior may mean.
+fn prior_remedy(quantity: &str) -> &'static str {
+    match quantity {
+        "F" | "D" => {
+            "check the focal length (focal_length_mm), the size of the squares (square_mm) and of a pixel \
+             (pixel_size_mm), and the position of the exit pupil if you have stated it"
+        }
+        "m" => {
+            "check the f-numbers of the white images (f_number), the size of a pixel (pixel_size_mm) and of the \
+             squares (square_mm), and the position of the exit pupil if you have stated it"
+        }
+        "u0" | "v0" => {
+            "check whether the images are cropped; with few tilted boards, or corners that are biased \
+             towards the border, the axis drifts off"
+        }
+        "lean_u" | "lean_v" => {
+            "check that the white images are of this camera, and the position of the exit pupil if you have \
+             stated it; else the corners are biased towards one side of the image"
+        }
+        _ => "check the value, its unit, and whether it is of this camera and setting",
+    }
+}
+
+/// Residuals of a frame that are at most so many times the others' are not worth a word.
+const LARGER: f64 = 1.25;
+/// The σ of a parameter that is hardly determined is meaningless.
+const MOST_STD_DEVS: f64 = 1e3;
+
+fn outlying_frame_text(
+    residual_ratio: f64,
+    parameter: Option<&str>,
+    std_devs: Option<f64>,
+    unexpected: Option<f64>,
+) -> String {
+    let influence = parameter.zip(std_devs).zip(unexpected);
+    let larger = residual_ratio > LARGER || influence.is_none();
+    let mut reasons = Vec::new();
+    if larger {
+        reasons.push(format!(
+            "its residuals are {residual_ratio:.1} times theirs, as if board or camera had moved"
+        ));
+    }
+    if let Some(((parameter, std_devs), unexpected)) = influence {
+        reasons.push(if std_devs > MOST_STD_DEVS {
+            format!("without it {parameter} is undetermined")
+        } else {
+            format!(
+                "without it {parameter} moves by {std_devs:.1} σ, {unexpected:.0} times as much as the others predict"
+            )
+        });
+    }
+    format!("it does not fit the others: {}", reasons.join(", and "))
+}
+
+fn step_scale_text(ratio: f64, step_mm: f64, square_mm: f64) -> String {
+    format!(
+        "the known steps of the translation come out {ratio:.3} times as long as stated: either the squares of the board \
+         are {:.4} mm and not {square_mm} mm (square_mm), or the step is {:.4} mm and not {step_mm} mm (step_mm)",
+        square_mm / ratio,
+        step_mm * ratio
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use super::*;
+
+    #[test]
+    fn codes_are_unique_and_kebab_case() {
+        let unique: HashSet<&&str> = Issue::CODES.iter().collect();
+        assert_eq!(unique.len(), Issue::CODES.len());
+        let is_kebab = |code: &&str| code.chars().all(|c| c.is_ascii_lowercase() || c == '-');
+        assert!(Issue::CODES.iter().all(is_kebab));
+    }
+
+    #[test]
+    fn a_finding_carries_code_severity_subject_values_text_and_remedy() {
+        let finding =
+            Finding::caution(Issue::MotionBlur { motion_px: 1.25 }).about_frame(3, Some("b3.png"));
+        let begins = "frame 3 (b3.png): its edges are wider than in the other frames";
+        assert!(finding.to_string().starts_with(begins), "{finding}");
+        assert!(finding.to_string().ends_with("leave the frame out if it does not fit"));
+        let document = serde_json::to_value(&finding).unwrap();
+        assert_eq!(document["code"], "motion-blur");
+        assert_eq!(document["severity"], "caution");
+        assert_eq!(document["subject"]["frame"]["frame"], 3);
+        assert_eq!(document["values"]["motion_px"], 1.25);
+        assert!(!document["text"].as_str().unwrap().contains("hold board"));
+        assert!(document["remedy"].as_str().unwrap().starts_with("hold board and camera still"));
+    }
+
+    #[test]
+    fn the_heaviest_finding_is_first() {
+        let of = |severity, weight| Finding::new(severity, Issue::NotConverged).weighing(weight);
+        let mut all =
+            [of(Severity::Note, 9.0), of(Severity::Caution, 1.0), of(Severity::Caution, 2.0)];
+        sort(&mut all);
+        assert_eq!(all.each_ref().map(|f| f.weight), [2.0, 1.0, 9.0]);
+        assert_eq!(worst(&all), Some(Severity::Caution));
+        assert_eq!(worst(&[]), None);
+    }
+
+    #[test]
+    fn frames_are_described_by_what_is_remarkable_about_them() {
+        let moved = "its residuals are 2.0 times theirs, as if board or camera had moved";
+        let text = |ratio, std_devs: Option<f64>| {
+            outlying_frame_text(ratio, std_devs.map(|_| "F"), std_devs, std_devs.map(|_| 6.2))
+        };
+        let begins = "it does not fit the others: ";
+        assert_eq!(text(2.0, None), format!("{begins}{moved}"));
+        let without = "without it F moves by 7.0 σ, 6 times as much as the others predict";
+        assert_eq!(text(0.7, Some(7.0)), format!("{begins}{without}"));
+        assert_eq!(text(2.0, Some(7.0)), format!("{begins}{moved}, and {without}"));
+        assert_eq!(text(1.0, Some(1e9)), format!("{begins}without it F is undetermined"));
+    }
+}

@@ -1,0 +1,62 @@
+//! The image sensor.
+
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+
+use super::checks::positive;
+use crate::error::{Error, Result};
+
+/// Pixels are larger than half the wavelength of light, and smaller than those of any sensor for images.
+const SMALLEST_PIXEL_MM: f64 = 2e-4;
+const LARGEST_PIXEL_MM: f64 = 0.2;
+
+/// The image sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sensor {
+    /// Width, px.
+    pub width_px: u32,
+    /// Height, px.
+    pub height_px: u32,
+    /// Edge of a pixel s, mm.
+    pub pixel_size_mm: f64,
+}
+
+impl Sensor {
+    /// Middle of the image, px; pixel (0, 0) is the centre of the top-left pixel.
+    #[must_use]
+    pub fn center_px(&self) -> Vector2<f64> {
+        Vector2::new(f64::from(self.width_px) - 1.0, f64::from(self.height_px) - 1.0) / 2.0
+    }
+
+    /// Whether a position lies between the centres of the outermost pixels.
+    #[must_use]
+    pub fn contains(&self, u_px: f64, v_px: f64) -> bool {
+        (0.0..=f64::from(self.width_px) - 1.0).contains(&u_px)
+            && (0.0..=f64::from(self.height_px) - 1.0).contains(&v_px)
+    }
+
+    /// An error unless the sensor has pixels.
+    pub(crate) fn validate(&self) -> Result<()> {
+        if self.width_px == 0 || self.height_px == 0 {
+            return Err(Error::invalid(format!(
+                "a sensor of {} x {} pixels has no area",
+                self.width_px, self.height_px
+            )));
+        }
+        positive(self.pixel_size_mm, "the pixel size (mm)")?;
+        if (SMALLEST_PIXEL_MM..=LARGEST_PIXEL_MM).contains(&self.pixel_size_mm) {
+            return Ok(());
+        }
+        Err(Error::invalid(format!(
+            "a pixel of {} mm is that of no sensor: pixel_size_mm is the distance between neighbouring pixels in mm, \
+             0.0055 for 5.5 µm",
+            self.pixel_size_mm
+        )))
+    }
+
+    /// Half the diagonal, mm.
+    pub(crate) fn half_diagonal_mm(&self) -> f64 {
+        f64::from(self.width_px).hypot(f64::from(self.height_px)) / 2.0 * self.pixel_size_mm
+    }
+}

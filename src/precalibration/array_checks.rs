@@ -1,0 +1,89 @@
+//! Whether an image is a white image that shows its array well.
+
+use std::collections::HashMap;
+
+use nalgebra::{Matrix2, Vector2};
+
+use super::array::ArrayMeasurement;
+use crate::checks::whites::{self as checks, MOSTLY_FULL};
+use crate::error::Error;
+use crate::finding::Finding;
+use crate::image::{Grey, Image, RawImage};
+use crate::model::MicroImageCenter;
+use crate::numerics::median;
+
+/// In a white image a micro-image is within this factor as bright as its neighbours.
+const AS_BRIGHT: f64 = 2.0;
+
+/// An error for an image that is full nearly all over.
+pub(super) fn over_exposed(image: &Grey) -> Option<Error> {
+    let (width, height) = image.size();
+    let full = full_part(&image.part(0, 0, width, height));
+    (full > MOSTLY_FULL).then(|| {
+        Error::invalid(format!(
+            "{:.0} % of its pixels are full, and no array of micro-images shows: expose it less, so that the light inside \
+             micro-images is below full scale",
+            100.0 * full
+        ))
+    })
+}
+
+fn full_part(image: &Image) -> f64 {
+    image.pixels.iter().filter(|light| **light >= 1.0).count() as f64 / image.pixels.len() as f64
+}
+
+/// Findings about the image that an array was measured in: that it is no white image, over-exposed, or not regular.
+#[must_use]
+pub fn array_findings(array: &ArrayMeasurement, image: &RawImage) -> Vec<Finding> {
+    let (grid, image) = (&array.grid, image.to_grey());
+    let (full, uneven) = (full_part(&image), uneven_part(array, &image));
+    checks::array(uneven, (grid.rms_px, grid.pitch_px), stretch(array), full)
+}
+
+/// By which part the lattice is longer along one direction than across it: what the linear map from a regular lattice to
+/// the centres does, by least squares; `None` for too few centres.
+fn stretch(array: &ArrayMeasurement) -> Option<f64> {
+    let lattice = &array.grid.lattice;
+    let pairs = || {
+        let of = |c: &MicroImageCenter| (lattice.node(c.k, c.l), Vector2::new(c.u_px, c.v_px));
+        array.centers.iter().map(of)
+    };
+    let count = array.centers.len().max(1) as f64;
+    let (from, to) = pairs().fold((Vector2::zeros(), Vector2::zeros()), |(a, b), (x, y)| {
+        (a + x / count, b + y / count)
+    });
+    let (squares, products) = pairs().fold(
+        (Matrix2::zeros(), Matrix2::zeros()),
+        |(squares, products): (Matrix2<f64>, Matrix2<f64>), (x, y)| {
+            let (x, y) = (x - from, y - to);
+            (squares + x * x.transpose(), products + y * x.transpose())
+        },
+    );
+    let sizes = (products * squares.try_inverse()?).singular_values();
+    (sizes.min() > 0.0).then(|| sizes.max() / sizes.min() - 1.0)
+}
+
+/// Which part of the micro-images is not about as bright as its neighbours.
+fn uneven_part(array: &ArrayMeasurement, image: &Image) -> f64 {
+    let of = |c: &MicroImageCenter| Some(((c.k, c.l), light_at(image, c)?));
+    let light: HashMap<(i32, i32), f64> = array.centers.iter().filter_map(of).collect();
+    let is_uneven = |(&(k, l), light_here): (&(i32, i32), &f64)| {
+        let around = (-1..=1).flat_map(|dk| (-1..=1).map(move |dl| (k + dk, l + dl)));
+        let around = around.filter(|node| *node != (k, l));
+        let usual = median(around.filter_map(|node| light.get(&node).copied()));
+        usual
+            .is_some_and(|usual| *light_here > AS_BRIGHT * usual || *light_here < usual / AS_BRIGHT)
+    };
+    light.iter().filter(|one| is_uneven(*one)).count() as f64 / light.len().max(1) as f64
+}
+
+/// The mean light of the nine pixels about a centre.
+fn light_at(image: &Image, center: &MicroImageCenter) -> Option<f64> {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a negative one is cut to 0
+    let [u, v] = [center.u_px, center.v_px].map(|x| x.round() as usize);
+    let inside = u > 0 && v > 0 && u + 1 < image.width && v + 1 < image.height;
+    let at = |u: usize, v: usize| f64::from(image.pixels[v * image.width + u]);
+    inside.then(|| {
+        (v - 1..=v + 1).flat_map(|v| (u - 1..=u + 1).map(move |u| at(u, v))).sum::<f64>() / 9.0
+    })
+}

@@ -1,0 +1,181 @@
+//! The search for the micro-image array of a white image: from pixels to centres and grid.
+
+use nalgebra::{Matrix2, Vector2};
+
+use super::array::{ArrayMeasurement, FoundArray, LeftOutCenters, LensTypes};
+use super::array_checks::over_exposed;
+use super::centers::{measure, nodes_in};
+use super::centroid::Blob;
+use super::grid::{MicroImageArray, fit_grid};
+use super::indexing::Indexing;
+use super::lens_types::judge_single;
+use super::micro_image_status::{LeftOut, judge, lit_nodes};
+use super::pattern::{Pattern, find_pattern, of_steps};
+use crate::error::{Error, Result};
+use crate::image::{Grey, RawImage};
+use crate::model::{Lattice, LatticeKind, MicroImageCenter};
+
+/// Centres further from the grid than this many times the root mean square distance of those that
+/// agree with it do not belong to it.
+const MISPLACED: f64 = 6.0;
+/// and this more, px: on a nearly perfect grid a hundredth of a pixel is no fault.
+const MISPLACED_PX: f64 = 0.05;
+/// Least part of the variance of an image that a pattern of micro-images explains.
+const PATTERN: f64 = 0.1;
+
+/// Finds and measures all micro-images of a white image, from the image alone.
+///
+/// `stated` is the number of columns and rows of the array where it is known. Indices (k, l) then
+/// count such that the middle of the array is nearest to that of the image; else they count from the
+/// first column and row that show light. An error if no lattice of micro-images shows, or not one of
+/// the stated size.
+pub fn measure_array(image: &RawImage, stated: Option<(i32, i32)>) -> Result<ArrayMeasurement> {
+    found_array(&image.grey(), None, stated).map(|found| found.array)
+}
+
+/// The centres that a known lattice has in an image of `size` (width, height), px: one of them at
+/// `origin`, the next ones two `steps` away (columns, px). Indices count as in [`measure_array`].
+pub fn lattice_centers(
+    size: (u16, u16),
+    origin: &Vector2<f64>,
+    steps: &Matrix2<f64>,
+) -> Result<Vec<MicroImageCenter>> {
+    let pattern = Pattern { origin: *origin, ..known(steps)? };
+    let nodes = nodes_in((size.0.into(), size.1.into()), &pattern);
+    let indexing = Indexing::possible(&pattern, &nodes, None)?;
+    let indexing = indexing
+        .first()
+        .ok_or_else(|| Error::invalid("it holds no centre: give a larger image"))?;
+    let center =
+        |&node: &(i32, i32)| indexing.center(&pattern, node, &pattern.place(node.0, node.1), None);
+    Ok(nodes.iter().map(center).collect())
+}
+
+/// Packing and rotation (rad, from u towards v) of the lattice that two steps (columns, px) make, and
+/// its steps to two neighbours: along the straight rows (columns), and to the next row (column) at 60
+/// degrees from it, or at 90 on a square lattice.
+pub fn lattice_orientation(steps: &Matrix2<f64>) -> Result<(LatticeKind, f64, Matrix2<f64>)> {
+    let pattern = known(steps)?;
+    let along_rows = pattern.lattice_axes().column(0).into_owned();
+    Ok((pattern.kind, along_rows.y.atan2(along_rows.x), pattern.basis()))
+}
+
+fn known(steps: &Matrix2<f64>) -> Result<Pattern> {
+    of_steps(steps).ok_or_else(|| {
+        Error::invalid(
+            "its steps make neither a hexagonal nor a square lattice with a pitch from 5 to 90 px",
+        )
+    })
+}
+
+/// Finds and measures all micro-images, as [`measure_array`] does, with the pattern where it is
+/// known.
+pub(super) fn found_array(
+    image: &Grey,
+    known: Option<Pattern>,
+    stated: Option<(i32, i32)>,
+) -> Result<FoundArray> {
+    search(image, known, stated).map_err(|error| over_exposed(image).unwrap_or(error))
+}
+
+fn search(image: &Grey, known: Option<Pattern>, stated: Option<(i32, i32)>) -> Result<FoundArray> {
+    let (pattern, blobs) = find(image, known)?;
+    let statuses = judge(image, &pattern, &blobs);
+    let (width, height) = image.size();
+    let middle = Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
+    // From the middle of the image to that of the array.
+    let off = |indexing: &Indexing| {
+        let (k, l) = indexing.index(&pattern, (0, 0));
+        (pattern.origin
+            - pattern.lattice_axes() * indexing.lattice(pattern.kind).node(k, l)
+            - middle)
+            .norm()
+    };
+    let possible = Indexing::possible(&pattern, &lit_nodes(&statuses), stated)?;
+    let Some(indexing) = possible.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
+        return Err(Error::invalid(
+            "the micro-images cannot be counted: give a white image of the whole array",
+        ));
+    };
+    let lattice = indexing.lattice(pattern.kind);
+    let of_array = |node: (i32, i32)| {
+        let (k, l) = indexing.index(&pattern, node);
+        lattice.contains(k, l)
+    };
+    let blobs: Vec<Blob> = blobs
+        .into_iter()
+        .zip(&statuses)
+        .filter(|(blob, status)| status.left_out.is_none() && of_array(blob.node))
+        .map(|(blob, _)| blob)
+        .collect();
+    let center =
+        |blob: &Blob| indexing.center(&pattern, blob.node, &blob.center, Some(blob.std_dev));
+    let all: Vec<MicroImageCenter> = blobs.iter().map(center).collect();
+    let grid = fit_found(&all, &lattice)?;
+    let limit = MISPLACED * grid.rms_px + MISPLACED_PX;
+    let fits = |blob: &Blob| {
+        let (k, l) = indexing.index(&pattern, blob.node);
+        (grid.center_of(k, l) - blob.center).norm() <= limit
+    };
+    let (blobs, misplaced): (Vec<Blob>, Vec<Blob>) = blobs.into_iter().partition(fits);
+    let count = |reason: LeftOut| {
+        statuses.iter().filter(|v| v.left_out == Some(reason) && of_array(v.node)).count()
+    };
+    let array = ArrayMeasurement {
+        grid,
+        lens_types: LensTypes::ONE,
+        centers: blobs.iter().map(center).collect(),
+        left_out: LeftOutCenters {
+            cut: count(LeftOut::Cut),
+            dark: count(LeftOut::Dark),
+            saturated: count(LeftOut::Saturated),
+            misplaced: misplaced.len(),
+        },
+    };
+    let mut found = FoundArray { array, pattern, blobs, indexing };
+    found.array.lens_types = judge_single(&found);
+    Ok(found)
+}
+
+/// The grid of centres that were found in an image.
+pub(super) fn fit_found(
+    centers: &[MicroImageCenter],
+    lattice: &Lattice,
+) -> Result<MicroImageArray> {
+    fit_grid(centers, lattice.kind(), lattice.columns, lattice.rows).map_err(|_| no_grid(centers))
+}
+
+fn no_grid(centers: &[MicroImageCenter]) -> Error {
+    Error::invalid(format!(
+        "{} micro-images show in the image, but they make no grid: give a white image, sharp, \
+         undistorted and not stretched, of a larger part of the array",
+        centers.len()
+    ))
+}
+
+/// The pattern that shows in the middle, or else, should that be damaged, those in the quarters.
+pub(super) fn patterns(image: &Grey) -> impl Iterator<Item = Pattern> {
+    let (w, h) = image.size();
+    let places = [
+        (w / 2, h / 2),
+        (w / 4, h / 4),
+        (3 * w / 4, h / 4),
+        (w / 4, 3 * h / 4),
+        (3 * w / 4, 3 * h / 4),
+    ];
+    let found = places.into_iter().filter_map(|place| find_pattern(image, place));
+    found.filter(|pattern| pattern.explained >= PATTERN)
+}
+
+/// The pattern that goes on over the image, and its micro-images; the first one that is tried may be
+/// known.
+fn find(image: &Grey, known: Option<Pattern>) -> Result<(Pattern, Vec<Blob>)> {
+    let mut tried = known.into_iter().chain(patterns(image));
+    if let Some(found) = tried.find_map(|pattern| measure(image, &pattern)) {
+        return Ok(found);
+    }
+    Err(Error::invalid(
+        "no array of micro-images shows in this image: nothing repeats on a hexagonal or square \
+         lattice with a pitch from 5 to 90 px; give a white image, neither black nor saturated",
+    ))
+}

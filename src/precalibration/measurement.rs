@@ -1,0 +1,235 @@
+//! The measurement of white images: from pixels to array, lens types, discs and internal parameters.
+
+use tracing::debug;
+
+use super::array::FoundArray;
+use super::array_search::{found_array, patterns};
+use super::black::black_level;
+use super::centroid_shift::{corrected_array, shift_moments};
+use super::checks::{different_aperture, doubtful_colors, named};
+use super::disc_geometry::DiscGeometry;
+use super::discs::Discs;
+use super::f_numbers::{Doubt, doubtful};
+use super::fall_off::{Light, Measured};
+use super::lens_types::judge_types;
+use super::options::{PrecalibrationOptions, White};
+use super::pattern::Pattern;
+use super::radii::{RadiusEstimator, TypeRadius};
+use super::result::Precalibration;
+use super::roundness::oblong;
+use super::samples::Samples;
+use crate::checks::whites as checks;
+use crate::error::Result;
+use crate::finding::Finding;
+use crate::image::Grey;
+use crate::model::{FallOff, InternalParameters, SampleLevels, full_scale};
+use crate::vignetting::Obliquity;
+
+/// The measurement, and the discs if the light shows them.
+pub(super) fn measured(
+    whites: &[White],
+    reference: &White,
+    options: &PrecalibrationOptions,
+    progress: &(dyn Fn() + Sync),
+) -> Result<(Precalibration, Option<Discs>)> {
+    let pattern = patterns(&reference.image.grey()).next();
+    let (levels, black) = levels_of(whites, reference, pattern.as_ref(), options.black_level)?;
+    let grey = reference.image.grey_between(Some(&levels));
+    let found = located(reference, &grey, pattern, options)?;
+    let samples = Samples::measure(whites, (reference, &levels), &found, options, progress)?;
+    let by_color = samples.radii(RadiusEstimator::Profile)?;
+    let lens_types = judge_types(&by_color, &found);
+    let (samples, by_profile) = samples.by_lens_type(lens_types.types, by_color)?;
+
+    let by_images = samples.measurements(&by_profile);
+    let doubt = doubtful(whites, &by_images, lens_types.types, options.configuration)?;
+    if let Some((doubt, f_number)) = doubt.as_ref().and_then(|d| Some((d, d.looks_like?))) {
+        return without((doubt, f_number), whites, reference, options);
+    }
+
+    // The sizes of the discs decide how far centroids are shifted, whatever estimator is asked for.
+    let seen_pitch_px = found.array.grid.pitch_px;
+    let lines =
+        samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?.parameters;
+    let light = Light::read(&found, &samples, (reference.f_number, &grey));
+    let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
+    let mut first = light.fall_off(&lines, options, &cos4);
+    // Straight lines are near enough to begin with.
+    let of_light = samples.discs(&by_profile, &lines, first.fall_off.within_per_px2, seen_pitch_px);
+    let discs = of_light.as_ref();
+    take_within(&mut first.fall_off, discs);
+    let obliquity = in_the_middle(Some(&first.fall_off), &lines, seen_pitch_px, options);
+    let internal_of = |by_type: &[Vec<TypeRadius>]| {
+        let mut radii = samples.measurements(by_type);
+        samples.internal(discs, &mut radii, by_type, seen_pitch_px)
+    };
+    let by_profile =
+        samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
+    let oblique = internal_of(&by_profile)?;
+    // Again with the discs as they are.
+    let Measured { mut fall_off, lean, finding: unknown_fall_off } =
+        light.fall_off(&oblique.parameters, options, &obliquity);
+    take_within(&mut fall_off, discs);
+    let levers = DiscGeometry::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
+    let moments = shift_moments(light.of_reference(), &levers, seen_pitch_px, &obliquity);
+    let growth = levers.growth_per_px(lean.as_ref(), &found.array.grid);
+    let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments, &growth)?;
+
+    let (by_type, discs) = match options.estimator {
+        RadiusEstimator::Profile => (by_profile, discs),
+        // The paper's radii are not those of the discs.
+        RadiusEstimator::Moments => (samples.radii(RadiusEstimator::Moments)?, None),
+    };
+    let mut radii = samples.measurements(&by_type);
+    let mut internal = samples.internal(discs, &mut radii, &by_type, array.grid.pitch_px)?;
+    internal.parameters.fall_off = Some(fall_off);
+    internal.parameters.lean = lean
+        .and_then(|lean| light.complete(lean, &oblique.parameters, options, &obliquity, &fall_off));
+    internal.parameters.levels = Some(levels);
+    let wrong_f_number = doubt.map(|doubt| doubt.finding);
+    // Lines through a wrong f-number say nothing about the aperture of the reference.
+    let wrong_aperture = different_aperture((reference, &grey), &levers, &samples, &found.pattern)
+        .filter(|_| wrong_f_number.is_none());
+    let by_lines = by_lines(discs, options.estimator, &mut internal.parameters);
+    let oblong = oblong(&grey, &array.centers, array.grid.pitch_px);
+    let types = checks::lens_types(lens_types.agreement);
+    // A wrong f-number is reason enough for there being no discs.
+    let by_light = wrong_f_number.or(by_lines);
+    let told = [by_light, wrong_aperture, oblong, types, unknown_fall_off, black];
+    let findings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
+    let images = whites.iter().map(|white| white.name.clone()).collect();
+    let measured =
+        Precalibration { array, lens_types, images, radii, internal, pitch_correction, findings };
+    Ok((measured, of_light))
+}
+
+/// The array in the image that it is measured in.
+fn located(
+    reference: &White,
+    grey: &Grey,
+    pattern: Option<Pattern>,
+    options: &PrecalibrationOptions,
+) -> Result<FoundArray> {
+    let found =
+        found_array(grey, pattern, options.array_size).map_err(|e| named(&reference.name, &e))?;
+    debug!(
+        "{}: a '{}' lattice with a pitch of {:.4} px, {} centres measured",
+        reference.name,
+        found.pattern.kind.name(),
+        found.pattern.pitch(),
+        found.array.centers.len()
+    );
+    Ok(found)
+}
+
+/// The measurement without a white image whose f-number cannot be right.
+fn without(
+    (doubt, f_number): (&Doubt, f64),
+    whites: &[White],
+    reference: &White,
+    options: &PrecalibrationOptions,
+) -> Result<(Precalibration, Option<Discs>)> {
+    let mut others = whites.to_vec();
+    let doubtful = others.remove(doubt.white);
+    // The array shows in it all the same.
+    let f_number = if doubtful.name == reference.name { f_number } else { reference.f_number };
+    let reference = White { f_number, ..reference.clone() };
+    let (mut result, discs) = measured(&others, &reference, options, &|| ())?;
+    result.findings.insert(0, doubt.finding.clone());
+    Ok((result, discs))
+}
+
+/// The levels of the white images, and what is doubtful about the black level; an error if they are full
+/// below a stated one.
+fn levels_of(
+    whites: &[White],
+    reference: &White,
+    pattern: Option<&Pattern>,
+    stated: Option<f64>,
+) -> Result<(SampleLevels, Option<Finding>)> {
+    let black = black_level(whites, pattern, stated)?;
+    let full = |white: &White| Some(white.image.plateau()? / white.image.full_scale());
+    let full = whites.iter().chain([reference]).filter_map(full).fold(1.0, f64::min);
+    let levels = SampleLevels {
+        bits: black.bits,
+        black_level: black.level,
+        black_level_std_dev: black.std_dev,
+        saturation_level: (full < 1.0).then_some(full * full_scale(black.bits)),
+    };
+    levels.validate()?;
+    debug!("{levels:?}");
+    Ok((levels, black.finding))
+}
+
+/// A finding if m and q' are from straight lines for want of discs, and not because the paper's estimator was asked for;
+/// their standard deviations are made to know it.
+fn by_lines(
+    discs: Option<&Discs>,
+    estimator: RadiusEstimator,
+    internal: &mut InternalParameters,
+) -> Option<Finding> {
+    if discs.is_some() || estimator == RadiusEstimator::Moments {
+        return None;
+    }
+    internal.m_std_dev_mm =
+        internal.m_std_dev_mm.map(|x| x.hypot(checks::BY_LINES.0 * internal.m_mm));
+    for (std_dev, q) in internal.q_prime_std_dev_mm.iter_mut().zip(&internal.q_prime_mm) {
+        *std_dev = std_dev.hypot(checks::BY_LINES.1 * q);
+    }
+    Some(checks::no_discs())
+}
+
+/// H as the discs show it, if they do.
+fn take_within(fall_off: &mut FallOff, discs: Option<&Discs>) {
+    if let Some(discs) = discs {
+        debug!("{discs:?}");
+        (fall_off.within_per_px2, fall_off.within_std_dev_per_px2) = discs.within_per_px2;
+    }
+}
+
+/// The fall-off in the middle of the image, where radii are measured; that of cos⁴ if it is not known.
+fn in_the_middle(
+    fall_off: Option<&FallOff>,
+    internal: &InternalParameters,
+    pitch_px: f64,
+    options: &PrecalibrationOptions,
+) -> Obliquity {
+    let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
+    let cos4 = 4.0 / mla_to_sensor_px.powi(2);
+    let within = fall_off.map_or(cos4, |fall_off| fall_off.within_per_px2);
+    Obliquity::in_the_middle(within, mla_to_sensor_px, pitch_px / 2.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn straight_lines_have_larger_standard_deviations_and_a_warning() {
+        let measured = InternalParameters {
+            m_mm: 0.15,
+            q_prime_mm: vec![0.036, 0.041],
+            m_std_dev_mm: Some(1e-4),
+            q_prime_std_dev_mm: vec![1e-5, 1e-5],
+            micro_image_pitch_mm: None,
+            pupil_growth: 0.0,
+            fall_off: None,
+            lean: None,
+            point_spread: None,
+            fill_factor: None,
+            levels: None,
+        };
+        let of = |estimator| {
+            let mut internal = measured.clone();
+            (by_lines(None, estimator, &mut internal), internal)
+        };
+        let (warning, internal) = of(RadiusEstimator::Profile);
+        assert!(warning.unwrap().to_string().contains("make them 6 % and 3 % wrong"));
+        assert!((internal.m_std_dev_mm.unwrap() / measured.m_mm - 0.06).abs() < 1e-4);
+        for (std_dev, q) in internal.q_prime_std_dev_mm.iter().zip(&internal.q_prime_mm) {
+            assert!((std_dev / q - 0.03).abs() < 1e-4);
+        }
+        // That is what was asked for.
+        assert_eq!(of(RadiusEstimator::Moments), (None, measured.clone()));
+    }
+}

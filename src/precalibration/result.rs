@@ -1,0 +1,84 @@
+//! What the pre-calibration hands on.
+
+use tracing::info;
+
+use super::array::{ArrayMeasurement, LensTypes};
+use super::checks::check_stated_pitch;
+use super::internal::{InternalFit, RadiusMeasurement};
+use crate::error::{Error, Result};
+use crate::finding::Finding;
+use crate::model::Datasheet;
+
+/// What white images show of a camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Precalibration {
+    /// The micro-image array, its centres corrected for the shift of centroids by oblique light.
+    pub array: ArrayMeasurement,
+    /// Lens types.
+    pub lens_types: LensTypes,
+    /// The white images that were measured.
+    pub images: Vec<String>,
+    /// Radii of these, by lens type.
+    pub radii: Vec<RadiusMeasurement>,
+    /// The internal parameters.
+    pub internal: InternalFit,
+    /// Relative change of the pitch by that correction.
+    pub pitch_correction: f64,
+    /// What the user should know.
+    pub findings: Vec<Finding>,
+}
+
+impl Precalibration {
+    /// Radii by lens type in one of the white images, px.
+    ///
+    /// # Panics
+    /// If there were fewer white images.
+    #[must_use]
+    pub fn radii_px(&self, white: usize) -> Vec<f64> {
+        let types = self.lens_types.types;
+        self.radii[white * types..(white + 1) * types].iter().map(|r| r.radius_px).collect()
+    }
+
+    /// Logs the main figures.
+    pub(super) fn log(&self) {
+        let (grid, internal) = (&self.array.grid, &self.internal);
+        info!(
+            "{} centres, {:.3} px RMS about a grid of {} x {} with a pitch of {:.5} px; {} lens \
+             type(s)",
+            self.array.centers.len(),
+            grid.rms_px,
+            grid.lattice.columns,
+            grid.lattice.rows,
+            grid.pitch_px,
+            self.lens_types.types
+        );
+        info!(
+            "|m| = {:.6} mm, q' = {:.6?} mm; radii {:.4} px RMS about the lines",
+            internal.parameters.m_mm, internal.parameters.q_prime_mm, internal.rms_px
+        );
+    }
+
+    /// An error naming both values where the images contradict what is stated of the camera.
+    pub fn check_stated(&self, sheet: &Datasheet) -> Result<()> {
+        let grid = &self.array.grid;
+        if grid.lattice.kind() != sheet.lattice_kind {
+            return Err(Error::invalid(format!(
+                "the micro-images lie on a '{}' lattice, but the camera is stated to have a '{}' one: \
+                 correct that, or give the images of that camera",
+                grid.lattice.kind().name(),
+                sheet.lattice_kind.name()
+            )));
+        }
+        check_stated_pitch(sheet, &self.internal.parameters, grid)?;
+        let types = self.lens_types.types;
+        // Pinholes have no lens types that could show.
+        if sheet.lens_types > 0 && types != sheet.lens_types {
+            return Err(Error::invalid(format!(
+                "{types} lens type(s) show in the white images, but the camera is stated to have {}: \
+                 correct that, or take sharper white images",
+                sheet.lens_types
+            )));
+        }
+        Ok(())
+    }
+}
