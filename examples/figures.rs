@@ -86,8 +86,8 @@ fn main() -> Result<()> {
 
     let mut output = OutputFolder::new(Path::new(&folder))?;
     for (name, figure) in [
-        ("radii.svg", report::radii_figure(&result)?),
-        ("micro-images.svg", found),
+        ("radii.svg", report::radii_figure(&result).svg),
+        ("micro-images.svg", found.svg),
         ("features.svg", features),
     ] {
         output.stage(name, |out| out.write_all(figure.as_bytes()))?;

@@ -9,7 +9,7 @@ use plenocal::assessment::assess;
 use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::io::{OutputFolder, Project, read_centers, read_features};
 use plenocal::precalibration::ArrayMeasurement;
-use plenocal::report::{HtmlReport, Part, Section, array_residuals_figure, calibration_figures};
+use plenocal::report::{Part, Report, Section, array_residuals_figure, calibration_figures};
 
 fn main() -> Result<()> {
     let folder = std::env::args().nth(1).expect("the folder to write to");
@@ -29,7 +29,7 @@ fn main() -> Result<()> {
     if let Some(grid) = calibration.grid {
         let types = calibration.camera.lens_types();
         let array = ArrayMeasurement::of_grid(grid, observations.centers, types);
-        figures.push(array_residuals_figure(&array)?);
+        figures.push(array_residuals_figure(&array));
     }
     let mut output = OutputFolder::new(Path::new(&folder))?;
     for figure in &figures {
@@ -39,15 +39,9 @@ fn main() -> Result<()> {
     result.extend(
         plenocal::calibration::weakest_directions_text(&calibration).into_iter().map(Part::Text),
     );
-    let sections = vec![
-        Section { title: "Result".into(), parts: result, ..Section::default() },
-        Section {
-            title: "Figures".into(),
-            parts: figures.into_iter().map(Part::Figure).collect(),
-            ..Section::default()
-        },
-    ];
-    let page = HtmlReport {
+    let figures = figures.into_iter().map(Part::Figure).collect();
+    let sections = vec![Section::new("Result", result), Section::new("Figures", figures)];
+    let page = Report {
         title: "Calibration report".into(),
         subtitle: "The shipped feature set, data/synthetic".into(),
         sections,

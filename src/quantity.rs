@@ -91,6 +91,16 @@ pub(crate) fn signed(value: f64) -> String {
     }
 }
 
+/// A positive value with two significant digits; `-` for any other.
+pub(crate) fn two_digits(value: f64) -> String {
+    if !(value > 0.0 && value.is_finite()) {
+        return "-".to_owned();
+    }
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few digits
+    let digits = (1.0 - value.log10().floor()).clamp(0.0, 9.0) as usize;
+    format!("{value:.digits$}")
+}
+
 /// A value with two digits of its standard deviation; six significant digits without one.
 pub(crate) fn with_std_dev(value: f64, std_dev: Option<f64>) -> (String, String) {
     let digits = |reference: f64, significant: i32| {

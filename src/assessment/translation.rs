@@ -1,6 +1,8 @@
 //! A board moved in known steps: the displacement along the optical axis against the truth (paper,
 //! Table 3).
 
+use serde::Serialize;
+
 use crate::checks::steps::{Step, steps};
 use crate::error::{Error, Result};
 use crate::finding::Finding;
@@ -8,7 +10,7 @@ use crate::model::{Board, FramePose};
 use crate::numerics::mean_and_std_dev;
 
 /// Displacement of the board between two frames.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Displacement {
     /// The earlier frame.
     pub from: u32,
@@ -35,11 +37,12 @@ impl Displacement {
 }
 
 /// Mean and standard deviation.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
     /// Mean.
     pub mean: f64,
     /// Standard deviation about the mean; `None` for a single value.
+    #[serde(rename = "standard_deviation")]
     pub std_dev: Option<f64>,
 }
 

@@ -1,6 +1,7 @@
 //! A calibration against the true camera and poses.
 
 use nalgebra::Isometry3;
+use serde::Serialize;
 
 use crate::error::{Error, Result};
 use crate::model::{
@@ -9,9 +10,10 @@ use crate::model::{
 };
 
 /// An intrinsic parameter against its true value.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ParameterError {
     /// The paper's symbol.
+    #[serde(rename = "parameter")]
     pub name: String,
     /// Unit of the values.
     pub unit: &'static str,
@@ -20,6 +22,7 @@ pub struct ParameterError {
     /// Estimated value.
     pub estimate: f64,
     /// Its standard deviation, if known.
+    #[serde(rename = "standard_deviation")]
     pub std_dev: Option<f64>,
 }
 
@@ -86,7 +89,7 @@ pub fn shape_errors(
 }
 
 /// Errors of poses, as root mean squares over the frames that both have.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PoseErrors {
     /// Number of frames.
     pub frames: usize,

@@ -5,15 +5,14 @@
 //! as a whole (both sags and the twist), and the aspect. Otherwise the result is that of the flat board, which the
 //! trial has not touched.
 
-use serde::Serialize;
 use tracing::info;
 
-use crate::calibration::AnchorSource;
 use crate::calibration::refine::{Refined, Settings, at_end};
+use crate::calibration::{AnchorSource, BoardModel};
 use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
-use crate::model::{BentBoard, BoardShape, SHAPE, SHAPE_PARAMETERS};
+use crate::model::{BentBoard, SHAPE, SHAPE_PARAMETERS};
 use crate::numerics::normal_deviate;
 use crate::solver::{
     Anchor, CostOptions, Iteration, Problem, Refinement, Termination, shape_names,
@@ -25,21 +24,6 @@ const FLAT: f64 = 1e-3;
 const SIGNIFICANT: f64 = 3.0;
 /// Index of the aspect in the table of parameters; before it are those of the bend.
 const ASPECT: usize = 3;
-
-/// What the board is taken for.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum BoardModel {
-    /// Flat, unless the frames show that it is not.
-    #[default]
-    Auto,
-    /// Flat: the paper.
-    Flat,
-    /// Bent and stretched, by what comes out.
-    Bent,
-    /// Of this shape.
-    Known(BoardShape),
-}
 
 /// The board as a calibration has found it.
 #[derive(Debug, Clone, PartialEq)]
@@ -350,7 +334,7 @@ pub(super) fn findings_of(board: &BoardResult) -> Vec<Finding> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::Board;
+    use crate::model::{Board, BoardShape};
 
     #[test]
     fn a_shape_that_did_not_settle_is_a_finding() {

@@ -20,10 +20,10 @@ mod stage;
 mod words;
 
 pub use anchors::{AnchorResult, AnchorSource, SLOPE, intercept_name};
-pub use board::{BoardModel, BoardResult, Effort, Trial};
+pub use board::{BoardResult, Effort, Trial};
 pub use fill_factor::{FillMeasurement, TypeBlur};
 pub use initial::initial_camera;
-pub use options::{CalibrationOptions, Mode, Start, Weights};
+pub use options::{BoardModel, CalibrationOptions, Mode, Start, Weights};
 pub use outlying::OutlyingFeature;
 pub use poses::initial_poses;
 pub use prepare::initial_from;

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::calibration::anchors::check_anchors;
 use crate::calibration::checks::{check_indices, check_observations, without_frames};
 use crate::calibration::fill_factor::{with_fill_factor, with_that_of_start};
 use crate::calibration::focus::refocused;
@@ -35,6 +36,7 @@ pub(super) fn prepared(
     let start = start.for_mode(options.mode);
     start.validate()?;
     options.validate(&start)?;
+    check_anchors(options, start.lens_types())?;
     let (mut observations, excluded) = without_frames(observations, &options.exclude_frames)?;
     if options.weights == Weights::Unit {
         observations.forget_std_devs();

@@ -205,7 +205,7 @@ pub fn detect_subset(
             "no frame shows the board: check [board], the images, the configuration of the array, and that the \
              white images are of the same camera and f-number, neither turned, cut nor resized\n  {}\n{}",
             found.findings.iter().map(Finding::to_string).collect::<Vec<_>>().join("\n  "),
-            report::detection_text(&found.frames)
+            report::detection_section(options.subset.name(), &found, Vec::new()).to_text()
         )));
     }
     for (frame, svg) in pictures.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {

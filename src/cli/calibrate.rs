@@ -6,11 +6,9 @@ use std::time::Instant;
 
 use clap::Args;
 use plenocal::assessment::{ModelComparison, assess, compare_models, comparison_steps};
-use plenocal::calibration::{
-    Calibration, Mode, Solution, SolvedProblem, Weights, calibrate, termination_text,
-};
+use plenocal::calibration::{Calibration, Mode, Solution, Weights, calibrate, termination_text};
 use plenocal::io::{
-    self, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil, FieldCurvature,
+    self, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil, FieldCurvature, Method,
     OutputFolder, Pitches, compote,
 };
 use plenocal::model::{Board, shared_parameters};
@@ -18,7 +16,8 @@ use plenocal::solver::{LossKind, Termination};
 use plenocal::{Error, Result, report};
 
 use super::choices::{
-    ANCHORS, BLURS, BOARD_MODELS, FIELD_CURVATURES, LOSSES, MODES, PITCHES, WEIGHTS, choice,
+    ANCHORS, BLURS, BOARD_MODELS, FIELD_CURVATURES, LOSSES, METHODS, MODES, PITCHES, WEIGHTS,
+    choice,
 };
 use super::cost;
 use super::evaluate::calibrated;
@@ -72,6 +71,9 @@ pub struct Arguments {
     )]
     exclude: Option<Vec<u32>>,
 
+    /// Set of options to begin with; options beside it take precedence [default: full].
+    #[arg(long, value_parser = choice(METHODS), help_heading = "Estimation")]
+    method: Option<Method>,
     /// What to estimate [default: full].
     #[arg(long, value_parser = choice(MODES), help_heading = "Estimation")]
     mode: Option<Mode>,
@@ -175,8 +177,7 @@ Examples:
   plenocal calibrate project.toml --fix Q3,P1,P2 --exclude 3,7 --out results
   plenocal calibrate project.toml --compare-models --out results
   plenocal calibrate project.toml --anchor F=51.6:0.2,u0=none --out results
-  plenocal calibrate project.toml --exit-pupil at-lens --field-curvature flat --board flat \\
-      --anchors none --weights unit --loss none --blur features --out paper
+  plenocal calibrate project.toml --method paper --out paper
   plenocal calibrate project.toml --export-problem problem --out results
   plenocal calibrate project.toml --evaluate-only --camera mine/camera.json \\
       --poses mine/poses.json --out mine/cost
@@ -228,15 +229,12 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
 
     let time_s = begun.elapsed().as_secs_f64();
     let mut document = io::calibration_document(&calibration, &assessment, time_s);
-    let mut text = report::calibration_text(&calibration, &assessment);
+    let mut section =
+        report::calibration_section("Calibration", &calibration, &assessment, Vec::new());
     match compared {
         Some(Ok(comparison)) => {
             document["models"] = io::models_document(&comparison);
-            text = format!(
-                "{}\n\n{}",
-                text.trim_end(),
-                report::models_text(&calibration, &comparison)
-            );
+            section.parts.extend(report::models_parts(&calibration, &comparison, Vec::new()));
         }
         Some(Err(error)) => warn(&[error]),
         None => {}
@@ -247,21 +245,10 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         output.stage_json("calibration.json", &document)?;
     }
     let mut paths = output.commit()?;
-    paths.extend(exported(export, &calibration, &input.board)?);
+    paths.extend(cost::exported(export, &calibration, &input.board)?);
     tell(&calibration.findings);
-    print_result(json, &document, &text, &paths)?;
+    print_result(json, &document, &section.to_text(), &paths)?;
     Ok(status(&calibration))
-}
-
-/// Writes the problem that was solved, if it is wanted.
-pub(super) fn exported(
-    to: Option<OutputFolder>,
-    calibration: &Calibration,
-    board: &Board,
-) -> Result<Vec<PathBuf>> {
-    let Some(mut output) = to else { return Ok(Vec::new()) };
-    io::stage_problem(&mut output, &SolvedProblem::of(calibration, board))?;
-    output.commit()
 }
 
 /// Compares models in at most so many folds, with a progress bar.
@@ -351,6 +338,7 @@ pub(super) fn anchors_section(
 impl Arguments {
     fn options(&self) -> Result<CalibrationSection> {
         Ok(CalibrationSection {
+            method: self.method,
             mode: self.mode,
             pitches: self.pitches,
             exit_pupil: self.exit_pupil,

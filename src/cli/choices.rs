@@ -4,7 +4,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use plenocal::calibration::{Mode, Weights};
 use plenocal::detection::DepthEstimator;
 use plenocal::image::Color;
-use plenocal::io::{Blur, BoardChoice, FieldCurvature, Pitches};
+use plenocal::io::{Blur, BoardChoice, FieldCurvature, Method, Pitches};
 use plenocal::model::Subset;
 use plenocal::precalibration::RadiusEstimator;
 use plenocal::solver::LossKind;
@@ -13,6 +13,19 @@ use super::points::MapKind;
 
 /// Name, description in the help, value.
 type Choice<T> = (&'static str, &'static str, T);
+
+pub const METHODS: &[Choice<Method>] = &[
+    (
+        "full",
+        "Weights, priors, a robust loss, and effects that the paper's camera lacks",
+        Method::Full,
+    ),
+    (
+        "paper",
+        "Unit weights, no loss, no priors, exit pupil in the lens, flat field, flat board, blur from features",
+        Method::Paper,
+    ),
+];
 
 pub const MODES: &[Choice<Mode>] = &[
     ("full", "Camera and poses, from (u, v), the centres, and q' or rho (--blur)", Mode::Full),

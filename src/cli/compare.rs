@@ -64,12 +64,17 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut paths = Vec::new();
     if let Some(mut output) = output {
         output.stage_json("comparison.json", &document)?;
-        for (name, svg) in report::comparison_pictures(&comparison, &first.sensor)? {
-            output.stage(name, |out| out.write_all(svg.as_bytes()))?;
+        for figure in report::comparison_figures(&comparison, &first.sensor) {
+            output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))?;
         }
         paths = output.commit()?;
     }
-    print_result(arguments.json, &document, &report::comparison_text(&comparison), &paths)?;
+    print_result(
+        arguments.json,
+        &document,
+        &report::comparison_section(&comparison).to_text(),
+        &paths,
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,14 +1,15 @@
 //! `plenocal calibrate --evaluate-only`: the cost at a solution from elsewhere.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
 use plenocal::assessment::assess;
-use plenocal::calibration::{Refit, Solution, cost_at};
+use plenocal::calibration::{Calibration, Refit, Solution, SolvedProblem, cost_at};
 use plenocal::io::{self, OutputFolder};
+use plenocal::model::Board;
 use plenocal::{Result, report};
 
-use super::calibrate::exported;
 use super::input::Input;
 use super::talk::{print_result, tell};
 
@@ -33,6 +34,17 @@ pub(super) fn run(
     let mut paths = output.commit()?;
     paths.extend(exported(export, &evaluated, &input.board)?);
     tell(&evaluated.findings);
-    print_result(json, &document, &report::cost_text(&evaluated, parts), &paths)?;
+    print_result(json, &document, &report::cost_section(&evaluated, parts).to_text(), &paths)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the problem that was solved, if it is wanted.
+pub(super) fn exported(
+    to: Option<OutputFolder>,
+    calibration: &Calibration,
+    board: &Board,
+) -> Result<Vec<PathBuf>> {
+    let Some(mut output) = to else { return Ok(Vec::new()) };
+    io::stage_problem(&mut output, &SolvedProblem::of(calibration, board))?;
+    output.commit()
 }

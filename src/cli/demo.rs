@@ -35,6 +35,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         force: true,
         estimator: DepthEstimator::default(),
         exclude: None,
+        method: None,
         folds: 5,
         no_pictures: false,
         json: false,

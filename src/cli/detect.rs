@@ -80,6 +80,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     tell(&found.findings);
     let paths = output.commit()?;
     let document = io::detection_document(&found, &shoot.board);
-    print_result(arguments.json, &document, &report::detection_text(&found.frames), &paths)?;
+    let section = report::detection_section(arguments.subset.name(), &found, Vec::new());
+    print_result(arguments.json, &document, &section.to_text(), &paths)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -89,11 +89,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     tell(&found.findings);
     tell(&result.findings);
     let document = io::calibration_document(&result, &assessment, begun.elapsed().as_secs_f64());
-    print_result(
-        arguments.json,
-        &document,
-        &report::calibration_text(&result, &assessment),
-        &paths,
-    )?;
+    let section = report::calibration_section("Poses", &result, &assessment, Vec::new());
+    print_result(arguments.json, &document, &section.to_text(), &paths)?;
     Ok(status(&result))
 }

@@ -134,7 +134,7 @@ fn of_image(
     let half_pitch = array.grid.pitch_px / 2.0;
     let types = array.lens_types.types;
     let figure = report::micro_images_figure(&image, &array, &vec![half_pitch; types])?;
-    output.stage("micro-images.svg", |out| out.write_all(figure.as_bytes()))?;
+    output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))?;
     output.stage("centers.csv", |out| {
         let lens_type = |c: &MicroImageCenter| array.grid.lattice.lens_type(c.k, c.l, types);
         io::write_measured_centers(out, &array, lens_type)
@@ -191,7 +191,8 @@ fn of_project(
     let (result, whites) = measure(path, &images, &sheet, &options, arguments.json)?;
     tell(&result.findings);
     stage(output, &result, &sheet, &whites)?;
-    Ok((report::precalibration_text(&result), io::precalibration_document(&result)))
+    let section = report::precalibration_section(&result, Vec::new());
+    Ok((section.to_text(), io::precalibration_document(&result)))
 }
 
 /// Measures the white images of a project, and returns these too.
@@ -225,28 +226,7 @@ pub(super) fn stage(
     let middle = result.images.len() / 2;
     let of_middle = |white: &&White| white.name == result.images[middle];
     let shown = whites.iter().find(of_middle).unwrap_or(&whites[0]);
-    let figures = vec![
-        Figure {
-            name: "radii.svg".to_owned(),
-            caption: "Radii of the micro-images against 1/N with the fitted lines, and below the \
-                      scatter of the radii of single micro-images. The lines of all lens types \
-                      have the same slope m."
-                .to_owned(),
-            svg: report::radii_figure(result)?,
-        },
-        Figure {
-            name: "micro-images.svg".to_owned(),
-            caption:
-                "The middle of a white image with the micro-images found, coloured by lens type."
-                    .to_owned(),
-            svg: report::micro_images_figure(
-                &shown.image,
-                &result.array,
-                &result.radii_px(middle),
-            )?,
-        },
-        report::array_residuals_figure(&result.array)?,
-    ];
+    let figures = report::precalibration_figures(result, &shown.image)?;
     for figure in &figures {
         output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))?;
     }

@@ -8,14 +8,14 @@ use std::time::Instant;
 use clap::Args;
 use plenocal::calibration::{CalibrationOptions, Mode};
 use plenocal::detection::DepthEstimator;
-use plenocal::io::{self, OutputFolder, Project, first_look};
+use plenocal::io::{self, CalibrationSection, Method, OutputFolder, Project, first_look};
 use plenocal::model::Subset;
-use plenocal::report::{HtmlReport, HtmlTable, Part, Section};
+use plenocal::report::{Cell, Column, Part, Report, Section, Table};
 use plenocal::{Error, Result, report};
 use serde_json::{Value, json};
 
 use super::boards::{Shoot, images_of};
-use super::choices::{DEPTH_ESTIMATORS, choice};
+use super::choices::{DEPTH_ESTIMATORS, METHODS, choice};
 use super::ledger::{Ledger, REPORT, SECTION, VERDICT};
 use super::stages::{CALIBRATION, CORNERS_ONLY, EVALUATION, IMAGES, Stages};
 use super::talk::{print_result, say};
@@ -42,6 +42,9 @@ pub struct Arguments {
     /// Frames of the calibration to leave out, e.g. 3,7; in place of those of the project.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub exclude: Option<Vec<u32>>,
+    /// Set of calibration options to begin with; in place of that of the project.
+    #[arg(long, value_parser = choice(METHODS))]
+    pub method: Option<Method>,
     /// Folds of the cross-validation, of models too; 0 for none.
     #[arg(long, value_name = "K", default_value_t = 5)]
     pub folds: usize,
@@ -66,7 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let path = &arguments.project;
     let project = Project::read(path)?;
     let shoot = Shoot::of(path, &project)?;
-    let mut options = calibration_options(path, &project)?;
+    let mut options = calibration_options(path, &project, arguments.method)?;
     if let Some(frames) = &arguments.exclude {
         options.exclude_frames.clone_from(frames);
     }
@@ -146,14 +149,15 @@ fn print_results(
             Value::Null
         },
     });
-    let mut tables = tables_of(&read_section(&folder.join(CALIBRATION))?);
+    let mut tables: Vec<Table> =
+        read_section(&folder.join(CALIBRATION))?.tables().cloned().collect();
     let mut number = 0;
     tables.retain(|table| {
         number += 1;
         number == 1 || table.caption == report::MODELS
     });
     if ledger.has(EVALUATION) {
-        tables.extend(tables_of(&read_section(&folder.join(EVALUATION))?));
+        tables.extend(read_section(&folder.join(EVALUATION))?.tables().cloned());
     }
     let mut texts = vec![verdict.lines().join("\n")];
     texts.extend(tables.iter().map(ToString::to_string));
@@ -185,14 +189,6 @@ fn read_section(folder: &Path) -> Result<Section> {
     Ok(section)
 }
 
-fn tables_of(section: &Section) -> Vec<HtmlTable> {
-    let table = |part: &Part| match part {
-        Part::Table(table) => Some(table.clone()),
-        _ => None,
-    };
-    section.parts.iter().filter_map(table).collect()
-}
-
 /// Writes report.html from what the stages have written.
 fn write_report(
     arguments: &Arguments,
@@ -209,7 +205,7 @@ fn write_report(
         sections.push(read_section(&arguments.out.join(name))?);
     }
     let camera = arguments.project.parent().and_then(Path::file_name).unwrap_or_default();
-    let report = HtmlReport {
+    let report = Report {
         title: "Calibration of a plenoptic camera".to_owned(),
         subtitle: format!(
             "{} · plenocal {}",
@@ -230,38 +226,37 @@ fn write_report(
 }
 
 fn overview(project: &Path, ledger: &Ledger, time_s: f64) -> Section {
-    let rows = ledger
-        .stages
-        .iter()
-        .filter_map(|(name, done)| {
-            let record = ledger.manifest.stage(name)?;
-            let when = if *done { "this run" } else { "an earlier run" };
-            Some(vec![
-                name.clone(),
-                when.to_owned(),
-                format!("{:.2}", record.time_s),
-                record.files.len().to_string(),
-            ])
-        })
-        .collect();
-    let table = HtmlTable {
-        caption: "Stages".to_owned(),
-        header: ["Stage", "Done in", "Time, s", "Files"].map(str::to_owned).to_vec(),
-        rows,
-        text_columns: vec![0, 1],
-    };
+    let mut table = Table::new(
+        "Stages",
+        [
+            Column::text("Stage"),
+            Column::text("Done in"),
+            Column::of("Time", "s"),
+            Column::number("Files"),
+        ],
+    );
+    for (name, done) in &ledger.stages {
+        let Some(record) = ledger.manifest.stage(name) else { continue };
+        let when = if *done { "this run" } else { "an earlier run" };
+        let time = Cell::fixed(record.time_s, 2);
+        table.push([name.as_str().into(), when.into(), time, record.files.len().into()]);
+    }
     let text = format!(
         "Project {}, {} files read; this run took {time_s:.1} s. manifest.json has \
          their hashes.",
         project.display(),
         ledger.manifest.inputs.len()
     );
-    let texts: Vec<String> = ledger.missing.iter().cloned().chain([text]).collect();
-    report::tables_section("Overview", vec![table], &texts)
+    let texts = ledger.missing.iter().cloned().chain([text]).map(Part::Text);
+    Section::new("Overview", [Part::Table(table)].into_iter().chain(texts).collect())
 }
 
 /// The calibration options of a project; an error if they ask for poses only.
-fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOptions> {
+fn calibration_options(
+    path: &Path,
+    project: &Project,
+    method: Option<Method>,
+) -> Result<CalibrationOptions> {
     if project.calibration.mode == Some(Mode::PosesOnly) {
         return Err(Error::invalid(
             "[calibration] says mode = \"poses-only\", but a run calibrates: leave it out, or use \
@@ -269,5 +264,6 @@ fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOpti
         )
         .in_file(path));
     }
-    Ok(project.calibration.options())
+    let stated = CalibrationSection { method, ..CalibrationSection::default() };
+    Ok(stated.or(project.calibration.clone()).options())
 }

@@ -309,7 +309,7 @@ impl Stages<'_> {
             Ok(comparison) => comparison,
             Err(error) => return Ok((Value::Null, vec![Part::Text(format!("{error}."))])),
         };
-        let figures = report::model_figures(calibration, &comparison)?;
+        let figures = report::model_figures(calibration, &comparison);
         stage_figures(output, &figures.concat())?;
         let parts = report::models_parts(calibration, &comparison, figures);
         Ok((io::models_document(&comparison), parts))
@@ -385,11 +385,7 @@ impl Stages<'_> {
         output.stage_json("evaluation.json", &io::evaluation_document(&found))?;
         let mut tables = vec![report::cameras_table(&initial, &candidates)];
         tables.extend(report::evaluation_tables(&found, &candidates));
-        let section = report::tables_section(
-            "Evaluation",
-            tables,
-            &found.findings.iter().map(ToString::to_string).collect::<Vec<_>>(),
-        );
+        let section = report::evaluation_section(tables);
         Ok(Section { warnings: found.findings.iter().map(talk::told).collect(), ..section })
     }
 }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use plenocal::error::Input;
 use plenocal::{Error, Finding, Issue, Result};
-use serde_json::Value;
+use serde::Serialize;
 
 /// Writes a line to stderr. It is not an error if nobody reads it.
 pub fn say(line: &str) {
@@ -85,8 +85,15 @@ fn remedy(error: &Error) -> Option<String> {
 ///
 /// A reader that has gone away (a closed pipe) is not an error: the files are written. A full disk is: whoever asked for
 /// the result does not have it.
-pub fn print_result(json: bool, document: &Value, text: &str, paths: &[PathBuf]) -> Result<()> {
+pub fn print_result(
+    json: bool,
+    document: &impl Serialize,
+    text: &str,
+    paths: &[PathBuf],
+) -> Result<()> {
     let text = if json {
+        let document = serde_json::to_string(document)
+            .map_err(|e| Error::invalid(format!("the result is no JSON: {e}")))?;
         format!("{document}\n")
     } else {
         let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();

@@ -1,13 +1,16 @@
-//! `calibration.json`: a calibration with all details of how it was obtained.
+//! `calibration.json`: a calibration with all details of how it was obtained; and `cost.json`, the same at a solution from
+//! elsewhere.
 
+use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use super::blur_section::blur_document;
 use super::board_shape_file::board_shape_document;
 use super::camera_file::errors_text;
 use super::{camera_document, poses_document};
-use crate::assessment::{Assessment, Distance, PointTrust, Verdict};
-use crate::calibration::{AnchorResult, Calibration, termination_text, weakest_directions_text};
+use crate::assessment::{Assessment, Distance, ModelComparison, PointTrust, Verdict, WithoutGroup};
+use crate::calibration::{
+    AnchorResult, Calibration, FillMeasurement, TypeBlur, termination_text, weakest_directions_text,
+};
 use crate::finding::Severity;
 use crate::model::{Rmse, shared_parameters};
 use crate::solver::LossKind;
@@ -25,8 +28,12 @@ pub fn calibrated_camera_document(calibration: &Calibration) -> Value {
     camera
 }
 
-pub(super) fn rmse_document(rmse: &Rmse) -> Value {
-    json!({ "features": rmse.count, "all": rmse.all_px, "uv": rmse.uv_px, "rho": rmse.rho_px })
+/// The errors of the features of a frame.
+#[derive(Serialize)]
+struct FrameErrors {
+    frame: u32,
+    #[serde(flatten)]
+    rmse: Rmse,
 }
 
 fn assessment_document(assessment: &Assessment) -> Value {
@@ -167,20 +174,13 @@ pub fn calibration_document(
     time_s: f64,
 ) -> Value {
     let (refinement, reprojection) = (&calibration.refinement, &calibration.reprojection);
-    let mut rmse = rmse_document(&reprojection.rmse());
+    let mut rmse = json!(reprojection.rmse());
     rmse["centers"] = json!(reprojection.centers_rmse_px());
-    let frames: Vec<Value> = calibration
-        .poses
-        .iter()
-        .map(|p| {
-            let mut entry = rmse_document(&reprojection.frame_rmse(p.frame));
-            entry["frame"] = json!(p.frame);
-            entry
-        })
-        .collect();
-    let types: Vec<Value> = (0..calibration.camera.lens_types())
-        .map(|i| rmse_document(&reprojection.lens_type_rmse(i)))
-        .collect();
+    let frames = calibration.poses.iter().map(|p| p.frame);
+    let frames: Vec<FrameErrors> =
+        frames.map(|frame| FrameErrors { frame, rmse: reprojection.frame_rmse(frame) }).collect();
+    let types: Vec<Rmse> =
+        (0..calibration.camera.lens_types()).map(|i| reprojection.lens_type_rmse(i)).collect();
     let left_out: Vec<Value> = calibration
         .left_out
         .iter()
@@ -235,5 +235,86 @@ pub fn calibration_document(
         "initial_camera": camera_document(&calibration.initial, None),
         "camera": calibrated_camera_document(calibration),
         "poses": poses_document(&calibration.poses, uncertainty)["poses"],
+    })
+}
+
+/// What the widths of edges say, lens types in order; null without measured blur.
+fn blur_document(measured: Option<&FillMeasurement>) -> Value {
+    let of_type = |of: &TypeBlur| {
+        let [excess_px, std_dev_px] = of.excess_px;
+        json!({
+            "fill_factor": of.fill_factor,
+            "excess_px": excess_px,
+            "excess_std_dev_px": std_dev_px,
+            "features": of.features,
+        })
+    };
+    measured.map_or(Value::Null, |measured| {
+        let types: Vec<Option<Value>> =
+            measured.types.iter().map(|of| of.as_ref().map(of_type)).collect();
+        json!({ "fill_factor": measured.fill_factor, "lens_types": types })
+    })
+}
+
+/// `models`: what groups of parameters are worth.
+#[must_use]
+pub fn models_document(comparison: &ModelComparison) -> Value {
+    let of_group = |without: &WithoutGroup| {
+        let (mean, std_error) = without.mean_growth();
+        let [features, centers, anchors] = without.cost_growth;
+        let (longer_mm, std_devs) = without.focal_length_change;
+        let frames: Vec<Value> = without
+            .growth
+            .iter()
+            .map(|(frame, growth)| json!({ "frame": frame, "growth": growth }))
+            .collect();
+        json!({
+            "group": without.group.to_string(),
+            "parameters": without.parameters,
+            "verdict": without.worth().to_string(),
+            "error_growth": { "mean": mean, "standard_error": std_error, "frames": frames },
+            "chi_square_growth": { "features": features, "centers": centers, "anchors": anchors },
+            "focal_length_mm": without.camera.main_lens.focal_length_mm,
+            "focal_length_change": { "mm": longer_mm, "std_devs": std_devs },
+            "pattern": without.pattern,
+            "converged": without.converged,
+        })
+    };
+    let errors: Vec<Value> = comparison
+        .errors
+        .iter()
+        .map(|(frame, error)| json!({ "frame": frame, "error": error }))
+        .collect();
+    json!({
+        "folds": comparison.folds,
+        "frames": errors,
+        "error": comparison.mean_error(),
+        "pattern": comparison.pattern,
+        "groups": comparison.groups.iter().map(of_group).collect::<Vec<_>>(),
+        "problems": comparison.findings.iter().map(ToString::to_string).collect::<Vec<_>>(),
+    })
+}
+
+/// `evaluation` of `cost.json`: the parts of a cost (features, centres, anchors), its gradient, and what one more step would gain, by the names of the
+/// free parameters and in their units.
+#[must_use]
+pub fn cost_document(evaluated: &Calibration, [features, centers, anchors]: [f64; 3]) -> Value {
+    let uncertainty = &evaluated.uncertainty;
+    let names = shared_parameters(evaluated.camera.lens_types());
+    let by_name = |values: &[f64]| -> Map<String, Value> {
+        let free = uncertainty.free_intrinsics.iter().zip(values);
+        free.map(|(&index, value)| (names[index].name.to_owned(), json!(value))).collect()
+    };
+    json!({
+        "cost": evaluated.refinement.cost,
+        "of_features": features,
+        "of_centers": centers,
+        "of_anchors": anchors,
+        "anchor_weight": (!evaluated.anchors.is_empty()).then_some(evaluated.cost.anchor_weight),
+        "is_minimum": evaluated.converged,
+        "gradient_max_norm": uncertainty.gradient.iter().fold(0.0_f64, |most, g| most.max(g.abs())),
+        "gradient": by_name(&uncertainty.gradient),
+        "expected_decrease": uncertainty.expected_decrease,
+        "next_step": by_name(&uncertainty.next_step),
     })
 }

@@ -212,10 +212,23 @@ pub enum FieldCurvature {
     Flat,
 }
 
+/// A set of options with one name; options that are given beside it take precedence.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Everything that plenocal knows: weights, priors, a robust loss, and effects that the paper's camera lacks.
+    Full,
+    /// The method of the paper: unit weights, no loss, no priors, the exit pupil in the lens, a flat field, a flat
+    /// board, focal lengths from ρ.
+    Paper,
+}
+
 /// `[calibration]`: everything is optional; the command line takes precedence.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CalibrationSection {
+    /// The set of options to begin with.
+    pub method: Option<Method>,
     /// What is estimated.
     pub mode: Option<Mode>,
     /// One pitch or two.
@@ -259,6 +272,7 @@ impl CalibrationSection {
     #[must_use]
     pub fn or(self, other: Self) -> Self {
         Self {
+            method: self.method.or(other.method),
             mode: self.mode.or(other.mode),
             pitches: self.pitches.or(other.pitches),
             exit_pupil: self.exit_pupil.or(other.exit_pupil),
@@ -283,9 +297,32 @@ impl CalibrationSection {
         }
     }
 
-    /// The options of the calibration, defaults filled in.
+    /// The options that make up a method.
+    #[must_use]
+    pub fn of_method(method: Method) -> Self {
+        match method {
+            Method::Full => Self::default(),
+            Method::Paper => Self {
+                exit_pupil: Some(ExitPupil::At(0.0)),
+                field_curvature: Some(FieldCurvature::Flat),
+                board: Some(BoardChoice::Flat),
+                blur: Some(Blur::Features),
+                anchors: Some(AnchorsSection { default: Some(false), quantities: BTreeMap::new() }),
+                weights: Some(Weights::Unit),
+                loss: Some(LossKind::None),
+                ..Self::default()
+            },
+        }
+    }
+
+    /// The options of the calibration: those given, then those of the method, then the defaults.
     #[must_use]
     pub fn options(&self) -> CalibrationOptions {
+        let of_method = Self::of_method(self.method.unwrap_or(Method::Full));
+        self.clone().or(of_method).filled_in()
+    }
+
+    fn filled_in(&self) -> CalibrationOptions {
         let mode = self.mode.unwrap_or_default();
         let mut options = CalibrationOptions { mode, ..CalibrationOptions::default() };
         let fixed = &mut options.cost.fixed;

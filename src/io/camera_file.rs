@@ -8,10 +8,9 @@ use std::path::Path;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use super::blur_section::depth_from_blur_document;
 use super::json_file::{document_of, read_json};
 use crate::error::{Error, Result};
-use crate::model::{Parameter, PlenopticCamera, intrinsic_parameters};
+use crate::model::{EdgeSpread, Parameter, PlenopticCamera, intrinsic_parameters};
 use crate::solver::Uncertainty;
 
 /// `format` of the file.
@@ -44,6 +43,16 @@ pub fn camera_document(camera: &PlenopticCamera, uncertainty: Option<&Uncertaint
         fields.insert("uncertainty".to_owned(), uncertainty_document(camera, uncertainty));
     }
     document
+}
+
+/// How wide a point is blurred, for depth from blur: σ² = (κρ)² + s²; `None` where the fill factor is not known.
+fn depth_from_blur_document(edges: &EdgeSpread) -> Option<Value> {
+    let [spread_per_radius, std_dev] = edges.fill_factor?.spread_per_radius();
+    Some(json!({
+        "spread_per_radius": spread_per_radius,
+        "spread_per_radius_std_dev": std_dev,
+        "point_spread_px2": edges.point_spread.map(|spread| spread.variance_px2),
+    }))
 }
 
 fn uncertainty_document(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> Value {

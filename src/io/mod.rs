@@ -1,14 +1,12 @@
 //! Files: plenocal's own and COMPOTE's. They are recognised by content, and written all together or not at
 //! all.
 
-mod blur_section;
 mod board_shape_file;
 mod calibration_file;
 mod calibration_section;
 mod camera_file;
 mod comparison_file;
 pub mod compote;
-mod cost_file;
 mod data_set_folder;
 mod detection_file;
 mod evaluation_file;
@@ -19,7 +17,6 @@ mod image_folder;
 mod input;
 mod json_file;
 mod manifest;
-mod models_file;
 mod npy_file;
 mod observations_file;
 mod output;
@@ -40,17 +37,18 @@ use std::path::Path;
 use std::time::Instant;
 
 pub use board_shape_file::{read_board_shape, read_true_board};
-pub use calibration_file::{calibrated_camera_document, calibration_document};
+pub use calibration_file::{
+    calibrated_camera_document, calibration_document, cost_document, models_document,
+};
 pub use calibration_section::{
     AnchorEntry, AnchorValue, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil,
-    FieldCurvature, NoAnchor, Pitches,
+    FieldCurvature, Method, NoAnchor, Pitches,
 };
 pub use camera_file::{
     CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_doubts, read_board_distances,
     read_camera, read_camera_doubts, read_std_devs,
 };
 pub use comparison_file::comparison_document;
-pub use cost_file::cost_document;
 pub use data_set_folder::{image_name, is_data_set, remove_older_data, stage_data_set};
 pub use detection_file::{detection_document, read_fill_factor_of_boards};
 pub use evaluation_file::evaluation_document;
@@ -63,7 +61,6 @@ pub use input::{
 };
 pub use json_file::read_json;
 pub use manifest::{MANIFEST, Manifest, StageRecord, hash_file, hash_text};
-pub use models_file::models_document;
 pub use npy_file::NpyHeader;
 pub use observations_file::{line_of, read_centers, read_features, write_centers, write_features};
 pub use output::{OutputFolder, abandon_output};

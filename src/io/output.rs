@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+use serde::Serialize;
 use tempfile::NamedTempFile;
 use tracing::{debug, info};
 
@@ -136,7 +137,7 @@ impl OutputFolder {
     }
 
     /// Stages a JSON file, indented, with a final line break.
-    pub fn stage_json(&mut self, name: impl AsRef<Path>, value: &serde_json::Value) -> Result<()> {
+    pub fn stage_json(&mut self, name: impl AsRef<Path>, value: &impl Serialize) -> Result<()> {
         self.stage(name, |out| {
             serde_json::to_writer_pretty(&mut *out, value)?;
             writeln!(out)

@@ -1,5 +1,7 @@
 //! Reprojection errors: observed minus projected, and their root mean squares (Table 4).
 
+use serde::Serialize;
+
 use crate::model::{BapFeature, MicroImageCenter};
 
 /// A feature and its error.
@@ -50,15 +52,19 @@ pub struct Reprojection {
 
 /// Root mean square errors of features, as in the paper's Table 4:
 /// uv² = mean(du² + dv²), rho² = mean(dρ²), all² = uv² + rho². In px; NaN without observations.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Rmse {
     /// Number of features.
+    #[serde(rename = "features")]
     pub count: usize,
     /// Of (u, v, ρ).
+    #[serde(rename = "all")]
     pub all_px: f64,
     /// Of (u, v).
+    #[serde(rename = "uv")]
     pub uv_px: f64,
     /// Of ρ; `None` for a pinhole array.
+    #[serde(rename = "rho")]
     pub rho_px: Option<f64>,
 }
 

@@ -1,12 +1,10 @@
-//! The verdict on a calibration, its anchors, and the σ of points, as text and tables.
+//! The verdict on a calibration, outlying features, and the σ of points.
 
-use super::html::{Part, Section};
-use super::table::{Table, table};
+use super::tree::{Cell, Column, Part, Section, Table};
 use crate::assessment::{Assessment, NextBoard, ObjectSpace, Verdict};
-use crate::calibration::{Calibration, OutlyingFeature};
+use crate::calibration::OutlyingFeature;
 use crate::finding::Severity;
-use crate::quantity::{display_unit, with_std_dev};
-use crate::solver::Anchor;
+use crate::quantity::two_digits;
 
 /// Outlying features that are named one by one.
 const NAMED: usize = 5;
@@ -61,72 +59,34 @@ pub fn outliers_text(assessment: &Assessment) -> Vec<String> {
     vec![format!("{} outlying feature(s); {which}: {}.", outlying.len(), named.join("; "))]
 }
 
-/// Anchors with prior, result and pull.
-pub(super) fn anchors_table(calibration: &Calibration) -> Option<Table> {
-    let mut table =
-        table(&["Anchor", "Unit", "Known", "± σ", "Result", "Pull, σ", "From"], &[0, 1, 6]);
-    for anchor in &calibration.anchors {
-        let quantity = &anchor.anchor.quantity;
-        let (unit, factor) = display_unit(quantity, anchor.unit());
-        let Anchor { value, std_dev, .. } = anchor.anchor;
-        let (known, std_dev) = with_std_dev(value * factor, Some(std_dev * factor));
-        let (result, _) =
-            with_std_dev(anchor.result * factor, Some(anchor.anchor.std_dev * factor));
-        table.add_row([
-            if quantity == "m" { "|m|".to_owned() } else { quantity.clone() },
-            unit.to_owned(),
-            known,
-            std_dev,
-            result,
-            format!("{:+.2}", anchor.pull()),
-            anchor.source.to_string(),
-        ]);
-    }
-    (!calibration.anchors.is_empty()).then_some(table)
-}
-
 /// σ of reconstructed points by distance.
 pub(super) fn object_space_table(space: &ObjectSpace) -> Table {
-    let mut table = table(
-        &[
-            "Distance, mm",
-            "± across, mm",
-            "worst",
-            "± along, mm",
-            "worst",
-            "Noise across",
-            "Noise along",
+    let mut table = Table::new(
+        "σ of a reconstructed point against the boards, median and worst over the image: due to the calibration, and due \
+         to the noise of one observation of it",
+        [
+            Column::of("Distance", "mm"),
+            Column::of("± across", "mm"),
+            Column::number("worst"),
+            Column::of("± along", "mm"),
+            Column::number("worst"),
+            Column::number("Noise across"),
+            Column::number("Noise along"),
         ],
-        &[],
     );
     for distance in space.distances.iter().filter(|d| d.within_boards) {
         let [[across, along], [worst_across, worst_along]] = distance.summary_mm();
         let [noise_across, noise_along] = distance.noise_mm();
         let numbers = [across, worst_across, along, worst_along, noise_across, noise_along];
-        let mut row = vec![format!("{:.1}", distance.distance_mm)];
-        row.extend(numbers.map(two_digits));
-        table.add_row(row);
+        let distance = Cell::fixed(distance.distance_mm, 1);
+        table.push([distance].into_iter().chain(numbers.map(Cell::two_digits)));
     }
     table
-}
-
-/// What the table of points shows.
-pub(super) const OBJECT_SPACE: &str = "σ of a reconstructed point against the boards, median and \
-     worst over the image: due to the calibration, and due to the noise of one observation of it";
-
-/// Two significant digits.
-pub(super) fn two_digits(value: f64) -> String {
-    if !(value > 0.0 && value.is_finite()) {
-        return "-".to_owned();
-    }
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few digits
-    let digits = (1.0 - value.log10().floor()).clamp(0.0, 9.0) as usize;
-    format!("{value:.digits$}")
 }
 
 /// The verdict as a section of its own.
 #[must_use]
 pub fn verdict_section(assessment: &Assessment) -> Section {
     let parts = verdict_lines(assessment).into_iter().map(Part::Text).collect();
-    Section { title: "Verdict".to_owned(), parts, ..Section::default() }
+    Section::new("Verdict", parts)
 }

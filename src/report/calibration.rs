@@ -1,50 +1,63 @@
-//! A calibration as tables and text.
+//! A calibration.
 
 use std::fmt::Write as _;
 
-use super::assessment::{
-    OBJECT_SPACE, anchors_table, object_space_table, outliers_text, verdict_lines,
-};
-use super::board::{aside_text, board_text};
-use super::common_errors::{COMMON_ERRORS, common_errors_table};
-use super::fill_factor::fill_factor_text;
-use super::table::{Table, table};
+use super::assessment::{object_space_table, outliers_text, verdict_lines};
+use super::tree::{Cell, Column, Figure, Part, Section, Table};
 use crate::assessment::Assessment;
-use crate::calibration::{Calibration, termination_text, weakest_directions_text};
-use crate::model::{
-    BoardShape, Named, Parameter, Rmse, SHAPE_PARAMETERS, intrinsic_parameters, shared_parameters,
+use crate::calibration::{
+    BoardModel, Calibration, Effort, Mode, Trial, termination_text, weakest_directions_text,
 };
-use crate::quantity::{display_unit, with_std_dev};
-use crate::solver::LossKind;
+use crate::model::{
+    BoardShape, FillFactor, Named, Parameter, PointSpread, Rmse, SHAPE_PARAMETERS,
+    intrinsic_parameters, shared_parameters,
+};
+use crate::quantity::{display_unit, two_digits, with_std_dev};
+use crate::solver::{Anchor, LossKind};
 
-/// The result of a calibration on a terminal: parameters, errors, convergence, weakest direction.
+/// The result of a calibration: verdict, parameters, errors, convergence, weakest directions; and figures.
 #[must_use]
-pub fn calibration_text(calibration: &Calibration, assessment: &Assessment) -> String {
+pub fn calibration_section(
+    title: &str,
+    calibration: &Calibration,
+    assessment: &Assessment,
+    figures: Vec<Figure>,
+) -> Section {
     let is_fixed = calibration.uncertainty.free_intrinsics.is_empty();
-    let mut verdict = verdict_lines(assessment);
-    verdict.extend(outliers_text(assessment));
-    let mut parts = vec![
-        verdict.join("\n"),
-        if is_fixed { poses_table(calibration) } else { parameters_table(calibration) }.to_string(),
+    let mut parts: Vec<Part> = verdict_lines(assessment)
+        .into_iter()
+        .chain(outliers_text(assessment))
+        .map(Part::Text)
+        .collect();
+    let main_table =
+        if is_fixed { poses_table(calibration) } else { parameters_table(calibration) };
+    let tables = [
+        Some(main_table),
+        anchors_table(calibration),
+        systematic_errors_table(calibration),
+        assessment.object_space.as_ref().map(object_space_table),
+        Some(errors_table(calibration)),
     ];
-    parts.extend(anchors_table(calibration).map(|table| table.to_string()));
-    parts.extend(
-        common_errors_table(calibration).map(|table| table.captioned(COMMON_ERRORS).to_string()),
-    );
-    let space = assessment.object_space.as_ref();
-    parts.extend(space.map(|space| object_space_table(space).captioned(OBJECT_SPACE).to_string()));
-    parts.extend([errors_table(calibration).to_string(), summary(calibration)]);
-    parts.join("\n\n")
+    parts.extend(tables.into_iter().flatten().map(Part::Table));
+    parts.extend(Part::paragraphs(&summary(calibration)));
+    parts.extend(figures.into_iter().map(Part::Figure));
+    Section::new(title, parts)
 }
 
-pub(super) fn parameters_table(calibration: &Calibration) -> Table {
+fn parameters_table(calibration: &Calibration) -> Table {
     let lens_types = calibration.camera.lens_types();
     let uncertainty = &calibration.uncertainty;
-    let mut header = vec!["Parameter", "Unit", "Initial", "Optimised", "± σ"];
+    let mut columns = vec![
+        Column::text("Parameter"),
+        Column::text("Unit"),
+        Column::number("Initial"),
+        Column::number("Optimised"),
+        Column::number("± σ"),
+    ];
     if uncertainty.shared {
-        header.extend(["if independent", "ratio"]);
+        columns.extend(["if independent", "ratio"].map(Column::number));
     }
-    let mut table = table(&header, &[0, 1]);
+    let mut table = Table::new("Parameters", columns);
     let std_devs = uncertainty.intrinsic_std_devs(lens_types);
     let independent = uncertainty.independent_std_devs(lens_types);
     let values = calibration.initial.intrinsics().into_iter().zip(calibration.camera.intrinsics());
@@ -57,28 +70,28 @@ pub(super) fn parameters_table(calibration: &Calibration) -> Table {
         of_camera.chain(of_board(calibration))
     {
         let (unit, factor) = display_unit(parameter.name, parameter.unit);
-        let (value, deviation) = with_std_dev(optimised * factor, std_dev.map(|s| s * factor));
+        let scaled = std_dev.map(|s| s * factor);
         let deviation = match std_dev {
-            None => "fixed".to_owned(),
-            Some(s) if s.is_infinite() => "undetermined".to_owned(),
-            Some(_) => deviation,
+            None => "fixed".into(),
+            Some(s) if s.is_infinite() => "undetermined".into(),
+            Some(_) => Cell::std_dev(scaled),
         };
         let mut row = vec![
-            parameter.name.to_owned(),
-            unit.to_owned(),
-            with_std_dev(initial * factor, None).0,
-            value,
+            parameter.name.into(),
+            unit.into(),
+            Cell::value(initial * factor, None),
+            Cell::value(optimised * factor, scaled),
             deviation,
         ];
         if uncertainty.shared {
             row.extend(match (std_dev, independent) {
                 (Some(s), Some(i)) if s.is_finite() && i > 0.0 => {
-                    [with_std_dev(0.0, Some(i * factor)).1, format!("{:.1}", s / i)]
+                    [Cell::std_dev(Some(i * factor)), Cell::fixed(s / i, 1)]
                 }
-                _ => [String::new(), String::new()],
+                _ => [Cell::empty(), Cell::empty()],
             });
         }
-        table.add_row(row);
+        table.push(row);
     }
     table
 }
@@ -153,40 +166,59 @@ fn anchor_weight_text(calibration: &Calibration) -> String {
 }
 
 fn poses_table(calibration: &Calibration) -> Table {
-    let mut table = table(
-        &["Frame", "x, mm", "± σ", "y, mm", "± σ", "z, mm", "± σ", "Rotation vector, rad", "± σ"],
-        &[],
+    let mut table = Table::new(
+        "Poses",
+        [
+            Column::number("Frame"),
+            Column::of("x", "mm"),
+            Column::number("± σ"),
+            Column::of("y", "mm"),
+            Column::number("± σ"),
+            Column::of("z", "mm"),
+            Column::number("± σ"),
+            Column::of("Rotation vector", "rad"),
+            Column::number("± σ"),
+        ],
     );
     for (i, pose) in calibration.poses.iter().enumerate() {
         let std_devs = calibration.uncertainty.pose_std_devs(i);
         let translation = pose.camera_from_board.translation.vector;
         let rotation = pose.camera_from_board.rotation.scaled_axis();
-        let mut row = vec![pose.frame.to_string()];
+        let mut row = vec![pose.frame.into()];
         for (value, std_dev) in translation.iter().zip(&std_devs[3..]) {
-            let (value, deviation) = with_std_dev(*value, Some(*std_dev));
-            row.extend([value, deviation]);
+            row.extend(Cell::with_std_dev(*value, Some(*std_dev)));
         }
         let largest = std_devs[..3].iter().copied().fold(0.0, f64::max);
         let parts: Vec<String> =
             rotation.iter().map(|&v| with_std_dev(v, Some(largest)).0).collect();
-        row.extend([parts.join(", "), with_std_dev(0.0, Some(largest)).1]);
-        table.add_row(row);
+        row.extend([parts.join(", ").into(), Cell::std_dev(Some(largest))]);
+        table.push(row);
     }
     table
 }
 
 pub(super) fn errors_table(calibration: &Calibration) -> Table {
     let reprojection = &calibration.reprojection;
-    let mut table = table(&["RMSE, px", "Features", "All", "(u, v)", "ρ", "Centres"], &[0]);
-    let number = |value: f64| if value.is_nan() { "-".to_owned() } else { format!("{value:.4}") };
+    let mut table = Table::new(
+        "Reprojection errors, px, root mean square",
+        [
+            Column::text("RMSE of"),
+            Column::number("Features"),
+            Column::number("All"),
+            Column::number("(u, v)"),
+            Column::number("ρ"),
+            Column::number("Centres"),
+        ],
+    );
+    let number = |value: f64| Cell::fixed(value, 4);
     let mut add = |name: String, rmse: &Rmse, centers: Option<f64>| {
-        table.add_row([
-            name,
-            rmse.count.to_string(),
+        table.push([
+            name.into(),
+            rmse.count.into(),
             number(rmse.all_px),
             number(rmse.uv_px),
-            rmse.rho_px.map_or("-".to_owned(), number),
-            centers.map_or(String::new(), number),
+            Cell::or_missing(rmse.rho_px, number),
+            centers.map_or(Cell::empty(), number),
         ]);
     };
     add("All".to_owned(), &reprojection.rmse(), reprojection.centers_rmse_px());
@@ -200,7 +232,68 @@ pub(super) fn errors_table(calibration: &Calibration) -> Table {
     table
 }
 
-pub(super) fn summary(calibration: &Calibration) -> String {
+/// Anchors with prior, result and pull.
+fn anchors_table(calibration: &Calibration) -> Option<Table> {
+    let mut table = Table::new(
+        "What was known, what came out, and how the observations pull on it",
+        [
+            Column::text("Anchor"),
+            Column::text("Unit"),
+            Column::number("Known"),
+            Column::number("± σ"),
+            Column::number("Result"),
+            Column::of("Pull", "σ"),
+            Column::text("From"),
+        ],
+    );
+    for anchor in &calibration.anchors {
+        let quantity = &anchor.anchor.quantity;
+        let (unit, factor) = display_unit(quantity, anchor.unit());
+        let Anchor { value, std_dev, .. } = anchor.anchor;
+        let std_dev = Some(std_dev * factor);
+        let [known, of_known] = Cell::with_std_dev(value * factor, std_dev);
+        table.push([
+            if quantity == "m" { "|m|" } else { quantity }.into(),
+            unit.into(),
+            known,
+            of_known,
+            Cell::value(anchor.result * factor, std_dev),
+            Cell::signed(anchor.pull(), 2),
+            anchor.source.to_string().into(),
+        ]);
+    }
+    (!calibration.anchors.is_empty()).then_some(table)
+}
+
+/// Parameters in the table of systematic errors, if they are free.
+const SHOWN: [&str; 6] = ["F", "D", "d", "e_z", "theta_x", "theta_y"];
+
+/// By how many of its σ each parameter changes with one σ of what was taken from the white images;
+/// `None` if nothing is known of that.
+fn systematic_errors_table(calibration: &Calibration) -> Option<Table> {
+    let uncertainty = &calibration.uncertainty;
+    let lens_types = calibration.camera.lens_types();
+    let names = shared_parameters(lens_types);
+    let std_devs = uncertainty.intrinsic_std_devs(lens_types);
+    let shown: Vec<usize> = (0..uncertainty.free_intrinsics.len())
+        .filter(|&row| SHOWN.contains(&names[uncertainty.free_intrinsics[row]].name))
+        .collect();
+    let of_parameter = |&row: &usize| Column::number(names[uncertainty.free_intrinsics[row]].name);
+    let mut table = Table::new(
+        "What was taken from the white images, and the change of parameters, in their σ",
+        std::iter::once(Column::text("One σ of")).chain(shown.iter().map(of_parameter)),
+    );
+    for (source, changes) in &uncertainty.common_changes {
+        let share = |&row: &usize| {
+            let std_dev = std_devs[uncertainty.free_intrinsics[row]].unwrap_or(f64::INFINITY);
+            Cell::signed(changes[row] / std_dev, 2)
+        };
+        table.push(std::iter::once(source.as_str().into()).chain(shown.iter().map(share)));
+    }
+    (!shown.is_empty() && !uncertainty.common_changes.is_empty()).then_some(table)
+}
+
+fn summary(calibration: &Calibration) -> String {
     let refinement = &calibration.refinement;
     let mut text = String::new();
     // Writing to a String cannot fail.
@@ -267,4 +360,107 @@ pub(super) fn summary(calibration: &Calibration) -> String {
         let _ = writeln!(text, "{}. {direction}.", i + 1);
     }
     text
+}
+
+/// The shape of the board: a sentence.
+fn board_text(calibration: &Calibration) -> String {
+    let board = &calibration.board;
+    let of = |name: &str, value: &str, unit: &str| match unit {
+        "1" => format!("{name} {value}"),
+        unit => format!("{name} {value} {unit}"),
+    };
+    let found: Vec<String> = SHAPE_PARAMETERS
+        .iter()
+        .zip(board.std_devs)
+        .filter_map(|(parameter, std_dev)| {
+            let (value, std_dev) = with_std_dev(parameter.value(&board.bent.shape), Some(std_dev?));
+            Some(of(parameter.name, &format!("{value} ± {std_dev}"), parameter.unit))
+        })
+        .collect();
+    let limits: Vec<String> = SHAPE_PARAMETERS
+        .iter()
+        .zip(board.limits())
+        .filter_map(|(parameter, limit)| {
+            Some(of(parameter.name, &two_digits(limit?), parameter.unit))
+        })
+        .collect();
+    let limits = (!limits.is_empty()).then(|| format!("below {} (2 σ)", limits.join(", ")));
+    let flat = found.is_empty();
+    let found: Vec<String> = (!flat).then(|| found.join(", ")).into_iter().chain(limits).collect();
+    let found = found.join("; ");
+    match (&board.trial, calibration.options.board) {
+        (Trial::NotTried, _) if !flat => format!("The shape of the board: {found}."),
+        (Trial::NotTried, BoardModel::Known(_)) => {
+            "The shape of the board is taken as known.".to_owned()
+        }
+        (Trial::NotTried, _) => "The board is taken to be flat.".to_owned(),
+        (Trial::TooFewFrames, _) => {
+            "The board is taken to be flat: so few frames do not show whether it is.".to_owned()
+        }
+        (Trial::Failed(reason), _) => format!(
+            "The board is taken to be flat, since whether it is could not be found out: {reason}."
+        ),
+        (Trial::Tried { std_devs_from_zero, .. }, _) => format!(
+            "The board is {}flat: {found}. {}",
+            if flat { "" } else { "not " },
+            why(std_devs_from_zero)
+        ),
+    }
+}
+
+/// Why a board is held to be flat, or not.
+fn why(std_devs_from_zero: &[Option<f64>; 2]) -> String {
+    let known = ["bend", "aspect"].into_iter().zip(std_devs_from_zero);
+    let parts: Vec<String> = known
+        .filter_map(|(name, std_devs)| Some(format!("the {name} by {:.1} σ", (*std_devs)?)))
+        .collect();
+    if parts.is_empty() {
+        return "The frames do not determine its shape.".to_owned();
+    }
+    format!("From 0 differ {}; more than 3 σ count.", parts.join(", "))
+}
+
+/// What was refined only to find out whether the board is flat; empty if nothing was.
+fn aside_text(aside: &Effort) -> String {
+    match aside.iterations {
+        0 => String::new(),
+        iterations => format!(
+            " Trying whether the board is flat took {iterations} more, and {:.3} s.",
+            aside.time_s
+        ),
+    }
+}
+
+/// Which part of their pitch micro-lenses fill, and how sharp edges are: a sentence or two. Nothing where blur takes no
+/// part, or where neither is known of a camera that was calibrated before.
+fn fill_factor_text(calibration: &Calibration) -> Option<String> {
+    if calibration.options.mode == Mode::CornersOnly || calibration.camera.lens_types() == 0 {
+        return None;
+    }
+    let edges = &calibration.camera.edge_spread;
+    let known = |fill: FillFactor| {
+        let (value, std_dev) = with_std_dev(fill.value, Some(fill.std_dev));
+        format!("{value} ± {std_dev}")
+    };
+    let fill = match (edges.fill_factor, &calibration.fill) {
+        (Some(fill), Some(_)) => format!("Micro-lenses fill {} of their pitch", known(fill)),
+        (Some(fill), None) if fill.std_dev > 0.0 => {
+            format!("Micro-lenses are taken to fill {} of their pitch", known(fill))
+        }
+        (Some(fill), None) => {
+            format!("Micro-lenses are taken to fill {} of their pitch", fill.value)
+        }
+        (None, _) if calibration.m_mm.is_some() => {
+            "The features do not state how wide their edges are: micro-lenses are taken to fill their whole pitch"
+                .to_owned()
+        }
+        (None, _) => return None,
+    };
+    let of_spread = |spread: PointSpread| {
+        let [px, std_dev] = spread.px();
+        let (px, std_dev) = with_std_dev(px, Some(std_dev));
+        format!("; edges have a point spread of {px} ± {std_dev} px")
+    };
+    let spread = edges.point_spread.filter(|spread| spread.std_dev_px2 > 0.0).map(of_spread);
+    Some(format!("{fill}{}.", spread.unwrap_or_default()))
 }

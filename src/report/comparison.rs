@@ -1,20 +1,17 @@
-//! Two cameras compared, as text and pictures.
+//! Two cameras compared.
 
-use super::calibration_figures::shifts_picture;
-use super::table::{Table, table};
-use crate::assessment::{CameraComparison, DistanceDifference, ParameterPair};
-use crate::error::Result;
-use crate::model::Sensor;
-use crate::quantity::{display_unit, with_std_dev};
+use super::tree::{Cell, Column, Part, Section, Table};
+use crate::assessment::{CameraComparison, ParameterPair};
+use crate::quantity::display_unit;
 
 /// Beyond so many σ a parameter is named as different.
 const DIFFERENT: f64 = 3.0;
 /// A shift below this is smaller than what detectors see, px.
 const HARDLY_PX: f64 = 0.05;
 
-/// The comparison for the terminal: what it comes to, then the tables.
+/// What the comparison comes to, then the tables.
 #[must_use]
-pub fn comparison_text(comparison: &CameraComparison) -> String {
+pub fn comparison_section(comparison: &CameraComparison) -> Section {
     let motion = &comparison.second_from_first;
     let shift = motion.translation.vector;
     let rms_px = comparison.rms_px();
@@ -35,82 +32,82 @@ pub fn comparison_text(comparison: &CameraComparison) -> String {
         .map(|(name, std_devs)| format!("{name} ({std_devs:+.1} σ)"))
         .collect();
     let parameters = if in_std_devs.is_empty() {
-        String::new()
+        None
     } else if differing.is_empty() {
-        format!(
-            "\nNo parameter is more than {most:.1} σ apart. Parameters trade off, so what the cameras see says more."
-        )
+        Some(format!(
+            "No parameter is more than {most:.1} σ apart. Parameters trade off, so what the cameras see says more."
+        ))
     } else {
-        format!("\nParameters apart by more than {DIFFERENT:.0} σ: {}.", differing.join(", "))
+        Some(format!("Parameters apart by more than {DIFFERENT:.0} σ: {}.", differing.join(", ")))
     };
-    format!(
+    let seen = format!(
         "{verdict}: pixels are {rms_px:.3} px RMS apart, after their frames were brought together by ({:+.3}, {:+.3}, {:+.3}) mm \
-         and {:.3} mrad; {:.3} px without that.{parameters}\n\nBy distance from the first camera, after the motion\n{}\n\n\
-         Parameters\n{}",
+         and {:.3} mrad; {:.3} px without that.",
         shift.x,
         shift.y,
         shift.z,
         1e3 * motion.rotation.angle(),
         comparison.raw_rms_px,
-        distances(comparison),
-        parameter_table(&comparison.parameters),
-    )
+    );
+    let tables = [distances(comparison), parameter_table(&comparison.parameters)];
+    let texts = std::iter::once(seen).chain(parameters).map(Part::Text);
+    Section::new("Comparison", texts.chain(tables.map(Part::Table)).collect())
 }
 
 fn distances(comparison: &CameraComparison) -> Table {
-    let mut rows = table(
-        &["At, mm", "RMS, px", "Largest, px", "Across, mm", "Along, mm", "Further, mm", "Points"],
-        &[],
+    let mut table = Table::new(
+        "By distance from the first camera, after the motion",
+        [
+            Column::of("At", "mm"),
+            Column::of("RMS", "px"),
+            Column::of("Largest", "px"),
+            Column::of("Across", "mm"),
+            Column::of("Along", "mm"),
+            Column::of("Further", "mm"),
+            Column::number("Points"),
+        ],
     );
-    let number = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |x| format!("{x:.4}"));
+    let number = |value: Option<f64>| Cell::or_missing(value, |x| Cell::fixed(x, 4));
     for d in &comparison.distances {
-        rows.add_row([
-            format!("{:.1}", d.at_mm),
-            format!("{:.4}", d.rms_px),
-            format!("{:.4}", d.largest_px),
+        table.push([
+            Cell::fixed(d.at_mm, 1),
+            Cell::fixed(d.rms_px, 4),
+            Cell::fixed(d.largest_px, 4),
             number(d.rms_mm.map(|[across, _]| across)),
             number(d.rms_mm.map(|[_, along]| along)),
-            d.further_mm.map_or_else(|| "-".to_owned(), |x| format!("{x:+.4}")),
-            d.shifts_px.len().to_string(),
+            Cell::or_missing(d.further_mm, |x| Cell::signed(x, 4)),
+            d.shifts_px.len().into(),
         ]);
     }
-    rows
+    table
 }
 
 fn parameter_table(pairs: &[ParameterPair]) -> Table {
-    let mut rows =
-        table(&["Parameter", "Unit", "First", "± σ", "Second", "± σ", "Difference, σ"], &[0, 1]);
+    let mut table = Table::new(
+        "Parameters",
+        [
+            Column::text("Parameter"),
+            Column::text("Unit"),
+            Column::number("First"),
+            Column::number("± σ"),
+            Column::number("Second"),
+            Column::number("± σ"),
+            Column::of("Difference", "σ"),
+        ],
+    );
     for pair in pairs {
         let (unit, factor) = display_unit(pair.name, pair.unit);
-        let [first, second] = [0, 1].map(|i| {
-            let std_dev = pair.std_devs[i].map(|s| s * factor);
-            let (value, std_dev_text) = with_std_dev(pair.values[i] * factor, std_dev);
-            (value, if std_dev.is_some() { std_dev_text } else { String::new() })
-        });
+        let of = |i: usize| {
+            Cell::with_std_dev(pair.values[i] * factor, pair.std_devs[i].map(|s| s * factor))
+        };
         let difference = pair.difference_in_std_devs();
-        rows.add_row([
-            pair.name.to_owned(),
-            unit.to_owned(),
-            first.0,
-            first.1,
-            second.0,
-            second.1,
-            difference.map_or_else(String::new, |d| format!("{d:+.1}")),
-        ]);
+        table.push(
+            [pair.name.into(), unit.into()]
+                .into_iter()
+                .chain(of(0))
+                .chain(of(1))
+                .chain([difference.map_or(Cell::empty(), |d| Cell::signed(d, 1))]),
+        );
     }
-    rows
-}
-
-/// A picture of the shifts at each distance: file names and SVG.
-pub fn comparison_pictures(
-    comparison: &CameraComparison,
-    sensor: &Sensor,
-) -> Result<Vec<(String, String)>> {
-    let picture = |d: &DistanceDifference| {
-        // To the micrometre, without zeros at its end: distances apart have names apart.
-        let at_mm = (1e3 * d.at_mm).round() / 1e3;
-        let title = format!("Second camera minus first at {at_mm} mm");
-        Ok((format!("shifts-{at_mm}-mm.svg"), shifts_picture(&d.shifts_px, sensor, &title)?))
-    };
-    comparison.distances.iter().map(picture).collect()
+    table
 }

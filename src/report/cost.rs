@@ -1,10 +1,10 @@
-//! The cost at a solution from elsewhere as tables and text.
+//! The cost at a solution from elsewhere.
 
 use super::calibration::errors_table;
-use super::table::{Table, table};
+use super::tree::{Cell, Column, Part, Section, Table};
 use crate::calibration::Calibration;
 use crate::model::{SHAPE_PARAMETERS, shared_parameters};
-use crate::quantity::{display_unit, with_std_dev};
+use crate::quantity::display_unit;
 
 /// How far from the minimum a camera may be, in σ of independent errors along the way there, to be as good.
 const NEGLIGIBLE: f64 = 0.01;
@@ -12,7 +12,7 @@ const NEGLIGIBLE: f64 = 0.01;
 /// Cost, gradient and residuals at a solution, and what one more step would gain. The cost has a part of the features, one of
 /// the centres, and one of the anchors.
 #[must_use]
-pub fn cost_text(evaluated: &Calibration, [features, centers, anchors]: [f64; 3]) -> String {
+pub fn cost_section(evaluated: &Calibration, [features, centers, anchors]: [f64; 3]) -> Section {
     let [counted, centred] =
         [evaluated.reprojection.features.len(), evaluated.reprojection.centers.len()];
     let weight = if evaluated.anchors.is_empty() {
@@ -26,13 +26,13 @@ pub fn cost_text(evaluated: &Calibration, [features, centers, anchors]: [f64; 3]
         evaluated.refinement.cost,
         evaluated.anchors.len()
     );
-    [
-        verdict(evaluated),
-        cost,
-        steps_table(evaluated).to_string(),
-        errors_table(evaluated).to_string(),
-    ]
-    .join("\n\n")
+    let parts = vec![
+        Part::Text(verdict(evaluated)),
+        Part::Text(cost),
+        Part::Table(steps_table(evaluated)),
+        Part::Table(errors_table(evaluated)),
+    ];
+    Section::new("Cost", parts)
 }
 
 /// Whether this is a minimum.
@@ -102,21 +102,29 @@ fn steps(evaluated: &Calibration) -> Vec<Step> {
 }
 
 fn steps_table(evaluated: &Calibration) -> Table {
-    let mut table = table(
-        &["Parameter", "Unit", "Value", "± σ", "Gradient, 1/σ", "Next step", "in σ"],
-        &[0, 1],
+    let mut table = Table::new(
+        "Gradient, and the next step",
+        [
+            Column::text("Parameter"),
+            Column::text("Unit"),
+            Column::number("Value"),
+            Column::number("± σ"),
+            Column::of("Gradient", "1/σ"),
+            Column::number("Next step"),
+            Column::number("in σ"),
+        ],
     );
     for step in steps(evaluated) {
         let (unit, factor) = display_unit(step.name, step.unit);
-        let (value, std_dev) = with_std_dev(step.value * factor, Some(step.std_dev * factor));
-        table.add_row([
-            step.name.to_owned(),
-            unit.to_owned(),
+        let [value, std_dev] = Cell::with_std_dev(step.value * factor, Some(step.std_dev * factor));
+        table.push([
+            step.name.into(),
+            unit.into(),
             value,
             std_dev,
-            format!("{:.1e}", step.gradient * step.std_dev),
-            format!("{:.2e}", step.change * factor),
-            format!("{:.1e}", step.change / step.std_dev),
+            Cell::exponential(step.gradient * step.std_dev, 1),
+            Cell::exponential(step.change * factor, 2),
+            Cell::exponential(step.change / step.std_dev, 1),
         ]);
     }
     table

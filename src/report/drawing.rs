@@ -1,75 +1,69 @@
-//! What figures share: colours, fonts, and the lines, arrows and text drawn over a chart.
+//! Pictures as SVG: lines, areas, arrows, text, and the axes of charts.
 
 use std::fmt::Write as _;
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use nalgebra::Vector2;
-use plotters::prelude::*;
 
-use super::html::escaped;
-use crate::error::{Error, Result};
+use super::tree::Figure;
+
+/// A colour: red, green, blue.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Color(pub u8, pub u8, pub u8);
 
 /// Colours of the lens types, as in the paper: red, green, blue; readable on white, and told apart
 /// by the colour-blind by their lightness.
-pub(super) const TYPE_COLORS: [RGBColor; 3] =
-    [RGBColor(200, 30, 30), RGBColor(40, 140, 60), RGBColor(30, 70, 200)];
+pub(super) const TYPE_COLORS: [Color; 3] =
+    [Color(200, 30, 30), Color(40, 140, 60), Color(30, 70, 200)];
+pub(super) const WHITE: Color = Color(255, 255, 255);
 /// Text and lines.
-pub(super) const INK: RGBColor = RGBColor(60, 60, 60);
+pub(super) const INK: Color = Color(60, 60, 60);
+/// Lines at the ticks of an axis.
+const GRID: Color = Color(222, 222, 222);
 /// Lines of a model through measurements.
-pub(super) const FITTED: RGBColor = RGBColor(190, 0, 190);
+pub(super) const FITTED: Color = Color(190, 0, 190);
 /// Two colours that everybody can tell apart, for two quantities side by side and for the two signs.
-pub(super) const BLUE: RGBColor = RGBColor(0, 100, 170);
-pub(super) const ORANGE: RGBColor = RGBColor(200, 80, 0);
-/// Text on one of these two.
-pub(super) const ON_COLOR: RGBColor = RGBColor(253, 253, 253);
+pub(super) const BLUE: Color = Color(0, 100, 170);
+pub(super) const ORANGE: Color = Color(200, 80, 0);
+/// Marks on a photograph.
+pub(super) const YELLOW: Color = Color(255, 210, 0);
 
-/// Colours on a white page, and their replacements on a dark one.
-pub(super) const ON_DARK: [(RGBColor, RGBColor); 10] = [
-    (WHITE, RGBColor(30, 31, 34)),
-    (BLACK, RGBColor(255, 255, 255)),
-    (INK, RGBColor(222, 222, 222)),
-    (TYPE_COLORS[0], RGBColor(255, 122, 112)),
-    (TYPE_COLORS[1], RGBColor(96, 200, 120)),
-    (TYPE_COLORS[2], RGBColor(130, 165, 255)),
-    (FITTED, RGBColor(240, 120, 240)),
-    (BLUE, RGBColor(70, 160, 225)),
-    (ORANGE, RGBColor(240, 140, 60)),
-    (ON_COLOR, RGBColor(18, 18, 18)),
-];
-
-/// A colour as an attribute value, spelt like the SVG backend spells it.
-pub(super) fn hex(RGBColor(r, g, b): RGBColor) -> String {
-    format!("#{r:02X}{g:02X}{b:02X}")
-}
-
-/// Text in ink, `size` px high.
-pub(super) fn font(size: u32) -> TextStyle<'static> {
-    ("sans-serif", size).into_font().color(&INK)
-}
-
-#[allow(clippy::needless_pass_by_value)] // as map_err has it
-pub(super) fn drawing<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -> Error {
-    Error::invalid(format!("a figure could not be drawn: {error}"))
-}
-
-pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
-
-/// Draws a picture of a size in px: charts by the library, and over them what its integer pixel
-/// coordinates are too coarse for.
-pub(super) fn picture(
-    size: (u32, u32),
-    draw: impl FnOnce(&Area, &mut Overlay) -> Result<()>,
-) -> Result<String> {
-    let mut svg = String::new();
-    let mut overlay = Overlay::default();
-    {
-        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        root.fill(&WHITE).map_err(drawing)?;
-        draw(&root, &mut overlay)?;
-        root.present().map_err(drawing)?;
+impl Color {
+    /// A bright colour of a hue in degrees.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to 255
+    pub fn of_hue(degrees: f64) -> Self {
+        // HSL with a saturation of 0.9 and a lightness of 0.6.
+        let [red, green, blue] = [0.0, 8.0, 4.0].map(|offset: f64| {
+            let k = (offset + degrees / 30.0) % 12.0;
+            let part = 0.6 - 0.36 * (k - 3.0).min(9.0 - k).clamp(-1.0, 1.0);
+            (255.0 * part).round() as u8
+        });
+        Self(red, green, blue)
     }
-    let end = svg.rfind("</svg>").unwrap_or(svg.len());
-    svg.insert_str(end, &overlay.svg);
-    Ok(svg)
+
+    fn hex(self) -> String {
+        let Self(red, green, blue) = self;
+        format!("#{red:02x}{green:02x}{blue:02x}")
+    }
+}
+
+/// Text with all markup escaped, also within double quotes.
+pub(super) fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            // Neither XML nor HTML allows other control characters.
+            c if c.is_control() && !matches!(c, '\n' | '\t') => out.push('\u{fffd}'),
+            c => out.push(c),
+        }
+    }
+    out
 }
 
 /// Where text stands with respect to its position.
@@ -80,28 +74,224 @@ pub(super) enum Anchor {
     End,
 }
 
-/// Marks drawn over a chart, in px of the picture.
-#[derive(Debug, Default)]
-pub(super) struct Overlay {
-    svg: String,
+/// A rectangular part of a picture, px.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Area {
+    pub corner: Vector2<f64>,
+    pub size: Vector2<f64>,
+}
+
+/// Room around a chart for title, ticks and names of the axes: left, top, right, below, px.
+pub(super) const ROOM: [f64; 4] = [70.0, 40.0, 18.0, 50.0];
+
+impl Area {
+    pub fn new(x: f64, y: f64, width: f64, height: f64) -> Self {
+        Self { corner: Vector2::new(x, y), size: Vector2::new(width, height) }
+    }
+
+    /// Equal parts, row by row.
+    pub fn split(&self, rows: usize, columns: usize) -> impl Iterator<Item = Self> + use<> {
+        let Self { corner, size } = *self;
+        let size = size.component_div(&Vector2::new(columns as f64, rows as f64));
+        let part = move |i: usize| {
+            let index = Vector2::new((i % columns) as f64, (i / columns) as f64);
+            Self { corner: corner + size.component_mul(&index), size }
+        };
+        (0..rows * columns).map(part)
+    }
+
+    /// A part on the left, and the rest.
+    pub fn split_at(&self, left: f64) -> [Self; 2] {
+        let Self { corner, size } = *self;
+        [
+            Self::new(corner.x, corner.y, left, size.y),
+            Self::new(corner.x + left, corner.y, size.x - left, size.y),
+        ]
+    }
+
+    /// The part inside the room for title and axes.
+    pub fn within_axes(&self) -> Self {
+        let [left, top, right, below] = ROOM;
+        Self {
+            corner: self.corner + Vector2::new(left, top),
+            size: self.size - Vector2::new(left + right, top + below),
+        }
+    }
+}
+
+/// What is written at the ticks of an axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Ticks {
+    /// Round numbers.
+    Numbers,
+    /// Whole numbers.
+    Whole,
+    /// Powers of ten; values on the axis are their exponents.
+    Decades,
+    /// Nothing.
+    None,
+}
+
+/// An axis of a chart.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Axis<'a> {
+    /// Quantity and unit.
+    pub name: &'a str,
+    /// Values at its left or lower end, and at the other.
+    pub ends: [f64; 2],
+    pub ticks: Ticks,
+    /// Whether lines cross the chart at its ticks.
+    pub grid: bool,
+}
+
+impl<'a> Axis<'a> {
+    /// An axis with numbers.
+    pub fn new(name: &'a str, ends: [f64; 2]) -> Self {
+        Self { name, ends, ticks: Ticks::Numbers, grid: false }
+    }
+
+    pub fn with_grid(self) -> Self {
+        Self { grid: true, ..self }
+    }
+
+    pub fn with_ticks(self, ticks: Ticks) -> Self {
+        Self { ticks, ..self }
+    }
+
+    /// Values at the ticks, with their labels; `apart` is the smallest distance between two.
+    fn labels(&self, apart: f64) -> Vec<(f64, String)> {
+        let [from, to] = self.ends;
+        let (low, high) = (from.min(to), from.max(to));
+        match self.ticks {
+            Ticks::Numbers => ticks(low, high, apart),
+            Ticks::Whole => ticks(low, high, apart.max(ONE)),
+            Ticks::Decades => {
+                let powers = ticks(low, high, apart.max(ONE)).into_iter();
+                powers.map(|(exponent, label)| (exponent, format!("1e{label}"))).collect()
+            }
+            Ticks::None => Vec::new(),
+        }
+    }
+}
+
+/// The distance between ticks for which [`ticks`] takes a step of 1.
+const ONE: f64 = 0.4;
+
+/// Round numbers from `low` to `high`, at least `apart` from each other, with their labels.
+pub(super) fn ticks(low: f64, high: f64, apart: f64) -> Vec<(f64, String)> {
+    // Consecutive round numbers differ by a factor of at most 2.5.
+    let step = round_below(2.5 * apart);
+    let first = (low / step).ceil();
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // as many as fit on a page
+    let count = ((high / step * (1.0 + f64::EPSILON) - first).floor() + 1.0).max(0.0) as u32;
+    let number = |i: u32| (first + f64::from(i)) * step;
+    (0..count).map(|i| (number(i), axis_number(number(i)))).collect()
+}
+
+/// Two linear axes: from values to px of the picture.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Plane {
+    /// Value at `origin_px`.
+    pub origin: Vector2<f64>,
+    /// Its position.
+    pub origin_px: Vector2<f64>,
+    /// Px of the picture for one unit.
+    pub scale: Vector2<f64>,
+}
+
+impl Plane {
+    fn new(area: &Area, x: &Axis, y: &Axis) -> Self {
+        let along = |axis: &Axis, px: f64| px / (axis.ends[1] - axis.ends[0]);
+        Self {
+            origin: Vector2::new(x.ends[0], y.ends[0]),
+            origin_px: area.corner + Vector2::new(0.0, area.size.y),
+            scale: Vector2::new(along(x, area.size.x), along(y, -area.size.y)),
+        }
+    }
+
+    pub fn place(&self, x: f64, y: f64) -> Vector2<f64> {
+        self.origin_px + (Vector2::new(x, y) - self.origin).component_mul(&self.scale)
+    }
+}
+
+/// The namespace of the root of an SVG file, which an element of a page does not need.
+pub(super) const NAMESPACE: &str = " xmlns=\"http://www.w3.org/2000/svg\"";
+
+/// A picture, drawn mark by mark. Lengths are in px, x to the right, y down.
+#[derive(Debug)]
+pub(super) struct Drawing {
+    /// Width and height on the page, and its view: left, top, width, height.
+    size: Vector2<f64>,
+    view: [f64; 4],
+    /// Decimals of positions.
+    decimals: usize,
+    marks: String,
 }
 
 // Writing to a String cannot fail.
-impl Overlay {
+impl Drawing {
+    /// A white page.
+    pub fn new(width: f64, height: f64) -> Self {
+        let size = Vector2::new(width, height);
+        let view = [0.0, 0.0, width, height];
+        let mut drawing = Self { size, view, decimals: 1, marks: String::new() };
+        drawing.rectangle(Vector2::zeros(), size, WHITE, 1.0);
+        drawing
+    }
+
+    /// A photograph (left, top, width, height) to draw on; `size` is its size on the page. `jpeg_or_png` says which the
+    /// bytes are.
+    pub fn on_photograph(
+        size: Vector2<f64>,
+        view: [f64; 4],
+        jpeg_or_png: &str,
+        bytes: &[u8],
+    ) -> Self {
+        let [left, top, width, height] = view;
+        let encoded = STANDARD.encode(bytes);
+        // Enlarged pixels stay visible.
+        let rendering = if size.x > width { "pixelated" } else { "auto" };
+        let marks = format!(
+            "<image x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\" \
+             preserveAspectRatio=\"none\" style=\"image-rendering:{rendering}\" \
+             href=\"data:image/{jpeg_or_png};base64,{encoded}\"/>\n"
+        );
+        Self { size, view, decimals: 2, marks }
+    }
+
+    /// The picture as an SVG element with a description. It has no ids, so that several may stand on one page.
+    pub fn finish(self, description: &str) -> String {
+        let [left, top, width, height] = self.view;
+        format!(
+            "<svg{NAMESPACE} width=\"{}\" height=\"{}\" \
+             viewBox=\"{left} {top} {width} {height}\" role=\"img\" aria-label=\"{}\">\n{}</svg>\n",
+            self.size.x,
+            self.size.y,
+            escaped(description),
+            self.marks
+        )
+    }
+
+    /// The picture as a figure with its caption; `name` is without the extension.
+    pub fn figure(self, name: &str, caption: String) -> Figure {
+        let svg = self.finish(&caption);
+        Figure { name: format!("{name}.svg"), caption, svg }
+    }
+
     /// A line through points.
-    pub fn line(&mut self, points: &[Vector2<f64>], color: RGBColor, width: f64) {
+    pub fn line(&mut self, points: &[Vector2<f64>], color: Color, width: f64) {
         self.path(points, "", &format!("fill=\"none\" {}", stroke(color, width)));
     }
 
     /// A dashed line through points.
-    pub fn dashed(&mut self, points: &[Vector2<f64>], color: RGBColor, width: f64) {
+    pub fn dashed(&mut self, points: &[Vector2<f64>], color: Color, width: f64) {
         let style = format!("fill=\"none\" {} stroke-dasharray=\"5 4\"", stroke(color, width));
         self.path(points, "", &style);
     }
 
     /// A filled area without an outline.
-    pub fn area(&mut self, points: &[Vector2<f64>], color: RGBColor, opacity: f64) {
-        let fill = hex(color);
+    pub fn area(&mut self, points: &[Vector2<f64>], color: Color, opacity: f64) {
+        let fill = color.hex();
         self.path(points, "z", &format!("fill=\"{fill}\" fill-opacity=\"{opacity:.3}\""));
     }
 
@@ -110,19 +300,21 @@ impl Overlay {
     pub fn rectangles(
         &mut self,
         rectangles: &[(Vector2<f64>, Vector2<f64>)],
-        color: RGBColor,
+        color: Color,
         opacity: f64,
     ) {
-        self.svg.push_str("<path d=\"");
+        let d = self.decimals;
+        self.marks.push_str("<path d=\"");
         for (corner, size) in rectangles {
             // Edges as positions, not as lengths: neighbours share them to the last digit.
             let (left, top, end) = (corner.x, corner.y, corner + size);
-            let _ = write!(self.svg, "M{left:.1} {top:.1}H{:.1}V{:.1}H{left:.1}z", end.x, end.y);
+            let _ =
+                write!(self.marks, "M{left:.d$} {top:.d$}H{:.d$}V{:.d$}H{left:.d$}z", end.x, end.y);
         }
         let _ = writeln!(
-            self.svg,
+            self.marks,
             "\" fill=\"{}\" fill-opacity=\"{opacity:.3}\" shape-rendering=\"crispEdges\"/>",
-            hex(color)
+            color.hex()
         );
     }
 
@@ -131,34 +323,42 @@ impl Overlay {
         &mut self,
         corner: Vector2<f64>,
         size: Vector2<f64>,
-        color: RGBColor,
+        color: Color,
         opacity: f64,
     ) {
         self.rectangles(&[(corner, size)], color, opacity);
     }
 
     /// Filled discs.
-    pub fn discs(&mut self, middles: &[Vector2<f64>], radius: f64, color: RGBColor) {
+    pub fn discs(&mut self, middles: &[Vector2<f64>], radius: f64, color: Color) {
         for middle in middles {
-            let _ = writeln!(
-                self.svg,
-                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{radius}\" fill=\"{}\"/>",
-                middle.x,
-                middle.y,
-                hex(color)
-            );
+            self.circle_with(*middle, radius, &format!("fill=\"{}\"", color.hex()));
         }
     }
 
+    /// A circle.
+    pub fn circle(&mut self, middle: Vector2<f64>, radius: f64, color: Color, width: f64) {
+        self.circle_with(middle, radius, &format!("fill=\"none\" {}", stroke(color, width)));
+    }
+
+    fn circle_with(&mut self, middle: Vector2<f64>, radius: f64, style: &str) {
+        let d = self.decimals;
+        let _ = writeln!(
+            self.marks,
+            "<circle cx=\"{:.d$}\" cy=\"{:.d$}\" r=\"{radius:.d$}\" {style}/>",
+            middle.x, middle.y
+        );
+    }
+
     /// Arrows from a point along a vector, as one path; one too short for a head is a line or a dot.
-    pub fn arrows(&mut self, arrows: &[(Vector2<f64>, Vector2<f64>)], color: RGBColor, width: f64) {
+    pub fn arrows(&mut self, arrows: &[(Vector2<f64>, Vector2<f64>)], color: Color, width: f64) {
         if arrows.is_empty() {
             return;
         }
-        self.svg.push_str("<path d=\"");
+        self.marks.push_str("<path d=\"");
         for (from, along) in arrows {
             let (x, y) = (from.x, from.y);
-            let _ = write!(self.svg, "M{x:.1} {y:.1}l{:.1} {:.1}", along.x, along.y);
+            let _ = write!(self.marks, "M{x:.1} {y:.1}l{:.1} {:.1}", along.x, along.y);
             let length = along.norm();
             if length >= SHORTEST_WITH_HEAD {
                 let back = along * (-(HEAD_PART * length).clamp(HEAD.0, HEAD.1) / length);
@@ -166,14 +366,14 @@ impl Overlay {
                 let (left, right) = (back + side, back - side);
                 let (across, tip) = (right - left, -right);
                 let _ = write!(
-                    self.svg,
+                    self.marks,
                     "l{:.1} {:.1}m{:.1} {:.1}l{:.1} {:.1}",
                     left.x, left.y, across.x, across.y, tip.x, tip.y
                 );
             }
         }
         let style = stroke(color, width);
-        let _ = writeln!(self.svg, "\" fill=\"none\" {style} stroke-linecap=\"round\"/>");
+        let _ = writeln!(self.marks, "\" fill=\"none\" {style} stroke-linecap=\"round\"/>");
     }
 
     /// Text, vertically centred on a point.
@@ -187,7 +387,7 @@ impl Overlay {
         at: Vector2<f64>,
         anchor: Anchor,
         size: f64,
-        color: RGBColor,
+        color: Color,
         words: &str,
     ) {
         self.words(at, anchor, size, color, words, "");
@@ -204,7 +404,7 @@ impl Overlay {
         at: Vector2<f64>,
         anchor: Anchor,
         size: f64,
-        color: RGBColor,
+        color: Color,
         words: &str,
         turn: &str,
     ) {
@@ -214,26 +414,84 @@ impl Overlay {
             Anchor::End => "end",
         };
         let _ = writeln!(
-            self.svg,
+            self.marks,
             "<text x=\"{:.1}\" y=\"{:.1}\" dy=\"0.35em\" text-anchor=\"{anchor}\" \
              font-family=\"sans-serif\" font-size=\"{size}\" fill=\"{}\"{turn}>{}</text>",
             at.x,
             at.y,
-            hex(color),
+            color.hex(),
             escaped(words)
         );
     }
 
     fn path(&mut self, points: &[Vector2<f64>], end: &str, style: &str) {
+        let d = self.decimals;
         let mut steps = points.iter();
         let Some(first) = steps.next() else { return };
-        let _ = write!(self.svg, "<path d=\"M{:.1} {:.1}", first.x, first.y);
+        let _ = write!(self.marks, "<path d=\"M{:.d$} {:.d$}", first.x, first.y);
         for p in steps {
-            let _ = write!(self.svg, "L{:.1} {:.1}", p.x, p.y);
+            let _ = write!(self.marks, "L{:.d$} {:.d$}", p.x, p.y);
         }
-        let _ = writeln!(self.svg, "{end}\" {style}/>");
+        let _ = writeln!(self.marks, "{end}\" {style}/>");
+    }
+
+    /// Names with their colours, side by side, the first at a point.
+    pub fn legend(&mut self, mut at: Vector2<f64>, apart: f64, names: &[(&str, Color)]) {
+        for (name, color) in names {
+            self.rectangle(at - Vector2::new(0.0, 6.0), Vector2::new(12.0, 12.0), *color, 1.0);
+            self.text(at + Vector2::new(18.0, 0.0), Anchor::Start, 14.0, name);
+            at.x += apart;
+        }
+    }
+
+    /// The colours of so many lens types.
+    pub fn type_legend(&mut self, at: Vector2<f64>, types: usize) {
+        let names = ["type 1", "type 2", "type 3"].into_iter().zip(TYPE_COLORS);
+        self.legend(at, 80.0, &names.take(types).collect::<Vec<_>>());
+    }
+
+    /// The title of a chart, above its area.
+    pub fn title(&mut self, chart: &Area, words: &str) {
+        let above = chart.corner - Vector2::new(0.0, ROOM[1] / 2.0);
+        self.text(above, Anchor::Start, 15.0, words);
+    }
+
+    /// The axes of a chart: at the left and at the lower edge of its area, with ticks, numbers and names.
+    pub fn axes(&mut self, chart: &Area, x: &Axis, y: &Axis) -> Plane {
+        let plane = Plane::new(chart, x, y);
+        let (low, high) = (chart.corner, chart.corner + chart.size);
+        let across = x.labels(TICKS_APART.x / plane.scale.x.abs());
+        let up = y.labels(TICKS_APART.y / plane.scale.y.abs());
+        let across = across.iter().map(|(value, label)| (plane.place(*value, 0.0).x, label));
+        let up = up.iter().map(|(value, label)| (plane.place(0.0, *value).y, label));
+        for (at, label) in across {
+            if x.grid {
+                self.line(&[Vector2::new(at, low.y), Vector2::new(at, high.y)], GRID, 1.0);
+            }
+            self.line(&[Vector2::new(at, high.y), Vector2::new(at, high.y + TICK)], INK, 1.0);
+            self.text(Vector2::new(at, high.y + 14.0), Anchor::Middle, 13.0, label);
+        }
+        for (at, label) in up {
+            if y.grid {
+                self.line(&[Vector2::new(low.x, at), Vector2::new(high.x, at)], GRID, 1.0);
+            }
+            self.line(&[Vector2::new(low.x - TICK, at), Vector2::new(low.x, at)], INK, 1.0);
+            self.text(Vector2::new(low.x - 8.0, at), Anchor::End, 13.0, label);
+        }
+        let corner = Vector2::new(low.x, high.y);
+        self.line(&[low, corner, high], INK, 1.0);
+        let middle = chart.corner + chart.size / 2.0;
+        let below = Vector2::new(middle.x, high.y + ROOM[3] - 14.0);
+        self.text(below, Anchor::Middle, 13.0, x.name);
+        let beside = Vector2::new(low.x - ROOM[0] + 12.0, middle.y);
+        self.upward_text(beside, Anchor::Middle, 13.0, y.name);
+        plane
     }
 }
+
+/// Smallest distance between ticks along both axes, and their length, px.
+const TICKS_APART: Vector2<f64> = Vector2::new(52.0, 30.0);
+const TICK: f64 = 5.0;
 
 /// Shortest arrow that has a head, px.
 const SHORTEST_WITH_HEAD: f64 = 3.0;
@@ -243,8 +501,8 @@ const HEAD_PART: f64 = 0.35;
 const HEAD: (f64, f64) = (2.0, 7.0);
 const HEAD_WIDTH: f64 = 0.45;
 
-fn stroke(color: RGBColor, width: f64) -> String {
-    format!("stroke=\"{}\" stroke-width=\"{width}\"", hex(color))
+fn stroke(color: Color, width: f64) -> String {
+    format!("stroke=\"{}\" stroke-width=\"{width}\"", color.hex())
 }
 
 /// Rounding error of a tick at 0.
@@ -280,38 +538,6 @@ pub(super) fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
     values.get(i).copied()
 }
 
-/// Two linear axes: from values to px of the picture.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Plane {
-    /// Value at `origin_px`.
-    pub origin: Vector2<f64>,
-    /// Its position.
-    pub origin_px: Vector2<f64>,
-    /// Px of the picture for one unit.
-    pub scale: Vector2<f64>,
-}
-
-impl Plane {
-    /// The axes of a chart that spans values from `from` at the lower left to `to`.
-    pub fn of_chart(
-        (across, down): (std::ops::Range<i32>, std::ops::Range<i32>),
-        from: Vector2<f64>,
-        to: Vector2<f64>,
-    ) -> Self {
-        let size =
-            Vector2::new(f64::from(across.end - across.start), f64::from(down.start - down.end));
-        Self {
-            origin: from,
-            origin_px: Vector2::new(f64::from(across.start), f64::from(down.end)),
-            scale: size.component_div(&(to - from)),
-        }
-    }
-
-    pub fn place(&self, x: f64, y: f64) -> Vector2<f64> {
-        self.origin_px + (Vector2::new(x, y) - self.origin).component_mul(&self.scale)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -339,5 +565,33 @@ mod tests {
         assert_eq!(text(0.1 + 0.2), "0.3");
         assert_eq!(text(-400.0), "-400");
         assert_eq!(text(2e-7), "2e-7");
+    }
+
+    #[test]
+    fn ticks_are_round_and_apart() {
+        let labels = |low, high, apart| -> Vec<String> {
+            ticks(low, high, apart).into_iter().map(|(_, label)| label).collect()
+        };
+        assert_eq!(labels(-0.3, 0.3, 0.09), ["-0.2", "0", "0.2"]);
+        assert_eq!(labels(0.0, 10.0, 2.0), ["0", "5", "10"]);
+        assert_eq!(labels(3.1, 3.4, 1.0), [""; 0]);
+        let whole = Axis::new("n", [0.0, 3.0]).with_ticks(Ticks::Whole).labels(0.1);
+        assert_eq!(whole.iter().map(|(at, _)| *at).collect::<Vec<_>>(), [0.0, 1.0, 2.0, 3.0]);
+    }
+
+    /// v runs down the page, as in an image.
+    #[test]
+    fn values_at_the_ends_of_the_axes_are_at_the_corners_of_the_chart() {
+        let chart = Area::new(70.0, 40.0, 200.0, 100.0);
+        let (x, y) = (Axis::new("u", [-0.5, 9.5]), Axis::new("v", [4.5, -0.5]));
+        let plane = Drawing::new(300.0, 200.0).axes(&chart, &x, &y);
+        assert_eq!(plane.place(-0.5, -0.5), chart.corner);
+        assert_eq!(plane.place(9.5, 4.5), chart.corner + chart.size);
+    }
+
+    #[test]
+    fn hues_are_those_of_css() {
+        assert_eq!(Color::of_hue(0.0), Color(245, 61, 61));
+        assert_eq!(Color::of_hue(120.0), Color(61, 245, 61));
     }
 }

@@ -1,83 +1,86 @@
-//! An evaluation as tables.
+//! An evaluation.
 
-use super::html::HtmlTable;
-use super::table::table;
+use super::tree::{Cell, Column, Part, Section, Table};
 use crate::assessment::{
     Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors,
     Reconstruction,
 };
 use crate::model::{PlenopticCamera, Rmse, intrinsic_parameters};
-use crate::quantity::{display_unit, signed, with_std_dev};
+use crate::quantity::display_unit;
 
 /// What tables call the point clouds of other software.
 const CLOUDS: &str = "point clouds";
 
+/// The section of an evaluation.
+#[must_use]
+pub fn evaluation_section(tables: Vec<Table>) -> Section {
+    Section::new("Evaluation", tables.into_iter().map(Part::Table).collect())
+}
+
 /// The tables of an evaluation: reprojection (Table 4), known displacements (Table 3), errors
 /// against the true camera and poses, and the cross-validation of the first candidate.
 #[must_use]
-pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> Vec<HtmlTable> {
+pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> Vec<Table> {
     let mut tables = Vec::new();
-    let mut reprojection = table(
-        &["Camera", "Frames", "Features", "Σ all², px²", "RMSE all, px", "(u, v)", "ρ"],
-        &[0],
-    );
-    let mut motion = table(
-        &["Camera", "Steps", "Mean error, %", "± σ", "Mean error, mm", "± σ", "Overall error, %"],
-        &[0],
-    );
-    let mut space = table(
-        &[
-            "Camera",
-            "Frames",
-            "Points",
-            "Distances, %",
-            "± σ",
-            "Across, mm",
-            "Along, mm",
-            "Left out",
+    let mut reprojection = Table::new(
+        "Boards not used in the calibration; poses refined with the camera fixed (paper, Table 4)",
+        [
+            Column::text("Camera"),
+            Column::number("Frames"),
+            Column::number("Features"),
+            Column::of("Σ all²", "px²"),
+            Column::of("RMSE all", "px"),
+            Column::number("(u, v)"),
+            Column::number("ρ"),
         ],
-        &[0],
     );
-    let (mut posed, mut moved) = (false, false);
+    let mut motion = Table::new(
+        "A board moved in known steps: error of the displacement along the optical axis (paper, Table 3)",
+        [
+            Column::text("Camera"),
+            Column::number("Steps"),
+            Column::of("Mean error", "%"),
+            Column::number("± σ"),
+            Column::of("Mean error", "mm"),
+            Column::number("± σ"),
+            Column::of("Overall error", "%"),
+        ],
+    );
+    let mut space = Table::new(
+        "Their corners, each reconstructed alone from u and v: error of the distances between them, and RMS distance \
+         from the posed board across and along the axis",
+        [
+            Column::text("Camera"),
+            Column::number("Frames"),
+            Column::number("Points"),
+            Column::of("Distances", "%"),
+            Column::number("± σ"),
+            Column::of("Across", "mm"),
+            Column::of("Along", "mm"),
+            Column::number("Left out"),
+        ],
+    );
     for candidate in &evaluation.candidates {
         if let Some(found) = &candidate.evaluation {
             let rmse = found.reprojection.rmse();
-            posed = true;
-            reprojection.add_row(
-                [candidate.name.clone(), found.poses.len().to_string()]
-                    .into_iter()
-                    .chain(rmse_cells(&rmse, true)),
-            );
+            let sum = Cell::fixed(rmse.all_px.powi(2) * rmse.count as f64, 1);
+            let [count, all, uv, rho] = rmse_cells(&rmse);
+            let name = candidate.name.as_str().into();
+            reprojection.push([name, found.poses.len().into(), count, sum, all, uv, rho]);
         }
         if let Some(found) = &candidate.reconstruction {
-            space.add_row(reconstruction_row(&candidate.name, found));
+            space.push(reconstruction_row(&candidate.name, found));
         }
         if let Some(displacements) = &candidate.translation {
-            moved = true;
-            motion.add_row(displacement_row(&candidate.name, displacements));
+            motion.push(displacement_row(&candidate.name, displacements));
         }
     }
     if let Some(clouds) = &evaluation.clouds {
-        motion.add_row(displacement_row(CLOUDS, clouds));
+        motion.push(displacement_row(CLOUDS, clouds));
     }
-    if posed {
-        tables.push(reprojection.captioned(
-            "Boards not used in the calibration; poses refined with the camera fixed (paper, Table 4)",
-        ));
-    }
-    if evaluation.candidates.iter().any(|candidate| candidate.reconstruction.is_some()) {
-        tables.push(space.captioned(
-            "Their corners, each reconstructed alone from u and v: error of the distances between them, and RMS \
-             distance from the posed board across and along the axis",
-        ));
-    }
-    if moved {
-        tables.push(motion.captioned(
-            "A board moved in known steps: error of the displacement along the optical axis (paper, \
-             Table 3)",
-        ));
-        tables.extend(steps_table(evaluation));
-    }
+    let has_steps = !motion.rows.is_empty();
+    tables.extend([reprojection, space, motion].into_iter().filter(|table| !table.rows.is_empty()));
+    tables.extend(has_steps.then(|| steps_table(evaluation)).flatten());
     for candidate in &evaluation.candidates {
         if let Some(errors) = &candidate.truth {
             let caption = format!("Against the true camera: {}", candidate.name);
@@ -93,51 +96,47 @@ pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> V
     tables
 }
 
-fn number(value: f64) -> String {
-    if value.is_finite() { format!("{value:.4}") } else { "-".to_owned() }
+fn number(value: f64) -> Cell {
+    Cell::fixed(value, 4)
 }
 
-fn rmse_cells(rmse: &Rmse, with_sum: bool) -> Vec<String> {
-    let mut cells = vec![rmse.count.to_string()];
-    if with_sum {
-        cells.push(format!("{:.1}", rmse.all_px.powi(2) * rmse.count as f64));
-    }
-    cells.extend([
-        number(rmse.all_px),
-        number(rmse.uv_px),
-        rmse.rho_px.map_or("-".to_owned(), number),
-    ]);
-    cells
+fn percent(part: f64) -> Cell {
+    Cell::fixed(100.0 * part, 3)
 }
 
-fn reconstruction_row(name: &str, found: &Reconstruction) -> Vec<String> {
-    vec![
-        name.to_owned(),
-        found.frames.to_string(),
-        found.points.to_string(),
-        format!("{:+.3}", 100.0 * found.too_long),
-        format!("{:.3}", 100.0 * found.too_long_std_dev),
+/// Number of features, and errors of all coordinates, of u and v, and of ρ.
+fn rmse_cells(rmse: &Rmse) -> [Cell; 4] {
+    let rho = Cell::or_missing(rmse.rho_px, number);
+    [rmse.count.into(), number(rmse.all_px), number(rmse.uv_px), rho]
+}
+
+fn reconstruction_row(name: &str, found: &Reconstruction) -> [Cell; 8] {
+    [
+        name.into(),
+        found.frames.into(),
+        found.points.into(),
+        Cell::signed(100.0 * found.too_long, 3),
+        percent(found.too_long_std_dev),
         number(found.across_mm),
         number(found.along_mm),
-        found.left_out.to_string(),
+        found.left_out.into(),
     ]
 }
 
-fn displacement_row(name: &str, displacements: &Displacements) -> Vec<String> {
-    let percent = |part: f64| format!("{:.3}", 100.0 * part);
+fn displacement_row(name: &str, displacements: &Displacements) -> [Cell; 7] {
     let (relative, absolute) = (displacements.relative(), displacements.absolute_mm());
-    vec![
-        name.to_owned(),
-        displacements.steps.len().to_string(),
+    [
+        name.into(),
+        displacements.steps.len().into(),
         percent(relative.mean),
-        relative.std_dev.map_or("-".to_owned(), percent),
+        Cell::or_missing(relative.std_dev, percent),
         number(absolute.mean),
-        absolute.std_dev.map_or("-".to_owned(), number),
+        Cell::or_missing(absolute.std_dev, number),
         percent(displacements.whole.relative_error()),
     ]
 }
 
-fn steps_table(evaluation: &Evaluation) -> Option<HtmlTable> {
+fn steps_table(evaluation: &Evaluation) -> Option<Table> {
     let series: Vec<(&str, &Displacements)> = evaluation
         .candidates
         .iter()
@@ -145,146 +144,167 @@ fn steps_table(evaluation: &Evaluation) -> Option<HtmlTable> {
         .chain(evaluation.clouds.iter().map(|clouds| (CLOUDS, clouds)))
         .collect();
     let first = series.first()?.1;
-    let mut header = vec!["Frames".to_owned(), "True, mm".to_owned()];
-    header.extend(series.iter().map(|(name, _)| format!("{name}, mm")));
-    let header: Vec<&str> = header.iter().map(String::as_str).collect();
-    let mut table = table(&header, &[0]);
+    let columns = series.iter().map(|(name, _)| Column::of(name, "mm"));
+    let mut table = Table::new(
+        "The steps one by one",
+        [Column::text("Frames"), Column::of("True", "mm")].into_iter().chain(columns),
+    );
     for step in &first.steps {
-        let mut row = vec![format!("{} to {}", step.from, step.to), format!("{:.3}", step.true_mm)];
         // One series may lack frames that another has.
-        let same = |displacements: &Displacements| {
-            displacements.steps.iter().find(|s| s.from == step.from && s.to == step.to).copied()
+        let measured = |displacements: &Displacements| {
+            let same = displacements.steps.iter().find(|s| s.from == step.from && s.to == step.to);
+            Cell::or_missing(same.map(|s| s.measured_mm), |mm| Cell::fixed(mm, 3))
         };
-        row.extend(series.iter().map(|(_, displacements)| {
-            same(displacements).map_or("-".to_owned(), |s| format!("{:.3}", s.measured_mm))
-        }));
-        table.add_row(row);
+        let frames = format!("{} to {}", step.from, step.to).into();
+        table.push(
+            [frames, Cell::fixed(step.true_mm, 3)]
+                .into_iter()
+                .chain(series.iter().map(|(_, displacements)| measured(displacements))),
+        );
     }
-    Some(table.captioned("The steps one by one"))
+    Some(table)
 }
 
 /// Parameters against their true values.
 #[must_use]
-pub fn truth_table(errors: &[ParameterError], caption: &str) -> HtmlTable {
-    let mut table = table(
-        &["Parameter", "Unit", "Truth", "Estimate", "± σ", "Error", "Error, %", "Error/σ"],
-        &[0, 1],
+pub fn truth_table(errors: &[ParameterError], caption: &str) -> Table {
+    let mut table = Table::new(
+        caption,
+        [
+            Column::text("Parameter"),
+            Column::text("Unit"),
+            Column::number("Truth"),
+            Column::number("Estimate"),
+            Column::number("± σ"),
+            Column::number("Error"),
+            Column::of("Error", "%"),
+            Column::number("Error/σ"),
+        ],
     );
     for e in errors {
         let (unit, factor) = display_unit(&e.name, e.unit);
-        let (value, deviation) = with_std_dev(e.estimate * factor, e.std_dev.map(|s| s * factor));
-        let percent = 100.0 * e.error() / e.truth.abs();
-        table.add_row([
-            e.name.clone(),
-            unit.to_owned(),
-            with_std_dev(e.truth * factor, None).0,
-            value,
-            deviation,
-            signed(e.error() * factor),
-            if e.truth == 0.0 { "-".to_owned() } else { format!("{percent:+.3}") },
-            e.standardised().map_or("-".to_owned(), |s| format!("{s:+.1}")),
+        let [estimate, std_dev] =
+            Cell::with_std_dev(e.estimate * factor, e.std_dev.map(|s| s * factor));
+        table.push([
+            e.name.as_str().into(),
+            unit.into(),
+            Cell::value(e.truth * factor, None),
+            estimate,
+            std_dev,
+            Cell::difference(e.error() * factor),
+            Cell::signed(100.0 * e.error() / e.truth.abs(), 3),
+            Cell::or_missing(e.standardised(), |s| Cell::signed(s, 1)),
         ]);
     }
-    table.captioned(caption)
+    table
 }
 
 /// Errors of poses by subset of the boards.
-fn pose_errors_table(subsets: &[(String, PoseErrors)]) -> HtmlTable {
-    let mut table =
-        table(&["Boards", "Frames", "Across, mm", "Along the axis, mm", "Rotation, mrad"], &[0]);
+fn pose_errors_table(subsets: &[(String, PoseErrors)]) -> Table {
+    let mut table = Table::new(
+        "Errors of the poses against the true ones, root mean square",
+        [
+            Column::text("Boards"),
+            Column::number("Frames"),
+            Column::of("Across", "mm"),
+            Column::of("Along the axis", "mm"),
+            Column::of("Rotation", "mrad"),
+        ],
+    );
     for (name, errors) in subsets {
-        table.add_row([
-            name.clone(),
-            errors.frames.to_string(),
+        table.push([
+            name.as_str().into(),
+            errors.frames.into(),
             number(errors.across_mm),
             number(errors.along_mm),
             number(errors.rotation_rad * 1e3),
         ]);
     }
-    table.captioned("Errors of the poses against the true ones, root mean square")
+    table
 }
 
 /// Cameras side by side (paper, Table 1); the first is the one before the refinement.
 #[must_use]
-pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> HtmlTable {
-    let mut header = vec!["Parameter".to_owned(), "Unit".to_owned(), "Initial".to_owned()];
-    header.extend(candidates.iter().flat_map(|c| [c.name.clone(), "± σ".to_owned()]));
-    let header: Vec<&str> = header.iter().map(String::as_str).collect();
-    let mut table = table(&header, &[0, 1]);
+pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> Table {
+    let first = [Column::text("Parameter"), Column::text("Unit"), Column::number("Initial")];
+    let of_candidate = |c: &Candidate| [Column::number(&c.name), Column::number("± σ")];
+    let mut table = Table::new(
+        "Parameters before and after the refinement (paper, Table 1)",
+        first.into_iter().chain(candidates.iter().flat_map(of_candidate)),
+    );
     let parameters = intrinsic_parameters(initial.lens_types());
     for (i, (parameter, value)) in parameters.iter().zip(initial.intrinsics()).enumerate() {
         let (unit, factor) = display_unit(parameter.name, parameter.unit);
-        let mut row =
-            vec![parameter.name.to_owned(), unit.to_owned(), with_std_dev(value * factor, None).0];
-        for candidate in candidates {
+        let cells = |candidate: &Candidate| {
             let std_dev = candidate.std_devs.get(i).copied().flatten().map(|s| s * factor);
-            match candidate.camera.intrinsics().get(i) {
-                Some(value) => {
-                    row.extend(<[String; 2]>::from(with_std_dev(value * factor, std_dev)));
-                }
-                None => row.extend(["-".to_owned(), String::new()]),
-            }
-        }
-        table.add_row(row);
+            candidate.camera.intrinsics().get(i).map_or([Cell::Missing, Cell::empty()], |value| {
+                Cell::with_std_dev(value * factor, std_dev)
+            })
+        };
+        table.push(
+            [parameter.name.into(), unit.into(), Cell::value(value * factor, None)]
+                .into_iter()
+                .chain(candidates.iter().flat_map(cells)),
+        );
     }
-    table.captioned("Parameters before and after the refinement (paper, Table 1)")
+    table
 }
 
 /// The folds, and the standard deviations by the jackknife beside those of the covariance.
-fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<HtmlTable> {
-    let mut of_folds = table(
-        &[
-            "Left out",
-            "Frames",
-            "Without pose",
-            "Features",
-            "RMSE all, px",
-            "(u, v)",
-            "ρ",
-            "Converged",
+fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<Table> {
+    let mut of_folds = Table::new(
+        "Cross-validation: frames reprojected by a camera calibrated without them",
+        [
+            Column::text("Left out"),
+            Column::text("Frames"),
+            Column::number("Without pose"),
+            Column::number("Features"),
+            Column::of("RMSE all", "px"),
+            Column::number("(u, v)"),
+            Column::number("ρ"),
+            Column::text("Converged"),
         ],
-        &[0, 1, 7],
     );
     for (i, fold) in folds.folds.iter().enumerate() {
         let frames: Vec<String> = fold.frames.iter().map(ToString::to_string).collect();
         let converged = if fold.converged { "yes" } else { "no" };
-        of_folds.add_row(
-            [format!("fold {}", i + 1), frames.join(", "), fold.left_out.to_string()]
+        of_folds.push(
+            [format!("fold {}", i + 1).into(), frames.join(", ").into(), fold.left_out.into()]
                 .into_iter()
-                .chain(rmse_cells(&fold.rmse, false))
-                .chain([converged.to_owned()]),
+                .chain(rmse_cells(&fold.rmse))
+                .chain([converged.into()]),
         );
     }
-    of_folds.add_row(
-        ["all".to_owned(), String::new(), String::new()]
+    of_folds.push(
+        ["all".into(), Cell::empty(), Cell::empty()]
             .into_iter()
-            .chain(rmse_cells(&folds.rmse, false))
-            .chain([String::new()]),
+            .chain(rmse_cells(&folds.rmse))
+            .chain([Cell::empty()]),
     );
-    let mut spread = table(&["Parameter", "Unit", "± σ", "± σ, jackknife", "Ratio"], &[0, 1]);
+    let mut spread = Table::new(
+        "Standard deviations: from the covariance, and from calibrations without the frames of a fold",
+        [
+            Column::text("Parameter"),
+            Column::text("Unit"),
+            Column::number("± σ"),
+            Column::number("± σ, jackknife"),
+            Column::number("Ratio"),
+        ],
+    );
     let parameters = intrinsic_parameters(candidate.camera.lens_types());
     for ((parameter, std_dev), jackknife) in
         parameters.iter().zip(&candidate.std_devs).zip(folds.jackknife_std_devs())
     {
         let Some(std_dev) = std_dev.filter(|s| s.is_finite() && *s > 0.0) else { continue };
         let (unit, factor) = display_unit(parameter.name, parameter.unit);
-        let two_digits = |s: f64| with_std_dev(0.0, Some(s * factor)).1;
-        spread.add_row([
-            parameter.name.to_owned(),
-            unit.to_owned(),
-            two_digits(std_dev),
-            two_digits(jackknife),
-            format!("{:.2}", jackknife / std_dev),
+        spread.push([
+            parameter.name.into(),
+            unit.into(),
+            Cell::std_dev(Some(std_dev * factor)),
+            Cell::std_dev(Some(jackknife * factor)),
+            Cell::fixed(jackknife / std_dev, 2),
         ]);
     }
-    let mut tables = vec![
-        of_folds
-            .captioned("Cross-validation: frames reprojected by a camera calibrated without them"),
-    ];
-    let spread = spread.captioned(
-        "Standard deviations: from the covariance, and from calibrations without the frames of a fold",
-    );
     // Cameras of other programs come without standard deviations.
-    tables.extend((!spread.rows.is_empty()).then_some(spread));
-    tables
+    [of_folds, spread].into_iter().filter(|table| !table.rows.is_empty()).collect()
 }

@@ -1,34 +1,29 @@
-//! Results for people: tables, text, figures, and the report of a run.
+//! Results for people: a report as data, made from results, and shown on a terminal, as a page, or as JSON; and its figures.
 
 mod assessment;
-mod board;
 mod calibration;
-mod calibration_figures;
-mod common_errors;
 mod comparison;
 mod cost;
 mod detection;
 mod drawing;
 mod evaluation;
 mod figures;
-mod fill_factor;
 mod html;
 mod models;
 mod precalibration;
-mod sections;
-mod table;
+mod text;
+mod tree;
 
-pub use assessment::{outliers_text, verdict_lines, verdict_section};
-pub use calibration::calibration_text;
-pub use calibration_figures::{array_residuals_figure, calibration_figures, model_figures};
-pub use comparison::{comparison_pictures, comparison_text};
-pub use cost::cost_text;
-pub use detection::{detection_text, features_figure};
-pub use evaluation::{cameras_table, evaluation_tables, truth_table};
-pub use figures::{micro_images_figure, radii_figure};
-pub use html::{Figure, HtmlReport, HtmlTable, Part, Section};
-pub use models::{MODELS, models_parts, models_text};
-pub use precalibration::{array_text, precalibration_text, types_text};
-pub use sections::{
-    calibration_section, detection_section, precalibration_section, tables_section,
+pub use assessment::verdict_section;
+pub use calibration::calibration_section;
+pub use comparison::comparison_section;
+pub use cost::cost_section;
+pub use detection::detection_section;
+pub use evaluation::{cameras_table, evaluation_section, evaluation_tables, truth_table};
+pub use figures::{
+    array_residuals_figure, calibration_figures, comparison_figures, features_figure,
+    micro_images_figure, model_figures, precalibration_figures, radii_figure,
 };
+pub use models::{MODELS, models_parts};
+pub use precalibration::{array_text, precalibration_section, types_text};
+pub use tree::{Cell, Column, Figure, Part, Report, Section, Table};

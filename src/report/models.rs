@@ -1,31 +1,21 @@
-//! What groups of parameters are worth, as a table and text.
+//! What groups of parameters are worth.
 
-use super::assessment::two_digits;
-use super::html::{Figure, Part};
-use super::table::{Table, table};
+use super::tree::{Cell, Column, Figure, Part, Table};
 use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
-use crate::quantity::{signed, with_std_dev};
 
 /// Caption of the table of models.
 pub const MODELS: &str = "What each group of parameters is worth: the calibration without it, and how much \
      larger the squared error of frames then is that took no part";
 
-/// The table of models, with what follows from it.
-#[must_use]
-pub fn models_text(calibration: &Calibration, comparison: &ModelComparison) -> String {
-    let table = models_table(calibration, comparison).captioned(MODELS).to_string();
-    [table].into_iter().chain(sentences(calibration, comparison)).collect::<Vec<_>>().join("\n")
-}
-
-/// The same for a report; `figures` are those of `model_figures`.
+/// The table of models, with what follows from it; `figures` are those of `model_figures`, or none.
 #[must_use]
 pub fn models_parts(
     calibration: &Calibration,
     comparison: &ModelComparison,
     figures: Vec<Vec<Figure>>,
 ) -> Vec<Part> {
-    let mut parts = vec![Part::Table(models_table(calibration, comparison).captioned(MODELS))];
+    let mut parts = vec![Part::Table(models_table(calibration, comparison))];
     parts.extend(sentences(calibration, comparison).into_iter().map(Part::Text));
     for (without, figures) in comparison.groups.iter().zip(figures) {
         parts.push(Part::Details {
@@ -37,46 +27,46 @@ pub fn models_parts(
 }
 
 fn models_table(calibration: &Calibration, comparison: &ModelComparison) -> Table {
-    let mut table = table(
-        &[
-            "Without",
-            "Verdict",
-            "Error, %",
-            "± σ",
-            "F, mm",
-            "F, %",
-            "F, σ",
-            "Pattern, %",
-            "χ² corners",
-            "centres",
-            "known",
+    let mut table = Table::new(
+        MODELS,
+        [
+            Column::text("Without"),
+            Column::text("Verdict"),
+            Column::of("Error", "%"),
+            Column::number("± σ"),
+            Column::of("F", "mm"),
+            Column::of("F", "%"),
+            Column::of("F", "σ"),
+            Column::of("Pattern", "%"),
+            Column::number("χ² corners"),
+            Column::number("centres"),
+            Column::number("known"),
         ],
-        &[0, 1],
     );
-    let percent = |part: f64| format!("{:.0}", 100.0 * part);
+    let percent = |part: f64| Cell::fixed(100.0 * part, 0);
     let focal_length = calibration.camera.main_lens.focal_length_mm;
     let lens_types = calibration.camera.lens_types();
     let std_dev = calibration.uncertainty.intrinsic_std_devs(lens_types)[0];
-    let in_mm = |value: f64| with_std_dev(value, std_dev).0;
-    let mut all = vec!["nothing".to_owned(), String::new(), String::new(), String::new()];
-    all.extend([in_mm(focal_length), String::new(), String::new(), percent(comparison.pattern)]);
-    all.extend([const { String::new() }; 3]);
-    table.add_row(all);
+    let in_mm = |value: f64| Cell::value(value, std_dev);
+    let mut all = vec![Cell::from("nothing"), Cell::empty(), Cell::empty(), Cell::empty()];
+    all.extend([in_mm(focal_length), Cell::empty(), Cell::empty(), percent(comparison.pattern)]);
+    all.extend([const { Cell::Text(String::new()) }; 3]);
+    table.push(all);
     for without in &comparison.groups {
         let (mean, std_error) = without.mean_growth();
         let (longer, std_devs) = without.focal_length_change;
-        let mut row = vec![
-            without.group.to_string(),
-            without.worth().to_string(),
-            signed(100.0 * mean),
-            two_digits(100.0 * std_error),
+        let row = [
+            without.group.to_string().into(),
+            without.worth().to_string().into(),
+            Cell::difference(100.0 * mean),
+            Cell::two_digits(100.0 * std_error),
             in_mm(focal_length + longer),
-            format!("{:+.2}", 100.0 * longer / focal_length),
-            std_devs.map_or("-".to_owned(), |std_devs| format!("{std_devs:+.1}")),
+            Cell::signed(100.0 * longer / focal_length, 2),
+            Cell::or_missing(std_devs, |std_devs| Cell::signed(std_devs, 1)),
             percent(without.pattern),
         ];
-        row.extend(without.cost_growth.map(|growth| format!("{growth:+.1}")));
-        table.add_row(row);
+        let growth = without.cost_growth.map(|growth| Cell::signed(growth, 1));
+        table.push(row.into_iter().chain(growth));
     }
     table
 }

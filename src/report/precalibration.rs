@@ -1,28 +1,29 @@
-//! A pre-calibration as text.
+//! A pre-calibration.
 
-use super::table::{Table, table};
+use super::tree::{Cell, Column, Figure, Part, Section, Table};
 use crate::model::full_scale;
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
-/// The result of a pre-calibration on a terminal: array, lens types, radii, internal parameters.
+/// Array, lens types, radii, internal parameters, and figures.
 #[must_use]
-pub fn precalibration_text(result: &Precalibration) -> String {
-    let types = types_text(&result.lens_types);
-    let correction = format!(
+pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> Section {
+    let mut parts: Vec<Part> = Part::paragraphs(&array_text(&result.array)).collect();
+    parts.push(Part::Text(format!(
         "The pitch is corrected for vignetting, which had changed it by {:.1e}.",
         -result.pitch_correction
-    );
-    let levels = levels_text(result).map_or_else(String::new, |line| format!("\n{line}"));
-    [
-        format!("{}\n{correction}\n{types}{levels}", array_text(&result.array)),
-        radii_table(result).to_string(),
-        internal_table(result).to_string(),
-    ]
-    .join("\n\n")
+    )));
+    parts.push(Part::Text(types_text(&result.lens_types)));
+    parts.extend(levels_text(result).map(Part::Text));
+    parts.extend([radii_table(result), internal_table(result)].map(Part::Table));
+    parts.extend(figures.into_iter().map(Part::Figure));
+    Section {
+        warnings: result.findings.iter().map(ToString::to_string).collect(),
+        ..Section::new("Pre-calibration", parts)
+    }
 }
 
 /// Black level and saturation level in a line, unless samples go from 0 to full scale.
-pub(super) fn levels_text(result: &Precalibration) -> Option<String> {
+fn levels_text(result: &Precalibration) -> Option<String> {
     let levels = result.internal.parameters.levels?;
     let black = (levels.black_level > 0.0).then(|| match levels.black_level_std_dev {
         Some(std_dev) => {
@@ -85,28 +86,37 @@ pub fn array_text(array: &ArrayMeasurement) -> String {
     )
 }
 
-pub(super) fn radii_table(result: &Precalibration) -> Table {
+fn radii_table(result: &Precalibration) -> Table {
     let types = result.lens_types.types;
-    let mut header = vec!["Radius, px, at N".to_owned()];
-    header.extend((1..=types).map(|i| format!("Type {i} ± σ")));
-    header.push("off the lines".to_owned());
-    let header: Vec<&str> = header.iter().map(String::as_str).collect();
-    let mut table = table(&header, &[]);
+    let of_type = |i: usize| {
+        [format!("Type {i}"), "± σ".to_owned(), "off its line".to_owned()]
+            .map(|n| Column::number(&n))
+    };
+    let mut table = Table::new(
+        "Radii of the micro-images by f-number and lens type, px",
+        std::iter::once(Column::number("N")).chain((1..=types).flat_map(of_type)),
+    );
     for of_image in result.radii.chunks(types) {
-        let mut row = vec![format!("{:.2}", of_image[0].f_number)];
-        row.extend(of_image.iter().map(|r| format!("{:.3} ± {:.3}", r.radius_px, r.std_dev_px)));
-        let off: Vec<String> = of_image.iter().map(|r| format!("{:+.3}", r.residual_px)).collect();
-        row.push(off.join(" "));
-        table.add_row(row);
+        let cells = of_image.iter().flat_map(|r| {
+            [
+                Cell::fixed(r.radius_px, 3),
+                Cell::fixed(r.std_dev_px, 3),
+                Cell::signed(r.residual_px, 3),
+            ]
+        });
+        table.push(std::iter::once(Cell::fixed(of_image[0].f_number, 2)).chain(cells));
     }
     table
 }
 
-pub(super) fn internal_table(result: &Precalibration) -> Table {
+fn internal_table(result: &Precalibration) -> Table {
     let internal = &result.internal.parameters;
-    let mut table = table(&["Internal parameter, µm", "", "± σ"], &[0]);
+    let mut table = Table::new(
+        "Internal parameters (paper, Table 2)",
+        [Column::text("Internal parameter"), Column::of("Value", "µm"), Column::of("± σ", "µm")],
+    );
     let mut add = |name: String, value: f64, std_dev: f64| {
-        table.add_row([name, format!("{:.3}", value * 1e3), format!("{:.3}", std_dev * 1e3)]);
+        table.push([name.into(), Cell::fixed(value * 1e3, 3), Cell::fixed(std_dev * 1e3, 3)]);
     };
     add("|m|".to_owned(), internal.m_mm, internal.m_std_dev_mm.unwrap_or(f64::NAN));
     for (i, (&q, &s)) in internal.q_prime_mm.iter().zip(&internal.q_prime_std_dev_mm).enumerate() {

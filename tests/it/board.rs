@@ -11,7 +11,7 @@ use plenocal::model::{
     BentBoard, Board, BoardShape, FramePose, Noise, NoiseSource, Observations, PlenopticCamera,
     SHAPE_PARAMETERS, optics,
 };
-use plenocal::report::calibration_text;
+use plenocal::report::calibration_section;
 use plenocal::solver::{Anchor, synthesize_bent};
 
 use crate::support::{anchored, datasheet_start, pairs, true_camera};
@@ -184,7 +184,7 @@ fn with_a_flat_board_nothing_changes() {
     assert!(limits[..2].iter().all(|limit| (1e-4..0.03).contains(limit)), "{limits:?} mm");
     assert!(auto.board.aside.iterations > 0 && auto.board.aside.time_s > 0.0);
     let assessment = assess(&auto, &scene.board).unwrap();
-    let text = calibration_text(&auto, &assessment);
+    let text = calibration_section("Calibration", &auto, &assessment, Vec::new()).to_text();
     assert!(text.contains("The board is flat: below sag_x 0.0"), "{text}");
     assert!(text.contains("From 0 differ the bend by "), "{text}");
     // A parameter that is fixed has no limit, and takes none from the others.

@@ -235,7 +235,7 @@ fn an_over_exposed_frame_is_left_out_by_name() {
         .replace("calibration/calibration-01.png", "bright.png")
         .detect(&[])
         .success()
-        .stderr(contains("frame 1 (bright.png) is left out").and(contains("over-exposed")));
+        .stderr(contains("frame 1 (bright.png) is left out").and(contains("[saturated]")));
 }
 
 #[test]
@@ -265,7 +265,7 @@ fn a_white_image_at_another_f_number_is_rejected() {
     set.replace("\"devignetting.png\"", "\"whites/white-4-n-16.00.png\"");
     on_project("detect", &set.path("set"), &set.path("out"))
         .code(1)
-        .stderr(contains("it was taken at about f/16").and(contains("no frame shows the board")));
+        .stderr(contains("as at about f/16").and(contains("no frame shows the board")));
 }
 
 /// The message does not blame the frames for over-exposure.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::house;
 
 /// The rooms of `src`, the lowest first; a room may import those before it.
-const ROOMS: [&str; 17] = [
+const ROOMS: [&str; 18] = [
     "error",
     "quantity",
     "finding",
@@ -16,6 +16,7 @@ const ROOMS: [&str; 17] = [
     "vignetting",
     "solver",
     "simulation",
+    "checks",
     "back_projection",
     "precalibration",
     "detection",

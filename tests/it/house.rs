@@ -1,15 +1,8 @@
-//! Limits of length: files and functions that a person reads in one sitting.
+//! Rules of the house that hold for all sources.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-
-/// Most lines of a file. A longer one gives its reason in a comment near its beginning.
-const FILE_LINES: usize = 400;
-const REASON: &str = "Long because ";
-/// Number of lines at the beginning that may contain the reason.
-const HEADER_LINES: usize = 30;
-/// Most lines of a function, from its name to its closing brace.
-const FUNCTION_LINES: usize = 80;
 
 /// The sources in the folders, by their path in the repository.
 pub fn sources(folders: &[&str], extensions: &[&str]) -> Vec<(String, String)> {
@@ -32,18 +25,6 @@ pub fn sources(folders: &[&str], extensions: &[&str]) -> Vec<(String, String)> {
 }
 
 #[test]
-fn files_are_short_or_give_a_reason() {
-    let is_long = |(_, text): &(String, String)| {
-        let mut header = text.lines().take(HEADER_LINES);
-        text.lines().count() > FILE_LINES
-            && !header.any(|line| line.trim_start_matches(['/', '!', ' ']).starts_with(REASON))
-    };
-    let sources = sources(&["src", "cpp", "tests"], &["rs", "hpp", "cpp"]);
-    let long: Vec<String> = sources.into_iter().filter(is_long).map(|(name, _)| name).collect();
-    assert!(long.is_empty(), "above {FILE_LINES} lines: {long:#?}");
-}
-
-#[test]
 fn both_languages_are_of_one_version() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let header = fs::read_to_string(root.join("cpp/include/plenocal/version.hpp")).unwrap();
@@ -54,57 +35,133 @@ fn both_languages_are_of_one_version() {
     }
 }
 
+/// Files of a room do not import each other in a circle.
 #[test]
-fn functions_are_short() {
-    let sources = sources(&["src", "tests", "benches", "examples"], &["rs"]);
-    let long = sources.iter().flat_map(|(path, text)| {
-        let long = functions(text).into_iter().filter(|(_, lines)| *lines > FUNCTION_LINES);
-        long.map(move |(name, _)| format!("{path}: {name}"))
-    });
-    let long: Vec<String> = long.collect();
-    assert!(long.is_empty(), "above {FUNCTION_LINES} lines: {long:#?}");
-}
-
-/// The functions of source code as rustfmt writes it, each with its name and its lines.
-fn functions(text: &str) -> Vec<(String, usize)> {
-    let lines: Vec<&str> = text.lines().collect();
-    let mut found = Vec::new();
-    for (first, line) in lines.iter().enumerate() {
-        let code = line.trim_start();
-        let Some(name) = function_name(code) else { continue };
-        let indentation = &line[..line.len() - code.len()];
-        // The closing brace at the same indentation, or the semicolon of a declaration.
-        let ends = |line: &str| {
-            line.strip_prefix(indentation).is_some_and(|rest| {
-                rest.starts_with('}') || (!rest.starts_with(' ') && rest.ends_with([';', '}']))
-            })
-        };
-        let last = lines[first..].iter().position(|line| ends(line));
-        let last = last.unwrap_or_else(|| panic!("{name} has no end"));
-        found.push((name.to_owned(), last + 1));
+fn no_import_circle_lies_inside_a_room() {
+    let sources = sources(&["src"], &["rs"]);
+    let mut rooms: BTreeMap<&str, Vec<(&str, &str)>> = BTreeMap::new();
+    for (path, text) in &sources {
+        let inside = path.strip_prefix("src/").unwrap();
+        if let Some((room, file)) = inside.split_once('/') {
+            // The files below `a/` belong to the module `a`.
+            let module = file.split(['/', '.']).next().unwrap();
+            rooms.entry(room).or_default().push((module, text));
+        }
     }
-    found
+    let circles: Vec<String> = rooms
+        .iter()
+        .filter_map(|(room, files)| Some(format!("{room}: {}", circle(room, files)?.join(" -> "))))
+        .collect();
+    assert!(circles.is_empty(), "import circles:\n{}", circles.join("\n"));
 }
 
-/// The name of a function if a line begins one.
-fn function_name(code: &str) -> Option<&str> {
-    let (before, after) = code.split_once("fn ")?;
-    let is_qualifier = |word: &str| {
-        word.starts_with("pub") || ["const", "async", "unsafe", "extern", "\"C\""].contains(&word)
-    };
-    let visibility = before.replace("pub(in ", "pub(");
-    let name = after.split(|c: char| !c.is_alphanumeric() && c != '_').next()?;
-    (visibility.split_whitespace().all(is_qualifier) && !name.is_empty()).then_some(name)
+/// A circle of imports among the modules of a room, if there is one.
+fn circle(room: &str, files: &[(&str, &str)]) -> Option<Vec<String>> {
+    let modules: BTreeSet<&str> = files.iter().map(|(module, _)| *module).collect();
+    // Names that the face of the room hands on, each with the module that defines it.
+    let mut handed_on: BTreeMap<String, &str> = BTreeMap::new();
+    for (_, face) in files.iter().filter(|(module, _)| *module == "mod") {
+        for path in imports(face) {
+            let module = modules.iter().find(|module| **module == path[0]);
+            if let Some(module) = module.filter(|_| path.len() > 1) {
+                handed_on.insert(path[path.len() - 1].clone(), module);
+            }
+        }
+    }
+    let mut arrows: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for (module, text) in files.iter().filter(|(module, _)| *module != "mod") {
+        // Tests may look wherever they like.
+        let code = text.split("#[cfg(test)]").next().unwrap();
+        for path in imports(code) {
+            let path: Vec<&str> = path.iter().map(String::as_str).collect();
+            let inside = match path.as_slice() {
+                ["super", rest @ ..] => rest,
+                ["crate", first, rest @ ..] if first == &room => rest,
+                _ => continue,
+            };
+            let Some(first) = inside.first() else { continue };
+            let target = modules.iter().find(|module| *module == first);
+            let target = target.or_else(|| handed_on.get(*first)).copied();
+            if let Some(target) = target.filter(|target| target != module) {
+                arrows.entry(module).or_default().insert(target);
+            }
+        }
+    }
+    modules.iter().find_map(|start| way_back(start, start, &arrows, &mut BTreeSet::new()))
+}
+
+/// The way from a module along arrows to `goal`, both ends included.
+fn way_back<'a>(
+    from: &'a str,
+    goal: &str,
+    arrows: &BTreeMap<&'a str, BTreeSet<&'a str>>,
+    seen: &mut BTreeSet<&'a str>,
+) -> Option<Vec<String>> {
+    for next in arrows.get(from)? {
+        let rest = if *next == goal {
+            Some(vec![goal.to_owned()])
+        } else if seen.insert(next) {
+            way_back(next, goal, arrows, seen)
+        } else {
+            None
+        };
+        if let Some(mut rest) = rest {
+            rest.insert(0, from.to_owned());
+            return Some(rest);
+        }
+    }
+    None
+}
+
+/// The paths that `use` declarations import, segment by segment.
+fn imports(text: &str) -> Vec<Vec<String>> {
+    let mut paths = Vec::new();
+    let code: String =
+        text.lines().filter(|l| !l.trim_start().starts_with("//")).collect::<Vec<_>>().join(" ");
+    for declaration in code.split(';') {
+        let words: Vec<&str> = declaration.split_whitespace().collect();
+        if let Some(at) = words.iter().position(|word| *word == "use") {
+            expand(&words[at + 1..].concat(), &mut Vec::new(), &mut paths);
+        }
+    }
+    paths
+}
+
+/// Expands `a::{b, c::{d, e}}` into paths.
+fn expand(tree: &str, prefix: &mut Vec<String>, paths: &mut Vec<Vec<String>>) {
+    let depth = prefix.len();
+    if let Some(open) = tree.find('{') {
+        prefix.extend(tree[..open].split("::").filter(|s| !s.is_empty()).map(str::to_owned));
+        let list = tree[open + 1..].strip_suffix('}').unwrap_or(&tree[open + 1..]);
+        let (mut level, mut begin) = (0, 0);
+        for (at, c) in list.char_indices().chain([(list.len(), ',')]) {
+            match c {
+                '{' => level += 1,
+                '}' => level -= 1,
+                ',' if level == 0 => {
+                    if begin < at {
+                        expand(&list[begin..at], prefix, paths);
+                    }
+                    begin = at + 1;
+                }
+                _ => {}
+            }
+        }
+    } else {
+        prefix.extend(tree.split("::").map(str::to_owned));
+        paths.push(prefix.clone());
+    }
+    prefix.truncate(depth);
 }
 
 #[test]
-fn functions_are_counted_to_their_closing_brace() {
-    let text = "pub(crate) const fn one() -> u8 { 1 }\n\
-                fn two(\n    a: u8,\n) -> u8 {\n    let call = |x| {\n        x\n    };\n    call(a)\n}\n\
-                trait T {\n    fn declared(&self);\n    fn method(&self) {\n        // fn no() {\n    }\n}\n\
-                let fn_pointer: fn (u8) = two;\n";
-    let expected = [("one", 1), ("two", 8), ("declared", 1), ("method", 3)];
-    let found = functions(text);
-    let found: Vec<(&str, usize)> = found.iter().map(|(name, n)| (name.as_str(), *n)).collect();
-    assert_eq!(found, expected);
+fn circles_are_found_through_lists_and_the_face_of_a_room() {
+    let face = ("mod", "mod a; mod b; mod c; pub use b::{One, Two};");
+    let a = ("a", "use super::{One, c::Three};");
+    let b = ("b", "use crate::room::c::{Four,\n    Five};");
+    let found = |c: &'static str| circle("room", &[face, a, b, ("c", c)]);
+    assert_eq!(found("use crate::other::Six;\n// use super::a::Seven;"), None);
+    assert_eq!(found("use super::b::Two;").unwrap().concat(), "bcb");
+    assert_eq!(found("use super::a::Seven;").unwrap().concat(), "abca");
+    assert_eq!(found("#[cfg(test)] mod tests { use super::a::Seven; }"), None);
 }

@@ -103,8 +103,8 @@ fn a_single_image_gives_its_array_alone() {
 #[test]
 fn a_colour_pattern_other_than_stated_gives_a_warning() {
     let set = Set::mosaic();
-    set.with("bayer-rggb", "bayer-gbrg").stderr(contains("the images have another mosaic"));
-    set.with("\"bayer-rggb\"", "\"grey\"").stderr(contains("alternate in brightness"));
+    set.with("bayer-rggb", "bayer-gbrg").stderr(contains("[wrong-mosaic]"));
+    set.with("\"bayer-rggb\"", "\"grey\"").stderr(contains("[color-mosaic]"));
 }
 
 #[test]

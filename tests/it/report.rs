@@ -9,7 +9,7 @@ use plenocal::calibration::{Calibration, Mode, Start};
 use plenocal::model::{Board, Reprojection};
 use plenocal::precalibration::ArrayMeasurement;
 use plenocal::report::{
-    Figure, HtmlReport, HtmlTable, Part, Section, array_residuals_figure, calibration_figures,
+    Cell, Column, Figure, Part, Report, Section, Table, array_residuals_figure, calibration_figures,
 };
 use roxmltree::Document;
 
@@ -42,7 +42,7 @@ fn figures_of(calibration: &Calibration, board: &Board) -> Vec<Figure> {
     if let Some(grid) = &calibration.grid {
         let centers = calibration.reprojection.centers.iter().map(|c| c.center).collect();
         let array = ArrayMeasurement::of_grid(*grid, centers, 3);
-        figures.push(array_residuals_figure(&array).unwrap());
+        figures.push(array_residuals_figure(&array));
     }
     figures
 }
@@ -80,28 +80,24 @@ pub fn check(figure: &Figure) {
     assert!(figure.svg.len() < LARGEST_SVG, "{name} has {} bytes", figure.svg.len());
 }
 
-fn report(figures: Vec<Figure>) -> HtmlReport {
-    let sizes = figures.iter().map(|f| vec![f.name.clone(), f.svg.len().to_string()]).collect();
-    let table = HtmlTable {
-        caption: "Pictures".into(),
-        header: vec!["File".into(), "Bytes".into()],
-        rows: sizes,
-        text_columns: vec![0],
-    };
+fn report(figures: Vec<Figure>) -> Report {
+    let mut table = Table::new("Pictures", [Column::text("File"), Column::number("Bytes")]);
+    for figure in &figures {
+        table.push([figure.name.as_str().into(), Cell::from(figure.svg.len())]);
+    }
     let (first, others): (Vec<Figure>, Vec<Figure>) =
         figures.into_iter().partition(|f| f.name.starts_with("residual"));
     let pictures = |figures: Vec<Figure>| figures.into_iter().map(Part::Figure).collect::<Vec<_>>();
     let details = Part::Details { summary: "All others".into(), parts: pictures(others) };
-    HtmlReport {
+    Report {
         title: "Calibration".into(),
         subtitle: "The shipped feature set".into(),
         sections: vec![
-            Section { title: "Residuals".into(), parts: pictures(first), ..Section::default() },
-            Section {
-                title: "Camera".into(),
-                parts: vec![Part::Text("One.\n\nTwo.".into()), Part::Table(table), details],
-                ..Section::default()
-            },
+            Section::new("Residuals", pictures(first)),
+            Section::new(
+                "Camera",
+                vec![Part::Text("One.\n\nTwo.".into()), Part::Table(table), details],
+            ),
         ],
     }
 }

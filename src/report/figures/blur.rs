@@ -1,17 +1,11 @@
 //! Measured blur against predicted.
 
 use nalgebra::Vector2;
-use plotters::prelude::*;
 
-use super::figure;
+use super::super::drawing::{Area, Axis, Drawing, FITTED, INK, TYPE_COLORS, quantile};
+use super::super::tree::Figure;
 use crate::calibration::Calibration;
-use crate::error::Result;
 use crate::numerics::weighted_mean;
-use crate::report::drawing::{
-    Anchor, Area, FITTED, INK, Overlay, Plane, TYPE_COLORS, axis_number, drawing, font, picture,
-    quantile,
-};
-use crate::report::html::Figure;
 
 /// Blur radii with as many features are one dot.
 const DOTS: usize = 24;
@@ -27,8 +21,8 @@ struct Dot {
 }
 
 /// Measured blur radii over ρ by lens type; `None` without measured blur.
-pub(super) fn measured_blur(calibration: &Calibration) -> Result<Option<Figure>> {
-    let Some(fill) = &calibration.fill else { return Ok(None) };
+pub(super) fn measured_blur(calibration: &Calibration) -> Option<Figure> {
+    let fill = calibration.fill.as_ref()?;
     let of_types: Vec<Vec<Dot>> =
         (0..calibration.camera.lens_types()).map(|i| dots(calibration, i)).collect();
     let all = || of_types.iter().flatten();
@@ -37,25 +31,23 @@ pub(super) fn measured_blur(calibration: &Calibration) -> Result<Option<Figure>>
         (low - 0.06 * (high - low), high + 0.06 * (high - low))
     };
     if all().count() < 2 {
-        return Ok(None);
+        return None;
     }
     let across = spans(&|dot| dot.predicted_px);
     let up = spans(&|dot| dot.measured_px[0]);
     let slope = fill.fill_factor.value;
-    let svg = picture((900, 360), |root, overlay| {
-        let panels = root.split_evenly((1, of_types.len()));
-        for (lens_type, (dots, area)) in of_types.iter().zip(&panels).enumerate() {
-            panel(area, lens_type, dots, slope, [across, up], overlay)?;
-        }
-        Ok(())
-    })?;
+    let mut drawing = Drawing::new(900.0, 360.0);
+    let panels = Area::new(0.0, 0.0, 900.0, 360.0).split(1, of_types.len());
+    for ((lens_type, dots), area) in of_types.iter().enumerate().zip(panels) {
+        panel(&area.within_axes(), lens_type, dots, slope, [across, up], &mut drawing);
+    }
     let caption = format!(
         "Blur radii as the widths of edges show them, over ρ, the blur radius of micro-lenses that fill their pitch, by \
          lens type. Dots are means of features with about the same ρ, bars their σ. The line has the slope {slope:.3}, \
          the fill factor; the dashed line would be 1. Dots of one type that lie off the line say that q' of that type, \
          or its order among the types, is wrong."
     );
-    Ok(Some(figure("measured-blur", caption, svg)))
+    Some(drawing.figure("measured-blur", caption))
 }
 
 fn dots(calibration: &Calibration, lens_type: usize) -> Vec<Dot> {
@@ -85,51 +77,31 @@ fn dots(calibration: &Calibration, lens_type: usize) -> Vec<Dot> {
 }
 
 fn panel(
-    area: &Area,
+    chart: &Area,
     lens_type: usize,
     dots: &[Dot],
     slope: f64,
     [(left, right), (bottom, top)]: [(f64, f64); 2],
-    overlay: &mut Overlay,
-) -> Result<()> {
-    let area = area.margin(36, 6, 8, 16);
-    let mut chart = ChartBuilder::on(&area)
-        .x_label_area_size(44)
-        .y_label_area_size(62)
-        .build_cartesian_2d(left..right, bottom..top)
-        .map_err(drawing)?;
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .axis_style(INK)
-        .x_labels(6)
-        .y_labels(6)
-        .x_label_formatter(&|x| axis_number(*x))
-        .y_label_formatter(&|y| axis_number(*y))
-        .x_desc("ρ, px")
-        .y_desc("measured blur radius, px")
-        .label_style(font(13))
-        .draw()
-        .map_err(drawing)?;
-    let (from, to) = (Vector2::new(left, bottom), Vector2::new(right, top));
-    let plane = Plane::of_chart(chart.plotting_area().get_pixel_range(), from, to);
+    drawing: &mut Drawing,
+) {
+    let x = Axis::new("ρ, px", [left, right]).with_grid();
+    let y = Axis::new("measured blur radius, px", [bottom, top]).with_grid();
+    let plane = drawing.axes(chart, &x, &y);
     // Only where the line is within the chart.
     let line = |slope: f64| {
         let within = |x: f64| (x * slope).clamp(bottom, top) / slope;
         [within(left), within(right)].map(|x| plane.place(x, x * slope))
     };
-    overlay.dashed(&line(1.0), INK, 1.2);
-    overlay.line(&line(slope), FITTED, 1.6);
+    drawing.dashed(&line(1.0), INK, 1.2);
+    drawing.line(&line(slope), FITTED, 1.6);
     let color = TYPE_COLORS[lens_type % TYPE_COLORS.len()];
     for dot in dots {
         let [measured, std_dev] = dot.measured_px;
         let end = |sign: f64| plane.place(dot.predicted_px, measured + sign * std_dev);
-        overlay.line(&[end(-1.0), end(1.0)], color, 1.2);
+        drawing.line(&[end(-1.0), end(1.0)], color, 1.2);
     }
     let middles: Vec<Vector2<f64>> =
         dots.iter().map(|dot| plane.place(dot.predicted_px, dot.measured_px[0])).collect();
-    overlay.discs(&middles, 2.6, color);
-    let above = plane.place(left, top) - Vector2::new(0.0, 17.0);
-    overlay.text(above, Anchor::Start, 14.0, &format!("lens type {}", lens_type + 1));
-    Ok(())
+    drawing.discs(&middles, 2.6, color);
+    drawing.title(chart, &format!("lens type {}", lens_type + 1));
 }

@@ -2,12 +2,10 @@
 
 use nalgebra::Vector2;
 
-use super::figure;
+use super::super::drawing::{Anchor, BLUE, Drawing, INK, ORANGE};
+use super::super::tree::Figure;
 use crate::assessment::{Distance, ObjectSpace, PointTrust};
-use crate::error::Result;
-use crate::report::assessment::two_digits;
-use crate::report::drawing::{Anchor, BLUE, INK, ORANGE, Overlay, picture};
-use crate::report::html::Figure;
+use crate::quantity::two_digits;
 
 /// A cell, px, and the room beside and above the cells of a panel.
 const CELL: Vector2<f64> = Vector2::new(52.0, 30.0);
@@ -20,7 +18,7 @@ const IN_MICROMETRES: f64 = 0.2;
 const OPACITY: (f64, f64) = (0.06, 0.75);
 
 /// Two maps: σ across the axis and along it, for points seen along the middle row of the image.
-pub(in crate::report) fn object_space(space: &ObjectSpace) -> Result<Option<Figure>> {
+pub(super) fn object_space(space: &ObjectSpace) -> Option<Figure> {
     let rows: Vec<(&Distance, Vec<&PointTrust>)> =
         space.distances.iter().rev().map(|d| (d, middle_row(d))).collect();
     let mut columns: Vec<f64> =
@@ -28,20 +26,16 @@ pub(in crate::report) fn object_space(space: &ObjectSpace) -> Result<Option<Figu
     columns.sort_by(f64::total_cmp);
     columns.dedup_by(|a, b| (*a - *b).abs() < 0.5);
     if columns.is_empty() {
-        return Ok(None);
+        return None;
     }
     let panel = LEFT + CELL.x * columns.len() as f64;
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // of a picture
-    let size = ((2.0 * panel + GAP) as u32, (TOP + CELL.y * rows.len() as f64 + 52.0) as u32);
-    let svg = picture(size, |_, overlay| {
-        for (i, title) in ["across the axis", "along the axis"].into_iter().enumerate() {
-            let left = i as f64 * (panel + GAP) + LEFT;
-            let unit = map(&rows, &columns, i, left, overlay);
-            let at = Vector2::new(left, 18.0);
-            overlay.text(at, Anchor::Start, 15.0, &format!("σ {title}, {unit}"));
-        }
-        Ok(())
-    })?;
+    let height = TOP + CELL.y * rows.len() as f64 + 52.0;
+    let mut drawing = Drawing::new(2.0 * panel + GAP, height);
+    for (i, title) in ["across the axis", "along the axis"].into_iter().enumerate() {
+        let left = i as f64 * (panel + GAP) + LEFT;
+        let unit = map(&rows, &columns, i, left, &mut drawing);
+        drawing.text(Vector2::new(left, 18.0), Anchor::Start, 15.0, &format!("σ {title}, {unit}"));
+    }
     let caption = "σ of a point reconstructed with this camera, against the boards of the \
                    calibration, over its place along the middle row of the image (u, px) and its \
                    distance (mm). It is the error of the calibration alone, with camera and poses \
@@ -49,7 +43,7 @@ pub(in crate::report) fn object_space(space: &ObjectSpace) -> Result<Option<Figu
                    outside those of the boards: the camera is extrapolated there. Empty cells: fewer \
                    than two micro-lenses see the point."
         .to_owned();
-    Ok(Some(figure("object-space", caption, svg)))
+    Some(drawing.figure("object-space", caption))
 }
 
 /// The points nearest to the middle of the image along v.
@@ -66,7 +60,7 @@ fn map(
     columns: &[f64],
     direction: usize,
     left: f64,
-    overlay: &mut Overlay,
+    drawing: &mut Drawing,
 ) -> &'static str {
     let values =
         || rows.iter().flat_map(|(_, points)| points.iter().map(|p| p.std_dev_mm[direction]));
@@ -78,24 +72,24 @@ fn map(
         let color = if distance.within_boards { INK } else { ORANGE };
         let name = format!("{:.0}", distance.distance_mm);
         let beside = Vector2::new(left - 8.0, top + CELL.y / 2.0);
-        overlay.colored_text(beside, Anchor::End, 13.0, color, &name);
+        drawing.colored_text(beside, Anchor::End, 13.0, color, &name);
         for point in points {
             let column = columns.iter().position(|u| (u - point.pixel_px[0]).abs() < 0.5);
             let corner = Vector2::new(left + CELL.x * column.unwrap_or(0) as f64, top);
             let value = point.std_dev_mm[direction];
             let part = (value / least).ln() / (most / least).ln();
             let opacity = OPACITY.0 + (OPACITY.1 - OPACITY.0) * part.clamp(0.0, 1.0);
-            overlay.rectangle(corner, CELL, BLUE, opacity);
-            overlay.text(corner + CELL / 2.0, Anchor::Middle, 12.0, &two_digits(value * factor));
+            drawing.rectangle(corner, CELL, BLUE, opacity);
+            drawing.text(corner + CELL / 2.0, Anchor::Middle, 12.0, &two_digits(value * factor));
         }
     }
     let below = TOP + CELL.y * rows.len() as f64 + 16.0;
     for (i, u) in columns.iter().enumerate() {
         let at = Vector2::new(left + CELL.x * (i as f64 + 0.5), below);
-        overlay.text(at, Anchor::Middle, 12.0, &format!("{u:.0}"));
+        drawing.text(at, Anchor::Middle, 12.0, &format!("{u:.0}"));
     }
     let middle = left + CELL.x * columns.len() as f64 / 2.0;
-    overlay.text(Vector2::new(middle, below + 20.0), Anchor::Middle, 13.0, "u, px");
-    overlay.text(Vector2::new(left - 8.0, TOP - 14.0), Anchor::End, 13.0, "z, mm");
+    drawing.text(Vector2::new(middle, below + 20.0), Anchor::Middle, 13.0, "u, px");
+    drawing.text(Vector2::new(left - 8.0, TOP - 14.0), Anchor::End, 13.0, "z, mm");
     unit
 }

@@ -2,12 +2,11 @@
 
 use nalgebra::Vector2;
 
-use super::figure;
+use super::super::drawing::{Anchor, BLUE, Drawing, INK, Plane, axis_number, round_below};
+use super::super::tree::Figure;
 use super::vectors::{Arrow, draw_arrows, enlarged, enlargement, key, sensor_picture};
 use crate::error::Result;
 use crate::model::PlenopticCamera;
-use crate::report::drawing::{Anchor, BLUE, INK, Overlay, Plane, axis_number, round_below};
-use crate::report::html::Figure;
 use crate::solver::distortion_mm;
 
 /// Number of samples along the longer side: of the colours, and of the arrows.
@@ -17,7 +16,7 @@ const ARROWS: f64 = 18.0;
 const BANDS: f64 = 5.0;
 /// Opacity of the largest distortion; arrows stay visible on it on any page.
 const MOST_OPAQUE: f64 = 0.6;
-const SCALE_WIDTH: u32 = 74;
+const SCALE_WIDTH: f64 = 74.0;
 
 pub(super) fn distortion(camera: &PlenopticCamera) -> Result<Option<Figure>> {
     let lens = &camera.main_lens;
@@ -41,18 +40,17 @@ pub(super) fn distortion(camera: &PlenopticCamera) -> Result<Option<Figure>> {
     let bands = Bands::up_to(largest);
     let factor = enlargement(&arrows, 1.5 * image_px.max() / ARROWS);
     let title = "Distortion of the main lens";
-    let svg = sensor_picture(image_px, SCALE_WIDTH, title, |plane, overlay| {
-        bands.draw(&sizes, image_px, plane, overlay);
-        draw_arrows(&arrows, INK, factor, plane, overlay);
-        key(plane, image_px, factor, overlay);
-        bands.draw_scale(plane, image_px, overlay);
-    })?;
+    let (mut drawing, plane) = sensor_picture(image_px, SCALE_WIDTH, title);
+    bands.draw(&sizes, image_px, &plane, &mut drawing);
+    draw_arrows(&arrows, INK, factor, &plane, &mut drawing);
+    key(&plane, image_px, factor, &mut drawing);
+    bands.draw_scale(&plane, image_px, &mut drawing);
     let caption = format!(
         "How far the distortion of the main lens moves an image point at each place of the sensor, in \
          px (colours); the arrows are {}. The distortion is known only where there are features.",
         enlarged(factor)
     );
-    Ok(Some(figure("distortion", caption, svg)))
+    Ok(Some(drawing.figure("distortion", caption)))
 }
 
 /// Positions in the image, and how far distortion moves them, px.
@@ -110,7 +108,7 @@ impl Bands {
         sizes: &[Vec<(Vector2<f64>, f64)>],
         image_px: Vector2<f64>,
         plane: &Plane,
-        overlay: &mut Overlay,
+        drawing: &mut Drawing,
     ) {
         let cell = image_px.y / sizes.len() as f64;
         let mut runs: Vec<Vec<(Vector2<f64>, Vector2<f64>)>> = vec![Vec::new(); self.count];
@@ -124,24 +122,24 @@ impl Bands {
             }
         }
         for (band, runs) in runs.iter().enumerate().skip(1) {
-            overlay.rectangles(runs, BLUE, self.opacity(band));
+            drawing.rectangles(runs, BLUE, self.opacity(band));
         }
     }
 
     /// The colour scale.
-    fn draw_scale(&self, plane: &Plane, image_px: Vector2<f64>, overlay: &mut Overlay) {
+    fn draw_scale(&self, plane: &Plane, image_px: Vector2<f64>, drawing: &mut Drawing) {
         let size = Vector2::new(16.0, 22.0);
         let top = plane.place(image_px.x - 0.5, -0.5) + Vector2::new(18.0, 10.0);
         let edge = |step: usize| top + Vector2::new(0.0, size.y * (self.count - step) as f64);
         for band in 0..self.count {
-            overlay.rectangle(edge(band + 1), size, BLUE, self.opacity(band));
+            drawing.rectangle(edge(band + 1), size, BLUE, self.opacity(band));
         }
         let (low, high) = (edge(0), edge(self.count));
         let across = Vector2::new(size.x, 0.0);
-        overlay.line(&[low, low + across, high + across, high, low], INK, 0.5);
+        drawing.line(&[low, low + across, high + across, high, low], INK, 0.5);
         for step in 0..=self.count {
             let words = format!("{} px", axis_number(step as f64 * self.step));
-            overlay.text(edge(step) + Vector2::new(22.0, 0.0), Anchor::Start, 13.0, &words);
+            drawing.text(edge(step) + Vector2::new(22.0, 0.0), Anchor::Start, 13.0, &words);
         }
     }
 }

@@ -3,18 +3,13 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Vector2;
-use plotters::prelude::*;
 
-use super::figure;
+use super::super::drawing::{Area, Axis, BLUE, Drawing, INK, ORANGE};
+use super::super::tree::Figure;
 use super::vectors::means_side_by_side;
 use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
-use crate::error::Result;
 use crate::model::{FeatureResidual, PlenopticCamera};
-use crate::report::drawing::{
-    Anchor, Area, BLUE, INK, ORANGE, Overlay, Plane, axis_number, drawing, font, picture,
-};
-use crate::report::html::Figure;
 
 /// Rings around the axis.
 const RINGS: usize = 12;
@@ -24,13 +19,10 @@ const MIN_CORNERS: usize = 5;
 const MIN_MICRO_IMAGES: usize = 3;
 
 /// Residual patterns with and without each group, two figures for each, in the order of the comparison.
-pub fn model_figures(
-    calibration: &Calibration,
-    comparison: &ModelComparison,
-) -> Result<Vec<Vec<Figure>>> {
-    let of_group = |without: &WithoutGroup| {
-        Ok(vec![arrows(calibration, without)?, rings(calibration, without)?])
-    };
+#[must_use]
+pub fn model_figures(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Vec<Figure>> {
+    let of_group =
+        |without: &WithoutGroup| vec![arrows(calibration, without), rings(calibration, without)];
     comparison.groups.iter().map(of_group).collect()
 }
 
@@ -42,16 +34,16 @@ fn titles(without: &WithoutGroup) -> [String; 2] {
     [format!("With the {}", without.group), format!("Without the {}", without.group)]
 }
 
-fn arrows(calibration: &Calibration, without: &WithoutGroup) -> Result<Figure> {
+fn arrows(calibration: &Calibration, without: &WithoutGroup) -> Figure {
     let residuals = [&calibration.reprojection, &without.reprojection].map(|r| &r.features[..]);
     let [with, gone] = titles(without);
-    let (svg, how) = means_side_by_side(&calibration.camera.sensor, residuals, [&with, &gone])?;
+    let (drawing, how) = means_side_by_side(&calibration.camera.sensor, residuals, [&with, &gone]);
     let caption = format!(
         "Observed minus projected (u, v) of features with the {0} and without: {how}. Arrows that line up only \
          on the right are what the {0} explains.",
         without.group
     );
-    Ok(figure(&name(without, "residuals"), caption, svg))
+    drawing.figure(&name(without, "residuals"), caption)
 }
 
 /// What the micro-images that show a corner have in common, and where it is.
@@ -121,7 +113,7 @@ fn ring_means(
     (0..RINGS).filter_map(ring).collect()
 }
 
-fn rings(calibration: &Calibration, without: &WithoutGroup) -> Result<Figure> {
+fn rings(calibration: &Calibration, without: &WithoutGroup) -> Figure {
     let both = [
         corners(&calibration.camera, &calibration.reprojection.features),
         corners(&without.camera, &without.reprojection.features),
@@ -130,18 +122,13 @@ fn rings(calibration: &Calibration, without: &WithoutGroup) -> Result<Figure> {
     let outward = both.each_ref().map(|of| ring_means(of, farthest, |c| Some(c.outward_px)));
     let parallax =
         both.each_ref().map(|of| ring_means(of, farthest, |c| c.parallax.map(|p| 1e3 * p)));
-    let svg = picture((900, 340), |root, overlay| {
-        let (left, right) = root.split_horizontally(450);
-        panel(&left, &outward, farthest, "away from the axis, px", overlay)?;
-        panel(&right, &parallax, farthest, "parallax too large, ‰", overlay)?;
-        let mut at = Vector2::new(76.0, 18.0);
-        for (words, color) in titles(without).iter().zip([BLUE, ORANGE]) {
-            overlay.rectangle(at - Vector2::new(0.0, 6.0), Vector2::new(12.0, 12.0), color, 1.0);
-            overlay.text(at + Vector2::new(18.0, 0.0), Anchor::Start, 14.0, words);
-            at.x += 250.0;
-        }
-        Ok(())
-    })?;
+    let mut drawing = Drawing::new(900.0, 340.0);
+    let [left, right] = Area::new(0.0, 0.0, 900.0, 340.0).split_at(450.0);
+    panel(&left.within_axes(), &outward, farthest, "away from the axis, px", &mut drawing);
+    panel(&right.within_axes(), &parallax, farthest, "parallax too large, ‰", &mut drawing);
+    let [with, gone] = titles(without);
+    let names = [(&*with, BLUE), (&*gone, ORANGE)];
+    drawing.legend(Vector2::new(76.0, 18.0), 250.0, &names);
     let caption = format!(
         "The same residuals against the distance from the axis, as means over the corners in rings with \
          their standard errors: how far corners lie away from where they are projected, and by how much the \
@@ -149,53 +136,23 @@ fn rings(calibration: &Calibration, without: &WithoutGroup) -> Result<Figure> {
          not without it is what the {0} explains and the poses of the boards cannot.",
         without.group
     );
-    Ok(figure(&name(without, "over-radius"), caption, svg))
+    drawing.figure(&name(without, "over-radius"), caption)
 }
 
-fn panel(
-    area: &Area,
-    series: &[Vec<Ring>; 2],
-    farthest: f64,
-    what: &str,
-    overlay: &mut Overlay,
-) -> Result<()> {
+fn panel(chart: &Area, series: &[Vec<Ring>; 2], farthest: f64, what: &str, drawing: &mut Drawing) {
     let ends = series.iter().flatten().flat_map(|r| [r.mean - r.std_error, r.mean + r.std_error]);
     let largest = ends.filter(|v| v.is_finite()).map(f64::abs).fold(1e-9, f64::max) * 1.1;
-    let area = area.margin(36, 6, 8, 16);
-    let mut chart = ChartBuilder::on(&area)
-        .x_label_area_size(44)
-        .y_label_area_size(68)
-        .build_cartesian_2d(0.0..farthest, -largest..largest)
-        .map_err(drawing)?;
-    chart
-        .configure_mesh()
-        .disable_x_mesh()
-        .light_line_style(TRANSPARENT)
-        .axis_style(INK)
-        .x_labels(6)
-        .y_labels(7)
-        .x_label_formatter(&|x| axis_number(*x))
-        .y_label_formatter(&|y| axis_number(*y))
-        .x_desc("distance from the axis, px")
-        .y_desc(what)
-        .label_style(font(13))
-        .draw()
-        .map_err(drawing)?;
-    let plane = Plane::of_chart(
-        chart.plotting_area().get_pixel_range(),
-        Vector2::new(0.0, -largest),
-        Vector2::new(farthest, largest),
-    );
-    overlay.line(&[plane.place(0.0, 0.0), plane.place(farthest, 0.0)], INK, 0.6);
+    let x = Axis::new("distance from the axis, px", [0.0, farthest]);
+    let plane = drawing.axes(chart, &x, &Axis::new(what, [-largest, largest]).with_grid());
+    drawing.line(&[plane.place(0.0, 0.0), plane.place(farthest, 0.0)], INK, 0.6);
     for (rings, color) in series.iter().zip([BLUE, ORANGE]) {
         let places: Vec<Vector2<f64>> =
             rings.iter().map(|r| plane.place(r.radius_px, r.mean)).collect();
-        overlay.line(&places, color, 1.6);
-        overlay.discs(&places, 3.0, color);
+        drawing.line(&places, color, 1.6);
+        drawing.discs(&places, 3.0, color);
         for r in rings {
             let end = |sign: f64| plane.place(r.radius_px, r.mean + sign * r.std_error);
-            overlay.line(&[end(-1.0), end(1.0)], color, 1.0);
+            drawing.line(&[end(-1.0), end(1.0)], color, 1.0);
         }
     }
-    Ok(())
 }

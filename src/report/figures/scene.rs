@@ -1,16 +1,13 @@
 //! Camera and boards in space.
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
-use plotters::style::RGBColor;
 
-use super::figure;
-use crate::calibration::Calibration;
-use crate::error::Result;
-use crate::model::{Board, PlenopticCamera};
-use crate::report::drawing::{
-    Anchor, BLUE, FITTED, INK, ORANGE, Overlay, TYPE_COLORS, axis_number, picture, round_below,
+use super::super::drawing::{
+    Anchor, BLUE, Color, Drawing, FITTED, INK, ORANGE, TYPE_COLORS, ticks,
 };
-use crate::report::html::Figure;
+use super::super::tree::Figure;
+use crate::calibration::Calibration;
+use crate::model::{Board, PlenopticCamera};
 
 /// Viewing direction: angle from the side towards the back of the camera, and from above, rad.
 const TURNED: f64 = 0.55;
@@ -24,7 +21,7 @@ const NUMBERS: f64 = 62.0;
 const NUMBER: f64 = 27.0;
 /// Segments of a circle.
 const CIRCLE: u32 = 48;
-const BOARD_COLORS: [RGBColor; 6] =
+const BOARD_COLORS: [Color; 6] =
     [BLUE, ORANGE, TYPE_COLORS[1], FITTED, TYPE_COLORS[0], TYPE_COLORS[2]];
 
 /// Parallel projection onto the page, mm to px.
@@ -65,7 +62,7 @@ impl View {
     }
 }
 
-pub(super) fn scene(calibration: &Calibration, board: &Board) -> Result<Option<Figure>> {
+pub(super) fn scene(calibration: &Calibration, board: &Board) -> Option<Figure> {
     let camera = &calibration.camera;
     let finite = |pose: &Isometry3<f64>| pose.to_homogeneous().iter().all(|v| v.is_finite());
     let boards: Vec<(u32, [Point3<f64>; 4])> = calibration
@@ -74,8 +71,7 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Result<Option<F
         .filter(|p| finite(&p.camera_from_board))
         .map(|p| (p.frame, outline(board, &p.camera_from_board)))
         .collect();
-    let furthest = boards.iter().flat_map(|(_, b)| b).map(|p| p.z).reduce(f64::max);
-    let Some(furthest) = furthest else { return Ok(None) };
+    let furthest = boards.iter().flat_map(|(_, b)| b).map(|p| p.z).reduce(f64::max)?;
 
     let (sensor, lens) = (sensor_outline(camera), lens_outline(camera));
     let mut points: Vec<Point3<f64>> = boards.iter().flat_map(|(_, b)| *b).collect();
@@ -83,33 +79,29 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Result<Option<F
     let bounds = Box3::around(&points);
     points.extend(bounds.corners());
     let (view, height) = View::of(&points);
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // of a picture
-    let size = (WIDTH as u32, height.ceil() as u32);
-    let svg = picture(size, |_, overlay| {
-        bounds.draw(&view, overlay);
-        field_of_view(&sensor, furthest, &view, overlay);
-        // Distant boards are drawn first.
-        let mut order: Vec<usize> = (0..boards.len()).collect();
-        let depth = |i: usize| boards[i].1.iter().map(|p| view.into.dot(&p.coords)).sum::<f64>();
-        order.sort_by(|&a, &b| depth(b).total_cmp(&depth(a)));
-        for i in order {
-            let color = BOARD_COLORS[i % BOARD_COLORS.len()];
-            let corners = view.places(&boards[i].1);
-            overlay.area(&corners, color, 0.1);
-            closed(&corners, color, 1.4, overlay);
-            overlay.discs(&corners[..1], 2.6, color);
-        }
-        draw_camera(&sensor, &lens, &view, overlay);
-        numbers(&boards, &view, overlay);
-        Ok(())
-    })?;
+    let mut drawing = Drawing::new(WIDTH, height.ceil());
+    bounds.draw(&view, &mut drawing);
+    field_of_view(&sensor, furthest, &view, &mut drawing);
+    // Distant boards are drawn first.
+    let mut order: Vec<usize> = (0..boards.len()).collect();
+    let depth = |i: usize| boards[i].1.iter().map(|p| view.into.dot(&p.coords)).sum::<f64>();
+    order.sort_by(|&a, &b| depth(b).total_cmp(&depth(a)));
+    for i in order {
+        let color = BOARD_COLORS[i % BOARD_COLORS.len()];
+        let corners = view.places(&boards[i].1);
+        drawing.area(&corners, color, 0.1);
+        closed(&corners, color, 1.4, &mut drawing);
+        drawing.discs(&corners[..1], 2.6, color);
+    }
+    draw_camera(&sensor, &lens, &view, &mut drawing);
+    numbers(&boards, &view, &mut drawing);
     let caption =
         "The camera and the boards as calibrated, in mm in the camera frame. Numbers are frames, \
                    a dot marks a board's first corner, and dashed lines bound what the sensor sees \
                    through the middle of the main lens. Boards at many distances and tilts, all \
                    over the field of view, determine a camera well."
             .to_owned();
-    Ok(Some(figure("scene", caption, svg)))
+    Some(drawing.figure("scene", caption))
 }
 
 /// The outline of a board: its inner corners and one square around them, from the first corner.
@@ -141,17 +133,17 @@ fn lens_outline(camera: &PlenopticCamera) -> Vec<Point3<f64>> {
         .collect()
 }
 
-fn closed(corners: &[Vector2<f64>], color: RGBColor, width: f64, overlay: &mut Overlay) {
+fn closed(corners: &[Vector2<f64>], color: Color, width: f64, drawing: &mut Drawing) {
     let mut around = corners.to_vec();
     around.extend(corners.first());
-    overlay.line(&around, color, width);
+    drawing.line(&around, color, width);
 }
 
-fn draw_camera(sensor: &[Point3<f64>], lens: &[Point3<f64>], view: &View, overlay: &mut Overlay) {
+fn draw_camera(sensor: &[Point3<f64>], lens: &[Point3<f64>], view: &View, drawing: &mut Drawing) {
     for outline in [sensor, lens] {
         let corners = view.places(outline);
-        overlay.area(&corners, INK, 0.25);
-        closed(&corners, INK, 1.4, overlay);
+        drawing.area(&corners, INK, 0.25);
+        closed(&corners, INK, 1.4, drawing);
     }
     let above = |outline: &[Point3<f64>]| {
         let places = view.places(outline);
@@ -165,20 +157,20 @@ fn draw_camera(sensor: &[Point3<f64>], lens: &[Point3<f64>], view: &View, overla
     let line = sensor.y.min(lens.y) - 14.0;
     let sensor_word = Vector2::new(sensor.x, if apart { sensor.y - 14.0 } else { line });
     let lens_word = Vector2::new(lens.x, if apart { lens.y - 14.0 } else { line - 18.0 });
-    overlay.text(sensor_word, Anchor::Middle, 13.0, "sensor");
-    overlay.text(lens_word, Anchor::Middle, 13.0, "main lens");
+    drawing.text(sensor_word, Anchor::Middle, 13.0, "sensor");
+    drawing.text(lens_word, Anchor::Middle, 13.0, "main lens");
 }
 
-fn field_of_view(sensor: &[Point3<f64>], furthest: f64, view: &View, overlay: &mut Overlay) {
+fn field_of_view(sensor: &[Point3<f64>], furthest: f64, view: &View, drawing: &mut Drawing) {
     for corner in sensor {
         let end = Point3::from(corner.coords * (furthest / corner.z));
-        overlay.dashed(&view.places(&[*corner, end]), INK, 0.6);
+        drawing.dashed(&view.places(&[*corner, end]), INK, 0.6);
     }
 }
 
 /// Numbers of the frames in a row above, each joined to its board by a line, so that none hides
 /// another.
-fn numbers(boards: &[(u32, [Point3<f64>; 4])], view: &View, overlay: &mut Overlay) {
+fn numbers(boards: &[(u32, [Point3<f64>; 4])], view: &View, drawing: &mut Drawing) {
     let mut tops: Vec<(usize, Vector2<f64>)> = boards
         .iter()
         .enumerate()
@@ -206,8 +198,8 @@ fn numbers(boards: &[(u32, [Point3<f64>; 4])], view: &View, overlay: &mut Overla
     for ((i, top), x) in shown.into_iter().zip(places) {
         let color = BOARD_COLORS[i % BOARD_COLORS.len()];
         let number = Vector2::new(x, 20.0);
-        overlay.line(&[number + Vector2::new(0.0, 9.0), top], color, 0.6);
-        overlay.colored_text(number, Anchor::Middle, 13.0, color, &boards[i].0.to_string());
+        drawing.line(&[number + Vector2::new(0.0, 9.0), top], color, 0.6);
+        drawing.colored_text(number, Anchor::Middle, 13.0, color, &boards[i].0.to_string());
     }
 }
 
@@ -231,21 +223,21 @@ impl Box3 {
     }
 
     /// Draws the floor and the wall behind with their ticks.
-    fn draw(&self, view: &View, overlay: &mut Overlay) {
-        let (low, high) = (self.low, self.high);
+    fn draw(&self, view: &View, drawing: &mut Drawing) {
+        let (low, high, apart) = (self.low, self.high, TICK / view.scale);
         let floor = |x: f64, z: f64| Point3::new(x, high.y, z);
         let wall = |y: f64, z: f64| Point3::new(low.x, y, z);
         let mut line = |from: Point3<f64>, to: Point3<f64>, width: f64| {
-            overlay.line(&view.places(&[from, to]), INK, width);
+            drawing.line(&view.places(&[from, to]), INK, width);
         };
-        for (z, _) in ticks(low.z, high.z, view) {
+        for (z, _) in ticks(low.z, high.z, apart) {
             line(floor(low.x, z), floor(high.x, z), 0.25);
             line(wall(low.y, z), wall(high.y, z), 0.25);
         }
-        for (x, _) in ticks(low.x, high.x, view) {
+        for (x, _) in ticks(low.x, high.x, apart) {
             line(floor(x, low.z), floor(x, high.z), 0.25);
         }
-        for (y, _) in ticks(low.y, high.y, view) {
+        for (y, _) in ticks(low.y, high.y, apart) {
             line(wall(y, low.z), wall(y, high.z), 0.25);
         }
         line(floor(high.x, low.z), floor(high.x, high.z), 0.9);
@@ -253,16 +245,16 @@ impl Box3 {
         line(wall(low.y, low.z), wall(high.y, low.z), 0.9);
 
         let mut words = |at: Point3<f64>, shift: Vector2<f64>, anchor: Anchor, words: &str| {
-            overlay.text(view.place(&at) + shift, anchor, 12.0, words);
+            drawing.text(view.place(&at) + shift, anchor, 12.0, words);
         };
         let below = Vector2::new(4.0, 12.0);
-        for (z, name) in ticks(low.z, high.z, view) {
+        for (z, name) in ticks(low.z, high.z, apart) {
             words(floor(high.x, z), below, Anchor::Middle, &name);
         }
-        for (x, name) in ticks(low.x, high.x, view) {
+        for (x, name) in ticks(low.x, high.x, apart) {
             words(floor(x, low.z), Vector2::new(-6.0, 8.0), Anchor::End, &name);
         }
-        for (y, name) in ticks(low.y, high.y, view) {
+        for (y, name) in ticks(low.y, high.y, apart) {
             words(wall(y, low.z), Vector2::new(-7.0, 0.0), Anchor::End, &name);
         }
         let middle = f64::midpoint(low.z, high.z);
@@ -275,16 +267,3 @@ impl Box3 {
 
 /// Smallest distance between ticks, px.
 const TICK: f64 = 32.0;
-
-/// Round numbers along an axis, with their labels.
-fn ticks(low: f64, high: f64, view: &View) -> Vec<(f64, String)> {
-    // Consecutive round numbers differ by a factor of at most 2.5.
-    let step = round_below(2.5 * TICK / view.scale);
-    let mut ticks = Vec::new();
-    let mut tick = (low / step).ceil() * step;
-    while tick <= high {
-        ticks.push((tick, axis_number(tick)));
-        tick += step;
-    }
-    ticks
-}

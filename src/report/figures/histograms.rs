@@ -1,15 +1,10 @@
 //! Residuals as histograms with the normal curve that they should follow.
 
 use nalgebra::Vector2;
-use plotters::prelude::*;
 
-use super::figure;
+use super::super::drawing::{Area, Axis, BLUE, Drawing, FITTED, quantile};
+use super::super::tree::Figure;
 use crate::calibration::Calibration;
-use crate::error::Result;
-use crate::report::drawing::{
-    Anchor, Area, BLUE, FITTED, INK, Overlay, Plane, axis_number, drawing, font, picture, quantile,
-};
-use crate::report::html::Figure;
 use crate::solver::LossKind;
 
 const BINS: usize = 40;
@@ -25,7 +20,7 @@ struct Panel {
     std_dev: f64,
 }
 
-pub(super) fn residual_histograms(calibration: &Calibration) -> Result<Option<Figure>> {
+pub(super) fn residual_histograms(calibration: &Calibration) -> Option<Figure> {
     let (features, centers) =
         (&calibration.reprojection.features, &calibration.reprojection.centers);
     let [uv, rho, of_centers] = calibration.uncertainty.residual_std_dev_px;
@@ -49,15 +44,15 @@ pub(super) fn residual_histograms(calibration: &Calibration) -> Result<Option<Fi
     ];
     panels.retain(|panel| !panel.values.is_empty());
     if panels.is_empty() {
-        return Ok(None);
+        return None;
     }
     let rows = panels.len().div_ceil(2);
-    #[allow(clippy::cast_possible_truncation)] // two rows at most
-    let height = 300 * rows as u32;
-    let svg = picture((900, height), |root, overlay| {
-        let areas = root.split_evenly((rows, panels.len().min(2)));
-        panels.iter().zip(&areas).try_for_each(|(panel, area)| histogram(area, panel, overlay))
-    })?;
+    let height = 300.0 * rows as f64;
+    let mut drawing = Drawing::new(900.0, height);
+    let areas = Area::new(0.0, 0.0, 900.0, height).split(rows, panels.len().min(2));
+    for (panel, area) in panels.iter().zip(areas) {
+        histogram(&area.within_axes(), panel, &mut drawing);
+    }
     let spread = if calibration.cost.loss.kind == LossKind::None {
         "the measured standard deviation"
     } else {
@@ -67,10 +62,10 @@ pub(super) fn residual_histograms(calibration: &Calibration) -> Result<Option<Fi
         "Residuals with the normal curve of {spread}. Bars that do not follow the curve, or lie far \
          out, are errors other than noise: false observations, or something that the model lacks."
     );
-    Ok(Some(figure("residual-histograms", caption, svg)))
+    Some(drawing.figure("residual-histograms", caption))
 }
 
-fn histogram(area: &Area, panel: &Panel, overlay: &mut Overlay) -> Result<()> {
+fn histogram(chart: &Area, panel: &Panel, drawing: &mut Drawing) {
     let mut sizes: Vec<f64> = panel.values.iter().map(|v| v.abs()).collect();
     let most = quantile(&mut sizes, 0.98).unwrap_or(0.0);
     let has_curve = panel.std_dev.is_finite() && panel.std_dev > 0.0;
@@ -95,35 +90,12 @@ fn histogram(area: &Area, panel: &Panel, overlay: &mut Overlay) -> Result<()> {
     let highest = f64::from(counts.iter().copied().max().unwrap_or(1));
     let highest =
         1.08 * if has_curve { highest.max(normal(0.0).min(2.0 * highest)) } else { highest };
-
-    let area = area.margin(34, 6, 8, 16);
-    let mut chart = ChartBuilder::on(&area)
-        .x_label_area_size(42)
-        .y_label_area_size(56)
-        .build_cartesian_2d(-half..half, 0.0..highest)
-        .map_err(drawing)?;
-    chart
-        .configure_mesh()
-        .disable_mesh()
-        .axis_style(INK)
-        .x_labels(7)
-        .y_labels(5)
-        .x_label_formatter(&|x| axis_number(*x))
-        .y_label_formatter(&|y| axis_number(*y))
-        .x_desc("residual, px")
-        .y_desc("number")
-        .label_style(font(13))
-        .draw()
-        .map_err(drawing)?;
-    let plane = Plane::of_chart(
-        chart.plotting_area().get_pixel_range(),
-        Vector2::new(-half, 0.0),
-        Vector2::new(half, highest),
-    );
+    let x = Axis::new("residual, px", [-half, half]);
+    let plane = drawing.axes(chart, &x, &Axis::new("number", [0.0, highest]));
     for (bin, &count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
         let corner = plane.place(-half + bin as f64 * bin_width, f64::from(count));
         let size = Vector2::new(bin_width, f64::from(count)).component_mul(&plane.scale).abs();
-        overlay.rectangle(corner, size - Vector2::new(1.0, 0.0), BLUE, 0.75);
+        drawing.rectangle(corner, size - Vector2::new(1.0, 0.0), BLUE, 0.75);
     }
     let mut title = format!("{}: {}", panel.name, panel.values.len());
     if has_curve {
@@ -131,15 +103,13 @@ fn histogram(area: &Area, panel: &Panel, overlay: &mut Overlay) -> Result<()> {
             .map(|i| -half + 2.0 * half * f64::from(i) / f64::from(CURVE_POINTS))
             .map(|x| plane.place(x, normal(x).min(highest)))
             .collect();
-        overlay.line(&points, FITTED, 2.0);
+        drawing.line(&points, FITTED, 2.0);
         title = format!("{title}, σ {} px", short(panel.std_dev));
     }
     if beyond > 0 {
         title = format!("{title}, {beyond} beyond");
     }
-    let above = plane.place(-half, highest) - Vector2::new(0.0, 17.0);
-    overlay.text(above, Anchor::Start, 14.0, &title);
-    Ok(())
+    drawing.title(chart, &title);
 }
 
 /// A standard deviation in px with its significant digits.

@@ -1,0 +1,332 @@
+//! A report as data: sections of text, tables and figures, made from results.
+//!
+//! The same tree is shown on a terminal ([`Section::to_text`]), as a page ([`Report::to_html`]), and as JSON (serde).
+
+use std::fmt::Write as _;
+
+use serde::{Deserialize, Serialize};
+
+use crate::quantity::{signed, two_digits, with_std_dev};
+
+/// A report.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct Report {
+    /// Title of the page, and its heading.
+    pub title: String,
+    /// Line below the title; empty for none.
+    pub subtitle: String,
+    /// In order.
+    pub sections: Vec<Section>,
+}
+
+/// A part of the report that is listed in its table of contents.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Section {
+    /// Its heading.
+    pub title: String,
+    /// In order.
+    pub parts: Vec<Part>,
+    /// Warnings of its stage: first in the section of a page; a terminal has them apart from results.
+    #[serde(default)]
+    pub warnings: Vec<String>,
+}
+
+/// A part of a section.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// Plain text; empty lines divide paragraphs, line breaks stay.
+    Text(String),
+    /// A table.
+    Table(Table),
+    /// A picture.
+    Figure(Figure),
+    /// Parts that are shown on demand, and always in print.
+    Details {
+        /// What the parts are.
+        summary: String,
+        /// In order.
+        parts: Vec<Part>,
+    },
+}
+
+/// A table.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Table {
+    /// What it shows.
+    pub caption: String,
+    /// The columns; a first column of text names the rows.
+    pub columns: Vec<Column>,
+    /// Cells, row by row.
+    pub rows: Vec<Vec<Cell>>,
+}
+
+/// A column of a table.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Column {
+    /// Name of its quantity.
+    pub name: String,
+    /// Unit of its numbers; empty for text, for counts, and where each row has a unit of its own.
+    pub unit: String,
+    /// Whether its cells are numbers, which are aligned right.
+    pub is_number: bool,
+}
+
+/// A cell of a table.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Cell {
+    /// A number.
+    Number {
+        /// The finite number, in the unit of its column or row.
+        value: f64,
+        /// The number with as many digits as are worth showing.
+        text: String,
+    },
+    /// Text, also for what is not known as a number (`fixed`); empty where a row has nothing to show.
+    Text(String),
+    /// A number that is not known.
+    Missing,
+}
+
+/// A picture with its file name and caption.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Figure {
+    /// File name, such as `correlations.svg`.
+    pub name: String,
+    /// What it shows, in a sentence or two.
+    pub caption: String,
+    /// The picture: one `<svg>` element without ids. A figure written as JSON leaves it to a separate file.
+    #[serde(skip)]
+    pub svg: String,
+}
+
+impl Section {
+    /// A section.
+    #[must_use]
+    pub fn new(title: &str, parts: Vec<Part>) -> Self {
+        Self { title: title.to_owned(), parts, warnings: Vec::new() }
+    }
+
+    /// The address of the section on a page: its title in lower case, words joined by `-`.
+    #[must_use]
+    pub fn id(&self) -> String {
+        let lower = self.title.to_lowercase();
+        let words = lower.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty());
+        words.collect::<Vec<_>>().join("-")
+    }
+
+    /// The tables that are shown at once.
+    pub fn tables(&self) -> impl Iterator<Item = &Table> {
+        self.parts.iter().filter_map(|part| match part {
+            Part::Table(table) => Some(table),
+            Part::Text(_) | Part::Figure(_) | Part::Details { .. } => None,
+        })
+    }
+
+    /// All figures of the section.
+    pub fn figures_mut(&mut self) -> Vec<&mut Figure> {
+        fn collect<'a>(parts: &'a mut [Part], figures: &mut Vec<&'a mut Figure>) {
+            for part in parts {
+                match part {
+                    Part::Figure(figure) => figures.push(figure),
+                    Part::Details { parts, .. } => collect(parts, figures),
+                    Part::Text(_) | Part::Table(_) => {}
+                }
+            }
+        }
+        let mut figures = Vec::new();
+        collect(&mut self.parts, &mut figures);
+        figures
+    }
+}
+
+impl Part {
+    /// Lines as paragraphs.
+    pub(super) fn paragraphs(text: &str) -> impl Iterator<Item = Self> {
+        let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
+        lines.map(|line| Self::Text(line.to_owned()))
+    }
+}
+
+impl Table {
+    /// A table without rows.
+    #[must_use]
+    pub fn new(caption: &str, columns: impl IntoIterator<Item = Column>) -> Self {
+        let columns = columns.into_iter().collect();
+        Self { caption: caption.to_owned(), columns, rows: Vec::new() }
+    }
+
+    /// Adds a row.
+    pub fn push(&mut self, row: impl IntoIterator<Item = Cell>) {
+        self.rows.push(row.into_iter().collect());
+    }
+}
+
+impl Column {
+    /// A column of text.
+    #[must_use]
+    pub fn text(name: &str) -> Self {
+        Self { name: name.to_owned(), unit: String::new(), is_number: false }
+    }
+
+    /// A column of counts, or of numbers whose unit is in each row.
+    #[must_use]
+    pub fn number(name: &str) -> Self {
+        Self { name: name.to_owned(), unit: String::new(), is_number: true }
+    }
+
+    /// A column of numbers with a unit.
+    #[must_use]
+    pub fn of(name: &str, unit: &str) -> Self {
+        Self { name: name.to_owned(), unit: unit.to_owned(), is_number: true }
+    }
+
+    /// Name and unit.
+    #[must_use]
+    pub fn heading(&self) -> String {
+        let mut heading = self.name.clone();
+        if !self.unit.is_empty() {
+            let _ = write!(heading, ", {}", self.unit);
+        }
+        heading
+    }
+}
+
+impl Cell {
+    /// Nothing to show.
+    #[must_use]
+    pub fn empty() -> Self {
+        Self::Text(String::new())
+    }
+
+    /// A number that is shown in its own way; missing if it is not finite.
+    fn shown(value: f64, text: impl FnOnce(f64) -> String) -> Self {
+        if value.is_finite() { Self::Number { value, text: text(value) } } else { Self::Missing }
+    }
+
+    /// A number with so many decimals.
+    #[must_use]
+    pub fn fixed(value: f64, decimals: usize) -> Self {
+        Self::shown(value, |x| format!("{x:.decimals$}"))
+    }
+
+    /// A number with its sign and so many decimals.
+    #[must_use]
+    pub fn signed(value: f64, decimals: usize) -> Self {
+        Self::shown(value, |x| format!("{x:+.decimals$}"))
+    }
+
+    /// A number with its sign and three significant digits.
+    #[must_use]
+    pub fn difference(value: f64) -> Self {
+        Self::shown(value, signed)
+    }
+
+    /// A number with so many decimals and a power of ten.
+    #[must_use]
+    pub fn exponential(value: f64, decimals: usize) -> Self {
+        Self::shown(value, |x| format!("{x:.decimals$e}"))
+    }
+
+    /// A number with two significant digits; missing if it is not positive.
+    #[must_use]
+    pub fn two_digits(value: f64) -> Self {
+        if value > 0.0 { Self::shown(value, two_digits) } else { Self::Missing }
+    }
+
+    /// An optional number, missing if there is none.
+    #[must_use]
+    pub fn or_missing(value: Option<f64>, cell: impl FnOnce(f64) -> Self) -> Self {
+        value.map_or(Self::Missing, cell)
+    }
+
+    /// A value with as many digits as its standard deviation makes sensible, or six.
+    #[must_use]
+    pub fn value(value: f64, std_dev: Option<f64>) -> Self {
+        Self::shown(value, |x| with_std_dev(x, std_dev).0)
+    }
+
+    /// A standard deviation with two digits; empty if there is none or it is 0.
+    #[must_use]
+    pub fn std_dev(std_dev: Option<f64>) -> Self {
+        match std_dev {
+            Some(s) if s > 0.0 => Self::shown(s, |s| with_std_dev(0.0, Some(s)).1),
+            _ => Self::empty(),
+        }
+    }
+
+    /// A value and its standard deviation, both with the digits that this makes sensible.
+    #[must_use]
+    pub fn with_std_dev(value: f64, std_dev: Option<f64>) -> [Self; 2] {
+        let of_std_dev = match std_dev {
+            Some(s) if s > 0.0 => Self::shown(s, |s| with_std_dev(value, Some(s)).1),
+            _ => Self::empty(),
+        };
+        [Self::value(value, std_dev), of_std_dev]
+    }
+
+    /// The cell as text; `-` for a missing number.
+    #[must_use]
+    pub fn as_text(&self) -> &str {
+        match self {
+            Self::Number { text, .. } | Self::Text(text) => text,
+            Self::Missing => "-",
+        }
+    }
+}
+
+impl From<&str> for Cell {
+    fn from(text: &str) -> Self {
+        Self::Text(text.to_owned())
+    }
+}
+
+impl From<String> for Cell {
+    fn from(text: String) -> Self {
+        Self::Text(text)
+    }
+}
+
+impl From<usize> for Cell {
+    fn from(count: usize) -> Self {
+        Self::Number { value: count as f64, text: count.to_string() }
+    }
+}
+
+impl From<u32> for Cell {
+    fn from(number: u32) -> Self {
+        Self::Number { value: f64::from(number), text: number.to_string() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_are_numbers_text_or_null_in_json() {
+        let cells = [Cell::fixed(1.0 / 3.0, 2), "fixed".into(), Cell::fixed(f64::NAN, 2)];
+        let json = serde_json::to_value(&cells).unwrap();
+        assert_eq!(
+            json,
+            serde_json::json!([{ "value": 1.0 / 3.0, "text": "0.33" }, "fixed", null])
+        );
+        assert_eq!(serde_json::from_value::<Vec<Cell>>(json).unwrap(), cells);
+    }
+
+    #[test]
+    fn digits_follow_the_standard_deviation() {
+        let text = |cells: [Cell; 2]| cells.map(|cell| cell.as_text().to_owned());
+        assert_eq!(text(Cell::with_std_dev(54.741, Some(0.108))), ["54.74", "0.11"]);
+        assert_eq!(text(Cell::with_std_dev(54.741, None)), ["54.7410", ""]);
+        assert_eq!(text(Cell::with_std_dev(f64::NAN, Some(f64::INFINITY))), ["-", "-"]);
+        assert_eq!(Cell::std_dev(Some(0.108)).as_text(), "0.11");
+        assert_eq!(Cell::two_digits(0.0).as_text(), "-");
+    }
+
+    #[test]
+    fn sections_are_addressed_by_their_titles() {
+        assert_eq!(Section::new("Boards: evaluation (2)", Vec::new()).id(), "boards-evaluation-2");
+    }
+}
