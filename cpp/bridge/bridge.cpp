@@ -88,9 +88,8 @@ CostOptions to_core(const CostParts& parts) {
   options.rho = parts.rho;
   options.features_loss = {parts.loss_kind, parts.loss_scale};
   options.centers_loss = options.features_loss;
-  std::vector<std::string> held;
-  for (const rust::String& name : parts.fixed) held.emplace_back(name);
-  options.hold_only(held);
+  options.fixed.clear();
+  for (const rust::String& name : parts.fixed) options.fixed.emplace(name);
   for (const AnchorRow& anchor : parts.anchors) {
     options.anchors.push_back({std::string(anchor.quantity), anchor.value, anchor.std_dev});
   }
@@ -170,11 +169,11 @@ rust::Vec<ProjectionRow> project(const CameraParts& parts, const BoardParts& boa
   rust::Vec<ProjectionRow> rows;
   rows.reserve(features.size());
   for (const FeatureRow& f : features) {
-    Feature<double> feature{};
     const Vector3<double> corner = corner_of(board, to_core(f.board_point_mm));
-    const bool defined = plenocal::project(optics, motions.at(f.frame)(corner),
-                                           micro_lens_of(camera, f.k, f.l), &feature);
-    rows.push_back({defined, feature.u, feature.v, feature.rho});
+    const auto feature =
+        plenocal::project(optics, motions.at(f.frame)(corner), micro_lens_of(camera, f.k, f.l));
+    rows.push_back(feature ? ProjectionRow{true, feature->u, feature->v, feature->rho}
+                           : ProjectionRow{});
   }
   return rows;
 }
@@ -234,18 +233,18 @@ UncertaintyParts uncertainty(const CameraParts& camera, const BoardParts& board,
   parts.size = u.size;
   parts.rank = u.rank;
   parts.shared = u.shared;
-  parts.covariance = from_core(u.covariance);
-  parts.independent_covariance = from_core(u.independent_covariance);
+  parts.covariance = from_core(u.covariance.values);
+  parts.independent_covariance = from_core(u.independent_covariance.values);
   parts.freedom = from_core(u.freedom);
-  parts.left_out_changes = from_core(u.left_out_changes);
-  parts.common_changes = from_core(u.common_changes);
-  parts.frame_shares = from_core(u.frame_shares);
-  parts.poses_by_intrinsics = from_core(u.poses_by_intrinsics);
+  parts.left_out_changes = from_core(u.left_out_changes.values);
+  parts.common_changes = from_core(u.common_changes.values);
+  parts.frame_shares = from_core(u.frame_shares.values);
+  parts.poses_by_intrinsics = from_core(u.poses_by_intrinsics.values);
   parts.dispersion = u.dispersion;
   parts.contradiction = u.contradiction;
   parts.contradicted = u.contradicted;
   parts.information = from_core(u.information);
-  parts.weakest = from_core(u.weakest);
+  parts.weakest = from_core(u.weakest.values);
   for (bool value : u.determined) parts.determined.push_back(value);
   parts.residual_std_dev_px = u.residual_std_dev;
   parts.std_dev_factors = u.std_dev_factors;
@@ -259,8 +258,12 @@ rust::Vec<double> frame_information(const CameraParts& camera, const BoardParts&
                                     rust::Slice<const PoseBlock> poses,
                                     rust::Slice<const FeatureRow> features, const CostParts& cost,
                                     int32_t threads) {
-  return from_core(plenocal::frame_information(
-      to_core(camera), to_core(poses), to_core(board, features, {}), to_core(cost), threads));
+  rust::Vec<double> all;
+  for (const Matrix& of_frame : plenocal::frame_information(
+           to_core(camera), to_core(poses), to_core(board, features, {}), to_core(cost), threads)) {
+    for (double value : of_frame.values) all.push_back(value);
+  }
+  return all;
 }
 
 rust::Vec<FeatureRow> visible_features(const CameraParts& parts, const BoardParts& board_parts,
@@ -278,9 +281,8 @@ rust::Vec<FeatureRow> visible_features(const CameraParts& parts, const BoardPart
       const Vector3<double> corner = corner_of(board, to_core(row.point_mm));
       const Vector3<double> point = camera_from_board(corner);
       for (const auto& [k, l] : micro_lenses_seeing(camera, point, margin_px)) {
-        Feature<double> seen{};
-        if (plenocal::project(optics, point, micro_lens_of(camera, k, l), &seen)) {
-          rows.push_back({frame, row.point_mm, k, l, seen.u, seen.v, seen.rho, {1.0, 1.0, 1.0}});
+        if (const auto seen = plenocal::project(optics, point, micro_lens_of(camera, k, l))) {
+          rows.push_back({frame, row.point_mm, k, l, seen->u, seen->v, seen->rho, {1.0, 1.0, 1.0}});
         }
       }
     }
@@ -298,7 +300,7 @@ rust::Vec<SensitivityRow> point_sensitivities(const CameraParts& parts,
   for (const PointRow& row : points) {
     const PointSensitivity s = point_sensitivity(
         camera, to_core(row.point_mm), {std_dev_px[0], std_dev_px[1], std_dev_px[2]}, margin_px);
-    rows.push_back({s.micro_lenses, from_core(s.by_intrinsics), s.covariance});
+    rows.push_back({s.micro_lenses, from_core(s.by_intrinsics.values), s.covariance});
   }
   return rows;
 }

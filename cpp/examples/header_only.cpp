@@ -17,16 +17,16 @@ int main() {
   const auto optics = plenocal::optics_of(camera);
   const auto micro_lens = plenocal::micro_lens_of(camera, 90, 80);
   const plenocal::Vector3<double> point{3.0, -2.0, 420.0};
-  plenocal::Feature<double> feature{};
-  if (!plenocal::project(optics, point, micro_lens, &feature)) return 1;
-  std::printf("u %.4f v %.4f rho %.4f px\n", feature.u, feature.v, feature.rho);
+  const auto feature = plenocal::project(optics, point, micro_lens);
+  if (!feature) return 1;
+  std::printf("u %.4f v %.4f rho %.4f px\n", feature->u, feature->v, feature->rho);
 
   // ... and the ray from there back into space passes through it.
-  plenocal::Ray<double> ray{};
-  if (!plenocal::object_ray(optics, micro_lens, {feature.u, feature.v}, point.z, &ray)) return 1;
-  const double t = (point.z - ray.origin.z) / ray.direction.z;
-  const double apart = std::hypot(ray.origin.x + t * ray.direction.x - point.x,
-                                  ray.origin.y + t * ray.direction.y - point.y);
+  const auto ray = plenocal::object_ray(optics, micro_lens, {feature->u, feature->v}, point.z);
+  if (!ray) return 1;
+  const double t = (point.z - ray->origin.z) / ray->direction.z;
+  const double apart = std::hypot(ray->origin.x + t * ray->direction.x - point.x,
+                                  ray->origin.y + t * ray->direction.y - point.y);
   std::printf("the ray misses it by %.1e mm\n", apart);
   return apart < 1e-9 ? 0 : 1;
 }

@@ -18,11 +18,11 @@ struct Reprojection {
     const auto array = plenocal::cast<T>(camera.mla);
     const plenocal::Optics<T> optics(lens, array, nullptr, 0, camera.pixel_size);
     const auto point = plenocal::Motion<T>(pose)(seen.board_point);
-    plenocal::Feature<T> feature;
     const auto micro_lens = plenocal::micro_lens_of(camera, seen.k, seen.l);
-    if (!plenocal::project(optics, point, micro_lens, &feature)) return false;
-    residual[0] = (feature.u - seen.observed.u) / seen.std_dev.u;
-    residual[1] = (feature.v - seen.observed.v) / seen.std_dev.v;
+    const auto feature = plenocal::project(optics, point, micro_lens);
+    if (!feature) return false;
+    residual[0] = (feature->u - seen.observed.u) / seen.std_dev.u;
+    residual[1] = (feature->v - seen.observed.v) / seen.std_dev.v;
     return true;
   }
 };

@@ -55,13 +55,12 @@ MetricPoint with_covariance(const Vector3<Jet>& point, const Eigen::Matrix3d& co
 // The point with an image p' that depends on three variables with these sigma.
 std::optional<MetricPoint> imaged(const MainLens<double>& lens, const Vector3<Jet>& image,
                                   const std::array<double, 3>& std_dev) {
-  Vector3<Jet> point;
-  if (!object_point(constant(lens), image, &point) ||
-      !is_finite(Vector3<double>{point.x.a, point.y.a, point.z.a})) {
+  const std::optional<Vector3<Jet>> point = object_point(constant(lens), image);
+  if (!point || !is_finite(Vector3<double>{point->x.a, point->y.a, point->z.a})) {
     return std::nullopt;
   }
   const Eigen::Vector3d std_devs(std_dev[0], std_dev[1], std_dev[2]);
-  return with_covariance(point, std_devs.cwiseAbs2().asDiagonal());
+  return with_covariance(*point, std_devs.cwiseAbs2().asDiagonal());
 }
 
 // What a sighting says of the image p' of a point: residuals over sigma and their derivatives.
@@ -93,10 +92,10 @@ class Sight {
   bool add_features(const Vector3<double>& image, const Loss& loss, Eigen::Matrix3d* normal,
                     Eigen::Vector3d* right, double* squares) const {
     const double a = image.z - center_.z;
-    Pixel<double> pixel;
-    double scale = 0.0;
-    if (!optics_.array.through_micro_lens(image, center_, &pixel, &scale)) return false;
-    const double per_mm = -scale / pixel_size();
+    const auto scale = optics_.array.image_scale(image, center_);
+    if (!scale) return false;
+    const Pixel<double> pixel = optics_.array.through_micro_lens(image, center_, *scale);
+    const double per_mm = -*scale / pixel_size();
     const double along_u = (image.x - center_.x) / a, along_v = (image.y - center_.y) / a;
     Eigen::Matrix3d own = Eigen::Matrix3d::Zero();
     Eigen::Vector3d own_right = Eigen::Vector3d::Zero();
@@ -117,7 +116,7 @@ class Sight {
     add(off_v - share * off_u, sigma.v * rest_, by_v - share * by_u);
     if (uses_rho_) {
       const double rho =
-          optics_.array.blur_radius(center_, scale, optics_.inverse_focal_lengths[lens_type_]);
+          optics_.array.blur_radius(center_, *scale, optics_.inverse_focal_lengths[lens_type_]);
       add(sighting_.observed.rho - rho, sighting_.std_dev.rho, {0.0, 0.0, rho_slope(image.z)});
     }
     const double weight = loss_weight(loss, square);
@@ -236,12 +235,9 @@ std::optional<Ray<double>> BackProjection::ray_behind(const MicroPixel& at,
 
 std::optional<Ray<double>> BackProjection::object_ray(const MicroPixel& at, double z) const {
   const auto lens = micro_lens(at.k, at.l);
-  Ray<double> ray;
-  if (!lens || !is_finite(at.pixel) || !std::isfinite(z) ||
-      !plenocal::object_ray(optics_, *lens, at.pixel, z, &ray)) {
-    return std::nullopt;
-  }
-  return is_finite(ray.direction) && is_finite(ray.origin) ? std::optional(ray) : std::nullopt;
+  if (!lens || !is_finite(at.pixel) || !std::isfinite(z)) return std::nullopt;
+  const auto ray = plenocal::object_ray(optics_, *lens, at.pixel, z);
+  return ray && is_finite(ray->direction) && is_finite(ray->origin) ? ray : std::nullopt;
 }
 
 std::optional<MetricPoint> BackProjection::point(const VirtualPoint& seen) const {
@@ -314,13 +310,12 @@ std::optional<MetricPoint> BackProjection::triangulate(const std::vector<Sightin
     settled = step.dot(normal * step) <= kSettled * kSettled ||
               step.norm() <= std::numeric_limits<double>::epsilon() * image.norm();
   }
-  Vector3<Jet> point;
+  if (!settled) return std::nullopt;
   const Vector3<Jet> variable{Jet(image.x(), 0), Jet(image.y(), 1), Jet(image.z(), 2)};
-  if (!settled || !plenocal::object_point(constant(camera_.main_lens), variable, &point)) {
-    return std::nullopt;
-  }
+  const auto point = object_point(constant(camera_.main_lens), variable);
+  if (!point) return std::nullopt;
   const double least = rho_std_dev / std::abs(sights.front().rho_slope(image.z()));
-  MetricPoint result = with_covariance(point, with_least_depth(inverse, least));
+  MetricPoint result = with_covariance(*point, with_least_depth(inverse, least));
   result.chi_square = squares;
   result.freedom = residuals - kPoint;
   return result;
@@ -329,10 +324,10 @@ std::optional<MetricPoint> BackProjection::triangulate(const std::vector<Sightin
 std::optional<double> BackProjection::virtual_depth(int k, int l,
                                                     const Vector3<double>& point) const {
   const auto lens = micro_lens(k, l);
-  Vector3<double> image;
-  if (!lens || !main_lens_image(optics_.main_lens, point, &image)) return std::nullopt;
+  const auto image = main_lens_image(optics_.main_lens, point);
+  if (!lens || !image) return std::nullopt;
   const double depth =
-      virtual_depth_of(optics_.array, optics_.array.micro_lens_center(lens->node), image);
+      virtual_depth_of(optics_.array, optics_.array.micro_lens_center(lens->node), *image);
   return std::isfinite(depth) ? std::optional(depth) : std::nullopt;
 }
 

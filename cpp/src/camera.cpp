@@ -51,29 +51,28 @@ void validate(const Camera& camera) {
   });
 }
 
-bool project(const Camera& camera, const Pose& camera_from_board,
-             const Vector3<double>& board_point, int k, int l, Feature<double>* feature) {
+std::optional<Feature<double>> project(const Camera& camera, const Pose& camera_from_board,
+                                       const Vector3<double>& board_point, int k, int l) {
   validate(camera);
-  if (!camera.lattice.contains(k, l)) return false;
+  if (!camera.lattice.contains(k, l)) return std::nullopt;
   const Motion<double> motion(pose_block(camera_from_board).data());
   const Optics<double> optics = optics_of(camera);
   const Vector3<double> point = motion(board_point);
-  Vector3<double> image;
-  if (!std::isfinite(point.z) || !main_lens_image(optics.main_lens, point, &image)) return false;
-  Vector2<double> ideal;
-  if (!undistort(optics.main_lens, {image.x, image.y}, &ideal)) return false;
+  if (!std::isfinite(point.z)) return std::nullopt;
+  const auto image = main_lens_image(optics.main_lens, point);
+  if (!image) return std::nullopt;
+  const auto ideal = undistort(optics.main_lens, {image->x, image->y});
+  if (!ideal) return std::nullopt;
   const double magnification =
       -camera.main_lens.focal_length / (point.z - camera.main_lens.focal_length);
   // What distortion brings back from beyond its fold is the image of another point.
   const double off =
-      std::hypot(ideal.x - magnification * point.x, ideal.y - magnification * point.y);
+      std::hypot(ideal->x - magnification * point.x, ideal->y - magnification * point.y);
   constexpr double kSame = 1e-6;
-  if (!(off <= kSame * std::max(1.0, std::hypot(ideal.x, ideal.y)))) return false;
-  Feature<double> found;
-  if (!project_image(optics, image, micro_lens_of(camera, k, l), &found)) return false;
-  if (!std::isfinite(found.u) || !std::isfinite(found.v)) return false;
-  *feature = found;
-  return true;
+  if (!(off <= kSame * std::max(1.0, std::hypot(ideal->x, ideal->y)))) return std::nullopt;
+  const auto feature = project_image(optics, *image, micro_lens_of(camera, k, l));
+  if (!feature || !std::isfinite(feature->u) || !std::isfinite(feature->v)) return std::nullopt;
+  return feature;
 }
 
 Pixel<double> project_center(const Camera& camera, int k, int l) {

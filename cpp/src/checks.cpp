@@ -9,10 +9,6 @@ bool contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }
 
-bool is_held_by_default(const std::string& name) {
-  return std::find(kHeldByDefault.begin(), kHeldByDefault.end(), name) != kHeldByDefault.end();
-}
-
 std::string micro_lens_text(int k, int l) {
   return "micro-lens (" + std::to_string(k) + ", " + std::to_string(l) + ")";
 }
@@ -63,12 +59,12 @@ void require_center(const CenterObservation& o, const Lattice& lattice) {
   require_std_dev(o.std_dev, text);
 }
 
-void require_anchor(const Anchor& anchor, int lens_types, const std::vector<std::string>& fixed) {
+void require_anchor(const Anchor& anchor, int lens_types, const std::set<std::string>& fixed) {
   const auto names = shared_names(lens_types);
   const std::string text = "the anchor of " + anchor.quantity;
   if (!std::isfinite(anchor.value)) reject(text + " is not finite");
   require_std_dev(anchor.std_dev, text);
-  const auto is_fixed = [&fixed](const std::string& name) { return contains(fixed, name); };
+  const auto is_fixed = [&fixed](const std::string& name) { return fixed.count(name) > 0; };
   if (anchor.quantity == kSlopeName) {
     if (is_fixed("F") && is_fixed("d") && is_fixed("D") && is_fixed("e_z")) {
       reject(text + " has no effect: F, d, D and e_z are fixed");
@@ -96,44 +92,21 @@ void require_anchor(const Anchor& anchor, int lens_types, const std::vector<std:
 
 }  // namespace
 
-std::vector<std::string> CostOptions::held() const {
-  std::vector<std::string> names;
-  for (const char* name : kHeldByDefault) {
-    if (!contains(free, name)) names.emplace_back(name);
-  }
-  for (const std::string& name : fixed) {
-    if (!contains(names, name)) names.push_back(name);
-  }
-  return names;
+void CostOptions::fix(const std::vector<std::string>& names) {
+  fixed.insert(names.begin(), names.end());
 }
 
-void CostOptions::hold_only(const std::vector<std::string>& names) {
-  fixed.clear();
-  free.clear();
+void CostOptions::free(const std::vector<std::string>& names) {
   for (const std::string& name : names) {
-    if (!is_held_by_default(name)) fixed.push_back(name);
-  }
-  for (const char* name : kHeldByDefault) {
-    if (!contains(names, name)) free.emplace_back(name);
-  }
-}
-
-void require_names(const CostOptions& options, int lens_types) {
-  const auto names = shared_names(lens_types);
-  for (const std::string& name : options.fixed) {
-    if (!contains(names, name)) reject("there is no parameter " + name + " to fix");
-    if (contains(options.free, name)) reject(name + " is to be fixed and to be free");
-  }
-  for (const std::string& name : options.free) {
-    if (!contains(names, name)) reject("there is no parameter " + name + " to free");
+    if (fixed.erase(name) == 0) reject("the parameter " + name + " is not fixed");
   }
 }
 
 bool is_shape_free(const CostOptions& options) {
   const auto names = shape_names();
-  const auto fixed = options.held();
-  return std::any_of(names.begin(), names.end(),
-                     [&fixed](const std::string& name) { return !contains(fixed, name); });
+  return std::any_of(names.begin(), names.end(), [&options](const std::string& name) {
+    return options.fixed.count(name) == 0;
+  });
 }
 
 namespace {
@@ -149,7 +122,10 @@ void require_camera_and_observations(const Camera& camera, std::size_t poses,
                                      const Observations& observations, const CostOptions& options) {
   validate(camera);
   validate(observations.board);
-  require_names(options, camera.lens_types());
+  const auto names = shared_names(camera.lens_types());
+  for (const std::string& name : options.fixed) {
+    if (!contains(names, name)) reject("there is no parameter " + name + " to fix");
+  }
   if (is_shape_free(options)) require_size(observations.board);
   require_std_dev(options.uv_std_dev, "(u, v)");
   require_std_dev(options.rho_std_dev, "rho");
@@ -157,8 +133,9 @@ void require_camera_and_observations(const Camera& camera, std::size_t poses,
   require_loss(options.features_loss);
   require_loss(options.centers_loss);
   if (!is_positive(options.anchor_weight)) reject("the weight of the anchors has to be positive");
-  const auto held = options.held();
-  for (const Anchor& anchor : options.anchors) require_anchor(anchor, camera.lens_types(), held);
+  for (const Anchor& anchor : options.anchors) {
+    require_anchor(anchor, camera.lens_types(), options.fixed);
+  }
   for (int pose : options.fixed_poses) {
     if (pose < 0 || pose >= static_cast<int>(poses)) {
       reject("there is no pose " + std::to_string(pose) + " to fix");

@@ -23,10 +23,6 @@ inline void require_std_dev(double value, const std::string& name) {
 /// Whether a parameter of the board's shape is free.
 bool is_shape_free(const CostOptions& options);
 
-/// Names of `kHeldByDefault`, `fixed` and `free`, checked: those of shared parameters alone, and
-/// none of them both fixed and free.
-void require_names(const CostOptions& options, int lens_types);
-
 /// The size without which a shape means nothing.
 void require_size(const Board& board);
 

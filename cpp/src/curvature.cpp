@@ -17,7 +17,7 @@ constexpr int kDirections = 4;
 constexpr double kStep = 1e-4;
 
 // The state of a problem moved along a direction of the intrinsics, with the poses following.
-VectorXd moved(const CalibrationProblem& calibration, const VectorXd& state, const VectorXd& change,
+VectorXd moved(const LeastSquares& calibration, const VectorXd& state, const VectorXd& change,
                const MatrixXd& poses_by_intrinsics) {
   VectorXd result = state;
   const auto& free = calibration.free_intrinsics();
@@ -70,7 +70,7 @@ Eliminated without_poses(const NormalEquations& equations) {
   return result;
 }
 
-Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration, int threads) {
+Curvature curvature(const Eliminated& groups, LeastSquares* calibration, int threads) {
   const int p = static_cast<int>(groups.poses_by_intrinsics.cols());
   MatrixXd information = MatrixXd::Zero(p, p);
   for (const Group& group : groups.frames) information += group.information;

@@ -33,6 +33,6 @@ struct Curvature {
 /// differences of the gradient; elsewhere it is negligible. The weak directions are those of the
 /// observations; whether they are at a minimum, anchors decide too. `calibration` is left as it
 /// was.
-Curvature curvature(const Eliminated& groups, CalibrationProblem* calibration, int threads = 1);
+Curvature curvature(const Eliminated& groups, LeastSquares* calibration, int threads = 1);
 
 }  // namespace plenocal

@@ -26,12 +26,12 @@ void mirror(Eigen::MatrixXd* lower) {
 // Blocks that are evaluated at once, by all threads, before their sums are added in their order.
 constexpr int kBlocksAtOnce = 128;
 
-using Linearised = CalibrationProblem::Linearised;
+using Linearised = LeastSquares::Linearised;
 
 // Calls of_block(const Linearised&) for every block, on several threads, and then add(result) one
 // after the other, in their order: sums do not depend on the number of threads.
 template <typename Result, typename OfBlock, typename Add>
-void in_order(const CalibrationProblem& calibration, int threads, const OfBlock& of_block,
+void in_order(const LeastSquares& calibration, int threads, const OfBlock& of_block,
               const Add& add) {
   const int blocks = calibration.residual_blocks();
   std::vector<Result> results(std::min(blocks, kBlocksAtOnce));
@@ -270,7 +270,7 @@ class Accumulator {
 
 }  // namespace
 
-GroupGradients group_gradients(const CalibrationProblem& calibration, int threads) {
+GroupGradients group_gradients(const LeastSquares& calibration, int threads) {
   const auto p = static_cast<Eigen::Index>(calibration.free_intrinsics().size());
   const std::vector<RowOrigin>& rows = calibration.rows();
   GroupGradients gradients;
@@ -309,7 +309,7 @@ GroupGradients group_gradients(const CalibrationProblem& calibration, int thread
   return gradients;
 }
 
-NormalEquations normal_equations(const CalibrationProblem& calibration,
+NormalEquations normal_equations(const LeastSquares& calibration,
                                  const std::vector<CommonError>& common, int threads) {
   const std::vector<RowOrigin>& rows = calibration.rows();
   int frames = 0, corners = 0, anchors = 0;

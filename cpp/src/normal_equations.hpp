@@ -6,7 +6,7 @@
 #include <array>
 #include <vector>
 
-#include "plenocal/problem.hpp"
+#include "least_squares.hpp"
 
 namespace plenocal {
 
@@ -47,7 +47,7 @@ struct NormalEquations {
 };
 
 /// The same for any number of threads. Throws std::invalid_argument where the model is not defined.
-NormalEquations normal_equations(const CalibrationProblem& calibration,
+NormalEquations normal_equations(const LeastSquares& calibration,
                                  const std::vector<CommonError>& common = {}, int threads = 1);
 
 /// Gradients of frames (on the free intrinsics and the pose of the frame) and of patches (on the
@@ -58,7 +58,7 @@ struct GroupGradients {
 };
 
 /// Only the gradients, much faster; throws like `normal_equations`.
-GroupGradients group_gradients(const CalibrationProblem& calibration, int threads);
+GroupGradients group_gradients(const LeastSquares& calibration, int threads);
 
 /// Pseudo-inverse of an information matrix scaled to a unit diagonal, so that units do not matter.
 struct ScaledInverse {

@@ -166,15 +166,15 @@ PLENOCAL_FLATTEN Jacobian feature_jacobian(const Camera& camera, const Vector3<d
   const auto [x, y, z] = variables<kPoint>({point.x, point.y, point.z}, 0);
   const double rho_std_dev = std_dev.rho * std::sqrt(static_cast<double>(micro_lenses.size()));
   Jacobian jacobian(micro_lenses.size() * (optics.has_blur ? 3 : 2), kVariables);
-  Vector3<Jet> image;
-  if (!main_lens_image(optics.main_lens, {x, y, z}, &image)) return {};
+  const auto image = main_lens_image(optics.main_lens, {x, y, z});
+  if (!image) return {};
   int row = 0;
   for (const auto& [k, l] : micro_lenses) {
-    Feature<Jet> feature;
-    if (!project_image(optics, image, micro_lens_of(camera, k, l), &feature)) return {};
-    jacobian.row(row++) = feature.u.v.transpose() / std_dev.u;
-    jacobian.row(row++) = feature.v.v.transpose() / std_dev.v;
-    if (optics.has_blur) jacobian.row(row++) = feature.rho.v.transpose() / rho_std_dev;
+    const auto feature = project_image(optics, *image, micro_lens_of(camera, k, l));
+    if (!feature) return {};
+    jacobian.row(row++) = feature->u.v.transpose() / std_dev.u;
+    jacobian.row(row++) = feature->v.v.transpose() / std_dev.v;
+    if (optics.has_blur) jacobian.row(row++) = feature->rho.v.transpose() / rho_std_dev;
   }
   return jacobian;
 }
@@ -194,8 +194,7 @@ bool solve(const Jacobian& jacobian, int intrinsics, PointSensitivity* result) {
   qr.compute(by_point * scale.asDiagonal());
   if (qr.rank() < kPoint) return false;
 
-  using RowMajor3 = Eigen::Matrix<double, kPoint, Eigen::Dynamic, Eigen::RowMajor>;
-  Eigen::Map<RowMajor3>(result->by_intrinsics.data(), kPoint, intrinsics) =
+  result->by_intrinsics.eigen() =
       -(scale.asDiagonal() * qr.solve(jacobian.middleCols(kPoint, intrinsics)));
   const Eigen::Matrix3d upper = qr.matrixR().topRows<kPoint>();
   const Eigen::Matrix3d root =
@@ -215,13 +214,11 @@ std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera, const Vect
   }
   const Optics<double> optics = optics_of(camera);
   const double radius = 0.5 * optics.array.micro_image_pitch(camera.exit_pupil) - margin;
-  Vector3<double> image;
-  if (radius < 0.0 || !main_lens_image(optics.main_lens, point, &image) || !is_finite(image)) {
-    return {};
-  }
+  const auto image = main_lens_image(optics.main_lens, point);
+  if (radius < 0.0 || !image || !is_finite(*image)) return {};
 
   const Lattice& lattice = camera.lattice;
-  const Sight sight(camera, optics.array, image, radius);
+  const Sight sight(camera, optics.array, *image, radius);
   const Box box = sight.within(sight.within(whole_array(lattice)));
   const Node first = lattice.node(0, 0);
   const Node third = lattice.node(2, 2);
@@ -231,11 +228,11 @@ std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera, const Vect
   for (MicroLensIndex i{0, l.first}; i.l <= l.last; ++i.l) {
     for (i.k = k.first; i.k <= k.last; ++i.k) {
       const MicroLens micro_lens = micro_lens_of(camera, i.k, i.l);
-      Feature<double> feature;
-      if (!project_image(optics, image, micro_lens, &feature)) continue;
+      const auto feature = project_image(optics, *image, micro_lens);
+      if (!feature) continue;
       const Pixel<double> center =
           optics.array.micro_image_center(camera.exit_pupil, micro_lens.node);
-      if (std::hypot(feature.u - center.u, feature.v - center.v) <= radius) seeing.push_back(i);
+      if (std::hypot(feature->u - center.u, feature->v - center.v) <= radius) seeing.push_back(i);
     }
   }
   return seeing;
@@ -254,7 +251,8 @@ PointSensitivity point_sensitivity(const Camera& camera, const Vector3<double>& 
       kMainLensParameters + kExitPupilParameters + kArrayParameters + camera.lens_types();
   PointSensitivity result;
   result.micro_lenses = static_cast<int>(micro_lenses.size());
-  result.by_intrinsics.assign(kPoint * intrinsics, kNan);
+  result.by_intrinsics = {kPoint, intrinsics,
+                          std::vector<double>(static_cast<std::size_t>(kPoint * intrinsics), kNan)};
   result.covariance.fill(kNan);
   if (micro_lenses.size() >= 2) {
     solve(feature_jacobian(camera, point, micro_lenses, std_dev), intrinsics, &result);

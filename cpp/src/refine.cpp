@@ -7,7 +7,7 @@
 #include <memory>
 #include <stdexcept>
 
-#include "plenocal/problem.hpp"
+#include "least_squares.hpp"
 
 // Levenberg-Marquardt by Ceres, with extrapolation.
 //
@@ -29,7 +29,7 @@ constexpr double kSlow = 0.05;
 // Follows the solve: reports progress, records the accepted states, detects slow convergence.
 class Watch : public ceres::IterationCallback {
  public:
-  Watch(const CalibrationProblem& calibration, const Progress& progress, bool interrupt,
+  Watch(const LeastSquares& calibration, const Progress& progress, bool interrupt,
         std::vector<Iteration>* iterations)
       : calibration_(calibration),
         progress_(progress),
@@ -71,7 +71,7 @@ class Watch : public ceres::IterationCallback {
   double radius() const { return radius_; }
 
  private:
-  const CalibrationProblem& calibration_;
+  const LeastSquares& calibration_;
   const Progress& progress_;
   bool interrupt_;
   std::vector<Iteration>* iterations_;
@@ -109,7 +109,7 @@ Eigen::VectorXd limit(const std::vector<Eigen::VectorXd>& states) {
 }
 
 // Moves to the limit of the accepted states if the cost is lower there. Returns the decrease.
-double extrapolate(CalibrationProblem* calibration, const Watch& watch, double cost) {
+double extrapolate(LeastSquares* calibration, const Watch& watch, double cost) {
   if (watch.states().size() < 3) return 0.0;
   const Eigen::VectorXd there = limit(watch.states());
   double lower = std::numeric_limits<double>::infinity();
@@ -144,7 +144,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
                   const Observations& observations, const CostOptions& cost_options,
                   const SolverOptions& solver_options, const Progress& progress) {
   const auto start = std::chrono::steady_clock::now();
-  CalibrationProblem calibration(camera, poses, observations, cost_options);
+  LeastSquares calibration(camera, poses, observations, cost_options);
   const std::unique_ptr<ceres::Problem> problem = calibration.compressed();
   Refinement result;
 

@@ -128,11 +128,11 @@ MatrixXd common_covariance(const NormalEquations& equations, const MatrixXd& inv
 
 MatrixXd symmetric(const MatrixXd& matrix) { return 0.5 * (matrix + matrix.transpose()); }
 
-std::vector<double> row_by_row(const MatrixXd& matrix) {
-  std::vector<double> values;
-  values.reserve(matrix.size());
-  for (const auto& row : matrix.rowwise()) values.insert(values.end(), row.begin(), row.end());
-  return values;
+Matrix to_matrix(const MatrixXd& matrix) {
+  Matrix result{static_cast<int>(matrix.rows()), static_cast<int>(matrix.cols()),
+                std::vector<double>(matrix.size())};
+  result.eigen() = matrix;
+  return result;
 }
 
 MatrixXd gradient_spread(const std::vector<Group>& groups) {
@@ -196,7 +196,7 @@ MatrixXd at_least(const MatrixXd& covariance, const VectorXd& least) {
 
 SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inverse,
                            const MatrixXd& independent, double anchor_weight,
-                           CalibrationProblem* calibration, int threads) {
+                           LeastSquares* calibration, int threads) {
   const int p = equations.intrinsics;
   const Eliminated groups = without_poses(equations);
   const MatrixXd& follow = groups.poses_by_intrinsics;

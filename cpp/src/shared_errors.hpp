@@ -52,7 +52,7 @@ struct SharedErrors {
 /// values nearby, and leaves it as it was.
 SharedErrors shared_errors(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
                            const Eigen::MatrixXd& independent, double anchor_weight,
-                           CalibrationProblem* calibration, int threads);
+                           LeastSquares* calibration, int threads);
 
 /// How many times larger than the weights claim the variance of the anchored quantities is if the
 /// gradient has the covariance `spread` instead of `information` (of all parameters, or of the
@@ -63,8 +63,8 @@ double mean_dispersion(const NormalEquations& equations, const Eigen::MatrixXd& 
                        const Eigen::MatrixXd& spread, const Eigen::MatrixXd& information,
                        const Eigen::MatrixXd& gauss_newton);
 
-/// The values of a matrix, row by row.
-std::vector<double> row_by_row(const Eigen::MatrixXd& matrix);
+/// A matrix as callers get it.
+Matrix to_matrix(const Eigen::MatrixXd& matrix);
 
 /// A matrix that is symmetric up to rounding, made so to the last bit.
 Eigen::MatrixXd symmetric(const Eigen::MatrixXd& matrix);

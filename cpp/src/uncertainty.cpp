@@ -44,15 +44,18 @@ MatrixXd independent_spread(const NormalEquations& equations, const MatrixXd& in
 // Along a direction that is determined, parameters change as their covariance with the coordinate
 // says.
 void add_weakest(const ScaledInverse& inverse, const MatrixXd& covariance, Uncertainty* result) {
-  for (int i = 0; i < std::min(Uncertainty::kWeakest, result->size); ++i) {
+  const int count = std::min(Uncertainty::kWeakest, result->size);
+  MatrixXd weakest(count, result->size);
+  for (int i = 0; i < count; ++i) {
     VectorXd change = inverse.basis.col(i);
     if (inverse.inverse[i] > 0.0) {
       const VectorXd coordinate = inverse.coordinates.col(i);
       const double variance = coordinate.dot(covariance * coordinate);
       change = covariance * coordinate / (variance > 0.0 ? std::sqrt(variance) : 1.0);
     }
-    result->weakest.insert(result->weakest.end(), change.begin(), change.end());
+    weakest.row(i) = change.transpose();
   }
+  result->weakest = to_matrix(weakest);
 }
 
 void require_common(const std::vector<CommonError>& common, const Observations& observations,
@@ -85,7 +88,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const std::vector<CommonError>& common, int threads) {
   if (threads < 1) reject("threads have to be at least 1");
   require_common(common, observations, cost_options.anchors.size());
-  CalibrationProblem calibration(camera, poses, observations, cost_options);
+  LeastSquares calibration(camera, poses, observations, cost_options);
   const NormalEquations equations = normal_equations(calibration, common, threads);
 
   Uncertainty result;
@@ -112,13 +115,13 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   const double weight = cost_options.anchor_weight;
   const MatrixXd covariance =
       symmetric(inverse * independent * inverse + common_covariance(equations, inverse, weight));
-  result.independent_covariance = row_by_row(covariance);
+  result.independent_covariance = to_matrix(covariance);
   const MatrixXd observed = total - equations.information[kAnchor];
   const SharedErrors shared =
       shared_errors(equations, inverse, independent, weight, &calibration, threads);
-  result.poses_by_intrinsics = row_by_row(shared.poses_by_intrinsics);
-  result.frame_shares = row_by_row(shared.frame_shares);
-  result.left_out_changes = row_by_row(shared.left_out_changes);
+  result.poses_by_intrinsics = to_matrix(shared.poses_by_intrinsics);
+  result.frame_shares = to_matrix(shared.frame_shares);
+  result.left_out_changes = to_matrix(shared.left_out_changes);
   result.shared = equations.intrinsics == 0 || poses.size() >= Uncertainty::kEnoughFrames;
   if (result.shared) {
     result.dispersion = shared.dispersion;
@@ -131,8 +134,8 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   }
   const MatrixXd changes =
       result.shared ? shared.common_changes : common_changes(equations, inverse, weight);
-  result.common_changes = row_by_row(changes.topRows(equations.intrinsics).transpose());
-  result.covariance = row_by_row(result.shared ? shared.covariance : covariance);
+  result.common_changes = to_matrix(changes.topRows(equations.intrinsics).transpose());
+  result.covariance = to_matrix(result.shared ? shared.covariance : covariance);
   add_weakest(scaled, result.shared ? shared.covariance : covariance, &result);
   const VectorXd step = -inverse * equations.gradient;
   result.next_step.assign(step.begin(), step.end());
@@ -145,26 +148,23 @@ double Uncertainty::covariance_of(const std::string& a, const std::string& b) co
   const auto index = [this](const std::string& name) {
     const auto found = std::find(names.begin(), names.end(), name);
     if (found == names.end()) reject("there is no free parameter " + name);
-    return static_cast<std::size_t>(found - names.begin());
+    return static_cast<int>(found - names.begin());
   };
-  return covariance[index(a) * size + index(b)];
+  return covariance(index(a), index(b));
 }
 
 double Uncertainty::std_dev_of(const std::string& name) const {
   return std::sqrt(covariance_of(name, name));
 }
 
-std::vector<double> frame_information(const Camera& camera, const std::vector<Pose>& poses,
+std::vector<Matrix> frame_information(const Camera& camera, const std::vector<Pose>& poses,
                                       const Observations& observations,
                                       const CostOptions& cost_options, int threads) {
   if (threads < 1) reject("threads have to be at least 1");
-  const CalibrationProblem calibration(camera, poses, observations, cost_options);
+  const LeastSquares calibration(camera, poses, observations, cost_options);
   const Eliminated groups = without_poses(normal_equations(calibration, {}, threads));
-  std::vector<double> all;
-  for (const Group& frame : groups.frames) {
-    const auto values = row_by_row(frame.information);
-    all.insert(all.end(), values.begin(), values.end());
-  }
+  std::vector<Matrix> all;
+  for (const Group& frame : groups.frames) all.push_back(to_matrix(frame.information));
   return all;
 }
 

@@ -105,9 +105,8 @@ TEST(BackProjection, TheRayInSpaceIsThatThroughTheImagesOfItsEnds) {
 
 double pixels_between(const Camera& camera, int k, int l, const Vector3<double>& a,
                       const Vector3<double>& b) {
-  Feature<double> of_a{}, of_b{};
-  EXPECT_TRUE(project(camera, Pose{}, a, k, l, &of_a));
-  EXPECT_TRUE(project(camera, Pose{}, b, k, l, &of_b));
+  const Feature<double> of_a = project(camera, Pose{}, a, k, l).value();
+  const Feature<double> of_b = project(camera, Pose{}, b, k, l).value();
   return std::hypot(of_a.u - of_b.u, of_a.v - of_b.v);
 }
 

@@ -170,11 +170,10 @@ INSTANTIATE_TEST_SUITE_P(
                 "scale of the robust loss"},
         Spoiled{"UnknownFixed",
                 [](Scene*, CostOptions* o) {
-                  o->fixed = test::with_shape({"F", "focus"});
+                  o->fix({"F", "focus"});
                 },
                 "no parameter focus"},
-        Spoiled{"FixedTypeBeyond",
-                [](Scene*, CostOptions* o) { o->fixed = test::with_shape({"f_4"}); },
+        Spoiled{"FixedTypeBeyond", [](Scene*, CostOptions* o) { o->fix({"f_4"}); },
                 "no parameter f_4"}),
     test_name);
 
@@ -234,7 +233,7 @@ INSTANTIATE_TEST_SUITE_P(
 TEST(InvalidInput, FixedFocalLengthOfAPinholeArray) {
   const Scene scene = small_scene(0);
   CostOptions options;
-  options.hold_only(test::with_shape({"f_1"}));
+  options.fix({"f_1"});
   expect_names(
       rejection([&] { refine(scene.camera, scene.poses, scene.observations, options, {}); }),
       "no parameter f_1");

@@ -73,10 +73,10 @@ TEST_F(Files, TheShippedObservationsAreThoseOfItsTrueCamera) {
   EXPECT_EQ(seen.frames.size(), poses.size());
   double square = 0.0;
   for (const FeatureObservation& f : seen.observations.features) {
-    Feature<double> projected{};
-    ASSERT_TRUE(project(file.camera, poses.at(seen.frames.at(f.frame)), f.board_point, f.k, f.l,
-                        &projected));
-    square += std::pow(projected.u - f.observed.u, 2) + std::pow(projected.v - f.observed.v, 2);
+    const auto projected =
+        project(file.camera, poses.at(seen.frames.at(f.frame)), f.board_point, f.k, f.l);
+    ASSERT_TRUE(projected);
+    square += std::pow(projected->u - f.observed.u, 2) + std::pow(projected->v - f.observed.v, 2);
   }
   const double rms = std::sqrt(square / 2.0 / seen.observations.features.size());
   EXPECT_NEAR(rms, kNoisePx, 0.05 * kNoisePx);
@@ -121,7 +121,7 @@ TEST_F(Files, CamerasComeBackExactly) {
       for (std::size_t i = 0; i < names.size(); ++i) {
         EXPECT_TRUE(i % 3 == 1 ? std::isnan(read.std_dev[i]) : read.std_dev[i] == file.std_dev[i]);
       }
-      EXPECT_TRUE(read.covariance.empty());
+      EXPECT_TRUE(read.covariance.values.empty());
     }
   }
 }
@@ -140,17 +140,16 @@ TEST_F(Files, ThePupilOfOldFilesIsInTheLens) {
 
 TEST_F(Files, CovariancesComeBack) {
   CameraFile file = camera_file(0);
-  const std::size_t n = intrinsic_names(0).size();
+  const int n = static_cast<int>(intrinsic_names(0).size());
   file.std_dev.assign(n, 2.0);
-  for (std::size_t i = 0; i < n * n; ++i) {
-    file.covariance.push_back(i % (n + 1) == 0 ? 4.0 : 0.01 * static_cast<double>(i % n + i / n));
+  file.covariance = {n, n, {}};
+  for (int i = 0; i < n; ++i) {
+    for (int j = 0; j < n; ++j) file.covariance.values.push_back(i == j ? 4.0 : 0.01 * (i + j));
   }
   write_camera(path(), file);
   const CameraFile read = read_camera(path());
-  ASSERT_EQ(read.covariance.size(), n * n);
-  for (std::size_t i = 0; i < n * n; ++i) {
-    EXPECT_NEAR(read.covariance[i], file.covariance[i], 1e-15);
-  }
+  ASSERT_EQ(read.covariance.rows, n);
+  EXPECT_LT((read.covariance.eigen() - file.covariance.eigen()).cwiseAbs().maxCoeff(), 1e-15);
 }
 
 TEST_F(Files, WhatIsWrongInACameraIsNamed) {

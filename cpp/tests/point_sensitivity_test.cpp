@@ -59,8 +59,8 @@ class Reconstruction {
   Eigen::VectorXd features(const Camera& camera, const Eigen::VectorXd& point) const {
     std::vector<double> values;
     for (const auto& [k, l] : micro_lenses_) {
-      Feature<double> f{};
-      EXPECT_TRUE(project(camera, Pose{}, {point[0], point[1], point[2]}, k, l, &f));
+      const Feature<double> f =
+          project(camera, Pose{}, {point[0], point[1], point[2]}, k, l).value();
       values.push_back(f.u / kNoise.u);
       values.push_back(f.v / kNoise.v);
       if (camera.lens_types() > 0) {
@@ -119,14 +119,10 @@ class Reconstruction {
   std::vector<MicroLensIndex> micro_lenses_;
 };
 
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
 Eigen::MatrixXd covariance_of(const PointSensitivity& s) {
-  return Eigen::Map<const RowMajor>(s.covariance.data(), 3, 3);
+  return Eigen::Map<const Matrix::RowMajor>(s.covariance.data(), 3, 3);
 }
-Eigen::MatrixXd by_intrinsics_of(const PointSensitivity& s) {
-  return Eigen::Map<const RowMajor>(s.by_intrinsics.data(), 3, s.by_intrinsics.size() / 3);
-}
+Eigen::MatrixXd by_intrinsics_of(const PointSensitivity& s) { return s.by_intrinsics.eigen(); }
 
 // Points behind the array, near it and in front of it, for cameras of 0, 1 and 3 lens types.
 const Vector3<double> kPoints[] = {{-2.0, 1.5, 300.0}, {1.0, -0.7, 385.0}, {0.5, 2.0, 700.0}};
@@ -140,7 +136,8 @@ TEST_P(EveryCamera, PointMovesWithTheIntrinsics) {
     const auto s = point_sensitivity(camera, point, kNoise, kMargin);
     EXPECT_EQ(s.micro_lenses, static_cast<int>(micro_lenses_seeing(camera, point, kMargin).size()));
     ASSERT_GE(s.micro_lenses, 3);
-    ASSERT_EQ(s.by_intrinsics.size(), 3 * names.size());
+    ASSERT_EQ(s.by_intrinsics.rows, 3);
+    ASSERT_EQ(s.by_intrinsics.columns, static_cast<int>(names.size()));
     const Eigen::MatrixXd actual = by_intrinsics_of(s);
     const Eigen::MatrixXd expected = Reconstruction(camera, point).by_intrinsics();
     for (std::size_t i = 0; i < names.size(); ++i) {
@@ -211,8 +208,8 @@ TEST(PointSensitivity, RhoOfPinholesNeedsNoStdDev) {
 void expect_undetermined(const PointSensitivity& s, int micro_lenses) {
   const auto is_nan = [](double value) { return std::isnan(value); };
   EXPECT_EQ(s.micro_lenses, micro_lenses);
-  EXPECT_EQ(s.by_intrinsics.size(), 3 * 23);
-  EXPECT_TRUE(std::all_of(s.by_intrinsics.begin(), s.by_intrinsics.end(), is_nan));
+  EXPECT_EQ(s.by_intrinsics.values.size(), 3U * 23U);
+  EXPECT_TRUE(s.by_intrinsics.eigen().array().isNaN().all());
   EXPECT_TRUE(std::all_of(s.covariance.begin(), s.covariance.end(), is_nan));
 }
 

@@ -152,10 +152,10 @@ class EveryArray : public testing::TestWithParam<Setup> {
     Indices indices;
     for (int l = 0; l < camera_.lattice.rows; ++l) {
       for (int k = 0; k < camera_.lattice.columns; ++k) {
-        Feature<double> feature{};
         const Pixel<double> center = project_center(camera_, k, l);
-        if (project(camera_, Pose{}, point, k, l, &feature) &&
-            std::hypot(feature.u - center.u, feature.v - center.v) <= diameter / 2.0 - margin) {
+        const auto feature = project(camera_, Pose{}, point, k, l);
+        if (feature &&
+            std::hypot(feature->u - center.u, feature->v - center.v) <= diameter / 2.0 - margin) {
           indices.push_back({k, l});
         }
       }

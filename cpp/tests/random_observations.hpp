@@ -41,8 +41,7 @@ class RandomObservations {
       const int l = static_cast<int>(uniform(0, camera.lattice.rows));
       // Two consecutive features of every corner, as in a sorted problem.
       const auto corner = board_corner(pose, i / 2 % 6, i / 2 % 5);
-      Feature<double> seen{};
-      EXPECT_TRUE(project(camera, pose, corner, k, l, &seen));
+      Feature<double> seen = project(camera, pose, corner, k, l).value();
       seen.u += offset(i);
       seen.v += offset(i);
       seen.rho += offset(i);

@@ -176,7 +176,7 @@ TEST(Anchors, OnTheInterceptsDoNotChangeTheDispersion) {
   without.anchors = {{"F", 50.0, 0.5}};
   CostOptions with = without;
   for (int i = 0; i < 3; ++i) {
-    without.fixed.push_back("f_" + std::to_string(i + 1));
+    without.fix({"f_" + std::to_string(i + 1)});
     const double f = scene.camera.micro_lens_focal_lengths[i];
     with.anchors.push_back({intercept_name(i), blur_intercept(scene.camera.mla, f), 1e-5});
   }
@@ -198,8 +198,7 @@ TEST(Anchors, GiveTheirOwnUncertaintyWhereObservationsHaveNone) {
     options.anchor_weight = weight;
     const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, options);
     const int place = row_of("F", u);
-    expect_near_relative(std::sqrt(u.independent_covariance[place * (u.size + 1)]), 1e-3, 1e-3,
-                         "F");
+    expect_near_relative(std::sqrt(u.independent_covariance(place, place)), 1e-3, 1e-3, "F");
   }
 }
 
@@ -241,14 +240,14 @@ MatrixXd sum_of(const std::vector<MatrixXd>& matrices) {
 
 // The curvature of the observations' part of the cost along a direction of the intrinsics.
 double curvature_along(const VectorXd& direction, const Scene& scene, const CostOptions& options) {
-  CalibrationProblem problem(scene.camera, scene.poses, scene.observations, options);
+  LeastSquares problem(scene.camera, scene.poses, scene.observations, options);
   const Curvature curved = curvature(without_poses(normal_equations(problem)), &problem);
   return direction.dot((sum_of(curved.frames) + sum_of(curved.patches)) * direction);
 }
 
 // Residuals at some distance along a direction of the intrinsics, with the poses following.
 VectorXd residuals_at(const VectorXd& change, const Scene& scene) {
-  CalibrationProblem problem(scene.camera, scene.poses, scene.observations, paper());
+  LeastSquares problem(scene.camera, scene.poses, scene.observations, paper());
   const MatrixXd follow = without_poses(normal_equations(problem)).poses_by_intrinsics;
   VectorXd state = problem.state();
   for (Eigen::Index i = 0; i < change.size(); ++i) {
@@ -270,7 +269,7 @@ TEST(Curvature, IsTheTrueOneWhereOnlyAnAnchorMakesItAMinimum) {
   scene.camera.exit_pupil = {};
   scene.observations = test::observe(scene.camera, scene.poses);
   const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, paper());
-  CalibrationProblem problem(scene.camera, scene.poses, scene.observations, paper());
+  LeastSquares problem(scene.camera, scene.poses, scene.observations, paper());
   const Eliminated groups = without_poses(normal_equations(problem));
   MatrixXd information = groups.anchors;  // none
   for (const Group& group : groups.frames) information += group.information;
@@ -317,8 +316,8 @@ TEST(SharedErrors, AreSeenInWhatFramesContradictEachOther) {
   const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, paper());
   ASSERT_TRUE(u.shared);
   for (const char* name : {"F", "D", "d", "P1"}) {
-    const int at = row_of(name, u) * (u.size + 1);
-    EXPECT_GT(std::sqrt(u.covariance[at] / u.independent_covariance[at]), 1.5) << name;
+    const int at = row_of(name, u);
+    EXPECT_GT(std::sqrt(u.covariance(at, at) / u.independent_covariance(at, at)), 1.5) << name;
   }
   for (double freedom : u.freedom) EXPECT_GT(freedom, 0.0);
 }
@@ -346,9 +345,8 @@ TEST(SharedErrors, DoNotMakeVariancesSmallerThanIndependentOnes) {
   const Refinement r = refine(scene.camera, scene.poses, scene.observations, paper(), {});
   const Uncertainty u = uncertainty(r.camera, r.poses, scene.observations, paper());
   ASSERT_TRUE(u.shared);
-  for (std::size_t i = 0; i < u.free_intrinsics.size(); ++i) {
-    const std::size_t at = i * (u.size + 1);
-    EXPECT_GT(u.covariance[at], 0.85 * u.independent_covariance[at]) << u.free_intrinsics[i];
+  for (int i = 0; i < static_cast<int>(u.free_intrinsics.size()); ++i) {
+    EXPECT_GT(u.covariance(i, i), 0.85 * u.independent_covariance(i, i)) << u.free_intrinsics[i];
   }
 }
 

@@ -7,6 +7,7 @@
 #include <Eigen/Core>
 #include <cmath>
 #include <random>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -65,11 +66,11 @@ inline Observations observe(const Camera& camera, const std::vector<Pose>& poses
       for (std::size_t frame = 0; frame < poses.size(); ++frame) {
         for (int i = 0; i < kBoardColumns * kBoardRows; ++i) {
           const auto corner = board_corner(poses[frame], i % kBoardColumns, i / kBoardColumns);
-          Feature<double> feature{};
-          if (project(camera, poses[frame], corner, k, l, &feature) &&
-              std::hypot(feature.u - center.u, feature.v - center.v) < micro_image_radius) {
+          const auto feature = project(camera, poses[frame], corner, k, l);
+          if (feature &&
+              std::hypot(feature->u - center.u, feature->v - center.v) < micro_image_radius) {
             observations.features.push_back(
-                {static_cast<int>(frame), corner, k, l, feature, {1.0, 1.0, 1.0}});
+                {static_cast<int>(frame), corner, k, l, *feature, {1.0, 1.0, 1.0}});
           }
         }
       }
@@ -116,19 +117,19 @@ inline Camera with_intrinsics(Camera camera, const std::vector<double>& values) 
 inline const std::vector<std::string> kShape = {"sag_x", "sag_y", "twist", "aspect"};
 
 /// These parameters, and those of the board.
-inline std::vector<std::string> with_shape(std::vector<std::string> names) {
-  names.insert(names.end(), kShape.begin(), kShape.end());
+inline std::set<std::string> with_shape(std::set<std::string> names) {
+  names.insert(kShape.begin(), kShape.end());
   return names;
 }
 
 /// Parameters that the paper's model does not have.
-inline const std::vector<std::string> kBeyondThePaper =
+inline const std::set<std::string> kBeyondThePaper =
     with_shape({"kappa", "kappa_m", "e_x", "e_y", "e_z", "dC_ratio"});
 
 /// Only what is free in the paper's model is.
 inline CostOptions paper() {
   CostOptions options;
-  options.hold_only(kBeyondThePaper);
+  options.fixed = kBeyondThePaper;
   return options;
 }
 
@@ -137,8 +138,8 @@ inline Eigen::VectorXd residuals(const Scene& scene, const CostOptions& options)
   const bool blur = scene.camera.lens_types() > 0;
   std::vector<double> values;
   for (const FeatureObservation& o : scene.observations.features) {
-    Feature<double> f{};
-    EXPECT_TRUE(project(scene.camera, scene.poses[o.frame], o.board_point, o.k, o.l, &f));
+    const Feature<double> f =
+        project(scene.camera, scene.poses[o.frame], o.board_point, o.k, o.l).value();
     values.push_back((f.u - o.observed.u) / (o.std_dev.u * options.uv_std_dev));
     values.push_back((f.v - o.observed.v) / (o.std_dev.v * options.uv_std_dev));
     if (blur) {

@@ -42,15 +42,21 @@ TEST(Threads, UncertaintyIsTheSameWithAnyNumberOfThem) {
   const auto with = [&](int threads) {
     return uncertainty(scene.camera, scene.poses, scene.observations, test::paper(), {}, threads);
   };
+  const auto information = [&](int threads) {
+    std::vector<std::vector<double>> values;
+    for (const Matrix& of_frame :
+         frame_information(scene.camera, scene.poses, scene.observations, test::paper(), threads)) {
+      values.push_back(of_frame.values);
+    }
+    return values;
+  };
   const Uncertainty alone = with(1);
   EXPECT_GT(alone.rank, 0);
   for (int threads : {2, 5}) {
     const Uncertainty together = with(threads);
-    EXPECT_EQ(together.covariance, alone.covariance);
+    EXPECT_EQ(together.covariance.values, alone.covariance.values);
     EXPECT_EQ(together.gradient, alone.gradient);
-    EXPECT_EQ(
-        frame_information(scene.camera, scene.poses, scene.observations, test::paper(), threads),
-        frame_information(scene.camera, scene.poses, scene.observations, test::paper()));
+    EXPECT_EQ(information(threads), information(1));
   }
   // What fails in another thread fails here.
   scene.poses[2].translation.z = 1.0;

@@ -22,7 +22,7 @@ using test::Scene;
 
 // The scene with its free parameters moved by `step` times a row of `weakest`.
 Scene moved(Scene scene, const Uncertainty& u, int row, double step) {
-  const double* direction = u.weakest.data() + row * u.size;
+  const double* direction = &u.weakest.values[row * u.size];
   auto values = test::intrinsics(scene.camera);
   for (int index : u.free_intrinsics) values[index] += step * *direction++;
   scene.camera = test::with_intrinsics(scene.camera, values);
@@ -129,9 +129,7 @@ Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options)
   return matrix;
 }
 
-Eigen::MatrixXd covariance_of(const Uncertainty& u) {
-  return Eigen::Map<const Eigen::MatrixXd>(u.independent_covariance.data(), u.size, u.size);
-}
+Eigen::MatrixXd covariance_of(const Uncertainty& u) { return u.independent_covariance.eigen(); }
 
 TEST_F(AtMinimum, ResidualStdDevIsTheInjectedNoise) {
   constexpr double kOfTheNoise = 0.1;  // at least 720 numbers: a scatter of 2.6 %
@@ -153,7 +151,7 @@ TEST_F(AtMinimum, OwnStdDevsOfAKindAreAFactorOfTheKind) {
   for (FeatureObservation& o : scene_.observations.features) o.std_dev = {2.0, 2.0, 4.0};
   for (CenterObservation& o : scene_.observations.centers) o.std_dev = 0.5;
   const Uncertainty u = at(weights({0.1, 0.05, 0.02}));
-  EXPECT_EQ(u.independent_covariance, expected.independent_covariance);
+  EXPECT_EQ(u.independent_covariance.values, expected.independent_covariance.values);
   for (int kind = 0; kind < 3; ++kind) {
     expect_near_relative(u.residual_std_dev[kind], expected.residual_std_dev[kind], 1e-12,
                          std::to_string(kind));
@@ -203,7 +201,8 @@ TEST_F(AtMinimum, WeakestDirectionsSpanOneStandardDeviation) {
   const CostOptions options = measured_weights();
   const Uncertainty u = at(options);
   ASSERT_FALSE(u.shared);
-  ASSERT_EQ(static_cast<int>(u.weakest.size()), Uncertainty::kWeakest * u.size);
+  ASSERT_EQ(u.weakest.rows, Uncertainty::kWeakest);
+  ASSERT_EQ(u.weakest.columns, u.size);
   for (int row = 0; row < Uncertainty::kWeakest; ++row) {
     EXPECT_NEAR(sensitivity(scene_, options, u, row, 0.01), 1.0, kDifferences) << row;
   }
@@ -225,13 +224,14 @@ TEST_F(AtMinimum, ExpectedDecreaseIsZeroHereAndTheExcessElsewhere) {
 
 void expect_finite(const Uncertainty& u) {
   const auto finite = [](double value) { return std::isfinite(value); };
-  EXPECT_TRUE(std::all_of(u.covariance.begin(), u.covariance.end(), finite));
+  EXPECT_TRUE(u.covariance.eigen().allFinite());
   EXPECT_TRUE(std::all_of(u.information.begin(), u.information.end(), finite));
-  EXPECT_TRUE(std::all_of(u.weakest.begin(), u.weakest.end(), finite));
+  EXPECT_TRUE(u.weakest.eigen().allFinite());
   EXPECT_TRUE(std::isfinite(u.residual_std_dev[0]));
   EXPECT_TRUE(std::isfinite(u.residual_std_dev[1]));
   EXPECT_TRUE(std::isfinite(u.expected_decrease));
-  EXPECT_EQ(static_cast<int>(u.covariance.size()), u.size * u.size);
+  EXPECT_EQ(u.covariance.rows, u.size);
+  EXPECT_EQ(u.covariance.columns, u.size);
   EXPECT_EQ(static_cast<int>(u.information.size()), u.size);
 }
 
@@ -256,17 +256,17 @@ TEST(RankDeficiency, FrontoParallelBoardDoesNotSeparateFocalLengthFromDistance) 
   const Scene scene = fronto_parallel();
   CostOptions options;
   for (const std::string& name : intrinsic_names(3)) {
-    if (name != "F" && name != "D") options.fixed.push_back(name);
+    if (name != "F" && name != "D") options.fix({name});
   }
   Observations features_only{scene.observations.features, {}};
   const Uncertainty u = uncertainty(scene.camera, scene.poses, features_only, options);
   ASSERT_EQ(u.size, 2 + 6);
   EXPECT_EQ(u.rank, 7);
   expect_finite(u);
-  ASSERT_NE(u.weakest[7], 0.0);
+  ASSERT_NE(u.weakest(0, 7), 0.0);
   const double expected[] = {1.0 / 6.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
   for (int i = 0; i < 8; ++i) {
-    EXPECT_NEAR(u.weakest[i] / u.weakest[7], expected[i], kParallel) << i;
+    EXPECT_NEAR(u.weakest(0, i) / u.weakest(0, 7), expected[i], kParallel) << i;
   }
 }
 
@@ -282,7 +282,7 @@ TEST(RankDeficiency, OneBoardAndNoCentresLeaveFiveDirectionsUndetermined) {
   EXPECT_GT(u.rank, 6);
   expect_finite(u);
   for (int row = 0; row < Uncertainty::kWeakest; ++row) {
-    const Eigen::Map<const Eigen::VectorXd> v(u.weakest.data() + row * u.size, u.size);
+    const Eigen::VectorXd v = u.weakest.eigen().row(row);
     const Eigen::Map<const Eigen::VectorXd> information(u.information.data(), u.size);
     EXPECT_NEAR(v.cwiseAbs2().dot(information), 1.0, kUnseen) << row;  // a unit, not zero
     EXPECT_LT(sensitivity(scene, options, u, row, 0.1), kUnseen) << row;
@@ -323,7 +323,7 @@ TEST(RankDeficiency, UnobservedLensTypeIsFound) {
 TEST(RankDeficiency, UnobservedLensTypeIsTheWeakestDirection) {
   const Scene scene = without_third_type();
   const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, paper());
-  EXPECT_NE(u.weakest[kF3], 0.0);
+  EXPECT_NE(u.weakest(0, kF3), 0.0);
   EXPECT_LT(sensitivity(scene, paper(), u, 0, 0.001), kUnseen);
 }
 

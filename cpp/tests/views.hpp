@@ -25,9 +25,7 @@ inline std::vector<Views> views(const Camera& camera) {
       for (double y : {-0.005, 0.001, 0.006}) {
         Views seen{{}, {x * z, y * z, z}};
         for (const auto& [k, l] : micro_lenses_seeing(camera, seen.point, 0.5)) {
-          Feature<double> f{};
-          EXPECT_TRUE(project(camera, Pose{}, seen.point, k, l, &f));
-          seen.sightings.push_back({k, l, f});
+          seen.sightings.push_back({k, l, project(camera, Pose{}, seen.point, k, l).value()});
         }
         all.push_back(std::move(seen));
       }

@@ -58,12 +58,10 @@ Part<double> values_of(const Part<T>& part) {
   return from_block<Part>(values.data());
 }
 
-/// The ideal image point that distortion moves to `distorted`, both in mm in the camera frame.
-/// False, with `ideal` unchanged, if there is none on the axis's side of the fold, where
-/// polynomials turn back.
+/// The ideal image point that distortion moves to `distorted`, both in mm in the camera frame. None
+/// if there is none on the axis's side of the fold, where polynomials turn back.
 template <typename T>
-[[nodiscard]] bool undistort(const MainLens<T>& lens, const Vector2<T>& distorted,
-                             Vector2<T>* ideal) {
+std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Vector2<T>& distorted) {
   constexpr int kMaxSteps = 50;
   constexpr double kSettled = 1e-15;   // of a step over the distance from the axis
   constexpr double kRounding = 1e-12;  // likewise, of a step that is not smaller than the last
@@ -92,32 +90,29 @@ template <typename T>
               length == 0.0;
     last = length;
   }
-  if (!settled || !distortion_slope(at, p.x, p.y).is_regular()) return false;
+  if (!settled || !distortion_slope(at, p.x, p.y).is_regular()) return std::nullopt;
   // One more step in T has the derivatives of the solution.
   const T x(p.x), y(p.y);
   const Vector2<T> shift = distortion(lens, x, y);
   const Vector2<T> step =
       distortion_slope(lens, x, y).undo({distorted.x - x - shift.x, distorted.y - y - shift.y});
-  *ideal = {x + step.x, y + step.y};
-  return true;
+  return Vector2<T>{x + step.x, y + step.y};
 }
 
 /// The point in the camera frame (mm) whose image through the main lens is p': the inverse of
-/// `main_lens_image`. False, with `point` unchanged, if p' is not the image of a point beyond the
-/// focal plane, or distortion has no inverse there.
+/// `main_lens_image`. None if p' is not the image of a point beyond the focal plane, or distortion
+/// has no inverse there.
 template <typename T>
-[[nodiscard]] bool object_point(const MainLens<T>& lens, const Vector3<T>& image,
-                                Vector3<T>* point) {
-  Vector2<T> ideal;
-  if (!undistort(lens, {image.x, image.y}, &ideal)) return false;
+std::optional<Vector3<T>> object_point(const MainLens<T>& lens, const Vector3<T>& image) {
+  const std::optional<Vector2<T>> ideal = undistort(lens, {image.x, image.y});
+  if (!ideal) return std::nullopt;
   // With the magnification m and z = F - F/m, p'_z = m z + (kappa - kappa_m m) r^2.
-  const T r2 = ideal.x * ideal.x + ideal.y * ideal.y;
+  const T r2 = ideal->x * ideal->x + ideal->y * ideal->y;
   const T magnification = (image.z + lens.focal_length - lens.field_curvature * r2) /
                           (lens.focal_length - lens.field_curvature_growth * r2);
-  if (!(magnification < 0.0)) return false;
-  *point = {ideal.x / magnification, ideal.y / magnification,
-            lens.focal_length - lens.focal_length / magnification};
-  return true;
+  if (!(magnification < 0.0)) return std::nullopt;
+  return Vector3<T>{ideal->x / magnification, ideal->y / magnification,
+                    lens.focal_length - lens.focal_length / magnification};
 }
 
 /// The image p' at the virtual depth nu on the line from a pixel through the centre C of a
@@ -186,16 +181,16 @@ Ray<T> ray_behind(const Optics<T>& optics, const MicroLens& micro_lens, const Pi
 
 /// The ray in object space whose image is the chief ray of a pixel, with its origin at the distance
 /// z (mm). Distortion and curvature of the field bend the image of a straight line a little, so
-/// that a ray touches the line that the model images onto the pixel, at z. False, with `ray`
-/// unchanged, if the model images no point at z onto the pixel.
+/// that a ray touches the line that the model images onto the pixel, at z. None if the model images
+/// no point at z onto the pixel.
 template <typename T>
-[[nodiscard]] bool object_ray(const Optics<T>& optics, const MicroLens& micro_lens,
-                              const Pixel<T>& pixel, const T& z, Ray<T>* ray) {
+std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro_lens,
+                                 const Pixel<T>& pixel, const T& z) {
   using std::sqrt;
   constexpr int kMaxSteps = 20;
   constexpr double kSettled = 4e-15;  // of a step, relative
   const MainLens<T>& lens = optics.main_lens;
-  if (!(z > lens.focal_length)) return false;
+  if (!(z > lens.focal_length)) return std::nullopt;
   const Vector3<T> center = optics.array.micro_lens_center(micro_lens.node);
   const Vector3<T> on_sensor = optics.array.on_sensor(pixel);
   const Vector3<T> line = {on_sensor.x - center.x, on_sensor.y - center.y, on_sensor.z - center.z};
@@ -226,11 +221,11 @@ template <typename T>
     const double size = std::abs(value_of(x)) + std::abs(value_of(y)) +
                         std::abs(value_of(center.x)) + std::abs(value_of(center.y));
     const double step = std::abs(value_of(step_x)) + std::abs(value_of(step_y));
-    if (!(step < HUGE_VAL)) return false;
+    if (!(step < HUGE_VAL)) return std::nullopt;
     settled = step <= kSettled * size;
     if (std::is_same<T, double>::value && settled) break;
   }
-  if (!settled || !distorts.is_regular()) return false;
+  if (!settled || !distorts.is_regular()) return std::nullopt;
   // How the image and its magnification change along the line.
   const Vector2<T> ideal{x, y};
   const Vector2<T> slide = distorts.undo({line.x, line.y});
@@ -247,9 +242,8 @@ template <typename T>
   T length =
       sqrt(direction.x * direction.x + direction.y * direction.y + direction.z * direction.z);
   if (direction.z < 0.0) length = -length;
-  *ray = {{ideal.x * inverse, ideal.y * inverse, z},
-          {direction.x / length, direction.y / length, direction.z / length}};
-  return true;
+  return Ray<T>{{ideal.x * inverse, ideal.y * inverse, z},
+                {direction.x / length, direction.y / length, direction.z / length}};
 }
 
 }  // namespace plenocal

@@ -32,8 +32,8 @@ struct CameraFile {
   /// sigma of each parameter in the order of `for_each_parameter`, in its unit; not a number where
   /// it was fixed or not determined. Empty if none is known.
   std::vector<double> std_dev;
-  /// Covariance of the parameters with a sigma, as many rows as `std_dev` has numbers; else empty.
-  std::vector<double> covariance;
+  /// Covariance of the parameters with a sigma, in their order; empty if it is not known.
+  Matrix covariance;
 };
 
 /// Reads a camera. Throws FileError if the file cannot be read, is none of these, lacks a field, or

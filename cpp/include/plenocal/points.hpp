@@ -4,6 +4,7 @@
 #include <array>
 #include <vector>
 
+#include "plenocal/matrix.hpp"
 #include "plenocal/projection.hpp"
 
 namespace plenocal {
@@ -27,14 +28,14 @@ PLENOCAL_API std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camer
 /// How the reconstruction of a point by weighted least squares from its features (u, v and rho; u
 /// and v alone for an array of pinholes) responds to errors of the camera and of the features.
 ///
-/// Arrays are stored row by row. Their values are not numbers if fewer than two micro-lenses see
+/// Values are not numbers if fewer than two micro-lenses see
 /// the point, or if the features do not determine it.
 struct PointSensitivity {
   int micro_lenses = 0;  ///< the number that see the point
   /// 3 x number of intrinsics, mm per unit of the parameter: change of the reconstructed x, y, z
   /// with every parameter in the order of `for_each_parameter`, the features being fixed.
-  std::vector<double> by_intrinsics;
-  /// 3 x 3, mm^2: covariance of x, y, z due to the noise of the features.
+  Matrix by_intrinsics;
+  /// 3 x 3 row by row, mm^2: covariance of x, y, z due to the noise of the features.
   std::array<double, 9> covariance{};
 };
 

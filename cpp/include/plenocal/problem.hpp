@@ -1,48 +1,30 @@
-// The cost function as a public ceres::Problem, with its parameters and the kinds of its residuals.
+// The cost function as a public ceres::Problem.
 #pragma once
 
-#include <ceres/ceres.h>
+#include <ceres/crs_matrix.h>
+#include <ceres/ordered_groups.h>
+#include <ceres/problem.h>
 
-#include <Eigen/Core>
-#include <Eigen/SparseCore>
 #include <memory>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "plenocal/refine.hpp"
-#include "plenocal/residuals.hpp"
 
 namespace plenocal {
 
-/// Kinds of residuals. Those of observations each have a variance that is measured, anchors one
-/// that is known.
-enum ResidualKind { kUv = 0, kRho = 1, kCenter = 2, kAnchor = 3 };
-constexpr int kObservedKinds = 3;
-constexpr int kResidualKinds = 4;
-
-/// Where a residual row comes from: what it shares its errors with.
-struct RowOrigin {
-  ResidualKind kind;
-  int group;       ///< frame of a feature; patch of a centre, see `kPatches`; index of an anchor
-  int corner;      ///< of a feature: counts all corners of all frames; else -1
-  double std_dev;  ///< of the cost: px, or the unit of the anchored quantity
-  int observation = -1;  ///< index among features or among centres; -1 of an anchor
-};
-
-/// Centres share errors with their neighbours: groups of them are patches of the image, so many
-/// along u and along v.
-constexpr int kPatchColumns = 8;
-constexpr int kPatchRows = 6;
-constexpr int kPatches = kPatchColumns * kPatchRows;
+class LeastSquares;
 
 /// What an evaluation of a problem gives.
 struct Evaluation {
   double cost = 0.0;
-  Eigen::VectorXd residuals;  ///< standardised, in the order of `CalibrationProblem::rows`
-  Eigen::VectorXd gradient;   ///< J'r, in the order of `CalibrationProblem::names`
-  /// d residuals / d parameters, likewise; the columns of a fixed pose are empty.
-  Eigen::SparseMatrix<double, Eigen::RowMajor> jacobian;
+  /// Standardised residuals: of the features u, v and, if it counts, rho, by frame and board point;
+  /// of the centres u and v; of the anchors.
+  std::vector<double> residuals;
+  std::vector<double> gradient;  ///< J'r, in the order of `CalibrationProblem::names`
+  /// d residuals / d parameters, likewise; the columns of a fixed pose are empty. Eigen::Map takes
+  /// its vectors as a SparseMatrix by rows.
+  ceres::CRSMatrix jacobian;
 };
 
 /// The cost as a ceres::Problem that is yours to extend: add the residuals of other cameras,
@@ -63,8 +45,9 @@ class PLENOCAL_API CalibrationProblem {
                      const Observations& observations, const CostOptions& options);
   CalibrationProblem(const CalibrationProblem&) = delete;
   CalibrationProblem& operator=(const CalibrationProblem&) = delete;
+  ~CalibrationProblem();
 
-  ceres::Problem& problem() { return *problem_; }
+  ceres::Problem& problem();
 
   /// The parameter blocks, each in the order of its `visit`; poses as `pose_block`.
   struct Blocks {
@@ -85,10 +68,10 @@ class PLENOCAL_API CalibrationProblem {
 
   /// Camera, board and poses with the present values of the parameter blocks.
   Camera camera() const;
-  BoardShape<double> board_shape() const { return from_block<BoardShape>(shape_.data()); }
+  BoardShape<double> board_shape() const;
   std::vector<Pose> poses() const;
   /// Where a further camera of a rig is.
-  Pose camera_from_first() const { return pose_from_block(camera_from_first_); }
+  Pose camera_from_first() const;
 
   /// The same over the same parameter blocks, but with few rows: each residual block has one more
   /// than it has parameters. Cost, gradient and Gauss-Newton matrix are the same, to rounding, and
@@ -102,93 +85,22 @@ class PLENOCAL_API CalibrationProblem {
   /// not defined, and for a further camera of a rig.
   Evaluation evaluate() const;
 
-  /// All parameters as one vector, and back.
-  Eigen::VectorXd state() const;
-  void set_state(const Eigen::VectorXd& state);
+  /// All parameters as one vector, block by block, and back. Throws std::invalid_argument if the
+  /// vector is of another length.
+  std::vector<double> state() const;
+  void set_state(const std::vector<double>& state);
 
   /// The cost of every frame's features at the present values; infinite if the model is not
   /// defined.
   std::vector<double> frame_costs() const;
 
   /// Blocks with a free parameter: intrinsics in their order, then the poses.
-  const std::vector<double*>& free_blocks() const { return free_blocks_; }
-  /// Indices of the shared parameters that are free.
-  const std::vector<int>& free_intrinsics() const { return free_intrinsics_; }
+  const std::vector<double*>& free_blocks() const;
   /// Names of the parameters in the order of gradients and covariances, see `Uncertainty::names`.
   std::vector<std::string> names() const;
-  /// Indices of the poses that are fixed.
-  const std::vector<int>& fixed_poses() const { return fixed_poses_; }
-  /// Origin of each residual row, block by block.
-  const std::vector<RowOrigin>& rows() const { return rows_; }
-
-  /// Residuals and Jacobian of a block: columns are the free intrinsics, then, for features, the
-  /// six of their frame's pose, which are 0 if it is fixed.
-  struct Linearised {
-    int first_row = 0;  ///< in `rows`
-    Eigen::VectorXd residuals;
-    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> jacobian;
-    std::vector<double> room;  ///< what Ceres evaluates: memory that can be used again
-  };
-  /// Number of residual blocks; their rows follow each other.
-  int residual_blocks() const { return static_cast<int>(blocks_.size()); }
-  /// The first row of a block.
-  int first_row(int block) const { return blocks_[block].first_row; }
-  /// Linearises a block at the present values; several threads may do so at once. Throws
-  /// std::invalid_argument where the model is not defined.
-  void linearise(int block, Linearised* result) const;
 
  private:
-  CalibrationProblem(const Camera& camera, const Board& board, const CostOptions& options,
-                     std::shared_ptr<ceres::Problem> problem);
-  /// Adds all residuals. The poses are blocks of this problem or of that of the first camera.
-  void add_residuals(const Observations& observations, const CostOptions& options,
-                     const std::vector<double*>& poses);
-  template <int I, bool Bent, bool InRig>
-  void add_features(const Observations& observations, const CostOptions& options,
-                    const std::vector<double*>& poses);
-  void add_centers(const Observations& observations, const CostOptions& options);
-  void add_anchors(const CostOptions& options);
-  /// Adds an anchor on a q'_i; false if it is on something else.
-  bool add_intercept(const Anchor& anchor, double weight);
-  /// The same of the lean of the array.
-  bool add_lean(const Anchor& anchor, double weight);
-  void fix(const CostOptions& options);
-  /// Blocks that all frames share. That of the board's shape is no parameter unless it is free, and
-  /// then the problem is the same as without one.
-  std::vector<std::pair<double*, int>> shared_blocks();
-  struct Place {
-    double* block;
-    int size;   // of the block
-    int index;  // in the block
-  };
-  struct Block {
-    const ceres::CostFunction* cost;
-    std::vector<double*> parameters;
-    int first_row;
-  };
-  ceres::ResidualBlockId add_block(std::unique_ptr<ceres::CostFunction> cost,
-                                   std::vector<double*> parameters);
-
-  Camera frame_;  // what is not a parameter: lattice, pixel size
-  Board board_;   // its size
-  bool shape_is_free_;
-  std::array<double, kMainLensParameters> lens_;
-  std::array<double, kExitPupilParameters> exit_pupil_;
-  std::array<double, kArrayParameters> array_;
-  std::vector<double> focal_lengths_;
-  std::array<double, kBoardShapeParameters> shape_;
-  bool in_rig_ = false;
-  std::array<double, Pose::kSize> camera_from_first_{};
-  std::vector<std::array<double, Pose::kSize>> poses_;
-  std::vector<int> fixed_poses_;
-  std::vector<Place> places_;  // of all shared parameters
-  std::vector<double*> free_blocks_;
-  std::vector<int> free_intrinsics_;
-  std::vector<RowOrigin> rows_;
-  std::vector<Block> blocks_;
-  std::vector<std::pair<int, ceres::ResidualBlockId>> feature_blocks_;  // with their frames
-  std::vector<double*> blocks_of_others_;                               // further cameras of a rig
-  std::shared_ptr<ceres::Problem> problem_;
+  std::unique_ptr<LeastSquares> parts_;
 };
 
 }  // namespace plenocal

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <limits>
+#include <optional>
 
 #include "plenocal/camera.hpp"
 
@@ -126,20 +127,19 @@ Vector2<T> distortion(const MainLens<T>& lens, const T& x, const T& y) {
 }
 
 /// p': image of a point in the camera frame through the main lens: K(F) and the distortion of
-/// Eq. (completemodel), and the curvature of the field. False if the point is not beyond the focal
+/// Eq. (completemodel), and the curvature of the field. None if the point is not beyond the focal
 /// plane.
 template <typename T>
-[[nodiscard]] bool main_lens_image(const MainLens<T>& lens, const Vector3<T>& point,
-                                   Vector3<T>* image) {
+std::optional<Vector3<T>> main_lens_image(const MainLens<T>& lens, const Vector3<T>& point) {
   const T beyond_focus = point.z - lens.focal_length;
-  if (!(beyond_focus > 0.0)) return false;
+  if (!(beyond_focus > 0.0)) return std::nullopt;
   const T magnification = -lens.focal_length / beyond_focus;
   const T x = magnification * point.x;
   const T y = magnification * point.y;
   const Vector2<T> shift = distortion(lens, x, y);
   const T curvature = lens.field_curvature - lens.field_curvature_growth * magnification;
-  *image = {x + shift.x, y + shift.y, magnification * point.z + curvature * (x * x + y * y)};
-  return true;
+  return Vector3<T>{x + shift.x, y + shift.y,
+                    magnification * point.z + curvature * (x * x + y * y)};
 }
 
 /// p: diameter of the exit pupil over that of the entrance pupil, p = 1 + e_z/F. The one is the
@@ -213,19 +213,22 @@ class ArrayOptics {
     return 2.0 * half_diameter_px_ * ((pupil.z - sensor_z_) / (pupil.z + mla_.lens_to_mla));
   }
 
-  /// (u, v) and `scale` = -delta/a: where the straight ray from p' through C meets the sensor
-  /// plane. False if p' lies in the plane of the micro-lens.
-  bool through_micro_lens(const Vector3<T>& image, const Vector3<T>& center, Pixel<T>* pixel,
-                          T* scale) const {
+  /// -delta/a of an image p' seen through a micro-lens with the centre C: the scale at which the
+  /// sensor shows it. None if p' lies in the plane of the micro-lens.
+  std::optional<T> image_scale(const Vector3<T>& image, const Vector3<T>& center) const {
     const T a = image.z - center.z;
-    if (a == 0.0) return false;
-    *scale = (sensor_z_ - center.z) / a;
-    pixel->u = to_u(center.x + *scale * (image.x - center.x));
-    pixel->v = to_v(center.y + *scale * (image.y - center.y));
-    return true;
+    if (a == 0.0) return std::nullopt;
+    return (sensor_z_ - center.z) / a;
   }
 
-  /// rho: signed blur radius, Eq. (blurradius), with delta/a known from `through_micro_lens`:
+  /// (u, v): where the straight ray from p' through C meets the sensor, with their `image_scale`.
+  Pixel<T> through_micro_lens(const Vector3<T>& image, const Vector3<T>& center,
+                              const T& scale) const {
+    return {to_u(center.x + scale * (image.x - center.x)),
+            to_v(center.y + scale * (image.y - center.y))};
+  }
+
+  /// rho: signed blur radius, Eq. (blurradius), with `scale` = -delta/a (`image_scale`):
   /// rho = dC/(2s) delta (1/f - 1/a - 1/delta) = dC/(2s) (delta/f - delta/a - 1).
   T blur_radius(const Vector3<T>& center, const T& scale, const T& inverse_focal_length) const {
     return half_diameter_px_ * ((center.z - sensor_z_) * inverse_focal_length + scale - 1.0);
@@ -322,41 +325,39 @@ inline MicroLens micro_lens_of(const Camera& camera, int k, int l) {
   return {camera.lattice.node(k, l), camera.lattice.lens_type(k, l, camera.lens_types())};
 }
 
-/// Feature of a point whose image p' through the main lens is known, see `main_lens_image`. False,
-/// with the feature unchanged, if the point is imaged onto the micro-lens.
+/// Feature of a point whose image p' through the main lens is known, see `main_lens_image`. None if
+/// the point is imaged onto the micro-lens.
 template <typename T>
-[[nodiscard]] bool project_image(const Optics<T>& optics, const Vector3<T>& image,
-                                 const MicroLens& micro_lens, Feature<T>* feature) {
+std::optional<Feature<T>> project_image(const Optics<T>& optics, const Vector3<T>& image,
+                                        const MicroLens& micro_lens) {
   const Vector3<T> center = optics.array.micro_lens_center(micro_lens.node);
-  Pixel<T> pixel;
-  T scale;
-  if (!optics.array.through_micro_lens(image, center, &pixel, &scale)) return false;
-  feature->u = pixel.u;
-  feature->v = pixel.v;
-  feature->rho = optics.has_blur
-                     ? optics.array.blur_radius(center, scale,
-                                                optics.inverse_focal_lengths[micro_lens.lens_type])
-                     : T(std::numeric_limits<double>::quiet_NaN());
-  return true;
+  const std::optional<T> scale = optics.array.image_scale(image, center);
+  if (!scale) return std::nullopt;
+  const Pixel<T> pixel = optics.array.through_micro_lens(image, center, *scale);
+  return Feature<T>{pixel.u, pixel.v,
+                    optics.has_blur
+                        ? optics.array.blur_radius(
+                              center, *scale, optics.inverse_focal_lengths[micro_lens.lens_type])
+                        : T(std::numeric_limits<double>::quiet_NaN())};
 }
 
-/// Feature of a point in the camera frame (mm). False, with the feature unchanged, if the model is
-/// not defined: for a point within the focal length, or imaged onto the micro-lens.
+/// Feature of a point in the camera frame (mm). None where the model is not defined: for a point
+/// within the focal length, or imaged onto the micro-lens.
 template <typename T>
-[[nodiscard]] bool project(const Optics<T>& optics, const Vector3<T>& point,
-                           const MicroLens& micro_lens, Feature<T>* feature) {
-  Vector3<T> image;
-  return main_lens_image(optics.main_lens, point, &image) &&
-         project_image(optics, image, micro_lens, feature);
+std::optional<Feature<T>> project(const Optics<T>& optics, const Vector3<T>& point,
+                                  const MicroLens& micro_lens) {
+  const std::optional<Vector3<T>> image = main_lens_image(optics.main_lens, point);
+  return image ? project_image(optics, *image, micro_lens) : std::nullopt;
 }
 
-/// Feature of a board point (mm) seen through micro-lens (k, l), in one call and with checks.
-/// False, with the feature unchanged, if the model is not defined: as above, and for a micro-lens
-/// that the array does not have, numbers that are not finite, and points so far off the axis that
-/// distortion turns back. Throws std::invalid_argument if the camera is not valid.
-[[nodiscard]] PLENOCAL_API bool project(const Camera& camera, const Pose& camera_from_board,
-                                        const Vector3<double>& board_point, int k, int l,
-                                        Feature<double>* feature);
+/// Feature of a board point (mm) seen through micro-lens (k, l), in one call and with checks. None
+/// where the model is not defined: as above, and for a micro-lens that the array does not have,
+/// numbers that are not finite, and points so far off the axis that distortion turns back. Throws
+/// std::invalid_argument if the camera is not valid.
+PLENOCAL_API std::optional<Feature<double>> project(const Camera& camera,
+                                                    const Pose& camera_from_board,
+                                                    const Vector3<double>& board_point, int k,
+                                                    int l);
 
 /// Micro-image centre of micro-lens (k, l), which may lie outside the array.
 PLENOCAL_API Pixel<double> project_center(const Camera& camera, int k, int l);

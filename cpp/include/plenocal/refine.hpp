@@ -4,11 +4,13 @@
 
 #include <array>
 #include <functional>
+#include <set>
 #include <string>
 #include <vector>
 
 #include "plenocal/board.hpp"
 #include "plenocal/loss.hpp"
+#include "plenocal/matrix.hpp"
 #include "plenocal/projection.hpp"
 
 namespace plenocal {
@@ -56,11 +58,6 @@ struct Anchor {
   double std_dev;  ///< likewise
 };
 
-/// What keeps its value unless `CostOptions::free` names it: the camera is the paper's, with the
-/// exit pupil in the lens, a flat field and one pitch of the array; and the board is known.
-constexpr std::array<const char*, 10> kHeldByDefault = {
-    "kappa", "kappa_m", "e_x", "e_y", "e_z", "dC_ratio", "sag_x", "sag_y", "twist", "aspect"};
-
 /// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations + w/2 sum r_a^2 over the
 /// anchors. The sigma of a residual is that of the observation (1 px unless given) times the factor
 /// given here for its kind.
@@ -73,10 +70,11 @@ struct CostOptions {
   bool rho = true;
   Loss features_loss;  ///< on |(u, v, rho)| of a feature
   Loss centers_loss;   ///< on |(u, v)| of a centre
-  /// Names of shared parameters (`shared_names`) that keep their value, besides `kHeldByDefault`.
-  std::vector<std::string> fixed;
-  /// Those of `kHeldByDefault` that are estimated all the same.
-  std::vector<std::string> free;
+  /// Names of shared parameters (`shared_names`) that keep their value. By default the camera is
+  /// the paper's, with the exit pupil in the lens, a flat field and one pitch of the array; and the
+  /// board is known.
+  std::set<std::string> fixed = {"kappa",    "kappa_m", "e_x",   "e_y",   "e_z",
+                                 "dC_ratio", "sag_x",   "sag_y", "twist", "aspect"};
   /// Indices of poses that keep their value.
   std::vector<int> fixed_poses;
   std::vector<Anchor> anchors;
@@ -84,10 +82,10 @@ struct CostOptions {
   /// see `Uncertainty::dispersion`. It keeps observations and anchors in proportion.
   double anchor_weight = 1.0;
 
-  /// Names of all shared parameters that keep their value.
-  PLENOCAL_API std::vector<std::string> held() const;
-  /// Sets `fixed` and `free` so that these and no others keep their value.
-  PLENOCAL_API void hold_only(const std::vector<std::string>& names);
+  /// Adds names to `fixed`.
+  PLENOCAL_API void fix(const std::vector<std::string>& names);
+  /// Takes names out of `fixed`. Throws std::invalid_argument for one that is not in it.
+  PLENOCAL_API void free(const std::vector<std::string>& names);
 };
 
 /// Options of the minimisation. The tolerances are those of Ceres; the defaults are at the limit of
@@ -186,19 +184,19 @@ struct Uncertainty {
   int rank = 0;  ///< number of independent directions that are determined
   /// Whether `covariance` is that of shared errors: with enough frames, or no free intrinsics.
   bool shared = false;
-  std::vector<double> covariance;              ///< size x size, row by row
-  std::vector<double> independent_covariance;  ///< of independent errors, likewise
+  Matrix covariance;              ///< size x size
+  Matrix independent_covariance;  ///< of independent errors, likewise
   /// If errors are shared: for each free intrinsic, the degrees of freedom of its variance. The
   /// variance is known to a fraction of sqrt(2 / freedom), its root to half of that.
   std::vector<double> freedom;
   /// By how much the free intrinsics would change if a frame were left out, to first order: a row
   /// for each frame; not a number where they would not all be determined any more.
-  std::vector<double> left_out_changes;
+  Matrix left_out_changes;
   /// The share of each frame in what the weights claim the variance of the free intrinsics to be: a
   /// row for each frame, 0 to 1.
-  std::vector<double> frame_shares;
+  Matrix frame_shares;
   /// How the poses follow the free intrinsics: 6 rows for each frame.
-  std::vector<double> poses_by_intrinsics;
+  Matrix poses_by_intrinsics;
   /// How many times larger the variance of the anchored quantities due to the observations is than
   /// the weights claim, in the mean; 1 without anchors. `CostOptions::anchor_weight` should be
   /// this. With too few frames it is ten times what independent errors make it.
@@ -210,10 +208,10 @@ struct Uncertainty {
   int contradicted = -1;
   std::vector<double> information;  ///< diagonal of H
   /// The directions of parameter space with the least information in proportion to that on each
-  /// parameter alone, the weakest first: rows of `size` changes, along one standard deviation, or,
-  /// if a direction is not determined (the first size - rank of all), along the unit of the
-  /// scaled space.
-  std::vector<double> weakest;
+  /// parameter alone, the weakest first: a row of `size` changes for each, along one standard
+  /// deviation, or, if a direction is not determined (the first size - rank of all), along the unit
+  /// of the scaled space.
+  Matrix weakest;
   /// Whether the observations determine a parameter at all; if not, its variance is meaningless.
   std::vector<bool> determined;
   /// Measured standard deviation of features' u and v, rho, centres' u and v, px: root of the sum
@@ -222,8 +220,8 @@ struct Uncertainty {
   std::array<double, 3> residual_std_dev{};
   /// s_k: by how much the errors are larger than their sigma in the cost says; 1 if it is right.
   std::array<double, 3> std_dev_factors{};
-  /// Change of the free intrinsics by each common error, row by row: a row for each error.
-  std::vector<double> common_changes;
+  /// Change of the free intrinsics by each common error: a row for each error.
+  Matrix common_changes;
   /// How much a further Gauss-Newton step would lower the cost: 0 at a true minimum.
   double expected_decrease = 0.0;
   /// That step: a change of each parameter.
@@ -256,9 +254,9 @@ PLENOCAL_API Uncertainty uncertainty(const Camera& camera, const std::vector<Pos
                                      const std::vector<CommonError>& common = {}, int threads = 1);
 
 /// The information of each frame on the free intrinsics, with its pose unknown: a square matrix for
-/// each frame, row by row, the same for any number of threads. Anchors and centres take no part.
-/// Throws like `refine`.
-PLENOCAL_API std::vector<double> frame_information(const Camera& camera,
+/// each frame, the same for any number of threads. Anchors and centres take no part. Throws like
+/// `refine`.
+PLENOCAL_API std::vector<Matrix> frame_information(const Camera& camera,
                                                    const std::vector<Pose>& poses,
                                                    const Observations& observations,
                                                    const CostOptions& cost_options,

@@ -99,23 +99,24 @@ class FeatureResiduals {
     for (const WeightedFeature& f : features_) {
       // Features of a corner are consecutive, so its image is computed once.
       if (imaged == nullptr || !same(*imaged, f.board_point)) {
-        Vector3<Outer> point, formed;
+        Vector3<Outer> point;
         if constexpr (Bent) {
           point =
               camera_from_board(corner_of(board_, from_block<BoardShape>(shape), f.board_point));
         } else {
           point = camera_from_board(f.board_point);
         }
-        if (!main_lens_image(lens, point, &formed)) return false;
-        image = cross(formed);
+        const std::optional<Vector3<Outer>> formed = main_lens_image(lens, point);
+        if (!formed) return false;
+        image = cross(*formed);
         imaged = &f.board_point;
       }
-      Feature<Inner> projected;
-      if (!project_image(optics, image, f.micro_lens, &projected)) return false;
+      const std::optional<Feature<Inner>> projected = project_image(optics, image, f.micro_lens);
+      if (!projected) return false;
       Inner residual[kResiduals];
-      residual[0] = (projected.u - f.observed.u) * f.weight.u;
-      residual[1] = (projected.v - f.observed.v) * f.weight.v;
-      if constexpr (I > 0) residual[2] = (projected.rho - f.observed.rho) * f.weight.rho;
+      residual[0] = (projected->u - f.observed.u) * f.weight.u;
+      residual[1] = (projected->v - f.observed.v) * f.weight.v;
+      if constexpr (I > 0) residual[2] = (projected->rho - f.observed.rho) * f.weight.rho;
       apply_loss(loss_, kResiduals, residual);
       take(residual);
     }

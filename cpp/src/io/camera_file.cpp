@@ -99,7 +99,8 @@ void read_uncertainty(const Field& uncertainty, CameraFile* file) {
       covariance.push_back(entry.number() * known[a] * known[b]);
     }
   }
-  file->covariance = std::move(covariance);
+  const int size = static_cast<int>(known.size());
+  file->covariance = {size, size, std::move(covariance)};
 }
 
 Json camera_json(const CameraFile& file) {
@@ -172,13 +173,13 @@ Json uncertainty_json(const CameraFile& file) {
     known.push_back(file.std_dev[i]);
   }
   Json json = {{"standard_deviations", std_devs}};
-  const std::size_t n = free.size();
-  if (file.covariance.size() == n * n) {
+  const int n = static_cast<int>(free.size());
+  if (file.covariance.rows == n) {
     Json matrix = Json::array();
-    for (std::size_t i = 0; i < n; ++i) {
+    for (int i = 0; i < n; ++i) {
       Json row = Json::array();
-      for (std::size_t j = 0; j < n; ++j) {
-        row.push_back(file.covariance[n * i + j] / (known[i] * known[j]));
+      for (int j = 0; j < n; ++j) {
+        row.push_back(file.covariance(i, j) / (known[i] * known[j]));
       }
       matrix.push_back(row);
     }

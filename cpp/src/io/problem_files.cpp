@@ -129,10 +129,9 @@ ProblemFiles read_problem(const std::string& folder) {
   options.rho = root["rho"].boolean();
   options.features_loss = options.centers_loss = loss_from(root["loss"]);
   options.anchor_weight = root["anchor_weight"].number();
-  std::vector<std::string> held;
+  options.fixed.clear();
   const Field fixed = root["fixed"], anchors = root["anchors"];
-  for (std::size_t i = 0; i < fixed.size(); ++i) held.push_back(fixed.at(i).string());
-  options.hold_only(held);
+  for (std::size_t i = 0; i < fixed.size(); ++i) options.fixed.insert(fixed.at(i).string());
   for (std::size_t i = 0; i < anchors.size(); ++i) {
     const Field anchor = anchors.at(i);
     options.anchors.push_back(

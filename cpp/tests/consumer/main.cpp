@@ -27,9 +27,9 @@ int main() {
   // is 1 mm behind the middle micro-lens, which halves the image on the sensor 0.5 mm away:
   // u = 100 + 3/5/2/0.01 = 130, v = 80 + 1.5/5/2/0.01 = 95,
   // rho = 0.2/0.02 * 0.5 * (1/0.8 + 1 - 1/0.5) = 1.25.
-  plenocal::Feature<double> feature{};
-  if (!plenocal::project(camera, camera_from_board, {3.0, 1.5, 0.0}, 2, 2, &feature)) return 1;
-  std::printf("u %.3f v %.3f rho %.3f\n", feature.u, feature.v, feature.rho);
+  const auto feature = plenocal::project(camera, camera_from_board, {3.0, 1.5, 0.0}, 2, 2);
+  if (!feature) return 1;
+  std::printf("u %.3f v %.3f rho %.3f\n", feature->u, feature->v, feature->rho);
 
   // Now with derivatives by the point in the camera frame: the optics are constant Jets.
   // u grows by 1/5/2/0.01 = 10 px for every mm along x.
@@ -46,9 +46,9 @@ int main() {
                                      plenocal::from_block<plenocal::MicroLensArray>(array.data()),
                                      &focal_length, 1, camera.pixel_size);
   const plenocal::Vector3<Jet> point{Jet(3.0, 0), Jet(1.5, 1), Jet(300.0, 2)};
-  plenocal::Feature<Jet> jets;
-  if (!plenocal::project(optics, point, plenocal::micro_lens_of(camera, 2, 2), &jets)) return 1;
-  std::printf("du/dx %.3f dv/dy %.3f\n", jets.u.v[0], jets.v.v[1]);
+  const auto jets = plenocal::project(optics, point, plenocal::micro_lens_of(camera, 2, 2));
+  if (!jets) return 1;
+  std::printf("du/dx %.3f dv/dy %.3f\n", jets->u.v[0], jets->v.v[1]);
 
   // The solver has to link too.
   try {

@@ -20,3 +20,7 @@ run(${CMAKE_COMMAND} -S ${source} -B ${scratch}/build -G ${generator}
   -DCMAKE_RUNTIME_OUTPUT_DIRECTORY_${config}=${scratch}/bin)
 run(${CMAKE_COMMAND} --build ${scratch}/build --config ${config})
 run(${scratch}/bin/consumer)
+file(READ ${scratch}/build/vectorised.txt programs)
+foreach(program ${programs})
+  run(${scratch}/bin/${program})
+endforeach()

@@ -6,7 +6,7 @@
 #include <string>
 
 #include "checks.hpp"
-#include "plenocal/problem.hpp"
+#include "least_squares.hpp"
 
 namespace plenocal {
 namespace {
@@ -41,8 +41,8 @@ class Patches {
 
 }  // namespace
 
-void CalibrationProblem::add_residuals(const Observations& observations, const CostOptions& options,
-                                       const std::vector<double*>& poses) {
+void LeastSquares::add_residuals(const Observations& observations, const CostOptions& options,
+                                 const std::vector<double*>& poses) {
   for (auto [block, size] : shared_blocks()) {
     problem_->AddParameterBlock(block, size);
     for (int place = 0; place < size; ++place) places_.push_back({block, size, place});
@@ -74,8 +74,8 @@ void CalibrationProblem::add_residuals(const Observations& observations, const C
 }
 
 template <int I, bool Bent, bool InRig>
-void CalibrationProblem::add_features(const Observations& observations, const CostOptions& options,
-                                      const std::vector<double*>& poses) {
+void LeastSquares::add_features(const Observations& observations, const CostOptions& options,
+                                const std::vector<double*>& poses) {
   // Sorted by frame, then corner; the order within a corner is kept.
   const auto& features = observations.features;
   const auto frame_and_corner = [&features](std::size_t i) {
@@ -122,7 +122,7 @@ void CalibrationProblem::add_features(const Observations& observations, const Co
   }
 }
 
-void CalibrationProblem::add_centers(const Observations& observations, const CostOptions& options) {
+void LeastSquares::add_centers(const Observations& observations, const CostOptions& options) {
   const auto& centers = observations.centers;
   const Patches patches(centers);
   for (std::size_t begin = 0; begin < centers.size(); begin += kCentersPerBlock) {
@@ -141,14 +141,14 @@ void CalibrationProblem::add_centers(const Observations& observations, const Cos
   }
 }
 
-ceres::ResidualBlockId CalibrationProblem::add_block(std::unique_ptr<ceres::CostFunction> cost,
-                                                     std::vector<double*> parameters) {
+ceres::ResidualBlockId LeastSquares::add_block(std::unique_ptr<ceres::CostFunction> cost,
+                                               std::vector<double*> parameters) {
   const int first_row = static_cast<int>(rows_.size()) - cost->num_residuals();
   blocks_.push_back({cost.get(), parameters, first_row});
   return problem_->AddResidualBlock(cost.release(), nullptr, parameters);
 }
 
-bool CalibrationProblem::add_intercept(const Anchor& anchor, double weight) {
+bool LeastSquares::add_intercept(const Anchor& anchor, double weight) {
   for (int type = 0; type < frame_.lens_types(); ++type) {
     if (anchor.quantity != intercept_name(type)) continue;
     add_block(frame_.lens_types() == 1 ? InterceptResidual<1>::create(type, anchor.value, weight)
@@ -159,7 +159,7 @@ bool CalibrationProblem::add_intercept(const Anchor& anchor, double weight) {
   return false;
 }
 
-bool CalibrationProblem::add_lean(const Anchor& anchor, double weight) {
+bool LeastSquares::add_lean(const Anchor& anchor, double weight) {
   const auto name = std::find(kLeanNames.begin(), kLeanNames.end(), anchor.quantity);
   if (name == kLeanNames.end()) return false;
   const int axis = static_cast<int>(name - kLeanNames.begin());
@@ -167,7 +167,7 @@ bool CalibrationProblem::add_lean(const Anchor& anchor, double weight) {
   return true;
 }
 
-void CalibrationProblem::add_anchors(const CostOptions& options) {
+void LeastSquares::add_anchors(const CostOptions& options) {
   const double root = std::sqrt(options.anchor_weight);
   const auto names = shared_names(frame_.lens_types());
   for (const Anchor& anchor : options.anchors) {

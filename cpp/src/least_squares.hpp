@@ -1,0 +1,147 @@
+// The cost of a camera as blocks of parameters and of residuals in a ceres::Problem: what
+// `CalibrationProblem`, `refine` and `uncertainty` are made of.
+#pragma once
+
+#include <ceres/ceres.h>
+
+#include <Eigen/Core>
+#include <array>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "plenocal/problem.hpp"
+#include "plenocal/residuals.hpp"
+
+namespace plenocal {
+
+/// Kinds of residuals. Those of observations each have a variance that is measured, anchors one
+/// that is known.
+enum ResidualKind { kUv = 0, kRho = 1, kCenter = 2, kAnchor = 3 };
+constexpr int kObservedKinds = 3;
+constexpr int kResidualKinds = 4;
+
+/// Where a residual row comes from: what it shares its errors with.
+struct RowOrigin {
+  ResidualKind kind;
+  int group;       ///< frame of a feature; patch of a centre, see `kPatches`; index of an anchor
+  int corner;      ///< of a feature: counts all corners of all frames; else -1
+  double std_dev;  ///< of the cost: px, or the unit of the anchored quantity
+  int observation = -1;  ///< index among features or among centres; -1 of an anchor
+};
+
+/// Centres share errors with their neighbours: groups of them are patches of the image, so many
+/// along u and along v.
+constexpr int kPatchColumns = 8;
+constexpr int kPatchRows = 6;
+constexpr int kPatches = kPatchColumns * kPatchRows;
+
+/// Neither copied nor moved, since Ceres keeps pointers into it. Public functions are those of
+/// `CalibrationProblem`.
+class LeastSquares {
+ public:
+  using Blocks = CalibrationProblem::Blocks;
+
+  LeastSquares(const Camera& camera, const std::vector<Pose>& poses,
+               const Observations& observations, const CostOptions& options);
+  LeastSquares(LeastSquares& first, const Pose& camera_from_first, const Camera& camera,
+               const Observations& observations, const CostOptions& options);
+  LeastSquares(const LeastSquares&) = delete;
+  LeastSquares& operator=(const LeastSquares&) = delete;
+
+  ceres::Problem& problem() { return *problem_; }
+  Blocks blocks();
+  std::shared_ptr<ceres::ParameterBlockOrdering> ordering();
+
+  Camera camera() const;
+  BoardShape<double> board_shape() const { return from_block<BoardShape>(shape_.data()); }
+  std::vector<Pose> poses() const;
+  Pose camera_from_first() const { return pose_from_block(camera_from_first_); }
+
+  std::unique_ptr<ceres::Problem> compressed() const;
+  Evaluation evaluate() const;
+  Eigen::VectorXd state() const;
+  void set_state(const Eigen::VectorXd& state);
+  std::vector<double> frame_costs() const;
+
+  const std::vector<double*>& free_blocks() const { return free_blocks_; }
+  /// Indices of the shared parameters that are free.
+  const std::vector<int>& free_intrinsics() const { return free_intrinsics_; }
+  std::vector<std::string> names() const;
+  /// Indices of the poses that are fixed.
+  const std::vector<int>& fixed_poses() const { return fixed_poses_; }
+  /// Origin of each residual row, block by block.
+  const std::vector<RowOrigin>& rows() const { return rows_; }
+
+  /// Residuals and Jacobian of a block: columns are the free intrinsics, then, for features, the
+  /// six of their frame's pose, which are 0 if it is fixed.
+  struct Linearised {
+    int first_row = 0;  ///< in `rows`
+    Eigen::VectorXd residuals;
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> jacobian;
+    std::vector<double> room;  ///< what Ceres evaluates: memory that can be used again
+  };
+  /// Number of residual blocks; their rows follow each other.
+  int residual_blocks() const { return static_cast<int>(blocks_.size()); }
+  /// The first row of a block.
+  int first_row(int block) const { return blocks_[block].first_row; }
+  /// Linearises a block at the present values; several threads may do so at once. Throws
+  /// std::invalid_argument where the model is not defined.
+  void linearise(int block, Linearised* result) const;
+
+ private:
+  LeastSquares(const Camera& camera, const Board& board, const CostOptions& options,
+               std::shared_ptr<ceres::Problem> problem);
+  /// Adds all residuals. The poses are blocks of this problem or of that of the first camera.
+  void add_residuals(const Observations& observations, const CostOptions& options,
+                     const std::vector<double*>& poses);
+  template <int I, bool Bent, bool InRig>
+  void add_features(const Observations& observations, const CostOptions& options,
+                    const std::vector<double*>& poses);
+  void add_centers(const Observations& observations, const CostOptions& options);
+  void add_anchors(const CostOptions& options);
+  /// Adds an anchor on a q'_i; false if it is on something else.
+  bool add_intercept(const Anchor& anchor, double weight);
+  /// The same of the lean of the array.
+  bool add_lean(const Anchor& anchor, double weight);
+  void fix(const CostOptions& options);
+  /// Blocks that all frames share. That of the board's shape is no parameter unless it is free, and
+  /// then the problem is the same as without one.
+  std::vector<std::pair<double*, int>> shared_blocks();
+  struct Place {
+    double* block;
+    int size;   // of the block
+    int index;  // in the block
+  };
+  struct Block {
+    const ceres::CostFunction* cost;
+    std::vector<double*> parameters;
+    int first_row;
+  };
+  ceres::ResidualBlockId add_block(std::unique_ptr<ceres::CostFunction> cost,
+                                   std::vector<double*> parameters);
+
+  Camera frame_;  // what is not a parameter: lattice, pixel size
+  Board board_;   // its size
+  bool shape_is_free_;
+  std::array<double, kMainLensParameters> lens_;
+  std::array<double, kExitPupilParameters> exit_pupil_;
+  std::array<double, kArrayParameters> array_;
+  std::vector<double> focal_lengths_;
+  std::array<double, kBoardShapeParameters> shape_;
+  bool in_rig_ = false;
+  std::array<double, Pose::kSize> camera_from_first_{};
+  std::vector<std::array<double, Pose::kSize>> poses_;
+  std::vector<int> fixed_poses_;
+  std::vector<Place> places_;  // of all shared parameters
+  std::vector<double*> free_blocks_;
+  std::vector<int> free_intrinsics_;
+  std::vector<RowOrigin> rows_;
+  std::vector<Block> blocks_;
+  std::vector<std::pair<int, ceres::ResidualBlockId>> feature_blocks_;  // with their frames
+  std::vector<double*> blocks_of_others_;                               // further cameras of a rig
+  std::shared_ptr<ceres::Problem> problem_;
+};
+
+}  // namespace plenocal
