@@ -1,14 +1,9 @@
 //! `detection.json`: what was found in each frame, and what was dropped and why.
 
-use std::path::Path;
-
-use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::json_file::{document_of, read_json};
 use crate::detection::{DetectedBoards, DetectedFrame, Detection, Edges};
-use crate::error::{Error, Result};
-use crate::model::{Board, FillFactor};
+use crate::model::Board;
 
 const FORMAT: &str = "plenocal-detection";
 
@@ -66,24 +61,4 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
         "fitted_with_fill_factor": found.fitted_with,
         "frames": found.frames.iter().map(of_frame).collect::<Vec<_>>(),
     })
-}
-
-#[derive(Deserialize)]
-struct FillFactorOfBoards {
-    format: String,
-    fill_factor: Option<FillFactor>,
-}
-
-/// The fill factor that boards have shown, from `detection.json`; `None` if they do not show it.
-pub fn read_fill_factor_of_boards(path: &Path) -> Result<Option<FillFactor>> {
-    let found = read_json(path)?;
-    let found: FillFactorOfBoards =
-        document_of(found, "detection.json").map_err(|e| e.in_file(path))?;
-    if found.format != FORMAT {
-        return Err(Error::invalid(format!("its format is '{}' and not '{FORMAT}'", found.format))
-            .in_file(path));
-    }
-    let fill = found.fill_factor;
-    fill.iter().try_for_each(FillFactor::validate).map_err(|e| e.in_file(path))?;
-    Ok(fill.map(|fill| fill.taken()))
 }

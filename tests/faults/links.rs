@@ -18,15 +18,14 @@ fn edit(place: &Place, edit: impl FnOnce(&mut Value)) {
 /// Files that a manifest claims to be of a stage are removed only within its folder.
 #[test]
 fn a_damaged_manifest_removes_nothing_elsewhere() {
-    for (stage, key) in [(0, "old"), (3, "old"), (5, "old")] {
+    for stage in [0, 2, 4] {
         let place = Place::done();
         fs::write(place.path("victim.txt"), "mine").unwrap();
         let absolute = place.path("victim.txt").display().to_string();
         edit(&place, |manifest| {
             let record = &mut manifest["stages"][stage];
-            record["key"] = json!(key);
             for name in ["../../victim.txt", "../report.html", &absolute, "a/../../../victim.txt"] {
-                record["files"][name] = json!("00");
+                record["files"].as_array_mut().unwrap().push(json!(name));
             }
         });
         let output = place.run(&NONE);
@@ -44,7 +43,6 @@ fn a_manifest_that_is_none_starts_anew() {
         fs::write(place.path("results/manifest.json"), text).unwrap();
         let output = place.run(&NONE);
         assert!(output.status.success(), "{}", said(&output));
-        assert!(!said(&output).contains("unchanged"), "{}", said(&output));
         place.assert_undisturbed(text);
     }
 }
@@ -55,7 +53,7 @@ fn a_linked_folder_of_a_stage_is_refused() {
     for stage in ["precalibration", "boards-calibration", "calibration"] {
         let place = Place::done();
         fs::create_dir(place.path("elsewhere")).unwrap();
-        let mine = ["camera.json", "section.json", "features.csv", "old.svg"];
+        let mine = ["camera.json", "calibration.json", "features.csv", "old.svg"];
         for name in mine {
             fs::write(place.path("elsewhere").join(name), "mine").unwrap();
         }

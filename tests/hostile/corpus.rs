@@ -138,15 +138,6 @@ pub fn board_shapes() -> Vec<Vec<u8>> {
     vec![pretty(calibration)]
 }
 
-pub fn detections() -> Vec<Vec<u8>> {
-    vec![pretty(&serde_json::json!({
-        "format": "plenocal-detection",
-        "version": 1,
-        "fill_factor": { "value": 0.93, "std_dev": 0.01 },
-        "frames": [],
-    }))]
-}
-
 pub fn true_boards() -> Vec<Vec<u8>> {
     vec![documents::BOARD_SHAPE.into()]
 }

@@ -1,6 +1,5 @@
 //! Valid files, as the program, COMPOTE, Raytrix and users write them.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
@@ -180,15 +179,10 @@ pub fn linked() -> Vec<u8> {
 
 /// A manifest with one stage.
 pub fn manifest() -> Manifest {
-    let mut manifest = Manifest::new(Path::new("project.toml"), "00".to_owned());
-    manifest.inputs.insert("a.png".to_owned(), "11".to_owned());
-    manifest.note(StageRecord {
-        name: "precalibration".to_owned(),
-        key: "22".to_owned(),
-        input: json!({ "whites": ["a.png"], "black_level": 16.0 }),
-        time_s: 1.5,
-        files: BTreeMap::from([("centers.csv".to_owned(), "33".to_owned())]),
-    });
+    let mut manifest = Manifest::of(Path::new("project.toml"), std::iter::empty());
+    manifest.inputs.insert("a.png".into(), "11".to_owned());
+    let files = vec!["centers.csv".to_owned()];
+    manifest.stages.push(StageRecord { name: "precalibration".to_owned(), time_s: 1.5, files });
     manifest
 }
 

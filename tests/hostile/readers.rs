@@ -7,9 +7,9 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use plenocal::io::{
     self, CameraSource, Manifest, Project, VirtualDepths, read_board, read_board_shape,
-    read_camera_source, read_centers, read_features, read_fill_factor_of_boards, read_image,
-    read_internal_parameters, read_point_cloud_distance, read_poses, read_raytrix, read_std_devs,
-    read_true_board, read_virtual_depths,
+    read_camera_source, read_centers, read_features, read_image, read_internal_parameters,
+    read_point_cloud_distance, read_poses, read_raytrix, read_std_devs, read_true_board,
+    read_virtual_depths,
 };
 use plenocal::simulation::{Prescription, Settings};
 use plenocal::{Error, Result};
@@ -29,7 +29,7 @@ pub struct Target {
 }
 
 /// All readers.
-pub const TARGETS: [Target; 19] = [
+pub const TARGETS: [Target; 18] = [
     Target {
         name: "project",
         file: "project.toml",
@@ -78,12 +78,6 @@ pub const TARGETS: [Target; 19] = [
         file: "calibration.json",
         seeds: corpus::board_shapes,
         read: |path| Ok(format!("{:?}", read_board_shape(path, &corpus::BOARD)?)),
-    },
-    Target {
-        name: "detection",
-        file: "detection.json",
-        seeds: corpus::detections,
-        read: |path| Ok(format!("{:?}", read_fill_factor_of_boards(path)?)),
     },
     Target {
         name: "true board",

@@ -4,9 +4,7 @@
 //! `results`.
 
 use std::fs;
-#[cfg(unix)]
-use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::LazyLock;
 
 use assert_cmd::assert::Assert;
@@ -43,7 +41,7 @@ static PREPARED: LazyLock<Prepared> = LazyLock::new(|| {
         .assert()
         .success();
     let run = Run { folder };
-    let assert = run.again(&["--folds", "3"]).success();
+    let assert = run.again(&["--folds", "3", "--corners-only"]).success();
     let text = |bytes: &[u8]| String::from_utf8(bytes.to_owned()).unwrap();
     let output = assert.get_output();
     let (stdout, stderr) = (text(&output.stdout), text(&output.stderr));
@@ -123,7 +121,7 @@ fn a_run_prints_the_tables_and_its_stages() {
     ] {
         assert!(stdout.contains(words), "{words}: {stdout}");
     }
-    assert!(stderr.contains("boards-calibration: ") && !stderr.contains("unchanged"), "{stderr}");
+    assert!(stderr.contains("boards-calibration: "), "{stderr}");
 }
 
 #[test]
@@ -183,39 +181,40 @@ fn the_report_of_a_run_has_all_stages_and_no_external_references() {
     assert!(!report.contains("src=\"http") && !report.contains("href=\"http"));
 }
 
+/// Results of an earlier run are replaced, and the same input gives the same features.
 #[test]
-fn an_unchanged_run_does_nothing_and_writes_only_the_report() {
+fn a_second_run_replaces_the_results_of_the_first() {
     let run = Run::copy();
-    let again = || {
-        run.again(&["--folds", "3"])
-            .success()
-            .stderr(contains("evaluation: unchanged").and(contains(" s\n").not()));
-        Files::read(run.folder.path())
-    };
-    // The first time it records its new folder.
-    let (before, after) = (again(), again());
-    let differing = after.differing(&before);
-    assert!(
-        differing.iter().all(|name| *name == Path::new("results/report.html")),
-        "{differing:?}"
-    );
+    run.again(&["--folds", "0", "--no-pictures"]).success();
+    assert!(!run.path("results/boards-calibration/frame-00.svg").exists());
+    assert!(!run.path("results/corners-only").exists());
+    for name in ["boards-calibration/features.csv", "precalibration/centers.csv"] {
+        let name = format!("results/{name}");
+        assert!(fs::read(run.path(&name)).unwrap() == PREPARED.files.get(&name), "{name}");
+    }
+    let manifest = run.json("results/manifest.json");
+    let stages: Vec<&str> = manifest["stages"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|s| s["name"].as_str().unwrap())
+        .collect();
+    let boards = ["boards-calibration", "boards-evaluation", "boards-translation"];
+    let expected = [&["precalibration"][..], &boards, &["calibration", "evaluation"]].concat();
+    assert_eq!(stages, expected);
 }
 
-/// A program built from other sources may give other results, though its version is the same.
+/// The verdict and its codes come from values, and are the same on the terminal and in files.
 #[test]
-#[cfg(unix)]
-fn another_build_of_the_program_repeats_the_stages() {
+fn the_verdict_of_a_run_has_codes_and_values() {
     let run = Run::copy();
-    run.again(&["--folds", "3"]).success().stderr(contains("calibration: unchanged"));
-    let other = run.path("plenocal");
-    let mut program = fs::read(assert_cmd::cargo::cargo_bin("plenocal")).unwrap();
-    // Bytes after the end of an executable do not change what it does.
-    program.extend(b"other");
-    fs::write(&other, program).unwrap();
-    fs::set_permissions(&other, fs::Permissions::from_mode(0o755)).unwrap();
-    let mut command = assert_cmd::Command::new(&other);
-    command.arg("run").arg(run.path("set/project.toml")).arg("--out").arg(run.path("results"));
-    command.args(["--folds", "3"]).assert().success().stderr(contains("unchanged").not());
+    let verdict = run.json("results/verdict.json");
+    assert!(["good", "usable with care"].contains(&verdict["verdict"].as_str().unwrap()));
+    for reason in verdict["reasons"].as_array().unwrap() {
+        let code = reason["code"].as_str().unwrap();
+        assert!(plenocal::Issue::CODES.contains(&code) && reason["values"].is_object(), "{reason}");
+        assert!(PREPARED.stdout.contains(reason["text"].as_str().unwrap()), "{reason}");
+    }
 }
 
 #[test]
@@ -227,35 +226,12 @@ fn a_folder_belongs_to_one_run_and_a_damaged_manifest_deletes_nothing_elsewhere(
     held.unlock().unwrap();
     let victim = run.path("victim.txt");
     fs::write(&victim, "mine").unwrap();
-    let frame = "\"frame-00.svg\":";
+    let frame = "\"frame-00.svg\"";
     run.edit("results/manifest.json", |text| {
-        text.replacen(frame, &format!("\"../../victim.txt\": \"\",\n{frame}"), 1)
+        text.replacen(frame, &format!("\"../../victim.txt\",\n{frame}"), 1)
     });
     run.again(&["--folds", "3", "--no-pictures"]).success();
     assert_eq!(fs::read_to_string(victim).unwrap(), "mine");
-}
-
-#[test]
-fn a_missing_result_is_made_again_and_later_stages_are_kept() {
-    let run = Run::copy();
-    fs::remove_file(run.path("results/boards-evaluation/features.csv")).unwrap();
-    run.again(&["--folds", "3"]).success().stderr(
-        contains("boards-evaluation: unchanged")
-            .not()
-            .and(contains("boards-calibration: unchanged"))
-            .and(contains("\nevaluation: unchanged")),
-    );
-    let name = "results/boards-evaluation/features.csv";
-    assert!(fs::read(run.path(name)).unwrap() == PREPARED.files.get(name));
-}
-
-#[test]
-fn another_option_repeats_only_what_depends_on_it() {
-    let run = Run::copy();
-    run.again(&["--folds", "0"])
-        .success()
-        .stdout(contains("Cross-validation").not())
-        .stderr(contains("calibration: unchanged").and(contains("\nevaluation: unchanged").not()));
 }
 
 #[test]
