@@ -728,7 +728,10 @@ mod tests {
         let mut all =
             [of(Severity::Note, 9.0), of(Severity::Caution, 1.0), of(Severity::Caution, 2.0)];
         sort(&mut all);
-        assert_eq!(all.each_ref().map(|f| f.weight), [2.0, 1.0, 9.0]);
+        let order = all.each_ref().map(|f| (f.severity, f.weight > 1.5));
+        let expected =
+            [(Severity::Caution, true), (Severity::Caution, false), (Severity::Note, true)];
+        assert_eq!(order, expected);
         assert_eq!(worst(&all), Some(Severity::Caution));
         assert_eq!(worst(&[]), None);
     }

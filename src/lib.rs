@@ -7,7 +7,7 @@
 //!
 //! Every stage is a function that takes values and returns a value: [`simulation::simulate`],
 //! [`precalibration::precalibrate`], [`detection::detect`], [`calibration::calibrate`],
-//! [`assessment::evaluate`]. Warnings to the user are part of the result; only [`io`] reads and
+//! [`assessment::evaluate`]. Findings are part of the result; only [`io`] reads and
 //! writes files. The whole pipeline in memory, on a simulated camera:
 //!
 //! ```
@@ -71,7 +71,7 @@
 //! input.truth = Some(simulated.truth.camera);
 //! input.true_board = Some(BoardShape::default());
 //! let evaluation = evaluate(&[candidate], &input, &|| ());
-//! assert!(evaluation.problems.is_empty());
+//! assert!(evaluation.findings.is_empty());
 //! let errors = evaluation.candidates[0].truth.as_ref().expect("the truth is known");
 //! println!("F is off by {:.3} mm", errors[0].error());
 //! # assert!((errors[0].error() / errors[0].truth).abs() < 0.02);

@@ -4,8 +4,6 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
-
 /// A measured value with its standard deviation.
 ///
 /// Shown with two significant digits of σ, as in `54.74 ± 0.11` (GUM, 7.2.6).
@@ -47,20 +45,6 @@ impl Estimate {
     #[must_use]
     pub fn text(&self) -> (String, String) {
         with_std_dev(self.value, Some(self.std_dev))
-    }
-
-    /// An error that names `what` unless the value is finite, and σ finite and not negative.
-    pub(crate) fn validate(&self, what: &str) -> Result<()> {
-        if !self.value.is_finite() {
-            return Err(Error::invalid(format!("{what} is {}", self.value)));
-        }
-        if !(self.std_dev.is_finite() && self.std_dev >= 0.0) {
-            return Err(Error::invalid(format!(
-                "the standard deviation of {what} is {}: it has to be 0 or more",
-                self.std_dev
-            )));
-        }
-        Ok(())
     }
 }
 

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use nalgebra::Isometry3;
 use tracing::debug;
 
-use crate::calibration::{LeftOut, initial_poses};
+use crate::calibration::initial_poses;
 use crate::error::{Error, Result};
-use crate::finding::Issue;
+use crate::finding::{Finding, Issue};
 use crate::model::{
     BapFeature, BentBoard, Board, FeatureResidual, FramePose, MicroImageCenter, Observations,
     PlenopticCamera, shared_parameters,
@@ -27,6 +27,25 @@ const CLEARLY_LOWER: f64 = 1e-3;
 /// Standard deviation of an observation without its own, px. The factor in the options of the cost
 /// then is the standard deviation itself.
 const NO_OWN_STD_DEV: f64 = 1.0;
+
+/// A frame that was not used.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LeftOut {
+    /// Number of the frame.
+    pub frame: u32,
+    /// Number of its features.
+    pub features: usize,
+    /// Why.
+    pub reason: Issue,
+}
+
+impl LeftOut {
+    /// A finding that says so.
+    #[must_use]
+    pub fn finding(&self) -> Finding {
+        Finding::left_out(self.frame, None, self.reason.clone())
+    }
+}
 
 /// Frames with a pose, their features, and the frames left out.
 pub(super) struct Frames {

@@ -8,12 +8,21 @@ use crate::calibration::fill_factor::{with_fill_factor, with_that_of_start};
 use crate::calibration::focus::refocused;
 use crate::calibration::frames::{Frames, given_frames, initial_frames};
 use crate::calibration::{
-    CalibrationOptions, FillMeasurement, LeftOut, Solution, Start, Weights, initial_camera,
+    CalibrationOptions, FillMeasurement, LeftOut, Start, Weights, initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
-use crate::model::{BentBoard, Board, Observations, PlenopticCamera};
+use crate::model::{BentBoard, Board, FramePose, Observations, PlenopticCamera};
 use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
+
+/// Where a cost is to be evaluated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Solution {
+    /// The camera.
+    pub camera: PlenopticCamera,
+    /// The poses of the boards, by frame number; frames without one are left out.
+    pub poses: Vec<FramePose>,
+}
 
 /// A calibration before any pose is known.
 pub(super) struct Prepared {

@@ -1,21 +1,10 @@
 //! The result of a calibration.
 
-use crate::calibration::{AnchorResult, BoardResult, CalibrationOptions, FillMeasurement};
-use crate::finding::{Finding, Issue};
+use crate::calibration::{AnchorResult, BoardResult, CalibrationOptions, FillMeasurement, LeftOut};
+use crate::finding::Finding;
 use crate::model::{FramePose, PlenopticCamera, Reprojection, optics};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{CostOptions, Refinement, Uncertainty};
-
-/// A frame that was not used.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LeftOut {
-    /// Number of the frame.
-    pub frame: u32,
-    /// Number of its features.
-    pub features: usize,
-    /// Why.
-    pub reason: Issue,
-}
 
 /// A calibration: the camera, and a record of how it was estimated.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,13 +56,5 @@ impl Calibration {
     pub fn m_error(&self) -> Option<f64> {
         let of_camera = optics::internal_parameters(&self.camera).m_mm;
         self.m_mm.map(|m| (of_camera - m) / of_camera)
-    }
-}
-
-impl LeftOut {
-    /// A finding that says so.
-    #[must_use]
-    pub fn finding(&self) -> Finding {
-        Finding::left_out(self.frame, None, self.reason.clone())
     }
 }

@@ -8,7 +8,7 @@ use crate::calibration::board::{Settled, findings_of};
 use crate::calibration::common_errors::common_errors;
 use crate::calibration::frames::{Frames, feature_residuals, solver_centers, solver_features};
 use crate::calibration::outlying::{LOSS_SCALE, loss_by_residuals};
-use crate::calibration::prepare::{Prepared, prepared};
+use crate::calibration::prepare::{Prepared, Solution, prepared};
 use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{
     AnchorSource, BoardResult, Calibration, CalibrationOptions, FillMeasurement, LeftOut, Mode,
@@ -45,15 +45,6 @@ pub fn calibrate(
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Calibration> {
     completed(prepared(start, board, observations, options)?, board, options, None, progress)
-}
-
-/// Where a cost is to be evaluated.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Solution {
-    /// The camera.
-    pub camera: PlenopticCamera,
-    /// The poses of the boards, by frame number; frames without one are left out.
-    pub poses: Vec<FramePose>,
 }
 
 /// The cost that [`calibrate`] minimises, evaluated at a solution that may come from elsewhere: the result of a

@@ -9,7 +9,14 @@ use plenocal::model::Subset;
 use plenocal::precalibration::RadiusEstimator;
 use plenocal::solver::LossKind;
 
-use super::points::MapKind;
+/// How the pixels of a map of virtual depths lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MapKind {
+    /// As those of the raw image.
+    Raw,
+    /// As those of a total-focus image: straight before the images of points.
+    Focused,
+}
 
 /// Name, description in the help, value.
 type Choice<T> = (&'static str, &'static str, T);

@@ -12,18 +12,9 @@ use plenocal::model::{MetricPoint, MicroPixel, PlenopticCamera, VirtualPoint};
 use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
-use super::choices::{DEPTH_MAPS, choice};
+use super::choices::{DEPTH_MAPS, MapKind, choice};
 use super::evaluate::{beyond_boards, calibrated};
 use super::talk::{print_result, warn};
-
-/// How the pixels of a map of virtual depths lie.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MapKind {
-    /// As those of the raw image.
-    Raw,
-    /// As those of a total-focus image: straight before the images of points.
-    Focused,
-}
 
 /// Make metric points of virtual depths, by a calibrated camera.
 ///

@@ -145,7 +145,7 @@ impl<'a> Run<'a> {
         shoot: &'a Shoot,
         options: CalibrationOptions,
     ) -> Result<Self> {
-        let truth = project.truth.iter().flat_map(|truth| truth.files());
+        let truth = project.truth.iter().flat_map(io::TruthSection::files);
         let files = std::iter::once(arguments.project.as_path());
         let files = files.chain(shoot.images.files()).chain(truth);
         Ok(Self {
@@ -204,7 +204,7 @@ impl<'a> Run<'a> {
         let result = self
             .stage(EVALUATION, |run, output| run.evaluation(&observed, &cameras, &others, output));
         let evaluation = self.tolerated(EVALUATION, result)?;
-        self.finish(&calibration, &assessment, evaluation)
+        self.finish(&calibration, &assessment, evaluation.as_ref())
     }
 
     /// Whether there is a calibration with blur, to which corners only can be compared.
@@ -435,7 +435,7 @@ impl<'a> Run<'a> {
         mut self,
         calibration: &Calibration,
         assessment: &Assessment,
-        evaluation: Option<Value>,
+        evaluation: Option<&Value>,
     ) -> Result<ExitCode> {
         let changed = self
             .manifest

@@ -179,7 +179,7 @@ mod tests {
         let text = serde_json::to_string(&manifest).unwrap();
         fs::write(folder.path().join(MANIFEST), text).unwrap();
         let read = Manifest::read(folder.path()).unwrap();
-        read.remove_stale(folder.path(), &[new.clone()]);
+        read.remove_stale(folder.path(), std::slice::from_ref(&new));
         assert!(!old.exists() && new.exists() && beside.exists());
         fs::write(folder.path().join(MANIFEST), "{}").unwrap();
         assert!(Manifest::read(folder.path()).is_none());

@@ -127,7 +127,7 @@ fn stacked(
     let mut histogram = RadialHistogram::new(reach, floor);
     for blob in &blobs {
         pixels_about(image, &blob.center, reach, |offset, value| {
-            histogram.add(offset.norm(), value)
+            histogram.add(offset.norm(), value);
         });
     }
     (blobs, histogram.profile())

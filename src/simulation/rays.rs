@@ -127,7 +127,7 @@ impl NullaryFnOnce for BundleIntegral<'_> {
                     block.see_plain(radiance);
                 }
                 (Optics::Real(real), BundleTarget::Board(board)) => {
-                    block.see_through_real(real, board)
+                    block.see_through_real(real, board);
                 }
             }
             block.fall_off(tracer.fall_off, tracer.mla_to_sensor);
