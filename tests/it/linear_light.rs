@@ -127,7 +127,7 @@ fn full_pixels_show_below_full_scale() {
 }
 
 fn texts(findings: &[Finding]) -> String {
-    findings.iter().map(|finding| format!("{finding}\n")).collect()
+    findings.iter().map(Finding::to_string).collect::<Vec<_>>().join("\n")
 }
 
 #[test]
