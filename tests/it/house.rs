@@ -38,130 +38,251 @@ fn both_languages_are_of_one_version() {
 /// Files of a room do not import each other in a circle.
 #[test]
 fn no_import_circle_lies_inside_a_room() {
-    let sources = sources(&["src"], &["rs"]);
-    let mut rooms: BTreeMap<&str, Vec<(&str, &str)>> = BTreeMap::new();
-    for (path, text) in &sources {
-        let inside = path.strip_prefix("src/").unwrap();
-        if let Some((room, file)) = inside.split_once('/') {
-            // The files below `a/` belong to the module `a`.
-            let module = file.split(['/', '.']).next().unwrap();
-            rooms.entry(room).or_default().push((module, text));
-        }
-    }
-    let circles: Vec<String> = rooms
+    let circles = circles(&sources(&["src"], &["rs"]));
+    let shown: Vec<String> = circles.iter().map(|circle| circle.join(", ")).collect();
+    assert!(circles.is_empty(), "files that import each other:\n{}", shown.join("\n"));
+}
+
+/// The place of a module in the crate, segment by segment.
+type Place = Vec<String>;
+
+/// The files of each room that import each other in circles: those that can be reached from each other.
+fn circles(sources: &[(String, String)]) -> Vec<Vec<String>> {
+    let modules: BTreeMap<Place, String> = sources
         .iter()
-        .filter_map(|(room, files)| Some(format!("{room}: {}", circle(room, files)?.join(" -> "))))
+        .filter(|(path, _)| !path.ends_with("tests.rs"))
+        .map(|(path, text)| (place(path), code(text)))
         .collect();
-    assert!(circles.is_empty(), "import circles:\n{}", circles.join("\n"));
+    let paths: BTreeMap<&Place, &str> = sources
+        .iter()
+        .filter_map(|(path, _)| Some((modules.get_key_value(&place(path))?.0, path.as_str())))
+        .collect();
+    // Names that a module hands on, each with what it stands for.
+    let handed_on: BTreeMap<Place, Place> = modules
+        .iter()
+        .flat_map(|(module, code)| {
+            let exported = used(code).into_iter().filter(|(public, _)| *public);
+            exported.filter_map(|(_, path)| {
+                let name = path.last()?.clone();
+                let own = module.iter().cloned().chain([name]).collect();
+                Some((own, absolute(module, &path)))
+            })
+        })
+        .collect();
+    let arrows: BTreeMap<&Place, BTreeSet<&Place>> = modules
+        .iter()
+        .map(|(module, code)| {
+            let imported =
+                used(code).into_iter().filter(|(public, _)| !public).map(|(_, path)| path);
+            let named = imported.chain(inline_paths(code)).map(|path| absolute(module, &path));
+            let files = named.filter_map(|path| file_of(&path, &modules, &handed_on));
+            (module, files.filter(|file| *file != module && file[0] == module[0]).collect())
+        })
+        .collect();
+    let reached: BTreeMap<&Place, BTreeSet<&Place>> =
+        modules.keys().map(|module| (module, reach(module, &arrows))).collect();
+    let circle = |module: &Place| -> BTreeSet<&Place> {
+        let back = |other: &&Place| reached[*other].contains(module);
+        reached[module].iter().copied().filter(back).collect()
+    };
+    let found: BTreeSet<BTreeSet<&Place>> = modules.keys().map(circle).collect();
+    let named = |circle: BTreeSet<&Place>| circle.iter().map(|m| paths[*m].to_owned()).collect();
+    found.into_iter().filter(|circle| !circle.is_empty()).map(named).collect()
 }
 
-/// A circle of imports among the modules of a room, if there is one.
-fn circle(room: &str, files: &[(&str, &str)]) -> Option<Vec<String>> {
-    let modules: BTreeSet<&str> = files.iter().map(|(module, _)| *module).collect();
-    // Names that the face of the room hands on, each with the module that defines it.
-    let mut handed_on: BTreeMap<String, &str> = BTreeMap::new();
-    for (_, face) in files.iter().filter(|(module, _)| *module == "mod") {
-        for path in imports(face) {
-            let module = modules.iter().find(|module| **module == path[0]);
-            if let Some(module) = module.filter(|_| path.len() > 1) {
-                handed_on.insert(path[path.len() - 1].clone(), module);
+/// The module that a file of the crate is.
+fn place(path: &str) -> Place {
+    let inside = path.strip_prefix("src/").unwrap_or(path).trim_end_matches(".rs");
+    inside.trim_end_matches("/mod").split('/').map(str::to_owned).collect()
+}
+
+/// All modules that arrows lead to from one, in one step or more.
+fn reach<'a>(
+    from: &'a Place,
+    arrows: &BTreeMap<&'a Place, BTreeSet<&'a Place>>,
+) -> BTreeSet<&'a Place> {
+    let (mut reached, mut open) = (BTreeSet::new(), vec![from]);
+    while let Some(module) = open.pop() {
+        open.extend(arrows[module].iter().copied().filter(|next| reached.insert(*next)));
+    }
+    reached
+}
+
+/// A path from the root of the crate.
+fn absolute(module: &Place, path: &[String]) -> Place {
+    let mut base = module.clone();
+    let mut rest = path;
+    while let Some((first, after)) = rest.split_first() {
+        match first.as_str() {
+            "crate" => base.clear(),
+            "super" => {
+                base.pop();
             }
+            "self" => {}
+            _ => break,
         }
+        rest = after;
     }
-    let mut arrows: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
-    for (module, text) in files.iter().filter(|(module, _)| *module != "mod") {
-        // Tests may look wherever they like.
-        let code = text.split("#[cfg(test)]").next().unwrap();
-        for path in imports(code) {
-            let path: Vec<&str> = path.iter().map(String::as_str).collect();
-            let inside = match path.as_slice() {
-                ["super", rest @ ..] => rest,
-                ["crate", first, rest @ ..] if first == &room => rest,
-                _ => continue,
-            };
-            let Some(first) = inside.first() else { continue };
-            let target = modules.iter().find(|module| *module == first);
-            let target = target.or_else(|| handed_on.get(*first)).copied();
-            if let Some(target) = target.filter(|target| target != module) {
-                arrows.entry(module).or_default().insert(target);
-            }
-        }
-    }
-    modules.iter().find_map(|start| way_back(start, start, &arrows, &mut BTreeSet::new()))
+    base.into_iter().chain(rest.iter().cloned()).collect()
 }
 
-/// The way from a module along arrows to `goal`, both ends included.
-fn way_back<'a>(
-    from: &'a str,
-    goal: &str,
-    arrows: &BTreeMap<&'a str, BTreeSet<&'a str>>,
-    seen: &mut BTreeSet<&'a str>,
-) -> Option<Vec<String>> {
-    for next in arrows.get(from)? {
-        let rest = if *next == goal {
-            Some(vec![goal.to_owned()])
-        } else if seen.insert(next) {
-            way_back(next, goal, arrows, seen)
-        } else {
-            None
-        };
-        if let Some(mut rest) = rest {
-            rest.insert(0, from.to_owned());
-            return Some(rest);
-        }
+/// The file in which what a path names is defined, through the faces that hand it on.
+fn file_of<'a>(
+    path: &[String],
+    modules: &'a BTreeMap<Place, String>,
+    handed_on: &BTreeMap<Place, Place>,
+) -> Option<&'a Place> {
+    let mut path = path.to_vec();
+    // Faces that hand on each other's names would lead round and round.
+    for _ in 0..10 {
+        let through = (1..=path.len()).find_map(|n| Some((n, handed_on.get(&path[..n])?)));
+        let Some((n, target)) = through else { break };
+        path = target.iter().chain(&path[n..]).cloned().collect();
     }
-    None
+    let longest_first = (1..=path.len()).rev();
+    longest_first.filter_map(|n| modules.get_key_value(&path[..n])).map(|(module, _)| module).next()
 }
 
-/// The paths that `use` declarations import, segment by segment.
-fn imports(text: &str) -> Vec<Vec<String>> {
-    let mut paths = Vec::new();
-    let code: String =
-        text.lines().filter(|l| !l.trim_start().starts_with("//")).collect::<Vec<_>>().join(" ");
+/// What `use` declarations import from the crate, and whether they hand it on.
+fn used(code: &str) -> Vec<(bool, Vec<String>)> {
+    let mut found = Vec::new();
     for declaration in code.split(';') {
         let words: Vec<&str> = declaration.split_whitespace().collect();
-        if let Some(at) = words.iter().position(|word| *word == "use") {
-            expand(&words[at + 1..].concat(), &mut Vec::new(), &mut paths);
-        }
+        let Some(at) = words.iter().rposition(|word| *word == "use") else { continue };
+        let public = at > 0 && (words[at - 1].starts_with("pub") || words[at - 1].ends_with(')'));
+        let tree = words[at + 1..].join(" ");
+        let mut paths = Vec::new();
+        expand(&tree, "", &mut paths);
+        found.extend(paths.into_iter().map(|path| (public, segments(&path))));
     }
-    paths
+    found
 }
 
 /// Expands `a::{b, c::{d, e}}` into paths.
-fn expand(tree: &str, prefix: &mut Vec<String>, paths: &mut Vec<Vec<String>>) {
-    let depth = prefix.len();
-    if let Some(open) = tree.find('{') {
-        prefix.extend(tree[..open].split("::").filter(|s| !s.is_empty()).map(str::to_owned));
-        let list = tree[open + 1..].strip_suffix('}').unwrap_or(&tree[open + 1..]);
-        let (mut level, mut begin) = (0, 0);
-        for (at, c) in list.char_indices().chain([(list.len(), ',')]) {
-            match c {
-                '{' => level += 1,
-                '}' => level -= 1,
-                ',' if level == 0 => {
-                    if begin < at {
-                        expand(&list[begin..at], prefix, paths);
-                    }
-                    begin = at + 1;
+fn expand(tree: &str, before: &str, paths: &mut Vec<String>) {
+    let Some((prefix, rest)) = tree.split_once('{') else {
+        paths.push(format!("{before}{tree}"));
+        return;
+    };
+    let before = format!("{before}{prefix}");
+    let list = rest.rsplit_once('}').map_or(rest, |(list, _)| list);
+    let (mut depth, mut begin) = (0, 0);
+    for (at, c) in list.char_indices().chain([(list.len(), ',')]) {
+        match c {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            ',' if depth == 0 => {
+                if !list[begin..at].trim().is_empty() {
+                    expand(&list[begin..at], &before, paths);
                 }
-                _ => {}
+                begin = at + 1;
             }
+            _ => {}
         }
-    } else {
-        prefix.extend(tree.split("::").map(str::to_owned));
-        paths.push(prefix.clone());
     }
-    prefix.truncate(depth);
+}
+
+fn segments(path: &str) -> Vec<String> {
+    let name = path.split(" as ").next().unwrap_or(path);
+    name.split("::").map(|segment| segment.trim().to_owned()).collect()
+}
+
+/// Paths into the crate outside `use` declarations, as of `super::a::f(x)`.
+fn inline_paths(code: &str) -> Vec<Vec<String>> {
+    let is_part = |c: char| c.is_alphanumeric() || c == '_' || c == ':';
+    let words = code.split(|c: char| !is_part(c));
+    words.filter(|w| w.starts_with("crate::") || w.starts_with("super::")).map(segments).collect()
+}
+
+/// The source without comments, texts and what is for tests or documents only.
+fn code(text: &str) -> String {
+    let mut bare = String::new();
+    let mut rest = text;
+    while let Some(c) = rest.chars().next() {
+        let skipped = match c {
+            '/' if rest.starts_with("//") => rest.find('\n').unwrap_or(rest.len()),
+            'r' if rest.starts_with("r#\"") => rest[3..].find("\"#").map_or(rest.len(), |i| i + 5),
+            '"' => end_of_text(rest),
+            '\'' if rest[1..].starts_with('\\') => {
+                rest[3..].find('\'').map_or(rest.len(), |i| i + 4)
+            }
+            '\'' if rest.chars().nth(2) == Some('\'') => {
+                rest.chars().take(3).map(char::len_utf8).sum()
+            }
+            _ => {
+                bare.push(c);
+                rest = &rest[c.len_utf8()..];
+                continue;
+            }
+        };
+        rest = &rest[skipped..];
+    }
+    for attribute in ["#[cfg(test)]", "#[cfg(doc)]"] {
+        while let Some(at) = bare.find(attribute) {
+            let item = at + attribute.len();
+            bare.replace_range(at..item + end_of_item(&bare[item..]), "");
+        }
+    }
+    bare
+}
+
+/// Length of a text in quotation marks.
+fn end_of_text(source: &str) -> usize {
+    let mut escaped = false;
+    let end = source.char_indices().skip(1).find(|(_, c)| {
+        let ends = *c == '"' && !escaped;
+        escaped = *c == '\\' && !escaped;
+        ends
+    });
+    end.map_or(source.len(), |(at, _)| at + 1)
+}
+
+/// Length of the item that a source begins with.
+fn end_of_item(source: &str) -> usize {
+    let mut depth = 0;
+    let is_import = source.split_whitespace().take(2).any(|word| word == "use");
+    for (at, c) in source.char_indices() {
+        match c {
+            '{' | '(' | '[' => depth += 1,
+            '}' | ')' | ']' => depth -= 1,
+            _ => {}
+        }
+        if depth < 0 {
+            return at;
+        }
+        if depth == 0 && (c == ';' || (c == '}' && !is_import)) {
+            return at + 1;
+        }
+    }
+    source.len()
 }
 
 #[test]
-fn circles_are_found_through_lists_and_the_face_of_a_room() {
-    let face = ("mod", "mod a; mod b; mod c; pub use b::{One, Two};");
-    let a = ("a", "use super::{One, c::Three};");
+fn circles_are_found_wherever_they_hide() {
+    let found = |files: &[(&str, &str)]| -> Vec<Vec<String>> {
+        let sources: Vec<(String, String)> = files
+            .iter()
+            .map(|(file, text)| (format!("src/room/{file}.rs"), (*text).to_owned()))
+            .collect();
+        let short = |path: &String| path["src/room/".len()..].trim_end_matches(".rs").to_owned();
+        circles(&sources).iter().map(|circle| circle.iter().map(short).collect()).collect()
+    };
+    let face = ("mod", "mod a; mod b; mod c;\npub use a::A;\npub(crate) use b::{One, Two};");
+    let a = ("a", "#[cfg(test)]\nuse super::c::Zero;\nuse super::{One, c::Three};");
     let b = ("b", "use crate::room::c::{Four,\n    Five};");
-    let found = |c: &'static str| circle("room", &[face, a, b, ("c", c)]);
-    assert_eq!(found("use crate::other::Six;\n// use super::a::Seven;"), None);
-    assert_eq!(found("use super::b::Two;").unwrap().concat(), "bcb");
-    assert_eq!(found("use super::a::Seven;").unwrap().concat(), "abca");
-    assert_eq!(found("#[cfg(test)] mod tests { use super::a::Seven; }"), None);
+    let of = |c: &'static str| found(&[face, a, b, ("c", c)]);
+    assert!(of("use crate::other::Six;\n// use super::a::Seven;").is_empty());
+    assert!(of("#[cfg(test)]\nmod tests { use super::super::a::Seven; }").is_empty());
+    assert!(of("const NAME: &str = \"super::a::Seven\"; const QUOTE: char = '\"';").is_empty());
+    // By name, through the face, by a path in the code, and after what is for tests only.
+    assert_eq!(of("use super::b::Two;"), [["b", "c"]]);
+    assert_eq!(of("use crate::room::Two;"), [["b", "c"]]);
+    assert_eq!(of("fn f() -> u8 { super::b::two(1) }"), [["b", "c"]]);
+    assert_eq!(of("#[cfg(test)]\nuse super::a::Eight;\nuse super::b::Two;"), [["b", "c"]]);
+    assert_eq!(of("use super::A;"), [["a", "b", "c"]]);
+    // A file and one of its folder, and two circles of one room.
+    let nested = [("a", "use self::d::D;"), ("a/d", "use super::E;")];
+    assert_eq!(found(&nested), [["a", "a/d"]]);
+    let two = [nested[0], nested[1], ("e", "use super::f::F;"), ("f", "use super::e::E;")];
+    assert_eq!(found(&two), [["a", "a/d"], ["e", "f"]]);
 }
