@@ -11,8 +11,10 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields)]
 pub struct Estimate {
     /// The value.
+    #[serde(alias = "variance_px2")] // of a point spread, in earlier files
     pub value: f64,
     /// Its standard deviation σ, in the same unit; 0 for a value that is given.
+    #[serde(alias = "std_dev_px2")]
     pub std_dev: f64,
 }
 
@@ -33,6 +35,15 @@ impl Estimate {
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         Self { value: self.value * factor, std_dev: self.std_dev * factor.abs() }
+    }
+
+    /// The square root, as of a variance: 0 for a negative value, and σ from the root of value + σ, which stays finite where
+    /// the value is 0.
+    #[must_use]
+    pub fn square_root(&self) -> Self {
+        let variance = self.value.max(0.0);
+        let value = variance.sqrt();
+        Self { value, std_dev: (variance + self.std_dev).sqrt() - value }
     }
 
     /// The difference to an independent estimate, in standard deviations of that difference.

@@ -20,6 +20,7 @@ use super::Posed;
 use crate::error::Result;
 use crate::model::{BapFeature, BentBoard, FeatureResidual, PlenopticCamera};
 use crate::numerics::weighted_mean;
+use crate::quantity::Estimate;
 use crate::solver::{self, Problem, SolverFeature};
 
 /// Step of the numerical derivatives, as a fraction of the distance: the error of a central difference is its square.
@@ -39,9 +40,8 @@ pub struct Reconstruction {
     /// Corners that are no points: only one micro-lens sees them, or their frame does not tell distances.
     pub left_out: usize,
     /// Relative error of distances between points of a board; positive if they come out too long.
-    pub too_long: f64,
-    /// Its standard deviation, as the noise of the features or the scatter of the frames makes it, whichever is larger.
-    pub too_long_std_dev: f64,
+    /// σ by the noise of the features or the scatter of the frames, whichever is larger.
+    pub too_long: Estimate,
     /// Root mean square distance of the points from the posed board across the axis, mm.
     pub across_mm: f64,
     /// The same along the axis, mm.
@@ -79,7 +79,7 @@ impl Reconstruction {
                 points.extend(of_frame.iter().filter_map(|seen| seen.off_mm));
             }
         }
-        let Some([too_long, too_long_std_dev]) = weighted_mean(of_frames.iter().copied()) else {
+        let Some(too_long) = weighted_mean(of_frames.iter().copied()) else {
             return Ok(None);
         };
         let mean =
@@ -89,7 +89,6 @@ impl Reconstruction {
             points: points.len(),
             left_out: seen.len() - points.len(),
             too_long,
-            too_long_std_dev,
             across_mm: mean(|off| off.xy().norm_squared()).sqrt(),
             along_mm: mean(|off| off.z.powi(2)).sqrt(),
         }))
@@ -193,9 +192,9 @@ fn by_place(
     Ok(residuals.iter().map(by_place).collect())
 }
 
-/// Relative error of the distances between the points of a frame, and its standard deviation by the noise of the features;
-/// `None` if they do not tell it. Where features do not state their σ, their residuals do.
-fn too_long(points: &[&Seen], stated: bool) -> Option<[f64; 2]> {
+/// Relative error of the distances between the points of a frame, with σ by the noise of the features; `None` if they do
+/// not determine it. Where features do not state their σ, their residuals do.
+fn too_long(points: &[&Seen], stated: bool) -> Option<Estimate> {
     let on_board = points.iter().map(|p| p.on_board.coords);
     let middle = on_board.sum::<Vector3<f64>>() / points.len() as f64;
     let mut normal = SMatrix::<f64, FREE, FREE>::zeros();
@@ -217,7 +216,7 @@ fn too_long(points: &[&Seen], stated: bool) -> Option<[f64; 2]> {
     let freedom = residuals.checked_sub(FREE).filter(|freedom| *freedom > 0)? as f64;
     let noise = if stated { 1.0 } else { (square - right.dot(&found)) / freedom };
     let (part, variance) = (found[6], noise * covariance[(6, 6)]);
-    (part.is_finite() && variance > 0.0).then(|| [part, variance.sqrt()])
+    (part.is_finite() && variance > 0.0).then(|| Estimate::new(part, variance.sqrt()))
 }
 
 #[cfg(test)]
@@ -269,7 +268,7 @@ mod tests {
         let found = reconstructed(&small_camera(), &features(0.0, 1));
         assert_eq!(found.frames, 3);
         assert!(found.points > 60, "{found:?}");
-        assert!(found.too_long.abs() < 1e-7, "{found:?}");
+        assert!(found.too_long.value.abs() < 1e-7, "{found:?}");
         assert!(found.across_mm < 1e-5 && found.along_mm < 1e-4, "{found:?}");
     }
 
@@ -286,7 +285,7 @@ mod tests {
         camera.mla.pitch_mm *= factor;
         camera.mla.focal_lengths_mm.iter_mut().for_each(|f| *f *= factor);
         let found = reconstructed(&camera, &features(0.0, 1));
-        assert!((found.too_long - 0.002).abs() < 2e-5, "{found:?}");
+        assert!((found.too_long.value - 0.002).abs() < 2e-5, "{found:?}");
     }
 
     /// Over many seeds the mean is 0, and the scatter is that which is stated.
@@ -297,10 +296,10 @@ mod tests {
             let (mut sum, mut square) = (0.0, 0.0);
             for seed in 0..SEEDS {
                 let found = reconstructed(&small_camera(), &stated(features(0.05, seed), std_dev));
-                let deviate = found.too_long / found.too_long_std_dev;
+                let deviate = found.too_long.value / found.too_long.std_dev;
                 sum += deviate;
                 square += deviate * deviate;
-                assert!(found.too_long_std_dev < 2e-3, "{found:?}");
+                assert!(found.too_long.std_dev < 2e-3, "{found:?}");
                 assert!(found.along_mm > 5.0 * found.across_mm, "{found:?}");
             }
             let (mean, scatter) = (sum / SEEDS as f64, (square / SEEDS as f64).sqrt());
@@ -314,7 +313,7 @@ mod tests {
         let mut features = stated(features(0.0, 1), Some([0.05; 2]));
         features[20].u_px += 3.0;
         let found = reconstructed(&small_camera(), &features);
-        assert!(found.too_long.abs() < 1e-4, "{found:?}");
+        assert!(found.too_long.value.abs() < 1e-4, "{found:?}");
     }
 
     #[test]

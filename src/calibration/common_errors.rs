@@ -19,8 +19,8 @@ use crate::solver::{self, Anchor, CommonError, CostOptions};
 /// (docs/detection.md).
 const BLUR_MODEL: f64 = 2e-3;
 
-/// What the error of the fill factor is called.
-const FILL_FACTOR: &str = "fill factor";
+/// What the error of the aperture ratio is called.
+const APERTURE_RATIO: &str = "aperture ratio";
 
 /// How well it is known how far the fall-off shifts the centroids of micro-images, over its gradient, px²: on
 /// simulated cameras with any law to this.
@@ -51,12 +51,12 @@ pub(super) fn common_errors(
         let of_several = anchors.iter().filter(|by| **by != 0.0).count() > 1;
         if of_several || features_px.iter().flatten().any(|by| *by != 0.0) {
             let (source, centers_px) = (source.to_owned(), Vec::new());
-            // White images do not know the fill factor, so what they say has no σ of it.
-            let in_anchors = source != FILL_FACTOR;
+            // White images do not know the aperture ratio, so what they say has no σ of it.
+            let in_anchors = source != APERTURE_RATIO;
             errors.push(CommonError { source, features_px, centers_px, anchors, in_anchors });
         }
     };
-    let [pupil, within, fill, spread_px2] = std_devs(internal);
+    let [pupil, within, ratio, spread_px2] = std_devs(internal);
     for (name, taken, std_dev) in [
         ("pupil", taken::PUPIL, pupil),
         ("fall-off", taken::FALL_OFF, within),
@@ -77,11 +77,11 @@ pub(super) fn common_errors(
             if types[i] == lens_type { [u * relative, v * relative, rho] } else { [0.0; 3] }
         });
     }
-    let (q_mm, of_anchors) = by_fill_factor(internal, &cost.anchors, pixel_mm);
-    add(FILL_FACTOR, of_anchors.iter().map(|by| by * fill).collect(), &|i, f| {
-        let [u, v] = levers(f)[taken::FILL_FACTOR];
+    let (q_mm, of_anchors) = by_aperture_ratio(internal, &cost.anchors, pixel_mm);
+    add(APERTURE_RATIO, of_anchors.iter().map(|by| by * ratio).collect(), &|i, f| {
+        let [u, v] = levers(f)[taken::APERTURE_RATIO];
         let rho = if cost.rho { -q_mm[types[i]] / pixel_mm } else { 0.0 };
-        [u * fill, v * fill, rho * fill]
+        [u * ratio, v * ratio, rho * ratio]
     });
     let own_centers = solver::project_centers(camera, features.iter().map(|f| (f.k, f.l)))?;
     if let Some(lean) = &internal.lean {
@@ -120,7 +120,7 @@ fn of_lean(lean: &Lean) -> [(&'static str, [f64; 2]); 3] {
 
 /// qᵢ by lens type, mm, by which q'ᵢ fall with ln φ: white images show the product of φ and qᵢ = q'ᵢ − Δc/2. And by how much
 /// the value of each anchor changes with ln φ, in its σ.
-fn by_fill_factor(
+fn by_aperture_ratio(
     internal: &InternalParameters,
     anchors: &[Anchor],
     pixel_mm: f64,
@@ -130,7 +130,7 @@ fn by_fill_factor(
     let of_anchor = |anchor: &Anchor| {
         let axis = LEAN.iter().position(|name| anchor.quantity == *name);
         if let (Some(axis), Some(lean)) = (axis, &internal.lean) {
-            return lean.by_fill_factor_per_px[axis] / pixel_mm / anchor.std_dev;
+            return lean.by_aperture_ratio_per_px[axis] / pixel_mm / anchor.std_dev;
         }
         let lens_type = (0..q_mm.len()).find(|i| anchor.quantity == intercept_name(*i));
         lens_type.map_or(0.0, |i| -q_mm[i] / anchor.std_dev)
@@ -158,7 +158,7 @@ fn of_centroids(
     })
 }
 
-/// σ of the pupil's radius, of the fall-off inside micro-images and of the fill factor, relative; and of the variance of the
+/// σ of the pupil's radius, of the fall-off inside micro-images and of the aperture ratio, relative; and of the variance of the
 /// point spread, px².
 fn std_devs(internal: &InternalParameters) -> [f64; 4] {
     let pupil = internal.m_std_dev_mm.map_or(0.0, |std_dev| std_dev / internal.m_mm.abs());
@@ -166,7 +166,7 @@ fn std_devs(internal: &InternalParameters) -> [f64; 4] {
     let known = internal.fall_off.filter(|fall_off| fall_off.within_per_px2 != 0.0);
     let within = known
         .map_or(0.0, |fall_off| fall_off.within_std_dev_per_px2 / fall_off.within_per_px2.abs());
-    let fill = internal.fill_factor.map_or(0.0, |fill| fill.std_dev / fill.value);
-    let spread_px2 = internal.point_spread.map_or(0.0, |spread| spread.std_dev_px2);
-    [pupil, within, fill, spread_px2]
+    let ratio = internal.aperture_ratio.map_or(0.0, |ratio| ratio.std_dev / ratio.value);
+    let spread_px2 = internal.point_spread_px2.map_or(0.0, |spread| spread.std_dev);
+    [pupil, within, ratio, spread_px2]
 }

@@ -70,8 +70,8 @@ pub fn initial_camera(
                 .collect(),
         },
         edge_spread: EdgeSpread {
-            fill_factor: internal.fill_factor,
-            point_spread: internal.point_spread,
+            aperture_ratio: internal.aperture_ratio,
+            point_spread_px2: internal.point_spread_px2,
         },
     })
 }

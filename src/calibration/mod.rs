@@ -1,10 +1,10 @@
 //! Calibration from observations (paper, section 5): initial intrinsics, initial poses, refinement.
 
 mod anchors;
+mod aperture_ratio;
 mod board;
 mod checks;
 mod common_errors;
-mod fill_factor;
 mod focus;
 mod frames;
 mod initial;
@@ -20,8 +20,8 @@ mod stage;
 mod words;
 
 pub use anchors::{AnchorResult, AnchorSource, SLOPE, intercept_name};
+pub use aperture_ratio::{BlurMeasurement, TypeBlur};
 pub use board::{BoardResult, Effort, Trial};
-pub use fill_factor::{FillMeasurement, TypeBlur};
 pub use frames::LeftOut;
 pub use initial::initial_camera;
 pub use options::{BoardModel, CalibrationOptions, Mode, Start, Weights};

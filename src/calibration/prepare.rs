@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use crate::calibration::anchors::check_anchors;
+use crate::calibration::aperture_ratio::{with_aperture_ratio, with_that_of_start};
 use crate::calibration::checks::{check_indices, check_observations, without_frames};
-use crate::calibration::fill_factor::{with_fill_factor, with_that_of_start};
 use crate::calibration::focus::refocused;
 use crate::calibration::frames::{Frames, given_frames, initial_frames};
 use crate::calibration::{
-    CalibrationOptions, FillMeasurement, LeftOut, Start, Weights, initial_camera,
+    BlurMeasurement, CalibrationOptions, LeftOut, Start, Weights, initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
@@ -29,7 +29,7 @@ pub(super) struct Prepared {
     pub start: Start,
     pub initial: PlenopticCamera,
     pub grid: Option<MicroImageArray>,
-    pub fill: Option<FillMeasurement>,
+    pub blur: Option<BlurMeasurement>,
     pub misfocused: Option<Finding>,
     pub observations: Observations,
     pub excluded: Vec<LeftOut>,
@@ -52,14 +52,14 @@ pub(super) fn prepared(
     }
     check_observations(&start, board, &observations, options)?;
     let grid = fitted_grid(&start, &observations)?;
-    let fill = FillMeasurement::of(&start, grid.as_ref(), &observations.features)?;
-    let start = with_fill_factor(start, grid.as_ref(), fill.as_ref());
+    let blur = BlurMeasurement::of(&start, grid.as_ref(), &observations.features)?;
+    let start = with_aperture_ratio(start, grid.as_ref(), blur.as_ref());
     let initial = checked_start(&start, grid.as_ref(), &observations, options)?;
     let refocused = refocused(&start, &initial, board, &observations.features, options);
     let (start, misfocused) = refocused.unwrap_or((start, None));
     let initial = start_camera(&start, grid.as_ref(), options)?;
     observations.features = with_that_of_start(observations.features, &start, &initial.lattice);
-    Ok(Prepared { start, initial, grid, fill, misfocused, observations, excluded })
+    Ok(Prepared { start, initial, grid, blur, misfocused, observations, excluded })
 }
 
 impl Prepared {
@@ -95,8 +95,8 @@ pub fn initial_from(
     options: &CalibrationOptions,
 ) -> Result<PlenopticCamera> {
     let grid = fitted_grid(start, observations)?;
-    let fill = FillMeasurement::of(start, grid.as_ref(), &observations.features)?;
-    let start = with_fill_factor(start.clone(), grid.as_ref(), fill.as_ref());
+    let blur = BlurMeasurement::of(start, grid.as_ref(), &observations.features)?;
+    let start = with_aperture_ratio(start.clone(), grid.as_ref(), blur.as_ref());
     let initial = start_camera(&start, grid.as_ref(), options)?;
     match refocused(&start, &initial, board, &observations.features, options) {
         Some((start, _)) => start_camera(&start, grid.as_ref(), options),

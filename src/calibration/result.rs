@@ -1,6 +1,6 @@
 //! The result of a calibration.
 
-use crate::calibration::{AnchorResult, BoardResult, CalibrationOptions, FillMeasurement, LeftOut};
+use crate::calibration::{AnchorResult, BlurMeasurement, BoardResult, CalibrationOptions, LeftOut};
 use crate::finding::Finding;
 use crate::model::{FramePose, PlenopticCamera, Reprojection, optics};
 use crate::precalibration::MicroImageArray;
@@ -42,7 +42,7 @@ pub struct Calibration {
     /// loss took part.
     pub cost: CostOptions,
     /// What the widths of edges say; `None` where the features do not state them.
-    pub fill: Option<FillMeasurement>,
+    pub blur: Option<BlurMeasurement>,
     /// What became of the anchors.
     pub anchors: Vec<AnchorResult>,
     /// What the user should know.

@@ -11,7 +11,7 @@ use crate::calibration::outlying::{LOSS_SCALE, loss_by_residuals};
 use crate::calibration::prepare::{Prepared, Solution, prepared};
 use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{
-    AnchorSource, BoardResult, Calibration, CalibrationOptions, FillMeasurement, LeftOut, Mode,
+    AnchorSource, BlurMeasurement, BoardResult, Calibration, CalibrationOptions, LeftOut, Mode,
     Start,
 };
 use crate::checks::calibration as checks;
@@ -79,7 +79,7 @@ fn completed(
     let _span = tracing::info_span!("calibration").entered();
     let board = BentBoard { board: *board, shape: options.known_shape() };
     let (initial, frames) = prepared.placed(&board, options, at)?;
-    let Prepared { start, grid, fill, misfocused, observations, .. } = prepared;
+    let Prepared { start, grid, blur, misfocused, observations, .. } = prepared;
     let features = solver_features(&frames.features, &frames.poses, &board.board);
     let centers = solver_centers(&observations.centers);
     let poses: Vec<Isometry3<f64>> = frames.poses.iter().map(|p| p.camera_from_board).collect();
@@ -121,7 +121,7 @@ fn completed(
         .chain(checks::undetermined(&refinement.camera, &uncertainty))
         .chain(checks::fit(&refinement.camera, &reprojection))
         .chain(checks::poses_of_no_frame(given, &observations))
-        .chain(fill.as_ref().and_then(FillMeasurement::contradiction))
+        .chain(blur.as_ref().and_then(BlurMeasurement::contradiction))
         .chain(frames.left_out.iter().map(LeftOut::finding))
         .collect();
     if estimates_camera {
@@ -144,7 +144,7 @@ fn completed(
         converged,
         options: options.clone(),
         anchors: results,
-        fill,
+        blur,
         cost,
         findings,
     })

@@ -175,8 +175,8 @@ impl<'a> Run<'a> {
             self.stage(boards_stage(of_calibration), boards(of_calibration, &micro_images))?;
         self.findings.extend(found.findings.iter().cloned());
         // The other boards were taken by the same camera.
-        let settled = match &found.fill_factor {
-            Some(fill_factor) => micro_images.settled_at(fill_factor),
+        let settled = match &found.aperture_ratio {
+            Some(aperture_ratio) => micro_images.settled_at(aperture_ratio),
             None => micro_images,
         };
         let mut others = Vec::new();

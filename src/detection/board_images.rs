@@ -7,7 +7,8 @@ use super::{Detection, FrameCounts};
 use crate::error::Result;
 use crate::finding::{Finding, Issue};
 use crate::image::RawImage;
-use crate::model::{BapFeature, FillFactor};
+use crate::model::BapFeature;
+use crate::quantity::Estimate;
 
 /// An image of a board.
 pub struct BoardImage<'a> {
@@ -64,8 +65,8 @@ impl DetectedFrame {
 pub struct DetectedBoards {
     /// Image by image.
     pub frames: Vec<DetectedFrame>,
-    /// The fill factor of the micro-lenses by the edges of all frames, where these show it.
-    pub fill_factor: Option<FillFactor>,
+    /// The aperture ratio of the micro-lenses by the edges of all frames, where these show it.
+    pub aperture_ratio: Option<Estimate>,
     /// That which corners were fitted with.
     pub fitted_with: f64,
     /// What the user should know: frames left out and why, a doubtful board.

@@ -52,13 +52,13 @@ impl CornerMeasurement {
         self.moved(&(self.levers.by_aberration * change));
     }
 
-    /// Moves the observation to where the blur radius of another slope puts it. What its edges say of the fill factor is then
+    /// Moves the observation to where the blur radius of another slope puts it. What its edges say of the aperture ratio is then
     /// over that radius.
     pub fn change_slope(&mut self, slope: f64, optics: &MicroOptics) {
         self.moved(&(self.levers.by_slope * (slope - self.slope_before)));
         let wider_px = optics.blur_radius_px(slope) - optics.blur_radius_px(self.slope_before);
-        let log_fill = wider_px / optics.blur_by_fill_px(self.slope_before);
-        self.width = self.width.map(|width| width.about(&Vector2::new(-log_fill, 0.0)));
+        let log_ratio = wider_px / optics.blur_by_ratio_px(self.slope_before);
+        self.width = self.width.map(|width| width.about(&Vector2::new(-log_ratio, 0.0)));
         self.slope_before = slope;
     }
 
@@ -77,7 +77,7 @@ mod tests {
     use super::super::micro_images::tests::micro_images;
     use super::*;
 
-    /// What edges say of the fill factor is about the blur radius that they have, whatever slope they were looked at with.
+    /// What edges say of the aperture ratio is about the blur radius that they have, whatever slope they were looked at with.
     #[test]
     fn edges_say_the_same_of_the_blur_radius_after_another_slope() {
         let optics = micro_images(23.0).optics(1, 1);
@@ -102,8 +102,8 @@ mod tests {
             width: Some(width),
         };
         let radius_px = |seen: &CornerMeasurement| {
-            let change = seen.width.unwrap().of_fill(&Vector2::zeros()).unwrap().0;
-            optics.blur_radius_px(seen.slope_before) + change * optics.blur_by_fill_px(0.5)
+            let change = seen.width.unwrap().of_ratio(&Vector2::zeros()).unwrap().0;
+            optics.blur_radius_px(seen.slope_before) + change * optics.blur_by_ratio_px(0.5)
         };
         let before = radius_px(&seen);
         seen.change_slope(0.52, &optics);

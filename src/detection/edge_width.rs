@@ -1,4 +1,4 @@
-//! How wide edges are, over what the blur of a corner makes them: what they say about the fill factor of the micro-lenses,
+//! How wide edges are, over what the blur of a corner makes them: what they say about the aperture ratio of the micro-lenses,
 //! and about what makes edges wider beside blur.
 //!
 //! The blur radius of a corner is ρ = qᵢ + φ (1 − γ) Δc/2. White images show qᵢ, and the line of the corner its slope γ.
@@ -12,10 +12,11 @@ use super::corner_sensitivity::place_by_few;
 use super::patch::Patch;
 use super::rays::Rays;
 use super::summed::SummedShape;
-use crate::model::FillFactor;
+use crate::model::APERTURE_RATIO_MODEL;
 use crate::numerics::{NormalEquations, median};
+use crate::quantity::Estimate;
 
-/// Pixels that are used up by place, levels, fill factor and width.
+/// Pixels that are used up by place, levels, aperture ratio and width.
 const USED: f64 = 6.0;
 
 /// What the light of a corner says about ln φ and v, near those that it was fitted with, while its place and levels are free:
@@ -38,16 +39,16 @@ pub(super) struct WidthChange {
 /// ln φ and v of all frames together.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct OfFrames {
-    pub fill: FillFactor,
-    /// v with its σ, px².
-    pub wider_px2: [f64; 2],
+    pub ratio: Estimate,
+    /// v, px².
+    pub wider_px2: Estimate,
     /// Which frames have that v: the others have moved.
     pub alike: Vec<bool>,
 }
 
 impl EdgeWidth {
     /// Of a corner that was fitted with `rays`, and by how much its place is off because of these, px: `summed` is how pixels
-    /// see it, and its blur radius grows by `by_fill_px` with ln φ. `None` if the light does not determine it.
+    /// see it, and its blur radius grows by `by_ratio_px` with ln φ. `None` if the light does not determine it.
     ///
     /// The pixels may be too few for a place: `inverse` is that of the normal matrix of all that were fitted, of which these
     /// are the part `share`, by weight.
@@ -57,24 +58,24 @@ impl EdgeWidth {
         patch: &Patch,
         rays: &Rays,
         summed: &[SummedShape],
-        by_fill_px: f64,
+        by_ratio_px: f64,
         (inverse, share): (&Matrix4<f64>, f64),
     ) -> Option<(Self, Vector2<f64>)> {
         let pixels = patch.x.len();
         let (level, contrast) = (corner.level as f32, corner.contrast as f32);
         let by_few = corner.shape(rays);
-        let radius_by_fill = by_fill_px as f32;
+        let radius_by_ratio = by_ratio_px as f32;
         let mut equations = NormalEquations::<f32, 4, 4>::new();
         let mut products = Matrix3::<f64>::zeros();
         for (i, seen) in summed.iter().enumerate().filter(|(_, seen)| seen.shape.is_finite()) {
             let [along_u, along_v] = seen.by_place.map(|by| by * contrast);
             let row = Vector4::new(along_u, along_v, 1.0, seen.shape);
             let residual = patch.light[i] - level - contrast * seen.shape;
-            let by_fill = contrast * radius_by_fill * seen.by_radius;
+            let by_ratio = contrast * radius_by_ratio * seen.by_radius;
             let by_width = contrast * seen.by_width;
-            let of_pixel = Matrix1x3::new(residual, by_fill, by_width);
+            let of_pixel = Matrix1x3::new(residual, by_ratio, by_width);
             let approximation = contrast * (by_few[i] - seen.shape);
-            let all = Matrix1x4::new(residual, by_fill, by_width, approximation);
+            let all = Matrix1x4::new(residual, by_ratio, by_width, approximation);
             equations.add(&row, &all, patch.weight[i]);
             let of_pixel: RowVector3<f64> = of_pixel.map(f64::from);
             products += of_pixel.transpose() * of_pixel * f64::from(patch.weight[i]);
@@ -108,19 +109,19 @@ impl EdgeWidth {
     }
 
     /// By how much ln φ of this corner alone changes with v, px⁻².
-    pub fn fill_by_width(&self) -> f64 {
+    pub fn ratio_by_width(&self) -> f64 {
         -self.information[(0, 1)] / self.information[(0, 0)]
     }
 
     /// v with its variance, if ln φ is known; `None` if it shows none.
-    fn of_width(&self, log_fill: f64) -> Option<(f64, f64)> {
+    fn of_width(&self, log_ratio: f64) -> Option<(f64, f64)> {
         let information = self.information[(1, 1)];
-        let left = self.right.y - self.information[(0, 1)] * log_fill;
+        let left = self.right.y - self.information[(0, 1)] * log_ratio;
         (information > 0.0).then(|| (left / information, 1.0 / information))
     }
 
     /// What it says of ln φ if nothing is known of v.
-    fn of_fill_alone(&self) -> Self {
+    fn of_ratio_alone(&self) -> Self {
         let Self { information: n, right } = *self;
         let share = if n[(1, 1)] > 0.0 { n[(0, 1)] / n[(1, 1)] } else { 0.0 };
         Self {
@@ -130,7 +131,7 @@ impl EdgeWidth {
     }
 
     /// The change of ln φ by this corner alone, with its variance, after `change` of all; `None` if it shows none.
-    pub fn of_fill(&self, change: &Vector2<f64>) -> Option<(f64, f64)> {
+    pub fn of_ratio(&self, change: &Vector2<f64>) -> Option<(f64, f64)> {
         let information = self.information[(0, 0)];
         let left = self.right - self.information * change;
         (information > 0.0).then(|| (left.x / information, 1.0 / information))
@@ -150,13 +151,13 @@ const SIGNIFICANT: f64 = 3.0;
 /// standard deviations.
 pub(super) const MOVED_PX2: f64 = 0.05;
 pub(super) const MOVED: f64 = 5.0;
-/// Fill factors are the same if they differ by less than this part.
-const SAME_FILL: f64 = 0.002;
+/// Aperture ratios are the same if they differ by less than this part.
+const SAME_RATIO: f64 = 0.002;
 /// Rounds in which they are left out.
 const ROUNDS: usize = 5;
 /// How well the model of a corner tells v, as a part of the variance of the point spread: light at the rim of the pupil is
 /// summed to the first order of the point spread over the radius of the pupil ([`super::cut_normal`]). At 1 px², corners of
-/// exact light are off by up to 0.03 px², and fill factors of simulated images by 0 to 5 %.
+/// exact light are off by up to 0.03 px², and aperture ratios of simulated images by 0 to 5 %.
 const OF_POINT_SPREAD: f64 = 0.05;
 
 impl WidthChange {
@@ -188,7 +189,7 @@ impl WidthChange {
             let change = covariance * right;
             // In the standard deviations that each corner claims.
             let far = |one: &EdgeWidth| {
-                one.of_fill(&change).map_or(0.0, |(by, variance)| by.abs() / variance.sqrt())
+                one.of_ratio(&change).map_or(0.0, |(by, variance)| by.abs() / variance.sqrt())
             };
             let distances: Vec<f64> = all.iter().map(far).collect();
             // The median of |x| for a normal distribution.
@@ -218,7 +219,7 @@ impl OfFrames {
         for round in 1..=ROUNDS {
             let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
             for (frame, alike) in frames.iter().zip(&alike) {
-                let of_both = if *alike { *frame } else { frame.of_fill_alone() };
+                let of_both = if *alike { *frame } else { frame.of_ratio_alone() };
                 information += of_both.information;
                 right += of_both.right;
             }
@@ -236,10 +237,10 @@ impl OfFrames {
                 alike = widths.into_iter().map(|width| width.is_some_and(is_usual)).collect();
             }
         }
-        let (at, covariance, fill_by_width) = found?;
+        let (at, covariance, ratio_by_width) = found?;
         let scatter = |(frame, alike): (&EdgeWidth, &bool)| {
-            let own = if *alike { *frame } else { frame.of_fill_alone() };
-            let (from, variance) = own.of_fill(&at)?;
+            let own = if *alike { *frame } else { frame.of_ratio_alone() };
+            let (from, variance) = own.of_ratio(&at)?;
             Some(from * from / variance)
         };
         let scatter: f64 = frames.iter().zip(&alike).filter_map(scatter).sum();
@@ -248,16 +249,16 @@ impl OfFrames {
         let value = at.x.exp();
         // Where blur and point spread look alike, one is as wrong as the other.
         let of_width = OF_POINT_SPREAD * point_spread_px2;
-        let of_fill = std_dev(0).hypot(FillFactor::MODEL).hypot(of_width * fill_by_width);
-        let fill = FillFactor { value, std_dev: value * of_fill };
-        Some(Self { fill, wider_px2: [at.y, std_dev(1).hypot(of_width)], alike })
+        let of_ratio = std_dev(0).hypot(APERTURE_RATIO_MODEL).hypot(of_width * ratio_by_width);
+        let ratio = Estimate { value, std_dev: value * of_ratio };
+        Some(Self { ratio, wider_px2: Estimate::new(at.y, std_dev(1).hypot(of_width)), alike })
     }
 }
 
-/// Whether a fill factor is another one than that which corners were fitted with, by so many standard deviations.
-pub(super) fn differs(found: &FillFactor, fitted_with: f64, std_devs: f64) -> bool {
+/// Whether an aperture ratio is another one than that which corners were fitted with, by so many standard deviations.
+pub(super) fn differs(found: &Estimate, fitted_with: f64, std_devs: f64) -> bool {
     let change = (found.value - fitted_with).abs();
-    change > SAME_FILL * found.value && change > std_devs * found.std_dev
+    change > SAME_RATIO * found.value && change > std_devs * found.std_dev
 }
 
 impl std::ops::Div<f64> for EdgeWidth {
@@ -272,9 +273,9 @@ impl std::ops::Div<f64> for EdgeWidth {
 mod tests {
     use super::*;
 
-    fn of(fill: f64, width: f64) -> EdgeWidth {
+    fn of(ratio: f64, width: f64) -> EdgeWidth {
         let information = Matrix2::new(400.0, 30.0, 30.0, 100.0);
-        EdgeWidth { information, right: information * Vector2::new(fill, width) }
+        EdgeWidth { information, right: information * Vector2::new(ratio, width) }
     }
 
     #[test]
@@ -296,22 +297,25 @@ mod tests {
             EdgeWidth { information, right: information * Vector2::new(truth.x, width) }
         };
         let of = |count: usize| OfFrames::fit(&vec![of_frame(truth.y); count], 0.0).unwrap();
-        let off = |found: &OfFrames| (found.fill.value.ln() - truth.x).abs();
+        let off = |found: &OfFrames| (found.ratio.value.ln() - truth.x).abs();
         let (one, many) = (of(1), of(40));
         assert!(off(&one) > 1.5e-3 && off(&many) < 5e-4, "{one:?} {many:?}");
-        assert!(many.wider_px2[1] < one.wider_px2[1] / 3.0);
+        assert!(many.wider_px2.std_dev < one.wider_px2.std_dev / 3.0);
         // A frame that moved says nothing of the others' v.
         let mut frames = vec![of_frame(truth.y); 40];
         frames[7] = of_frame(0.6);
         let found = OfFrames::fit(&frames, 0.0).unwrap();
         assert!((0..40).all(|i| found.alike[i] == (i != 7)));
-        assert!((found.wider_px2[0] - many.wider_px2[0]).abs() < 1e-3, "{found:?}");
+        assert!((found.wider_px2.value - many.wider_px2.value).abs() < 1e-3, "{found:?}");
         assert!(OfFrames::fit(&[], 0.0).is_none());
         // A wide point spread says less of both.
         let spread = OfFrames::fit(&frames, 1.0).unwrap();
-        assert!(spread.wider_px2[1] > OF_POINT_SPREAD);
-        assert!((spread.wider_px2[0] - found.wider_px2[0]).abs() < 1e-12);
-        let added = (spread.fill.std_dev.powi(2) - found.fill.std_dev.powi(2)).sqrt();
-        assert!((added / found.fill.value / (0.15 * OF_POINT_SPREAD) - 1.0).abs() < 0.2, "{added}");
+        assert!(spread.wider_px2.std_dev > OF_POINT_SPREAD);
+        assert!((spread.wider_px2.value - found.wider_px2.value).abs() < 1e-12);
+        let added = (spread.ratio.std_dev.powi(2) - found.ratio.std_dev.powi(2)).sqrt();
+        assert!(
+            (added / found.ratio.value / (0.15 * OF_POINT_SPREAD) - 1.0).abs() < 0.2,
+            "{added}"
+        );
     }
 }

@@ -7,7 +7,8 @@ use super::frame::Frame;
 use super::line::median_inverse_virtual_depth;
 use super::second_pass::{Found, SecondPassed};
 use super::{Aberration, CornerLine, CornerObservation, DepthEstimator};
-use crate::model::{BapFeature, FillFactor, MeasuredBlur};
+use crate::model::{BapFeature, MeasuredBlur};
+use crate::quantity::Estimate;
 
 /// A corner of the board as a whole.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,11 +45,11 @@ pub struct Detection {
 /// What the widths of edges in a frame say.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Edges {
-    /// The fill factor of the micro-lenses by this frame alone.
-    pub fill_factor: FillFactor,
-    /// Variance along an axis by which edges are wider than the blur of a whole pixel makes them, px², with its σ: the point
-    /// spread, with what print and motion add.
-    pub spread_px2: [f64; 2],
+    /// The aperture ratio of the micro-lenses by this frame alone.
+    pub aperture_ratio: Estimate,
+    /// Variance along an axis by which edges are wider than the blur of a whole pixel makes them, px²: the point spread, with
+    /// what print and motion add.
+    pub spread_px2: Estimate,
     /// What its corners say of ln φ and of by how much edges are wider than those of white images.
     pub(super) corners: EdgeWidth,
     /// That, px².
@@ -58,12 +59,12 @@ pub struct Edges {
 impl Detection {
     /// Measures blur with edges that are as wide as those of other frames, by this variance with its σ, px², over white
     /// images.
-    pub(super) fn take_width(&mut self, [wider_px2, std_dev]: [f64; 2]) {
+    pub(super) fn take_width(&mut self, wider_px2: Estimate) {
         let Some(edges) = &self.edges else { return };
         for (feature, by) in self.features.iter_mut().zip(&self.blur_by_width) {
             if let Some(blur) = &mut feature.blur {
-                blur.radius_px += by * (wider_px2 - edges.wider_px2);
-                blur.shared_px = by * std_dev;
+                blur.radius_px += by * (wider_px2.value - edges.wider_px2);
+                blur.shared_px = by * wider_px2.std_dev;
             }
         }
     }
@@ -104,18 +105,18 @@ pub(super) fn detection(
                 DepthEstimator::Median => optics.rho_of_depth_px(median),
                 DepthEstimator::Line => optics.rho_px(found.line.slope),
             };
-            let per = optics.blur_by_fill_px(found.line.slope);
+            let per = optics.blur_by_ratio_px(found.line.slope);
             let blur = change.zip(*width).and_then(|(change, width)| {
-                let (by, variance) = width.of_fill(&Vector2::new(0.0, change.y))?;
+                let (by, variance) = width.of_ratio(&Vector2::new(0.0, change.y))?;
                 Some(MeasuredBlur {
                     radius_px: optics.blur_radius_px(found.line.slope) + by * per,
                     std_dev_px: variance.sqrt() * per.abs(),
                     shared_px: 0.0,
-                    fill_factor: optics.fill_factor,
+                    aperture_ratio: optics.aperture_ratio,
                 })
             });
             let std_devs = [0, 1].map(|i| corner.covariance[(i, i)].sqrt());
-            blur_by_width.push(width.map_or(0.0, |width| width.fill_by_width() * per));
+            blur_by_width.push(width.map_or(0.0, |width| width.ratio_by_width() * per));
             features.push(BapFeature {
                 frame: frame.frame,
                 corner: found.corner,
@@ -150,12 +151,12 @@ pub(super) fn detection(
 fn edges(frame: &Frame, width: &WidthChange, wider_px2: f64) -> Edges {
     let micro_images = frame.search.micro_images;
     let std_dev = |i: usize| width.covariance[(i, i)].sqrt();
-    let value = micro_images.fill_factor() * width.change.x.exp();
-    let about = Vector2::new(micro_images.fill_factor().ln(), wider_px2);
+    let value = micro_images.aperture_ratio() * width.change.x.exp();
+    let about = Vector2::new(micro_images.aperture_ratio().ln(), wider_px2);
     let wider_px2 = wider_px2 + width.change.y;
     Edges {
-        fill_factor: FillFactor { value, std_dev: value * std_dev(0) },
-        spread_px2: [micro_images.point_spread_px2() + wider_px2, std_dev(1)],
+        aperture_ratio: Estimate { value, std_dev: value * std_dev(0) },
+        spread_px2: Estimate::new(micro_images.point_spread_px2() + wider_px2, std_dev(1)),
         corners: width.corners.about(&about),
         wider_px2,
     }

@@ -5,10 +5,11 @@ use super::flat_field::unlike;
 use super::{DetectedFrame, MicroImages};
 use crate::checks::boards as checks;
 use crate::finding::{Finding, Issue};
-use crate::model::{Board, FillFactor, Subset};
+use crate::model::at_most_full;
+use crate::model::{Board, Subset};
 use crate::quantity::Estimate;
 
-/// Fill factors that differ by fewer standard deviations may differ by chance.
+/// Aperture ratios that differ by fewer standard deviations may differ by chance.
 const CHANCE: f64 = 3.0;
 
 /// Findings about frames that are left out or blurred, and about a doubtful board.
@@ -31,8 +32,7 @@ pub(super) fn findings(frames: &[DetectedFrame], board: &Board, subset: Subset) 
     findings.extend(checks::enough(found().count(), subset));
     let widths: Vec<(u32, &str, Estimate)> = found()
         .filter_map(|(frame, detection)| {
-            let [value, std_dev] = detection.edges?.spread_px2;
-            Some((frame.frame, frame.name.as_str(), Estimate { value, std_dev }))
+            Some((frame.frame, frame.name.as_str(), detection.edges?.spread_px2))
         })
         .collect();
     findings.extend(checks::motion_blur(&widths, (MOVED_PX2, MOVED)));
@@ -42,17 +42,16 @@ pub(super) fn findings(frames: &[DetectedFrame], board: &Board, subset: Subset) 
     findings
 }
 
-/// A finding if corners were fitted with another fill factor than all frames show.
-pub(super) fn fitted_otherwise(found: &FillFactor, micro_images: &MicroImages) -> Option<Finding> {
-    let fitted_with = micro_images.fill_factor();
-    let estimated = Estimate { value: found.value, std_dev: found.std_dev };
+/// A finding if corners were fitted with another aperture ratio than all frames show.
+pub(super) fn fitted_otherwise(found: &Estimate, micro_images: &MicroImages) -> Option<Finding> {
+    let fitted_with = micro_images.aperture_ratio();
     let (taken, issue) = match micro_images.settled() {
         // What is taken of those boards is at most 1.
         Some(std_dev) => (
-            FillFactor { std_dev: found.std_dev.hypot(std_dev), ..found.taken() },
-            Issue::ApertureRatioOfOtherBoards { fitted_with, estimated },
+            Estimate { std_dev: found.std_dev.hypot(std_dev), ..at_most_full(found) },
+            Issue::ApertureRatioOfOtherBoards { fitted_with, estimated: *found },
         ),
-        None => (*found, Issue::ApertureRatioOfFirstFrames { fitted_with, estimated }),
+        None => (*found, Issue::ApertureRatioOfFirstFrames { fitted_with, estimated: *found }),
     };
     differs(&taken, fitted_with, CHANCE).then(|| Finding::caution(issue))
 }
@@ -64,13 +63,13 @@ mod tests {
 
     /// What other boards have shown is taken as at most 1, and both σ count.
     #[test]
-    fn boards_may_show_another_fill_factor_than_those_for_calibration() {
-        let of = |value: f64, std_dev: f64| FillFactor { value, std_dev };
-        let told = |known: FillFactor, found: FillFactor| {
+    fn boards_may_show_another_aperture_ratio_than_those_for_calibration() {
+        let of = |value: f64, std_dev: f64| Estimate { value, std_dev };
+        let told = |known: Estimate, found: Estimate| {
             fitted_otherwise(&found, &micro_images(16.0).settled_at(&known))
         };
         let (wide, narrow) = (of(1.04, 0.004), of(0.93, 0.004));
-        assert_eq!(told(wide.taken(), wide), None);
+        assert_eq!(told(at_most_full(&wide), wide), None);
         assert_eq!(told(narrow, of(0.945, 0.004)), None);
         let finding = told(narrow, of(0.96, 0.004)).unwrap();
         assert_eq!(finding.code(), "aperture-ratio-of-other-boards");

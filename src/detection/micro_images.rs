@@ -5,14 +5,14 @@ use rayon::prelude::*;
 
 use super::MicroOptics;
 use crate::error::{Error, Result};
-use crate::model::FillFactor;
-use crate::model::taken::{FALL_OFF, FILL_FACTOR, INTERCEPT, POINT_SPREAD, PUPIL};
+use crate::model::taken::{APERTURE_RATIO, FALL_OFF, INTERCEPT, POINT_SPREAD, PUPIL};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, MicroImageCenter,
     ROW_DISTANCE, SampleLevels, Sensor, TAKEN, check_array_size, check_centers, growth_per_px,
     optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
+use crate::quantity::Estimate;
 use crate::vignetting::{Obliquity, Pixel, Vignetting};
 
 /// Where micro-images are, and how points are blurred in them.
@@ -28,8 +28,8 @@ pub struct MicroImages {
     pupil_px: f64,
     /// q'ᵢ there, px.
     q_prime_px: Vec<f64>,
-    /// φ, the fill factor.
-    fill_factor: f64,
+    /// φ, the aperture ratio.
+    aperture_ratio: f64,
     /// σ of φ, if other boards have shown it.
     settled: Option<f64>,
     /// Variance of the point spread along an axis, px².
@@ -133,8 +133,10 @@ impl MicroImages {
         let lens_to_sensor_px = (lens_to_mla + mla_to_sensor) / pixel_size_mm;
         let (mla_to_sensor_px, middle) = (mla_to_sensor / pixel_size_mm, sheet.sensor.center_px());
         let cos4 = || FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, middle);
-        let (fall_off, fill_factor) = (internal.fall_off.unwrap_or_else(cos4), internal.fill());
-        let (within, half_pitch_px) = (fall_off.within_per_px2, grid.pitch_px / 2.0 * fill_factor);
+        let (fall_off, aperture_ratio) =
+            (internal.fall_off.unwrap_or_else(cos4), internal.aperture_ratio());
+        let (within, half_pitch_px) =
+            (fall_off.within_per_px2, grid.pitch_px / 2.0 * aperture_ratio);
         let mut micro_images = Self {
             grid: *grid,
             configuration: sheet.configuration,
@@ -143,7 +145,7 @@ impl MicroImages {
             vignetting: Default::default(),
             first_step: 0,
             q_prime_px: internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect(),
-            fill_factor,
+            aperture_ratio,
             settled: None,
             point_spread_px2: internal.point_spread_px2(),
             levels: internal.levels,
@@ -189,7 +191,7 @@ impl MicroImages {
             let of_type = |q_prime: &f64| {
                 let of_step = |step: i32| {
                     let scale = 1.0 + f64::from(step) * GROWTH_STEP;
-                    let q = self.fill_factor * (q_prime * intercept * scale - half_pitch);
+                    let q = self.aperture_ratio * (q_prime * intercept * scale - half_pitch);
                     Vignetting::new(self.pupil_px * pupil * scale, q, &pixel)
                 };
                 (self.first_step..=-self.first_step).into_par_iter().map(of_step).collect()
@@ -228,36 +230,36 @@ impl MicroImages {
         Self::new(&grid, centers, internal, sheet)
     }
 
-    /// The same with another fill factor φ; the discs of white images, and with them φqᵢ, stay as they are all over the
+    /// The same with another aperture ratio φ; the discs of white images, and with them φqᵢ, stay as they are all over the
     /// image.
     #[must_use]
-    pub fn with_fill_factor(&self, fill_factor: f64) -> Self {
-        let (half_pitch, change) = (self.grid.pitch_px / 2.0, self.fill_factor / fill_factor);
+    pub fn with_aperture_ratio(&self, aperture_ratio: f64) -> Self {
+        let (half_pitch, change) = (self.grid.pitch_px / 2.0, self.aperture_ratio / aperture_ratio);
         let of_type = |q_prime: &f64| half_pitch + (q_prime - half_pitch) * change;
         let q_prime_px = self.q_prime_px.iter().map(of_type).collect();
         let in_the_middle =
-            Obliquity { half_pitch_px: half_pitch * fill_factor, ..self.in_the_middle };
-        let lean = self.lean.map(|lean| lean.with_fill_factor(-change.ln()));
-        let mut other = Self { q_prime_px, fill_factor, in_the_middle, lean, ..self.clone() };
+            Obliquity { half_pitch_px: half_pitch * aperture_ratio, ..self.in_the_middle };
+        let lean = self.lean.map(|lean| lean.with_aperture_ratio(-change.ln()));
+        let mut other = Self { q_prime_px, aperture_ratio, in_the_middle, lean, ..self.clone() };
         other.tabulate();
         other
     }
 
-    /// The same with the fill factor that other boards of this camera have shown: those in its images are not asked for it.
+    /// The same with the aperture ratio that other boards of this camera have shown: those in its images are not asked for it.
     #[must_use]
-    pub fn settled_at(&self, fill: &FillFactor) -> Self {
-        Self { settled: Some(fill.std_dev), ..self.with_fill_factor(fill.value) }
+    pub fn settled_at(&self, ratio: &Estimate) -> Self {
+        Self { settled: Some(ratio.std_dev), ..self.with_aperture_ratio(ratio.value) }
     }
 
-    /// σ of the fill factor, if it is that which other boards have shown.
+    /// σ of the aperture ratio, if it is that which other boards have shown.
     pub(super) fn settled(&self) -> Option<f64> {
         self.settled
     }
 
-    /// φ, the fill factor.
+    /// φ, the aperture ratio.
     #[must_use]
-    pub fn fill_factor(&self) -> f64 {
-        self.fill_factor
+    pub fn aperture_ratio(&self) -> f64 {
+        self.aperture_ratio
     }
 
     /// Variance of the point spread along an axis, px².
@@ -303,7 +305,7 @@ impl MicroImages {
             pupil_px: self.pupil_px * (1.0 + growth),
             q_prime_px: self.q_prime_px[lens_type] * (1.0 + growth),
             half_pitch_px: self.grid.pitch_px / 2.0,
-            fill_factor: self.fill_factor,
+            aperture_ratio: self.aperture_ratio,
             obliquity: Obliquity {
                 gradient_per_px: self.fall_off.gradient(place),
                 ..self.in_the_middle
@@ -328,10 +330,10 @@ impl MicroImages {
             PUPIL => other.pupil_px *= factor,
             INTERCEPT => other.q_prime_px *= factor,
             FALL_OFF => other.obliquity.within_per_px2 *= factor,
-            FILL_FACTOR => {
+            APERTURE_RATIO => {
                 other.q_prime_px =
-                    other.half_pitch_px + optics.q_px() / optics.fill_factor / factor;
-                other.fill_factor *= factor;
+                    other.half_pitch_px + optics.q_px() / optics.aperture_ratio / factor;
+                other.aperture_ratio *= factor;
             }
             _ => {}
         }
@@ -422,8 +424,8 @@ pub(super) mod tests {
             pupil_growth: 0.0,
             fall_off: None,
             lean: None,
-            point_spread: None,
-            fill_factor: None,
+            point_spread_px2: None,
+            aperture_ratio: None,
             levels: None,
         };
         let grid = MicroImageArray {

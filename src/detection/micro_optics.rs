@@ -13,8 +13,8 @@ pub struct MicroOptics {
     pub q_prime_px: f64,
     /// Δc/2, px.
     pub half_pitch_px: f64,
-    /// φ, the fill factor.
-    pub fill_factor: f64,
+    /// φ, the aperture ratio.
+    pub aperture_ratio: f64,
     /// The angles at which light arrives.
     pub obliquity: Obliquity,
     /// d over that in the middle of the image, less 1.
@@ -38,14 +38,14 @@ impl MicroOptics {
     /// The blur radius of a point with slope γ, φρ, px.
     #[must_use]
     pub fn blur_radius_px(&self, slope: f64) -> f64 {
-        self.fill_factor * self.rho_px(slope)
+        self.aperture_ratio * self.rho_px(slope)
     }
 
     /// How much the blur radius of a point with slope γ grows with ln φ, px, while that of the pupil stays as white images
     /// show it.
     #[must_use]
-    pub fn blur_by_fill_px(&self, slope: f64) -> f64 {
-        self.fill_factor * self.half_pitch_px * (1.0 - slope)
+    pub fn blur_by_ratio_px(&self, slope: f64) -> f64 {
+        self.aperture_ratio * self.half_pitch_px * (1.0 - slope)
     }
 
     /// φqᵢ, px: the blur radius of the pupil itself, which has the slope 1.

@@ -84,7 +84,7 @@ pub(super) struct SecondPassed {
     pub contrast: f64,
     /// Variance along an axis by which edges are wider than blur and pixels make them, px².
     pub wider_px2: f64,
-    /// What is left of the fill factor and of that, by the edges of all corners, if these determine it.
+    /// What is left of the aperture ratio and of that, by the edges of all corners, if these determine it.
     pub width: Option<WidthChange>,
 }
 
@@ -321,8 +321,8 @@ impl CornerSearch<'_> {
             levers.by_taken = on_edges.by_taken(corner, others, inverse, share);
         }
         let summed = summed(blur, corner, few);
-        let by_fill_px = optics.blur_by_fill_px(slope);
-        EdgeWidth::of(corner, few, few_rays, &summed, by_fill_px, (inverse, share))
+        let by_ratio_px = optics.blur_by_ratio_px(slope);
+        EdgeWidth::of(corner, few, few_rays, &summed, by_ratio_px, (inverse, share))
     }
 
     /// A corner as it should show in the micro-image about `center`, whose mean light is `level`.

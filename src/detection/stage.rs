@@ -14,17 +14,18 @@ use super::{Detection, FrameCounts, MicroImages, Search};
 use crate::error::{Error, Result};
 use crate::finding::Issue;
 use crate::image::{Grey, RawImage};
-use crate::model::{FillFactor, SampleLevels, Sensor, Subset};
+use crate::model::{SampleLevels, Sensor, Subset};
+use crate::quantity::Estimate;
 
 /// Frames that are in memory at once.
 const AT_ONCE: usize = 4;
 
-/// The first frames with a board are searched so many times, until the fill factor that their edges show is that which
+/// The first frames with a board are searched so many times, until the aperture ratio that their edges show is that which
 /// corners are fitted with.
 const ROUNDS: usize = 8;
-/// Fill factors are the same for that if they differ by less than so many standard deviations.
+/// Aperture ratios are the same for that if they differ by less than so many standard deviations.
 const SAME: f64 = 1.0;
-/// Largest part of the fill factor that corners are fitted with which their edges show again.
+/// Largest part of the aperture ratio that corners are fitted with which their edges show again.
 const MOST_FOLLOWS: f64 = 0.75;
 
 /// Detects the board in a set of images. `white` is the white image in their light and at their
@@ -65,18 +66,19 @@ pub fn detect<'i>(
         frames.extend(done.collect::<Result<Vec<DetectedFrame>>>()?);
         fill_is_known |= widths(detections(&frames), spread).is_some();
     }
-    let fitted_with = micro_images.fill_factor();
-    let fill_factor = widths(detections(&frames), spread).map(|widths| {
+    let fitted_with = micro_images.aperture_ratio();
+    let aperture_ratio = widths(detections(&frames), spread).map(|widths| {
         let found = frames.iter_mut().filter_map(|frame| frame.result.as_mut().ok());
         let with_edges = found.filter(|found| found.edges.is_some());
         for (found, _) in with_edges.zip(widths.alike).filter(|(_, alike)| *alike) {
             found.take_width(widths.wider_px2);
         }
-        in_the_end(&widths.fill, fitted_with, follows)
+        in_the_end(&widths.ratio, fitted_with, follows)
     });
     let mut findings = findings(&frames, search.board, subset);
-    findings.extend(fill_factor.as_ref().and_then(|fill| fitted_otherwise(fill, &micro_images)));
-    Ok(DetectedBoards { frames, fill_factor, fitted_with, findings })
+    findings
+        .extend(aperture_ratio.as_ref().and_then(|ratio| fitted_otherwise(ratio, &micro_images)));
+    Ok(DetectedBoards { frames, aperture_ratio, fitted_with, findings })
 }
 
 /// A search in several images.
@@ -118,7 +120,7 @@ impl Looking<'_> {
         Ok((raw, found, likeness))
     }
 
-    /// Searches images again until the fill factor that their edges show is that which corners are fitted with. Also the part of
+    /// Searches images again until the aperture ratio that their edges show is that which corners are fitted with. Also the part of
     /// that which their edges show again.
     fn settle<'m>(
         &self,
@@ -130,17 +132,17 @@ impl Looking<'_> {
         let mut follows = 0.0;
         for _ in 1..ROUNDS {
             let searched = found.iter().filter_map(|found| found.as_ref().ok());
-            let fitted_with = micro_images.fill_factor();
+            let fitted_with = micro_images.aperture_ratio();
             let shown =
                 widths(searched.filter_map(|(_, (found, _), _)| found.as_ref().ok()), spread);
-            let Some(fill) = shown.map(|widths| widths.fill) else { break };
-            let step = [fitted_with, fill.value];
+            let Some(ratio) = shown.map(|widths| widths.ratio) else { break };
+            let step = [fitted_with, ratio.value];
             follows = before.map_or(0.0, |before| part_that_follows(before, step));
-            if !differs(&fill, fitted_with, SAME) {
+            if !differs(&ratio, fitted_with, SAME) {
                 break;
             }
-            debug!("fill factor {:.4} ± {:.4}: searching again", fill.value, fill.std_dev);
-            micro_images = Cow::Owned(micro_images.with_fill_factor(following(follows, step)));
+            debug!("aperture ratio {:.4} ± {:.4}: searching again", ratio.value, ratio.std_dev);
+            micro_images = Cow::Owned(micro_images.with_aperture_ratio(following(follows, step)));
             before = Some(step);
             images.par_iter().zip(&mut *found).for_each(|(image, found)| {
                 if let Ok((raw, found, _)) = found {
@@ -189,22 +191,22 @@ fn widths<'a>(
     OfFrames::fit(&of_frames, point_spread_px2)
 }
 
-/// The part of the fill factor that corners are fitted with which their edges show again, from two steps: from that which they
+/// The part of the aperture ratio that corners are fitted with which their edges show again, from two steps: from that which they
 /// were fitted with to that which their edges showed. It is large where the blur is not much wider than the point spread.
 fn part_that_follows(before: [f64; 2], [fitted_with, shown]: [f64; 2]) -> f64 {
     ((shown - before[1]) / (fitted_with - before[0])).clamp(0.0, MOST_FOLLOWS)
 }
 
-/// The fill factor to fit corners with after a step: of what is left, each step shows the same part (Aitken).
+/// The aperture ratio to fit corners with after a step: of what is left, each step shows the same part (Aitken).
 fn following(follows: f64, [fitted_with, shown]: [f64; 2]) -> f64 {
     fitted_with + (shown - fitted_with) / (1.0 - follows)
 }
 
-/// The fill factor that edges would show if they had been fitted with it, from what they show. Where they follow what they were
+/// The aperture ratio that edges would show if they had been fitted with it, from what they show. Where they follow what they were
 /// fitted with, its σ is larger as well.
-fn in_the_end(shown: &FillFactor, fitted_with: f64, follows: f64) -> FillFactor {
+fn in_the_end(shown: &Estimate, fitted_with: f64, follows: f64) -> Estimate {
     let value = following(follows, [fitted_with, shown.value]);
-    FillFactor { value, std_dev: shown.std_dev / (1.0 - follows) }
+    Estimate { value, std_dev: shown.std_dev / (1.0 - follows) }
 }
 
 fn check_size(white: &RawImage, sensor: &Sensor) -> Result<()> {
@@ -223,9 +225,9 @@ fn check_size(white: &RawImage, sensor: &Sensor) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// Edges that show 60 % of a wrong fill factor again.
+    /// Edges that show 60 % of a wrong aperture ratio again.
     #[test]
-    fn two_steps_find_the_fill_factor_where_edges_show_a_part_of_it() {
+    fn two_steps_find_the_aperture_ratio_where_edges_show_a_part_of_it() {
         let shown = |fitted_with: f64| 0.9 + 0.6 * (fitted_with - 0.9);
         let first = [1.0, shown(1.0)];
         let second = following(0.0, first);
@@ -236,8 +238,8 @@ mod tests {
         assert!((follows - 0.6).abs() < 1e-12 && (third - 0.9).abs() < 1e-12, "{third}");
         // Errors of what edges show move the end of these steps further, and so does σ say.
         for (error, moved) in [(0.0, 0.0), (0.01, 0.025)] {
-            let fill = FillFactor { value: shown(0.95) + error, std_dev: 0.01 };
-            let end = in_the_end(&fill, 0.95, follows);
+            let ratio = Estimate { value: shown(0.95) + error, std_dev: 0.01 };
+            let end = in_the_end(&ratio, 0.95, follows);
             assert!((end.value - 0.9 - moved).abs() < 1e-12, "{end:?}");
             assert!((end.std_dev - 0.025).abs() < 1e-12, "{end:?}");
         }

@@ -9,10 +9,11 @@ use super::camera_file::errors_text;
 use super::{camera_document, poses_document};
 use crate::assessment::{Assessment, Distance, ModelComparison, PointTrust, Verdict, WithoutGroup};
 use crate::calibration::{
-    AnchorResult, Calibration, FillMeasurement, TypeBlur, termination_text, weakest_directions_text,
+    AnchorResult, BlurMeasurement, Calibration, TypeBlur, termination_text, weakest_directions_text,
 };
 use crate::finding::Severity;
 use crate::model::{Rmse, shared_parameters};
+use crate::quantity::Estimate;
 use crate::solver::LossKind;
 
 /// The content of `camera.json` for a calibration, `converged` and the distances of its boards included.
@@ -224,7 +225,7 @@ pub fn calibration_document(
         "time_s": time_s,
         "solver_time_s": refinement.time_s,
         "anchors": anchors_document(calibration),
-        "blur": blur_document(calibration.fill.as_ref()),
+        "blur": blur_document(calibration.blur.as_ref()),
         "board_shape": board_shape_document(&calibration.board),
         "standard_deviations": std_devs_document(calibration),
         "common_errors": common_errors_document(calibration),
@@ -239,11 +240,11 @@ pub fn calibration_document(
 }
 
 /// What the widths of edges say, lens types in order; null without measured blur.
-fn blur_document(measured: Option<&FillMeasurement>) -> Value {
+fn blur_document(measured: Option<&BlurMeasurement>) -> Value {
     let of_type = |of: &TypeBlur| {
-        let [excess_px, std_dev_px] = of.excess_px;
+        let Estimate { value: excess_px, std_dev: std_dev_px } = of.excess_px;
         json!({
-            "fill_factor": of.fill_factor,
+            "aperture_ratio": of.aperture_ratio,
             "excess_px": excess_px,
             "excess_std_dev_px": std_dev_px,
             "features": of.features,
@@ -252,7 +253,7 @@ fn blur_document(measured: Option<&FillMeasurement>) -> Value {
     measured.map_or(Value::Null, |measured| {
         let types: Vec<Option<Value>> =
             measured.types.iter().map(|of| of.as_ref().map(of_type)).collect();
-        json!({ "fill_factor": measured.fill_factor, "lens_types": types })
+        json!({ "aperture_ratio": measured.aperture_ratio, "lens_types": types })
     })
 }
 

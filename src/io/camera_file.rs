@@ -11,6 +11,7 @@ use serde_json::{Map, Value, json};
 use super::json_file::{document_of, read_json};
 use crate::error::{Error, Result};
 use crate::model::{EdgeSpread, Parameter, PlenopticCamera, intrinsic_parameters};
+use crate::quantity::Estimate;
 use crate::solver::Uncertainty;
 
 /// `format` of the file.
@@ -45,13 +46,13 @@ pub fn camera_document(camera: &PlenopticCamera, uncertainty: Option<&Uncertaint
     document
 }
 
-/// How wide a point is blurred, for depth from blur: σ² = (κρ)² + s²; `None` where the fill factor is not known.
+/// How wide a point is blurred, for depth from blur: σ² = (κρ)² + s²; `None` where the aperture ratio is not known.
 fn depth_from_blur_document(edges: &EdgeSpread) -> Option<Value> {
-    let [spread_per_radius, std_dev] = edges.fill_factor?.spread_per_radius();
+    let Estimate { value, std_dev } = edges.spread_per_radius()?;
     Some(json!({
-        "spread_per_radius": spread_per_radius,
+        "spread_per_radius": value,
         "spread_per_radius_std_dev": std_dev,
-        "point_spread_px2": edges.point_spread.map(|spread| spread.variance_px2),
+        "point_spread_px2": edges.point_spread_px2.map(|spread| spread.value),
     }))
 }
 

@@ -102,8 +102,8 @@ pub(super) fn internal_parameters_from(
         pupil_growth: 0.0,
         fall_off: None,
         lean: None,
-        point_spread: None,
-        fill_factor: None,
+        point_spread_px2: None,
+        aperture_ratio: None,
         levels: None,
     })
 }

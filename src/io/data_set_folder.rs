@@ -12,7 +12,8 @@ use super::{
 };
 use crate::error::{Error, Result};
 use crate::image::RawImage;
-use crate::model::{FillFactor, FramePose, InternalParameters, Subset};
+use crate::model::{FramePose, InternalParameters, Subset};
+use crate::quantity::Estimate;
 use crate::simulation::{
     Content, DataSet, Progress, Settings, Shot, Simulated, Target, TrueCenter, TrueFeature,
     simulate,
@@ -178,15 +179,15 @@ fn write_true_features(out: &mut dyn Write, features: &[TrueFeature]) -> io::Res
 
 fn internal_text(internal: &InternalParameters) -> String {
     let pitch = internal.micro_image_pitch_mm.map(|p| format!("micro_image_pitch_mm = {p}\n"));
-    let fill = internal.fill_factor.map(|FillFactor { value, std_dev }| {
-        format!("fill_factor = {{ value = {value}, std_dev = {std_dev} }}\n")
+    let ratio = internal.aperture_ratio.map(|Estimate { value, std_dev }| {
+        format!("aperture_ratio = {{ value = {value}, std_dev = {std_dev} }}\n")
     });
     format!(
         "[internal_parameters]\nm_mm = {}\nq_prime_mm = {:?}\n{}{}",
         internal.m_mm,
         internal.q_prime_mm,
         pitch.unwrap_or_default(),
-        fill.unwrap_or_default()
+        ratio.unwrap_or_default()
     )
 }
 

@@ -12,9 +12,9 @@ const FORMAT: &str = "plenocal-detection";
 pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
     let edges = |edges: &Edges| {
         json!({
-            "fill_factor": edges.fill_factor,
-            "spread_px2": edges.spread_px2[0],
-            "spread_std_dev_px2": edges.spread_px2[1],
+            "aperture_ratio": edges.aperture_ratio,
+            "spread_px2": edges.spread_px2.value,
+            "spread_std_dev_px2": edges.spread_px2.std_dev,
         })
     };
     let aberration = |found: &Detection| {
@@ -57,8 +57,8 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
         "format": FORMAT,
         "version": 1,
         "board": { "columns": board.columns, "rows": board.rows, "square_mm": board.square_mm },
-        "fill_factor": found.fill_factor,
-        "fitted_with_fill_factor": found.fitted_with,
+        "aperture_ratio": found.aperture_ratio,
+        "fitted_with_aperture_ratio": found.fitted_with,
         "frames": found.frames.iter().map(of_frame).collect::<Vec<_>>(),
     })
 }

@@ -117,7 +117,7 @@ fn reconstruction(r: &Reconstruction) -> ReconstructionEntry {
         frames: r.frames,
         points: r.points,
         left_out: r.left_out,
-        distances_too_long: Spread { mean: r.too_long, std_dev: Some(r.too_long_std_dev) },
+        distances_too_long: Spread { mean: r.too_long.value, std_dev: Some(r.too_long.std_dev) },
         across_mm: r.across_mm,
         along_mm: r.along_mm,
     }

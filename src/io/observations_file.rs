@@ -1,8 +1,8 @@
-//! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP
-//! features, u, v and ρ in px; the same columns as COMPOTE's. Standard deviations, px, may follow:
-//! `std_dev` of centres, `std_u`, `std_v` and `std_rho` of features. Columns are found by their names
-//! in the first line; others are ignored. `blur`, `std_blur`, `shared_blur` and `fill_factor` of features are their [`BapFeature::blur`], and columns
-//! such as `du_pupil` and `dv_pupil` their [`BapFeature::levers_px`]. Gzip-compressed files are COMPOTE's binary form.
+//! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP features, u, v and ρ in
+//! px; the same columns as COMPOTE's. Standard deviations, px, may follow: `std_dev` of centres, `std_u`, `std_v` and
+//! `std_rho` of features. `blur`, `std_blur`, `shared_blur` and `aperture_ratio` of features are their
+//! [`BapFeature::blur`], and columns such as `du_pupil` and `dv_pupil` their [`BapFeature::levers_px`]. Columns are found
+//! by their names in the first line; others are ignored. Gzip-compressed files are COMPOTE's binary form.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -11,10 +11,11 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 
 use super::{compote, read_bytes};
 use crate::error::{Error, Observed, Result};
+use crate::model::check_aperture_ratio;
 use crate::model::{
-    BapFeature, FillFactor, MeasuredBlur, MicroImageCenter, MicroPixel, Observations, TAKEN,
-    VirtualPoint,
+    BapFeature, MeasuredBlur, MicroImageCenter, MicroPixel, Observations, TAKEN, VirtualPoint,
 };
+use crate::quantity::Estimate;
 
 /// Reads micro-image centres from CSV.
 pub fn read_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
@@ -112,12 +113,12 @@ const LEVERS: [[&str; 2]; TAKEN] = [
     ["du_pupil", "dv_pupil"],
     ["du_intercept", "dv_intercept"],
     ["du_fall_off", "dv_fall_off"],
-    ["du_fill_factor", "dv_fill_factor"],
+    ["du_aperture_ratio", "dv_aperture_ratio"],
     ["du_point_spread", "dv_point_spread"],
 ];
 
 /// Columns of [`BapFeature::blur`].
-const BLUR: [&str; 4] = ["blur", "std_blur", "shared_blur", "fill_factor"];
+const BLUR: [&str; 4] = ["blur", "std_blur", "shared_blur", "aperture_ratio"];
 
 /// Writes BAP features as CSV, with their standard deviations and levers if they have any.
 pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Result<()> {
@@ -144,9 +145,9 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
         }
         if with_blur {
             match &f.blur {
-                Some(MeasuredBlur { radius_px, std_dev_px, shared_px, fill_factor }) => {
+                Some(MeasuredBlur { radius_px, std_dev_px, shared_px, aperture_ratio }) => {
                     let std_dev = std_dev_text(Some(*std_dev_px));
-                    write!(out, ",{radius_px:.4},{std_dev},{shared_px:.5},{fill_factor:.6}")?;
+                    write!(out, ",{radius_px:.4},{std_dev},{shared_px:.5},{aperture_ratio:.6}")?;
                 }
                 None => write!(out, ",,,,")?,
             }
@@ -230,14 +231,13 @@ impl Row<'_> {
 
     /// The measured blur radius, or `None` where there is none.
     fn blur(&self) -> Result<Option<MeasuredBlur>> {
-        let [blur, std_dev, shared, fill] = BLUR;
+        let [blur, std_dev, shared, ratio] = BLUR;
         let std_dev = self.std_dev(std_dev)?;
-        match (self.measured(blur)?, std_dev, self.measured(shared)?, self.measured(fill)?) {
-            (Some(radius_px), Some(std_dev_px), Some(shared_px), Some(fill_factor)) => {
-                FillFactor { value: fill_factor, std_dev: 0.0 }
-                    .validate()
+        match (self.measured(blur)?, std_dev, self.measured(shared)?, self.measured(ratio)?) {
+            (Some(radius_px), Some(std_dev_px), Some(shared_px), Some(aperture_ratio)) => {
+                check_aperture_ratio(&Estimate::exact(aperture_ratio))
                     .map_err(|e| self.error(&e.to_string()))?;
-                Ok(Some(MeasuredBlur { radius_px, std_dev_px, shared_px, fill_factor }))
+                Ok(Some(MeasuredBlur { radius_px, std_dev_px, shared_px, aperture_ratio }))
             }
             (None, None, None, None) => Ok(None),
             _ => Err(self.error(&format!(
@@ -340,6 +340,16 @@ pub fn line_of(path: &Path, observation: Observed) -> Option<u64> {
     lines.ok()?.into_iter().flatten().last()
 }
 
+/// The name of a column: earlier files call the aperture ratio fill factor.
+fn current_name(name: &str) -> &str {
+    match name {
+        "fill_factor" => "aperture_ratio",
+        "du_fill_factor" => "du_aperture_ratio",
+        "dv_fill_factor" => "dv_aperture_ratio",
+        name => name,
+    }
+}
+
 fn rows<T>(
     path: &Path,
     bytes: &[u8],
@@ -349,7 +359,7 @@ fn rows<T>(
 ) -> Result<Vec<T>> {
     let mut reader = ReaderBuilder::new().trim(Trim::All).from_reader(bytes);
     let broken = |error: csv::Error| Error::content(path, error.to_string());
-    let header = reader.headers().map_err(broken)?.clone();
+    let header: StringRecord = reader.headers().map_err(broken)?.iter().map(current_name).collect();
     let mut columns = Vec::new();
     for &name in required.iter().chain(optional) {
         let mut places = (0..header.len()).filter(|&i| &header[i] == name);

@@ -9,10 +9,9 @@ use serde_json::{Map, Value, json};
 use super::json_file::document_of;
 use super::observations_file::std_dev_text;
 use crate::error::{Error, Result};
-use crate::model::{
-    FallOff, FillFactor, InternalParameters, Lean, MicroImageCenter, PointSpread, SampleLevels,
-};
+use crate::model::{FallOff, InternalParameters, Lean, MicroImageCenter, SampleLevels};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
+use crate::quantity::Estimate;
 
 /// `format` of the file.
 pub const PRECALIBRATION_FORMAT: &str = "plenocal-precalibration";
@@ -35,8 +34,10 @@ struct InternalFile {
     pupil_growth: f64,
     fall_off: Option<FallOff>,
     lean: Option<Lean>,
-    point_spread: Option<PointSpread>,
-    fill_factor: Option<FillFactor>,
+    #[serde(alias = "point_spread")]
+    point_spread_px2: Option<Estimate>,
+    #[serde(alias = "fill_factor")]
+    aperture_ratio: Option<Estimate>,
     levels: Option<SampleLevels>,
 }
 
@@ -119,8 +120,8 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
             "pupil_growth": internal.parameters.pupil_growth,
             "fall_off": internal.parameters.fall_off,
             "lean": internal.parameters.lean,
-            "point_spread": internal.parameters.point_spread,
-            "fill_factor": internal.parameters.fill_factor,
+            "point_spread_px2": internal.parameters.point_spread_px2,
+            "aperture_ratio": internal.parameters.aperture_ratio,
             "levels": internal.parameters.levels,
             "rms_px": internal.rms_px,
         }),
@@ -156,8 +157,8 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
         pupil_growth: internal.pupil_growth,
         fall_off: internal.fall_off,
         lean: internal.lean,
-        point_spread: internal.point_spread,
-        fill_factor: internal.fill_factor,
+        point_spread_px2: internal.point_spread_px2,
+        aperture_ratio: internal.aperture_ratio,
         levels: internal.levels,
     })
 }

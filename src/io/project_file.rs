@@ -10,9 +10,10 @@ use super::read_text;
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
-    Board, Configuration, Datasheet, FallOff, FillFactor, InternalParameters, LatticeKind, Lean,
-    PointSpread, SampleLevels, Sensor, finite, optics,
+    Board, Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, SampleLevels,
+    Sensor, finite, optics,
 };
+use crate::quantity::Estimate;
 
 /// A project file. Every table may be left out where a command gets its content another way.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -129,9 +130,11 @@ pub struct InternalSection {
     /// The lean of the array.
     pub lean: Option<Lean>,
     /// The point spread.
-    pub point_spread: Option<PointSpread>,
-    /// The fill factor that q'ᵢ go with; 1 if it is not stated.
-    pub fill_factor: Option<FillFactor>,
+    #[serde(alias = "point_spread")]
+    pub point_spread_px2: Option<Estimate>,
+    /// The aperture ratio that q'ᵢ go with; 1 if it is not stated.
+    #[serde(alias = "fill_factor")]
+    pub aperture_ratio: Option<Estimate>,
     /// Black and saturation level of the images.
     pub levels: Option<SampleLevels>,
 }
@@ -309,8 +312,8 @@ impl Project {
             pupil_growth: section.pupil_growth,
             fall_off: section.fall_off,
             lean: section.lean,
-            point_spread: section.point_spread,
-            fill_factor: section.fill_factor,
+            point_spread_px2: section.point_spread_px2,
+            aperture_ratio: section.aperture_ratio,
             levels: section.levels,
         })
     }

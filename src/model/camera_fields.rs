@@ -4,9 +4,10 @@ use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera};
-use super::edge_spread::{EdgeSpread, FillFactor, PointSpread};
+use super::edge_spread::EdgeSpread;
 use super::lattice::{Lattice, LatticeKind, Packing, Parity};
 use super::sensor::Sensor;
+use crate::quantity::Estimate;
 
 /// A camera as stored in files.
 #[derive(Serialize, Deserialize)]
@@ -15,9 +16,9 @@ struct CameraFields {
     main_lens: MainLensFile,
     principal_point_px: [f64; 2],
     micro_lens_array: ArrayFile,
-    /// Left out where it is not known, like the fill factor.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    point_spread: Option<PointSpread>,
+    /// Left out where it is not known, like the aperture ratio.
+    #[serde(alias = "point_spread", skip_serializing_if = "Option::is_none")]
+    point_spread_px2: Option<Estimate>,
 }
 
 impl Serialize for PlenopticCamera {
@@ -70,8 +71,8 @@ struct ArrayFile {
     pitch_mm: f64,
     pitch_ratio: f64,
     focal_lengths_mm: Vec<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    fill_factor: Option<FillFactor>,
+    #[serde(alias = "fill_factor", skip_serializing_if = "Option::is_none")]
+    aperture_ratio: Option<Estimate>,
 }
 
 impl From<PlenopticCamera> for CameraFields {
@@ -109,9 +110,9 @@ impl From<PlenopticCamera> for CameraFields {
                 pitch_mm: mla.pitch_mm,
                 pitch_ratio: mla.pitch_ratio,
                 focal_lengths_mm: camera.mla.focal_lengths_mm,
-                fill_factor: camera.edge_spread.fill_factor,
+                aperture_ratio: camera.edge_spread.aperture_ratio,
             },
-            point_spread: camera.edge_spread.point_spread,
+            point_spread_px2: camera.edge_spread.point_spread_px2,
         }
     }
 }
@@ -152,8 +153,8 @@ impl TryFrom<CameraFields> for PlenopticCamera {
                 focal_lengths_mm: array.focal_lengths_mm,
             },
             edge_spread: EdgeSpread {
-                fill_factor: array.fill_factor,
-                point_spread: fields.point_spread,
+                aperture_ratio: array.aperture_ratio,
+                point_spread_px2: fields.point_spread_px2,
             },
         })
     }

@@ -4,7 +4,7 @@
 use serde::Serialize;
 
 use super::checks::positive;
-use super::edge_spread::{FillFactor, PointSpread};
+use super::edge_spread::EdgeSpread;
 use super::fall_off::FallOff;
 use super::lattice::{Configuration, LatticeKind, check_array_size, check_lens_types};
 use super::lean::Lean;
@@ -12,6 +12,7 @@ use super::levels::SampleLevels;
 use super::observations::MicroImageCenter;
 use super::sensor::Sensor;
 use crate::error::{Error, Result};
+use crate::quantity::Estimate;
 
 /// Lenses that do not distort see at most this off the axis, as a tangent: 63 degrees.
 const WIDEST: f64 = 2.0;
@@ -60,9 +61,9 @@ pub struct InternalParameters {
     /// The lean of the array, where it was measured.
     pub lean: Option<Lean>,
     /// The point spread, where it was measured.
-    pub point_spread: Option<PointSpread>,
-    /// The fill factor that q'ᵢ go with, where it is known; 1 otherwise. White images show its product with qᵢ = q'ᵢ − Δc/2.
-    pub fill_factor: Option<FillFactor>,
+    pub point_spread_px2: Option<Estimate>,
+    /// The aperture ratio that q'ᵢ go with, where it is known; 1 otherwise. White images show its product with qᵢ = q'ᵢ − Δc/2.
+    pub aperture_ratio: Option<Estimate>,
     /// Black and saturation level of the images, where they are known; otherwise samples are linear
     /// from 0 to full scale.
     pub levels: Option<SampleLevels>,
@@ -125,28 +126,28 @@ impl InternalParameters {
     /// Variance of the point spread along an axis, px²; 0 where it is not known.
     #[must_use]
     pub fn point_spread_px2(&self) -> f64 {
-        self.point_spread.map_or(0.0, |spread| spread.variance_px2)
+        self.point_spread_px2.map_or(0.0, |spread| spread.value)
     }
 
-    /// φ, the fill factor that q'ᵢ go with.
+    /// φ, the aperture ratio that q'ᵢ go with.
     #[must_use]
-    pub fn fill(&self) -> f64 {
-        self.fill_factor.unwrap_or(FillFactor::FULL).value
+    pub fn aperture_ratio(&self) -> f64 {
+        self.aperture_ratio.map_or(1.0, |ratio| ratio.value)
     }
 
-    /// The same with another fill factor φ, for the micro-image pitch Δc, mm: what white images show, φqᵢ = φ(q'ᵢ − Δc/2)
+    /// The same with another aperture ratio φ, for the micro-image pitch Δc, mm: what white images show, φqᵢ = φ(q'ᵢ − Δc/2)
     /// and how the discs grow over the image, stays.
     #[must_use]
-    pub fn with_fill_factor(&self, fill_factor: FillFactor, pitch_mm: f64) -> Self {
-        let change = self.fill() / fill_factor.value;
+    pub fn with_aperture_ratio(&self, aperture_ratio: Estimate, pitch_mm: f64) -> Self {
+        let change = self.aperture_ratio() / aperture_ratio.value;
         let half_mm = pitch_mm / 2.0;
         let of_std_dev = |std_dev: &f64| std_dev * change;
         Self {
             q_prime_mm: self.q_prime_mm.iter().map(|q| half_mm + (q - half_mm) * change).collect(),
             q_prime_std_dev_mm: self.q_prime_std_dev_mm.iter().map(of_std_dev).collect(),
             micro_image_pitch_mm: Some(pitch_mm),
-            lean: self.lean.map(|lean| lean.with_fill_factor(-change.ln())),
-            fill_factor: Some(fill_factor),
+            lean: self.lean.map(|lean| lean.with_aperture_ratio(-change.ln())),
+            aperture_ratio: Some(aperture_ratio),
             ..self.clone()
         }
     }
@@ -186,12 +187,8 @@ impl InternalParameters {
         if let Some(lean) = &self.lean {
             lean.validate()?;
         }
-        if let Some(point_spread) = &self.point_spread {
-            point_spread.validate()?;
-        }
-        if let Some(fill_factor) = &self.fill_factor {
-            fill_factor.validate()?;
-        }
+        EdgeSpread { aperture_ratio: self.aperture_ratio, point_spread_px2: self.point_spread_px2 }
+            .validate()?;
         if let Some(levels) = &self.levels {
             levels.validate()?;
         }

@@ -1,114 +1,81 @@
-//! What makes edges less sharp, or blur smaller, than ideal pixels and micro-lenses would.
-
-use serde::{Deserialize, Serialize};
+//! What makes edges less sharp, or blur smaller, than ideal pixels and micro-lenses would: the aperture ratio and the point
+//! spread. The projection of points does not depend on either; depth from blur does.
 
 use crate::error::{Error, Result};
+use crate::quantity::Estimate;
 
-/// The point spread of micro-lenses and sensor: diffraction, aberrations, light and charge that leave their pixel. It is
-/// taken to be normal, the same in all directions and everywhere.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PointSpread {
-    /// Its variance along an axis, px².
-    pub variance_px2: f64,
-    /// σ of that, px².
-    pub std_dev_px2: f64,
-}
-
-/// The part of the distance between micro-lenses that the diameter of their openings takes. What is left is opaque: blur
-/// and micro-images are smaller. Hexagonal openings without gaps have the area of circles with 1.05.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct FillFactor {
-    /// The fill factor.
-    pub value: f64,
-    /// Its σ.
-    pub std_dev: f64,
-}
-
-/// What the widths of a camera's edges say: what depth from blur needs beside the geometry. The projection of points does
-/// not depend on it.
+/// The blur of a camera beside its geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct EdgeSpread {
-    /// The fill factor; `None` where it is not known.
-    pub fill_factor: Option<FillFactor>,
-    /// The point spread; `None` where it is not known.
-    pub point_spread: Option<PointSpread>,
+    /// The aperture ratio φ: lenslet diameter over pitch. What is left of the pitch is opaque, so that blur and
+    /// micro-images are smaller. Hexagonal apertures without gaps have the area of circles with φ = 1.05. `None` where it
+    /// is not known.
+    pub aperture_ratio: Option<Estimate>,
+    /// The point spread s²: the variance, along an axis, px², of what diffraction, aberrations, and light and charge that
+    /// leave their pixel do to a point; modelled as normal and isotropic, the same everywhere. `None` where it is not
+    /// known.
+    pub point_spread_px2: Option<Estimate>,
 }
 
+/// How well the model of a blurred corner determines the aperture ratio, relative: the σ of an estimate from corners is
+/// not less.
+pub(crate) const APERTURE_RATIO_MODEL: f64 = 3e-3;
+/// Aperture ratios that are possible.
+const APERTURE_RATIOS: std::ops::RangeInclusive<f64> = 0.01..=1.3;
 /// Point spreads beyond this hide all micro-images, px².
 const MOST_PX2: f64 = 100.0;
-/// Fill factors that openings can have.
-const FILL_FACTORS: std::ops::RangeInclusive<f64> = 0.01..=1.3;
-
-impl PointSpread {
-    /// Its standard deviation along an axis with σ, px.
-    #[must_use]
-    pub fn px(&self) -> [f64; 2] {
-        let px = self.variance_px2.max(0.0).sqrt();
-        // Of a root; where it is 0 to the order of σ, the σ of the variance says how large it may be.
-        let largest = (self.variance_px2.max(0.0) + self.std_dev_px2).sqrt();
-        [px, largest - px]
-    }
-
-    /// An error that names a value that no camera has.
-    pub(crate) fn validate(&self) -> Result<()> {
-        if !(0.0..=MOST_PX2).contains(&self.variance_px2) {
-            return Err(Error::invalid(format!(
-                "variance_px2 of the point spread is {}: it has to be from 0 to {MOST_PX2}",
-                self.variance_px2
-            )));
-        }
-        std_dev("std_dev_px2 of the point spread", self.std_dev_px2)
-    }
-}
 
 impl EdgeSpread {
-    /// An error that names a value that no camera has.
+    /// The standard deviation of blurred light along an axis over the blur radius ρ of full apertures, φ/2: the standard
+    /// deviation of a uniform disc is half its radius.
+    #[must_use]
+    pub fn spread_per_radius(&self) -> Option<Estimate> {
+        self.aperture_ratio.map(|ratio| ratio.scaled(0.5))
+    }
+
+    /// Checks both values; an error names the one that no camera has.
     pub(crate) fn validate(&self) -> Result<()> {
-        self.fill_factor.map_or(Ok(()), |fill| fill.validate())?;
-        self.point_spread.map_or(Ok(()), |spread| spread.validate())
+        self.aperture_ratio.as_ref().map_or(Ok(()), check_aperture_ratio)?;
+        self.point_spread_px2.as_ref().map_or(Ok(()), check_point_spread)
     }
 }
 
-impl FillFactor {
-    /// Openings as wide as the distance between micro-lenses, which is not questioned.
-    pub const FULL: Self = Self { value: 1.0, std_dev: 0.0 };
-
-    /// How well the model of a blurred corner tells the fill factor, relative: the σ of what is found from corners is not
-    /// less.
-    pub const MODEL: f64 = 3e-3;
-
-    /// The standard deviation of blurred light along an axis over the blur radius ρ of full openings, φ/2, with its σ:
-    /// that of a uniform disc is half its radius.
-    #[must_use]
-    pub fn spread_per_radius(&self) -> [f64; 2] {
-        [self.value / 2.0, self.std_dev / 2.0]
-    }
-
-    /// That which a camera is taken to have: openings end where their neighbours begin, so it is 1 if more was measured.
-    #[must_use]
-    pub fn taken(&self) -> Self {
-        Self { value: self.value.min(1.0), ..*self }
-    }
-
-    /// An error that names a value that no camera has.
-    pub(crate) fn validate(&self) -> Result<()> {
-        if !FILL_FACTORS.contains(&self.value) {
-            return Err(Error::invalid(format!(
-                "a fill factor of {} is not possible: it has to be from {} to {}",
-                self.value,
-                FILL_FACTORS.start(),
-                FILL_FACTORS.end()
-            )));
-        }
-        std_dev("std_dev of the fill factor", self.std_dev)
-    }
+/// The aperture ratio of a camera by its estimate: apertures end where their neighbours begin, so it is at most 1.
+#[must_use]
+pub fn at_most_full(aperture_ratio: &Estimate) -> Estimate {
+    Estimate { value: aperture_ratio.value.min(1.0), ..*aperture_ratio }
 }
 
-fn std_dev(what: &str, value: f64) -> Result<()> {
-    if value.is_finite() && value >= 0.0 {
+/// Checks an aperture ratio.
+pub(crate) fn check_aperture_ratio(ratio: &Estimate) -> Result<()> {
+    if !APERTURE_RATIOS.contains(&ratio.value) {
+        return Err(Error::invalid(format!(
+            "an aperture ratio of {} is not possible: it has to be from {} to {}",
+            ratio.value,
+            APERTURE_RATIOS.start(),
+            APERTURE_RATIOS.end()
+        )));
+    }
+    check_std_dev("aperture ratio", ratio)
+}
+
+/// Checks a point spread, px².
+pub(crate) fn check_point_spread(spread_px2: &Estimate) -> Result<()> {
+    if !(0.0..=MOST_PX2).contains(&spread_px2.value) {
+        return Err(Error::invalid(format!(
+            "the variance of the point spread is {} px²: it has to be from 0 to {MOST_PX2}",
+            spread_px2.value
+        )));
+    }
+    check_std_dev("point spread", spread_px2)
+}
+
+fn check_std_dev(name: &str, estimate: &Estimate) -> Result<()> {
+    if estimate.std_dev.is_finite() && estimate.std_dev >= 0.0 {
         return Ok(());
     }
-    Err(Error::invalid(format!("{what} is {value}: it has to be 0 or more")))
+    Err(Error::invalid(format!(
+        "the standard deviation of the {name} is {}: it has to be 0 or more",
+        estimate.std_dev
+    )))
 }

@@ -19,11 +19,11 @@ pub struct Lean {
     pub shared_per_px: [f64; 2],
     /// How much both grow with ln φ, px⁻¹: white images show how the discs of blur grow, which is the lean by φq'ᵢ, and of
     /// that only φqᵢ.
-    #[serde(default)]
-    pub by_fill_factor_per_px: [f64; 2],
+    #[serde(default, alias = "by_fill_factor_per_px")]
+    pub by_aperture_ratio_per_px: [f64; 2],
     /// How much both grow with (ln φ)², px⁻¹.
-    #[serde(default)]
-    pub by_fill_factor_squared_per_px: [f64; 2],
+    #[serde(default, alias = "by_fill_factor_squared_per_px")]
+    pub by_aperture_ratio_squared_per_px: [f64; 2],
 }
 
 /// σ of the distance of the exit pupil from the sensor before it is known, relative.
@@ -70,14 +70,14 @@ impl Lean {
         }
     }
 
-    /// The lean by the same white images with another fill factor; `change` is that of ln φ.
+    /// The lean by the same white images with another aperture ratio; `change` is that of ln φ.
     #[must_use]
-    pub fn with_fill_factor(&self, change: f64) -> Self {
-        let by_square = self.by_fill_factor_squared_per_px.map(|by| by * change);
-        let by = [0, 1].map(|i| self.by_fill_factor_per_px[i] + by_square[i]);
+    pub fn with_aperture_ratio(&self, change: f64) -> Self {
+        let by_square = self.by_aperture_ratio_squared_per_px.map(|by| by * change);
+        let by = [0, 1].map(|i| self.by_aperture_ratio_per_px[i] + by_square[i]);
         Self {
             growth_per_px: [0, 1].map(|i| self.growth_per_px[i] + by[i] * change),
-            by_fill_factor_per_px: [0, 1].map(|i| by[i] + by_square[i]),
+            by_aperture_ratio_per_px: [0, 1].map(|i| by[i] + by_square[i]),
             ..*self
         }
     }

@@ -28,7 +28,8 @@ pub(crate) use camera::small_camera;
 pub use camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera};
 pub(crate) use checks::{finite, positive};
 pub use datasheet::{Datasheet, InternalParameters};
-pub use edge_spread::{EdgeSpread, FillFactor, PointSpread};
+pub(crate) use edge_spread::{APERTURE_RATIO_MODEL, check_aperture_ratio};
+pub use edge_spread::{EdgeSpread, at_most_full};
 pub use fall_off::FallOff;
 pub use lattice::{
     Configuration, Lattice, LatticeKind, MAX_MICRO_LENSES, Packing, Parity, ROW_DISTANCE,

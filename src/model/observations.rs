@@ -50,7 +50,7 @@ pub struct BapFeature {
     pub blur: Option<MeasuredBlur>,
 }
 
-/// A blur radius that was measured by the width of edges. That of micro-lenses with a fill factor below 1 is smaller than ρ.
+/// A blur radius that was measured by the width of edges. That of micro-lenses with an aperture ratio below 1 is smaller than ρ.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredBlur {
     /// φρ with the sign of ρ, px.
@@ -60,16 +60,16 @@ pub struct MeasuredBlur {
     /// By how much it changes, px, with one standard deviation of how much wider edges of boards are than those of white
     /// images: an error that all features share.
     pub shared_px: f64,
-    /// The fill factor that u, v and ρ of the feature were found with.
-    pub fill_factor: f64,
+    /// The aperture ratio that u, v and ρ of the feature were found with.
+    pub aperture_ratio: f64,
 }
 
 /// Number of the quantities of white images that a corner's place depends on.
 pub const TAKEN: usize = 5;
 /// Their names: a, the radius of the main lens's pupil seen through the middle of a micro-lens; q'ᵢ; H, how light falls off
-/// inside a micro-image; the fill factor, with the qᵢ that white images show; and the variance of the point spread.
+/// inside a micro-image; the aperture ratio, with the qᵢ that white images show; and the variance of the point spread.
 pub const TAKEN_FROM_WHITES: [&str; TAKEN] =
-    ["pupil", "intercept", "fall_off", "fill_factor", "point_spread"];
+    ["pupil", "intercept", "fall_off", "aperture_ratio", "point_spread"];
 
 /// Their indices.
 pub mod taken {
@@ -80,7 +80,7 @@ pub mod taken {
     /// H.
     pub const FALL_OFF: usize = 2;
     /// φ.
-    pub const FILL_FACTOR: usize = 3;
+    pub const APERTURE_RATIO: usize = 3;
     /// The variance of the point spread along an axis.
     pub const POINT_SPREAD: usize = 4;
 }

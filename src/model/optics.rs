@@ -96,8 +96,8 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
         pupil_growth: 0.0,
         fall_off: None,
         lean: None,
-        point_spread: camera.edge_spread.point_spread,
-        fill_factor: camera.edge_spread.fill_factor,
+        point_spread_px2: camera.edge_spread.point_spread_px2,
+        aperture_ratio: camera.edge_spread.aperture_ratio,
         levels: None,
     }
 }

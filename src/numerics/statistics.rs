@@ -1,5 +1,7 @@
 //! Robust statistics.
 
+use crate::quantity::Estimate;
+
 /// The median; of an even number of values the upper of the middle two. `None` without values.
 pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();
@@ -15,16 +17,15 @@ pub(crate) fn mean_and_std_dev(values: impl Iterator<Item = f64> + Clone) -> (f6
     (mean, (count > 1.0).then(|| (square / (count - 1.0)).sqrt()))
 }
 
-/// The mean of values with their standard deviations, weighted by these, and its own standard deviation: by theirs or by the
-/// scatter of the values, whichever is larger. `None` without values.
-pub(crate) fn weighted_mean(values: impl IntoIterator<Item = [f64; 2]>) -> Option<[f64; 2]> {
-    let values: Vec<[f64; 2]> = values.into_iter().collect();
-    let weight = |[_, std_dev]: &[f64; 2]| std_dev.powi(-2);
+/// The weighted mean of estimates, with a standard deviation by theirs or by the scatter of the values, whichever is larger. `None` without values.
+pub(crate) fn weighted_mean(values: impl IntoIterator<Item = Estimate>) -> Option<Estimate> {
+    let values: Vec<Estimate> = values.into_iter().collect();
+    let weight = |v: &Estimate| v.std_dev.powi(-2);
     let weights: f64 = values.iter().map(weight).sum();
-    let mean = values.iter().map(|v| v[0] * weight(v)).sum::<f64>() / weights;
-    let scatter: f64 = values.iter().map(|v| weight(v) * (v[0] - mean).powi(2)).sum();
+    let mean = values.iter().map(|v| v.value * weight(v)).sum::<f64>() / weights;
+    let scatter: f64 = values.iter().map(|v| weight(v) * (v.value - mean).powi(2)).sum();
     let excess = (scatter / (values.len() as f64 - 1.0).max(1.0)).max(1.0);
-    mean.is_finite().then(|| [mean, (excess / weights).sqrt()])
+    mean.is_finite().then(|| Estimate::new(mean, (excess / weights).sqrt()))
 }
 
 /// The normal deviate that is as rare as a value of `ratio` times its σ, if σ has so many degrees of freedom: few
@@ -50,12 +51,10 @@ mod tests {
 
     #[test]
     fn the_mean_is_as_uncertain_as_its_values_or_as_they_scatter() {
-        assert_eq!(
-            weighted_mean([[1.0, 0.2], [1.0, 0.2], [1.0, 0.2], [1.0, 0.2]]),
-            Some([1.0, 0.1])
-        );
-        let [mean, std_dev] = weighted_mean([[1.0, 0.1], [3.0, 0.1], [2.0, 0.1]]).unwrap();
-        assert!((mean - 2.0).abs() < 1e-12 && (std_dev - 1.0 / 3.0_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(weighted_mean([Estimate::new(1.0, 0.2); 4]), Some(Estimate::new(1.0, 0.1)));
+        let mean = weighted_mean([1.0, 3.0, 2.0].map(|x| Estimate::new(x, 0.1))).unwrap();
+        assert!((mean.value - 2.0).abs() < 1e-12);
+        assert!((mean.std_dev - 1.0 / 3.0_f64.sqrt()).abs() < 1e-12);
         assert_eq!(weighted_mean([]), None);
     }
 

@@ -36,14 +36,18 @@ impl DiscGeometry {
         pitch_px: f64,
         options: &PrecalibrationOptions,
     ) -> Self {
-        let (pixel, fill) = (options.pixel_size_mm, internal.fill());
+        let (pixel, ratio) = (options.pixel_size_mm, internal.aperture_ratio());
         let (lens_to_sensor_px, distance_px) = options.distances_px(internal.m_mm);
         Self {
             pupil_px: internal.pupil_radius_mm(f_number) / pixel,
-            q_px: internal.q_prime_mm.iter().map(|q| fill * (q / pixel - pitch_px / 2.0)).collect(),
+            q_px: internal
+                .q_prime_mm
+                .iter()
+                .map(|q| ratio * (q / pixel - pitch_px / 2.0))
+                .collect(),
             // The micro-image pitch is that of the lenses as projected from the pupil. Where a large pupil and
             // a large blur nearly cancel in how far light shifts a centroid, the 2 % show.
-            lens_px: fill * pitch_px / 2.0 * (1.0 - distance_px / lens_to_sensor_px),
+            lens_px: ratio * pitch_px / 2.0 * (1.0 - distance_px / lens_to_sensor_px),
             lens_to_sensor: lens_to_sensor_px / distance_px,
             pixel: Pixel::new(internal.point_spread_px2()),
         }

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use super::pixel_response::{Angles, PixelResponse};
 use super::profile::{Profile, own_light_px};
-use crate::model::PointSpread;
+use crate::quantity::Estimate;
 use crate::vignetting::{Obliquity, Pixel};
 
 /// Pupils further from their law, relative, are not those of the light: noise that is clipped bends it.
@@ -41,7 +41,7 @@ const SPREAD: (f64, f64) = (0.1, 0.3);
 /// How well discs tell it, px²: edges are as wide as the model of oblique light and of the pixels makes them.
 const SPREAD_MODEL: f64 = 0.006;
 /// How well they tell |qᵢ|, px: openings narrower than the pitch change the angles of the light a little, and they are not known
-/// yet. In 14 data sets of `mini` with fill factors from 0.85 to 1, |qᵢ| is off by 0.000 to 0.007 px.
+/// yet. In 14 data sets of `mini` with aperture ratios from 0.85 to 1, |qᵢ| is off by 0.000 to 0.007 px.
 const BLUR_MODEL: f64 = 0.003;
 /// Rounds of the descent; the error of the f-numbers follows in each.
 const ROUNDS: usize = 16;
@@ -106,8 +106,8 @@ pub(super) struct Discs {
     /// The power of the samples that light is, less 1, and its σ: 0 for samples that are linear in
     /// light. `None` where the discs are too small to tell.
     pub exponent: Option<(f64, f64)>,
-    /// The point spread.
-    pub point_spread: PointSpread,
+    /// The point spread, px².
+    pub point_spread_px2: Estimate,
 }
 
 /// The discs of all micro-images; `profiles` by white image and lens type. `None` if the light does not
@@ -115,8 +115,8 @@ pub(super) struct Discs {
 pub(super) fn fit_discs(profiles: &[Vec<&Profile>], known: &Known) -> Option<Discs> {
     let mut fit = Fit::new(profiles, known);
     let mut discs = fit.descend()?;
-    if discs.point_spread.variance_px2 > REACHES_PX2 {
-        fit.take_light(profiles, discs.point_spread.px()[0]);
+    if discs.point_spread_px2.value > REACHES_PX2 {
+        fit.take_light(profiles, discs.point_spread_px2.square_root().value);
         discs = fit.descend()?;
     }
     let possible = discs.m_px.0 > 0.0 && fit.is_finite();
@@ -478,7 +478,7 @@ impl<'a> Fit<'a> {
             sine: of(c),
             f_number_error: self.f_number_error,
             exponent: self.exponent(),
-            point_spread: PointSpread { variance_px2: spread.0, std_dev_px2: spread.1 },
+            point_spread_px2: Estimate::new(spread.0, spread.1),
         })
     }
 }
@@ -592,8 +592,8 @@ mod tests {
             let (of_blur, worst) = errors(&discs);
             let limit = if clipped < 1.0 { 0.03 } else { 3e-3 };
             assert!(of_blur < limit && worst < 3.0, "{spread}: {of_blur} px, {worst} σ, {discs:?}");
-            let PointSpread { variance_px2, std_dev_px2 } = discs.point_spread;
-            assert!((variance_px2 - spread).abs() < 3.0 * std_dev_px2, "{spread}: {discs:?}");
+            let Estimate { value, std_dev } = discs.point_spread_px2;
+            assert!((value - spread).abs() < 3.0 * std_dev, "{spread}: {discs:?}");
         }
     }
 

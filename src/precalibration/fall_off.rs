@@ -18,8 +18,9 @@ use super::rings::{Alike, Gradient};
 use super::samples::Samples;
 use crate::finding::{Finding, Issue};
 use crate::image::Grey;
-use crate::model::{FallOff, FillFactor, InternalParameters, Lean};
+use crate::model::{FallOff, InternalParameters, Lean};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
+use crate::quantity::Estimate;
 use crate::vignetting::Obliquity;
 
 /// g follows from light up to this distance from the centre, in pitches: beyond, neighbours may begin.
@@ -36,7 +37,7 @@ const ROUNDS: usize = 4;
 /// A fall-off is known if its σ is below this part of that of cos⁴: corners near the border of an R12 are then
 /// right to 0.01 px.
 const KNOWN: f64 = 0.2;
-/// Fill factors of micro-lenses with gaps: the parabola in ln φ through these and that of no gaps has the lean to half a
+/// Aperture ratios of micro-lenses with gaps: the parabola in ln φ through these and that of no gaps has the lean to half a
 /// per cent at 0.8.
 const OTHERWISE: [f64; 2] = [0.9, 0.7];
 
@@ -146,7 +147,7 @@ impl Light {
         lean(&growths, &self.middle)
     }
 
-    /// A lean with what the `law` inside micro-images takes for known: how the lean changes with the fill factor, which white
+    /// A lean with what the `law` inside micro-images takes for known: how the lean changes with the aperture ratio, which white
     /// images do not show, and with H, whose σ goes into that of both axes. `None` if the lean does not show with either.
     pub fn complete(
         &self,
@@ -160,15 +161,15 @@ impl Light {
         let than = |other: &Lean| [0, 1].map(|i| other.growth_per_px[i] - lean.growth_per_px[i]);
         // Over ln φ, which goes from its own to that of these.
         let with_gaps = |value: f64| {
-            let narrower = internal.with_fill_factor(FillFactor { value, std_dev: 0.0 }, pitch_mm);
-            let by_fill = self.lean(&self.gradients(&narrower, options, law))?;
-            let change = (value / internal.fill()).ln();
-            Some((change, than(&by_fill).map(|by| by / change)))
+            let narrower = internal.with_aperture_ratio(Estimate::exact(value), pitch_mm);
+            let by_ratio = self.lean(&self.gradients(&narrower, options, law))?;
+            let change = (value / internal.aperture_ratio()).ln();
+            Some((change, than(&by_ratio).map(|by| by / change)))
         };
         let [(near, slope), (far, other)] = [with_gaps(OTHERWISE[0])?, with_gaps(OTHERWISE[1])?];
-        let by_fill_factor_squared_per_px = [0, 1].map(|i| (other[i] - slope[i]) / (far - near));
-        let by_fill_factor_per_px =
-            [0, 1].map(|i| slope[i] - by_fill_factor_squared_per_px[i] * near);
+        let by_aperture_ratio_squared_per_px = [0, 1].map(|i| (other[i] - slope[i]) / (far - near));
+        let by_aperture_ratio_per_px =
+            [0, 1].map(|i| slope[i] - by_aperture_ratio_squared_per_px[i] * near);
         let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
         let within = fall_off.within_per_px2 + fall_off.within_std_dev_per_px2;
         let otherwise =
@@ -176,8 +177,8 @@ impl Light {
         let by_law = self.lean(&self.gradients(internal, options, &otherwise))?;
         debug!("with H by its σ larger: {by_law:?}");
         Some(Lean {
-            by_fill_factor_per_px,
-            by_fill_factor_squared_per_px,
+            by_aperture_ratio_per_px,
+            by_aperture_ratio_squared_per_px,
             ..with_shared(&lean, than(&by_law))
         })
     }

@@ -83,8 +83,8 @@ pub(super) fn fit_internal(
             pupil_growth: 0.0,
             fall_off: None,
             lean: None,
-            point_spread: None,
-            fill_factor: None,
+            point_spread_px2: None,
+            aperture_ratio: None,
             levels: None,
         },
         rms_px: (sum / rows as f64).sqrt(),
@@ -116,8 +116,8 @@ pub(super) fn internal_of_discs(
         pupil_growth: discs.pupil_growth,
         fall_off: None,
         lean: None,
-        point_spread: Some(discs.point_spread),
-        fill_factor: None,
+        point_spread_px2: Some(discs.point_spread_px2),
+        aperture_ratio: None,
         levels: None,
     };
     for m in measurements.iter_mut() {

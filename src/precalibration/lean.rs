@@ -65,8 +65,8 @@ pub(super) fn lean(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<Lean
         growth_per_px,
         std_dev_per_px: [along_u.1, along_v.1],
         shared_per_px: [0.0; 2],
-        by_fill_factor_per_px: [0.0; 2],
-        by_fill_factor_squared_per_px: [0.0; 2],
+        by_aperture_ratio_per_px: [0.0; 2],
+        by_aperture_ratio_squared_per_px: [0.0; 2],
     };
     Some(with_shared(&own, growth_per_px.map(|growth| MODEL * growth)))
 }

@@ -215,8 +215,8 @@ mod tests {
             pupil_growth: 0.0,
             fall_off: None,
             lean: None,
-            point_spread: None,
-            fill_factor: None,
+            point_spread_px2: None,
+            aperture_ratio: None,
             levels: None,
         };
         let of = |estimator| {

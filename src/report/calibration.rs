@@ -9,8 +9,7 @@ use crate::calibration::{
     BoardModel, Calibration, Effort, Mode, Trial, termination_text, weakest_directions_text,
 };
 use crate::model::{
-    BoardShape, FillFactor, Named, Parameter, PointSpread, Rmse, SHAPE_PARAMETERS,
-    intrinsic_parameters, shared_parameters,
+    BoardShape, Named, Parameter, Rmse, SHAPE_PARAMETERS, intrinsic_parameters, shared_parameters,
 };
 use crate::quantity::{display_unit, two_digits, with_std_dev};
 use crate::solver::{Anchor, LossKind};
@@ -330,8 +329,8 @@ fn summary(calibration: &Calibration) -> String {
     };
     let _ = writeln!(text, "{counts}");
     let _ = writeln!(text, "{}", board_text(calibration));
-    if let Some(fill) = fill_factor_text(calibration) {
-        let _ = writeln!(text, "{fill}");
+    if let Some(ratio) = aperture_ratio_text(calibration) {
+        let _ = writeln!(text, "{ratio}");
     }
     let _ = writeln!(text, "{}", std_dev_text(calibration));
     if !calibration.anchors.is_empty() {
@@ -431,36 +430,22 @@ fn aside_text(aside: &Effort) -> String {
     }
 }
 
-/// Which part of their pitch micro-lenses fill, and how sharp edges are: a sentence or two. Nothing where blur takes no
-/// part, or where neither is known of a camera that was calibrated before.
-fn fill_factor_text(calibration: &Calibration) -> Option<String> {
+/// The aperture ratio and the point spread in one sentence; `None` where blur is not used, or where neither is known of a
+/// camera that was calibrated before.
+fn aperture_ratio_text(calibration: &Calibration) -> Option<String> {
     if calibration.options.mode == Mode::CornersOnly || calibration.camera.lens_types() == 0 {
         return None;
     }
     let edges = &calibration.camera.edge_spread;
-    let known = |fill: FillFactor| {
-        let (value, std_dev) = with_std_dev(fill.value, Some(fill.std_dev));
-        format!("{value} ± {std_dev}")
-    };
-    let fill = match (edges.fill_factor, &calibration.fill) {
-        (Some(fill), Some(_)) => format!("Micro-lenses fill {} of their pitch", known(fill)),
-        (Some(fill), None) if fill.std_dev > 0.0 => {
-            format!("Micro-lenses are taken to fill {} of their pitch", known(fill))
-        }
-        (Some(fill), None) => {
-            format!("Micro-lenses are taken to fill {} of their pitch", fill.value)
-        }
+    let ratio = match (edges.aperture_ratio, &calibration.blur) {
+        (Some(ratio), Some(_)) => ratio.to_string(),
+        (Some(ratio), None) => format!("{ratio}, assumed"),
         (None, _) if calibration.m_mm.is_some() => {
-            "The features do not state how wide their edges are: micro-lenses are taken to fill their whole pitch"
-                .to_owned()
+            "1, assumed, since the features state no measured blur".to_owned()
         }
         (None, _) => return None,
     };
-    let of_spread = |spread: PointSpread| {
-        let [px, std_dev] = spread.px();
-        let (px, std_dev) = with_std_dev(px, Some(std_dev));
-        format!("; edges have a point spread of {px} ± {std_dev} px")
-    };
-    let spread = edges.point_spread.filter(|spread| spread.std_dev_px2 > 0.0).map(of_spread);
-    Some(format!("{fill}{}.", spread.unwrap_or_default()))
+    let spread = edges.point_spread_px2.filter(|spread| spread.std_dev > 0.0);
+    let spread = spread.map(|s| format!("; point spread {} px", s.square_root()));
+    Some(format!("Aperture ratio of the micro-lenses: {ratio}{}.", spread.unwrap_or_default()))
 }

@@ -38,15 +38,15 @@ pub(super) struct MicroLenses {
     pub pitch: f64,
     pub opening_radius: f64,
     /// Their diameter over the pitch.
-    pub fill_factor: f64,
+    pub aperture_ratio: f64,
     pub sensor_z: f64,
     pub pixel_size: f64,
     principal_point: Vector2<f64>,
 }
 
 impl MicroLenses {
-    /// Micro-lenses with openings of `fill_factor` times their pitch.
-    pub fn new(camera: &PlenopticCamera, fill_factor: f64) -> Self {
+    /// Micro-lenses with openings of `aperture_ratio` times their pitch.
+    pub fn new(camera: &PlenopticCamera, aperture_ratio: f64) -> Self {
         let mla = &camera.mla;
         let [x, y, z] = mla.rotation_rad.into();
         let axes = Rotation3::from_euler_angles(x, y, z);
@@ -74,8 +74,8 @@ impl MicroLenses {
             lenses,
             axes: axes.into_inner(),
             pitch: mla.pitch_mm,
-            fill_factor,
-            opening_radius: fill_factor * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0,
+            aperture_ratio,
+            opening_radius: aperture_ratio * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0,
             sensor_z: -(mla.lens_to_mla_mm + mla.mla_to_sensor_mm),
             pixel_size: camera.sensor.pixel_size_mm,
             principal_point: mla.principal_point_px,

@@ -19,7 +19,8 @@ pub struct Imperfections {
     pub second_stop: Option<SecondStop>,
     /// Diameter of the micro-lenses' openings over their pitch, above 0 and up to 1; the rest is
     /// opaque.
-    pub fill_factor: f64,
+    #[serde(alias = "fill_factor")]
+    pub aperture_ratio: f64,
     /// How light falls off with its angle of incidence on the sensor.
     pub fall_off: FallOffLaw,
     /// Standard deviation of a Gaussian point spread on the sensor along each axis, px: diffraction and
@@ -62,7 +63,7 @@ impl Default for Imperfections {
     fn default() -> Self {
         Self {
             second_stop: None,
-            fill_factor: 1.0,
+            aperture_ratio: 1.0,
             fall_off: FallOffLaw::Cos4,
             point_spread_px: 0.0,
             dead_micro_lenses: 0,
@@ -113,10 +114,10 @@ impl FallOffLaw {
 impl Imperfections {
     pub(super) fn validate(&self, camera: &PlenopticCamera) -> Result<()> {
         let distance = camera.mla.lens_to_mla_mm;
-        if !(self.fill_factor > 0.0 && self.fill_factor <= 1.0) {
+        if !(self.aperture_ratio > 0.0 && self.aperture_ratio <= 1.0) {
             return Err(Error::invalid(format!(
-                "a fill factor of {} is not possible; give a number above 0 and up to 1",
-                self.fill_factor
+                "an aperture ratio of {} is not possible; give a number above 0 and up to 1",
+                self.aperture_ratio
             )));
         }
         if let Some(stop) = self.second_stop {

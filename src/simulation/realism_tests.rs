@@ -72,7 +72,7 @@ fn a_point_spread_leaves_the_middle_of_a_wide_micro_image() {
     let settings = one_micro_lens("mini");
     let middle = |point_spread_px: f64| {
         let imperfections =
-            Imperfections { fill_factor: 0.3, point_spread_px, ..settings.imperfections };
+            Imperfections { aperture_ratio: 0.3, point_spread_px, ..settings.imperfections };
         let tracer = Tracer::new(&settings.camera, 4.0, &imperfections, 0).unwrap();
         f64::from(tracer.render(&Scene::White, 256, 0, &|| ()).unwrap().at(30, 28))
     };
@@ -174,7 +174,7 @@ fn a_board_that_moves_is_blurred_along_its_way() {
     let mut settings = one_micro_lens("mini");
     settings.rays = 4096;
     // Small openings show all of the pupil over some pixels.
-    settings.imperfections.fill_factor = 0.3;
+    settings.imperfections.aperture_ratio = 0.3;
     // A spot of white.
     let (columns, rows, square_mm) = (2, 2, 0.3);
     let (border_mm, white, black, background) = (0.0, 1.0, 0.0, 0.0);

@@ -129,7 +129,7 @@ impl Settings {
         }
         if self.camera.edge_spread != EdgeSpread::default() {
             return Err(Error::invalid(
-                "fill factor and point spread of a simulated camera are imperfections: give them as fill_factor and \
+                "aperture ratio and point spread of a simulated camera are imperfections: give them as aperture_ratio and \
                  point_spread_px of [imperfections]",
             ));
         }

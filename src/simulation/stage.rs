@@ -9,8 +9,9 @@ use crate::error::Result;
 use crate::image::RawImage;
 use crate::model::{
     EdgeSpread, FramePose, InternalParameters, MicroImageCenter, NoiseSource, Observations,
-    PlenopticCamera, PointSpread,
+    PlenopticCamera,
 };
+use crate::quantity::Estimate;
 
 /// Progress of a simulation.
 pub trait Progress: Sync {
@@ -28,7 +29,7 @@ impl Progress for () {
 
 /// The truth of a simulated data set.
 ///
-/// q'ᵢ and ρ are those of micro-lenses whose openings are as wide as their pitch; with a fill factor below 1 micro-images
+/// q'ᵢ and ρ are those of micro-lenses whose openings are as wide as their pitch; with an aperture ratio below 1 micro-images
 /// and blur are smaller.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
@@ -96,8 +97,8 @@ fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Truth {
     let Settings { imperfections, imaging, .. } = settings;
     let variance_px2 = imperfections.point_spread_px.powi(2) + 2.0 * imaging.crosstalk;
     let edge_spread = EdgeSpread {
-        fill_factor: internal.fill_factor,
-        point_spread: Some(PointSpread { variance_px2, std_dev_px2: 0.0 }),
+        aperture_ratio: internal.aperture_ratio,
+        point_spread_px2: Some(Estimate::exact(variance_px2)),
     };
     Truth {
         camera: PlenopticCamera { edge_spread, ..settings.camera.clone() },

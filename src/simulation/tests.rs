@@ -81,7 +81,7 @@ fn light_returns_along_the_rays() {
 #[test]
 fn pixels_that_see_one_radiance_see_no_other() {
     let (mut plain, mut mixed, mut looked_at) = (0, 0, 0);
-    for (name, board, curvature, point_spread_px, fill_factor) in [
+    for (name, board, curvature, point_spread_px, aperture_ratio) in [
         ("mini", pose(-9.0, -7.0, 75.0, [0.6, -0.4, 0.3]), 0.0, 0.0, 1.0),
         ("mini", pose(-9.0, -7.0, 65.0, [-0.6, 0.4, 0.3]), 1e-2, 0.5, 0.8),
         ("keplerian", pose(-20.0, -15.0, 220.0, [0.5, 0.5, -0.4]), 0.0, 0.0, 1.0),
@@ -90,7 +90,7 @@ fn pixels_that_see_one_radiance_see_no_other() {
         settings.camera.main_lens.field_curvature_per_mm = curvature;
         settings.camera.main_lens.exit_pupil_mm = [0.3 * point_spread_px, 0.0, 0.0].into();
         let imperfections =
-            Imperfections { fill_factor, point_spread_px, ..Imperfections::default() };
+            Imperfections { aperture_ratio, point_spread_px, ..Imperfections::default() };
         let tracer = Tracer::new(&settings.camera, 4.0, &imperfections, 0).unwrap();
         let board = PlacedTarget::new(&settings.target, &board, tracer.focal_length).unwrap();
         let sets = RaySets::new(32, &Footprint::new(point_spread_px));

@@ -12,7 +12,8 @@ use super::prescription::Prescription;
 use super::ray::{Ray, Stop};
 use super::scene::{PlacedTarget, Scene};
 use crate::error::{Error, Result};
-use crate::model::{FillFactor, InternalParameters, Lattice, PlenopticCamera, Sensor, positive};
+use crate::model::{InternalParameters, Lattice, PlenopticCamera, Sensor, positive};
+use crate::quantity::Estimate;
 
 /// A camera at one f-number, ready to take images.
 #[derive(Debug)]
@@ -63,11 +64,11 @@ impl Tracer {
         if camera.lens_types() == 0 {
             return Err(Error::invalid(
                 "a simulation needs the focal lengths of the micro-lenses; for pinholes give one \
-                 type and a fill factor well below 1",
+                 type and an aperture ratio well below 1",
             ));
         }
         let (focal_length, mla) = (camera.main_lens.focal_length_mm, &camera.mla);
-        let mut array = MicroLenses::new(camera, imperfections.fill_factor);
+        let mut array = MicroLenses::new(camera, imperfections.aperture_ratio);
         imperfections.kill(&mut array.lenses, seed);
         let tracer = Self {
             sensor: camera.sensor,
@@ -136,7 +137,7 @@ impl Tracer {
         self.array.pitch * (1.0 + to_sensor / to_pupil)
     }
 
-    /// Ω of this camera, with its fill factor. The outer radius of a micro-image combines the radii of the
+    /// Ω of this camera, with its aperture ratio. The outer radius of a micro-image combines the radii of the
     /// pupil and of the micro-lens's opening, both projected onto the sensor, and grows with the pupil; q'ᵢ
     /// are those of openings as wide as the pitch. It agrees with the paper.
     #[must_use]
@@ -146,7 +147,7 @@ impl Tracer {
         let pitch = self.micro_image_pitch_mm();
         let q_prime = |lens: &MicroLens| {
             let stop = lens.demagnification(to_sensor, to_pupil) * self.array.opening_radius
-                / self.array.fill_factor;
+                / self.array.aperture_ratio;
             pitch / 2.0 - stop * to_sensor / to_pupil
         };
         InternalParameters {
@@ -158,8 +159,8 @@ impl Tracer {
             pupil_growth: 0.0,
             fall_off: None,
             lean: None,
-            point_spread: None,
-            fill_factor: Some(FillFactor { value: self.array.fill_factor, std_dev: 0.0 }),
+            point_spread_px2: None,
+            aperture_ratio: Some(Estimate::exact(self.array.aperture_ratio)),
             levels: None,
         }
     }

@@ -166,7 +166,7 @@ impl Tracer {
                         l: lens.l,
                         u_px: spot.center_px.x,
                         v_px: spot.center_px.y,
-                        rho_px: Some(spot.radius_px / self.array.fill_factor),
+                        rho_px: Some(spot.radius_px / self.array.aperture_ratio),
                         std_dev_px: None,
                         rho_std_dev_px: None,
                         correlation: 0.0,

@@ -42,7 +42,7 @@ micro_image_pitch_px = 23.3
 m_mm = 0.1432
 q_prime_mm = [0.0361, 0.0414, 0.0377]
 micro_image_pitch_mm = 0.128
-fill_factor = { value = 0.92, std_dev = 0.005 }
+aperture_ratio = { value = 0.92, std_dev = 0.005 }
 [board]
 columns = 9
 rows = 5
@@ -112,7 +112,7 @@ pub fn precalibration() -> Value {
             "micro_image_pitch_mm": 0.128,
             "standard_deviations": { "m_mm": 1e-4, "q_prime_mm": [1e-5, 2e-5, 3e-5] },
             "pupil_growth": 0.01,
-            "fill_factor": { "value": 0.92, "std_dev": 0.005 },
+            "aperture_ratio": { "value": 0.92, "std_dev": 0.005 },
             "levels": { "black_level": 16.0, "saturation_level": 255.0 },
             "rms_px": 0.02,
         },
@@ -145,7 +145,7 @@ pub fn full_features() -> Vec<u8> {
             radius_px: -1.6,
             std_dev_px: 0.05,
             shared_px: 0.001,
-            fill_factor: 0.92,
+            aperture_ratio: 0.92,
         }),
         ..*feature
     };
@@ -208,8 +208,8 @@ pub fn compote_documents() -> [Value; 4] {
         pupil_growth: 0.0,
         fall_off: None,
         lean: None,
-        point_spread: None,
-        fill_factor: None,
+        point_spread_px2: None,
+        aperture_ratio: None,
         levels: None,
     };
     let poses: Vec<FramePose> = true_poses().into_iter().take(3).collect();

@@ -71,8 +71,8 @@ fn the_lean_of_white_images_counts_also_without_anchors() {
         growth_per_px: [-9.8e-6, -1.3e-5],
         std_dev_per_px: [2e-7, 3e-7],
         shared_per_px: [-1e-7, -1e-7],
-        by_fill_factor_per_px: [0.0; 2],
-        by_fill_factor_squared_per_px: [0.0; 2],
+        by_aperture_ratio_per_px: [0.0; 2],
+        by_aperture_ratio_squared_per_px: [0.0; 2],
     };
     internal.lean = Some(lean);
     let mut options = anchored();

@@ -323,13 +323,13 @@ fn internal_parameters_of_another_camera_are_rejected_by_folder() {
     }
 }
 
-/// White images show the point spread, edges of boards the fill factor; both with their σ.
+/// White images show the point spread, edges of boards the aperture ratio; both with their σ.
 #[test]
-fn point_spread_and_fill_factor_are_measured() {
+fn point_spread_and_aperture_ratio_are_measured() {
     let folder = TempDir::new().unwrap();
     let (set, found) = (folder.path().join("set"), folder.path().join("found"));
     let settings = ["rays=32", "seed=31", "boards.calibration=2", "boards.evaluation=0"];
-    let imperfect = ["imperfections.point_spread_px=0.4", "imperfections.fill_factor=0.9"];
+    let imperfect = ["imperfections.point_spread_px=0.4", "imperfections.aperture_ratio=0.9"];
     let mut simulate = plenocal();
     simulate.args(["simulate", "--set", "translation.images=0", "--out"]).arg(&set);
     simulate.args(settings.iter().chain(&imperfect).flat_map(|set| ["--set", set]));
@@ -343,10 +343,10 @@ fn point_spread_and_fill_factor_are_measured() {
         assert!((value - truth).abs() < 3.0 * std_dev, "{value} ± {std_dev} for {truth}");
         assert!(std_dev < 0.02, "{std_dev}");
     };
-    let spread = &read("precalibration.json")["internal_parameters"]["point_spread"];
-    within(&spread["variance_px2"], &spread["std_dev_px2"], 0.16);
+    let spread = &read("precalibration.json")["internal_parameters"]["point_spread_px2"];
+    within(&spread["value"], &spread["std_dev"], 0.16);
     let detection = read("detection.json");
-    let fill = &detection["fill_factor"];
+    let fill = &detection["aperture_ratio"];
     within(&fill["value"], &fill["std_dev"], 0.9);
-    within(&detection["fitted_with_fill_factor"], &json!(0.005), 0.9);
+    within(&detection["fitted_with_aperture_ratio"], &json!(0.005), 0.9);
 }

@@ -160,7 +160,7 @@ fn a_wide_point_spread_is_not_taken_for_a_gamma() {
     }
 }
 
-/// Edges in the boards are as sharp as the white images say, so that the fill factor comes out.
+/// Edges in the boards are as sharp as the white images say, so that the aperture ratio comes out.
 #[test]
 #[ignore = "slow: simulates large images; run by `make test-slow`"]
 fn boards_are_seen_above_black_and_below_full_pixels() {
@@ -220,7 +220,7 @@ fn the_program_carries_the_levels_to_the_boards() {
         command.arg("detect").arg(&project).arg("--no-pictures");
         command.arg("--precalibration").arg(at("white")).arg("--out").arg(at(out));
         command.assert().success();
-        json(&at(out).join("detection.json"))["fill_factor"].clone()
+        json(&at(out).join("detection.json"))["aperture_ratio"].clone()
     };
     let with = features("with")["value"].as_f64().unwrap();
     assert!((with - 1.0).abs() < 0.02, "{with}");

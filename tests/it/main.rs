@@ -7,6 +7,7 @@
 //! `PLENOCAL_TOOLS` says that bash, zsh, fish and groff are installed.
 
 mod anchors;
+mod aperture_ratio;
 mod assessment;
 mod bad_input;
 mod bad_values;
@@ -18,7 +19,6 @@ mod compote;
 mod damaged;
 mod detect;
 mod detection;
-mod fill_factor;
 mod floors;
 #[path = "../hostile/mod.rs"]
 mod hostile;

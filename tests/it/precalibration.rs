@@ -358,7 +358,7 @@ fn straight_lines_are_left_where_discs_are_not_believed() {
         white.f_number *= part;
     }
     let by_lines = of(&whites);
-    assert!(by_discs.point_spread.is_some() && by_lines.point_spread.is_none());
+    assert!(by_discs.point_spread_px2.is_some() && by_lines.point_spread_px2.is_none());
     let truth = optics::internal_parameters(&settings.camera).q_prime_mm;
     for (i, truth) in truth.iter().enumerate() {
         let [q, std_dev] = [by_lines.q_prime_mm[i], by_lines.q_prime_std_dev_mm[i]];

@@ -4,10 +4,11 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
+use plenocal::Estimate;
 use plenocal::io::{
     Project, read_camera, read_centers, read_features, read_image, read_poses, read_true_board,
 };
-use plenocal::model::{BoardShape, EdgeSpread, FillFactor, PlenopticCamera, PointSpread};
+use plenocal::model::{BoardShape, EdgeSpread, PlenopticCamera};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use tempfile::TempDir;
@@ -62,8 +63,8 @@ fn a_data_set_has_its_truth() {
     let set = SET.copy();
     let truth = set.path().join("truth");
     let edge_spread = EdgeSpread {
-        fill_factor: Some(FillFactor::FULL),
-        point_spread: Some(PointSpread { variance_px2: 0.0, std_dev_px2: 0.0 }),
+        aperture_ratio: Some(Estimate::exact(1.0)),
+        point_spread_px2: Some(Estimate::exact(0.0)),
     };
     let camera = PlenopticCamera { edge_spread, ..preset("mini", &[]).camera };
     assert_eq!(read_camera(&truth.join("camera.json")).unwrap(), camera);
@@ -301,7 +302,7 @@ fn settings_that_cannot_be_simulated_are_rejected_by_name() {
         ("imaging.gain=1e18", "the gain is 1000000000000000000; it has to be above 0"),
         ("imaging.full_well_electrons=1e20", "a full well of 100000000000000000000 electrons"),
         ("imaging.full_well_electrons=0", "a full well of 0 electrons"),
-        ("imperfections.fill_factor=1.5", "a fill factor of 1.5"),
+        ("imperfections.aperture_ratio=1.5", "an aperture ratio of 1.5"),
         ("imperfections.exit_pupil_mm=-5", "camera.main_lens.exit_pupil_mm = [0, 0, -5]"),
         ("camera.main_lens.exit_pupil_mm=[0, 0, -30]", "D + e_z, exit pupil to array (mm), is"),
         ("camera.main_lens.exit_pupil_mm=[0, 0, -17]", "1 + e_z/F, the magnification of its"),

@@ -141,7 +141,7 @@ fn presets_of_real_cameras_have_what_a_careful_shoot_has() {
             assert!((0.005..0.025).contains(&off.abs()), "{name}: {off}");
         }
         let imperfections = settings.imperfections;
-        assert!(imperfections.point_spread_px > 0.3 && imperfections.fill_factor < 1.0);
+        assert!(imperfections.point_spread_px > 0.3 && imperfections.aperture_ratio < 1.0);
         assert!(imperfections.dead_micro_lenses > 0 && imperfections.dust_specks > 0);
         let (imaging, target) = (&settings.imaging, &settings.target);
         assert!(imaging.black_level > 0.0 && imaging.crosstalk > 0.0 && imaging.hot_pixels > 0);
@@ -214,12 +214,12 @@ fn dead_micro_lenses_give_no_light() {
 /// All light passes the opening of some micro-lens. Where this opening is smaller than the projected
 /// pupil, as at f/4, the reference is proportional to its area too.
 #[test]
-fn the_fill_factor_scales_the_light_by_its_square() {
+fn the_aperture_ratio_scales_the_light_by_its_square() {
     let scaled = |imperfections: Imperfections| {
         let reference = imperfect(imperfections).tracer(4.0).unwrap().reference_irradiance();
         light(&white(imperfections)) * reference
     };
-    let stopped = Imperfections { fill_factor: 0.8, ..Imperfections::default() };
+    let stopped = Imperfections { aperture_ratio: 0.8, ..Imperfections::default() };
     let part = scaled(stopped) / scaled(Imperfections::default());
     assert!((part / 0.64 - 1.0).abs() < 0.02, "0.8² of the light: {part}");
 }

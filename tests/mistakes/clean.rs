@@ -14,7 +14,7 @@ const SETS: [&[&str]; 12] = [
     &["target.columns=9", "target.rows=6", "target.square_mm=2.5"],
     &["target.columns=6", "target.rows=5", "target.square_mm=4"],
     &["camera.main_lens.exit_pupil_mm=[0,0,-5]"],
-    &["imperfections.fill_factor=0.92", "imperfections.point_spread_px=0.3"],
+    &["imperfections.aperture_ratio=0.92", "imperfections.point_spread_px=0.3"],
     &["white_images.gain=3"],
     &["imaging.black_level=0.03"],
     &["camera.micro_lens_array.rotation_rad=[-0.0012,0.0009,0.004]"],

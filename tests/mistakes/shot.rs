@@ -102,8 +102,8 @@ fn optics() -> Vec<Mistake> {
         simulation("exit pupil at -10 mm", Right, &["camera.main_lens.exit_pupil_mm=[0,0,-5]"]),
         simulation("exit pupil at +10 mm", Right, &["camera.main_lens.exit_pupil_mm=[0,0,5]"]),
         simulation("exit pupil off the axis", Right, &["camera.main_lens.exit_pupil_mm=[1,0,0]"]),
-        simulation("fill factor 0.85", Right, &["imperfections.fill_factor=0.85"]),
-        simulation("fill factor 0.7", Right, &["imperfections.fill_factor=0.7"]),
+        simulation("aperture ratio 0.85", Right, &["imperfections.aperture_ratio=0.85"]),
+        simulation("aperture ratio 0.7", Right, &["imperfections.aperture_ratio=0.7"]),
         simulation("point spread of 1 px", Right, &["imperfections.point_spread_px=1"]),
         simulation(
             "point spread of 2 px",

@@ -6,6 +6,7 @@ use super::super::drawing::{Area, Axis, Drawing, FITTED, INK, TYPE_COLORS, quant
 use super::super::tree::Figure;
 use crate::calibration::Calibration;
 use crate::numerics::weighted_mean;
+use crate::quantity::Estimate;
 
 /// Blur radii with as many features are one dot.
 const DOTS: usize = 24;
@@ -16,13 +17,13 @@ const FEWEST: usize = 8;
 struct Dot {
     /// Predicted blur radius with openings as wide as the pitch, ρ, px.
     predicted_px: f64,
-    /// Measured blur radius, with its σ by the scatter of the features, px.
-    measured_px: [f64; 2],
+    /// Measured blur radius, with σ by the scatter of the features, px.
+    measured_px: Estimate,
 }
 
 /// Measured blur radii over ρ by lens type; `None` without measured blur.
 pub(super) fn measured_blur(calibration: &Calibration) -> Option<Figure> {
-    let fill = calibration.fill.as_ref()?;
+    let blur = calibration.blur.as_ref()?;
     let of_types: Vec<Vec<Dot>> =
         (0..calibration.camera.lens_types()).map(|i| dots(calibration, i)).collect();
     let all = || of_types.iter().flatten();
@@ -34,42 +35,42 @@ pub(super) fn measured_blur(calibration: &Calibration) -> Option<Figure> {
         return None;
     }
     let across = spans(&|dot| dot.predicted_px);
-    let up = spans(&|dot| dot.measured_px[0]);
-    let slope = fill.fill_factor.value;
+    let up = spans(&|dot| dot.measured_px.value);
+    let slope = blur.aperture_ratio.value;
     let mut drawing = Drawing::new(900.0, 360.0);
     let panels = Area::new(0.0, 0.0, 900.0, 360.0).split(1, of_types.len());
     for ((lens_type, dots), area) in of_types.iter().enumerate().zip(panels) {
         panel(&area.within_axes(), lens_type, dots, slope, [across, up], &mut drawing);
     }
     let caption = format!(
-        "Blur radii as the widths of edges show them, over ρ, the blur radius of micro-lenses that fill their pitch, by \
-         lens type. Dots are means of features with about the same ρ, bars their σ. The line has the slope {slope:.3}, \
-         the fill factor; the dashed line would be 1. Dots of one type that lie off the line say that q' of that type, \
+        "Measured blur radii over ρ, the blur radius of micro-lenses as wide as their pitch, by lens type. Dots are means of features with about the same ρ, bars their σ. The line has the slope {slope:.3}, \
+         the aperture ratio; the dashed line would be 1. Dots of one type that lie off the line say that q' of that type, \
          or its order among the types, is wrong."
     );
     Some(drawing.figure("measured-blur", caption))
 }
 
 fn dots(calibration: &Calibration, lens_type: usize) -> Vec<Dot> {
-    let mut all: Vec<(f64, [f64; 2])> = calibration
+    let mut all: Vec<(f64, Estimate)> = calibration
         .reprojection
         .features
         .iter()
         .filter(|residual| residual.lens_type == lens_type)
         .filter_map(|residual| {
             let (blur, rho) = (residual.feature.blur?, residual.feature.rho_px?);
-            Some((rho, [blur.radius_px, blur.std_dev_px]))
+            Some((rho, Estimate::new(blur.radius_px, blur.std_dev_px)))
         })
         .collect();
     all.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let dot = |some: &[(f64, [f64; 2])]| {
+    let dot = |some: &[(f64, Estimate)]| {
         // Single features may show something else.
-        let mut off: Vec<f64> = some.iter().map(|(rho, [blur, _])| blur - rho).collect();
+        let mut off: Vec<f64> = some.iter().map(|(rho, blur)| blur.value - rho).collect();
         let middle = quantile(&mut off, 0.5)?;
         let mut far: Vec<f64> = off.iter().map(|x| (x - middle).abs()).collect();
         let limit = 5.0 * quantile(&mut far, 0.5)?;
-        let kept = || some.iter().filter(|(rho, [blur, _])| (blur - rho - middle).abs() <= limit);
-        let [predicted_px, _] = weighted_mean(kept().map(|(rho, [_, std_dev])| [*rho, *std_dev]))?;
+        let kept = || some.iter().filter(|(rho, blur)| (blur.value - rho - middle).abs() <= limit);
+        let rhos = kept().map(|(rho, blur)| Estimate::new(*rho, blur.std_dev));
+        let predicted_px = weighted_mean(rhos)?.value;
         let measured_px = weighted_mean(kept().map(|(_, measured)| *measured))?;
         Some(Dot { predicted_px, measured_px })
     };
@@ -96,12 +97,12 @@ fn panel(
     drawing.line(&line(slope), FITTED, 1.6);
     let color = TYPE_COLORS[lens_type % TYPE_COLORS.len()];
     for dot in dots {
-        let [measured, std_dev] = dot.measured_px;
+        let Estimate { value: measured, std_dev } = dot.measured_px;
         let end = |sign: f64| plane.place(dot.predicted_px, measured + sign * std_dev);
         drawing.line(&[end(-1.0), end(1.0)], color, 1.2);
     }
     let middles: Vec<Vector2<f64>> =
-        dots.iter().map(|dot| plane.place(dot.predicted_px, dot.measured_px[0])).collect();
+        dots.iter().map(|dot| plane.place(dot.predicted_px, dot.measured_px.value)).collect();
     drawing.discs(&middles, 2.6, color);
     drawing.title(chart, &format!("lens type {}", lens_type + 1));
 }

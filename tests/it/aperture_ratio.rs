@@ -1,4 +1,4 @@
-//! Micro-lenses with gaps between them: white images and boards together tell the fill factor, and with it the true q'ᵢ,
+//! Micro-lenses with gaps between them: white images and boards together tell the aperture ratio, and with it the true q'ᵢ,
 //! fᵢ and lean of the array.
 
 use std::fs;
@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use assert_cmd::assert::Assert;
-use plenocal::io::{read_camera, read_internal_parameters, read_std_devs};
-use plenocal::model::{FillFactor, intrinsic_parameters, optics};
+use plenocal::Estimate;
+use plenocal::io::{read_camera, read_features, read_internal_parameters, read_std_devs};
+use plenocal::model::{intrinsic_parameters, optics};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use serde_json::Value;
@@ -15,7 +16,7 @@ use tempfile::TempDir;
 
 use crate::support::plenocal;
 
-const FILL: f64 = 0.92;
+const RATIO: f64 = 0.92;
 const SIGMAS: f64 = 3.0;
 /// What q'ᵢ and fᵢ have to be right to, relative.
 const RIGHT: f64 = 5e-3;
@@ -32,7 +33,7 @@ fn simulate(rays: u32, motion_px: u32, out: &Path) {
         "seed=2101".to_owned(),
         "boards.evaluation=0".to_owned(),
         "translation.images=0".to_owned(),
-        format!("imperfections.fill_factor={FILL}"),
+        format!("imperfections.aperture_ratio={RATIO}"),
         format!("boards.motion_px={motion_px}"),
     ];
     let mut command = plenocal();
@@ -93,12 +94,12 @@ fn the_true_camera_is_found_from_images() {
     for (found, truth) in q_prime[0].iter().zip(&q_prime[1]) {
         assert!((found / truth - 1.0).abs() < RIGHT, "{found} for {truth}");
     }
-    let FillFactor { value, std_dev } = camera.edge_spread.fill_factor.unwrap();
-    let blur = format!("Micro-lenses fill {value:.4} ± {std_dev:.4} of their pitch");
-    printed.stdout(contains(blur).and(contains("; edges have a point")));
-    assert!((value - FILL).abs() < SIGMAS * std_dev && std_dev < 5e-3, "{value} ± {std_dev}");
-    let stated = truth.edge_spread.fill_factor.unwrap();
-    assert_eq!(stated, FillFactor { value: FILL, std_dev: 0.0 });
+    let Estimate { value, std_dev } = camera.edge_spread.aperture_ratio.unwrap();
+    let blur = format!("Aperture ratio of the micro-lenses: {value:.4} ± {std_dev:.4}");
+    printed.stdout(contains(blur).and(contains("; point spread ")));
+    assert!((value - RATIO).abs() < SIGMAS * std_dev && std_dev < 5e-3, "{value} ± {std_dev}");
+    let stated = truth.edge_spread.aperture_ratio.unwrap();
+    assert_eq!(stated, Estimate::exact(RATIO));
     let document = json(&out.join("camera.json"));
     let spread = document["depth_from_blur"]["spread_per_radius"].as_f64().unwrap();
     assert!((spread - value / 2.0).abs() < 1e-12, "{spread}");
@@ -107,7 +108,7 @@ fn the_true_camera_is_found_from_images() {
     assert_eq!(calibration["warnings"], Value::Array(Vec::new()));
 }
 
-/// The fill factor that corners are fitted with is that of the first frames, however many are searched at once.
+/// The aperture ratio that corners are fitted with is that of the first frames, however many are searched at once.
 #[test]
 fn features_do_not_depend_on_the_number_of_threads() {
     let features = |threads: &str| {
@@ -123,20 +124,20 @@ fn features_do_not_depend_on_the_number_of_threads() {
 
 /// White images alone cannot tell how the array leans: they show how φq'ᵢ grows.
 #[test]
-fn the_lean_goes_with_the_fill_factor() {
+fn the_lean_goes_with_the_aperture_ratio() {
     let path = FILES.path("found/precalibration.json");
     let shown = read_internal_parameters(&path, None).unwrap();
     let truth = read_camera(&FILES.path("set/truth/camera.json")).unwrap();
     let pixel_mm = truth.sensor.pixel_size_mm;
     let lean = optics::lean_per_mm(&truth) * pixel_mm;
-    let fill = FillFactor { value: FILL, std_dev: 0.0 };
+    let ratio = Estimate::exact(RATIO);
     let pitch_mm = shown.micro_image_pitch_mm.unwrap();
-    let [shown, known] = [shown.clone(), shown.with_fill_factor(fill, pitch_mm)]
+    let [shown, known] = [shown.clone(), shown.with_aperture_ratio(ratio, pitch_mm)]
         .map(|internal| internal.lean.unwrap());
     for axis in 0..2 {
         let [shown, known] = [shown, known].map(|found| found.growth_per_px[axis] / lean[axis]);
         let std_dev = known * (known / shown) * 0.03;
-        assert!((shown - FILL).abs() < 0.05, "{shown}");
+        assert!((shown - RATIO).abs() < 0.05, "{shown}");
         assert!((known - 1.0).abs() < SIGMAS * std_dev.abs(), "{known}");
         assert!((known - 1.0).abs() < (shown - 1.0).abs(), "{shown} {known}");
     }
@@ -144,7 +145,7 @@ fn the_lean_goes_with_the_fill_factor() {
 
 /// Features by others do not state how wide their edges are.
 #[test]
-fn without_widths_of_edges_the_fill_factor_is_not_questioned() {
+fn without_widths_of_edges_the_aperture_ratio_is_not_questioned() {
     let text = fs::read_to_string(FILES.path("found/features.csv")).unwrap();
     let keep =
         |line: &str| -> String { line.split(',').take(10).collect::<Vec<_>>().join(",") + "\n" };
@@ -156,19 +157,19 @@ fn without_widths_of_edges_the_fill_factor_is_not_questioned() {
             .starts_with("k,l,u,v,rho,cluster,frame,std_u,std_v,std_rho\n")
     );
     FILES.calibrate(&features, &out).success().stdout(contains(
-        "The features do not state how wide their edges are: micro-lenses are taken to fill their whole pitch",
+        "Aperture ratio of the micro-lenses: 1, assumed, since the features state no measured blur",
     ));
     let (error, std_dev) = error(&out, "f_1");
     assert!(error < -0.05 && error < -10.0 * std_dev, "{error} ± {std_dev}");
     let document = json(&out.join("camera.json"));
     assert_eq!(document["depth_from_blur"], Value::Null);
-    assert_eq!(document["micro_lens_array"]["fill_factor"], Value::Null);
+    assert_eq!(document["micro_lens_array"]["aperture_ratio"], Value::Null);
     assert_eq!(json(&out.join("calibration.json"))["blur"], Value::Null);
 }
 
-/// The truth of the simulation states the true q'ᵢ and ρ, and the fill factor that they go with.
+/// The truth of the simulation states the true q'ᵢ and ρ, and the aperture ratio that they go with.
 #[test]
-fn a_stated_fill_factor_is_kept() {
+fn a_stated_aperture_ratio_is_kept() {
     let out = FILES.path("stated");
     let mut command = plenocal();
     command.arg("calibrate").arg(FILES.path("set/observed/project.toml"));
@@ -176,11 +177,39 @@ fn a_stated_fill_factor_is_kept() {
     command
         .assert()
         .success()
-        .stdout(contains("Micro-lenses are taken to fill 0.92 of their pitch."));
+        .stdout(contains("Aperture ratio of the micro-lenses: 0.920000, assumed."));
     for name in ["f_1", "f_2", "f_3"] {
         let (error, std_dev) = error(&out, name);
         assert!(error.abs() < SIGMAS * std_dev && error.abs() < RIGHT, "{name}: {error}");
     }
+}
+
+/// Earlier files have the aperture ratio as fill factor, and the point spread as `point_spread`.
+#[test]
+fn earlier_names_are_read() {
+    let out = FILES.path("earlier");
+    fs::create_dir(&out).unwrap();
+    let earlier = |name: &str, names: &[(&str, &str)]| {
+        let mut text = fs::read_to_string(FILES.path("found").join(name)).unwrap();
+        for (name, earlier) in names {
+            assert!(text.contains(name), "{name}");
+            text = text.replace(name, earlier);
+        }
+        let path = out.join(name);
+        fs::write(&path, text).unwrap();
+        path
+    };
+    let ratio = ("aperture_ratio", "fill_factor");
+    let features = earlier("features.csv", &[ratio]);
+    let read = |path: &Path| read_features(path, true).unwrap().features;
+    assert!(read(&features)[0].blur.is_some() && read(&features)[0].levers_px.is_some());
+    assert_eq!(read(&features), read(&FILES.path("found/features.csv")));
+
+    let spread = ("\"point_spread_px2\"", "\"point_spread\"");
+    let document = earlier("precalibration.json", &[ratio, spread]);
+    let read = |path: &Path| read_internal_parameters(path, None).unwrap();
+    assert!(read(&document).point_spread_px2.is_some());
+    assert_eq!(read(&document), read(&FILES.path("found/precalibration.json")));
 }
 
 #[test]
@@ -188,11 +217,11 @@ fn columns_of_blur_go_together() {
     let text = fs::read_to_string(FILES.path("found/features.csv")).unwrap();
     let features = FILES.path("broken.csv");
     for (from, to, words) in [
-        ("shared_blur,fill_factor", "shared_blur,other", "go together"),
+        ("shared_blur,aperture_ratio", "shared_blur,other", "go together"),
         (
-            "blur,std_blur,shared_blur,fill_factor",
-            "fill_factor,std_blur,shared_blur,blur",
-            "a fill factor of",
+            "blur,std_blur,shared_blur,aperture_ratio",
+            "aperture_ratio,std_blur,shared_blur,blur",
+            "an aperture ratio of",
         ),
     ] {
         assert!(text.contains(from));

@@ -1,4 +1,4 @@
-//! The fill factor φ of the micro-lenses by the widths of edges in the boards.
+//! The aperture ratio φ of the micro-lenses by the widths of edges in the boards.
 //!
 //! White images show φqᵢ, the blur radius of the pupil itself, with qᵢ = q'ᵢ − Δc/2. The line of a corner has the slope γ,
 //! and the corner the blur radius φρ = φqᵢ + φ(1 − γ)Δc/2. So the blur that is measured in boards over the part that
@@ -11,17 +11,20 @@ use crate::calibration::anchors::INTERCEPTS;
 use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
 use crate::finding::Finding;
-use crate::model::taken::FILL_FACTOR;
-use crate::model::{BapFeature, FillFactor, InternalParameters, Lattice, optics};
+use crate::model::taken::APERTURE_RATIO;
+use crate::model::{
+    APERTURE_RATIO_MODEL, BapFeature, InternalParameters, Lattice, at_most_full,
+    check_aperture_ratio, optics,
+};
 use crate::numerics::{median, weighted_mean};
 use crate::precalibration::MicroImageArray;
 use crate::quantity::Estimate;
 
 /// What the widths of edges say of a camera.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FillMeasurement {
-    /// The fill factor of all micro-lenses.
-    pub fill_factor: FillFactor,
+pub struct BlurMeasurement {
+    /// The aperture ratio of all micro-lenses.
+    pub aperture_ratio: Estimate,
     /// What each lens type says by itself, by type; `None` without features.
     pub types: Vec<Option<TypeBlur>>,
 }
@@ -29,11 +32,10 @@ pub struct FillMeasurement {
 /// What the widths of edges say of one lens type.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TypeBlur {
-    /// Its own fill factor.
-    pub fill_factor: FillFactor,
-    /// Mean of measured less predicted blur radii, with the fill factor of all types, and its σ by the scatter of frames,
-    /// px.
-    pub excess_px: [f64; 2],
+    /// Its own aperture ratio.
+    pub aperture_ratio: Estimate,
+    /// Mean of measured less predicted blur radii, with the aperture ratio of all types; σ by the scatter of frames, px.
+    pub excess_px: Estimate,
     /// Number of its features.
     pub features: usize,
 }
@@ -49,11 +51,11 @@ const MEDIAN_DEVIATION: f64 = 0.6745;
 struct Measured {
     frame: u32,
     lens_type: usize,
-    /// The fill factor by this feature alone, and its σ.
-    fill: [f64; 2],
+    /// The aperture ratio by this feature alone.
+    ratio: Estimate,
     /// By how much it changes with one σ of what all features share.
     shared: f64,
-    /// (1 − γ) Δc/2, px: by how much its blur radius grows with the fill factor.
+    /// (1 − γ) Δc/2, px: by how much its blur radius grows with the aperture ratio.
     growth_px: f64,
 }
 
@@ -65,10 +67,10 @@ struct InPixels<'a> {
 }
 
 impl InPixels<'_> {
-    /// qᵢ with another fill factor, px; `None` of a type that is not there.
-    fn q(&self, lens_type: usize, fill: f64) -> Option<f64> {
+    /// qᵢ with another aperture ratio, px; `None` of a type that is not there.
+    fn q(&self, lens_type: usize, ratio: f64) -> Option<f64> {
         let q_prime = self.internal.q_prime_mm.get(lens_type)? / self.pixel_mm;
-        Some((q_prime - self.half_pitch) * self.internal.fill() / fill)
+        Some((q_prime - self.half_pitch) * self.internal.aperture_ratio() / ratio)
     }
 
     /// σ of φqᵢ, px.
@@ -76,49 +78,49 @@ impl InPixels<'_> {
         let of_type = |of: &Vec<f64>| of.get(lens_type).copied();
         let stated = of_type(&self.internal.q_prime_std_dev_mm);
         let assumed = || of_type(&self.internal.q_prime_mm).map(|q| INTERCEPTS * q);
-        stated.or_else(assumed).unwrap_or(0.0) * self.internal.fill() / self.pixel_mm
+        stated.or_else(assumed).unwrap_or(0.0) * self.internal.aperture_ratio() / self.pixel_mm
     }
 
-    /// The fill factor that measured blur stands for: (blur − φqᵢ)/((1 − γ)Δc/2), in which ρ tells γ. Around the fill
+    /// The aperture ratio that measured blur stands for: (blur − φqᵢ)/((1 − γ)Δc/2), in which ρ tells γ. Around the ratio
     /// factor that the corner was found with, so that q'ᵢ of its place, which an array that leans changes, drops out.
     fn measured(&self, f: &BapFeature, lens_type: usize) -> Option<Measured> {
         let (blur, rho) = (f.blur?, f.rho_px?);
-        let growth_px = rho - self.q(lens_type, blur.fill_factor)?;
-        let fill = blur.fill_factor + (blur.radius_px - blur.fill_factor * rho) / growth_px;
+        let growth_px = rho - self.q(lens_type, blur.aperture_ratio)?;
+        let ratio = blur.aperture_ratio + (blur.radius_px - blur.aperture_ratio * rho) / growth_px;
         let std_dev = blur.std_dev_px / growth_px.abs();
-        let usable = fill.is_finite() && std_dev.is_finite();
+        let usable = ratio.is_finite() && std_dev.is_finite();
         usable.then_some(Measured {
             frame: f.frame,
             lens_type,
-            fill: [fill, std_dev],
+            ratio: Estimate::new(ratio, std_dev),
             shared: blur.shared_px / growth_px,
             growth_px,
         })
     }
 
-    /// The fill factor by some features. Those of a frame have errors in common, so the scatter of frames is its σ, with
+    /// The aperture ratio by some features. Those of a frame have errors in common, so the scatter of frames is its σ, with
     /// what features of all frames share, and what the σ of q'ᵢ and the model make of it.
-    fn fill_factor<'a>(
+    fn aperture_ratio<'a>(
         &self,
         some: impl Iterator<Item = &'a Measured> + Clone,
-    ) -> Option<FillFactor> {
-        let [value, std_dev] = by_frames(some.clone().map(|m| (m.frame, m.fill)))?;
+    ) -> Option<Estimate> {
+        let Estimate { value, std_dev } = by_frames(some.clone().map(|m| (m.frame, m.ratio)))?;
         let (mut weights, mut shared, mut by_type) = (0.0, 0.0, BTreeMap::<usize, f64>::new());
         for m in some {
-            let weight = m.fill[1].powi(-2);
+            let weight = m.ratio.std_dev.powi(-2);
             weights += weight;
             shared += weight * m.shared;
             *by_type.entry(m.lens_type).or_default() += weight / m.growth_px;
         }
         let of_type = |(lens_type, by): (&usize, &f64)| self.std_dev(*lens_type) * by / weights;
         let of_white_images = by_type.iter().map(of_type).fold(0.0, f64::hypot);
-        let of_all = (shared / weights).hypot(of_white_images).hypot(FillFactor::MODEL * value);
+        let of_all = (shared / weights).hypot(of_white_images).hypot(APERTURE_RATIO_MODEL * value);
         let std_dev = std_dev.hypot(of_all);
-        Some(FillFactor { value, std_dev })
+        Some(Estimate { value, std_dev })
     }
 }
 
-impl FillMeasurement {
+impl BlurMeasurement {
     /// By features that state their measured blur, with internal parameters of a datasheet; `None` if there are none. An
     /// error if it is not possible.
     pub(super) fn of(
@@ -136,49 +138,47 @@ impl FillMeasurement {
         let of_feature =
             |f: &BapFeature| in_pixels.measured(f, grid.lattice.lens_type(f.k, f.l, types));
         let all: Vec<Measured> = features.iter().filter_map(of_feature).collect();
-        let Some(fill_factor) = in_pixels.fill_factor(all.iter()) else { return Ok(None) };
-        fill_factor.validate().map_err(|error| {
+        let Some(aperture_ratio) = in_pixels.aperture_ratio(all.iter()) else { return Ok(None) };
+        check_aperture_ratio(&aperture_ratio).map_err(|error| {
             Error::invalid(format!(
                 "the widths of edges do not fit the internal parameters: {error}. Check that both are of the same \
-                 camera, or leave the columns blur, std_blur and fill_factor of the features out"
+                 camera, or leave the columns blur, std_blur and aperture_ratio of the features out"
             ))
         })?;
         let of_type = |lens_type: usize| {
             let own = || all.iter().filter(move |m| m.lens_type == lens_type);
             let excess = |m: &Measured| {
-                let [fill, std_dev] = m.fill;
-                let excess_px = (fill - fill_factor.value) * m.growth_px;
-                (m.frame, [excess_px, std_dev * m.growth_px.abs()])
+                let excess = Estimate { value: m.ratio.value - aperture_ratio.value, ..m.ratio };
+                (m.frame, excess.scaled(m.growth_px))
             };
             Some(TypeBlur {
-                fill_factor: in_pixels.fill_factor(own())?,
+                aperture_ratio: in_pixels.aperture_ratio(own())?,
                 excess_px: by_frames(own().map(excess))?,
                 features: own().count(),
             })
         };
-        Ok(Some(Self { fill_factor, types: (0..types).map(of_type).collect() }))
+        Ok(Some(Self { aperture_ratio, types: (0..types).map(of_type).collect() }))
     }
 
-    /// A finding about the two lens types that disagree most on the fill factor, if they do.
+    /// A finding about the two lens types that disagree most on the aperture ratio, if they do.
     pub(super) fn contradiction(&self) -> Option<Finding> {
-        let of_types = self.types.iter().enumerate().filter_map(|(i, t)| {
-            let FillFactor { value, std_dev } = (*t)?.fill_factor;
-            Some((i, Estimate { value, std_dev }))
-        });
-        checks::aperture_ratios(&of_types.collect::<Vec<_>>(), self.fill_factor.value)
+        let of_types =
+            self.types.iter().enumerate().filter_map(|(i, t)| Some((i, (*t)?.aperture_ratio)));
+        checks::aperture_ratios(&of_types.collect::<Vec<_>>(), self.aperture_ratio.value)
     }
 }
 
-/// The start with a fill factor.
-pub(super) fn with_fill_factor(
+/// The start with an aperture ratio.
+pub(super) fn with_aperture_ratio(
     start: Start,
     grid: Option<&MicroImageArray>,
-    measured: Option<&FillMeasurement>,
+    measured: Option<&BlurMeasurement>,
 ) -> Start {
     match (start, grid, measured) {
         (Start::Datasheet(sheet, internal), Some(grid), Some(measured)) => {
             let pitch_mm = pitch_mm(&internal, grid, sheet.sensor.pixel_size_mm);
-            let internal = internal.with_fill_factor(measured.fill_factor.taken(), pitch_mm);
+            let internal =
+                internal.with_aperture_ratio(at_most_full(&measured.aperture_ratio), pitch_mm);
             Start::Datasheet(sheet, internal)
         }
         (start, ..) => start,
@@ -190,7 +190,7 @@ fn pitch_mm(internal: &InternalParameters, grid: &MicroImageArray, pixel_mm: f64
     internal.micro_image_pitch_mm.unwrap_or(grid.pitch_px * pixel_mm)
 }
 
-/// Changes features that were found with another fill factor than that of the camera to those that would have been found
+/// Changes features that were found with another aperture ratio than that of the camera to those that would have been found
 /// with it: ρ by qᵢ, since φqᵢ stays, u and v by their levers. Features without measured blur go with the camera.
 pub(super) fn with_that_of_start(
     mut features: Vec<BapFeature>,
@@ -202,31 +202,32 @@ pub(super) fn with_that_of_start(
         Start::Datasheet(_, internal) => internal.clone(),
         Start::Camera(camera) => optics::internal_parameters(camera),
     };
-    let (Some(fill), Some(pitch_mm)) = (internal.fill_factor, internal.micro_image_pitch_mm) else {
+    let (Some(ratio), Some(pitch_mm)) = (internal.aperture_ratio, internal.micro_image_pitch_mm)
+    else {
         return features;
     };
     let (types, half_pitch) = (internal.q_prime_mm.len(), pitch_mm / pixel_mm / 2.0);
     let in_pixels = InPixels { internal: &internal, half_pitch, pixel_mm };
     for f in &mut features {
         let Some(blur) = &mut f.blur else { continue };
-        let q = in_pixels.q(lattice.lens_type(f.k, f.l, types), fill.value);
+        let q = in_pixels.q(lattice.lens_type(f.k, f.l, types), ratio.value);
         if let (Some(rho), Some(q)) = (&mut f.rho_px, q) {
-            *rho += q * (1.0 - fill.value / blur.fill_factor);
+            *rho += q * (1.0 - ratio.value / blur.aperture_ratio);
         }
         if let Some(levers) = f.levers_px {
-            let [by_u, by_v] = levers[FILL_FACTOR];
-            let change = (fill.value / blur.fill_factor).ln();
+            let [by_u, by_v] = levers[APERTURE_RATIO];
+            let change = (ratio.value / blur.aperture_ratio).ln();
             f.u_px += by_u * change;
             f.v_px += by_v * change;
         }
-        blur.fill_factor = fill.value;
+        blur.aperture_ratio = ratio.value;
     }
     features
 }
 
 /// The mean over frames of the means of frames.
-fn by_frames(values: impl Iterator<Item = (u32, [f64; 2])>) -> Option<[f64; 2]> {
-    let mut frames: BTreeMap<u32, Vec<[f64; 2]>> = BTreeMap::new();
+fn by_frames(values: impl Iterator<Item = (u32, Estimate)>) -> Option<Estimate> {
+    let mut frames: BTreeMap<u32, Vec<Estimate>> = BTreeMap::new();
     for (frame, value) in values {
         frames.entry(frame).or_default().push(value);
     }
@@ -234,13 +235,13 @@ fn by_frames(values: impl Iterator<Item = (u32, [f64; 2])>) -> Option<[f64; 2]> 
 }
 
 /// The mean of values with their σ, without those far from all others.
-fn of_one_frame(values: &[[f64; 2]]) -> Option<[f64; 2]> {
+fn of_one_frame(values: &[Estimate]) -> Option<Estimate> {
     let mut kept = values.to_vec();
     let mut found = None;
     for _ in 0..ROUNDS {
-        let [mean, std_dev] = weighted_mean(kept.iter().copied())?;
-        found = Some([mean, std_dev]);
-        let far = |[value, std_dev]: &[f64; 2]| (value - mean).abs() / std_dev;
+        let mean = weighted_mean(kept.iter().copied())?;
+        found = Some(mean);
+        let far = |e: &Estimate| (e.value - mean.value).abs() / e.std_dev;
         let typical = median(values.iter().map(far))? / MEDIAN_DEVIATION;
         kept = values.to_vec();
         kept.retain(|value| far(value) <= OUTLIERS * typical.max(1.0));

@@ -5,16 +5,17 @@ use nalgebra::Vector2;
 use super::*;
 use crate::finding::Issue;
 use crate::model::small_camera;
-use crate::model::taken::FILL_FACTOR;
+use crate::model::taken::APERTURE_RATIO;
 use crate::model::{Configuration, Datasheet, LatticeKind, MeasuredBlur, TAKEN};
+use crate::quantity::Estimate;
 
-const TRUE_FILL: f64 = 0.92;
+const TRUE_RATIO: f64 = 0.92;
 /// That which the features were found with.
 const FOUND_WITH: f64 = 0.95;
 const PITCH_MM: f64 = 0.128;
 const Q_PRIME_MM: [f64; 3] = [0.035, 0.041, 0.038];
 
-/// As white images show it, of micro-lenses with the true fill factor.
+/// As white images show it, of micro-lenses with the true aperture ratio.
 fn start() -> Start {
     let camera = small_camera();
     let datasheet = Datasheet {
@@ -30,7 +31,7 @@ fn start() -> Start {
     };
     let half_mm = PITCH_MM / 2.0;
     let internal = InternalParameters {
-        q_prime_mm: Q_PRIME_MM.map(|q| half_mm + TRUE_FILL * (q - half_mm)).to_vec(),
+        q_prime_mm: Q_PRIME_MM.map(|q| half_mm + TRUE_RATIO * (q - half_mm)).to_vec(),
         q_prime_std_dev_mm: vec![1e-6; 3],
         micro_image_pitch_mm: Some(PITCH_MM),
         ..optics::internal_parameters(&camera)
@@ -50,23 +51,23 @@ fn grid() -> MicroImageArray {
     }
 }
 
-/// Features of frames whose fill factors scatter by `scatter`, and a false one; those of the last lens type have their
-/// blur as of a fill factor that is larger by `other`.
+/// Features of frames whose aperture ratios scatter by `scatter`, and a false one; those of the last lens type have their
+/// blur as of an aperture ratio that is larger by `other`.
 fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
     let (half_pitch, pixel) = (PITCH_MM / 0.0055 / 2.0, 0.0055);
     let mut features = Vec::new();
     for frame in 0..8 {
-        let of_frame = TRUE_FILL + scatter * f64::from(frame % 2 * 2 - 1);
+        let of_frame = TRUE_RATIO + scatter * f64::from(frame % 2 * 2 - 1);
         for i in 0..60 {
             let (k, l) = (i % 10, i / 10);
             let lens_type = grid().lattice.lens_type(k, l, 3);
             let q = Q_PRIME_MM[lens_type] / pixel - half_pitch;
             let growth = 1.5 + 0.3 * f64::from(frame) + 0.1 * f64::from(i % 7);
-            let fill = of_frame + if lens_type == 2 { other } else { 0.0 };
+            let ratio = of_frame + if lens_type == 2 { other } else { 0.0 };
             let noise = 0.05 * (f64::from(i * 7 % 11) / 5.0 - 1.0);
-            let blur = TRUE_FILL * q + fill * growth + noise + f64::from(i / 59) * 9.0;
+            let blur = TRUE_RATIO * q + ratio * growth + noise + f64::from(i / 59) * 9.0;
             let mut levers_px = [[0.0; 2]; TAKEN];
-            levers_px[FILL_FACTOR] = [2.0, -1.0];
+            levers_px[APERTURE_RATIO] = [2.0, -1.0];
             features.push(BapFeature {
                 frame: frame.try_into().unwrap(),
                 corner: i,
@@ -74,7 +75,7 @@ fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
                 l,
                 u_px: 10.0,
                 v_px: 20.0,
-                rho_px: Some(q * TRUE_FILL / FOUND_WITH + growth),
+                rho_px: Some(q * TRUE_RATIO / FOUND_WITH + growth),
                 std_dev_px: Some([0.03; 2]),
                 rho_std_dev_px: Some(0.01),
                 correlation: 0.0,
@@ -83,7 +84,7 @@ fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
                     radius_px: blur,
                     std_dev_px: 0.04,
                     shared_px: 0.0,
-                    fill_factor: FOUND_WITH,
+                    aperture_ratio: FOUND_WITH,
                 }),
             });
         }
@@ -91,41 +92,42 @@ fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
     features
 }
 
-fn measured(features: &[BapFeature]) -> FillMeasurement {
-    FillMeasurement::of(&start(), Some(&grid()), features).unwrap().unwrap()
+fn measured(features: &[BapFeature]) -> BlurMeasurement {
+    BlurMeasurement::of(&start(), Some(&grid()), features).unwrap().unwrap()
 }
 
 /// One σ of how wide edges are changes all blur alike, and no scatter shows that.
 #[test]
-fn what_all_features_share_is_in_the_fill_factor() {
+fn what_all_features_share_is_in_the_aperture_ratio() {
     let mut features = features(0.0, 0.0);
-    let alone = measured(&features).fill_factor;
-    // As if the fill factor were larger by 0.01.
+    let alone = measured(&features).aperture_ratio;
+    // As if the aperture ratio were larger by 0.01.
     for f in &mut features {
         let blur = f.blur.as_mut().unwrap();
         let growth = f.rho_px.unwrap() - Q_PRIME_MM[grid().lattice.lens_type(f.k, f.l, 3)] / 0.0055;
         blur.shared_px = 0.01 * (growth + PITCH_MM / 0.0055 / 2.0);
     }
-    let shared = measured(&features).fill_factor;
+    let shared = measured(&features).aperture_ratio;
     assert!((shared.value - alone.value).abs() < 1e-12);
     let added = (shared.std_dev.powi(2) - alone.std_dev.powi(2)).sqrt();
     assert!((added - 0.01).abs() < 2e-3, "{added}");
 }
 
 #[test]
-fn blur_tells_the_fill_factor_and_that_tells_the_true_intercepts() {
+fn blur_tells_the_aperture_ratio_and_that_tells_the_true_intercepts() {
     let measured = measured(&features(0.0, 0.0));
-    let FillFactor { value, std_dev } = measured.fill_factor;
-    assert!((value - TRUE_FILL).abs() < 2.0 * std_dev, "{measured:?}");
+    let Estimate { value, std_dev } = measured.aperture_ratio;
+    assert!((value - TRUE_RATIO).abs() < 2.0 * std_dev, "{measured:?}");
     assert!((0.0018..0.003).contains(&std_dev), "{measured:?}");
     assert!(measured.contradiction().is_none());
     for of_type in measured.types.iter().flatten() {
-        let [excess, std_dev] = of_type.excess_px;
+        let Estimate { value: excess, std_dev } = of_type.excess_px;
         assert!(excess.abs() < 3.0 * std_dev, "{of_type:?}");
     }
     let counts = measured.types.iter().flatten().map(|of_type| of_type.features);
     assert_eq!(counts.sum::<usize>(), 480);
-    let Start::Datasheet(_, internal) = with_fill_factor(start(), Some(&grid()), Some(&measured))
+    let Start::Datasheet(_, internal) =
+        with_aperture_ratio(start(), Some(&grid()), Some(&measured))
     else {
         unreachable!()
     };
@@ -138,15 +140,18 @@ fn blur_tells_the_fill_factor_and_that_tells_the_true_intercepts() {
 #[test]
 fn no_more_than_full_openings_are_taken() {
     for (value, taken) in [(0.92, 0.92), (1.0, 1.0), (1.01, 1.0)] {
-        let fill_factor = FillFactor { value, std_dev: 0.006 };
-        let measured = FillMeasurement { fill_factor, types: Vec::new() };
-        assert_eq!(measured.fill_factor.taken(), FillFactor { value: taken, std_dev: 0.006 });
+        let aperture_ratio = Estimate { value, std_dev: 0.006 };
+        let measured = BlurMeasurement { aperture_ratio, types: Vec::new() };
+        assert_eq!(
+            at_most_full(&measured.aperture_ratio),
+            Estimate { value: taken, std_dev: 0.006 }
+        );
     }
 }
 
 #[test]
 fn the_scatter_of_frames_is_in_its_uncertainty() {
-    let [alike, scattered] = [0.0, 0.02].map(|s| measured(&features(s, 0.0)).fill_factor);
+    let [alike, scattered] = [0.0, 0.02].map(|s| measured(&features(s, 0.0)).aperture_ratio);
     // 0.02 of ± 1, eight times.
     assert!((scattered.std_dev - 0.02 / 7.0_f64.sqrt()).abs() < 1e-3, "{scattered:?}");
     assert!(scattered.std_dev > 2.5 * alike.std_dev, "{alike:?}");
@@ -158,9 +163,9 @@ fn uncertain_white_images_are_in_its_uncertainty() {
     internal.q_prime_std_dev_mm = vec![1e-3; 3];
     let start = Start::Datasheet(sheet, internal);
     let features = features(0.0, 0.0);
-    let found = FillMeasurement::of(&start, Some(&grid()), &features).unwrap().unwrap();
+    let found = BlurMeasurement::of(&start, Some(&grid()), &features).unwrap().unwrap();
     // 0.18 px over 2 to 4 px, of three types.
-    assert!((0.02..0.06).contains(&found.fill_factor.std_dev), "{found:?}");
+    assert!((0.02..0.06).contains(&found.aperture_ratio.std_dev), "{found:?}");
 }
 
 #[test]
@@ -176,20 +181,20 @@ fn lens_types_that_disagree_are_named() {
 }
 
 #[test]
-fn features_go_with_the_fill_factor_of_the_start() {
-    let fill = FillMeasurement {
-        fill_factor: FillFactor { value: TRUE_FILL, std_dev: 0.002 },
+fn features_go_with_the_aperture_ratio_of_the_start() {
+    let ratio = BlurMeasurement {
+        aperture_ratio: Estimate { value: TRUE_RATIO, std_dev: 0.002 },
         types: Vec::new(),
     };
-    let start = with_fill_factor(start(), Some(&grid()), Some(&fill));
+    let start = with_aperture_ratio(start(), Some(&grid()), Some(&ratio));
     let lattice = grid().lattice;
     let found = features(0.0, 0.0);
     let restated = with_that_of_start(found.clone(), &start, &lattice);
-    let change = (TRUE_FILL / FOUND_WITH).ln();
+    let change = (TRUE_RATIO / FOUND_WITH).ln();
     for (of, was) in restated.iter().zip(&found) {
         let lens_type = lattice.lens_type(of.k, of.l, 3);
         let q = (Q_PRIME_MM[lens_type] - PITCH_MM / 2.0) / 0.0055;
-        let growth = was.rho_px.unwrap() - q * TRUE_FILL / FOUND_WITH;
+        let growth = was.rho_px.unwrap() - q * TRUE_RATIO / FOUND_WITH;
         assert!((of.rho_px.unwrap() - q - growth).abs() < 1e-9, "{of:?}");
         assert!((of.u_px - was.u_px - 2.0 * change).abs() < 1e-12);
         assert!((of.v_px - was.v_px + change).abs() < 1e-12);
@@ -204,7 +209,7 @@ fn without_measured_blur_nothing_is_said() {
     for feature in &mut features {
         feature.blur = None;
     }
-    assert_eq!(FillMeasurement::of(&start(), Some(&grid()), &features).unwrap(), None);
+    assert_eq!(BlurMeasurement::of(&start(), Some(&grid()), &features).unwrap(), None);
 }
 
 #[test]
@@ -213,6 +218,6 @@ fn blur_of_another_camera_is_an_error() {
     for feature in &mut features {
         feature.blur.as_mut().unwrap().radius_px += 5.0;
     }
-    let error = FillMeasurement::of(&start(), Some(&grid()), &features).unwrap_err();
+    let error = BlurMeasurement::of(&start(), Some(&grid()), &features).unwrap_err();
     assert!(error.to_string().contains("std_blur"), "{error}");
 }
