@@ -17,7 +17,6 @@ use plenocal::io::{
 };
 use plenocal::model::{Board, Observations};
 use plenocal::precalibration::fit_grid;
-use plenocal::solver::SolverOptions;
 use serde_json::Value;
 
 /// Number of runs: enough for a median; a run of the baseline takes seconds.
@@ -93,11 +92,10 @@ fn seconds<T>(work: impl FnOnce() -> T) -> f64 {
 }
 
 fn compare(program: &Path, data: &Data, observations: &Observations, threads: usize) {
-    let solver = SolverOptions { threads, ..SolverOptions::default() };
-    let options = CalibrationOptions { solver, ..CalibrationOptions::paper() };
-    let defaults = CalibrationOptions { solver, ..CalibrationOptions::default() };
+    let options = CalibrationOptions { threads, ..CalibrationOptions::paper() };
+    let defaults = CalibrationOptions { threads, ..CalibrationOptions::default() };
     let mut without = options.clone();
-    without.solver.extrapolate = false;
+    without.extrapolate = false;
     let (mut plain, mut solve, mut whole) = (Vec::new(), Vec::new(), Vec::new());
     let (mut ceres, mut ceres_iterations) = (Vec::new(), 0);
     let (mut anchored, mut anchored_whole) = (Vec::new(), Vec::new());

@@ -11,7 +11,7 @@ use plenocal::detection::{DepthEstimator, MicroImages, Search, detect_frame};
 use plenocal::model::{BapFeature, FramePose, Noise, Observations, optics};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
 use plenocal::simulation::{DataSet, Settings, Shot};
-use plenocal::solver::{SolverOptions, synthesize};
+use plenocal::solver::synthesize;
 
 /// Frames of an image size.
 const FRAMES: usize = 2;
@@ -124,8 +124,7 @@ fn calibrated(
 ) -> plenocal::Result<(f64, Calibration)> {
     let internal = optics::internal_parameters(&settings.camera);
     let start = Start::Datasheet(settings.datasheet(), internal);
-    let solver = SolverOptions { threads, ..SolverOptions::default() };
-    let options = CalibrationOptions { solver, ..CalibrationOptions::default() };
+    let options = CalibrationOptions { threads, ..CalibrationOptions::default() };
     let board = settings.target.board();
     let (time, result) = with_threads(threads, || {
         seconds(|| calibrate(&start, &board, observations, &options, &mut |_| true))

@@ -145,6 +145,7 @@ pub mod solver;
 
 mod checks;
 mod numerics;
+mod table;
 mod vignetting;
 
 pub use error::{Error, Result};

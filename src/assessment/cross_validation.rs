@@ -72,7 +72,7 @@ pub fn cross_validate(
         _ => options.clone(),
     };
     // Every fold has its own thread.
-    options.solver.threads = 1;
+    options.threads = 1;
     let options = &options;
     let fold = |number: usize| -> Result<(Fold, Vec<FeatureResidual>)> {
         let held_out = frames_of_fold(&frames, number, folds);

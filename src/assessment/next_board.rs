@@ -160,7 +160,7 @@ fn information(
     let poses: Vec<_> = seen.iter().map(|&i| all[i]).collect();
     let problem = Problem { camera, board: bent, poses: &poses, features: &features, centers: &[] };
     let cost = CostOptions { fixed: calibration.cost.fixed.clone(), ..CostOptions::default() };
-    let found = solver::frame_information(&problem, &cost, calibration.options.solver.threads)?;
+    let found = solver::frame_information(&problem, &cost, calibration.options.threads)?;
     for (i, information) in seen.into_iter().zip(found) {
         result[i] = information;
     }

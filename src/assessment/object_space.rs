@@ -150,7 +150,7 @@ fn points_at(
         pixels.iter().map(|pixel| point_seen_at(camera, *pixel, distance_mm)).collect();
     let noise = calibration.uncertainty.residual_std_dev_px;
     // Where ρ does not count, it does not place points either.
-    let of_rho = if calibration.options.cost.rho { noise[1] } else { f64::INFINITY };
+    let of_rho = if calibration.options.has_rho() { noise[1] } else { f64::INFINITY };
     let std_dev = [noise[0], noise[0], of_rho].map(|s| if s > 0.0 { s } else { 1.0 });
     let margin = MARGIN * camera.micro_image_pitch_px() / 2.0;
     let free = &calibration.uncertainty.free_intrinsics;

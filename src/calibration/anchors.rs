@@ -107,15 +107,14 @@ pub(super) fn anchors(start: &Start, options: &CalibrationOptions) -> Vec<(Ancho
     if options.mode == Mode::PosesOnly {
         return Vec::new();
     }
-    let stated = options.cost.anchors.iter().map(|a| (a.clone(), AnchorSource::Stated));
+    let stated = options.anchors.stated().into_iter().map(|a| (a, AnchorSource::Stated));
+    let fixed = options.fixed();
     let wanted = |anchor: &Anchor| {
-        let quantity = &anchor.quantity;
-        let replaced = options.cost.anchors.iter().any(|a| a.quantity == *quantity);
-        let free = is_free(quantity, &options.cost.fixed);
-        !replaced && free && !options.not_anchored.contains(quantity)
+        let stated = options.anchors.quantities.contains_key(&anchor.quantity);
+        !stated && is_free(&anchor.quantity, &fixed)
     };
-    let mut defaults = if options.default_anchors { default_anchors(start) } else { Vec::new() };
-    if !options.cost.rho {
+    let mut defaults = if options.anchors.default { default_anchors(start) } else { Vec::new() };
+    if !options.has_rho() {
         defaults.extend(of_white_images(start));
     }
     stated.chain(defaults.into_iter().filter(|(anchor, _)| wanted(anchor))).collect()
@@ -194,18 +193,18 @@ pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> 
             names().join(", ")
         ))
     };
-    let stated = &options.cost.anchors;
+    let stated = options.anchors.stated();
     if options.mode == Mode::PosesOnly && !stated.is_empty() {
         return Err(Error::invalid(
             "anchors hold the camera, which is fixed where only poses are estimated: leave them out",
         ));
     }
-    let quantities = stated.iter().map(|anchor| &anchor.quantity).chain(&options.not_anchored);
-    if let Some(quantity) = quantities.into_iter().find(|q| !names().contains(q)) {
+    let mut quantities = options.anchors.quantities.keys();
+    if let Some(quantity) = quantities.find(|q| !names().contains(q)) {
         return Err(unknown(quantity));
     }
-    for (i, anchor) in stated.iter().enumerate() {
-        let Anchor { quantity, value, std_dev } = anchor;
+    let fixed = options.fixed();
+    for Anchor { quantity, value, std_dev } in &stated {
         if !value.is_finite() {
             return Err(Error::invalid(format!("the anchor of {quantity} has the value {value}")));
         }
@@ -215,10 +214,7 @@ pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> 
                  parameter at a value, fix it"
             )));
         }
-        if stated[..i].iter().any(|other| other.quantity == *quantity) {
-            return Err(Error::invalid(format!("{quantity} is anchored twice")));
-        }
-        if !is_free(quantity, &options.cost.fixed) || options.keeps(quantity) {
+        if !is_free(quantity, &fixed) || options.keeps(quantity) {
             return Err(Error::invalid(format!(
                 "{quantity} is anchored, but it is fixed: an anchor would have no effect; leave one \
                  of the two out"

@@ -217,8 +217,7 @@ impl Settings<'_> {
         for (i, parameter) in SHAPE_PARAMETERS.iter().enumerate() {
             let quantity = parameter.name.to_owned();
             let stated = anchors.iter().any(|(anchor, _)| anchor.quantity == quantity);
-            let wanted =
-                self.options.default_anchors && !self.options.not_anchored.contains(&quantity);
+            let wanted = self.options.anchors.is_default(&quantity);
             if free.parameters[i] && wanted && !stated {
                 let std_dev = if i == ASPECT { free.aspect } else { free.bend_mm };
                 let anchor = Anchor { quantity, value: 0.0, std_dev };

@@ -40,7 +40,7 @@ pub(super) fn check_observations(
 ) -> Result<()> {
     board.validate()?;
     let (_, size) = start.array(&observations.centers);
-    let needs_rho = options.cost.rho && start.lens_types() > 0;
+    let needs_rho = options.has_rho() && start.lens_types() > 0;
     observations.validate(start.sensor(), size, board, needs_rho)?;
     if observations.features.is_empty() {
         return Err(Error::invalid(if options.exclude_frames.is_empty() {
@@ -49,7 +49,7 @@ pub(super) fn check_observations(
             "there are no features: all frames that have some are left out (exclude_frames)"
         }));
     }
-    let loss = options.cost.loss;
+    let loss = options.cost().loss;
     if loss.kind != LossKind::None && loss.scale < LEAST_SCALE {
         return Err(Error::invalid(format!(
             "with a loss scale of {} nothing that has noise counts: it is the residual, in standard deviations (px where \

@@ -41,16 +41,14 @@ pub(super) fn refocused(
     options: &CalibrationOptions,
 ) -> Option<(Start, Option<Finding>)> {
     let Start::Datasheet(sheet, internal) = start else { return None };
-    let held = |names: &[String]| names.iter().any(|name| name == "D");
-    let anchors = &options.cost.anchors;
-    if held(&options.cost.fixed) || anchors.iter().any(|anchor| anchor.quantity == "D") {
+    if options.fix.iter().any(|name| name == "D") || options.anchors.knows("D") {
         return None;
     }
     let corners = corners(initial, internal, board, features);
     if corners.len() < FEWEST {
         return None;
     }
-    let exit_pupil_mm = options.exit_pupil_mm.unwrap_or(0.0);
+    let exit_pupil_mm = options.exit_pupil_mm().unwrap_or(0.0);
     let lens = Lens { sheet, m_mm: internal.m_mm, exit_pupil_mm };
     let nearest = 4.0 * sheet.focal_length_mm;
     let ratio = (FARTHEST / 4.0).powf(1.0 / f64::from(TRIALS));

@@ -17,6 +17,7 @@ mod refine;
 mod refit;
 mod result;
 mod stage;
+mod start;
 mod words;
 
 pub use anchors::{AnchorResult, AnchorSource, SLOPE, intercept_name};
@@ -24,7 +25,10 @@ pub use aperture_ratio::{BlurMeasurement, TypeBlur};
 pub use board::{BoardResult, Effort, Trial};
 pub use frames::LeftOut;
 pub use initial::initial_camera;
-pub use options::{BoardModel, CalibrationOptions, Mode, Start, Weights};
+pub use options::{
+    Anchors, Blur, BoardModel, CalibrationOptions, ExitPupil, FieldCurvature, Method, Mode,
+    NoAnchor, Pitches, StatedAnchor, Weights,
+};
 pub use outlying::OutlyingFeature;
 pub use poses::initial_poses;
 pub use prepare::{Solution, initial_from};
@@ -32,4 +36,5 @@ pub use problem::{ProblemFeature, SolvedProblem};
 pub use refit::{Minimum, Refit};
 pub use result::Calibration;
 pub use stage::{calibrate, cost_at};
+pub use start::Start;
 pub use words::{termination_text, weakest_directions_text};

@@ -1,206 +1,469 @@
-//! Input of a calibration: its start, what it estimates, and its cost.
+//! Options of a calibration: one struct for the library, `[calibration]` of a project file, and the command line.
 
-use crate::error::{Error, Result};
-use crate::model::{
-    BoardShape, Datasheet, FramePose, InternalParameters, LatticeKind, MicroImageCenter,
-    PlenopticCamera, SHAPE, Sensor, positive, shared_parameters,
-};
-use crate::solver::{BEYOND_THE_PAPER, CostOptions, SolverOptions, shape_names};
+use std::collections::BTreeMap;
+use std::str::FromStr;
+
+use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
+use toml::Table;
 
-/// What is estimated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+use super::start::Start;
+use crate::error::{Error, Result};
+use crate::model::{BoardShape, FramePose, SHAPE, positive, shared_parameters};
+use crate::quantity::Estimate;
+use crate::solver::{Anchor, CostOptions, Loss, LossKind, SolverOptions, shape_names};
+use crate::table::merge;
+
+/// A set of options with one name; options that are given beside it take precedence.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
-pub enum Mode {
-    /// Camera and poses from (u, v), the centres, and q'ᵢ or (in the paper) ρ.
+pub enum Method {
+    /// Weights, priors, a robust loss, and effects that the paper's camera lacks.
     #[default]
     Full,
-    /// Camera (an array of pinholes, I = 0) and poses from (u, v) and the centres: Noury et al.
-    /// 2017.
+    /// Unit weights, no loss, no priors, exit pupil in the lens, flat field, flat board, blur from features.
+    Paper,
+}
+
+/// What is estimated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Mode {
+    /// Camera and poses, from (u, v), the centres, and q' or rho (--blur).
+    #[default]
+    Full,
+    /// Camera with pinholes (I = 0), and poses, from (u, v) and the centres: Noury et al. 2017.
     CornersOnly,
-    /// The poses, with the camera fixed.
+    /// Poses, with the camera fixed.
     PosesOnly,
 }
 
 /// What the board is taken for.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum BoardModel {
-    /// Flat, unless the frames show that it is not.
+    /// Flat, unless the frames show that it is bent or stretched.
     #[default]
     Auto,
-    /// Flat: the paper.
+    /// Flat (the paper).
     Flat,
     /// Bent and stretched, by what comes out.
     Bent,
     /// Of this shape.
+    #[serde(skip)]
+    #[value(skip)]
     Known(BoardShape),
 }
 
 /// The weights of observations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Weights {
-    /// Each by its own σ, where the detection has measured it.
+    /// Each observation by its own standard deviation, where the file has it.
     #[default]
     Own,
-    /// The same for all of a kind: the paper.
+    /// The same for all of a kind (the paper).
     Unit,
 }
 
-/// What a calibration starts from.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Start {
-    /// Datasheet and internal parameters: the paper's initialisation.
-    Datasheet(Datasheet, InternalParameters),
-    /// A calibrated camera.
-    Camera(PlenopticCamera),
+/// One micro-lens pitch or one for each axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Pitches {
+    /// One for both axes (the paper).
+    #[default]
+    One,
+    /// One along x, one along y.
+    Two,
 }
 
-/// Names of the intrinsic parameters that are not estimated unless asked for.
-pub const FIXED: [&str; 3] = ["e_x", "e_y", "dC_ratio"];
+/// The curvature of the field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum FieldCurvature {
+    /// Images off the axis may be nearer to the lens, by an amount that depends on the magnification.
+    #[default]
+    Estimated,
+    /// The same at all distances.
+    Constant,
+    /// None (the paper).
+    Flat,
+}
 
-/// All options of a calibration.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// Where the focal lengths of the micro-lenses come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Blur {
+    /// From q' of the white images.
+    #[default]
+    WhiteImages,
+    /// From rho of every feature (the paper).
+    Features,
+}
+
+/// Where the exit pupil of the main lens is, on its axis: `estimated`, `at-lens`, or `e_z` in mm.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
+#[serde(try_from = "ExitPupilText")]
+pub enum ExitPupil {
+    /// Estimated.
+    #[default]
+    Estimated,
+    /// At this `e_z`, mm; at 0 in the paper.
+    At(f64),
+}
+
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "exit_pupil is \"estimated\", \"at-lens\", or e_z in mm")]
+enum ExitPupilText {
+    Number(f64),
+    Word(String),
+}
+
+impl TryFrom<ExitPupilText> for ExitPupil {
+    type Error = Error;
+
+    fn try_from(text: ExitPupilText) -> Result<Self> {
+        match text {
+            ExitPupilText::Number(place) => Ok(Self::At(place)),
+            ExitPupilText::Word(word) => word.parse(),
+        }
+    }
+}
+
+impl FromStr for ExitPupil {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        match text {
+            "estimated" => Ok(Self::Estimated),
+            "at-lens" => Ok(Self::At(0.0)),
+            number => match number.parse() {
+                Ok(place) if f64::is_finite(place) => Ok(Self::At(place)),
+                _ => Err(Error::invalid(format!(
+                    "'{text}' is no place for the exit pupil: write estimated, at-lens, or its \
+                     distance from the lens in mm, negative towards the array"
+                ))),
+            },
+        }
+    }
+}
+
+/// What is known of a camera beforehand: default anchors, and stated ones.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Anchors {
+    /// Whether there are the default anchors, of datasheet, white images and sensor.
+    #[serde(default = "wanted")]
+    pub default: bool,
+    /// Stated anchors by quantity: a parameter of camera or board, or `m`. They take the place of default ones.
+    #[serde(flatten)]
+    pub quantities: BTreeMap<String, StatedAnchor>,
+}
+
+fn wanted() -> bool {
+    true
+}
+
+impl Default for Anchors {
+    fn default() -> Self {
+        Self { default: true, quantities: BTreeMap::new() }
+    }
+}
+
+/// What is stated of a quantity.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(untagged, expecting = "an anchor is { value = …, std_dev = … } or \"none\"")]
+pub enum StatedAnchor {
+    /// A value, in the unit of the parameter in `camera.json` (mm, rad, px).
+    Known(Estimate),
+    /// Nothing: no default anchor either.
+    Nothing(NoAnchor),
+}
+
+/// The word `none`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NoAnchor {
+    /// No anchor.
+    None,
+}
+
+impl Anchors {
+    /// States the value of a quantity.
+    pub fn state(&mut self, quantity: &str, value: f64, std_dev: f64) {
+        let known = StatedAnchor::Known(Estimate { value, std_dev });
+        self.quantities.insert(quantity.to_owned(), known);
+    }
+
+    /// Removes the default anchor of a quantity.
+    pub fn remove(&mut self, quantity: &str) {
+        self.quantities.insert(quantity.to_owned(), StatedAnchor::Nothing(NoAnchor::None));
+    }
+
+    /// Takes anchors as they are written on the command line: `F=50:0.5` is 50 ± 0.5, `F=50:1%` has a relative σ, and
+    /// `F=none` removes a default anchor.
+    ///
+    /// An error if a text is none of these, or if two name one quantity.
+    pub fn state_all(&mut self, texts: &[String]) -> Result<()> {
+        let mut named = Vec::new();
+        for text in texts {
+            let Some((quantity, anchor)) = parsed(text) else {
+                return Err(Error::invalid(format!(
+                    "'{text}' is not an anchor: write NAME=VALUE:SIGMA as in F=50:0.5 or F=50:1%, or \
+                     NAME=none for no anchor"
+                )));
+            };
+            if named.contains(&quantity) {
+                return Err(Error::invalid(format!("'{text}' anchors a quantity a second time")));
+            }
+            self.quantities.insert(quantity.clone(), anchor);
+            named.push(quantity);
+        }
+        Ok(())
+    }
+
+    /// The stated values.
+    #[must_use]
+    pub fn stated(&self) -> Vec<Anchor> {
+        let known = |(quantity, stated): (&String, &StatedAnchor)| match *stated {
+            StatedAnchor::Known(Estimate { value, std_dev }) => {
+                Some(Anchor { quantity: quantity.clone(), value, std_dev })
+            }
+            StatedAnchor::Nothing(NoAnchor::None) => None,
+        };
+        self.quantities.iter().filter_map(known).collect()
+    }
+
+    /// Whether a value is stated for a quantity.
+    pub(super) fn knows(&self, quantity: &str) -> bool {
+        matches!(self.quantities.get(quantity), Some(StatedAnchor::Known(_)))
+    }
+
+    /// Whether a quantity has its default anchor.
+    pub(super) fn is_default(&self, quantity: &str) -> bool {
+        self.default && !self.quantities.contains_key(quantity)
+    }
+}
+
+/// Quantity and anchor of a text such as `F=50:1%`; `None` if it is not one.
+fn parsed(text: &str) -> Option<(String, StatedAnchor)> {
+    let (quantity, known) = text.split_once('=')?;
+    let anchor = match known.trim() {
+        "none" => StatedAnchor::Nothing(NoAnchor::None),
+        known => {
+            let (value, std_dev) = known.split_once(':')?;
+            let value: f64 = value.trim().parse().ok()?;
+            let std_dev = match std_dev.trim().strip_suffix('%') {
+                Some(percent) => value.abs() * percent.trim().parse::<f64>().ok()? / 100.0,
+                None => std_dev.trim().parse().ok()?,
+            };
+            StatedAnchor::Known(Estimate { value, std_dev })
+        }
+    };
+    Some((quantity.trim().to_owned(), anchor))
+}
+
+/// Options of a calibration. Their docs are the help of the command line.
+// Parameter names in the help are not code.
+#[allow(clippy::doc_markdown)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Args)]
+#[serde(default, deny_unknown_fields)]
 pub struct CalibrationOptions {
-    /// What is estimated.
-    pub mode: Mode,
-    /// How observations are weighted.
-    pub weights: Weights,
-    /// The cost. Without ρ in it, the white images' q'ᵢ are in it, and with them the fᵢ. Its anchors are those that
-    /// the user states. Its `anchor_weight` is not used: that
-    /// of these options is, or a measured one ([`Calibration::cost`](crate::calibration::Calibration::cost)
-    /// has it).
-    pub cost: CostOptions,
-    /// Whether to use a robust loss where the observations state their σ, whatever `cost` says: without
-    /// σ a loss has no scale.
-    pub automatic_loss: bool,
-    /// Whether to anchor what datasheet, white images and sensor say.
-    pub default_anchors: bool,
-    /// Quantities without a default anchor.
-    pub not_anchored: Vec<String>,
-    /// What the board is taken for.
-    pub board: BoardModel,
-    /// e_z to begin with, or to keep if `cost` fixes it, mm; if not given, that of the start (0 of a datasheet).
-    pub exit_pupil_mm: Option<f64>,
-    /// κ to begin with, or to keep, mm⁻¹, likewise.
-    pub field_curvature_per_mm: Option<f64>,
-    /// κ_m to begin with, or to keep, mm⁻¹, likewise.
-    pub field_curvature_growth_per_mm: Option<f64>,
-    /// Its minimisation.
-    pub solver: SolverOptions,
-    /// w of the anchors; measured if not given.
-    pub anchor_weight: Option<f64>,
-    /// Poses of boards to begin with; those of other frames are found.
-    pub poses: Vec<FramePose>,
-    /// Frames that are not used.
+    /// Frames to leave out, e.g. 3,7.
+    #[arg(long = "exclude", alias = "exclude-frames", value_name = "LIST", value_delimiter = ',')]
     pub exclude_frames: Vec<u32>,
+    /// What to estimate [default: full].
+    #[arg(long)]
+    pub mode: Mode,
+    /// One micro-lens pitch, or one along x and one along y [default: one].
+    #[arg(long)]
+    pub pitches: Pitches,
+    /// Where the exit pupil of the main lens is, on its axis: estimated; at-lens (the paper); or its distance from the
+    /// lens in mm, negative towards the array, to keep it there [default: estimated].
+    #[arg(long, value_name = "PLACE")]
+    pub exit_pupil: ExitPupil,
+    /// How images of a plane are curved [default: estimated].
+    #[arg(long)]
+    pub field_curvature: FieldCurvature,
+    /// What the board is taken for [default: auto].
+    #[arg(long)]
+    pub board: BoardModel,
+    /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, kappa, kappa_m, e_z, u0, v0, d,
+    /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect. (e_x and e_y are
+    /// 0 unless they are anchored, and dC_ratio is fixed unless --pitches two.)
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub fix: Vec<String>,
+    /// What is known beforehand: `[calibration.anchors]`, --anchors and --anchor.
+    #[arg(skip)]
+    pub anchors: Anchors,
+    /// How much the anchors weigh against observations, whose errors are not independent: a factor on their squared
+    /// residuals [default: measured, see calibration.json].
+    #[arg(long, value_name = "W")]
+    pub anchor_weight: Option<f64>,
+    /// Weights of observations [default: own].
+    #[arg(long)]
+    pub weights: Weights,
+    /// Where the focal lengths of the micro-lenses come from [default: white-images].
+    #[arg(long)]
+    pub blur: Blur,
+    /// Standard deviation of u and v of a feature, px [default: 1]. Where the file states one for each feature, this
+    /// multiplies it; so do the next two.
+    #[arg(long = "uv-std-dev", value_name = "PX")]
+    pub uv_std_dev_px: f64,
+    /// Standard deviation of rho, px [default: 1].
+    #[arg(long = "rho-std-dev", value_name = "PX")]
+    pub rho_std_dev_px: f64,
+    /// Standard deviation of u and v of a micro-image centre, px [default: 1].
+    #[arg(long = "centers-std-dev", value_name = "PX")]
+    pub centers_std_dev_px: f64,
+    /// Robust loss on the norm of every observation's residual [default: huber with a scale of 4 if every feature has a
+    /// standard deviation of its own, else none].
+    #[arg(long)]
+    pub loss: Option<LossKind>,
+    /// Residual beyond which the loss acts, in standard deviations [default: 1].
+    #[arg(long, value_name = "N")]
+    pub loss_scale: Option<f64>,
+    /// Maximum number of iterations [default: 200].
+    #[arg(long, value_name = "N")]
+    pub max_iterations: usize,
+    /// Threads of the solver; with 1 results repeat to the last bit, with more they differ by rounding [default: all
+    /// cores].
+    #[arg(long, value_name = "N")]
+    pub threads: usize,
+    /// Whether to jump to the extrapolated limit of the steps when they converge slowly; if false, Ceres does all the
+    /// work.
+    #[arg(skip)]
+    pub extrapolate: bool,
+    /// Poses of boards to begin with; those of other frames are found.
+    #[arg(skip)]
+    #[serde(skip)]
+    pub poses: Vec<FramePose>,
 }
 
 impl Default for CalibrationOptions {
     fn default() -> Self {
+        let (cost, solver) = (CostOptions::default(), SolverOptions::default());
         Self {
-            mode: Mode::default(),
-            weights: Weights::default(),
-            cost: CostOptions {
-                rho: false,
-                fixed: FIXED.map(str::to_owned).to_vec(),
-                ..CostOptions::default()
-            },
-            automatic_loss: true,
-            default_anchors: true,
-            not_anchored: Vec::new(),
-            board: BoardModel::Auto,
-            exit_pupil_mm: None,
-            field_curvature_per_mm: None,
-            field_curvature_growth_per_mm: None,
-            solver: SolverOptions::default(),
-            anchor_weight: None,
-            poses: Vec::new(),
             exclude_frames: Vec::new(),
+            mode: Mode::default(),
+            pitches: Pitches::default(),
+            exit_pupil: ExitPupil::default(),
+            field_curvature: FieldCurvature::default(),
+            board: BoardModel::default(),
+            fix: Vec::new(),
+            anchors: Anchors::default(),
+            anchor_weight: None,
+            weights: Weights::default(),
+            blur: Blur::default(),
+            uv_std_dev_px: cost.uv_std_dev_px,
+            rho_std_dev_px: cost.rho_std_dev_px,
+            centers_std_dev_px: cost.centers_std_dev_px,
+            loss: None,
+            loss_scale: None,
+            max_iterations: solver.max_iterations,
+            threads: solver.threads,
+            extrapolate: solver.extrapolate,
+            poses: Vec::new(),
         }
     }
 }
 
-impl Start {
-    /// Kind of the array, its columns and rows; where they are not stated, those of its centres.
-    pub(super) fn array(&self, centers: &[MicroImageCenter]) -> (LatticeKind, (i32, i32)) {
-        match self {
-            Self::Datasheet(sheet, _) => (sheet.lattice_kind, sheet.array_size_by(centers)),
-            Self::Camera(camera) => {
-                (camera.lattice.kind(), (camera.lattice.columns, camera.lattice.rows))
-            }
-        }
-    }
-
-    /// Number I of lens types.
-    #[must_use]
-    pub fn lens_types(&self) -> usize {
-        match self {
-            Self::Datasheet(sheet, _) => sheet.lens_types,
-            Self::Camera(camera) => camera.lens_types(),
-        }
-    }
-
-    /// The internal parameters; `None` for a calibrated camera.
-    pub(super) fn internal(&self) -> Option<&InternalParameters> {
-        match self {
-            Self::Datasheet(_, internal) => Some(internal),
-            Self::Camera(_) => None,
-        }
-    }
-
-    /// The sensor.
-    pub(super) fn sensor(&self) -> &Sensor {
-        match self {
-            Self::Datasheet(sheet, _) => &sheet.sensor,
-            Self::Camera(camera) => &camera.sensor,
-        }
-    }
-
-    /// This start, without lens types if the mode has none.
-    pub(super) fn for_mode(&self, mode: Mode) -> Self {
-        let mut start = self.clone();
-        if mode == Mode::CornersOnly {
-            match &mut start {
-                Self::Datasheet(sheet, _) => sheet.lens_types = 0,
-                Self::Camera(camera) => camera.mla.focal_lengths_mm.clear(),
-            }
-        }
-        start
-    }
-
-    /// An error that names the impossible value.
-    pub(super) fn validate(&self) -> Result<()> {
-        match self {
-            Self::Datasheet(sheet, internal) => {
-                sheet.validate()?;
-                internal.validate(sheet.lens_types)
-            }
-            Self::Camera(camera) => camera.validate(),
-        }
-    }
-}
+/// The method of the paper in the words of `[calibration]`.
+const PAPER: &str = "
+exit_pupil = \"at-lens\"
+field_curvature = \"flat\"
+board = \"flat\"
+blur = \"features\"
+weights = \"unit\"
+loss = \"none\"
+anchors.default = false
+";
 
 impl CalibrationOptions {
-    /// The calibration of the paper: every observation has the same weight, no loss, no anchors, the exit
-    /// pupil in the lens, a flat field, f from ρ, a flat board.
+    /// The calibration of the paper: every observation has the same weight, no loss, no anchors, the exit pupil in the
+    /// lens, a flat field, f from ρ, a flat board.
+    // The text is constant.
+    #[allow(clippy::missing_panics_doc)]
     #[must_use]
     pub fn paper() -> Self {
-        Self {
-            weights: Weights::Unit,
-            automatic_loss: false,
-            default_anchors: false,
-            board: BoardModel::Flat,
-            exit_pupil_mm: Some(0.0),
-            field_curvature_per_mm: Some(0.0),
-            field_curvature_growth_per_mm: Some(0.0),
-            cost: CostOptions {
-                fixed: BEYOND_THE_PAPER.map(str::to_owned).to_vec(),
-                ..CostOptions::default()
+        toml::from_str(PAPER).expect("the method of the paper consists of options")
+    }
+
+    /// Options from `[calibration]` of a project file: the values of its `method`, and those beside it in their place.
+    pub(crate) fn from_table(mut stated: Table) -> std::result::Result<Self, toml::de::Error> {
+        let method = stated.remove("method").map(Method::deserialize).transpose()?;
+        let mut options = match method.unwrap_or_default() {
+            Method::Full => Table::new(),
+            Method::Paper => PAPER.parse()?,
+        };
+        merge(&mut options, stated);
+        options.try_into()
+    }
+
+    /// The cost without default anchors.
+    pub(super) fn cost(&self) -> CostOptions {
+        CostOptions {
+            uv_std_dev_px: self.uv_std_dev_px,
+            rho_std_dev_px: self.rho_std_dev_px,
+            centers_std_dev_px: self.centers_std_dev_px,
+            rho: self.has_rho(),
+            loss: Loss {
+                kind: self.loss.unwrap_or(LossKind::None),
+                scale: self.loss_scale.unwrap_or(1.0),
             },
-            ..Self::default()
+            fixed: self.fixed(),
+            anchors: self.anchors.stated(),
+            ..CostOptions::default()
         }
+    }
+
+    /// Whether the ρ of features is in the cost.
+    #[must_use]
+    pub fn has_rho(&self) -> bool {
+        self.blur == Blur::Features
+    }
+
+    /// Names of the parameters of camera and board that keep their value.
+    pub(super) fn fixed(&self) -> Vec<String> {
+        let exit_pupil = matches!(self.exit_pupil, ExitPupil::At(_));
+        let implied = [
+            ("dC_ratio", self.pitches == Pitches::One),
+            ("e_z", exit_pupil),
+            ("kappa", self.field_curvature == FieldCurvature::Flat),
+            ("kappa_m", self.field_curvature != FieldCurvature::Estimated),
+            // What is known of them makes them parameters: images alone hardly determine them.
+            ("e_x", !self.anchors.knows("e_x")),
+            ("e_y", !self.anchors.knows("e_y")),
+        ];
+        let implied = implied.into_iter().filter(|(_, fixed)| *fixed);
+        implied.map(|(name, _)| name.to_owned()).chain(self.fix.iter().cloned()).collect()
+    }
+
+    /// e_z where it is stated, mm.
+    pub(super) fn exit_pupil_mm(&self) -> Option<f64> {
+        match self.exit_pupil {
+            ExitPupil::At(place) => Some(place),
+            ExitPupil::Estimated => None,
+        }
+    }
+
+    /// The minimisation.
+    pub(super) fn solver(&self) -> SolverOptions {
+        SolverOptions {
+            max_iterations: self.max_iterations,
+            threads: self.threads,
+            extrapolate: self.extrapolate,
+            ..SolverOptions::default()
+        }
+    }
+
+    /// These options for a calibration from corners only: without what they say of the focal lengths of micro-lenses.
+    #[must_use]
+    pub fn of_corners_only(&self) -> Self {
+        let mut options = Self { mode: Mode::CornersOnly, ..self.clone() };
+        let remains = |name: &String| !name.starts_with("f_");
+        options.fix.retain(remains);
+        options.anchors.quantities.retain(|name, _| remains(name));
+        options
     }
 
     /// These options for poses of a board of this shape alone: without what they say of camera and board, which are
@@ -210,11 +473,9 @@ impl CalibrationOptions {
         Self {
             mode: Mode::PosesOnly,
             board: BoardModel::Known(shape),
-            exit_pupil_mm: None,
-            field_curvature_per_mm: None,
-            field_curvature_growth_per_mm: None,
-            not_anchored: Vec::new(),
-            cost: CostOptions { anchors: Vec::new(), ..self.cost.clone() },
+            exit_pupil: ExitPupil::Estimated,
+            field_curvature: FieldCurvature::Estimated,
+            anchors: Anchors { default: self.anchors.default, ..Anchors::default() },
             ..self.clone()
         }
     }
@@ -231,8 +492,8 @@ impl CalibrationOptions {
         let kept: Vec<String> = kept.map(|(name, _)| name.to_owned()).collect();
         decided.board = if kept.len() == SHAPE { BoardModel::Flat } else { BoardModel::Bent };
         if decided.board == BoardModel::Bent {
-            let new = kept.into_iter().filter(|name| !self.cost.fixed.contains(name));
-            decided.cost.fixed.extend(new);
+            let new = kept.into_iter().filter(|name| !self.fix.contains(name));
+            decided.fix.extend(new);
         }
         decided
     }
@@ -256,9 +517,9 @@ impl CalibrationOptions {
         if self.mode == Mode::PosesOnly && matches!(start, Start::Datasheet(..)) {
             return Err(Error::NotCalibrated);
         }
-        let stated =
-            [self.exit_pupil_mm, self.field_curvature_per_mm, self.field_curvature_growth_per_mm];
-        if self.mode == Mode::PosesOnly && stated.iter().any(Option::is_some) {
+        let stated = self.exit_pupil != ExitPupil::Estimated
+            || self.field_curvature != FieldCurvature::Estimated;
+        if self.mode == Mode::PosesOnly && stated {
             return Err(Error::invalid(
                 "the camera is fixed where only poses are estimated: leave out where its exit pupil is and \
                  whether its field is flat",
@@ -270,7 +531,7 @@ impl CalibrationOptions {
                  camera: give the shape that it had there",
             ));
         }
-        let is_fixed = |name: &str| self.cost.fixed.iter().any(|fixed| fixed == name);
+        let is_fixed = |name: &str| self.fix.iter().any(|fixed| fixed == name);
         if self.board == BoardModel::Bent && shape_names().all(is_fixed) {
             return Err(Error::invalid(format!(
                 "the board is to be bent by what comes out, but {} are fixed: free one of them, or take the board to \
@@ -278,23 +539,27 @@ impl CalibrationOptions {
                 shape_names().collect::<Vec<_>>().join(", ")
             )));
         }
-        positive(self.cost.uv_std_dev_px, "the standard deviation of (u, v) (px)")?;
-        positive(self.cost.rho_std_dev_px, "the standard deviation of rho (px)")?;
-        if self.mode == Mode::Full && !self.cost.rho && (self.cost.rho_std_dev_px - 1.0).abs() > 0.0
-        {
+        positive(self.uv_std_dev_px, "the standard deviation of (u, v) (px)")?;
+        positive(self.rho_std_dev_px, "the standard deviation of rho (px)")?;
+        if self.mode == Mode::Full && !self.has_rho() && (self.rho_std_dev_px - 1.0).abs() > 0.0 {
             return Err(Error::invalid(
                 "a standard deviation of rho is given, but rho does not count: let it count (blur = \
                  \"features\"), or leave the standard deviation out",
             ));
         }
-        positive(self.cost.centers_std_dev_px, "the standard deviation of the centres (px)")?;
-        positive(self.cost.loss.scale, "the scale of the loss")?;
+        positive(self.centers_std_dev_px, "the standard deviation of the centres (px)")?;
+        if self.loss_scale.is_some() && matches!(self.loss, None | Some(LossKind::None)) {
+            return Err(Error::invalid(
+                "a loss scale is given, but no loss: choose one with --loss",
+            ));
+        }
+        positive(self.loss_scale.unwrap_or(1.0), "the scale of the loss")?;
         positive(self.anchor_weight.unwrap_or(1.0), "the weight of the anchors")?;
-        if self.solver.max_iterations == 0 || self.solver.threads == 0 {
+        if self.max_iterations == 0 || self.threads == 0 {
             return Err(Error::invalid("iterations and threads have to be at least 1"));
         }
         let known = shared_parameters(start.lens_types());
-        for name in &self.cost.fixed {
+        for name in &self.fix {
             if !known.iter().any(|parameter| parameter.name == *name) {
                 let names: Vec<&str> = known.iter().map(|p| p.name).collect();
                 return Err(Error::invalid(format!(
@@ -304,5 +569,71 @@ impl CalibrationOptions {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use toml::Value;
+
+    use super::*;
+    use crate::detection::DepthEstimator;
+    use crate::image::Color;
+    use crate::model::Subset;
+    use crate::precalibration::RadiusEstimator;
+
+    fn of(text: &str) -> CalibrationOptions {
+        CalibrationOptions::from_table(text.parse().unwrap()).unwrap()
+    }
+
+    #[test]
+    fn options_beside_a_method_take_precedence() {
+        assert_eq!(of(""), CalibrationOptions::default());
+        assert_eq!(of("method = \"paper\""), CalibrationOptions::paper());
+        let mixed =
+            of("method = \"paper\"\nloss = \"huber\"\nanchors.F = { value = 50, std_dev = 1 }");
+        assert_eq!(mixed.loss, Some(LossKind::Huber));
+        assert!(mixed.anchors.knows("F") && !mixed.anchors.default);
+        assert_eq!(mixed.board, BoardModel::Flat);
+        assert!(CalibrationOptions::from_table("method = \"other\"".parse().unwrap()).is_err());
+    }
+
+    #[test]
+    fn anchors_are_read_as_they_are_written_on_the_command_line() {
+        let mut anchors = Anchors::default();
+        let texts = ["F=50:1%", "u0=none", "d = 1:0.1"].map(str::to_owned);
+        anchors.state_all(&texts).unwrap();
+        let found: Vec<(String, f64, f64)> =
+            anchors.stated().into_iter().map(|a| (a.quantity, a.value, a.std_dev)).collect();
+        assert_eq!(found, [("F".to_owned(), 50.0, 0.5), ("d".to_owned(), 1.0, 0.1)]);
+        assert!(!anchors.is_default("u0") && anchors.is_default("v0"));
+        for wrong in ["F", "F=50", "F=50:x"] {
+            assert!(anchors.state_all(&[wrong.to_owned()]).is_err(), "{wrong}");
+        }
+        assert!(anchors.state_all(&["F=1:1".to_owned(), "F=2:1".to_owned()]).is_err());
+    }
+
+    fn is_read<T: ValueEnum + for<'a> Deserialize<'a> + PartialEq>() {
+        for value in T::value_variants() {
+            let name = value.to_possible_value().expect("it is not skipped").get_name().to_owned();
+            let read: T = Value::String(name.clone()).try_into().expect("it is a name");
+            assert!(read == *value, "{name}");
+        }
+    }
+
+    #[test]
+    fn choices_have_one_name_in_files_and_on_the_command_line() {
+        is_read::<Method>();
+        is_read::<Mode>();
+        is_read::<BoardModel>();
+        is_read::<Weights>();
+        is_read::<Pitches>();
+        is_read::<FieldCurvature>();
+        is_read::<Blur>();
+        is_read::<LossKind>();
+        is_read::<Subset>();
+        is_read::<DepthEstimator>();
+        is_read::<RadiusEstimator>();
+        is_read::<Color>();
     }
 }

@@ -8,7 +8,8 @@ use crate::calibration::checks::{check_indices, check_observations, without_fram
 use crate::calibration::focus::refocused;
 use crate::calibration::frames::{Frames, given_frames, initial_frames};
 use crate::calibration::{
-    BlurMeasurement, CalibrationOptions, LeftOut, Start, Weights, initial_camera,
+    BlurMeasurement, CalibrationOptions, FieldCurvature, LeftOut, Mode, Start, Weights,
+    initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
@@ -42,7 +43,10 @@ pub(super) fn prepared(
     observations: &Observations,
     options: &CalibrationOptions,
 ) -> Result<Prepared> {
-    let start = start.for_mode(options.mode);
+    let start = match options.mode {
+        Mode::CornersOnly => start.of_pinholes(),
+        Mode::Full | Mode::PosesOnly => start.clone(),
+    };
     start.validate()?;
     options.validate(&start)?;
     check_anchors(options, start.lens_types())?;
@@ -76,7 +80,7 @@ impl Prepared {
             check_indices(&at.camera, grid.as_ref(), observations)?;
             (&at.camera, given_frames(observations, &at.poses))
         } else {
-            let cost = (&options.cost, &options.solver);
+            let cost = (&options.cost(), &options.solver());
             (initial, initial_frames(initial, board, observations, cost, &options.poses)?)
         };
         if frames.poses.is_empty() {
@@ -133,7 +137,7 @@ fn start_camera(
 ) -> Result<PlenopticCamera> {
     let mut camera = match (start, grid) {
         (Start::Datasheet(datasheet, internal), Some(grid)) => {
-            initial_camera(datasheet, internal, grid, options.exit_pupil_mm.unwrap_or(0.0))?
+            initial_camera(datasheet, internal, grid, options.exit_pupil_mm().unwrap_or(0.0))?
         }
         (Start::Datasheet(..), None) => return Err(Error::NoCenters),
         (Start::Camera(camera), Some(grid)) if camera.lattice != grid.lattice => {
@@ -145,11 +149,13 @@ fn start_camera(
         (Start::Camera(camera), _) => camera.clone(),
     };
     let lens = &mut camera.main_lens;
-    lens.exit_pupil_mm.z = options.exit_pupil_mm.unwrap_or(lens.exit_pupil_mm.z);
-    lens.field_curvature_per_mm =
-        options.field_curvature_per_mm.unwrap_or(lens.field_curvature_per_mm);
-    lens.field_curvature_growth_per_mm =
-        options.field_curvature_growth_per_mm.unwrap_or(lens.field_curvature_growth_per_mm);
+    lens.exit_pupil_mm.z = options.exit_pupil_mm().unwrap_or(lens.exit_pupil_mm.z);
+    if options.field_curvature == FieldCurvature::Flat {
+        lens.field_curvature_per_mm = 0.0;
+    }
+    if options.field_curvature != FieldCurvature::Estimated {
+        lens.field_curvature_growth_per_mm = 0.0;
+    }
     camera.validate()?;
     Ok(camera)
 }

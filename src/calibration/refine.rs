@@ -108,7 +108,8 @@ impl Settings<'_> {
 
     /// The cost where a problem is, without a step.
     pub fn evaluate(&self, problem: &Problem, mut cost: CostOptions) -> Result<Refined> {
-        let solver = SolverOptions { max_iterations: 0, extrapolate: false, ..self.options.solver };
+        let solver =
+            SolverOptions { max_iterations: 0, extrapolate: false, ..self.options.solver() };
         cost.anchor_weight = self.options.anchor_weight.unwrap_or(FIRST_WEIGHT);
         let mut uncertainty = self.uncertainty(problem, &cost)?;
         if self.options.anchor_weight.is_none() && !cost.anchors.is_empty() {
@@ -127,13 +128,13 @@ impl Settings<'_> {
     }
 
     fn uncertainty(&self, at: &Problem, cost: &CostOptions) -> Result<Uncertainty> {
-        solver::uncertainty(at, cost, &self.common, self.options.solver.threads)
+        solver::uncertainty(at, cost, &self.common, self.options.threads)
     }
 
     /// Iterations that the options still allow.
     fn left(&self, so_far: Option<&Refinement>) -> usize {
         let done = so_far.map_or(0, |refinement| refinement.iterations.len().saturating_sub(1));
-        self.options.solver.max_iterations.saturating_sub(done)
+        self.options.max_iterations.saturating_sub(done)
     }
 }
 
@@ -172,7 +173,7 @@ fn refine(
         frames.left_out.len(),
         problem.centers.len()
     );
-    let solver = SolverOptions { max_iterations, ..options.solver };
+    let solver = SolverOptions { max_iterations, ..options.solver() };
     let mut refinement = solver::refine(problem, cost, &solver, progress)?;
     check_refined(&refinement)?;
     for _ in 0..if rough { 0 } else { MAX_RECONSIDERATIONS } {
@@ -181,7 +182,7 @@ fn refine(
         }
         let refined = at_end(problem, Some(&refinement));
         // If a repetition fails, the present result stands.
-        let Ok(Some(poses)) = reconsidered_poses(&refined, frames, cost, &options.solver) else {
+        let Ok(Some(poses)) = reconsidered_poses(&refined, frames, cost, &options.solver()) else {
             break;
         };
         info!("refining again: the tilt of some boards changes its sign");
@@ -192,7 +193,7 @@ fn refine(
         }
         let poses: Vec<Isometry3<f64>> = poses.iter().map(|p| p.camera_from_board).collect();
         let again = Problem { poses: &poses, ..refined };
-        let solver = SolverOptions { max_iterations, ..options.solver };
+        let solver = SolverOptions { max_iterations, ..options.solver() };
         match solver::refine(&again, cost, &solver, progress) {
             Ok(again) if again.cost < refinement.cost && check_refined(&again).is_ok() => {
                 refinement = refinement.followed_by(again);

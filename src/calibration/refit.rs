@@ -153,7 +153,7 @@ impl<'a> Refit<'a> {
 
     /// With one thread: several are solved at a time.
     fn solver(&self) -> SolverOptions {
-        SolverOptions { threads: 1, ..self.calibration.options.solver }
+        SolverOptions { threads: 1, ..self.calibration.options.solver() }
     }
 
     fn cost_without(&self, parameters: &[&str]) -> CostOptions {

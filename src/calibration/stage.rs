@@ -161,7 +161,7 @@ fn withstanding(
 ) -> Result<(Settled, Option<Finding>)> {
     let settled = settings.refine_with_board(problem, cost, anchors, progress)?;
     let refinement = &settled.refined.refinement;
-    let has_loss = !settings.options.automatic_loss || cost.loss.kind != LossKind::None;
+    let has_loss = settings.options.loss.is_some() || cost.loss.kind != LossKind::None;
     if has_loss || refinement.termination == Termination::Stopped {
         return Ok((settled, None));
     }
@@ -196,9 +196,9 @@ fn cost_for(
     observations: &Observations,
     anchors: &[(Anchor, AnchorSource)],
 ) -> CostOptions {
-    let mut cost = options.cost.clone();
+    let mut cost = options.cost();
     cost.anchors = anchors.iter().map(|(anchor, _)| anchor.clone()).collect();
-    if options.automatic_loss {
+    if options.loss.is_none() {
         let stated = observations.features.iter().all(|f| f.std_dev_px.is_some());
         cost.loss.kind = if stated { LossKind::Huber } else { LossKind::None };
         cost.loss.scale = LOSS_SCALE;

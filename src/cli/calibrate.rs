@@ -4,23 +4,19 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use plenocal::assessment::{ModelComparison, assess, compare_models, comparison_steps};
-use plenocal::calibration::{Calibration, Mode, Solution, Weights, calibrate, termination_text};
-use plenocal::io::{
-    self, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil, FieldCurvature, Method,
-    OutputFolder, Pitches, compote,
+use plenocal::calibration::{
+    Anchors, Calibration, CalibrationOptions, Method, Solution, calibrate, termination_text,
 };
+use plenocal::io::{self, OutputFolder, Project, compote};
 use plenocal::model::{Board, shared_parameters};
-use plenocal::solver::{LossKind, Termination};
+use plenocal::solver::Termination;
 use plenocal::{Error, Result, report};
 
-use super::choices::{
-    ANCHORS, BLURS, BOARD_MODELS, FIELD_CURVATURES, LOSSES, METHODS, MODES, PITCHES, WEIGHTS,
-    choice,
-};
 use super::cost;
 use super::evaluate::calibrated;
+use super::given::Given;
 use super::input::{Files, Input};
 use super::progress;
 use super::talk::{print_result, say, tell, warn};
@@ -61,49 +57,22 @@ pub struct Arguments {
     /// Poses of the boards to start from (poses.json, COMPOTE's poses.js); those of other frames are found.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     poses: Option<PathBuf>,
-    /// Frames to leave out, e.g. 3,7.
-    #[arg(
-        long,
-        alias = "exclude-frames",
-        value_name = "LIST",
-        value_delimiter = ',',
-        help_heading = "Input"
-    )]
-    exclude: Option<Vec<u32>>,
+    /// Replace a value of the project, e.g. calibration.extrapolate=false; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE", help_heading = "Input")]
+    set: Vec<String>,
 
     /// Set of options to begin with; options beside it take precedence [default: full].
-    #[arg(long, value_parser = choice(METHODS), help_heading = "Estimation")]
+    #[arg(long, help_heading = "Estimation")]
     method: Option<Method>,
-    /// What to estimate [default: full].
-    #[arg(long, value_parser = choice(MODES), help_heading = "Estimation")]
-    mode: Option<Mode>,
-    /// One micro-lens pitch, or one along x and one along y [default: one].
-    #[arg(long, value_parser = choice(PITCHES), help_heading = "Estimation")]
-    pitches: Option<Pitches>,
-    /// Where the exit pupil of the main lens is, on its axis: estimated; at-lens (the paper); or its distance
-    /// from the lens in mm, negative towards the array, to keep it there [default: estimated].
-    #[arg(long, value_name = "PLACE", help_heading = "Estimation")]
-    exit_pupil: Option<ExitPupil>,
-    /// How images of a plane are curved [default: estimated].
-    #[arg(long, value_parser = choice(FIELD_CURVATURES), help_heading = "Estimation")]
-    field_curvature: Option<FieldCurvature>,
-    /// What the board is taken for [default: auto].
-    #[arg(long, value_parser = choice(BOARD_MODELS), help_heading = "Estimation")]
-    board: Option<BoardChoice>,
+    #[command(flatten, next_help_heading = "Estimation")]
+    options: Given<CalibrationOptions>,
     /// The board has the shape that a calibration has found: its calibration.json. With --mode poses-only, that
     /// beside the camera counts by itself if the board is the same.
     #[arg(long, value_name = "FILE", conflicts_with = "board", help_heading = "Estimation")]
     board_shape: Option<PathBuf>,
-    /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, kappa, kappa_m, e_z, u0, v0, d,
-    /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect. (e_x and e_y are 0, and dC_ratio is fixed unless
-    /// --pitches two.)
-    #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Estimation")]
-    fix: Option<Vec<String>>,
-    /// What is known of the camera before any board is seen: the focal length of the datasheet to 3 %,
-    /// m of the white images to 2 %, the axis in the middle of the sensor to 0.5 mm; or nothing
-    /// [default: default].
-    #[arg(long, value_parser = choice(ANCHORS), help_heading = "Estimation")]
-    anchors: Option<bool>,
+    /// What is known of the camera before any board is seen [default: default].
+    #[arg(long, help_heading = "Estimation")]
+    anchors: Option<DefaultAnchors>,
     /// What you know of a parameter or of m, in the units of camera.json: F=50:0.5 for 50 mm to 0.5 mm, or
     /// F=50:1%. Takes the place of a default anchor; F=none removes it.
     #[arg(
@@ -112,41 +81,7 @@ pub struct Arguments {
         value_delimiter = ',',
         help_heading = "Estimation"
     )]
-    anchor: Option<Vec<String>>,
-    /// How much the anchors weigh against observations, whose errors are not independent: a factor on
-    /// their squared residuals [default: measured, see calibration.json].
-    #[arg(long, value_name = "W", help_heading = "Estimation")]
-    anchor_weight: Option<f64>,
-    /// Weights of observations [default: own].
-    #[arg(long, value_parser = choice(WEIGHTS), help_heading = "Estimation")]
-    weights: Option<Weights>,
-    /// Where the focal lengths of the micro-lenses come from [default: white-images].
-    #[arg(long, value_parser = choice(BLURS), help_heading = "Estimation")]
-    blur: Option<Blur>,
-    /// Standard deviation of u and v of a feature, px [default: 1]. Where the file states one for
-    /// each feature, this multiplies it; so do the next two.
-    #[arg(long, value_name = "PX", help_heading = "Estimation")]
-    uv_std_dev: Option<f64>,
-    /// Standard deviation of rho, px [default: 1].
-    #[arg(long, value_name = "PX", help_heading = "Estimation")]
-    rho_std_dev: Option<f64>,
-    /// Standard deviation of u and v of a micro-image centre, px [default: 1].
-    #[arg(long, value_name = "PX", help_heading = "Estimation")]
-    centers_std_dev: Option<f64>,
-    /// Robust loss on the norm of every observation's residual [default: huber with a scale of 4 if
-    /// every feature has a standard deviation of its own, else none].
-    #[arg(long, value_parser = choice(LOSSES), help_heading = "Estimation")]
-    loss: Option<LossKind>,
-    /// Residual beyond which the loss acts, in standard deviations [default: 1].
-    #[arg(long, value_name = "N", help_heading = "Estimation")]
-    loss_scale: Option<f64>,
-    /// Maximum number of iterations [default: 200].
-    #[arg(long, value_name = "N", help_heading = "Estimation")]
-    max_iterations: Option<usize>,
-    /// Threads of the solver; with 1 results repeat to the last bit, with more they differ by
-    /// rounding [default: all cores].
-    #[arg(long, value_name = "N", help_heading = "Estimation")]
-    threads: Option<usize>,
+    anchor: Vec<String>,
 
     /// Do not refine: say how large cost, gradient and residuals are at the --camera and the --poses that you have
     /// from elsewhere, and what one more step would gain. The cost is that of the project, anchors included.
@@ -167,6 +102,16 @@ pub struct Arguments {
     /// Also write COMPOTE's intrinsics.js and poses.js, into the folder compote/.
     #[arg(long, help_heading = "Output")]
     compote: bool,
+}
+
+/// Whether there are default anchors.
+#[derive(Clone, Copy, ValueEnum)]
+enum DefaultAnchors {
+    /// The focal length of the datasheet to 3 %, m of the white images to 2 %, the axis in the middle of the sensor to
+    /// 0.5 mm.
+    Default,
+    /// Only what --anchor states.
+    None,
 }
 
 const EXAMPLES: &str = "\
@@ -198,7 +143,9 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         ));
     }
     let export = arguments.export_problem.as_deref().map(OutputFolder::new).transpose()?;
-    let mut input = Input::read(&arguments.files(), arguments.options()?)?;
+    let project = arguments.project()?;
+    let options = arguments.options(&project)?;
+    let mut input = Input::read(&arguments.files(), &project, options)?;
     let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
     if let (true, Some(camera), Some(poses)) = (arguments.evaluate_only, &arguments.camera, &poses)
     {
@@ -323,41 +270,36 @@ pub(super) fn stage_results(
     output.stage("solver.txt", |out| out.write_all(calibration.refinement.report.as_bytes()))
 }
 
-/// `--anchors` and `--anchor`; `None` if neither is given.
-pub(super) fn anchors_section(
-    default: Option<bool>,
-    stated: Option<&[String]>,
-) -> Result<Option<AnchorsSection>> {
-    let mut section = AnchorsSection { default, ..AnchorsSection::default() };
-    for text in stated.into_iter().flatten() {
-        section.add_text(text)?;
-    }
-    Ok((section != AnchorsSection::default()).then_some(section))
+/// Values of the project to replace, with that of `--method`.
+pub(super) fn with_method(set: &[String], method: Option<Method>) -> Vec<String> {
+    let name = method.and_then(|method| method.to_possible_value());
+    let method = name.map(|name| format!("calibration.method={}", name.get_name()));
+    set.iter().cloned().chain(method).collect()
 }
 
 impl Arguments {
-    fn options(&self) -> Result<CalibrationSection> {
-        Ok(CalibrationSection {
-            method: self.method,
-            mode: self.mode,
-            pitches: self.pitches,
-            exit_pupil: self.exit_pupil,
-            field_curvature: self.field_curvature,
-            board: self.board,
-            blur: self.blur,
-            fix: self.fix.clone(),
-            exclude_frames: self.exclude.clone(),
-            anchors: anchors_section(self.anchors, self.anchor.as_deref())?,
-            anchor_weight: self.anchor_weight,
-            weights: self.weights,
-            uv_std_dev_px: self.uv_std_dev,
-            rho_std_dev_px: self.rho_std_dev,
-            centers_std_dev_px: self.centers_std_dev,
-            loss: self.loss,
-            loss_scale: self.loss_scale,
-            max_iterations: self.max_iterations,
-            threads: self.threads,
-        })
+    /// The project with the values that are replaced in it.
+    fn project(&self) -> Result<Project> {
+        let set = with_method(&self.set, self.method);
+        match &self.project {
+            Some(path) => Project::read_and_set(path, &set),
+            None => Project::of_values(&set),
+        }
+    }
+
+    /// The options of a project with those that are given here in their place.
+    fn options(&self, project: &Project) -> Result<CalibrationOptions> {
+        let mut options = project.calibration.clone();
+        self.options.apply(&mut options)?;
+        match self.anchors {
+            Some(DefaultAnchors::None) => {
+                options.anchors = Anchors { default: false, ..Anchors::default() };
+            }
+            Some(DefaultAnchors::Default) => options.anchors.default = true,
+            None => {}
+        }
+        options.anchors.state_all(&self.anchor)?;
+        Ok(options)
     }
 
     fn files(&self) -> Files<'_> {

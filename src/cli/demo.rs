@@ -35,6 +35,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         estimator: DepthEstimator::default(),
         exclude: None,
         method: None,
+        set: Vec::new(),
         corners_only: true,
         folds: 5,
         no_pictures: false,

@@ -11,7 +11,6 @@ use plenocal::precalibration::PrecalibrationOptions;
 use plenocal::{Result, report};
 
 use super::boards::{self, Options, Shoot};
-use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::precalibrate::{measure, stage_centers};
 use super::talk::{print_result, tell};
 
@@ -33,10 +32,10 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     precalibration: Option<PathBuf>,
     /// Which images of the project to search.
-    #[arg(long, value_parser = choice(SUBSETS), default_value = "calibration")]
+    #[arg(long, default_value = "calibration")]
     subset: Subset,
     /// How the virtual depth of a corner is estimated from the micro-images that show it.
-    #[arg(long, value_parser = choice(DEPTH_ESTIMATORS), default_value = "line")]
+    #[arg(long, default_value = "line")]
     estimator: DepthEstimator,
     /// Write no pictures.
     #[arg(long)]

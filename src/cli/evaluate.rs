@@ -13,7 +13,6 @@ use plenocal::model::{BapFeature, Board, PlenopticCamera, Subset};
 use plenocal::{Error, Result, report};
 
 use super::boards::{self, Options, Shoot, images_of};
-use super::choices::{DEPTH_ESTIMATORS, choice};
 use super::input::{Files, Input, board_shape, camera_source};
 use super::progress;
 use super::talk::{print_result, tell};
@@ -39,7 +38,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     precalibration: PathBuf,
     /// How the virtual depth of a corner is estimated.
-    #[arg(long, value_parser = choice(DEPTH_ESTIMATORS), default_value = "line")]
+    #[arg(long, default_value = "line")]
     estimator: DepthEstimator,
     /// The boards have the shape that a calibration has found: its calibration.json. Otherwise each camera has the
     /// board of the calibration.json beside it if that is the same board, else a flat one.
@@ -141,7 +140,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
                 evaluates: false,
             };
             let Input { start, observations, options, .. } =
-                Input::read(&files, io::CalibrationSection::default())?;
+                Input::read(&files, &project, project.calibration.clone())?;
             // Impossible folds are reported before the work, not after it.
             foldable_frames(&observations, &options, count)?;
             Some(Folds { start, observations, options, count })

@@ -13,7 +13,6 @@ use plenocal::{Result, report};
 
 use super::boards::{self, Options, Shoot};
 use super::calibrate::{stage_results, status};
-use super::choices::{DEPTH_ESTIMATORS, SUBSETS, choice};
 use super::evaluate::calibrated;
 use super::input::board_shape;
 use super::talk::{print_result, tell};
@@ -42,10 +41,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     board_shape: Option<PathBuf>,
     /// Which images of the project to search.
-    #[arg(long, value_parser = choice(SUBSETS), default_value = "evaluation")]
+    #[arg(long, default_value = "evaluation")]
     subset: Subset,
     /// How the virtual depth of a corner is estimated.
-    #[arg(long, value_parser = choice(DEPTH_ESTIMATORS), default_value = "line")]
+    #[arg(long, default_value = "line")]
     estimator: DepthEstimator,
     /// Print the result as one JSON object instead of tables.
     #[arg(long)]

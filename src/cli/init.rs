@@ -13,7 +13,6 @@ use plenocal::model::{Board, Datasheet};
 use plenocal::simulation::Settings;
 use plenocal::{Error, Result};
 
-use super::choices::{COLORS, choice};
 use super::simulate::preset_names;
 
 /// Write a project file for a folder of images.
@@ -45,7 +44,7 @@ pub struct Arguments {
     #[arg(long, value_name = "MM", value_parser = distance, help_heading = "Camera")]
     focus_distance: Option<f64>,
     /// What the samples of the images stand for [default: found from the images where possible].
-    #[arg(long, value_parser = choice(COLORS), help_heading = "Camera")]
+    #[arg(long, help_heading = "Camera")]
     color: Option<Color>,
 
     /// The checkerboard: inner corners along a row and along a column, and edge of a square in mm.

@@ -4,9 +4,8 @@ use std::path::{Path, PathBuf};
 
 use plenocal::calibration::{BoardModel, CalibrationOptions, Mode, Start};
 use plenocal::error::{Input as Part, Observed};
-use plenocal::io::{self, BoardChoice, CalibrationSection, CameraSource, Project};
+use plenocal::io::{self, CameraSource, Project};
 use plenocal::model::{Board, BoardShape, Datasheet, Observations, SHAPE};
-use plenocal::solver::LossKind;
 use plenocal::{Error, Result};
 
 use super::talk::warn;
@@ -35,34 +34,22 @@ pub struct Input {
 }
 
 impl Input {
-    /// Reads everything; `options` take precedence over those of the project.
-    pub fn read(files: &Files, options: CalibrationSection) -> Result<Self> {
-        let project = files.project.map(Project::read).transpose()?;
-        let section = match &project {
-            Some(project) => options.or(project.calibration.clone()),
-            None => options,
-        };
-        if section.loss_scale.is_some() && matches!(section.loss, None | Some(LossKind::None)) {
-            return Err(Error::Invalid(
-                "a loss scale is given, but no loss: choose one with --loss".to_owned(),
-            ));
-        }
-        let stated = section.board.filter(|choice| *choice != BoardChoice::Auto);
-        let mut options = section.options();
-        refuse_shape(stated, files.board_shape, options.mode)?;
-        let start = start(files, project.as_ref(), options.mode)?;
-        let board = match (files.scene, project.as_ref().and_then(|p| p.board)) {
+    /// Reads the files that are named, and takes the rest from the project.
+    pub fn read(files: &Files, project: &Project, mut options: CalibrationOptions) -> Result<Self> {
+        refuse_shape(options.board, files.board_shape, options.mode)?;
+        let start = start(files, project, options.mode)?;
+        let board = match (files.scene, project.board) {
             (Some(path), _) => io::read_board(path)?,
             (None, Some(board)) => board,
             (None, None) => return Err(missing(Part::Board)),
         };
-        let poses_only = options.mode == Mode::PosesOnly && stated.is_none();
-        let of_camera = files.camera.filter(|_| poses_only);
+        let open = options.mode == Mode::PosesOnly && options.board == BoardModel::Auto;
+        let of_camera = files.camera.filter(|_| open);
         if let Some((shape, _)) = board_shape(files.board_shape, of_camera, &board)? {
             options.board = BoardModel::Known(shape);
         }
-        let rho = options.cost.rho && options.mode != Mode::CornersOnly && start.lens_types() > 0;
-        let (observations, sources) = observations(files, project.as_ref(), rho)?;
+        let rho = options.has_rho() && options.mode != Mode::CornersOnly && start.lens_types() > 0;
+        let (observations, sources) = observations(files, project, rho)?;
         Ok(Self { start, board, observations, options, sources })
     }
 
@@ -83,11 +70,11 @@ impl Input {
 
 /// An error if a shape of the board, which a file states, contradicts what the board is taken for, or if a bent board is
 /// asked for where only poses are estimated.
-fn refuse_shape(stated: Option<BoardChoice>, shape: Option<&Path>, mode: Mode) -> Result<()> {
+fn refuse_shape(stated: BoardModel, shape: Option<&Path>, mode: Mode) -> Result<()> {
     let word = match stated {
-        Some(BoardChoice::Flat) => "flat",
-        Some(BoardChoice::Bent) => "bent",
-        Some(BoardChoice::Auto) | None => return Ok(()),
+        BoardModel::Flat => "flat",
+        BoardModel::Bent => "bent",
+        BoardModel::Auto | BoardModel::Known(_) => return Ok(()),
     };
     if let Some(shape) = shape {
         return Err(Error::invalid(format!(
@@ -134,7 +121,7 @@ fn missing(missing: Part) -> Error {
     Error::Missing { missing }
 }
 
-fn start(files: &Files, project: Option<&Project>, mode: Mode) -> Result<Start> {
+fn start(files: &Files, project: &Project, mode: Mode) -> Result<Start> {
     let of_project = files.project.filter(|_| files.evaluates && mode != Mode::PosesOnly);
     let path =
         of_project.or(files.camera).or(files.project).ok_or_else(|| missing(Part::Camera))?;
@@ -159,8 +146,8 @@ pub fn camera_source(path: &Path) -> Result<CameraSource> {
     Ok(source)
 }
 
-fn from_datasheet(sheet: Datasheet, files: &Files, project: Option<&Project>) -> Result<Start> {
-    let internal = match (files.params, project.and_then(Project::internal)) {
+fn from_datasheet(sheet: Datasheet, files: &Files, project: &Project) -> Result<Start> {
+    let internal = match (files.params, project.internal()) {
         (Some(path), _) => io::read_internal_parameters(path, Some(sheet.sensor.pixel_size_mm))?,
         (None, Some(internal)) => internal,
         (None, None) => return Err(missing(Part::InternalParameters)),
@@ -171,10 +158,10 @@ fn from_datasheet(sheet: Datasheet, files: &Files, project: Option<&Project>) ->
 /// The observations, and the files of features and centres.
 fn observations(
     files: &Files,
-    project: Option<&Project>,
+    project: &Project,
     rho: bool,
 ) -> Result<(Observations, [PathBuf; 2])> {
-    let section = project.and_then(|p| p.observations.as_ref());
+    let section = project.observations.as_ref();
     let features = files
         .features
         .or(section.map(|s| s.features.as_path()))

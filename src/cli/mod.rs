@@ -2,7 +2,6 @@
 
 mod boards;
 mod calibrate;
-mod choices;
 mod compare;
 mod completions;
 mod cost;
@@ -10,6 +9,7 @@ mod demo;
 mod detect;
 mod evaluate;
 mod extrinsics;
+mod given;
 mod init;
 mod input;
 mod interrupt;

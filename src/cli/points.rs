@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use nalgebra::Vector2;
 use plenocal::back_projection::{corners, focused_points, metric_points, micro_images_at};
 use plenocal::io::{self, DepthMap, OutputFolder, PlyColumn, VirtualDepths};
@@ -12,7 +12,6 @@ use plenocal::model::{MetricPoint, MicroPixel, PlenopticCamera, VirtualPoint};
 use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
-use super::choices::{DEPTH_MAPS, MapKind, choice};
 use super::evaluate::{beyond_boards, calibrated};
 use super::talk::{print_result, warn};
 
@@ -35,7 +34,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// How the pixels of a map lie.
-    #[arg(long, value_parser = choice(DEPTH_MAPS), default_value = "raw")]
+    #[arg(long, default_value = "raw")]
     map: MapKind,
     /// What the grey levels of an image mean: the virtual depth is A + B times the level. Level 0 has no depth.
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
@@ -52,6 +51,15 @@ pub struct Arguments {
     /// Print what was done as one JSON object instead of sentences.
     #[arg(long)]
     json: bool,
+}
+
+/// How the pixels of a map of virtual depths lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum MapKind {
+    /// As those of the raw image.
+    Raw,
+    /// As those of a total-focus image, of any size: straight before the images of points.
+    Focused,
 }
 
 const EXAMPLES: &str = "\

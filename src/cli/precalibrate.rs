@@ -17,7 +17,6 @@ use plenocal::{Error, Finding, Result, Subject};
 use rayon::prelude::*;
 
 use super::boards::{camera_of, listed_images};
-use super::choices::{COLORS, RADIUS_ESTIMATORS, choice};
 use super::progress;
 use super::talk::{print_result, tell};
 
@@ -40,10 +39,10 @@ pub struct Arguments {
     out: PathBuf,
     /// How radii are measured: the edge of a fitted profile, or the paper's second moments, which
     /// are right only for some over-exposures; for a project [default: profile].
-    #[arg(long, value_parser = choice(RADIUS_ESTIMATORS))]
+    #[arg(long)]
     estimator: Option<RadiusEstimator>,
     /// What the samples of a single image stand for [default: grey or RGB, as in the file].
-    #[arg(long, value_parser = choice(COLORS))]
+    #[arg(long)]
     color: Option<Color>,
     /// Print the result as one JSON object instead of tables.
     #[arg(long)]

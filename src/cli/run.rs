@@ -11,12 +11,11 @@ use plenocal::assessment::{
     Assessment, Candidate, EvaluationInput, Folds, PosePairs, Verdict, assess,
 };
 use plenocal::calibration::{
-    Calibration, CalibrationOptions, Mode, Start, calibrate, initial_from,
+    Calibration, CalibrationOptions, Method, Mode, Start, calibrate, initial_from,
 };
 use plenocal::detection::{DepthEstimator, DetectedBoards, MicroImages};
 use plenocal::io::{
-    self, CalibrationSection, FolderLock, MANIFEST, Manifest, Method, OutputFolder, Project,
-    StageRecord, first_look,
+    self, FolderLock, MANIFEST, Manifest, OutputFolder, Project, StageRecord, first_look,
 };
 use plenocal::model::{Observations, Subset};
 use plenocal::precalibration::{Precalibration, PrecalibrationOptions};
@@ -25,8 +24,7 @@ use plenocal::{Error, Finding, Issue, Result, Severity, Subject, report};
 use serde_json::{Value, json};
 
 use super::boards::{self, Options, Shoot, images_of};
-use super::calibrate::{compared, stage_results, status};
-use super::choices::{DEPTH_ESTIMATORS, METHODS, choice};
+use super::calibrate::{compared, stage_results, status, with_method};
 use super::evaluate::{calibrated, clouds, evaluated};
 use super::precalibrate;
 use super::talk::{print_result, say, tell};
@@ -44,14 +42,17 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// How the virtual depth of a corner is estimated from the micro-images that show it.
-    #[arg(long, value_parser = choice(DEPTH_ESTIMATORS), default_value = "line")]
+    #[arg(long, default_value = "line")]
     pub estimator: DepthEstimator,
     /// Frames of the calibration to leave out, e.g. 3,7; in place of those of the project.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub exclude: Option<Vec<u32>>,
     /// Set of calibration options to begin with; in place of that of the project.
-    #[arg(long, value_parser = choice(METHODS))]
+    #[arg(long)]
     pub method: Option<Method>,
+    /// Replace a value of the project, e.g. calibration.loss=cauchy; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
     /// Also calibrate from corners alone, for comparison.
     #[arg(long)]
     pub corners_only: bool,
@@ -71,6 +72,7 @@ Examples:
   plenocal init images --preset r12-a --board 9x5x10 --out project.toml
   plenocal run project.toml --out results
   plenocal run project.toml --out results --exclude 3,7
+  plenocal run project.toml --out results --set calibration.loss=cauchy --set board.square_mm=10.02
   plenocal run project.toml --out results --folds 0 --method paper";
 
 /// Names of the stages and of their folders.
@@ -96,9 +98,9 @@ fn boards_stage(subset: Subset) -> &'static str {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let path = &arguments.project;
-    let project = Project::read(path)?;
+    let project = Project::read_and_set(path, &with_method(&arguments.set, arguments.method))?;
     let shoot = Shoot::of(path, &project)?;
-    let mut options = calibration_options(path, &project, arguments.method)?;
+    let mut options = calibration_options(path, &project)?;
     if let Some(frames) = &arguments.exclude {
         options.exclude_frames.clone_from(frames);
     }
@@ -333,12 +335,7 @@ impl<'a> Run<'a> {
     /// A calibration with corners only, for comparison.
     fn corners(&mut self, observed: &Observed, output: &mut OutputFolder) -> Result<Calibration> {
         let begun = Instant::now();
-        let mut options = self.options.clone();
-        options.mode = Mode::CornersOnly;
-        let known = |name: &String| !name.starts_with("f_");
-        options.cost.fixed.retain(known);
-        options.cost.anchors.retain(|anchor| known(&anchor.quantity));
-        options.not_anchored.retain(known);
+        let options = self.options.of_corners_only();
         let board = &self.shoot.board;
         let Observed { start, observations } = observed;
         let result = calibrate(start, board, observations, &options, &mut |_| true)?;
@@ -544,18 +541,13 @@ fn stage_figures(output: &mut OutputFolder, figures: &[Figure]) -> Result<()> {
 }
 
 /// The calibration options of a project; an error if they ask for poses only.
-fn calibration_options(
-    path: &Path,
-    project: &Project,
-    method: Option<Method>,
-) -> Result<CalibrationOptions> {
-    if project.calibration.mode == Some(Mode::PosesOnly) {
+fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOptions> {
+    if project.calibration.mode == Mode::PosesOnly {
         return Err(Error::invalid(
             "[calibration] says mode = \"poses-only\", but a run calibrates: leave it out, or use \
              `plenocal extrinsics`",
         )
         .in_file(path));
     }
-    let stated = CalibrationSection { method, ..CalibrationSection::default() };
-    Ok(stated.or(project.calibration.clone()).options())
+    Ok(project.calibration.clone())
 }

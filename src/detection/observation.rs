@@ -1,5 +1,6 @@
 //! A corner as one micro-image shows it.
 
+use clap::ValueEnum;
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use serde::{Deserialize, Serialize};
 
@@ -35,12 +36,12 @@ impl CornerObservation {
 }
 
 /// How the virtual depth of a corner is estimated from its observations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthEstimator {
-    /// By the slope of the line through all of them, by robust least squares.
+    /// The slope of the line through all micro-images, by robust least squares.
     #[default]
     Line,
-    /// By the paper's median over all pairs.
+    /// The paper's median over pairs of micro-images.
     Median,
 }

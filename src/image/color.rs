@@ -1,23 +1,23 @@
 //! What the samples of a raw image stand for.
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 /// What the samples of a raw image stand for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Color {
     /// One sample per pixel.
     Grey,
     /// Red, green and blue of every pixel.
     Rgb,
-    /// One sample per pixel behind a colour mosaic; the name gives the first two pixels of the
-    /// first two rows.
+    /// A colour mosaic, named by the first two pixels of its first two rows.
     BayerRggb,
-    /// See [`Color::BayerRggb`].
+    /// A colour mosaic.
     BayerGrbg,
-    /// See [`Color::BayerRggb`].
+    /// A colour mosaic.
     BayerGbrg,
-    /// See [`Color::BayerRggb`].
+    /// A colour mosaic.
     BayerBggr,
 }
 

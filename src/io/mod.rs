@@ -3,7 +3,6 @@
 
 mod board_shape_file;
 mod calibration_file;
-mod calibration_section;
 mod camera_file;
 mod comparison_file;
 pub mod compote;
@@ -39,10 +38,6 @@ use std::time::Instant;
 pub use board_shape_file::{read_board_shape, read_true_board};
 pub use calibration_file::{
     calibrated_camera_document, calibration_document, cost_document, models_document,
-};
-pub use calibration_section::{
-    AnchorEntry, AnchorValue, AnchorsSection, Blur, BoardChoice, CalibrationSection, ExitPupil,
-    FieldCurvature, Method, NoAnchor, Pitches,
 };
 pub use camera_file::{
     CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_doubts, read_board_distances,

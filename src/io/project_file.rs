@@ -2,18 +2,21 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
+use toml::Table;
 
-use super::calibration_section::CalibrationSection;
 use super::project_draft::FILL_IN;
 use super::read_text;
+use crate::calibration::CalibrationOptions;
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
     Board, Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, SampleLevels,
-    Sensor, finite, optics,
+    Sensor, optics,
 };
 use crate::quantity::Estimate;
+use crate::table::{finite, replace};
 
 /// A project file. Every table may be left out where a command gets its content another way.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -35,9 +38,16 @@ pub struct Project {
     pub observations: Option<ObservationsSection>,
     /// The truth, for comparison; paths are relative to the project file.
     pub truth: Option<TruthSection>,
-    /// Options of the calibration.
-    #[serde(default)]
-    pub calibration: CalibrationSection,
+    /// Options of the calibration; `method` in it is a set of them to begin with.
+    #[serde(default, deserialize_with = "calibration_options")]
+    pub calibration: CalibrationOptions,
+}
+
+fn calibration_options<'de, D: Deserializer<'de>>(
+    from: D,
+) -> std::result::Result<CalibrationOptions, D::Error> {
+    CalibrationOptions::from_table(Table::deserialize(from)?)
+        .map_err(|e| D::Error::custom(e.message()))
 }
 
 /// `[truth]`
@@ -239,8 +249,33 @@ pub(super) fn check_finite(text: &str) -> Result<()> {
 impl Project {
     /// Reads a project file; paths in it become relative to the working folder.
     pub fn read(path: &Path) -> Result<Self> {
+        Self::read_and_set(path, &[])
+    }
+
+    /// A project without a file: the values that are set, as in `calibration.loss=huber`.
+    pub fn of_values(set: &[String]) -> Result<Self> {
+        let mut table = Table::new();
+        set.iter().try_for_each(|pair| replace(&mut table, pair))?;
+        finite(&table)?;
+        table.try_into().map_err(|e: toml::de::Error| {
+            Error::invalid(format!("{}: {}", set.join(", "), e.message()))
+        })
+    }
+
+    /// The same with some values replaced, as in `calibration.loss=huber`.
+    pub fn read_and_set(path: &Path, set: &[String]) -> Result<Self> {
         let text = read_text(path)?;
-        let mut project: Self = toml::from_str(&text).map_err(|e| {
+        let parsed = if set.is_empty() {
+            // Errors can name the line.
+            toml::from_str(&text)
+        } else {
+            let mut table: Table =
+                text.parse().map_err(|e: toml::de::Error| Error::content(path, e.to_string()))?;
+            set.iter().try_for_each(|pair| replace(&mut table, pair))?;
+            finite(&table)?;
+            table.try_into()
+        };
+        let mut project: Self = parsed.map_err(|e| {
             let waiting = text.lines().filter(|line| line.contains(FILL_IN)).count();
             let hint = if waiting > 0 && e.message().starts_with("missing field") {
                 format!("\n{waiting} line(s) of it say {FILL_IN}: give these values first")

@@ -1,5 +1,6 @@
 //! The checkerboard and its poses.
 
+use clap::ValueEnum;
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize, Serializer};
 
@@ -170,7 +171,7 @@ fn as_vectors<S: Serializer>(pose: &Isometry3<f64>, to: S) -> std::result::Resul
 }
 
 /// What a set of frames is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Subset {
     /// Boards to calibrate with.

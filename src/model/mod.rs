@@ -26,7 +26,7 @@ pub use board::{BentBoard, Board, BoardShape, FramePose, Subset};
 #[cfg(test)]
 pub(crate) use camera::small_camera;
 pub use camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera};
-pub(crate) use checks::{finite, positive};
+pub(crate) use checks::positive;
 pub use datasheet::{Datasheet, InternalParameters};
 pub(crate) use edge_spread::{APERTURE_RATIO_MODEL, check_aperture_ratio};
 pub use edge_spread::{EdgeSpread, at_most_full};

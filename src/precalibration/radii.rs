@@ -1,5 +1,6 @@
 //! Radii of the micro-images in the middle of a white image.
 
+use clap::ValueEnum;
 use nalgebra::{Matrix2, Vector1, Vector2, Vector5};
 use serde::{Deserialize, Serialize};
 
@@ -13,13 +14,13 @@ use crate::numerics::{NormalEquations, Outliers, Scale, Weight, median};
 use crate::vignetting::{Obliquity, Pixel};
 
 /// How the radius of a micro-image is measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum RadiusEstimator {
-    /// The outer edge of two overlapping discs fitted to the light, clipped or not.
+    /// The outer edge of two overlapping discs fitted to the light.
     #[default]
     Profile,
-    /// The paper's: 2.357 times the square root of the greater second central moment.
+    /// The paper's second moments: 2.357 times the square root of the greater one.
     Moments,
 }
 

@@ -7,7 +7,7 @@ use toml::{Table, Value};
 
 use super::settings::Settings;
 use crate::error::{Error, Result};
-use crate::model::finite;
+use crate::table::{finite, replace};
 
 /// A simulation file that comes with plenocal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -158,31 +158,4 @@ fn settings_from(
     }
     settings.validate()?;
     Ok(settings)
-}
-
-fn replace(table: &mut Table, pair: &str) -> Result<()> {
-    let (key, text) = pair.split_once('=').ok_or_else(|| {
-        Error::invalid(format!("'{pair}' sets nothing; write KEY=VALUE, as in seed=7"))
-    })?;
-    let text = text.trim();
-    if text.contains('\n') {
-        return Err(Error::invalid(format!("the value of '{key}' has more than one line")));
-    }
-    let value = format!("value = {text}")
-        .parse::<Table>()
-        .ok()
-        .and_then(|mut parsed| parsed.remove("value"))
-        .unwrap_or_else(|| Value::String(text.to_owned()));
-    let mut path: Vec<&str> = key.split('.').map(str::trim).collect();
-    let last = path.pop().unwrap_or_default();
-    let mut inner = table;
-    for part in path {
-        inner = inner
-            .entry(part)
-            .or_insert_with(|| Value::Table(Table::new()))
-            .as_table_mut()
-            .ok_or_else(|| Error::invalid(format!("'{key}': {part} is not a table of settings")))?;
-    }
-    inner.insert(last.to_owned(), value);
-    Ok(())
 }

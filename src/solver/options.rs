@@ -1,5 +1,6 @@
 //! Options of the cost function and of its minimisation.
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use crate::model::SHAPE_PARAMETERS;
@@ -14,14 +15,14 @@ pub(crate) fn shape_names() -> impl Iterator<Item = &'static str> {
 }
 
 /// Shape of the loss on the norm of an observation's standardised residual.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum LossKind {
     /// Least squares (the paper).
     None,
-    /// Huber: linear beyond the scale.
+    /// Linear beyond the scale.
     Huber,
-    /// Cauchy: logarithmic beyond the scale.
+    /// Logarithmic beyond the scale.
     Cauchy,
 }
 

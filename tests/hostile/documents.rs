@@ -14,7 +14,6 @@ use plenocal::model::{
     BapFeature, FramePose, InternalParameters, MeasuredBlur, PlenopticCamera, TAKEN,
 };
 use plenocal::precalibration::MicroImageArray;
-use plenocal::solver::SolverOptions;
 use serde_json::{Value, json};
 
 use super::corpus::{BOARD, datasheet, observations, true_camera, true_poses};
@@ -233,10 +232,7 @@ fn few_fields(mut document: Value) -> Value {
 
 /// What a calibration writes: camera, poses and the calibration itself.
 pub static CALIBRATED: LazyLock<[Value; 3]> = LazyLock::new(|| {
-    let options = CalibrationOptions {
-        solver: SolverOptions { threads: 1, ..SolverOptions::default() },
-        ..CalibrationOptions::default()
-    };
+    let options = CalibrationOptions { threads: 1, ..CalibrationOptions::default() };
     let start = Start::Camera(true_camera());
     let result = calibrate(&start, &BOARD, &observations(), &options, &mut |_| true)
         .expect("the shipped observations are good");

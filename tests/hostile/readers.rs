@@ -37,7 +37,7 @@ pub const TARGETS: [Target; 18] = [
         read: |path| {
             let project = Project::read(path)?;
             let sheet = project.datasheet().map_err(|e| e.in_file(path))?;
-            Ok(format!("{project:?} {sheet:?} {:?}", project.calibration.options()))
+            Ok(format!("{project:?} {sheet:?} {:?}", project.calibration))
         },
     },
     Target {

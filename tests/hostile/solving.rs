@@ -9,7 +9,7 @@ use plenocal::io::{
     Project, camera_document, poses_document, read_camera, read_centers, read_features, read_poses,
 };
 use plenocal::model::{Board, FramePose, Noise, Observations};
-use plenocal::solver::{SolverOptions, distortion_mm, synthesize};
+use plenocal::solver::{distortion_mm, synthesize};
 use plenocal::{Error, Result};
 use rand::RngExt;
 use rand::rngs::StdRng;
@@ -111,8 +111,8 @@ fn datasheet(project: &Project) -> Option<Start> {
 
 /// A few iterations; the camera that comes of them.
 fn solved(start: &Start, mode: Mode, board: &Board, observations: &Observations) -> Result<String> {
-    let solver = SolverOptions { threads: 1, max_iterations: 3, ..SolverOptions::default() };
-    let options = CalibrationOptions { solver, mode, ..CalibrationOptions::default() };
+    let options =
+        CalibrationOptions { threads: 1, max_iterations: 3, mode, ..CalibrationOptions::default() };
     let result = calibrate(start, board, observations, &options, &mut |_| true)?;
     Ok(format!("{:?} {:?}", result.camera, result.refinement.cost))
 }

@@ -3,9 +3,11 @@
 use plenocal::Finding;
 use std::fs;
 
+use crate::support::no_anchors;
+use plenocal::calibration::Anchors;
 use plenocal::calibration::{AnchorSource, Calibration, CalibrationOptions, Start};
 use plenocal::model::{Lean, Noise, Observations};
-use plenocal::solver::{Anchor, CostOptions, LossKind, Termination};
+use plenocal::solver::{LossKind, Termination};
 use predicates::str::contains;
 use tempfile::TempDir;
 
@@ -16,13 +18,9 @@ use crate::support::{
 
 const NOISE: Noise = Noise { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 };
 
-fn anchor(quantity: &str, value: f64, std_dev: f64) -> Anchor {
-    Anchor { quantity: quantity.to_owned(), value, std_dev }
-}
-
 fn with_anchor(quantity: &str, value: f64, std_dev: f64) -> CalibrationOptions {
     let mut options = options();
-    options.cost.anchors.push(anchor(quantity, value, std_dev));
+    options.anchors.state(quantity, value, std_dev);
     options
 }
 
@@ -76,7 +74,7 @@ fn the_lean_of_white_images_counts_also_without_anchors() {
     };
     internal.lean = Some(lean);
     let mut options = anchored();
-    options.default_anchors = false;
+    options.anchors.default = false;
     let result = run(&Start::Datasheet(sheet, internal), &shipped_observations(), &options);
     for (axis, quantity) in ["lean_u", "lean_v"].into_iter().enumerate() {
         let found = named(&result, quantity);
@@ -133,7 +131,7 @@ fn a_solve_that_ends_early_states_the_cost_that_it_used() {
     let mut options = anchored();
     let whole = run(&datasheet_start(), &observations, &options);
     assert_eq!(whole.cost.loss.kind, LossKind::Huber);
-    options.solver.max_iterations = 1;
+    options.max_iterations = 1;
     let early = run(&datasheet_start(), &observations, &options);
     assert_eq!(early.refinement.termination, Termination::IterationLimit);
     assert_eq!(early.cost.loss.kind, LossKind::None);
@@ -143,12 +141,11 @@ fn a_solve_that_ends_early_states_the_cost_that_it_used() {
 fn the_proportion_does_not_depend_on_the_weights_of_observations() {
     let observations = shipped_observations();
     let mut options = anchored();
-    options.cost.anchors.push(anchor("F", 16.5, 0.05));
+    options.anchors.state("F", 16.5, 0.05);
     let one = run(&datasheet_start(), &observations, &options);
     for factor in [0.01, 100.0] {
-        let cost = &mut options.cost;
-        cost.uv_std_dev_px = factor;
-        cost.centers_std_dev_px = factor;
+        options.uv_std_dev_px = factor;
+        options.centers_std_dev_px = factor;
         let other = run(&datasheet_start(), &observations, &options);
         let (a, b) = (one.camera.main_lens.focal_length_mm, other.camera.main_lens.focal_length_mm);
         // A fraction of the anchor's σ: the weight is measured at a rough minimum.
@@ -158,7 +155,7 @@ fn the_proportion_does_not_depend_on_the_weights_of_observations() {
 
 #[test]
 fn the_default_anchors_are_what_the_project_states() {
-    let of_the_paper = CalibrationOptions { cost: CostOptions::default(), ..anchored() };
+    let of_the_paper = CalibrationOptions { anchors: Anchors::default(), ..options() };
     let result = run(&datasheet_start(), &shipped_observations(), &of_the_paper);
     let Start::Datasheet(sheet, internal) = datasheet_start() else { unreachable!() };
     let middle = sheet.sensor.center_px();
@@ -198,16 +195,16 @@ fn anchors_are_replaced_removed_and_left_out_where_a_parameter_is_fixed() {
         result.anchors.into_iter().map(|a| a.anchor.quantity).collect()
     };
     let mut options = anchored();
-    options.cost.anchors.push(anchor("v0", 360.0, 4.0));
-    options.not_anchored.push("m".to_owned());
-    options.cost.fixed.push("F".to_owned());
+    options.anchors.state("v0", 360.0, 4.0);
+    options.anchors.remove("m");
+    options.fix.push("F".to_owned());
     assert_eq!(quantities(&options), ["v0", "u0", "q'_1", "q'_2", "q'_3"]);
     // Without them nothing would be said of the focal lengths.
-    let none = CalibrationOptions { default_anchors: false, ..anchored() };
+    let none = CalibrationOptions { anchors: no_anchors(), ..anchored() };
     assert_eq!(quantities(&none), ["q'_1", "q'_2", "q'_3"]);
-    options.not_anchored.push("q'_2".to_owned());
-    options.cost.anchors.push(anchor("q'_3", 0.0377, 1e-4));
-    assert_eq!(quantities(&options), ["v0", "q'_3", "u0", "q'_1"]);
+    options.anchors.remove("q'_2");
+    options.anchors.state("q'_3", 0.0377, 1e-4);
+    assert_eq!(quantities(&options), ["q'_3", "v0", "u0", "q'_1"]);
 }
 
 #[test]

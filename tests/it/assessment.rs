@@ -2,6 +2,7 @@
 
 use crate::support::codes;
 use plenocal::assessment::{Assessment, Verdict, assess};
+use plenocal::calibration::Blur;
 use plenocal::calibration::{Calibration, calibrate};
 use plenocal::model::{Noise, Observations};
 use plenocal::{Finding, Issue};
@@ -29,7 +30,7 @@ fn observations(seed: u64) -> Observations {
 fn assessed(observations: &Observations) -> (Calibration, Assessment) {
     // Here ρ is a measurement of its own.
     let mut options = anchored();
-    options.cost.rho = true;
+    options.blur = Blur::Features;
     let calibration = run(&datasheet_start(), observations, &options);
     let assessment = assess(&calibration, &board()).unwrap();
     (calibration, assessment)

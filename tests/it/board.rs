@@ -12,7 +12,7 @@ use plenocal::model::{
     SHAPE_PARAMETERS, optics,
 };
 use plenocal::report::calibration_section;
-use plenocal::solver::{Anchor, synthesize_bent};
+use plenocal::solver::synthesize_bent;
 
 use crate::support::{anchored, datasheet_start, pairs, true_camera};
 
@@ -161,7 +161,7 @@ fn the_shape_of_a_bent_board_is_found_and_the_camera_is_right() {
     assert_eq!(flat.board.bent.shape, BoardShape::default());
     // Without its anchors it is found as well.
     let mut options = anchored();
-    options.default_anchors = false;
+    options.anchors.default = false;
     let free = scene.with(&observations, &options);
     let (a, b) = (free.board.bent.shape.sag_x_mm, found.board.bent.shape.sag_x_mm);
     assert!((a - b).abs() < found.board.std_devs[0].unwrap(), "{a}, {b}");
@@ -189,7 +189,7 @@ fn with_a_flat_board_nothing_changes() {
     assert!(text.contains("From 0 differ the bend by "), "{text}");
     // A parameter that is fixed has no limit, and takes none from the others.
     let mut options = anchored();
-    options.cost.fixed.push("twist".to_owned());
+    options.fix.push("twist".to_owned());
     let limits = scene.with(&observations, &options).board.limits();
     assert_eq!(limits.map(|limit| limit.is_some()), [true, true, false, true]);
 }
@@ -210,7 +210,7 @@ fn bend_and_aspect_are_told_apart() {
     // Folds take that over.
     let decided = anchored().with_decision(found.std_devs);
     assert_eq!(decided.board, BoardModel::Bent);
-    assert!(decided.cost.fixed.contains(&"aspect".to_owned()));
+    assert!(decided.fix.contains(&"aspect".to_owned()));
     let again = scene.with(&scene.observed(BoardShape::default(), 9), &decided).board;
     assert_eq!(again.std_devs.map(|s| s.is_some()), [true, true, true, false]);
 }
@@ -288,8 +288,8 @@ fn what_is_known_of_a_board_can_be_stated() {
     let scene = scene(3);
     let observations = scene.observed(BENT, 5);
     let mut options = anchored();
-    options.cost.anchors = vec![Anchor { quantity: "sag_x".to_owned(), value: 0.1, std_dev: 1e-7 }];
-    options.cost.fixed.push("twist".to_owned());
+    options.anchors.state("sag_x", 0.1, 1e-7);
+    options.fix.push("twist".to_owned());
     let found = scene.with(&observations, &options).board;
     assert!((found.bent.shape.sag_x_mm - 0.1).abs() < 1e-4, "{found:?}");
     assert_eq!((found.bent.shape.twist_mm, found.std_devs[2]), (0.0, None));
@@ -297,7 +297,7 @@ fn what_is_known_of_a_board_can_be_stated() {
     let paper = CalibrationOptions { board: BoardModel::Bent, ..CalibrationOptions::paper() };
     assert!(scene.with(&observations, &paper).board.std_devs.iter().all(Option::is_some));
     let mut fixed = paper;
-    fixed.cost.fixed.extend(SHAPE_PARAMETERS.iter().map(|p| p.name.to_owned()));
+    fixed.fix.extend(SHAPE_PARAMETERS.iter().map(|p| p.name.to_owned()));
     let error = calibrate(&scene.start(), &scene.board, &observations, &fixed, &mut |_| true);
     let error = error.unwrap_err().to_string();
     assert!(error.contains("sag_x, sag_y, twist, aspect are fixed"), "{error}");

@@ -104,6 +104,17 @@ fn options_of_the_command_line_take_precedence_over_the_project() {
     assert_eq!(result["counts"]["frames"], 6);
     assert!(deviations(&result).contains_key("Q3"));
     assert!(!deviations(&result).contains_key("P1"));
+    // A value of the project is replaced, and a flag beats that.
+    let set = ["--set", "calibration.fix=[\"P1\"]", "--set", "calibration.exclude_frames=[]"];
+    let result = run(&set);
+    assert_eq!(result["counts"]["frames"], 8);
+    assert!(deviations(&result).contains_key("Q3") && !deviations(&result).contains_key("P1"));
+    let result = run(&[&set[..], &["--fix", "Q3"]].concat());
+    assert!(!deviations(&result).contains_key("Q3") && deviations(&result).contains_key("P1"));
+    let mut wrong = plenocal();
+    wrong.arg("calibrate").arg(&project).args(["--set", "calibration.los=huber", "--out"]);
+    wrong.arg(folder.path().join("wrong")).assert().code(1).stderr(predicate::str::contains("los"));
+    assert!(!folder.path().join("wrong").exists());
 }
 
 #[test]

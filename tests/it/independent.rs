@@ -4,12 +4,13 @@ use plenocal::Issue;
 use std::path::Path;
 use std::process::Command;
 
+use plenocal::calibration::Pitches;
 use plenocal::calibration::{
     BoardModel, Calibration, CalibrationOptions, Solution, SolvedProblem, cost_at,
 };
 use plenocal::io::{OutputFolder, read_camera, read_poses, stage_problem};
 use plenocal::model::{Board, Observations};
-use plenocal::solver::{Loss, LossKind};
+use plenocal::solver::LossKind;
 use serde_json::Value;
 
 use crate::support::{
@@ -73,7 +74,7 @@ fn assert_same(calibration: &Calibration, (result, solution): &(Value, Solution)
 
 fn two_pitches() -> CalibrationOptions {
     let mut options = options();
-    options.cost.fixed.retain(|name| name != "dC_ratio");
+    options.pitches = Pitches::Two;
     options
 }
 
@@ -100,9 +101,8 @@ fn the_minimum_of_the_default_cost_is_the_same() {
         center.std_dev_px = Some(0.02 + 0.001 * (i % 10) as f64);
     }
     for kind in [LossKind::Huber, LossKind::Cauchy] {
-        let mut options =
-            CalibrationOptions { board: BoardModel::Flat, automatic_loss: false, ..anchored() };
-        options.cost.loss = Loss { kind, scale: 1.5 };
+        let mut options = CalibrationOptions { board: BoardModel::Flat, ..anchored() };
+        (options.loss, options.loss_scale) = (Some(kind), Some(1.5));
         let calibration = run(&datasheet_start(), &observations, &options);
         assert!(calibration.anchors.len() > 5 && calibration.cost.anchor_weight > 0.0);
         let solved = plain_ceres(&calibration, &board());

@@ -1,5 +1,6 @@
 //! Whether a group of parameters is said to be worth what it is.
 
+use crate::support::no_anchors;
 use nalgebra::Vector3;
 use plenocal::assessment::{Group, ModelComparison, WithoutGroup, Worth, compare_models};
 use plenocal::calibration::{Calibration, CalibrationOptions, Refit, Start};
@@ -108,11 +109,11 @@ fn exit_pupil_and_field_curvature_of_a_real_lens_earn_their_keep() {
 fn without_a_group_the_minimum_is_that_of_a_calibration_without_it() {
     let truth = real_camera();
     let observations = observed(&truth, 3);
-    let mut options = CalibrationOptions { default_anchors: false, ..anchored() };
+    let mut options = CalibrationOptions { anchors: no_anchors(), ..anchored() };
     let calibration = run(&start(&truth), &observations, &options);
     let board = board();
     let refit = Refit::new(&calibration, &board);
-    options.cost.fixed.extend(["e_z", "kappa", "kappa_m"].map(str::to_owned));
+    options.fix.extend(["e_z", "kappa", "kappa_m"].map(str::to_owned));
     let expected = run(&start(&truth), &observations, &options);
     let found = refit.without(&["e_z", "kappa", "kappa_m"]).unwrap();
     assert!(expected.converged && found.converged);
@@ -149,23 +150,20 @@ fn what_cannot_be_compared_is_an_error_with_the_reason() {
         compare_models(calibration, &board(), folds, &|| ()).unwrap_err().to_string()
     };
     let mut options = anchored();
-    options
-        .cost
-        .fixed
-        .extend(["e_z", "kappa", "kappa_m", "Q1", "Q2", "Q3", "P1"].map(str::to_owned));
+    options.fix.extend(["e_z", "kappa", "kappa_m", "Q1", "Q2", "Q3", "P1"].map(str::to_owned));
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
     assert!(error(&calibration, 1).contains("8 frames cannot be divided into 1 folds"));
     let only: Vec<Vec<&str>> =
         compared(&calibration).groups.into_iter().map(|without| without.parameters).collect();
     assert_eq!(only, [["P2"]]);
-    options.cost.fixed.push("P2".to_owned());
+    options.fix.push("P2".to_owned());
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
     assert!(error(&calibration, 5).contains("no models to compare"));
     options = anchored();
     options.exclude_frames = vec![0, 1, 2];
     let few = run(&datasheet_start(), &shipped_observations(), &options);
     assert!(error(&few, 5).contains("5 frame(s)"));
-    options.solver.max_iterations = 2;
+    options.max_iterations = 2;
     let stopped = run(&datasheet_start(), &shipped_observations(), &options);
     assert!(error(&stopped, 5).contains("not converged"));
 }

@@ -65,7 +65,7 @@ fn a_camera_with_a_single_lens_type_is_recovered() {
 #[test]
 fn fixed_parameters_keep_their_value() {
     let mut options = options();
-    options.cost.fixed.extend(["F", "Q3", "f_2"].map(str::to_owned));
+    options.fix.extend(["F", "Q3", "f_2"].map(str::to_owned));
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
     assert!(calibration.converged);
     let std_devs = calibration.uncertainty.intrinsic_std_devs(3);
@@ -96,7 +96,7 @@ fn the_progress_function_sees_every_iteration_and_can_stop_the_solve() {
 #[test]
 fn reaching_the_limit_of_iterations_is_not_convergence() {
     let mut options = options();
-    options.solver.max_iterations = 1;
+    options.max_iterations = 1;
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
     assert_eq!(calibration.refinement.termination, Termination::IterationLimit);
     assert!(!calibration.converged);

@@ -1,5 +1,6 @@
 //! Programs of users: the examples in C++, and problems that are exported for programs of their own.
 
+use crate::support::no_anchors;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -292,7 +293,7 @@ fn a_bent_board_is_exported_as_free() {
     let poses = true_poses();
     let observations =
         drawn(&true_camera(), &Noise { uv_px: 0.05, rho_px: 0.02, centers_px: 0.02 }, 4);
-    let bent = CalibrationOptions { board: BoardModel::Bent, default_anchors: false, ..anchored() };
+    let bent = CalibrationOptions { board: BoardModel::Bent, anchors: no_anchors(), ..anchored() };
     let calibration = run(&Start::Camera(true_camera()), &observations, &bent);
     let problem = SolvedProblem::of(&calibration, &board());
     assert_eq!(problem.poses.len(), poses.len());

@@ -1,5 +1,6 @@
 //! The real observations of R12-A: the minimum that independent Ceres programs found.
 
+use plenocal::calibration::Pitches;
 use std::path::Path;
 
 use plenocal::calibration::{Calibration, CalibrationOptions, Mode, Start, calibrate};
@@ -57,7 +58,7 @@ pub fn run(data: &Data, options: &CalibrationOptions) -> Calibration {
 
 fn two_pitches() -> CalibrationOptions {
     let mut options = options();
-    options.cost.fixed.retain(|name| name != "dC_ratio");
+    options.pitches = Pitches::Two;
     options
 }
 

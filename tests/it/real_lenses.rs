@@ -1,12 +1,15 @@
 //! What real main lenses have and the paper's does not: an exit pupil off the lens, a curved field, light that
 //! falls off by a law of its own.
 
+use crate::support::no_anchors;
 use nalgebra::Vector3;
+use plenocal::calibration::ExitPupil;
 use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::io::{camera_document, read_camera};
 use plenocal::model::{Noise, PlenopticCamera, optics};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
 use plenocal::simulation::{DataSet, simulate};
+use plenocal::solver::LossKind;
 use predicates::str::contains;
 use tempfile::TempDir;
 
@@ -34,7 +37,7 @@ fn start(camera: &PlenopticCamera) -> Start {
 
 /// Exit pupil and field curvature free, without anchors and loss.
 fn free() -> CalibrationOptions {
-    CalibrationOptions { default_anchors: false, automatic_loss: false, ..anchored() }
+    CalibrationOptions { anchors: no_anchors(), loss: Some(LossKind::None), ..anchored() }
 }
 
 #[test]
@@ -74,8 +77,7 @@ fn with_noise_they_lie_within_their_uncertainty_and_the_paper_is_wrong() {
 fn the_exit_pupil_stays_where_it_is_put() {
     let truth = real_camera(-5.0);
     let mut at = free();
-    at.exit_pupil_mm = Some(-5.0);
-    at.cost.fixed.push("e_z".to_owned());
+    at.exit_pupil = ExitPupil::At(-5.0);
     let calibration = run(&start(&truth), &drawn(&truth, &NO_NOISE, 0), &at);
     assert!((calibration.camera.main_lens.exit_pupil_mm.z + 5.0).abs() < 1e-12);
     assert!((calibration.camera.main_lens.focal_length_mm - 16.2).abs() < 1e-6);
@@ -154,7 +156,7 @@ fn a_camera_that_runs_away_has_not_converged() {
     let start = Start::Datasheet(settings.datasheet(), few.truth.internal);
     let board = settings.target.board();
     let mut constant = free();
-    constant.cost.fixed.push("kappa_m".to_owned());
+    constant.fix.push("kappa_m".to_owned());
     let result = calibrate(&start, &board, &few.observed, &constant, &mut |_| true);
     assert!(!result.unwrap().converged);
     let result = calibrate(&start, &board, &few.observed, &anchored(), &mut |_| true);

@@ -3,9 +3,10 @@
 use crate::support::codes;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use plenocal::Issue;
+use plenocal::calibration::Pitches;
 use plenocal::calibration::{CalibrationOptions, Mode, Start, initial_poses};
 use plenocal::model::{Datasheet, FramePose, Noise, intrinsic_parameters};
-use plenocal::solver::{BEYOND_THE_PAPER, Loss, LossKind, synthesize};
+use plenocal::solver::{BEYOND_THE_PAPER, LossKind, synthesize};
 
 use crate::support::{
     NO_NOISE, anchored, board, datasheet_start, drawn, options, pairs, run, shipped_observations,
@@ -83,7 +84,7 @@ fn two_pitches_are_recovered() {
     let mut truth = true_camera();
     truth.mla.pitch_ratio = 1.0004;
     let mut options = options();
-    options.cost.fixed.retain(|name| name != "dC_ratio");
+    options.pitches = Pitches::Two;
     let calibration = run(&datasheet_start(), &drawn(&truth, &NO_NOISE, 0), &options);
     for (name, value, truth) in pairs(&calibration.camera, &truth) {
         assert!((value - truth).abs() <= NOISE_FREE * truth.abs(), "{name}: {value} for {truth}");
@@ -102,10 +103,11 @@ fn a_robust_loss_withstands_gross_errors() {
     // Weights that match the noise, so that the scale of the loss is in standard deviations.
     let weighted = |kind: LossKind| {
         let mut options = options();
-        options.cost.uv_std_dev_px = NOISE.uv_px;
-        options.cost.rho_std_dev_px = NOISE.rho_px;
-        options.cost.centers_std_dev_px = NOISE.centers_px;
-        options.cost.loss = Loss { kind, scale: 2.0 };
+        options.uv_std_dev_px = NOISE.uv_px;
+        options.rho_std_dev_px = NOISE.rho_px;
+        options.centers_std_dev_px = NOISE.centers_px;
+        options.loss = Some(kind);
+        options.loss_scale = (kind != LossKind::None).then_some(2.0);
         options
     };
     // Distance from the truth relative to the uncertainty with clean data.
@@ -253,8 +255,8 @@ fn a_wrong_focus_distance_is_noticed_and_mended() {
     }
     // What is held to a value starts there.
     let mut held = anchored();
-    held.cost.fixed = vec!["D".to_owned()];
-    held.default_anchors = false;
+    held.fix = vec!["D".to_owned()];
+    held.anchors.default = false;
     let found = run(&datasheet_start(), &observations, &held);
     assert!(!codes(&found.findings).contains(&"focus-distance"));
 }

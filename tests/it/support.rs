@@ -3,13 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use assert_cmd::Command;
+use plenocal::calibration::{Anchors, Blur};
 use plenocal::calibration::{Calibration, CalibrationOptions, Start, calibrate};
 use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
+use plenocal::model::SHAPE_PARAMETERS;
 use plenocal::model::{
     Board, FramePose, Noise, Observations, PlenopticCamera, intrinsic_parameters,
 };
 use plenocal::simulation::Settings;
-use plenocal::solver::{CostOptions, SolverOptions, synthesize};
+use plenocal::solver::{LossKind, synthesize};
 
 pub const NO_NOISE: Noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };
 
@@ -78,18 +80,25 @@ pub fn drawn(camera: &PlenopticCamera, noise: &Noise, seed: u64) -> Observations
 /// One thread: the result does not depend on the machine. No anchors and no loss: the observations
 /// alone, and of the parameters those of the paper.
 pub fn options() -> CalibrationOptions {
+    let fixed = ["kappa", "kappa_m", "e_z"].into_iter();
+    let shape = SHAPE_PARAMETERS.iter().map(|parameter| parameter.name);
     CalibrationOptions {
-        cost: CostOptions::default(),
-        default_anchors: false,
-        automatic_loss: false,
+        blur: Blur::Features,
+        fix: fixed.chain(shape).map(str::to_owned).collect(),
+        anchors: no_anchors(),
+        loss: Some(LossKind::None),
         ..anchored()
     }
 }
 
+/// No anchors, not even default ones.
+pub fn no_anchors() -> Anchors {
+    Anchors { default: false, ..Anchors::default() }
+}
+
 /// The defaults, with one thread.
 pub fn anchored() -> CalibrationOptions {
-    let solver = SolverOptions { threads: 1, ..SolverOptions::default() };
-    CalibrationOptions { solver, ..CalibrationOptions::default() }
+    CalibrationOptions { threads: 1, ..CalibrationOptions::default() }
 }
 
 pub fn run(

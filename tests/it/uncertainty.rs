@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use plenocal::calibration::{CalibrationOptions, Start};
 use plenocal::model::{FramePose, Noise, NoiseSource, Observations, intrinsic_parameters, optics};
-use plenocal::solver::{Anchor, synthesize};
+use plenocal::solver::synthesize;
 use rayon::prelude::*;
 
 use crate::r12a;
@@ -150,13 +150,9 @@ fn monte_carlo_of_independent_errors_weights_and_anchors() {
             ("v0", truth.mla.principal_point_px.y, 5.0),
         ];
         let mut options = options();
-        options.cost.anchors = known
-            .map(|(quantity, value, std_dev)| Anchor {
-                quantity: quantity.to_owned(),
-                value: value + std_dev * normal.draw(),
-                std_dev,
-            })
-            .to_vec();
+        for (quantity, value, std_dev) in known {
+            options.anchors.state(quantity, value + std_dev * normal.draw(), std_dev);
+        }
         (true_start(q_px * pixel), observations, options)
     });
     for (name, shared, independent) in ratios {

@@ -115,7 +115,7 @@ fn one_wrong_feature_is_withstood_without_standard_deviations() {
         assert!((a - b).abs() < std_dev, "{name}: {a} and {b} ± {std_dev}");
     }
     let mut paper = anchored();
-    paper.automatic_loss = false;
+    paper.loss = Some(LossKind::None);
     assert!(!warned(&run(&datasheet_start(), &spoiled, &paper)));
 }
 
@@ -123,14 +123,14 @@ fn one_wrong_feature_is_withstood_without_standard_deviations() {
 #[test]
 fn the_options_multiply_the_standard_deviations() {
     let mut plain = options();
-    plain.cost.uv_std_dev_px = 0.4;
-    plain.cost.centers_std_dev_px = 0.4;
+    plain.uv_std_dev_px = 0.4;
+    plain.centers_std_dev_px = 0.4;
     let by_option = run(&datasheet_start(), &shipped_observations(), &plain);
     let mut stated = with_std_devs(shipped_observations(), 0.2, 1.0);
     stated.features.iter_mut().for_each(|f| f.rho_std_dev_px = None);
     let mut doubled = options();
-    doubled.cost.uv_std_dev_px = 2.0;
-    doubled.cost.centers_std_dev_px = 2.0;
+    doubled.uv_std_dev_px = 2.0;
+    doubled.centers_std_dev_px = 2.0;
     let by_file = run(&datasheet_start(), &stated, &doubled);
     let (a, b) = (by_option.refinement.cost, by_file.refinement.cost);
     assert!((a / b - 1.0).abs() < EXACT, "{a} and {b}");
@@ -143,9 +143,9 @@ fn features_of_a_corner_share_one_measurement_of_the_blur_radius() {
     observations.features.iter_mut().for_each(|f| f.rho_std_dev_px = Some(0.1));
     let mut shared = options();
     // Nothing else has weight.
-    shared.cost.uv_std_dev_px = LARGE_PX;
-    shared.cost.centers_std_dev_px = LARGE_PX;
-    shared.solver.max_iterations = 1;
+    shared.uv_std_dev_px = LARGE_PX;
+    shared.centers_std_dev_px = LARGE_PX;
+    shared.max_iterations = 1;
     let calibration = run(&datasheet_start(), &observations, &shared);
     let features = &observations.features;
     let count = |f: &BapFeature| {

@@ -1,0 +1,44 @@
+//! Options of the command line that take the place of those of a project file.
+
+use std::marker::PhantomData;
+
+use clap::{ArgMatches, Args, Command, FromArgMatches};
+use plenocal::{Error, Result};
+
+/// The options of a struct as far as they are given on the command line. Flattened into the arguments of a command, it
+/// has the flags of the struct, all of them optional.
+pub struct Given<T> {
+    matches: ArgMatches,
+    options: PhantomData<T>,
+}
+
+impl<T: Args> Given<T> {
+    /// Replaces the options that are given.
+    pub fn apply(&self, options: &mut T) -> Result<()> {
+        options.update_from_arg_matches(&self.matches).map_err(|e| Error::invalid(e.to_string()))
+    }
+}
+
+impl<T: Args> Args for Given<T> {
+    fn augment_args(command: Command) -> Command {
+        T::augment_args_for_update(command)
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        T::augment_args_for_update(command)
+    }
+}
+
+impl<T: Args> FromArgMatches for Given<T> {
+    fn from_arg_matches(matches: &ArgMatches) -> std::result::Result<Self, clap::Error> {
+        Ok(Self { matches: matches.clone(), options: PhantomData })
+    }
+
+    fn update_from_arg_matches(
+        &mut self,
+        matches: &ArgMatches,
+    ) -> std::result::Result<(), clap::Error> {
+        self.matches = matches.clone();
+        Ok(())
+    }
+}
