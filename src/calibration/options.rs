@@ -61,7 +61,7 @@ pub enum Start {
 pub const FIXED: [&str; 3] = ["e_x", "e_y", "dC_ratio"];
 
 /// All options of a calibration.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct CalibrationOptions {
     /// What is estimated.
     pub mode: Mode,
