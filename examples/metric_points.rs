@@ -7,8 +7,8 @@
 
 use std::path::Path;
 
-use plenocal::back_projection::metric_points;
 use plenocal::io::{VirtualDepths, read_camera, read_virtual_depths};
+use plenocal::solver::metric_points;
 use plenocal::{Error, Result};
 
 fn main() -> Result<()> {
@@ -23,7 +23,8 @@ fn main() -> Result<()> {
     };
     println!("x,y,z");
     for point in metric_points(&camera, &seen)?.into_iter().flatten() {
-        println!("{:.6},{:.6},{:.6}", point.point_mm.x, point.point_mm.y, point.point_mm.z);
+        let [x, y, z] = point.point_mm;
+        println!("{x:.6},{y:.6},{z:.6}");
     }
     Ok(())
 }

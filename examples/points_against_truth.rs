@@ -11,7 +11,7 @@ use nalgebra::{
     Isometry3, Matrix3, Matrix6, Point3, Translation3, UnitQuaternion, Vector3, Vector6,
 };
 use plenocal::io::{Project, read_camera, read_features, read_poses};
-use plenocal::{Error, Result, back_projection};
+use plenocal::{Error, Result, solver};
 
 /// A corner: where it is found, with its covariance, and where it is.
 struct Corner {
@@ -38,15 +38,14 @@ fn main() -> Result<()> {
 fn corners(set: &Path, subset: &str, camera: &Path, features: &Path) -> Result<Vec<Corner>> {
     let board = Project::read(&set.join("project.toml"))?.board.expect("a data set has a board");
     let poses = read_poses(&set.join("truth").join(subset).join("poses.json"))?;
-    let found =
-        back_projection::corners(&read_camera(camera)?, &read_features(features, false)?.features)?;
+    let found = solver::corners(&read_camera(camera)?, &read_features(features, false)?.features)?;
     println!("features scatter by {:.2} times their sigma", found.scatter.sqrt());
     let corner = |((frame, number), point): ((u32, i32), Option<_>)| {
-        let plenocal::model::MetricPoint { point_mm, covariance_mm2, .. } = point?;
+        let solver::MetricPoint { point_mm, covariance_mm2, .. } = point?;
         let pose = poses.iter().find(|pose| pose.frame == frame)?;
         Some(Corner {
-            found: point_mm,
-            covariance: covariance_mm2,
+            found: point_mm.into(),
+            covariance: Matrix3::from_row_slice(&covariance_mm2),
             truth: pose.camera_from_board * board.point_mm(number),
         })
     };

@@ -129,7 +129,6 @@
 #![allow(clippy::doc_markdown)] // names such as COMPOTE and plenocal are not code
 
 pub mod assessment;
-pub mod back_projection;
 pub mod calibration;
 pub mod detection;
 pub mod error;

@@ -2,10 +2,28 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
+#include <limits>
+
 #include "plenocal/src/solver/bridge.rs.h"
 
 namespace plenocal::bridge {
 namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+// The results of a function for all items: mapped<std::vector>(items, f).
+template <template <typename...> class List, typename Items, typename F>
+auto mapped(const Items& items, F&& f) {
+  List<std::decay_t<decltype(f(*items.begin()))>> results;
+  results.reserve(items.size());
+  for (const auto& item : items) results.push_back(f(item));
+  return results;
+}
+
+int to_core(std::size_t n) {
+  return static_cast<int>(std::min<std::size_t>(n, std::numeric_limits<int>::max()));
+}
 
 Camera to_core(const CameraParts& parts) {
   Camera camera;
@@ -17,101 +35,89 @@ Camera to_core(const CameraParts& parts) {
   return camera;
 }
 
-CameraParts from_core(const Camera& camera) {
-  CameraParts parts{};
-  parts.packing = camera.lattice.packing;
-  parts.columns = camera.lattice.columns;
-  parts.rows = camera.lattice.rows;
-  parts.pixel_size_mm = camera.pixel_size;
-  parts.lens_types = camera.lens_types();
-  for_each_parameter(
-      camera, [&parts](const std::string&, double value) { parts.parameters.push_back(value); });
-  return parts;
-}
-
 Board to_core(const BoardParts& parts) {
   return {parts.half_mm[0], parts.half_mm[1], from_block<BoardShape>(parts.shape.data())};
 }
 
 Vector3<double> to_core(const std::array<double, 3>& v) { return {v[0], v[1], v[2]}; }
 
-std::vector<Pose> to_core(rust::Slice<const PoseBlock> blocks) {
-  std::vector<Pose> poses;
-  poses.reserve(blocks.size());
-  for (const PoseBlock& b : blocks) poses.push_back(pose_from_block(b.block));
-  return poses;
+plenocal::MicroPixel to_core(const MicroPixel& p) { return {p.k, p.l, {p.u_px, p.v_px}}; }
+
+plenocal::Loss to_core(const Loss& loss) { return {loss.kind, loss.scale}; }
+
+std::vector<Pose> poses_of(const ProblemParts& problem) {
+  return mapped<std::vector>(problem.poses,
+                             [](const PoseBlock& pose) { return pose_from_block(pose.block); });
 }
 
-Observations to_core(const BoardParts& board, rust::Slice<const FeatureRow> features,
-                     rust::Slice<const CenterRow> centers) {
-  Observations observations;
-  observations.board = to_core(board);
-  observations.features.reserve(features.size());
-  for (const FeatureRow& f : features) {
-    observations.features.push_back({f.frame,
-                                     to_core(f.board_point_mm),
-                                     f.k,
-                                     f.l,
-                                     {f.u_px, f.v_px, f.rho_px},
-                                     {f.std_dev_px[0], f.std_dev_px[1], f.std_dev_px[2]}});
-  }
-  observations.centers.reserve(centers.size());
-  for (const CenterRow& c : centers) {
-    observations.centers.push_back({c.k, c.l, {c.u_px, c.v_px}, c.std_dev_px});
-  }
-  return observations;
+Observations observations_of(const ProblemParts& problem) {
+  const auto feature = [](const SolverFeature& f) -> FeatureObservation {
+    const auto& [u, v, rho] = f.std_dev_px;
+    return {to_core(f.pose), to_core(f.board_point_mm), f.k, f.l, {f.u_px, f.v_px, f.rho_px},
+            {u, v, rho}};
+  };
+  const auto center = [](const SolverCenter& c) -> CenterObservation {
+    return {c.k, c.l, {c.u_px, c.v_px}, c.std_dev_px};
+  };
+  return {mapped<std::vector>(problem.features, feature),
+          mapped<std::vector>(problem.centers, center), to_core(problem.board)};
 }
 
-std::vector<CommonError> to_core(rust::Slice<const CommonErrorParts> parts) {
-  std::vector<CommonError> errors;
-  for (const CommonErrorParts& part : parts) {
-    CommonError error;
-    for (std::size_t i = 0; i + 2 < part.features_px.size(); i += 3) {
-      const double* by = &part.features_px[i];
-      error.features.push_back({by[0], by[1], by[2]});
-    }
-    for (std::size_t i = 0; i + 1 < part.centers_px.size(); i += 2) {
-      error.centers.push_back({part.centers_px[i], part.centers_px[i + 1]});
-    }
-    error.anchors.assign(part.anchors.begin(), part.anchors.end());
-    error.in_anchors = part.in_anchors;
-    errors.push_back(std::move(error));
+plenocal::CommonError to_core(const CommonError& shared) {
+  plenocal::CommonError error;
+  for (auto by = shared.features_px.begin(); by != shared.features_px.end(); by += 3) {
+    error.features.push_back({by[0], by[1], by[2]});
   }
-  return errors;
+  for (auto by = shared.centers_px.begin(); by != shared.centers_px.end(); by += 2) {
+    error.centers.push_back({by[0], by[1]});
+  }
+  error.anchors.assign(shared.anchors.begin(), shared.anchors.end());
+  error.in_anchors = shared.in_anchors;
+  return error;
 }
 
-CostOptions to_core(const CostParts& parts) {
-  CostOptions options;
-  options.uv_std_dev = parts.uv_std_dev_px;
-  options.rho_std_dev = parts.rho_std_dev_px;
-  options.centers_std_dev = parts.centers_std_dev_px;
-  options.rho = parts.rho;
-  options.features_loss = {parts.loss_kind, parts.loss_scale};
-  options.centers_loss = options.features_loss;
+plenocal::CostOptions to_core(const CostOptions& shared) {
+  plenocal::CostOptions options;
+  options.uv_std_dev = shared.uv_std_dev_px;
+  options.rho_std_dev = shared.rho_std_dev_px;
+  options.centers_std_dev = shared.centers_std_dev_px;
+  options.rho = shared.rho;
+  options.features_loss = options.centers_loss = to_core(shared.loss);
   options.fixed.clear();
-  for (const rust::String& name : parts.fixed) options.fixed.emplace(name);
-  for (const AnchorRow& anchor : parts.anchors) {
+  for (const rust::String& name : shared.fixed) options.fixed.emplace(name);
+  for (const Anchor& anchor : shared.anchors) {
     options.anchors.push_back({std::string(anchor.quantity), anchor.value, anchor.std_dev});
   }
-  options.anchor_weight = parts.anchor_weight;
+  options.anchor_weight = shared.anchor_weight;
   return options;
 }
 
-rust::Vec<double> from_core(const std::vector<double>& values) {
-  rust::Vec<double> result;
-  result.reserve(values.size());
-  for (double value : values) result.push_back(value);
-  return result;
+template <typename Row, typename Value>
+rust::Vec<Row> from_core(const std::vector<Value>& values) {
+  return mapped<rust::Vec>(values, [](const Value& value) { return static_cast<Row>(value); });
+}
+
+rust::Vec<double> from_core(const std::vector<double>& values) { return from_core<double>(values); }
+
+Matrix from_core(const plenocal::Matrix& m) {
+  return {static_cast<std::size_t>(m.rows), static_cast<std::size_t>(m.columns),
+          from_core(m.values)};
 }
 
 std::array<double, 3> from_core(const Vector3<double>& v) { return {v.x, v.y, v.z}; }
 
-MetricRow from_core(const std::optional<MetricPoint>& point) {
-  if (!point) return MetricRow{};
-  return {true, from_core(point->point), point->covariance, point->chi_square, point->freedom};
+Ray from_core(const std::optional<plenocal::Ray<double>>& ray) {
+  if (!ray) return {{kNan, kNan, kNan}, {kNan, kNan, kNan}};
+  return {from_core(ray->origin), from_core(ray->direction)};
 }
 
-IterationRow from_core(const Iteration& i) {
+MetricPoint from_core(const std::optional<plenocal::MetricPoint>& point) {
+  if (!point) return {{kNan, kNan, kNan}, {}, 0.0, 0};
+  return {from_core(point->point), point->covariance, point->chi_square,
+          static_cast<std::size_t>(point->freedom)};
+}
+
+Iteration from_core(const plenocal::Iteration& i) {
   return {i.number, i.cost, i.gradient_max_norm, i.step_norm, i.trust_region_radius, i.time_s};
 }
 
@@ -144,69 +150,56 @@ rust::Vec<NodeRow> lattice(const CameraParts& parts) {
   return rows;
 }
 
-rust::Vec<PairRow> distortion(const CameraParts& parts, rust::Slice<const PairRow> points_mm) {
+rust::Vec<Pair> distortion(const CameraParts& parts, rust::Slice<const Pair> points_mm) {
   const Camera camera = to_core(parts);
   validate(camera);
-  rust::Vec<PairRow> rows;
-  rows.reserve(points_mm.size());
-  for (const auto& [x, y] : points_mm) {
-    const auto shift = plenocal::distortion(camera.main_lens, x, y);
-    rows.push_back({shift.x, shift.y});
-  }
-  return rows;
+  return mapped<rust::Vec>(points_mm, [&](const Pair& point) -> Pair {
+    const auto shift = plenocal::distortion(camera.main_lens, point.x, point.y);
+    return {shift.x, shift.y};
+  });
 }
 
-rust::Vec<ProjectionRow> project(const CameraParts& parts, const BoardParts& board_parts,
-                                 rust::Slice<const PoseBlock> pose_blocks,
-                                 rust::Slice<const FeatureRow> features) {
-  const Camera camera = to_core(parts);
+rust::Vec<Projected> project(const ProblemParts& problem) {
+  const Camera camera = to_core(problem.camera);
   validate(camera);
-  const Board board = to_core(board_parts);
+  const Board board = to_core(problem.board);
   validate(board);
   const Optics<double> optics = optics_of(camera);
-  std::vector<Motion<double>> motions;
-  for (const PoseBlock& pose : pose_blocks) motions.emplace_back(pose.block.data());
-  rust::Vec<ProjectionRow> rows;
-  rows.reserve(features.size());
-  for (const FeatureRow& f : features) {
+  const auto motions = mapped<std::vector>(
+      problem.poses, [](const PoseBlock& pose) { return Motion<double>(pose.block.data()); });
+  return mapped<rust::Vec>(problem.features, [&](const SolverFeature& f) -> Projected {
     const Vector3<double> corner = corner_of(board, to_core(f.board_point_mm));
     const auto feature =
-        plenocal::project(optics, motions.at(f.frame)(corner), micro_lens_of(camera, f.k, f.l));
-    rows.push_back(feature ? ProjectionRow{true, feature->u, feature->v, feature->rho}
-                           : ProjectionRow{});
-  }
-  return rows;
+        plenocal::project(optics, motions.at(f.pose)(corner), micro_lens_of(camera, f.k, f.l));
+    if (!feature) return {kNan, kNan, kNan};
+    return {feature->u, feature->v, feature->rho};
+  });
 }
 
-rust::Vec<PairRow> project_centers(const CameraParts& parts,
-                                   rust::Slice<const MicroLensIndex> micro_lenses) {
+rust::Vec<Pair> project_centers(const CameraParts& parts, rust::Slice<const MicroLensIndex> at) {
   const Camera camera = to_core(parts);
   validate(camera);
-  rust::Vec<PairRow> rows;
-  rows.reserve(micro_lenses.size());
-  for (const auto& [k, l] : micro_lenses) {
-    const Pixel<double> pixel = project_center(camera, k, l);
-    rows.push_back({pixel.u, pixel.v});
-  }
-  return rows;
+  return mapped<rust::Vec>(at, [&](const MicroLensIndex& index) -> Pair {
+    const Pixel<double> pixel = project_center(camera, index.k, index.l);
+    return {pixel.u, pixel.v};
+  });
 }
 
-RefinementParts refine(const CameraParts& camera, const BoardParts& board,
-                       rust::Slice<const PoseBlock> poses, rust::Slice<const FeatureRow> features,
-                       rust::Slice<const CenterRow> centers, const CostParts& cost,
-                       const SolverParts& solver, ProgressSink& progress) {
-  SolverOptions options;
-  options.max_iterations = solver.max_iterations;
-  options.threads = solver.threads;
+RefinementParts refine(const ProblemParts& problem, const CostOptions& cost,
+                       const SolverOptions& solver, ProgressSink& progress) {
+  plenocal::SolverOptions options;
+  options.max_iterations = to_core(solver.max_iterations);
+  options.threads = to_core(solver.threads);
   options.function_tolerance = solver.function_tolerance;
   options.initial_trust_region_radius = solver.initial_trust_region_radius;
   options.extrapolate = solver.extrapolate;
   const Refinement r = plenocal::refine(
-      to_core(camera), to_core(poses), to_core(board, features, centers), to_core(cost), options,
-      [&progress](const Iteration& i) { return progress.report(from_core(i)); });
+      to_core(problem.camera), poses_of(problem), observations_of(problem), to_core(cost), options,
+      [&progress](const plenocal::Iteration& i) { return progress.report(from_core(i)); });
 
   RefinementParts parts{};
-  parts.camera = from_core(r.camera);
+  for_each_parameter(
+      r.camera, [&parts](const std::string&, double value) { parts.parameters.push_back(value); });
   parts.shape = to_block(r.board_shape);
   for (const Pose& pose : r.poses) parts.poses.push_back({pose_block(pose)});
   parts.initial_cost = r.initial_cost;
@@ -216,65 +209,64 @@ RefinementParts refine(const CameraParts& camera, const BoardParts& board,
   parts.message = r.message;
   parts.report = r.report;
   parts.time_s = r.time_s;
-  for (const Iteration& i : r.iterations) parts.iterations.push_back(from_core(i));
+  for (const auto& iteration : r.iterations) parts.iterations.push_back(from_core(iteration));
   return parts;
 }
 
-UncertaintyParts uncertainty(const CameraParts& camera, const BoardParts& board,
-                             rust::Slice<const PoseBlock> poses,
-                             rust::Slice<const FeatureRow> features,
-                             rust::Slice<const CenterRow> centers, const CostParts& cost,
-                             rust::Slice<const CommonErrorParts> common, int32_t threads) {
-  const Uncertainty u =
-      plenocal::uncertainty(to_core(camera), to_core(poses), to_core(board, features, centers),
-                            to_core(cost), to_core(common), threads);
-  UncertaintyParts parts{};
-  for (int index : u.free_intrinsics) parts.free_intrinsics.push_back(index);
-  parts.size = u.size;
-  parts.rank = u.rank;
-  parts.shared = u.shared;
-  parts.covariance = from_core(u.covariance.values);
-  parts.independent_covariance = from_core(u.independent_covariance.values);
-  parts.freedom = from_core(u.freedom);
-  parts.left_out_changes = from_core(u.left_out_changes.values);
-  parts.common_changes = from_core(u.common_changes.values);
-  parts.frame_shares = from_core(u.frame_shares.values);
-  parts.poses_by_intrinsics = from_core(u.poses_by_intrinsics.values);
-  parts.dispersion = u.dispersion;
-  parts.contradiction = u.contradiction;
-  parts.contradicted = u.contradicted;
-  parts.information = from_core(u.information);
-  parts.weakest = from_core(u.weakest.values);
-  for (bool value : u.determined) parts.determined.push_back(value);
-  parts.residual_std_dev_px = u.residual_std_dev;
-  parts.std_dev_factors = u.std_dev_factors;
-  parts.expected_decrease = u.expected_decrease;
-  parts.next_step = from_core(u.next_step);
-  parts.gradient = from_core(u.gradient);
-  return parts;
-}
-
-rust::Vec<double> frame_information(const CameraParts& camera, const BoardParts& board,
-                                    rust::Slice<const PoseBlock> poses,
-                                    rust::Slice<const FeatureRow> features, const CostParts& cost,
-                                    int32_t threads) {
-  rust::Vec<double> all;
-  for (const Matrix& of_frame : plenocal::frame_information(
-           to_core(camera), to_core(poses), to_core(board, features, {}), to_core(cost), threads)) {
-    for (double value : of_frame.values) all.push_back(value);
+Uncertainty uncertainty(const ProblemParts& problem, const CostOptions& cost,
+                        rust::Slice<const CommonError> common, std::size_t threads) {
+  const auto errors =
+      mapped<std::vector>(common, [](const CommonError& error) { return to_core(error); });
+  const plenocal::Uncertainty u =
+      plenocal::uncertainty(to_core(problem.camera), poses_of(problem), observations_of(problem),
+                            to_core(cost), errors, to_core(threads));
+  Uncertainty shared{};
+  shared.free_intrinsics = from_core<std::size_t>(u.free_intrinsics);
+  shared.rank = static_cast<std::size_t>(u.rank);
+  shared.shared = u.shared;
+  shared.covariance = from_core(u.covariance);
+  shared.independent_covariance = from_core(u.independent_covariance);
+  shared.freedom = from_core(u.freedom);
+  shared.left_out_changes = from_core(u.left_out_changes);
+  shared.frame_shares = from_core(u.frame_shares);
+  for (int row = 0; row < u.common_changes.rows && u.common_changes.columns > 0; ++row) {
+    CommonChange change{common[row].source, {}};
+    for (double by : u.common_changes.eigen().row(row)) change.changes.push_back(by);
+    shared.common_changes.push_back(std::move(change));
   }
-  return all;
+  shared.poses_by_intrinsics = from_core(u.poses_by_intrinsics);
+  shared.dispersion = u.dispersion;
+  shared.contradiction_std_devs = u.contradiction;
+  shared.contradicted_row = u.contradicted;
+  shared.information = from_core(u.information);
+  shared.weakest = from_core(u.weakest);
+  shared.determined = from_core<bool>(u.determined);
+  shared.residual_std_dev_px = u.residual_std_dev;
+  shared.std_dev_factors = u.std_dev_factors;
+  shared.expected_decrease = u.expected_decrease;
+  shared.next_step = from_core(u.next_step);
+  shared.gradient = from_core(u.gradient);
+  return shared;
 }
 
-rust::Vec<FeatureRow> visible_features(const CameraParts& parts, const BoardParts& board_parts,
-                                       rust::Slice<const PoseBlock> poses,
-                                       rust::Slice<const PointRow> board_points, double margin_px) {
+rust::Vec<Matrix> frame_information(const ProblemParts& problem, const CostOptions& cost,
+                                    std::size_t threads) {
+  const auto of_frames =
+      plenocal::frame_information(to_core(problem.camera), poses_of(problem),
+                                  observations_of(problem), to_core(cost), to_core(threads));
+  return mapped<rust::Vec>(of_frames, [](const plenocal::Matrix& m) { return from_core(m); });
+}
+
+rust::Vec<SolverFeature> visible_features(const CameraParts& parts, const BoardParts& board_parts,
+                                          rust::Slice<const PoseBlock> poses,
+                                          rust::Slice<const PointRow> board_points,
+                                          double margin_px) {
   const Camera camera = to_core(parts);
   const Board board = to_core(board_parts);
   validate(board);
   const Optics<double> optics = optics_of(camera);
-  rust::Vec<FeatureRow> rows;
-  int frame = 0;
+  rust::Vec<SolverFeature> rows;
+  std::size_t frame = 0;
   for (const PoseBlock& pose : poses) {
     const Motion<double> camera_from_board(pose.block.data());
     for (const PointRow& row : board_points) {
@@ -291,112 +283,76 @@ rust::Vec<FeatureRow> visible_features(const CameraParts& parts, const BoardPart
   return rows;
 }
 
-rust::Vec<SensitivityRow> point_sensitivities(const CameraParts& parts,
-                                              rust::Slice<const PointRow> points,
-                                              const std::array<double, 3>& std_dev_px,
-                                              double margin_px) {
+rust::Vec<PointSensitivity> point_sensitivities(const CameraParts& parts,
+                                                rust::Slice<const PointRow> points,
+                                                const std::array<double, 3>& std_dev_px,
+                                                double margin_px) {
   const Camera camera = to_core(parts);
-  rust::Vec<SensitivityRow> rows;
-  for (const PointRow& row : points) {
-    const PointSensitivity s = point_sensitivity(
-        camera, to_core(row.point_mm), {std_dev_px[0], std_dev_px[1], std_dev_px[2]}, margin_px);
-    rows.push_back({s.micro_lenses, from_core(s.by_intrinsics.values), s.covariance});
-  }
-  return rows;
+  const auto& [u, v, rho] = std_dev_px;
+  const Feature<double> std_dev{u, v, rho};
+  return mapped<rust::Vec>(points, [&](const PointRow& row) -> PointSensitivity {
+    const auto s = point_sensitivity(camera, to_core(row.point_mm), std_dev, margin_px);
+    return {static_cast<std::size_t>(s.micro_lenses), from_core(s.by_intrinsics), s.covariance};
+  });
 }
 
 rust::Vec<MicroLensIndex> micro_images_at(const CameraParts& camera,
-                                          rust::Slice<const PairRow> pixels) {
+                                          rust::Slice<const Pair> pixels) {
   const BackProjection back(to_core(camera));
-  rust::Vec<MicroLensIndex> rows;
-  rows.reserve(pixels.size());
-  for (const auto& [u, v] : pixels) {
-    const auto at = back.micro_image_at({u, v});
-    rows.push_back(at ? MicroLensIndex{at->k, at->l} : MicroLensIndex{-1, -1});
-  }
-  return rows;
+  return mapped<rust::Vec>(pixels, [&](const Pair& pixel) -> MicroLensIndex {
+    const auto at = back.micro_image_at({pixel.x, pixel.y});
+    if (!at) return {-1, -1};
+    return {at->k, at->l};
+  });
 }
 
-rust::Vec<RayRow> object_rays(const CameraParts& camera, rust::Slice<const MicroPixelRow> pixels,
-                              double z_mm) {
+rust::Vec<Ray> object_rays(const CameraParts& camera, rust::Slice<const MicroPixel> pixels,
+                           double z_mm) {
   const BackProjection back(to_core(camera));
-  rust::Vec<RayRow> rows;
-  rows.reserve(pixels.size());
-  for (const MicroPixelRow& p : pixels) {
-    RayRow row{};
-    if (const auto ray = back.object_ray({p.k, p.l, {p.u_px, p.v_px}}, z_mm)) {
-      row = {true, from_core(ray->origin), from_core(ray->direction)};
-    }
-    rows.push_back(row);
-  }
-  return rows;
+  return mapped<rust::Vec>(pixels, [&](const MicroPixel& pixel) {
+    return from_core(back.object_ray(to_core(pixel), z_mm));
+  });
 }
 
-rust::Vec<RayRow> pixel_rays(const CameraParts& camera, rust::Slice<const PairRow> pixels,
-                             double z_mm) {
+rust::Vec<Ray> pixel_rays(const CameraParts& camera, rust::Slice<const Pair> pixels, double z_mm) {
   const BackProjection back(to_core(camera));
-  rust::Vec<RayRow> rows;
-  rows.reserve(pixels.size());
-  for (const auto& [u, v] : pixels) {
-    RayRow row{};
-    if (const auto at = back.micro_image_at({u, v})) {
-      if (const auto ray = back.object_ray({at->k, at->l, {u, v}}, z_mm)) {
-        row = {true, from_core(ray->origin), from_core(ray->direction)};
-      }
-    }
-    rows.push_back(row);
-  }
-  return rows;
+  return mapped<rust::Vec>(pixels, [&](const Pair& pixel) {
+    const auto at = back.micro_image_at({pixel.x, pixel.y});
+    const auto ray = at ? back.object_ray({at->k, at->l, {pixel.x, pixel.y}}, z_mm) : std::nullopt;
+    return from_core(ray);
+  });
 }
 
-rust::Vec<MetricRow> metric_points(const CameraParts& camera, rust::Slice<const VirtualRow> seen,
-                                   bool focused) {
+rust::Vec<MetricPoint> metric_points(const CameraParts& camera,
+                                     rust::Slice<const VirtualPoint> seen, bool focused) {
   const BackProjection back(to_core(camera));
-  rust::Vec<MetricRow> rows;
-  rows.reserve(seen.size());
-  for (const VirtualRow& s : seen) {
-    const VirtualPoint point{{s.k, s.l, {s.u_px, s.v_px}}, s.virtual_depth, s.std_dev};
-    rows.push_back(from_core(focused ? back.focused_point(point) : back.point(point)));
-  }
-  return rows;
+  return mapped<rust::Vec>(seen, [&](const VirtualPoint& s) {
+    const plenocal::VirtualPoint point{to_core(s.at), s.virtual_depth, s.std_dev};
+    return from_core(focused ? back.focused_point(point) : back.point(point));
+  });
 }
 
-rust::Vec<double> virtual_depths(const CameraParts& camera,
-                                 rust::Slice<const MicroLensIndex> micro_lenses,
+rust::Vec<double> virtual_depths(const CameraParts& camera, rust::Slice<const MicroPixel> at,
                                  rust::Slice<const PointRow> points) {
   const BackProjection back(to_core(camera));
-  rust::Vec<double> depths;
-  depths.reserve(points.size());
-  auto next = micro_lenses.begin();
-  for (const PointRow& point : points) {
-    const auto& [k, l] = *next++;
-    depths.push_back(back.virtual_depth(k, l, to_core(point.point_mm))
-                         .value_or(std::numeric_limits<double>::quiet_NaN()));
-  }
-  return depths;
+  auto next = at.begin();
+  return mapped<rust::Vec>(points, [&](const PointRow& row) {
+    const MicroPixel& pixel = *next++;
+    return back.virtual_depth(pixel.k, pixel.l, to_core(row.point_mm)).value_or(kNan);
+  });
 }
 
-rust::Vec<MetricRow> triangulate(const CameraParts& camera, rust::Slice<const SightingRow> all,
-                                 rust::Slice<const SeenRow> points, LossKind loss_kind,
-                                 double loss_scale) {
+rust::Vec<MetricPoint> triangulate(const CameraParts& camera, rust::Slice<const SeenPoint> points,
+                                   const Loss& loss) {
   const BackProjection back(to_core(camera));
-  rust::Vec<MetricRow> rows;
-  rows.reserve(points.size());
-  auto next = all.begin();
-  for (const SeenRow& point : points) {
-    std::vector<Sighting> sightings;
-    for (std::size_t i = 0; i < point.sightings; ++i, ++next) {
-      const auto& [u, v, rho] = next->std_dev_px;
-      sightings.push_back({next->k,
-                           next->l,
-                           {next->u_px, next->v_px, next->rho_px},
-                           {u, v, rho},
-                           next->correlation});
-    }
-    rows.push_back(
-        from_core(back.triangulate(sightings, {loss_kind, loss_scale}, point.rho_std_dev_px)));
-  }
-  return rows;
+  const auto sighting = [](const Sighting& s) -> plenocal::Sighting {
+    const auto& [u, v, rho] = s.std_dev_px;
+    return {s.at.k, s.at.l, {s.at.u_px, s.at.v_px, s.rho_px}, {u, v, rho}, s.correlation};
+  };
+  return mapped<rust::Vec>(points, [&](const SeenPoint& point) {
+    return from_core(back.triangulate(mapped<std::vector>(point.sightings, sighting), to_core(loss),
+                                      point.rho_std_dev_px));
+  });
 }
 
 }  // namespace plenocal::bridge

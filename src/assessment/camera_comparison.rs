@@ -6,14 +6,13 @@
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
-use crate::back_projection::{metric_points, micro_images_at, pixel_rays, virtual_depths};
 use crate::error::{Error, Result};
 use crate::model::{
-    BentBoard, Board, BoardShape, MicroPixel, PlenopticCamera, Ray, VirtualPoint,
-    intrinsic_parameters, shared_parameters,
+    BentBoard, Board, BoardShape, PlenopticCamera, intrinsic_parameters, shared_parameters,
 };
 use crate::solver::{
-    self, CostOptions, Loss, LossKind, Problem, Projected, SolverFeature, SolverOptions,
+    self, CostOptions, Loss, LossKind, MicroPixel, Problem, Projected, Ray, SolverFeature,
+    SolverOptions, VirtualPoint, metric_points, micro_images_at, pixel_rays, virtual_depths,
 };
 
 /// Pixels at which cameras are compared, along u and v.
@@ -108,7 +107,7 @@ fn seen(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<(MicroPixel, Point3<
     let rays = pixel_rays(camera, &pixels, at_mm)?;
     let point = |((pixel, at), ray): ((&Vector2<f64>, _), Option<Ray>)| {
         let (k, l): (i32, i32) = at?;
-        Some((MicroPixel { k, l, u_px: pixel.x, v_px: pixel.y }, ray?.origin_mm))
+        Some((MicroPixel { k, l, u_px: pixel.x, v_px: pixel.y }, ray?.origin_mm.into()))
     };
     Ok(pixels.iter().zip(micro_images).zip(rays).filter_map(point).collect())
 }
@@ -191,7 +190,7 @@ fn difference(
     let off: Vec<Vector3<f64>> = there
         .iter()
         .zip(found)
-        .filter_map(|(there, found)| Some(found?.point_mm - there))
+        .filter_map(|(there, found)| Some(Point3::from(found?.point_mm) - there))
         .collect();
     let some = !off.is_empty();
     Ok(DistanceDifference {
@@ -216,12 +215,12 @@ fn with_problem<R>(
 ) -> R {
     let feature = |(at, point): &(MicroPixel, Point3<f64>)| SolverFeature {
         pose: 0,
-        board_point_mm: *point,
+        board_point_mm: point.coords.into(),
         k: at.k,
         l: at.l,
         u_px: at.u_px,
         v_px: at.v_px,
-        rho_px: None,
+        rho_px: f64::NAN,
         std_dev_px: [1.0; 3],
     };
     let features: Vec<SolverFeature> = points.iter().map(feature).collect();

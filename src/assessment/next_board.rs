@@ -140,7 +140,7 @@ fn information(
         .collect();
     features.retain(|f| seen.contains(&f.pose));
     let place =
-        |f: &SolverFeature| (f.pose, f.board_point_mm.x.to_bits(), f.board_point_mm.y.to_bits());
+        |f: &SolverFeature| (f.pose, f.board_point_mm[0].to_bits(), f.board_point_mm[1].to_bits());
     let mut of_corner: BTreeMap<_, f64> = BTreeMap::new();
     for feature in &features {
         *of_corner.entry(place(feature)).or_default() += 1.0;

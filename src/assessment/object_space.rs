@@ -157,11 +157,14 @@ fn points_at(
     let covariance = camera_covariance(&calibration.uncertainty);
     let sensitivities = solver::point_sensitivities(camera, &points, std_dev, margin)?;
     let trust = |((pixel, point), s): ((&[f64; 2], &Point3<f64>), solver::PointSensitivity)| {
-        let all = s.by_intrinsics?;
+        if !s.is_known() {
+            return None;
+        }
+        let all = &s.by_intrinsics;
         let of_space = rigid(&point.coords) * motion;
         // Where a point is seen does not depend on the board.
         let of_camera = DMatrix::from_fn(3, free.len(), |i, j| {
-            if free[j] < all.ncols() { all[(i, free[j])] } else { 0.0 }
+            if free[j] < all.columns { all[(i, free[j])] } else { 0.0 }
         });
         let by_intrinsics = of_camera - of_space;
         let spread = &by_intrinsics * &covariance * by_intrinsics.transpose();
@@ -170,7 +173,7 @@ fn points_at(
             point_mm: *point,
             micro_lenses: s.micro_lenses,
             std_dev_mm: across_and_along(&spread.fixed_view::<3, 3>(0, 0).into_owned()),
-            noise_mm: across_and_along(&s.covariance?),
+            noise_mm: across_and_along(&Matrix3::from_row_slice(&s.covariance_mm2)),
             by_intrinsics,
         })
     };
@@ -180,7 +183,7 @@ fn points_at(
 /// The covariance of the free intrinsic parameters.
 pub(super) fn camera_covariance(uncertainty: &Uncertainty) -> DMatrix<f64> {
     let n = uncertainty.free_intrinsics.len();
-    uncertainty.covariance.view((0, 0), (n, n)).into_owned()
+    DMatrix::from_fn(n, n, |i, j| uncertainty.covariance[(i, j)])
 }
 
 /// Largest σ across the axis, and σ along it.
@@ -219,7 +222,7 @@ fn rigid(point: &Vector3<f64>) -> DMatrix<f64> {
 /// rows, by least squares over the outer corners of all boards.
 fn motion_of_boards(calibration: &Calibration, board: &Board) -> DMatrix<f64> {
     let uncertainty = &calibration.uncertainty;
-    let follow = &uncertainty.poses_by_intrinsics;
+    let follow = DMatrix::from(&uncertainty.poses_by_intrinsics);
     // Corners move with the shape of their board too, in the mean like this.
     let mut by_shape = DMatrix::zeros(3, follow.ncols());
     let rows = uncertainty.shape_rows(calibration.camera.lens_types());

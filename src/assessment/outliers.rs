@@ -120,9 +120,9 @@ fn scaled_changes(uncertainty: &Uncertainty) -> Vec<Vec<f64>> {
             let variance = uncertainty.independent_covariance[(row, row)] * share / (1.0 - share);
             changes[(frame, row)] / variance.sqrt()
         };
-        (0..changes.ncols()).map(of_row).collect()
+        (0..changes.columns).map(of_row).collect()
     };
-    (0..changes.nrows()).map(of_frame).collect()
+    (0..changes.rows).map(of_frame).collect()
 }
 
 /// The parameter that moves most if a frame is left out, in σ as the changes by the other frames give it, all

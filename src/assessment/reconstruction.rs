@@ -165,12 +165,12 @@ fn by_place(
         let Some((first, _)) = first_of_frame.get(&feature.frame) else { continue };
         features.extend((*first..first + sides.len()).map(|pose| SolverFeature {
             pose,
-            board_point_mm: bent.board.point_mm(feature.corner),
+            board_point_mm: bent.board.point_mm(feature.corner).coords.into(),
             k: feature.k,
             l: feature.l,
             u_px: feature.u_px,
             v_px: feature.v_px,
-            rho_px: feature.rho_px,
+            rho_px: feature.rho_px.unwrap_or(f64::NAN),
             std_dev_px: [1.0; 3],
         }));
     }

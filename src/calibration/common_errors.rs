@@ -45,11 +45,11 @@ pub(super) fn common_errors(
     let levers = |f: &BapFeature| f.levers_px.unwrap_or([[0.0; 2]; TAKEN]);
     let mut errors = Vec::new();
     let mut add = |source: &str, anchors: Vec<f64>, by: &dyn Fn(usize, &BapFeature) -> [f64; 3]| {
-        let features_px: Vec<[f64; 3]> =
-            features.iter().enumerate().map(|(i, f)| by(i, f)).collect();
+        let features_px: Vec<f64> =
+            features.iter().enumerate().flat_map(|(i, f)| by(i, f)).collect();
         // The error of one anchor alone is in its σ.
         let of_several = anchors.iter().filter(|by| **by != 0.0).count() > 1;
-        if of_several || features_px.iter().flatten().any(|by| *by != 0.0) {
+        if of_several || features_px.iter().any(|by| *by != 0.0) {
             let (source, centers_px) = (source.to_owned(), Vec::new());
             // White images do not know the aperture ratio, so what they say has no σ of it.
             let in_anchors = source != APERTURE_RATIO;
@@ -146,13 +146,13 @@ fn of_centroids(
     centers: &[MicroImageCenter],
 ) -> Option<CommonError> {
     let fall_off = internal.fall_off.filter(|_| !centers.is_empty())?;
-    let moved = |c: &MicroImageCenter| {
+    let moved = |c: &MicroImageCenter| -> [f64; 2] {
         (fall_off.gradient(&Vector2::new(c.u_px, c.v_px)) * CENTROID_MODEL_PX2).into()
     };
     Some(CommonError {
         source: "centroids".to_owned(),
-        features_px: vec![[0.0; 3]; features],
-        centers_px: centers.iter().map(moved).collect(),
+        features_px: vec![0.0; 3 * features],
+        centers_px: centers.iter().flat_map(moved).collect(),
         anchors: Vec::new(),
         in_anchors: true,
     })

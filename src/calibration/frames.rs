@@ -219,12 +219,12 @@ pub(super) fn solver_features(
         |f: &BapFeature| f.rho_std_dev_px.map(|own| own * of_corner[&(f.frame, f.corner)].sqrt());
     let to_solver = |f: &BapFeature| SolverFeature {
         pose: index[&f.frame],
-        board_point_mm: board.point_mm(f.corner),
+        board_point_mm: board.point_mm(f.corner).coords.into(),
         k: f.k,
         l: f.l,
         u_px: f.u_px,
         v_px: f.v_px,
-        rho_px: f.rho_px,
+        rho_px: f.rho_px.unwrap_or(f64::NAN),
         std_dev_px: {
             let [u, v] = f.std_dev_px.unwrap_or([NO_OWN_STD_DEV; 2]);
             [u, v, rho_std_dev(f).unwrap_or(NO_OWN_STD_DEV)]
@@ -251,7 +251,7 @@ pub(super) fn feature_residuals(
     features: &[BapFeature],
 ) -> Result<Vec<FeatureResidual>> {
     let residual = |(&feature, projected): (&BapFeature, Option<Projected>)| {
-        let Projected { u_px, v_px, rho_px } = projected.ok_or_else(|| {
+        let projected = projected.ok_or_else(|| {
             Error::invalid(format!(
                 "the refined camera does not image corner {} of frame {}",
                 feature.corner, feature.frame
@@ -260,9 +260,9 @@ pub(super) fn feature_residuals(
         Ok(FeatureResidual {
             feature,
             lens_type: problem.camera.lens_type(feature.k, feature.l),
-            du_px: feature.u_px - u_px,
-            dv_px: feature.v_px - v_px,
-            drho_px: rho_px.zip(feature.rho_px).map(|(projected, measured)| measured - projected),
+            du_px: feature.u_px - projected.u_px,
+            dv_px: feature.v_px - projected.v_px,
+            drho_px: projected.rho().zip(feature.rho_px).map(|(rho, measured)| measured - rho),
         })
     };
     features.iter().zip(solver::project(problem)?).map(residual).collect()

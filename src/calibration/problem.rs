@@ -49,7 +49,7 @@ impl SolvedProblem {
         let rows = solver_features(&observed, &calibration.poses, board);
         let features = observed.iter().zip(&rows).map(|(&feature, row)| ProblemFeature {
             feature,
-            board_point_mm: row.board_point_mm,
+            board_point_mm: row.board_point_mm.into(),
             std_dev_px: std::array::from_fn(|i| factors[i] * row.std_dev_px[i]),
         });
         let of_center = |center: &MicroImageCenter| MicroImageCenter {

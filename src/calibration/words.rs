@@ -26,7 +26,7 @@ pub fn termination_text(calibration: &Calibration) -> String {
              {decrease:.1e}."
         ),
         (Termination::Stopped, _) => "Stopped by the caller.".to_owned(),
-        (Termination::Failed, _) => format!("The solver failed: {}", refinement.message),
+        _ => format!("The solver failed: {}", refinement.message),
     }
 }
 

@@ -6,9 +6,11 @@ use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 use nalgebra::Vector2;
-use plenocal::back_projection::{corners, focused_points, metric_points, micro_images_at};
 use plenocal::io::{self, DepthMap, OutputFolder, PlyColumn, VirtualDepths};
-use plenocal::model::{MetricPoint, MicroPixel, PlenopticCamera, VirtualPoint};
+use plenocal::model::PlenopticCamera;
+use plenocal::solver::{
+    MetricPoint, MicroPixel, VirtualPoint, corners, focused_points, metric_points, micro_images_at,
+};
 use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
@@ -95,7 +97,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         output.stage("points.csv", |out| write_csv(out, &cloud))?;
     }
     let document = document(arguments, &cloud);
-    let depths: Vec<f64> = cloud.points.iter().flatten().map(|p| p.point_mm.z).collect();
+    let depths: Vec<f64> = cloud.points.iter().flatten().map(|p| p.point_mm[2]).collect();
     let doubt = beyond_boards(&arguments.camera, &depths)?;
     let paths = output.commit()?;
     warn(doubt.as_slice());
@@ -183,15 +185,10 @@ fn of_map(
     Ok(Cloud { points, labels: [("u", whole(|p| p.x)), ("v", whole(|p| p.y))] })
 }
 
-/// σ of x, y and z.
-fn std_devs(point: &MetricPoint) -> [f64; 3] {
-    point.covariance_mm2.diagonal().map(f64::sqrt).into()
-}
-
 fn columns(cloud: &Cloud) -> Vec<PlyColumn<'static>> {
     let points = || cloud.points.iter().flatten();
     let coordinate = |axis: usize| points().map(|p| p.point_mm[axis]).collect();
-    let std_dev = |axis: usize| points().map(|p| std_devs(p)[axis]).collect();
+    let std_dev = |axis: usize| points().map(|p| p.std_devs_mm()[axis]).collect();
     let mut columns = vec![
         PlyColumn::Float("x", coordinate(0)),
         PlyColumn::Float("y", coordinate(1)),
@@ -212,7 +209,7 @@ fn write_csv(out: &mut dyn Write, cloud: &Cloud) -> std::io::Result<()> {
     writeln!(out, "{first},{second},x_mm,y_mm,z_mm,sigma_x_mm,sigma_y_mm,sigma_z_mm")?;
     for ((point, a), b) in cloud.points.iter().zip(firsts).zip(seconds) {
         let Some(point) = point else { continue };
-        let ([x, y, z], [sx, sy, sz]): ([f64; 3], _) = (point.point_mm.into(), std_devs(point));
+        let ([x, y, z], [sx, sy, sz]) = (point.point_mm, point.std_devs_mm());
         writeln!(out, "{a},{b},{x:.6},{y:.6},{z:.6},{sx:.6},{sy:.6},{sz:.6}")?;
     }
     Ok(())
@@ -220,8 +217,8 @@ fn write_csv(out: &mut dyn Write, cloud: &Cloud) -> std::io::Result<()> {
 
 fn document(arguments: &Arguments, cloud: &Cloud) -> Value {
     let points = || cloud.points.iter().flatten();
-    let depths = || points().map(|p| p.point_mm.z).collect::<Vec<f64>>();
-    let median = |axis: usize| quantile(points().map(|p| std_devs(p)[axis]).collect(), 0.5);
+    let depths = || points().map(|p| p.point_mm[2]).collect::<Vec<f64>>();
+    let median = |axis: usize| quantile(points().map(|p| p.std_devs_mm()[axis]).collect(), 0.5);
     json!({
         "input": arguments.input.display().to_string(),
         "camera": arguments.camera.display().to_string(),

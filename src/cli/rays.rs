@@ -7,9 +7,9 @@ use std::process::ExitCode;
 
 use clap::Args;
 use nalgebra::{Point3, Vector2};
-use plenocal::back_projection::{micro_images_at, pixel_rays};
 use plenocal::io::{NpyHeader, OutputFolder};
-use plenocal::model::{PlenopticCamera, Ray};
+use plenocal::model::PlenopticCamera;
+use plenocal::solver::{Ray, micro_images_at, pixel_rays};
 use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
@@ -140,8 +140,8 @@ fn write_rays(out: &mut dyn Write, rays: &[Option<Ray>], double: bool) -> std_io
     let mut bytes = Vec::with_capacity(rays.len() * 48);
     for ray in rays {
         let values = ray.map_or([f64::NAN; 6], |ray| {
-            let (o, d) = (ray.origin_mm, ray.direction);
-            [o.x, o.y, o.z, d.x, d.y, d.z]
+            let ([x, y, z], [dx, dy, dz]) = (ray.origin_mm, ray.direction);
+            [x, y, z, dx, dy, dz]
         });
         for value in values {
             if double {
@@ -209,7 +209,7 @@ fn bend(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<Bend>> {
         let there = pixel_rays(camera, &places, z_mm)?;
         let off = |(ray, exact): (&Option<Ray>, &Option<Ray>)| {
             let (ray, exact) = ((*ray)?, (*exact)?);
-            Some((ray_at(&ray, z_mm) - exact.origin_mm).norm())
+            Some((ray.at(z_mm) - Point3::from(exact.origin_mm)).norm())
         };
         let off: Vec<f64> = rays.iter().zip(&there).filter_map(off).collect();
         let square: f64 = off.iter().map(|x| x * x).sum();
@@ -226,9 +226,4 @@ fn bend(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<Bend>> {
         ));
     }
     Ok(measured)
-}
-
-/// Where a ray is at a distance.
-fn ray_at(ray: &Ray, z_mm: f64) -> Point3<f64> {
-    ray.origin_mm + ray.direction * ((z_mm - ray.origin_mm.z) / ray.direction.z)
 }

@@ -14,7 +14,7 @@ use crate::calibration::{
 use crate::finding::Severity;
 use crate::model::{Rmse, shared_parameters};
 use crate::quantity::Estimate;
-use crate::solver::LossKind;
+use crate::solver::{CommonChange, LossKind};
 
 /// The content of `camera.json` for a calibration, `converged` and the distances of its boards included.
 #[must_use]
@@ -135,7 +135,7 @@ fn anchors_document(calibration: &Calibration) -> Value {
 fn common_errors_document(calibration: &Calibration) -> Vec<Value> {
     let uncertainty = &calibration.uncertainty;
     let names = shared_parameters(calibration.camera.lens_types());
-    let of = |(source, changes): &(String, Vec<f64>)| {
+    let of = |CommonChange { source, changes }: &CommonChange| {
         let change =
             |(&index, change): (&usize, &f64)| (names[index].name.to_owned(), Value::from(*change));
         let changes: Map<String, Value> =

@@ -12,10 +12,9 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 use super::{compote, read_bytes};
 use crate::error::{Error, Observed, Result};
 use crate::model::check_aperture_ratio;
-use crate::model::{
-    BapFeature, MeasuredBlur, MicroImageCenter, MicroPixel, Observations, TAKEN, VirtualPoint,
-};
+use crate::model::{BapFeature, MeasuredBlur, MicroImageCenter, Observations, TAKEN};
 use crate::quantity::Estimate;
+use crate::solver::{MicroPixel, VirtualPoint};
 
 /// Reads micro-image centres from CSV.
 pub fn read_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
@@ -81,7 +80,7 @@ pub(super) fn read_virtual_rows(
 ) -> Result<Vec<VirtualPoint>> {
     let optional = ["std_u", "std_v", "std_nu"];
     rows(path, bytes, &["k", "l", "u", "v", "nu"], &optional, |row| {
-        let own = |i: usize| Ok(row.std_dev(optional[i])?.unwrap_or(std_dev[i]));
+        let own = |i: usize| -> Result<f64> { Ok(row.std_dev(optional[i])?.unwrap_or(std_dev[i])) };
         Ok(VirtualPoint {
             at: MicroPixel {
                 k: row.integer("k")?,

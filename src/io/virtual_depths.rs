@@ -6,7 +6,7 @@ use super::observations_file::read_virtual_rows;
 use super::read_bytes;
 use crate::error::{Error, Result};
 use crate::image::{Color, RawImage, Samples};
-use crate::model::VirtualPoint;
+use crate::solver::VirtualPoint;
 
 /// A map of virtual depths, row by row; NaN where there is none.
 #[derive(Debug, Clone, PartialEq)]

@@ -20,7 +20,6 @@ pub mod optics;
 mod parameters;
 mod reprojection;
 mod sensor;
-mod sight;
 
 pub use board::{BentBoard, Board, BoardShape, FramePose, Subset};
 #[cfg(test)]
@@ -51,4 +50,3 @@ pub use parameters::{
 };
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
 pub use sensor::Sensor;
-pub use sight::{MetricPoint, MicroPixel, Ray, SeenPoint, Sighting, VirtualPoint};

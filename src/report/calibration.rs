@@ -12,7 +12,7 @@ use crate::model::{
     BoardShape, Named, Parameter, Rmse, SHAPE_PARAMETERS, intrinsic_parameters, shared_parameters,
 };
 use crate::quantity::{display_unit, two_digits, with_std_dev};
-use crate::solver::{Anchor, LossKind};
+use crate::solver::{Anchor, CommonChange, LossKind};
 
 /// The result of a calibration: verdict, parameters, errors, convergence, weakest directions; and figures.
 #[must_use]
@@ -122,7 +122,7 @@ fn std_dev_text(calibration: &Calibration) -> String {
                 what they share, and is too small if they do."
             .to_owned();
     }
-    let contradiction = uncertainty.contradiction.map_or(String::new(), |(index, std_devs)| {
+    let contradiction = uncertainty.contradiction().map_or(String::new(), |(index, std_devs)| {
         format!(
             " Boards and micro-image centres contradict each other by {std_devs:.0} σ, most in {}; \
              σ does not contain that.",
@@ -282,7 +282,7 @@ fn systematic_errors_table(calibration: &Calibration) -> Option<Table> {
         "What was taken from the white images, and the change of parameters, in their σ",
         std::iter::once(Column::text("One σ of")).chain(shown.iter().map(of_parameter)),
     );
-    for (source, changes) in &uncertainty.common_changes {
+    for CommonChange { source, changes } in &uncertainty.common_changes {
         let share = |&row: &usize| {
             let std_dev = std_devs[uncertainty.free_intrinsics[row]].unwrap_or(f64::INFINITY);
             Cell::signed(changes[row] / std_dev, 2)

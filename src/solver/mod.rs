@@ -1,21 +1,40 @@
-//! The interface to the C++ core: projection, refinement, uncertainty.
+//! The face to the C++ core: projection, refinement, uncertainty, and a calibrated camera in use.
+//!
+//! The equations are those of the C++ core, in `cpp/include/plenocal`. A pixel seen through a micro-lens is a ray in space;
+//! with the virtual depth of what it shows, or seen through several micro-lenses, it is a point. For these, many pixels go
+//! at once, on all cores.
 
+mod back_projection;
 mod bridge;
+mod conversions;
+mod corners;
+mod forward;
 mod options;
 mod problem;
 mod refinement;
 mod synthetic;
+#[cfg(test)]
+mod tests;
 mod uncertainty;
 
-pub use bridge::{distortion_mm, silence_log};
-pub(crate) use bridge::{
-    frame_information, metric_points, micro_images_at, object_rays, pixel_rays,
-    point_sensitivities, project, project_centers, refine, triangulate, uncertainty,
-    virtual_depths, visible_features,
+pub use back_projection::{
+    focused_points, metric_points, micro_images_at, object_rays, pixel_rays, triangulate,
+    virtual_depths,
 };
+pub use bridge::ffi::{
+    Anchor, CommonChange, CommonError, CostOptions, Iteration, Loss, LossKind, Matrix, MetricPoint,
+    MicroPixel, Ray, SeenPoint, Sighting, SolverOptions, Termination, Uncertainty, VirtualPoint,
+};
+pub(crate) use bridge::ffi::{PointSensitivity, Projected, SolverCenter, SolverFeature};
+pub use bridge::silence_log;
+pub use corners::{Corners, corners};
+pub use forward::distortion_mm;
+pub(crate) use forward::{point_sensitivities, project, project_centers, visible_features};
+pub use options::BEYOND_THE_PAPER;
 pub(crate) use options::shape_names;
-pub use options::{Anchor, BEYOND_THE_PAPER, CostOptions, Loss, LossKind, SolverOptions};
-pub(crate) use problem::{PointSensitivity, Problem, Projected, SolverCenter, SolverFeature};
-pub use refinement::{Iteration, Refinement, Termination};
+pub(crate) use problem::Problem;
+pub use refinement::Refinement;
+pub(crate) use refinement::refine;
 pub use synthetic::{synthesize, synthesize_bent};
-pub use uncertainty::{CommonError, Component, Uncertainty, WeakDirection};
+pub use uncertainty::{Component, WeakDirection};
+pub(crate) use uncertainty::{frame_information, uncertainty};

@@ -1,8 +1,11 @@
 //! Options of the cost function and of its minimisation.
 
 use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
+use clap::builder::PossibleValue;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use super::bridge::ffi::{CostOptions, Loss, LossKind, SolverOptions};
 use crate::model::SHAPE_PARAMETERS;
 
 /// Names of the intrinsic parameters that the paper's camera does not have: curvature of the field, exit
@@ -14,60 +17,35 @@ pub(crate) fn shape_names() -> impl Iterator<Item = &'static str> {
     SHAPE_PARAMETERS.iter().map(|parameter| parameter.name)
 }
 
-/// Shape of the loss on the norm of an observation's standardised residual.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum LossKind {
-    /// Least squares (the paper).
-    None,
-    /// Linear beyond the scale.
-    Huber,
-    /// Logarithmic beyond the scale.
-    Cauchy,
+// A type of the bridge cannot derive these.
+impl ValueEnum for LossKind {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Self::None, Self::Huber, Self::Cauchy]
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(match *self {
+            Self::Huber => PossibleValue::new("huber").help("Linear beyond the scale"),
+            Self::Cauchy => PossibleValue::new("cauchy").help("Logarithmic beyond the scale"),
+            _ => PossibleValue::new("none").help("Least squares (the paper)"),
+        })
+    }
 }
 
-/// Robust loss.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Loss {
-    /// Its shape.
-    pub kind: LossKind,
-    /// Residual norm at which it sets in, in standard deviations; no effect with [`LossKind::None`].
-    pub scale: f64,
+impl Serialize for LossKind {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let name = self.to_possible_value();
+        serializer.serialize_str(name.as_ref().map_or("none", PossibleValue::get_name))
+    }
 }
 
-/// What is known of a camera beforehand: one more residual in the cost, (quantity − value)/σ.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Anchor {
-    /// Name of a parameter of the camera or of the board's shape, or `m` for |m| = dpF/2(D + e_z) (mm).
-    pub quantity: String,
-    /// Its value, in the unit of the parameter.
-    pub value: f64,
-    /// σ of the value, likewise.
-    pub std_dev: f64,
-}
-
-/// The cost: ½ Σ loss(|r/σ|²) + w/2 Σ (anchor residual)². The σ of an observation's residual is its own
-/// (1 px unless given) times the factor given here for its kind.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct CostOptions {
-    /// Factor on σ of u and v of a feature; σ in px if the feature has none of its own.
-    pub uv_std_dev_px: f64,
-    /// Factor on σ of ρ, likewise.
-    pub rho_std_dev_px: f64,
-    /// Factor on σ of u and v of a micro-image centre, likewise.
-    pub centers_std_dev_px: f64,
-    /// Whether the ρ of features counts, as in the paper. It is made of q'ᵢ and of the same u and v: with anchors
-    /// on the q'ᵢ, which determine the fᵢ, it says nothing more.
-    pub rho: bool,
-    /// Loss on features and on centres.
-    pub loss: Loss,
-    /// Names of the parameters of camera and board that keep their value.
-    pub fixed: Vec<String>,
-    /// What is known beforehand, each of another quantity.
-    pub anchors: Vec<Anchor>,
-    /// w: how many times larger the variance of what the observations say is than their σ claims. It
-    /// keeps observations and anchors in proportion.
-    pub anchor_weight: f64,
+impl<'de> Deserialize<'de> for LossKind {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        Self::from_str(&name, false).map_err(|_| {
+            D::Error::custom(format!("'{name}' is no loss: write none, huber or cauchy"))
+        })
+    }
 }
 
 impl Default for CostOptions {
@@ -84,22 +62,6 @@ impl Default for CostOptions {
             anchor_weight: 1.0,
         }
     }
-}
-
-/// Options of the minimisation.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct SolverOptions {
-    /// Largest number of Levenberg-Marquardt iterations.
-    pub max_iterations: usize,
-    /// Threads of the solver.
-    pub threads: usize,
-    /// The solve ends with a step that lowers the cost by less than this part.
-    pub function_tolerance: f64,
-    /// Whether to jump to the extrapolated limit of the steps when they converge slowly; if false, Ceres
-    /// does all the work.
-    pub extrapolate: bool,
-    /// Initial trust-region radius; large, so that the first steps are nearly Gauss-Newton steps.
-    pub initial_trust_region_radius: f64,
 }
 
 impl Default for SolverOptions {

@@ -1,38 +1,12 @@
-//! The result of the refinement.
+//! The refinement.
 
 use nalgebra::Isometry3;
 
+use super::bridge::ffi::{CostOptions, Iteration, SolverOptions, Termination};
+use super::problem::Problem;
+use super::{bridge, conversions};
+use crate::error::Result;
 use crate::model::{BoardShape, PlenopticCamera};
-
-/// One iteration of the refinement.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Iteration {
-    /// Number of the iteration; 0 is the start.
-    pub number: i32,
-    /// The cost.
-    pub cost: f64,
-    /// Largest component of the gradient.
-    pub gradient_max_norm: f64,
-    /// 2-norm of the change of all parameters; 0 for a rejected step.
-    pub step_norm: f64,
-    /// Radius of the trust region.
-    pub trust_region_radius: f64,
-    /// Wall time since the start of the solve, s.
-    pub time_s: f64,
-}
-
-/// Why the solver stopped.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Termination {
-    /// It reached a minimum, by the solver's tolerances.
-    Converged,
-    /// It reached the limit of iterations.
-    IterationLimit,
-    /// The progress function stopped it.
-    Stopped,
-    /// It failed.
-    Failed,
-}
 
 /// The result of the refinement.
 #[derive(Debug, Clone, PartialEq)]
@@ -78,4 +52,27 @@ impl Refinement {
             ..next
         }
     }
+}
+
+/// Minimises the cost over camera and poses.
+pub(crate) fn refine(
+    problem: &Problem,
+    cost: &CostOptions,
+    solver: &SolverOptions,
+    progress: &mut dyn FnMut(&Iteration) -> bool,
+) -> Result<Refinement> {
+    let parts = bridge::refine(&problem.parts(), cost, solver, progress)?;
+    Ok(Refinement {
+        camera: problem.camera.with_intrinsics(&parts.parameters),
+        shape: conversions::shape(&parts.shape),
+        poses: conversions::rows(&parts.poses),
+        initial_cost: parts.initial_cost,
+        cost: parts.cost,
+        frame_costs: parts.frame_costs,
+        termination: parts.termination,
+        message: parts.message,
+        report: parts.report,
+        time_s: parts.time_s,
+        iterations: parts.iterations,
+    })
 }

@@ -5,12 +5,14 @@
 
 use nalgebra::{Isometry3, Vector2};
 
+use super::bridge::ffi::{Projected, SolverFeature};
+use super::forward::{project, project_centers};
+use super::problem::Problem;
 use crate::error::Result;
 use crate::model::{
     BapFeature, BentBoard, Board, FramePose, MicroImageCenter, Noise, NoiseSource, Observations,
     PlenopticCamera,
 };
-use crate::solver::{Problem, Projected, SolverFeature};
 
 /// A corner counts as visible if it lies at least this far inside its micro-image, px: nearer to the
 /// edge a detector cannot use both sides of it.
@@ -48,7 +50,8 @@ pub fn synthesize_bent(
             for (center, projected) in
                 centers.iter().zip(project_corner(camera, board, pose, corner, &centers)?)
             {
-                let Some(Projected { u_px, v_px, rho_px }) = projected else { continue };
+                let Some(projected) = projected else { continue };
+                let Projected { u_px, v_px, .. } = projected;
                 let offset = Vector2::new(u_px - center.u_px, v_px - center.v_px);
                 if offset.norm() <= radius {
                     features.push(source.feature(&BapFeature {
@@ -58,7 +61,7 @@ pub fn synthesize_bent(
                         l: center.l,
                         u_px,
                         v_px,
-                        rho_px,
+                        rho_px: projected.rho(),
                         std_dev_px: None,
                         rho_std_dev_px: None,
                         correlation: 0.0,
@@ -78,7 +81,7 @@ fn whole_micro_images(camera: &PlenopticCamera) -> Result<Vec<MicroImageCenter>>
         .flat_map(|l| (0..camera.lattice.columns).map(move |k| (k, l)))
         .map(|(k, l)| MicroImageCenter { k, l, u_px: 0.0, v_px: 0.0, std_dev_px: None })
         .collect();
-    let projected = super::project_centers(camera, centers.iter().map(|c| (c.k, c.l)))?;
+    let projected = project_centers(camera, centers.iter().map(|c| (c.k, c.l)))?;
     let radius = camera.micro_image_pitch_px() / 2.0;
     let whole = |c: &MicroImageCenter| {
         let inside = |x: f64, size: u32| x >= radius && x <= f64::from(size) - 1.0 - radius;
@@ -102,21 +105,15 @@ fn project_corner(
         .iter()
         .map(|c| SolverFeature {
             pose: 0,
-            board_point_mm: board.board.point_mm(corner),
+            board_point_mm: board.board.point_mm(corner).coords.into(),
             k: c.k,
             l: c.l,
             u_px: 0.0,
             v_px: 0.0,
-            rho_px: None,
+            rho_px: f64::NAN,
             std_dev_px: [1.0; 3],
         })
         .collect();
     let poses: [Isometry3<f64>; 1] = [pose.camera_from_board];
-    super::project(&Problem {
-        camera,
-        board: *board,
-        poses: &poses,
-        features: &features,
-        centers: &[],
-    })
+    project(&Problem { camera, board: *board, poses: &poses, features: &features, centers: &[] })
 }

@@ -2,91 +2,15 @@
 
 use nalgebra::DMatrix;
 
+use super::bridge::ffi::{self, CommonError, CostOptions, Matrix, Uncertainty};
+use super::problem::Problem;
+use crate::error::Result;
 use crate::model::{Named, SHAPE, intrinsic_parameters, shared_parameters};
 
 /// Number of parameters of a pose.
 const POSE_PARAMETERS: usize = 6;
 /// Index of the translation along z in a pose (rotation first).
 const POSE_Z: usize = 5;
-
-/// How well observations and anchors determine the parameters.
-///
-/// The parameters are those of the camera and of the board's shape that are free, which are called intrinsic here,
-/// then six for every pose (angle-axis rotation
-/// in rad, translation in mm). There are two covariances. That of independent errors takes every
-/// observation for itself, with the measured variance of its kind. That of shared errors lets all
-/// residuals of a frame, and those of neighbouring centres, have errors in common; it comes from how
-/// much frames contradict each other. Both are valid whether or not the weights match the noise, and
-/// both contain anchors and what all features of a lens type share. Equations: `Uncertainty` in
-/// `plenocal/refine.hpp`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Uncertainty {
-    /// Indices of the free parameters into [`shared_parameters`]: of the camera, then of the board's shape.
-    pub free_intrinsics: Vec<usize>,
-    /// Number of independent directions of parameter space that are determined.
-    pub rank: usize,
-    /// Whether `covariance` is that of shared errors: from six frames on, or if only poses are
-    /// estimated.
-    pub shared: bool,
-    /// Covariance of all parameters, in their units: the one to trust.
-    pub covariance: DMatrix<f64>,
-    /// Covariance if errors of all observations are independent.
-    pub independent_covariance: DMatrix<f64>,
-    /// If errors are shared: degrees of freedom of the variance of each free intrinsic parameter.
-    pub freedom: Vec<f64>,
-    /// By how much the free intrinsic parameters would change if a frame were left out, to first order:
-    /// a row for each frame; not a number where they would not all be determined any more.
-    pub left_out_changes: DMatrix<f64>,
-    /// The share of each frame (a row) in what the weights claim the variance of the free intrinsic
-    /// parameters to be, 0 to 1.
-    pub frame_shares: DMatrix<f64>,
-    /// What each common error changes: its source, and the change of each free intrinsic parameter.
-    pub common_changes: Vec<(String, Vec<f64>)>,
-    /// How the poses follow the free intrinsic parameters: six rows for each.
-    pub poses_by_intrinsics: DMatrix<f64>,
-    /// How many times larger the variance of the anchored quantities is than the weights claim, as far as
-    /// the observations cause it; 1 without anchors.
-    pub dispersion: f64,
-    /// The intrinsic parameter (its index) on which boards and micro-image centres contradict each other
-    /// most, and by how many σ; `None` if they agree within 3 σ. No covariance contains it.
-    pub contradiction: Option<(usize, f64)>,
-    /// Diagonal of the information matrix J'J.
-    pub information: Vec<f64>,
-    /// The directions of parameter space with the least information in proportion to that on each
-    /// parameter alone; the weakest first. Each is the change of all parameters along one standard
-    /// deviation, or, if the observations do not determine it at all (the first size − rank), along
-    /// the unit of the scaled space.
-    pub weakest: Vec<Vec<f64>>,
-    /// Whether each parameter is determined at all; if not, its variance is meaningless.
-    pub determined: Vec<bool>,
-    /// Measured standard deviation of a residual, px: u and v of features, ρ, u and v of centres; root of
-    /// the sum of squares over their redundancy, not a number for a kind without observations. With a
-    /// robust loss it is that of the weighted residuals, smaller than the noise.
-    pub residual_std_dev_px: [f64; 3],
-    /// By how much the errors of each kind are larger than their σ in the cost says; 1 if it is right.
-    pub std_dev_factors: [f64; 3],
-    /// How much a further Gauss-Newton step would lower the cost; almost 0 at a true minimum.
-    pub expected_decrease: f64,
-    /// That step: the change of each parameter.
-    pub next_step: Vec<f64>,
-    /// The gradient of the cost by each parameter.
-    pub gradient: Vec<f64>,
-}
-
-/// An error that observations have in common: one standard deviation of it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CommonError {
-    /// Of what.
-    pub source: String,
-    /// By how much it moves u, v and ρ of each feature, px.
-    pub features_px: Vec<[f64; 3]>,
-    /// By how much it moves u and v of each centre, px; empty for none.
-    pub centers_px: Vec<[f64; 2]>,
-    /// By how much it moves the value of each anchor, in its σ; empty for none.
-    pub anchors: Vec<f64>,
-    /// Whether the σ of the anchors contains it already.
-    pub in_anchors: bool,
-}
 
 /// A parameter's component of a weak direction.
 #[derive(Debug, Clone, PartialEq)]
@@ -126,7 +50,15 @@ impl Uncertainty {
     /// Number of parameters.
     #[must_use]
     pub fn size(&self) -> usize {
-        self.covariance.nrows()
+        self.covariance.rows
+    }
+
+    /// The intrinsic parameter (its index) on which boards and micro-image centres contradict each other
+    /// most, and by how many σ; `None` if they agree within 3 σ. No covariance contains it.
+    #[must_use]
+    pub fn contradiction(&self) -> Option<(usize, f64)> {
+        let row = usize::try_from(self.contradicted_row).ok()?;
+        Some((self.free_intrinsics[row], self.contradiction_std_devs))
     }
 
     /// Standard deviation of each intrinsic parameter in the order of
@@ -180,7 +112,7 @@ impl Uncertainty {
         self.std_dev_in(&self.covariance, row)
     }
 
-    fn std_dev_in(&self, covariance: &DMatrix<f64>, row: usize) -> f64 {
+    fn std_dev_in(&self, covariance: &Matrix, row: usize) -> f64 {
         if self.determined[row] { covariance[(row, row)].sqrt() } else { f64::INFINITY }
     }
 
@@ -202,8 +134,9 @@ impl Uncertainty {
     /// changes θᵢ to first order instead of n calibrations; `None` for fixed parameters.
     #[must_use]
     pub fn jackknife_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
-        let frames = self.left_out_changes.nrows() as f64;
-        let variance = |row: usize| self.left_out_changes.column(row).variance();
+        let frames = self.left_out_changes.rows as f64;
+        let changes = DMatrix::from(&self.left_out_changes);
+        let variance = |row: usize| changes.column(row).variance();
         self.by_intrinsic(lens_types, |row| ((frames - 1.0) * variance(row)).sqrt())
     }
 
@@ -250,11 +183,9 @@ impl Uncertainty {
     pub fn weakest_directions(&self, lens_types: usize) -> Vec<WeakDirection> {
         let undetermined = self.size() - self.rank;
         let parameters = shared_parameters(lens_types);
-        let describe = |(i, direction): (usize, &Vec<f64>)| {
-            self.describe(direction, i >= undetermined, &parameters)
-        };
-        let mut directions: Vec<WeakDirection> =
-            self.weakest.iter().enumerate().map(describe).collect();
+        let describe =
+            |i: usize| self.describe(self.weakest.row(i), i >= undetermined, &parameters);
+        let mut directions: Vec<WeakDirection> = (0..self.weakest.rows).map(describe).collect();
         directions.retain(|direction| !direction.components.is_empty());
         directions
     }
@@ -302,4 +233,24 @@ impl Uncertainty {
             board_distance_share: distances.into_iter().map(share).fold(0.0, f64::max),
         }
     }
+}
+
+/// Uncertainty of the parameters at a minimum, with errors that observations have in common.
+pub(crate) fn uncertainty(
+    problem: &Problem,
+    cost: &CostOptions,
+    common: &[CommonError],
+    threads: usize,
+) -> Result<Uncertainty> {
+    Ok(ffi::uncertainty(&problem.parts(), cost, common, threads)?)
+}
+
+/// The information of each pose's features on the free parameters of camera and board, with the pose unknown.
+pub(crate) fn frame_information(
+    problem: &Problem,
+    cost: &CostOptions,
+    threads: usize,
+) -> Result<Vec<DMatrix<f64>>> {
+    let of_frames = ffi::frame_information(&problem.parts(), cost, threads)?;
+    Ok(of_frames.iter().map(DMatrix::from).collect())
 }

@@ -170,7 +170,9 @@ fn the_next_board_keeps_its_promise() {
     more.push(plenocal::model::FramePose { frame: 99, camera_from_board: next.pose });
     let largest_at = |assessment: &Assessment, calibration: &Calibration, range: (f64, f64)| {
         let n = calibration.uncertainty.free_intrinsics.len();
-        let covariance = calibration.uncertainty.covariance.view((0, 0), (n, n)).into_owned();
+        let covariance = nalgebra::DMatrix::from(&calibration.uncertainty.covariance)
+            .view((0, 0), (n, n))
+            .into_owned();
         let space = assessment.object_space.as_ref().unwrap();
         let there = space.distances.iter().filter(|d| (range.0..=range.1).contains(&d.distance_mm));
         there.flat_map(|d| d.points.iter().map(|p| p.total_mm(&covariance))).fold(0.0, f64::max)

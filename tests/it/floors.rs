@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::house;
 
 /// The rooms of `src`, the lowest first; a room may import those before it.
-const ROOMS: [&str; 18] = [
+const ROOMS: [&str; 17] = [
     "error",
     "quantity",
     "finding",
@@ -17,7 +17,6 @@ const ROOMS: [&str; 18] = [
     "solver",
     "simulation",
     "checks",
-    "back_projection",
     "precalibration",
     "detection",
     "calibration",

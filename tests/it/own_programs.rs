@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use plenocal::back_projection::metric_points;
 use plenocal::calibration::{BoardModel, CalibrationOptions, SolvedProblem, Start};
 use plenocal::io::{OutputFolder, read_camera, read_poses, stage_problem};
-use plenocal::model::{FramePose, MicroPixel, Noise, VirtualPoint};
+use plenocal::model::{FramePose, Noise};
+use plenocal::solver::{MicroPixel, VirtualPoint, metric_points};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use serde_json::Value;
@@ -51,8 +51,9 @@ fn a_stack_turns_virtual_depths_into_metric_points() {
     assert_eq!(found.lines().count(), 4);
     for (line, expected) in found.lines().skip(1).zip(expected) {
         let numbers: Vec<f64> = line.split(',').map(|n| n.parse().unwrap()).collect();
-        let apart =
-            (Vector3::from_column_slice(&numbers) - expected.unwrap().point_mm.coords).norm();
+        let apart = (Vector3::from_column_slice(&numbers)
+            - Vector3::from(expected.unwrap().point_mm))
+        .norm();
         assert!(apart < 1e-6 * numbers[2], "{line}");
     }
     // The same program in Rust.

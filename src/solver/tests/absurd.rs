@@ -1,13 +1,11 @@
 //! Absurd values cross the bridge: they come back as errors or as results. A CHECK in Ceres or glog would end the process.
 
-use nalgebra::{Quaternion, UnitQuaternion};
+use nalgebra::{Point3, Quaternion, UnitQuaternion};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
 use super::*;
 use crate::model::small_camera;
-use crate::solver::options::{Anchor, Loss, LossKind};
-use crate::solver::problem::SolverCenter;
 
 const CASES: u64 = 1_000;
 const VALUES: [f64; 20] = [
@@ -107,7 +105,7 @@ fn spoil(parts: &mut Parts, random: &mut StdRng) {
         8 => (parts.features[at].k, parts.features[at].pose) = (number, at),
         9 => {
             let feature = &mut parts.features[at];
-            (feature.u_px, feature.rho_px) = (value, Some(value).filter(|_| axis > 0));
+            (feature.u_px, feature.rho_px) = (value, if axis > 0 { value } else { f64::NAN });
             feature.std_dev_px[axis] = any(&VALUES, random);
         }
         10 => {
@@ -153,7 +151,7 @@ fn absurd_values_come_back_as_errors_or_results() {
         let _ = project(&problem);
         let _ = uncertainty(&problem, cost, &[], 1);
         let _ = frame_information(&problem, cost, 1);
-        let points = [problem.features[0].board_point_mm];
+        let points = [Point3::from(problem.features[0].board_point_mm)];
         let _ = visible_features(problem.camera, &problem.board, problem.poses, &points, 3.0);
         let _ = point_sensitivities(problem.camera, &points, [1.0; 3], 3.0);
     }

@@ -4,22 +4,19 @@
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
-use super::{
-    Corners, corners, metric_points, micro_images_at, object_rays, triangulate, virtual_depths,
+use crate::model::{BapFeature, BentBoard, Board, BoardShape, PlenopticCamera, small_camera};
+use crate::solver::{
+    Corners, Loss, LossKind, MetricPoint, MicroPixel, SeenPoint, Sighting, SolverFeature,
+    VirtualPoint, corners, metric_points, micro_images_at, object_rays, triangulate,
+    virtual_depths, visible_features,
 };
-use crate::model::{
-    BapFeature, BentBoard, Board, BoardShape, MetricPoint, MicroPixel, PlenopticCamera, SeenPoint,
-    Sighting, VirtualPoint,
-};
-use crate::simulation::Settings;
-use crate::solver::{Loss, LossKind, SolverFeature, visible_features};
 
 const BOARD: Board = Board { columns: 6, rows: 4, square_mm: 3.0 };
 const NEAR_MM: f64 = 1e-7;
 
 /// A simulated camera, corners of a tilted board, and all their sightings, without noise.
 fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<SeenPoint>) {
-    let camera = Settings::preset("mini", &[]).unwrap().camera;
+    let camera = small_camera();
     let pose = Isometry3::new(Vector3::new(-8.0, -5.0, 90.0), Vector3::new(0.3, -0.4, 0.1));
     let board = BentBoard { board: BOARD, shape: BoardShape::default() };
     let corners: Vec<Point3<f64>> = (0..BOARD.corners()).map(|i| BOARD.point_mm(i)).collect();
@@ -27,11 +24,11 @@ fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<SeenPoint>) {
         let seen = visible_features(&camera, &board, &[pose], &[*corner], 1.0).unwrap();
         let sighting = |f: &SolverFeature| Sighting {
             at: MicroPixel { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px },
-            std_dev_px: [0.1; 2],
+            rho_px: f.rho_px,
+            std_dev_px: [0.1, 0.1, 0.2],
             correlation: 0.2,
-            rho: f.rho_px.map(|rho_px| [rho_px, 0.2]),
         };
-        SeenPoint::from(seen.iter().map(sighting).collect::<Vec<_>>())
+        SeenPoint { sightings: seen.iter().map(sighting).collect(), rho_std_dev_px: 0.0 }
     });
     let sightings = sightings.collect();
     (camera, corners.iter().map(|corner| pose * corner).collect(), sightings)
@@ -50,10 +47,10 @@ fn false_sightings_are_withstood_and_scatter_scales_sigma() {
     let least_squares = triangulate(&camera, &seen, plain).unwrap();
     let of = |corners: &Corners| {
         let at = corners.labels.iter().position(|label| label.1 as usize == i).unwrap();
-        off(&corners.points[at], &points[i])
+        off(&corners.points[at].unwrap(), &points[i])
     };
     assert!(of(&exact) < NEAR_MM);
-    assert!(of(&found) < 0.3 * off(&least_squares[i], &points[i]), "{}", of(&found));
+    assert!(of(&found) < 0.3 * off(&least_squares[i].unwrap(), &points[i]), "{}", of(&found));
     assert!(found.scatter > 1e-6, "{}", found.scatter);
 }
 
@@ -69,22 +66,25 @@ fn what_sightings_share_is_in_the_depth() {
         let at = seen[label.1 as usize].sightings[0].at;
         // By how much rho changes with z, from two virtual depths: rho = q' - dC/2s/nu.
         let step = Vector3::new(0.0, 0.0, 0.01);
-        let depths = virtual_depths(&camera, &[-step, step].map(|s| (at, shared.point_mm + s)));
+        let depths = virtual_depths(
+            &camera,
+            &[-step, step].map(|s| (at, Point3::from(shared.point_mm) + s)),
+        );
         let [near, far] = depths.unwrap()[..] else { panic!("two depths") };
         let half_px = camera.mla.pitch_mm / 2.0 / camera.sensor.pixel_size_mm;
         let slope = half_px * (1.0 / far.unwrap() - 1.0 / near.unwrap()) / (2.0 * step.z);
         let expected = RHO_STD_DEV_PX / slope.abs();
-        let std_dev = shared.covariance_mm2[(2, 2)].sqrt();
+        let std_dev = shared.std_devs_mm()[2];
         assert!((std_dev / expected - 1.0).abs() < 1e-2, "{std_dev} mm for {expected}");
-        assert!((shared.point_mm - alone.point_mm).norm() < NEAR_MM);
+        assert!(off(alone, &shared.point_mm.into()) < NEAR_MM);
     }
     let negative = SeenPoint { rho_std_dev_px: -1.0, ..seen[0].clone() };
     let plain = Loss { kind: LossKind::None, scale: 1.0 };
     assert!(triangulate(&camera, &[negative], plain).is_err());
 }
 
-fn off(found: &Option<MetricPoint>, truth: &Point3<f64>) -> f64 {
-    (found.unwrap().point_mm - truth).norm()
+fn off(found: &MetricPoint, truth: &Point3<f64>) -> f64 {
+    (Point3::from(found.point_mm) - truth).norm()
 }
 
 /// The features that a detection would state.
@@ -98,7 +98,7 @@ fn features(seen: &[SeenPoint], rho_std_dev_px: Option<f64>) -> Vec<BapFeature> 
             u_px: s.at.u_px,
             v_px: s.at.v_px,
             rho_px: None,
-            std_dev_px: Some(s.std_dev_px),
+            std_dev_px: Some([s.std_dev_px[0], s.std_dev_px[1]]),
             correlation: s.correlation,
             rho_std_dev_px,
             levers_px: None,
@@ -122,12 +122,12 @@ fn corners_are_triangulated_and_lie_on_their_rays() {
             continue;
         }
         let found = found.unwrap();
-        assert!((found.point_mm - point).norm() < NEAR_MM, "{found:?} for {point}");
-        let std_devs = found.covariance_mm2.diagonal().map(f64::sqrt);
-        assert!(std_devs.z > std_devs.x && std_devs.z < 10.0, "{std_devs}");
+        assert!(off(&found, point) < NEAR_MM, "{found:?} for {point}");
+        let [x, _, z] = found.std_devs_mm();
+        assert!(z > x && z < 10.0, "{x} {z}");
         let pixels: Vec<MicroPixel> = sightings.iter().map(|s| s.at).collect();
         for ray in object_rays(&camera, &pixels, point.z).unwrap() {
-            assert!((ray.unwrap().origin_mm - point).norm() < NEAR_MM);
+            assert!((Point3::from(ray.unwrap().origin_mm) - point).norm() < NEAR_MM);
             rays += 1;
         }
         let places: Vec<Vector2<f64>> =

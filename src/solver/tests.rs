@@ -2,16 +2,17 @@
 
 mod absurd;
 
-use nalgebra::{Point3, Vector2, Vector3};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use super::ffi::NodeRow;
+use nalgebra::{Isometry3, Vector2, Vector3};
+
+use super::bridge::ffi::{self, NodeRow};
 use super::*;
 use crate::model::{
     BentBoard, Board, BoardShape, EdgeSpread, Lattice, LatticeKind, MainLens, MicroLensArray,
     Packing, Parity, PlenopticCamera, SHAPE_PARAMETERS, Sensor, intrinsic_parameters,
     shared_parameters,
 };
-use crate::solver::problem::SolverFeature;
 
 fn camera(packing: Packing, columns: i32, rows: i32) -> PlenopticCamera {
     let types = if packing == Packing::Orthogonal { 1 } else { 3 };
@@ -89,12 +90,12 @@ fn a_pinhole_array_has_no_blur() {
     let pose = [Isometry3::translation(0.0, 0.0, 300.0)];
     let feature = |z| SolverFeature {
         pose: 0,
-        board_point_mm: Point3::new(0.0, 0.0, z),
+        board_point_mm: [0.0, 0.0, z],
         k: 2,
         l: 2,
         u_px: 0.0,
         v_px: 0.0,
-        rho_px: Some(0.0),
+        rho_px: 0.0,
         std_dev_px: [1.0; 3],
     };
     let features = [feature(0.0), feature(-280.0)];
@@ -104,10 +105,10 @@ fn a_pinhole_array_has_no_blur() {
             .unwrap()
     };
     let blurred = seen(&camera);
-    assert!(blurred[0].unwrap().rho_px.is_some_and(f64::is_finite));
+    assert!(blurred[0].unwrap().rho().is_some_and(f64::is_finite));
     assert_eq!(blurred[1], None, "within the focal length");
     camera.mla.focal_lengths_mm.clear();
-    assert_eq!(seen(&camera)[0].unwrap().rho_px, None);
+    assert_eq!(seen(&camera)[0].unwrap().rho(), None);
 }
 
 #[test]
@@ -137,12 +138,12 @@ fn a_panic_in_the_progress_function_comes_back_as_a_panic() {
     let pose = Isometry3::translation(0.0, 0.0, 300.0);
     let feature = |k, l, u_px| SolverFeature {
         pose: 0,
-        board_point_mm: Point3::origin(),
+        board_point_mm: [0.0; 3],
         k,
         l,
         u_px,
         v_px: 40.0,
-        rho_px: Some(0.0),
+        rho_px: 0.0,
         std_dev_px: [1.0; 3],
     };
     let features: Vec<_> = (0..8).map(|i| feature(i, 7 - i, 10.0 * f64::from(i))).collect();
