@@ -26,8 +26,8 @@ fn in_chunks<T: Sync, R: Send>(
     Ok(chunks.into_iter().flatten().collect())
 }
 
-/// The micro-images (k, l) that pixels of the raw image belong to: those whose micro-lens is the nearest to the ray from
-/// the exit pupil. `None` outside the array.
+/// The micro-images (k, l) that pixels of the raw image belong to: those whose micro-lens is the nearest
+/// to the ray from the exit pupil. `None` outside the array.
 ///
 /// An error if the camera is not valid.
 pub fn micro_images_at(

@@ -1,7 +1,7 @@
 //! The bridge to the C++ core: the types and functions of both sides. No other module is unsafe.
 //!
-//! Long because cxx takes one module for all that crosses. Its types are the solver's own. Where a value is missing it is
-//! not a number, as in the core.
+//! Long because cxx takes one module for all that crosses. Its types are the solver's own. Where a
+//! value is missing it is not a number, as in the core.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -234,8 +234,8 @@ pub(super) mod ffi {
     pub struct SeenPoint {
         /// How each of them sees it.
         pub sightings: Vec<Sighting>,
-        /// σ of its ρ is at least this, px: what the sightings have in common does not average out. 0 if they have nothing
-        /// in common.
+        /// σ of its ρ is at least this, px: what the sightings have in common does not average out. 0 if they
+        /// have nothing in common.
         pub rho_std_dev_px: f64,
     }
 

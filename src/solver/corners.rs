@@ -28,9 +28,10 @@ pub struct Corners {
     pub scatter: f64,
 }
 
-/// Corners from the features of boards: false ones are withstood (Huber, 3 σ), and covariances are multiplied by how much
-/// features scatter more than their σ says, in the mean of all corners. σ of ρ is at least what the detection states: all
-/// features of a corner were found with the same blur, which follows from their own line, so that they err together.
+/// Corners from the features of boards: false ones are withstood (Huber, 3 σ), and covariances are
+/// multiplied by how much features scatter more than their σ says, in the mean of all corners. σ of ρ is at
+/// least what the detection states: all features of a corner were found with the same blur, which follows
+/// from their own line, so that they err together.
 ///
 /// Features without σ have one of 1 px. An error as of [`triangulate`].
 pub fn corners(camera: &PlenopticCamera, features: &[BapFeature]) -> Result<Corners> {

@@ -44,8 +44,8 @@ pub(crate) fn project_centers(
     Ok(centers.iter().map(|pixel| [pixel.x, pixel.y]).collect())
 }
 
-/// Features of points of the flat grid of a board through all micro-lenses that see them at least `margin_px` inside the
-/// micro-image, without noise.
+/// Features of points of the flat grid of a board through all micro-lenses that see them at least
+/// `margin_px` inside the micro-image, without noise.
 pub(crate) fn visible_features(
     camera: &PlenopticCamera,
     board: &BentBoard,

@@ -75,8 +75,8 @@ impl Uncertainty {
         self.free_intrinsics.iter().zip(&self.determined).filter_map(of_row).collect()
     }
 
-    /// Of each parameter of camera and board its standard deviation, that if errors are taken as independent, and by what
-    /// fraction of itself the first is uncertain, if it is known; `None` for fixed parameters.
+    /// Of each parameter of camera and board its standard deviation, that if errors are taken as independent,
+    /// and by what fraction of itself the first is uncertain, if it is known; `None` for fixed parameters.
     #[must_use]
     pub fn shared_std_devs(&self, lens_types: usize) -> Vec<Option<(f64, f64, Option<f64>)>> {
         let of_row = |row: usize| {

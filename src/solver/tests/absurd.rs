@@ -1,4 +1,5 @@
-//! Absurd values cross the bridge: they come back as errors or as results. A CHECK in Ceres or glog would end the process.
+//! Absurd values cross the bridge: they come back as errors or as results. A CHECK in Ceres or glog would
+//! end the process.
 
 use nalgebra::{Point3, Quaternion, UnitQuaternion};
 use rand::rngs::StdRng;
