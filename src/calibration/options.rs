@@ -550,7 +550,7 @@ impl CalibrationOptions {
         positive(self.centers_std_dev_px, "the standard deviation of the centres (px)")?;
         if self.loss_scale.is_some() && matches!(self.loss, None | Some(LossKind::None)) {
             return Err(Error::invalid(
-                "a loss scale is given, but no loss: choose one with --loss",
+                "a loss scale is given, but no loss: give loss = \"huber\" or \"cauchy\" too",
             ));
         }
         positive(self.loss_scale.unwrap_or(1.0), "the scale of the loss")?;

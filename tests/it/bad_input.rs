@@ -325,7 +325,7 @@ fn impossible_options_are_rejected() {
     spoiled.is_rejected_with(&["--fix", "focal"], &["'focal'", "theta_x"]);
     spoiled.is_rejected_with(&["--uv-std-dev", "0"], &["(u, v)", "0"]);
     spoiled.is_rejected_with(&["--loss", "huber", "--loss-scale=-1"], &["loss", "-1"]);
-    spoiled.is_rejected_with(&["--loss-scale", "2"], &["--loss"]);
+    spoiled.is_rejected_with(&["--loss-scale", "2"], &["no loss", "huber"]);
     spoiled.is_rejected_with(&["--rho-std-dev", "0.05"], &["rho does not count", "features"]);
     spoiled.is_rejected_with(&["--uv-std-dev", "-1"], &["(u, v)", "-1"]);
     spoiled.is_rejected_with(&["--mode", "poses-only"], &["--camera"]);
