@@ -81,8 +81,9 @@ impl InPixels<'_> {
         stated.or_else(assumed).unwrap_or(0.0) * self.internal.aperture_ratio() / self.pixel_mm
     }
 
-    /// The aperture ratio that measured blur stands for: (blur − φqᵢ)/((1 − γ)Δc/2), in which ρ tells γ. Around the ratio
-    /// factor that the corner was found with, so that q'ᵢ of its place, which an array that leans changes, drops out.
+    /// The aperture ratio that a measured blur radius corresponds to: (blur − φqᵢ)/((1 − γ)Δc/2), where γ follows from ρ. It
+    /// is expanded about the aperture ratio that the corner was found with, so that the local q'ᵢ, which varies over a
+    /// tilted array, cancels.
     fn measured(&self, f: &BapFeature, lens_type: usize) -> Option<Measured> {
         let (blur, rho) = (f.blur?, f.rho_px?);
         let growth_px = rho - self.q(lens_type, blur.aperture_ratio)?;
@@ -98,8 +99,8 @@ impl InPixels<'_> {
         })
     }
 
-    /// The aperture ratio by some features. Those of a frame have errors in common, so the scatter of frames is its σ, with
-    /// what features of all frames share, and what the σ of q'ᵢ and the model make of it.
+    /// Estimates the aperture ratio from some features. Features of a frame have errors in common, so its σ comes from the
+    /// scatter between frames; errors that all frames share, σ of q'ᵢ and the error of the model are added to it.
     fn aperture_ratio<'a>(
         &self,
         some: impl Iterator<Item = &'a Measured> + Clone,
@@ -190,8 +191,8 @@ fn pitch_mm(internal: &InternalParameters, grid: &MicroImageArray, pixel_mm: f64
     internal.micro_image_pitch_mm.unwrap_or(grid.pitch_px * pixel_mm)
 }
 
-/// Changes features that were found with another aperture ratio than that of the camera to those that would have been found
-/// with it: ρ by qᵢ, since φqᵢ stays, u and v by their levers. Features without measured blur go with the camera.
+/// Converts features that were found with a different aperture ratio to the aperture ratio of the camera: ρ by qᵢ, since
+/// φqᵢ is constant, u and v by their levers. Features without measured blur stay unchanged.
 pub(super) fn with_that_of_start(
     mut features: Vec<BapFeature>,
     start: &Start,

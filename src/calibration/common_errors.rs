@@ -19,7 +19,7 @@ use crate::solver::{self, Anchor, CommonError, CostOptions};
 /// (docs/detection.md).
 const BLUR_MODEL: f64 = 2e-3;
 
-/// What the error of the aperture ratio is called.
+/// Name of the error of the aperture ratio.
 const APERTURE_RATIO: &str = "aperture ratio";
 
 /// How well it is known how far the fall-off shifts the centroids of micro-images, over its gradient, px²: on
@@ -51,7 +51,7 @@ pub(super) fn common_errors(
         let of_several = anchors.iter().filter(|by| **by != 0.0).count() > 1;
         if of_several || features_px.iter().any(|by| *by != 0.0) {
             let (source, centers_px) = (source.to_owned(), Vec::new());
-            // White images do not know the aperture ratio, so what they say has no σ of it.
+            // White images do not determine the aperture ratio: σ of their anchors does not contain its error.
             let in_anchors = source != APERTURE_RATIO;
             errors.push(CommonError { source, features_px, centers_px, anchors, in_anchors });
         }

@@ -14,7 +14,7 @@ use crate::quantity::Estimate;
 use crate::solver::{Anchor, CostOptions, Loss, LossKind, SolverOptions, shape_names};
 use crate::table::merge;
 
-/// A set of options with one name; options that are given beside it take precedence.
+/// A named set of options; options that are stated beside it take precedence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
@@ -47,7 +47,7 @@ pub enum BoardModel {
     Auto,
     /// Flat (the paper).
     Flat,
-    /// Bent and stretched, by what comes out.
+    /// Bent and stretched, with its shape estimated.
     Bent,
     /// Of this shape.
     #[serde(skip)]
@@ -59,10 +59,10 @@ pub enum BoardModel {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Weights {
-    /// Each observation by its own standard deviation, where the file has it.
+    /// Each observation by its own standard deviation, where the file states one.
     #[default]
     Own,
-    /// The same for all of a kind (the paper).
+    /// Equal weights for all observations of a kind (the paper).
     Unit,
 }
 
@@ -81,10 +81,10 @@ pub enum Pitches {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FieldCurvature {
-    /// Images off the axis may be nearer to the lens, by an amount that depends on the magnification.
+    /// Estimated, and its growth with the magnification too.
     #[default]
     Estimated,
-    /// The same at all distances.
+    /// Estimated, constant over distance.
     Constant,
     /// None (the paper).
     Flat,
@@ -148,7 +148,7 @@ impl FromStr for ExitPupil {
     }
 }
 
-/// What is known of a camera beforehand: default anchors, and stated ones.
+/// Prior knowledge of a camera: default anchors and stated ones.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Anchors {
     /// Whether there are the default anchors, of datasheet, white images and sensor.
@@ -169,13 +169,13 @@ impl Default for Anchors {
     }
 }
 
-/// What is stated of a quantity.
+/// A stated anchor.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(untagged, expecting = "an anchor is { value = …, std_dev = … } or \"none\"")]
 pub enum StatedAnchor {
     /// A value, in the unit of the parameter in `camera.json` (mm, rad, px).
     Known(Estimate),
-    /// Nothing: no default anchor either.
+    /// No anchor, not even the default one.
     Nothing(NoAnchor),
 }
 
@@ -199,7 +199,7 @@ impl Anchors {
         self.quantities.insert(quantity.to_owned(), StatedAnchor::Nothing(NoAnchor::None));
     }
 
-    /// Takes anchors as they are written on the command line: `F=50:0.5` is 50 ± 0.5, `F=50:1%` has a relative σ, and
+    /// Parses anchors as they are written on the command line: `F=50:0.5` is 50 ± 0.5, `F=50:1%` has a relative σ, and
     /// `F=none` removes a default anchor.
     ///
     /// An error if a text is none of these, or if two name one quantity.
@@ -292,7 +292,7 @@ pub struct CalibrationOptions {
     /// 0 unless they are anchored, and dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub fix: Vec<String>,
-    /// What is known beforehand: `[calibration.anchors]`, --anchors and --anchor.
+    /// Prior knowledge: `[calibration.anchors]`, --anchors and --anchor.
     #[arg(skip)]
     pub anchors: Anchors,
     /// How much the anchors weigh against observations, whose errors are not independent: a factor on their squared
@@ -367,7 +367,7 @@ impl Default for CalibrationOptions {
     }
 }
 
-/// The method of the paper in the words of `[calibration]`.
+/// The method of the paper, as `[calibration]` of a project file would state it.
 const PAPER: &str = "
 exit_pupil = \"at-lens\"
 field_curvature = \"flat\"
@@ -388,7 +388,7 @@ impl CalibrationOptions {
         toml::from_str(PAPER).expect("the method of the paper consists of options")
     }
 
-    /// Options from `[calibration]` of a project file: the values of its `method`, and those beside it in their place.
+    /// Reads `[calibration]` of a project file: the options of its `method`, overridden by those beside it.
     pub(crate) fn from_table(mut stated: Table) -> std::result::Result<Self, toml::de::Error> {
         let method = stated.remove("method").map(Method::deserialize).transpose()?;
         let mut options = match method.unwrap_or_default() {
@@ -430,7 +430,7 @@ impl CalibrationOptions {
             ("e_z", exit_pupil),
             ("kappa", self.field_curvature == FieldCurvature::Flat),
             ("kappa_m", self.field_curvature != FieldCurvature::Estimated),
-            // What is known of them makes them parameters: images alone hardly determine them.
+            // Images alone hardly determine them: they are free only if they are anchored.
             ("e_x", !self.anchors.knows("e_x")),
             ("e_y", !self.anchors.knows("e_y")),
         ];
@@ -456,7 +456,7 @@ impl CalibrationOptions {
         }
     }
 
-    /// These options for a calibration from corners only: without what they say of the focal lengths of micro-lenses.
+    /// These options for a calibration from corners only: without those that concern the focal lengths of micro-lenses.
     #[must_use]
     pub fn of_corners_only(&self) -> Self {
         let mut options = Self { mode: Mode::CornersOnly, ..self.clone() };

@@ -270,7 +270,7 @@ pub(super) fn stage_results(
     output.stage("solver.txt", |out| out.write_all(calibration.refinement.report.as_bytes()))
 }
 
-/// Values of the project to replace, with that of `--method`.
+/// The values of `--set`, and `--method` as one more.
 pub(super) fn with_method(set: &[String], method: Option<Method>) -> Vec<String> {
     let name = method.and_then(|method| method.to_possible_value());
     let method = name.map(|name| format!("calibration.method={}", name.get_name()));
@@ -278,7 +278,7 @@ pub(super) fn with_method(set: &[String], method: Option<Method>) -> Vec<String>
 }
 
 impl Arguments {
-    /// The project with the values that are replaced in it.
+    /// Reads the project, with `--set` and `--method` applied.
     fn project(&self) -> Result<Project> {
         let set = with_method(&self.set, self.method);
         match &self.project {
@@ -287,7 +287,7 @@ impl Arguments {
         }
     }
 
-    /// The options of a project with those that are given here in their place.
+    /// The options of a project, overridden by the flags.
     fn options(&self, project: &Project) -> Result<CalibrationOptions> {
         let mut options = project.calibration.clone();
         self.options.apply(&mut options)?;

@@ -1,19 +1,19 @@
-//! Options of the command line that take the place of those of a project file.
+//! Flags that override options of a project file.
 
 use std::marker::PhantomData;
 
 use clap::{ArgMatches, Args, Command, FromArgMatches};
 use plenocal::{Error, Result};
 
-/// The options of a struct as far as they are given on the command line. Flattened into the arguments of a command, it
-/// has the flags of the struct, all of them optional.
+/// The flags of a struct of options that were given on the command line. Flattened into the arguments of a command, it adds
+/// the flags of the struct, all of them optional.
 pub struct Given<T> {
     matches: ArgMatches,
     options: PhantomData<T>,
 }
 
 impl<T: Args> Given<T> {
-    /// Replaces the options that are given.
+    /// Overrides the options whose flags were given.
     pub fn apply(&self, options: &mut T) -> Result<()> {
         options.update_from_arg_matches(&self.matches).map_err(|e| Error::invalid(e.to_string()))
     }

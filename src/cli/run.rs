@@ -134,6 +134,11 @@ struct Run<'a> {
     findings: Vec<Finding>,
 }
 
+/// The arguments of this program.
+fn command_line() -> Vec<String> {
+    std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned()).collect()
+}
+
 /// What boards are calibrated with.
 struct Observed {
     start: Start,
@@ -156,7 +161,7 @@ impl<'a> Run<'a> {
             shoot,
             options,
             begun: Instant::now(),
-            manifest: Manifest::of(&arguments.project, files),
+            manifest: Manifest::of(&arguments.project, command_line(), files),
             output: OutputFolder::new(&arguments.out)?,
             sections: Vec::new(),
             findings: Vec::new(),

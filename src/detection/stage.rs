@@ -48,13 +48,13 @@ pub fn detect<'i>(
     let looking = Looking { search, white: white.grey_between(levels), levels };
     let mut micro_images = Cow::Borrowed(search.micro_images);
     let spread = micro_images.point_spread_px2();
-    let (mut frames, mut fill_is_known) = (Vec::new(), micro_images.settled().is_some());
+    let (mut frames, mut ratio_is_known) = (Vec::new(), micro_images.settled().is_some());
     let mut follows = 0.0;
     // Reading takes one core, so that a few frames at once keep all of them busy.
     for some in images.chunks(AT_ONCE) {
         let read = |image: &BoardImage<'i>| looking.read(image, &micro_images);
         let mut found: Vec<Result<Searched>> = some.par_iter().map(read).collect();
-        if !fill_is_known {
+        if !ratio_is_known {
             (micro_images, follows) = looking.settle(some, &mut found, micro_images);
         }
         let of_image = |(image, found): (&BoardImage, Result<Searched>)| {
@@ -64,7 +64,7 @@ pub fn detect<'i>(
         };
         let done = some.par_iter().zip(found).map(of_image);
         frames.extend(done.collect::<Result<Vec<DetectedFrame>>>()?);
-        fill_is_known |= widths(detections(&frames), spread).is_some();
+        ratio_is_known |= widths(detections(&frames), spread).is_some();
     }
     let fitted_with = micro_images.aperture_ratio();
     let aperture_ratio = widths(detections(&frames), spread).map(|widths| {

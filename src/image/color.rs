@@ -11,13 +11,13 @@ pub enum Color {
     Grey,
     /// Red, green and blue of every pixel.
     Rgb,
-    /// A colour mosaic, named by the first two pixels of its first two rows.
+    /// A colour mosaic that begins with red and green above green and blue.
     BayerRggb,
-    /// A colour mosaic.
+    /// Green and red above blue and green.
     BayerGrbg,
-    /// A colour mosaic.
+    /// Green and blue above red and green.
     BayerGbrg,
-    /// A colour mosaic.
+    /// Blue and green above green and red.
     BayerBggr,
 }
 

@@ -30,6 +30,9 @@ pub struct Manifest {
     pub plenocal: String,
     /// The project file.
     pub project: PathBuf,
+    /// The arguments of the program, by which the run may differ from the project.
+    #[serde(default)]
+    pub arguments: Vec<String>,
     /// SHA-256 of every file that was read, by its path.
     pub inputs: BTreeMap<PathBuf, String>,
     /// The stages, in order.
@@ -88,7 +91,11 @@ impl Manifest {
     /// The manifest of a run that has done nothing yet, with the hashes of its input files. A file that cannot be read has
     /// an empty hash: it is reported when its turn comes.
     #[must_use]
-    pub fn of<'a>(project: &Path, files: impl Iterator<Item = &'a Path>) -> Self {
+    pub fn of<'a>(
+        project: &Path,
+        arguments: Vec<String>,
+        files: impl Iterator<Item = &'a Path>,
+    ) -> Self {
         let files: Vec<PathBuf> = files.map(Path::to_owned).collect();
         let seen = files.iter().map(|path| (path.clone(), look(path))).collect();
         let hashed: Vec<(PathBuf, String)> = files
@@ -103,6 +110,7 @@ impl Manifest {
             version: VERSION,
             plenocal: env!("CARGO_PKG_VERSION").to_owned(),
             project: project.to_owned(),
+            arguments,
             inputs: hashed.into_iter().collect(),
             stages: Vec::new(),
             seen,
@@ -156,7 +164,8 @@ mod tests {
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("abc");
         fs::write(&path, "abc").unwrap();
-        let manifest = Manifest::of(Path::new("project.toml"), [path.as_path()].into_iter());
+        let manifest =
+            Manifest::of(Path::new("project.toml"), Vec::new(), [path.as_path()].into_iter());
         let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         assert_eq!(manifest.inputs[&path], known);
         assert!(manifest.changed_inputs().is_empty());
@@ -173,7 +182,7 @@ mod tests {
         for path in [&old, &new, &beside] {
             fs::write(path, "").unwrap();
         }
-        let mut manifest = Manifest::of(Path::new("project.toml"), [].into_iter());
+        let mut manifest = Manifest::of(Path::new("project.toml"), Vec::new(), [].into_iter());
         let files = ["old", "new", "../beside", "", "."].map(str::to_owned).to_vec();
         manifest.stages.push(StageRecord { name: "stage".to_owned(), time_s: 0.0, files });
         let text = serde_json::to_string(&manifest).unwrap();

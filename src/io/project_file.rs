@@ -38,7 +38,7 @@ pub struct Project {
     pub observations: Option<ObservationsSection>,
     /// The truth, for comparison; paths are relative to the project file.
     pub truth: Option<TruthSection>,
-    /// Options of the calibration; `method` in it is a set of them to begin with.
+    /// Options of the calibration; `method` names the set to begin with.
     #[serde(default, deserialize_with = "calibration_options")]
     pub calibration: CalibrationOptions,
 }
@@ -142,7 +142,7 @@ pub struct InternalSection {
     /// The point spread.
     #[serde(alias = "point_spread")]
     pub point_spread_px2: Option<Estimate>,
-    /// The aperture ratio that q'ᵢ go with; 1 if it is not stated.
+    /// The aperture ratio that q'ᵢ belong to; 1 if it is not stated.
     #[serde(alias = "fill_factor")]
     pub aperture_ratio: Option<Estimate>,
     /// Black and saturation level of the images.
@@ -252,7 +252,7 @@ impl Project {
         Self::read_and_set(path, &[])
     }
 
-    /// A project without a file: the values that are set, as in `calibration.loss=huber`.
+    /// A project without a file, made of values such as `calibration.loss=huber`.
     pub fn of_values(set: &[String]) -> Result<Self> {
         let mut table = Table::new();
         set.iter().try_for_each(|pair| replace(&mut table, pair))?;
@@ -262,7 +262,7 @@ impl Project {
         })
     }
 
-    /// The same with some values replaced, as in `calibration.loss=huber`.
+    /// Reads a project file and replaces values in it, as in `calibration.loss=huber`.
     pub fn read_and_set(path: &Path, set: &[String]) -> Result<Self> {
         let text = read_text(path)?;
         let parsed = if set.is_empty() {

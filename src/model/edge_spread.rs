@@ -1,5 +1,5 @@
-//! What makes edges less sharp, or blur smaller, than ideal pixels and micro-lenses would: the aperture ratio and the point
-//! spread. The projection of points does not depend on either; depth from blur does.
+//! Aperture ratio and point spread: by them, blur and edges differ from those of ideal micro-lenses and pixels. The
+//! projection of points does not depend on either; depth from blur does.
 
 use crate::error::{Error, Result};
 use crate::quantity::Estimate;

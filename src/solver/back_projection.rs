@@ -10,10 +10,10 @@ use super::conversions::{found, rows};
 use crate::error::{Error, Result};
 use crate::model::PlenopticCamera;
 
-/// So many pixels cross the bridge at once.
+/// Number of pixels that cross the bridge at once.
 const CHUNK: usize = 4096;
 
-/// Many at once, on all cores, in their order.
+/// Applies a function of the bridge to chunks, on all cores, and keeps the order.
 fn in_chunks<T: Sync, R: Send>(
     camera: &PlenopticCamera,
     all: &[T],
@@ -137,7 +137,7 @@ pub fn triangulate(
 }
 
 impl Ray {
-    /// Where it is at a distance from the main lens, mm.
+    /// The point at a distance from the main lens, mm.
     #[must_use]
     pub fn at(&self, z_mm: f64) -> Point3<f64> {
         let origin = Point3::from(self.origin_mm);

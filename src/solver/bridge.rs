@@ -1,7 +1,7 @@
 //! The bridge to the C++ core: the types and functions of both sides. No other module is unsafe.
 //!
-//! Long because cxx takes one module for all that crosses. Its types are the solver's own. Where a
-//! value is missing it is not a number, as in the core.
+//! Long because cxx takes one module for all that crosses. Its types are the solver's own. A
+//! missing value is NaN, as in the core.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -347,7 +347,7 @@ pub(super) mod ffi {
     /// An error that observations have in common: one standard deviation of it.
     #[derive(Debug, Clone, PartialEq)]
     pub struct CommonError {
-        /// Of what.
+        /// Its cause.
         pub source: String,
         /// By how much it moves u, v and ρ of each feature, px: three values for each.
         pub features_px: Vec<f64>,
@@ -362,7 +362,7 @@ pub(super) mod ffi {
     /// What a common error changes.
     #[derive(Debug, Clone, PartialEq)]
     pub struct CommonChange {
-        /// Of what the error is.
+        /// The cause of the error.
         pub source: String,
         /// The change of each free intrinsic parameter.
         pub changes: Vec<f64>,
@@ -370,9 +370,8 @@ pub(super) mod ffi {
 
     /// How well observations and anchors determine the parameters.
     ///
-    /// The parameters are those of the camera and of the board's shape that are free, which are called intrinsic here,
-    /// then six for every pose (angle-axis rotation
-    /// in rad, translation in mm). There are two covariances. That of independent errors takes every
+    /// The parameters are the free ones of the camera and of the board's shape, called intrinsic here, then six for every
+    /// pose (angle-axis rotation in rad, translation in mm). There are two covariances. That of independent errors takes every
     /// observation for itself, with the measured variance of its kind. That of shared errors lets all
     /// residuals of a frame, and those of neighbouring centres, have errors in common; it comes from how
     /// much frames contradict each other. Both are valid whether or not the weights match the noise, and

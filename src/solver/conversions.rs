@@ -73,12 +73,12 @@ impl From<&Vector2<f64>> for ffi::Pair {
     }
 }
 
-/// All of them for the bridge.
+/// Converts all items to or from types of the bridge.
 pub(super) fn rows<'a, T, Row: From<&'a T>>(all: &'a [T]) -> Vec<Row> {
     all.iter().map(Row::from).collect()
 }
 
-/// What the core has found, where the number that is taken of it is one.
+/// Results of the core, `None` where `number` of one is NaN: the core marks missing results so.
 pub(super) fn found<T>(rows: Vec<T>, number: impl Fn(&T) -> f64) -> Vec<Option<T>> {
     rows.into_iter().map(|row| (!number(&row).is_nan()).then_some(row)).collect()
 }

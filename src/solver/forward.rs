@@ -1,4 +1,4 @@
-//! Projection, and points and boards in space: who sees them, and what they say of the camera.
+//! The forward model: projection of points and boards, visibility, and sensitivities of reconstructed points.
 
 use nalgebra::{Isometry3, Point3, Vector2};
 

@@ -178,7 +178,7 @@ pub fn linked() -> Vec<u8> {
 
 /// A manifest with one stage.
 pub fn manifest() -> Manifest {
-    let mut manifest = Manifest::of(Path::new("project.toml"), std::iter::empty());
+    let mut manifest = Manifest::of(Path::new("project.toml"), Vec::new(), std::iter::empty());
     manifest.inputs.insert("a.png".into(), "11".to_owned());
     let files = vec!["centers.csv".to_owned()];
     manifest.stages.push(StageRecord { name: "precalibration".to_owned(), time_s: 1.5, files });

@@ -346,7 +346,7 @@ fn point_spread_and_aperture_ratio_are_measured() {
     let spread = &read("precalibration.json")["internal_parameters"]["point_spread_px2"];
     within(&spread["value"], &spread["std_dev"], 0.16);
     let detection = read("detection.json");
-    let fill = &detection["aperture_ratio"];
-    within(&fill["value"], &fill["std_dev"], 0.9);
+    let ratio = &detection["aperture_ratio"];
+    within(&ratio["value"], &ratio["std_dev"], 0.9);
     within(&detection["fitted_with_aperture_ratio"], &json!(0.005), 0.9);
 }

@@ -15,7 +15,7 @@ const FOUND_WITH: f64 = 0.95;
 const PITCH_MM: f64 = 0.128;
 const Q_PRIME_MM: [f64; 3] = [0.035, 0.041, 0.038];
 
-/// As white images show it, of micro-lenses with the true aperture ratio.
+/// Internal parameters as white images show them, for micro-lenses with the true aperture ratio.
 fn start() -> Start {
     let camera = small_camera();
     let datasheet = Datasheet {
@@ -51,8 +51,8 @@ fn grid() -> MicroImageArray {
     }
 }
 
-/// Features of frames whose aperture ratios scatter by `scatter`, and a false one; those of the last lens type have their
-/// blur as of an aperture ratio that is larger by `other`.
+/// Features of frames whose aperture ratios scatter by `scatter`, with one outlier; features of the last lens type have the
+/// blur of an aperture ratio that is larger by `other`.
 fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
     let (half_pitch, pixel) = (PITCH_MM / 0.0055 / 2.0, 0.0055);
     let mut features = Vec::new();

@@ -69,7 +69,7 @@ fn bars(area: &Area, bars: &Bars, all: &Rmse, largest: f64, drawing: &mut Drawin
     let plane = drawing.axes(&area.within_axes(), &x, &y);
     let series = [(Some(all.uv_px), BLUE), (all.rho_px, ORANGE)];
     let shown = series.iter().filter(|(value, _)| value.is_some()).count() as f64;
-    // Bars side by side ratio most of the width of their group.
+    // Bars side by side fill most of the width of their group.
     let width = 0.76 / shown;
     for (i, rmse) in bars.values.iter().enumerate() {
         for (side, (value, color)) in
