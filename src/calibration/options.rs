@@ -389,14 +389,24 @@ impl CalibrationOptions {
     }
 
     /// Reads `[calibration]` of a project file: the options of its `method`, overridden by those beside it.
-    pub(crate) fn from_table(mut stated: Table) -> std::result::Result<Self, toml::de::Error> {
-        let method = stated.remove("method").map(Method::deserialize).transpose()?;
+    ///
+    /// An error that names the option if one is unknown or has an impossible value.
+    pub(crate) fn from_table(mut stated: Table) -> Result<Self> {
+        let method = stated.remove("method").map(Method::deserialize).transpose();
+        let method = method.map_err(|e| Error::invalid(format!("method: {}", e.message())))?;
         let mut options = match method.unwrap_or_default() {
             Method::Full => Table::new(),
-            Method::Paper => PAPER.parse()?,
+            Method::Paper => PAPER.parse().expect("the method of the paper is TOML"),
         };
         merge(&mut options, stated);
-        options.try_into()
+        serde_path_to_error::deserialize(options).map_err(|e| {
+            let mut message = e.inner().message().to_owned();
+            if message.starts_with("unknown field") {
+                // The method is no field, but may stand among them.
+                message = message.replacen("one of ", "one of `method`, ", 1);
+            }
+            Error::invalid(format!("{}: {message}", e.path()))
+        })
     }
 
     /// The cost without default anchors.
@@ -595,7 +605,21 @@ mod tests {
         assert_eq!(mixed.loss, Some(LossKind::Huber));
         assert!(mixed.anchors.knows("F") && !mixed.anchors.default);
         assert_eq!(mixed.board, BoardModel::Flat);
-        assert!(CalibrationOptions::from_table("method = \"other\"".parse().unwrap()).is_err());
+    }
+
+    #[test]
+    fn errors_name_the_option() {
+        for (text, words) in [
+            ("method = \"other\"", "method: unknown variant `other`"),
+            ("methd = \"paper\"", "unknown field `methd`, expected one of `method`, `exclude"),
+            ("loss = \"hubr\"", "loss: 'hubr' is no loss"),
+            ("mode = \"x\"", "mode: unknown variant `x`, expected one of `full`"),
+            ("max_iterations = -1", "max_iterations: "),
+            ("anchors.F = 3", "anchors"),
+        ] {
+            let error = CalibrationOptions::from_table(text.parse().unwrap()).unwrap_err();
+            assert!(error.to_string().contains(words), "{error}");
+        }
     }
 
     #[test]

@@ -46,8 +46,7 @@ pub struct Project {
 fn calibration_options<'de, D: Deserializer<'de>>(
     from: D,
 ) -> std::result::Result<CalibrationOptions, D::Error> {
-    CalibrationOptions::from_table(Table::deserialize(from)?)
-        .map_err(|e| D::Error::custom(e.message()))
+    CalibrationOptions::from_table(Table::deserialize(from)?).map_err(D::Error::custom)
 }
 
 /// `[truth]`

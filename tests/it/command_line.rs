@@ -114,6 +114,9 @@ fn options_of_the_command_line_take_precedence_over_the_project() {
     let mut wrong = plenocal();
     wrong.arg("calibrate").arg(&project).args(["--set", "calibration.los=huber", "--out"]);
     wrong.arg(folder.path().join("wrong")).assert().code(1).stderr(predicate::str::contains("los"));
+    let mut run = plenocal();
+    run.arg("run").arg(&project).args(["--set", "calibration.los=huber", "--out"]);
+    run.arg(folder.path().join("wrong")).assert().code(1).stderr(predicate::str::contains("los"));
     assert!(!folder.path().join("wrong").exists());
 }
 

@@ -193,6 +193,7 @@ fn a_second_run_replaces_the_results_of_the_first() {
         assert!(fs::read(run.path(&name)).unwrap() == PREPARED.files.get(&name), "{name}");
     }
     let manifest = run.json("results/manifest.json");
+    assert_eq!(manifest["arguments"][0], "run");
     let stages: Vec<&str> = manifest["stages"]
         .as_array()
         .unwrap()
