@@ -5,8 +5,7 @@ use super::flat_field::unlike;
 use super::{DetectedFrame, MicroImages};
 use crate::checks::boards as checks;
 use crate::finding::{Finding, Issue};
-use crate::model::at_most_full;
-use crate::model::{Board, Subset};
+use crate::model::{Board, Subset, at_most_full};
 use crate::quantity::Estimate;
 
 /// Aperture ratios that differ by fewer standard deviations may differ by chance.

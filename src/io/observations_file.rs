@@ -11,8 +11,9 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 
 use super::{compote, read_bytes};
 use crate::error::{Error, Observed, Result};
-use crate::model::check_aperture_ratio;
-use crate::model::{BapFeature, MeasuredBlur, MicroImageCenter, Observations, TAKEN};
+use crate::model::{
+    BapFeature, MeasuredBlur, MicroImageCenter, Observations, TAKEN, check_aperture_ratio,
+};
 use crate::quantity::Estimate;
 use crate::solver::{MicroPixel, VirtualPoint};
 

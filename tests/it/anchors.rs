@@ -3,16 +3,14 @@
 use plenocal::Finding;
 use std::fs;
 
-use crate::support::no_anchors;
-use plenocal::calibration::Anchors;
-use plenocal::calibration::{AnchorSource, Calibration, CalibrationOptions, Start};
+use plenocal::calibration::{AnchorSource, Anchors, Calibration, CalibrationOptions, Start};
 use plenocal::model::{Lean, Noise, Observations};
 use plenocal::solver::{LossKind, Termination};
 use predicates::str::contains;
 use tempfile::TempDir;
 
 use crate::support::{
-    anchored, datasheet_start, drawn, options, plenocal, run, shipped_observations,
+    anchored, datasheet_start, drawn, no_anchors, options, plenocal, run, shipped_observations,
     synthetic_folder, true_camera,
 };
 

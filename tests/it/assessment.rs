@@ -1,13 +1,11 @@
 //! Whether the verdict sees what is wrong.
 
-use crate::support::codes;
 use plenocal::assessment::{Assessment, Verdict, assess};
-use plenocal::calibration::Blur;
-use plenocal::calibration::{Calibration, calibrate};
+use plenocal::calibration::{Blur, Calibration, calibrate};
 use plenocal::model::{Noise, Observations};
 use plenocal::{Finding, Issue};
 
-use crate::support::{anchored, board, datasheet_start, run, true_camera};
+use crate::support::{anchored, board, codes, datasheet_start, run, true_camera};
 use crate::uncertainty::sixteen_poses;
 use plenocal::solver::synthesize;
 

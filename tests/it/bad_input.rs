@@ -1,6 +1,5 @@
 //! Bad input gives a message that names it, exit status 1, and no output.
 
-use crate::support::codes;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +11,7 @@ use predicates::prelude::*;
 use tempfile::TempDir;
 
 use crate::support::{
-    board, datasheet_start, options, plenocal, run, synthetic_folder, true_camera,
+    board, codes, datasheet_start, options, plenocal, run, synthetic_folder, true_camera,
 };
 
 /// A copy of the shipped feature set that a test may spoil.

@@ -1,6 +1,5 @@
 //! Boards that are not flat.
 
-use crate::support::codes;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use plenocal::Issue;
 use plenocal::assessment::{Group, Posed, Worth, assess, compare_models, pose_boards};
@@ -14,7 +13,7 @@ use plenocal::model::{
 use plenocal::report::calibration_section;
 use plenocal::solver::synthesize_bent;
 
-use crate::support::{anchored, datasheet_start, pairs, true_camera};
+use crate::support::{anchored, codes, datasheet_start, pairs, true_camera};
 
 const NOISE: Noise = Noise { uv_px: 0.1, rho_px: 0.02, centers_px: 0.05 };
 

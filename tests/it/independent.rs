@@ -4,9 +4,8 @@ use plenocal::Issue;
 use std::path::Path;
 use std::process::Command;
 
-use plenocal::calibration::Pitches;
 use plenocal::calibration::{
-    BoardModel, Calibration, CalibrationOptions, Solution, SolvedProblem, cost_at,
+    BoardModel, Calibration, CalibrationOptions, Pitches, Solution, SolvedProblem, cost_at,
 };
 use plenocal::io::{OutputFolder, read_camera, read_poses, stage_problem};
 use plenocal::model::{Board, Observations};

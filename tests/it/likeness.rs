@@ -1,6 +1,5 @@
 //! Boards that were not taken, or not exported, as their white image was.
 
-use crate::support::codes;
 use plenocal::{Finding, Issue};
 use std::sync::LazyLock;
 
@@ -14,7 +13,7 @@ use plenocal::precalibration::{
 };
 use plenocal::simulation::{DataSet, Settings};
 
-use crate::support::preset;
+use crate::support::{codes, preset};
 
 /// A small camera with its micro-images, a white image, and boards at two f-numbers.
 struct Shoot {

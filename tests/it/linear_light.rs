@@ -1,7 +1,6 @@
 //! Black level, saturation below full scale, gamma: what keeps samples from being linear in light from
 //! 0 to full scale.
 
-use crate::support::codes;
 use plenocal::{Finding, Issue};
 use std::fs;
 use std::path::Path;
@@ -14,7 +13,7 @@ use plenocal::simulation::{DataSet, Settings};
 use predicates::prelude::*;
 use tempfile::tempdir;
 
-use crate::support::{plenocal, preset};
+use crate::support::{codes, plenocal, preset};
 
 const BLACK_16: &str = "imaging.black_level=0.06274509803921569";
 

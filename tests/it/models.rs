@@ -1,6 +1,5 @@
 //! Whether a group of parameters is said to be worth what it is.
 
-use crate::support::no_anchors;
 use nalgebra::Vector3;
 use plenocal::assessment::{Group, ModelComparison, WithoutGroup, Worth, compare_models};
 use plenocal::calibration::{Calibration, CalibrationOptions, Refit, Start};
@@ -13,8 +12,8 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::support::{
-    anchored, board, datasheet_start, pairs, plenocal, run, shipped_observations, synthetic_folder,
-    true_camera,
+    anchored, board, datasheet_start, no_anchors, pairs, plenocal, run, shipped_observations,
+    synthetic_folder, true_camera,
 };
 use crate::uncertainty::sixteen_poses;
 

@@ -1,12 +1,11 @@
 //! Modes of calibration other than that of the paper.
 
-use crate::support::codes;
 use plenocal::Issue;
 use plenocal::calibration::{Mode, Start, calibrate};
 use plenocal::solver::{BEYOND_THE_PAPER, Iteration, Termination};
 
 use crate::support::{
-    NO_NOISE, board, datasheet_start, drawn, options, pairs, run, shipped_observations,
+    NO_NOISE, board, codes, datasheet_start, drawn, options, pairs, run, shipped_observations,
     true_camera, true_poses,
 };
 

@@ -1,6 +1,5 @@
 //! Programs of users: the examples in C++, and problems that are exported for programs of their own.
 
-use crate::support::no_anchors;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -16,7 +15,8 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::support::{
-    anchored, board, drawn, options, plenocal, run, synthetic_folder, true_camera, true_poses,
+    anchored, board, drawn, no_anchors, options, plenocal, run, synthetic_folder, true_camera,
+    true_poses,
 };
 
 fn program(name: &str) -> Command {

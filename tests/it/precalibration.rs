@@ -1,6 +1,5 @@
 //! From simulated white images to the internal parameters.
 
-use crate::support::codes;
 use plenocal::{Issue, Subject};
 use std::collections::HashMap;
 use std::sync::LazyLock;
@@ -14,7 +13,7 @@ use plenocal::precalibration::{
 };
 use plenocal::simulation::{DataSet, Settings, Shot};
 
-use crate::support::preset;
+use crate::support::{codes, preset};
 
 /// Limits for the pre-calibration: centres, px RMS; pitch, relative; rotation, rad; m and q',
 /// relative.

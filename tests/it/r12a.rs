@@ -1,9 +1,8 @@
 //! The real observations of R12-A: the minimum that independent Ceres programs found.
 
-use plenocal::calibration::Pitches;
 use std::path::Path;
 
-use plenocal::calibration::{Calibration, CalibrationOptions, Mode, Start, calibrate};
+use plenocal::calibration::{Calibration, CalibrationOptions, Mode, Pitches, Start, calibrate};
 use plenocal::io::{
     CameraSource, read_board, read_camera_source, read_centers, read_features,
     read_internal_parameters,

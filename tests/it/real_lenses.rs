@@ -1,10 +1,8 @@
 //! What real main lenses have and the paper's does not: an exit pupil off the lens, a curved field, light that
 //! falls off by a law of its own.
 
-use crate::support::no_anchors;
 use nalgebra::Vector3;
-use plenocal::calibration::ExitPupil;
-use plenocal::calibration::{CalibrationOptions, Start, calibrate};
+use plenocal::calibration::{CalibrationOptions, ExitPupil, Start, calibrate};
 use plenocal::io::{camera_document, read_camera};
 use plenocal::model::{Noise, PlenopticCamera, optics};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
@@ -14,7 +12,7 @@ use predicates::str::contains;
 use tempfile::TempDir;
 
 use crate::support::{
-    NO_NOISE, anchored, datasheet_start, drawn, options, pairs, plenocal, preset, run,
+    NO_NOISE, anchored, datasheet_start, drawn, no_anchors, options, pairs, plenocal, preset, run,
     synthetic_folder, true_camera,
 };
 

@@ -1,16 +1,14 @@
 //! A calibration recovers the known truth.
 
-use crate::support::codes;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use plenocal::Issue;
-use plenocal::calibration::Pitches;
-use plenocal::calibration::{CalibrationOptions, Mode, Start, initial_poses};
+use plenocal::calibration::{CalibrationOptions, Mode, Pitches, Start, initial_poses};
 use plenocal::model::{Datasheet, FramePose, Noise, intrinsic_parameters};
 use plenocal::solver::{BEYOND_THE_PAPER, LossKind, synthesize};
 
 use crate::support::{
-    NO_NOISE, anchored, board, datasheet_start, drawn, options, pairs, run, shipped_observations,
-    true_camera, true_poses,
+    NO_NOISE, anchored, board, codes, datasheet_start, drawn, options, pairs, run,
+    shipped_observations, true_camera, true_poses,
 };
 
 /// Noise-free recovery is limited by the rounding errors of the projections (1e-13 px) times the

@@ -3,12 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use assert_cmd::Command;
-use plenocal::calibration::{Anchors, Blur};
-use plenocal::calibration::{Calibration, CalibrationOptions, Start, calibrate};
+use plenocal::calibration::{Anchors, Blur, Calibration, CalibrationOptions, Start, calibrate};
 use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
-use plenocal::model::SHAPE_PARAMETERS;
 use plenocal::model::{
-    Board, FramePose, Noise, Observations, PlenopticCamera, intrinsic_parameters,
+    Board, FramePose, Noise, Observations, PlenopticCamera, SHAPE_PARAMETERS, intrinsic_parameters,
 };
 use plenocal::simulation::Settings;
 use plenocal::solver::{LossKind, synthesize};

@@ -1,6 +1,5 @@
 //! Standard deviations of single observations: from the columns of the files to the residuals.
 
-use crate::support::codes;
 use std::fmt::Write as _;
 use std::fs;
 
@@ -12,7 +11,7 @@ use predicates::str::contains;
 use tempfile::TempDir;
 
 use crate::support::{
-    anchored, datasheet_start, options, pairs, plenocal, run, shipped_observations,
+    anchored, codes, datasheet_start, options, pairs, plenocal, run, shipped_observations,
     synthetic_folder,
 };
 
