@@ -12,7 +12,7 @@ const MAY_BE_INFINITE: [&str; 3] = ["focus_distance_mm", "radius_mm", "full_well
 /// An error if the text has another form, or names a value inside one that is no table.
 pub(crate) fn replace(table: &mut Table, pair: &str) -> Result<()> {
     let (key, text) = pair.split_once('=').ok_or_else(|| {
-        Error::invalid(format!("'{pair}' sets nothing: write KEY=VALUE, with the tables that hold the key, as in imaging.bits=16"))
+        Error::invalid(format!("'{pair}' sets nothing; write KEY=VALUE, with the tables that hold the key, as in imaging.bits=16"))
     })?;
     let text = text.trim();
     if text.contains('\n') {

@@ -7,11 +7,11 @@ use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
 use super::json_file::read_json;
-use super::project_file::check_finite;
 use super::read_text;
 use crate::calibration::{BoardResult, Trial};
 use crate::error::{Error, Result};
 use crate::model::{Board, BoardShape, SHAPE, SHAPE_PARAMETERS};
+use crate::table::finite;
 
 #[derive(Deserialize)]
 struct ShapeSection {
@@ -40,7 +40,8 @@ pub fn read_true_board(path: &Path) -> Result<BoardShape> {
     let text = read_text(path)?;
     let TrueBoard { sag_mm: [sag_x_mm, sag_y_mm], twist_mm, aspect } = toml::from_str(&text)
         .map_err(|e| Error::content(path, format!("not the true shape of a board: {e}")))?;
-    check_finite(&text).map_err(|e| e.in_file(path))?;
+    let table = text.parse().map_err(|e: toml::de::Error| Error::content(path, e.to_string()))?;
+    finite(&table).map_err(|e| e.in_file(path))?;
     Ok(BoardShape { sag_x_mm, sag_y_mm, twist_mm, aspect })
 }
 

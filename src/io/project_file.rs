@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::de::Error as _;
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer};
-use toml::Table;
+use toml::{Table, Value};
 
 use super::project_draft::FILL_IN;
 use super::read_text;
@@ -39,14 +39,15 @@ pub struct Project {
     /// The truth, for comparison; paths are relative to the project file.
     pub truth: Option<TruthSection>,
     /// Options of the calibration; `method` names the set to begin with.
-    #[serde(default, deserialize_with = "calibration_options")]
+    #[serde(default, deserialize_with = "deferred")]
     pub calibration: CalibrationOptions,
 }
 
-fn calibration_options<'de, D: Deserializer<'de>>(
+/// Leaves `[calibration]` to [`CalibrationOptions::from_table`], which knows methods.
+fn deferred<'de, D: Deserializer<'de>>(
     from: D,
 ) -> std::result::Result<CalibrationOptions, D::Error> {
-    CalibrationOptions::from_table(Table::deserialize(from)?).map_err(D::Error::custom)
+    IgnoredAny::deserialize(from).map(|_| CalibrationOptions::default())
 }
 
 /// `[truth]`
@@ -239,12 +240,6 @@ pub struct ObservationsSection {
     pub features: PathBuf,
 }
 
-/// An error that names a value of a TOML text that is not a finite number.
-pub(super) fn check_finite(text: &str) -> Result<()> {
-    let table = text.parse().map_err(|e: toml::de::Error| Error::invalid(e.to_string()))?;
-    finite(&table)
-}
-
 impl Project {
     /// Reads a project file; paths in it become relative to the working folder.
     pub fn read(path: &Path) -> Result<Self> {
@@ -253,38 +248,12 @@ impl Project {
 
     /// A project without a file, made of values such as `calibration.loss=huber`.
     pub fn of_values(set: &[String]) -> Result<Self> {
-        let mut table = Table::new();
-        set.iter().try_for_each(|pair| replace(&mut table, pair))?;
-        finite(&table)?;
-        table.try_into().map_err(|e: toml::de::Error| {
-            Error::invalid(format!("{}: {}", set.join(", "), e.message()))
-        })
+        Self::parsed("", set)
     }
 
     /// Reads a project file and replaces values in it, as in `calibration.loss=huber`.
     pub fn read_and_set(path: &Path, set: &[String]) -> Result<Self> {
-        let text = read_text(path)?;
-        let parsed = if set.is_empty() {
-            // Errors can name the line.
-            toml::from_str(&text)
-        } else {
-            let mut table: Table =
-                text.parse().map_err(|e: toml::de::Error| Error::content(path, e.to_string()))?;
-            set.iter().try_for_each(|pair| replace(&mut table, pair))?;
-            finite(&table)?;
-            table.try_into()
-        };
-        let mut project: Self = parsed.map_err(|e| {
-            let waiting = text.lines().filter(|line| line.contains(FILL_IN)).count();
-            let hint = if waiting > 0 && e.message().starts_with("missing field") {
-                format!("\n{waiting} line(s) of it say {FILL_IN}: give these values first")
-            } else {
-                String::new()
-            };
-            Error::content(path, format!("not a valid project file: {e}{hint}"))
-        })?;
-        project.check_step().map_err(|e| e.in_file(path))?;
-        check_finite(&text).map_err(|e| e.in_file(path))?;
+        let mut project = Self::parsed(&read_text(path)?, set).map_err(|e| e.in_file(path))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         if let Some(observations) = &mut project.observations {
             observations.features = folder.join(&observations.features);
@@ -299,6 +268,36 @@ impl Project {
         for image in project.images.iter_mut().flat_map(ImagesSection::paths) {
             *image = folder.join(&image);
         }
+        Ok(project)
+    }
+
+    fn parsed(text: &str, set: &[String]) -> Result<Self> {
+        let wrong = |e: toml::de::Error| {
+            let waiting = text.lines().filter(|line| line.contains(FILL_IN)).count();
+            let hint = if waiting > 0 && e.message().starts_with("missing field") {
+                format!("\n{waiting} line(s) of it say {FILL_IN}: give these values first")
+            } else {
+                String::new()
+            };
+            Error::invalid(format!("not a valid project file: {e}{hint}"))
+        };
+        let mut table: Table = text.parse().map_err(wrong)?;
+        set.iter().try_for_each(|pair| replace(&mut table, pair))?;
+        // Errors in the text itself can name the line.
+        let parsed = if set.is_empty() { toml::from_str(text) } else { table.clone().try_into() };
+        let mut project: Self = parsed.map_err(wrong)?;
+        project.check_step()?;
+        finite(&table)?;
+        project.calibration = match table.remove("calibration") {
+            Some(Value::Table(stated)) => CalibrationOptions::from_table(stated)
+                .map_err(|e| Error::invalid(format!("in [calibration]: {e}")))?,
+            Some(other) => {
+                return Err(Error::invalid(format!(
+                    "calibration is {other}: write its options below [calibration]"
+                )));
+            }
+            None => CalibrationOptions::default(),
+        };
         Ok(project)
     }
 

@@ -118,6 +118,16 @@ fn options_of_the_command_line_take_precedence_over_the_project() {
     run.arg("run").arg(&project).args(["--set", "calibration.los=huber", "--out"]);
     run.arg(folder.path().join("wrong")).assert().code(1).stderr(predicate::str::contains("los"));
     assert!(!folder.path().join("wrong").exists());
+    // Errors in the file name the option too.
+    for (line, words) in [
+        ("exitpupil = 1", "in [calibration]: exitpupil: unknown field"),
+        ("anchors.F = 3", "in [calibration]: anchors: an anchor is"),
+    ] {
+        fs::write(&project, format!("[calibration]\n{line}\n")).unwrap();
+        let mut wrong = plenocal();
+        wrong.arg("calibrate").arg(&project).arg("--out").arg(folder.path().join("wrong"));
+        wrong.assert().code(1).stderr(predicate::str::contains(words));
+    }
 }
 
 #[test]
