@@ -94,11 +94,12 @@ impl Shoot {
             ))
             .in_file(folder));
         }
-        let (sheet, pixel) = (&self.sheet, Some(self.sheet.sensor.pixel_size_mm));
-        let internal = io::read_internal_parameters(&internal, pixel)?;
+        let array_size = io::read_array_size(&internal)?;
+        let sheet = Datasheet { array_size: self.sheet.array_size.or(array_size), ..self.sheet };
+        let internal = io::read_internal_parameters(&internal, Some(sheet.sensor.pixel_size_mm))?;
         self.check_black_level(&internal).map_err(|e| e.in_file(folder))?;
         let measured = io::read_centers(&centers)?;
-        MicroImages::of_measurements(&measured, &internal, sheet).map_err(|e| e.in_file(folder))
+        MicroImages::of_measurements(&measured, &internal, &sheet).map_err(|e| e.in_file(folder))
     }
 
     fn check_black_level(&self, internal: &InternalParameters) -> Result<()> {

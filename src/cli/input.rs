@@ -146,9 +146,14 @@ pub fn camera_source(path: &Path) -> Result<CameraSource> {
     Ok(source)
 }
 
-fn from_datasheet(sheet: Datasheet, files: &Files, project: &Project) -> Result<Start> {
+fn from_datasheet(mut sheet: Datasheet, files: &Files, project: &Project) -> Result<Start> {
     let internal = match (files.params, project.internal()) {
-        (Some(path), _) => io::read_internal_parameters(path, Some(sheet.sensor.pixel_size_mm))?,
+        (Some(path), _) => {
+            if sheet.array_size.is_none() {
+                sheet.array_size = io::read_array_size(path)?;
+            }
+            io::read_internal_parameters(path, Some(sheet.sensor.pixel_size_mm))?
+        }
         (None, Some(internal)) => internal,
         (None, None) => return Err(missing(Part::InternalParameters)),
     };

@@ -17,7 +17,7 @@ use plenocal::detection::{DepthEstimator, DetectedBoards, MicroImages};
 use plenocal::io::{
     self, FolderLock, MANIFEST, Manifest, OutputFolder, Project, StageRecord, first_look,
 };
-use plenocal::model::{Observations, Subset};
+use plenocal::model::{Datasheet, Observations, Subset};
 use plenocal::precalibration::{Precalibration, PrecalibrationOptions};
 use plenocal::report::{Cell, Column, Figure, Part, Report, Section, Table};
 use plenocal::{Error, Finding, Issue, Result, Severity, Subject, report};
@@ -300,8 +300,14 @@ impl<'a> Run<'a> {
 
     fn observed(&self, measured: &Precalibration, found: &DetectedBoards) -> Observed {
         let internal = measured.internal.parameters.clone();
+        let lattice = &measured.array.grid.lattice;
+        let sheet = Datasheet {
+            // Where it is not stated, micro-images at the border may have features although they have no centre.
+            array_size: Some((lattice.columns, lattice.rows)),
+            ..self.shoot.sheet
+        };
         Observed {
-            start: Start::Datasheet(self.shoot.sheet, internal),
+            start: Start::Datasheet(sheet, internal),
             observations: Observations {
                 centers: measured.array.centers.clone(),
                 features: found.features(),

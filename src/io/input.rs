@@ -122,6 +122,17 @@ pub fn read_internal_parameters(
     internal.map_err(|e| e.in_file(path))
 }
 
+/// Reads the number of columns and rows of an array from `precalibration.json`; `None` where a file of internal parameters
+/// has none.
+pub fn read_array_size(path: &Path) -> Result<Option<(i32, i32)>> {
+    match read_document(path)? {
+        Document::Json(value) if is_format(&value, PRECALIBRATION_FORMAT) => {
+            precalibration_file::array_size_from(value).map_err(|e| e.in_file(path))
+        }
+        Document::Json(_) | Document::Project(_) => Ok(None),
+    }
+}
+
 /// Reads a board: COMPOTE's `scene.js` or a project file.
 pub fn read_board(path: &Path) -> Result<Board> {
     let board = match read_document(path)? {

@@ -52,7 +52,8 @@ pub use folder_lock::FolderLock;
 pub use image_file::{read_image, write_jpeg, write_png};
 pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{
-    CameraSource, read_board, read_camera_source, read_internal_parameters, read_poses,
+    CameraSource, read_array_size, read_board, read_camera_source, read_internal_parameters,
+    read_poses,
 };
 pub use json_file::read_json;
 pub use manifest::{MANIFEST, Manifest, StageRecord};

@@ -22,6 +22,13 @@ pub const PRECALIBRATION_VERSION: u64 = 1;
 struct PrecalibrationFile {
     version: u64,
     internal_parameters: Option<InternalFile>,
+    micro_image_array: Option<ArraySize>,
+}
+
+#[derive(Deserialize)]
+struct ArraySize {
+    columns: i32,
+    rows: i32,
 }
 
 #[derive(Deserialize)]
@@ -129,6 +136,12 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
     fields.insert("radii".to_owned(), json!(radii));
     fields.insert("pitch_correction".to_owned(), json!(result.pitch_correction));
     Value::Object(fields)
+}
+
+/// Columns and rows of the array, counting micro-lenses that the border of the image cuts; `None` in a file without them.
+pub(super) fn array_size_from(value: Value) -> Result<Option<(i32, i32)>> {
+    let file: PrecalibrationFile = document_of(value, PRECALIBRATION_FORMAT)?;
+    Ok(file.micro_image_array.map(|array| (array.columns, array.rows)))
 }
 
 /// The internal parameters in a JSON document.

@@ -370,3 +370,32 @@ fn missing_parts_of_a_project_are_reported_before_any_stage() {
     let images = format!("{board}[images]\ncolor = \"grey\"\n");
     rejected(&format!("{images}[calibration]\nmode = \"poses-only\"\n"), "plenocal extrinsics");
 }
+
+/// The array is counted with the micro-images that the border of the image cuts, in a run and step by step.
+#[test]
+fn an_array_whose_size_is_not_stated_is_counted() {
+    let run = Run::copy();
+    run.edit("set/project.toml", |text| {
+        let size = |line: &&str| !line.starts_with("columns = 4") && !line.starts_with("rows = 3");
+        text.lines().filter(size).collect::<Vec<_>>().join("\n")
+    });
+    let path = |name: &str| run.folder.path().join(name);
+    let size = |camera: &str| {
+        let lattice = read_camera(&path(camera)).unwrap().lattice;
+        (lattice.columns, lattice.rows)
+    };
+    let stated = size("results/calibration/camera.json");
+    run.again(&["--folds", "0", "--no-pictures"]).success();
+    assert_eq!(size("results/calibration/camera.json"), stated);
+    let mut calibrate = plenocal();
+    calibrate.arg("calibrate").arg(path("set/project.toml")).arg("--out").arg(path("steps"));
+    for (option, file) in [
+        ("--params", "precalibration/precalibration.json"),
+        ("--centers", "precalibration/centers.csv"),
+        ("--features", "boards-calibration/features.csv"),
+    ] {
+        calibrate.arg(option).arg(path("results").join(file));
+    }
+    calibrate.assert().success();
+    assert_eq!(size("steps/camera.json"), stated);
+}
