@@ -9,8 +9,7 @@ SUDO = $(if $(filter 0,$(shell id -u)),,sudo)
 BUILD = build/cpp
 JOBS = $(shell nproc)
 MAKEFLAGS += --no-print-directory
-# The C++ programs of the tests and benchmarks; set for every target, so that nothing is rebuilt
-# between them.
+# The C++ programs of the tests and benchmarks.
 export PLENOCAL_EXAMPLES = $(CURDIR)/$(BUILD)/examples
 
 .PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-faults fuzz \
@@ -56,8 +55,6 @@ test: test-cpp test-rust
 
 deps-all test-all: PACKAGES += $(TOOLS)
 deps-all: deps
-test-all: export PLENOCAL_CHROMIUM = chromium
-test-all: export PLENOCAL_TOOLS = 1
 test-all: test
 
 $(BUILD)/CMakeCache.txt: cpp/CMakeLists.txt | deps
@@ -72,10 +69,11 @@ test-cpp: cpp
 
 test-rust: cpp
 	cargo test --release --no-fail-fast
+	$(if $(PLENOCAL_R12A),cargo test --release --lib -- --ignored r12a_)
 
 # The names of the tests that are too slow for `make test`, or parts of them.
 SLOW = monte_carlo bias a_frame_that_moved_is_named boards_are_seen_above_black full_pixels_show_below \
-       rendered_spots_of_real_lenses corners_are_found_with_an_r12 the_median_of_pairs
+       rendered_spots_of_real_lenses corners_are_found_with_an_r12
 test-slow: cpp
 	cargo test --release --test it -- --ignored --nocapture $(SLOW)
 

@@ -1,6 +1,27 @@
-//! Builds the C++ core with `CMake`, then the bridge to it with `cxx-build`.
+//! Builds the C++ core with `CMake`, then the bridge to it with `cxx-build`, and takes over the table of parameters.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::{env, fs};
+
+const PARAMETERS: &str = "cpp/include/plenocal/parameters.def";
+
+/// Writes the rows of the table of parameters as a call of the macro in `src/model/parameters.rs`, without the places in C++.
+fn take_over_parameters() {
+    let table = fs::read_to_string(PARAMETERS).expect("the table of parameters can be read");
+    let mut call = "parameters! {\n".to_owned();
+    for row in table.lines().filter(|line| line.starts_with("PLENOCAL_")) {
+        let (_, columns) = row.split_once('(').expect("a row has columns");
+        let columns: Vec<&str> = columns.splitn(5, ", ").collect();
+        let [id, name, unit, _, rest] = columns[..] else { panic!("a row has 7 columns: {row}") };
+        writeln!(call, "({id}, {name}, {unit}, {rest};").expect("a text can be written");
+    }
+    let out = env::var_os("OUT_DIR").expect("cargo sets it");
+    fs::write(Path::new(&out).join("parameters.rs"), call + "}\n").expect("OUT_DIR can be written");
+}
 
 fn main() {
+    take_over_parameters();
     // Always optimised: Ceres' Jets are about fifty times slower without inlining.
     let core = cmake::Config::new("cpp")
         .profile("Release")
@@ -26,21 +47,6 @@ fn main() {
     println!("cargo:rustc-link-lib=static=plenocal");
     println!("cargo:rustc-link-lib=dylib=ceres");
     println!("cargo:rustc-link-lib=dylib=glog");
-
-    // Tests that need something from outside the repository are reported as ignored without it.
-    for (variable, cfg) in [
-        ("PLENOCAL_R12A", "plenocal_r12a"),
-        ("PLENOCAL_WHITES", "plenocal_whites"),
-        ("PLENOCAL_EXAMPLES", "plenocal_examples"),
-        ("PLENOCAL_CHROMIUM", "plenocal_chromium"),
-        ("PLENOCAL_TOOLS", "plenocal_tools"),
-    ] {
-        println!("cargo:rerun-if-env-changed={variable}");
-        println!("cargo:rustc-check-cfg=cfg({cfg})");
-        if std::env::var_os(variable).is_some() {
-            println!("cargo:rustc-cfg={cfg}");
-        }
-    }
 
     for path in [
         "build.rs",

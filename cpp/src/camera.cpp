@@ -32,23 +32,21 @@ void validate(const Camera& camera) {
   }
   require_positive(camera.pixel_size, "pixel size (mm)");
   if (camera.width < 0 || camera.height < 0) reject("the camera's width or height is negative");
-  require_positive(camera.main_lens.focal_length, "F (mm)");
-  require_positive(camera.mla.lens_to_mla, "D (mm)");
-  require_positive(camera.mla.mla_to_sensor, "d (mm)");
-  require_positive(camera.mla.pitch, "dC (mm)");
-  require_positive(camera.mla.pitch_ratio, "dC_ratio");
-  for (int i = 0; i < types; ++i) {
-    require_positive(camera.micro_lens_focal_lengths[i], "f_" + std::to_string(i + 1) + " (mm)");
-  }
+  const Parameter* parameter = kParameters;
+  for_each_parameter(camera, [&parameter](const std::string& name, double value) {
+    if (parameter->is_positive) {
+      require_positive(value, name + (parameter->unit == std::string("mm") ? " (mm)" : ""));
+    } else if (!std::isfinite(value)) {
+      reject("the camera's " + name + " is not a finite number");
+    }
+    ++parameter;
+  });
   const auto require_behind = [](double distance, const std::string& what) {
     if (!is_positive(distance)) reject("the exit pupil (e_z) does not lie " + what);
   };
   require_behind(camera.mla.lens_to_mla + camera.exit_pupil.z, "before the array");
   require_behind(camera.main_lens.focal_length + camera.exit_pupil.z,
                  "before the rear focal point");
-  for_each_parameter(camera, [](const std::string& name, double value) {
-    if (!std::isfinite(value)) reject("the camera's " + name + " is not a finite number");
-  });
 }
 
 std::optional<Feature<double>> project(const Camera& camera, const Pose& camera_from_board,

@@ -103,9 +103,9 @@ void CostOptions::free(const std::vector<std::string>& names) {
 }
 
 bool is_shape_free(const CostOptions& options) {
-  const auto names = shape_names();
-  return std::any_of(names.begin(), names.end(), [&options](const std::string& name) {
-    return options.fixed.count(name) == 0;
+  const Parameter* shape = std::end(kParameters) - kBoardShapeParameters;
+  return std::any_of(shape, std::end(kParameters), [&options](const Parameter& parameter) {
+    return options.fixed.count(parameter.name) == 0;
   });
 }
 

@@ -7,9 +7,7 @@
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use crate::error::{Error, Result};
-use crate::model::{
-    BentBoard, Board, BoardShape, PlenopticCamera, intrinsic_parameters, shared_parameters,
-};
+use crate::model::{BentBoard, Board, BoardShape, Parameter, PlenopticCamera};
 use crate::solver::{
     self, CostOptions, Loss, LossKind, MicroPixel, Problem, Projected, Ray, SolverFeature,
     SolverOptions, VirtualPoint, metric_points, micro_images_at, pixel_rays, virtual_depths,
@@ -155,10 +153,10 @@ pub fn compare_cameras(
         .iter()
         .zip(&points)
         .map(|(&at_mm, points)| difference(first, &second, &motion, at_mm, points));
-    let parameters = intrinsic_parameters(types).iter().enumerate().map(|(i, p)| ParameterPair {
-        name: p.name,
-        unit: p.unit,
-        values: [p.value(first), p.value(&second)],
+    let parameters = Parameter::intrinsic(types).iter().enumerate().map(|(i, p)| ParameterPair {
+        name: p.name(),
+        unit: p.unit(),
+        values: [first.value(*p), second.value(*p)],
         std_devs: [first_std_devs, second_std_devs].map(|of| of.get(i).copied().flatten()),
     });
     Ok(CameraComparison {
@@ -250,11 +248,11 @@ fn motion(
     second: &PlenopticCamera,
     points: &[(MicroPixel, Point3<f64>)],
 ) -> Result<Isometry3<f64>> {
-    let all = shared_parameters(second.lens_types());
+    let all = Parameter::shared(second.lens_types());
     let cost = CostOptions {
         rho: false,
         loss: Loss { kind: LossKind::None, scale: 1.0 },
-        fixed: all.iter().map(|parameter| parameter.name.to_owned()).collect(),
+        fixed: all.iter().map(|parameter| parameter.name().to_owned()).collect(),
         ..CostOptions::default()
     };
     let refined = with_problem(second, &Isometry3::identity(), points, |problem| {

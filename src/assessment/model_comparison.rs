@@ -10,7 +10,7 @@ use super::patterns::image_pattern;
 use crate::calibration::{Calibration, Minimum, Refit};
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue, Subject};
-use crate::model::{Board, PlenopticCamera, Reprojection, shared_parameters};
+use crate::model::{Board, Parameter, PlenopticCamera, Reprojection};
 
 /// With fewer frames, the scatter of their differences says too little.
 const MIN_FRAMES: usize = 6;
@@ -52,16 +52,17 @@ impl Group {
         Self::BoardShape,
     ];
 
-    /// Names of its parameters.
+    /// Its parameters.
     #[must_use]
-    pub fn parameters(self) -> &'static [&'static str] {
+    pub fn parameters(self) -> &'static [Parameter] {
+        use Parameter as P;
         match self {
-            Self::ExitPupil => &["e_z"],
-            Self::FieldCurvature => &["kappa", "kappa_m"],
-            Self::CurvatureGrowth => &["kappa_m"],
-            Self::RadialDistortion => &["Q1", "Q2", "Q3"],
-            Self::TangentialDistortion => &["P1", "P2"],
-            Self::BoardShape => &["sag_x", "sag_y", "twist", "aspect"],
+            Self::ExitPupil => &[P::PupilZ],
+            Self::FieldCurvature => &[P::FieldCurvature, P::FieldCurvatureGrowth],
+            Self::CurvatureGrowth => &[P::FieldCurvatureGrowth],
+            Self::RadialDistortion => &[P::Radial1, P::Radial2, P::Radial3],
+            Self::TangentialDistortion => &[P::Tangential1, P::Tangential2],
+            Self::BoardShape => &P::SHAPE,
         }
     }
 }
@@ -106,7 +107,7 @@ pub struct WithoutGroup {
     /// The group.
     pub group: Group,
     /// The parameters of the group that were free; they are 0 here.
-    pub parameters: Vec<&'static str>,
+    pub parameters: Vec<Parameter>,
     /// The camera without them.
     pub camera: PlenopticCamera,
     /// Its residuals.
@@ -260,13 +261,13 @@ pub fn compare_models(
 }
 
 impl Comparison<'_> {
-    fn model_without(&self, parameters: &[&str]) -> Result<Model> {
+    fn model_without(&self, parameters: &[Parameter]) -> Result<Model> {
         let minimum = self.refit.without(parameters);
         (self.progress)();
         self.model(minimum?, parameters)
     }
 
-    fn model(&self, minimum: Minimum, parameters: &[&str]) -> Result<Model> {
+    fn model(&self, minimum: Minimum, parameters: &[Parameter]) -> Result<Model> {
         let of_fold = |fold: usize| {
             let held_out = frames_of_fold(&self.frames, fold, self.folds);
             let errors = self.refit.held_out(&minimum, parameters, &held_out);
@@ -283,7 +284,7 @@ impl Comparison<'_> {
         &self,
         calibration: &Calibration,
         group: Group,
-        parameters: Vec<&'static str>,
+        parameters: Vec<Parameter>,
         model: &Model,
         all: &Model,
     ) -> Result<WithoutGroup> {
@@ -313,13 +314,13 @@ impl Comparison<'_> {
 }
 
 /// The groups with free parameters, and these.
-fn free_groups(calibration: &Calibration) -> Vec<(Group, Vec<&'static str>)> {
-    let names = shared_parameters(calibration.camera.lens_types());
-    let free: Vec<&str> =
-        calibration.uncertainty.free_intrinsics.iter().map(|&i| names[i].name).collect();
+fn free_groups(calibration: &Calibration) -> Vec<(Group, Vec<Parameter>)> {
+    let all = Parameter::shared(calibration.camera.lens_types());
+    let free: Vec<Parameter> =
+        calibration.uncertainty.free_intrinsics.iter().map(|&i| all[i]).collect();
     let of_group = |group: Group| {
-        let parameters: Vec<&'static str> =
-            group.parameters().iter().copied().filter(|name| free.contains(name)).collect();
+        let parameters: Vec<Parameter> =
+            group.parameters().iter().copied().filter(|p| free.contains(p)).collect();
         (!parameters.is_empty()).then_some((group, parameters))
     };
     Group::ALL.into_iter().filter_map(of_group).collect()
@@ -327,7 +328,7 @@ fn free_groups(calibration: &Calibration) -> Vec<(Group, Vec<&'static str>)> {
 
 fn check(
     calibration: &Calibration,
-    groups: &[(Group, Vec<&'static str>)],
+    groups: &[(Group, Vec<Parameter>)],
     folds: usize,
 ) -> Result<()> {
     let frames = calibration.poses.len();

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::calibration::{Calibration, OutlyingFeature};
 use crate::finding::{Finding, Issue};
-use crate::model::{FramePose, shared_parameters};
+use crate::model::{FramePose, Parameter};
 use crate::numerics::median;
 use crate::solver::Uncertainty;
 
@@ -134,12 +134,12 @@ fn influence(scaled: &[Vec<f64>], frame: usize, calibration: &Calibration) -> Op
     let typical = (others.iter().map(|z| z * z).sum::<f64>() / others.len() as f64).sqrt();
     let Uncertainty { covariance, left_out_changes, free_intrinsics, .. } =
         &calibration.uncertainty;
-    let parameters = shared_parameters(calibration.camera.lens_types());
+    let parameters = Parameter::shared(calibration.camera.lens_types());
     let of = |(row, (&index, z)): (usize, (&usize, &f64))| {
         let std_devs = left_out_changes[(frame, row)].abs() / covariance[(row, row)].sqrt();
         let unexpected = z.abs() / typical;
         (unexpected.is_finite() && std_devs > MATERIAL).then_some(Influence {
-            parameter: parameters[index].name,
+            parameter: parameters[index].name(),
             std_devs,
             unexpected,
         })

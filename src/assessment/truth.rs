@@ -4,10 +4,7 @@ use nalgebra::Isometry3;
 use serde::Serialize;
 
 use crate::error::{Error, Result};
-use crate::model::{
-    BoardShape, FramePose, Parameter, PlenopticCamera, SHAPE, SHAPE_PARAMETERS,
-    intrinsic_parameters,
-};
+use crate::model::{BoardShape, FramePose, Parameter, PlenopticCamera, SHAPE};
 
 /// An intrinsic parameter against its true value.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -57,13 +54,13 @@ pub fn parameter_errors(
     let types = truth.lens_types().min(estimate.lens_types());
     let values = truth.intrinsics().into_iter().zip(estimate.intrinsics());
     let std_devs = std_devs.iter().copied().chain(std::iter::repeat(None));
-    Ok(intrinsic_parameters(types)
+    Ok(Parameter::intrinsic(types)
         .iter()
         .zip(values)
         .zip(std_devs)
         .map(|((parameter, (truth, estimate)), std_dev)| ParameterError {
-            name: parameter.name.to_owned(),
-            unit: parameter.unit,
+            name: parameter.name().to_owned(),
+            unit: parameter.unit(),
             truth,
             estimate,
             std_dev,
@@ -78,14 +75,14 @@ pub fn shape_errors(
     estimate: &BoardShape,
     std_devs: [Option<f64>; SHAPE],
 ) -> Vec<ParameterError> {
-    let error = |(parameter, std_dev): (&Parameter<BoardShape>, Option<f64>)| ParameterError {
-        name: parameter.name.to_owned(),
-        unit: parameter.unit,
-        truth: parameter.value(truth),
-        estimate: parameter.value(estimate),
+    let error = |(parameter, std_dev): (Parameter, Option<f64>)| ParameterError {
+        name: parameter.name().to_owned(),
+        unit: parameter.unit(),
+        truth: truth.value(parameter),
+        estimate: estimate.value(parameter),
         std_dev,
     };
-    SHAPE_PARAMETERS.iter().zip(std_devs).map(error).collect()
+    Parameter::SHAPE.into_iter().zip(std_devs).map(error).collect()
 }
 
 /// Errors of poses, as root mean squares over the frames that both have.

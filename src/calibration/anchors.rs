@@ -13,9 +13,7 @@ use crate::calibration::{CalibrationOptions, Mode, Start};
 use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
 use crate::finding::Finding;
-use crate::model::{
-    BoardShape, PlenopticCamera, SHAPE_PARAMETERS, intrinsic_parameters, optics, shared_parameters,
-};
+use crate::model::{BoardShape, MAX_LENS_TYPES, Parameter, PlenopticCamera, optics};
 use crate::quantity::Estimate;
 use crate::solver::Anchor;
 
@@ -97,8 +95,7 @@ fn unit(quantity: &str) -> &'static str {
     if LEAN.contains(&quantity) {
         return "mm^-1";
     }
-    let all = shared_parameters(crate::model::MAX_LENS_TYPES);
-    all.iter().find(|parameter| parameter.name == quantity).map_or("mm", |parameter| parameter.unit)
+    quantity.parse().map_or("mm", Parameter::unit)
 }
 
 /// The anchors of a calibration: those stated, and of the default ones those that no other replaces,
@@ -166,24 +163,26 @@ fn default_anchors(start: &Start) -> Vec<(Anchor, AnchorSource)> {
 }
 
 /// Whether a quantity depends on a parameter that is not fixed.
-fn is_free(quantity: &str, fixed: &[String]) -> bool {
-    let is_fixed = |name: &str| fixed.iter().any(|fixed| fixed == name);
+fn is_free(quantity: &str, fixed: &[Parameter]) -> bool {
+    use Parameter as P;
+    let any_is_free = |parameters: &[P]| parameters.iter().any(|p| !fixed.contains(p));
     if quantity == SLOPE {
-        !["F", "d", "D", "e_z"].into_iter().all(is_fixed)
-    } else if LEAN.contains(&quantity) {
-        !["theta_x", "theta_y", "d"].into_iter().all(is_fixed)
-    } else if let Some(lens_type) = quantity.strip_prefix("q'_") {
-        !["d", "dC", &format!("f_{lens_type}")].into_iter().all(is_fixed)
-    } else {
-        !is_fixed(quantity)
+        return any_is_free(&[P::FocalLength, P::ArrayToSensor, P::LensToArray, P::PupilZ]);
     }
+    if LEAN.contains(&quantity) {
+        return any_is_free(&[P::RotationX, P::RotationY, P::ArrayToSensor]);
+    }
+    if let Some(lens_type) = (0..MAX_LENS_TYPES).find(|&i| intercept_name(i) == quantity) {
+        return any_is_free(&[P::ArrayToSensor, P::Pitch, P::focal_length_of(lens_type)]);
+    }
+    quantity.parse().is_ok_and(|parameter: P| any_is_free(&[parameter]))
 }
 
 /// An error that names an anchor that is not possible.
 pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> Result<()> {
-    let known = shared_parameters(lens_types);
+    let known = Parameter::shared(lens_types);
     let names = || -> Vec<String> {
-        let parameters = known.iter().map(|p| p.name.to_owned());
+        let parameters = known.iter().map(|p| p.name().to_owned());
         let of_white_images = [SLOPE].into_iter().chain(LEAN).map(str::to_owned);
         parameters.chain(of_white_images).chain((0..lens_types).map(intercept_name)).collect()
     };
@@ -249,11 +248,11 @@ pub(super) fn results(
         if let Some(axis) = LEAN.iter().position(|name| *name == quantity) {
             return optics::lean_per_mm(camera)[axis];
         }
-        if let Some(parameter) = SHAPE_PARAMETERS.iter().find(|p| p.name == quantity) {
-            return parameter.value(shape);
+        match quantity.parse::<Parameter>() {
+            Ok(parameter) if parameter.is_of_board() => shape.value(parameter),
+            Ok(parameter) => camera.value(parameter),
+            Err(_) => f64::NAN,
         }
-        let parameters = intrinsic_parameters(camera.lens_types());
-        parameters.iter().find(|p| p.name == quantity).map_or(f64::NAN, |p| p.value(camera))
     };
     let result = |(anchor, source): (Anchor, AnchorSource)| AnchorResult {
         result: value(&anchor.quantity),

@@ -12,11 +12,9 @@ use crate::calibration::{AnchorSource, BoardModel};
 use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
-use crate::model::{BentBoard, SHAPE, SHAPE_PARAMETERS};
+use crate::model::{BentBoard, Parameter, SHAPE};
 use crate::numerics::normal_deviate;
-use crate::solver::{
-    Anchor, CostOptions, Iteration, Problem, Refinement, Termination, shape_names,
-};
+use crate::solver::{Anchor, CostOptions, Iteration, Problem, Refinement, Termination};
 
 /// How flat boards are: σ of sags and twist as a fraction of the diagonal, and σ of the aspect.
 const FLAT: f64 = 1e-3;
@@ -30,7 +28,7 @@ const ASPECT: usize = 3;
 pub struct BoardResult {
     /// Its size and shape.
     pub bent: BentBoard,
-    /// σ of its shape, in the order of [`SHAPE_PARAMETERS`]; `None` for what was not estimated.
+    /// σ of its shape, in the order of [`Parameter::SHAPE`]; `None` for what was not estimated.
     pub std_devs: [Option<f64>; SHAPE],
     /// What came of trying whether it is flat.
     pub trial: Trial,
@@ -128,12 +126,13 @@ impl Settings<'_> {
         progress: &mut dyn FnMut(&Iteration) -> bool,
     ) -> Result<Settled> {
         let free = Free {
-            parameters: SHAPE_PARAMETERS.each_ref().map(|p| !is_fixed(cost, p.name)),
+            parameters: Parameter::SHAPE.each_ref().map(|p| !is_fixed(cost, p.name())),
             bend_mm: FLAT * problem.board.board.diagonal_mm(),
             aspect: FLAT,
         };
         // Who knows something of the shape does not hold the board to be flat.
-        let stated = anchors.iter().any(|(a, _)| shape_names().any(|name| name == a.quantity));
+        let stated =
+            anchors.iter().any(|(a, _)| Parameter::SHAPE.iter().any(|p| p.name() == a.quantity));
         let model = match self.options.board {
             BoardModel::Auto if stated => BoardModel::Bent,
             model => model,
@@ -214,8 +213,8 @@ impl Settings<'_> {
     ) -> Result<Settled> {
         let mut cost = with_fixed(cost, |i| !free.parameters[i]);
         let mut anchors = anchors.to_vec();
-        for (i, parameter) in SHAPE_PARAMETERS.iter().enumerate() {
-            let quantity = parameter.name.to_owned();
+        for (i, parameter) in Parameter::SHAPE.iter().enumerate() {
+            let quantity = parameter.name().to_owned();
             let stated = anchors.iter().any(|(anchor, _)| anchor.quantity == quantity);
             let wanted = self.options.anchors.is_default(&quantity);
             if free.parameters[i] && wanted && !stated {
@@ -273,9 +272,9 @@ fn is_fixed(cost: &CostOptions, name: &str) -> bool {
 /// A cost that keeps more of the shape's parameters, by their index.
 fn with_fixed(cost: &CostOptions, fixed: impl Fn(usize) -> bool) -> CostOptions {
     let mut cost = cost.clone();
-    for (i, parameter) in SHAPE_PARAMETERS.iter().enumerate() {
-        if fixed(i) && !is_fixed(&cost, parameter.name) {
-            cost.fixed.push(parameter.name.to_owned());
+    for (i, parameter) in Parameter::SHAPE.iter().enumerate() {
+        if fixed(i) && !is_fixed(&cost, parameter.name()) {
+            cost.fixed.push(parameter.name().to_owned());
         }
     }
     cost
@@ -285,7 +284,7 @@ fn with_fixed(cost: &CostOptions, fixed: impl Fn(usize) -> bool) -> CostOptions 
 fn values(refined: &Refined) -> [Option<(f64, f64)>; SHAPE] {
     let Refined { refinement, uncertainty, .. } = refined;
     let std_devs = uncertainty.shape_std_devs(refinement.camera.lens_types());
-    std::array::from_fn(|i| Some((SHAPE_PARAMETERS[i].value(&refinement.shape), std_devs[i]?)))
+    std::array::from_fn(|i| Some((refinement.shape.value(Parameter::SHAPE[i]), std_devs[i]?)))
 }
 
 /// How far from 0 the frames show the bend and the aspect to be, in σ of a normal variable. Of the bend that is the
@@ -293,7 +292,7 @@ fn values(refined: &Refined) -> [Option<(f64, f64)>; SHAPE] {
 fn std_devs_from_zero(refined: &Refined) -> [Option<f64>; 2] {
     let Refined { refinement, uncertainty, .. } = refined;
     let rows = uncertainty.shape_rows(refinement.camera.lens_types());
-    let value = |i: usize| SHAPE_PARAMETERS[i].value(&refinement.shape);
+    let value = |i: usize| refinement.shape.value(Parameter::SHAPE[i]);
     let from_zero = |weights: &[(usize, f64)]| {
         let terms: Vec<(usize, f64, f64)> = weights
             .iter()

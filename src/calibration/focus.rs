@@ -10,7 +10,10 @@ use std::collections::BTreeMap;
 use crate::calibration::poses::poses_of_board;
 use crate::calibration::{CalibrationOptions, Start};
 use crate::finding::{Finding, Issue};
-use crate::model::{BapFeature, Board, Datasheet, InternalParameters, PlenopticCamera, optics};
+
+use crate::model::{
+    BapFeature, Board, Datasheet, InternalParameters, Parameter, PlenopticCamera, optics,
+};
 use crate::numerics::median;
 
 /// Distances that are tried, from the nearest that a lens can be focused at (4F) to this many F, in equal ratios.
@@ -41,7 +44,7 @@ pub(super) fn refocused(
     options: &CalibrationOptions,
 ) -> Option<(Start, Option<Finding>)> {
     let Start::Datasheet(sheet, internal) = start else { return None };
-    if options.fix.iter().any(|name| name == "D") || options.anchors.knows("D") {
+    if options.fix.contains(&Parameter::LensToArray) || options.anchors.knows("D") {
         return None;
     }
     let corners = corners(initial, internal, board, features);

@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
 use crate::model::{
     BapFeature, BentBoard, Board, FeatureResidual, FramePose, MicroImageCenter, Observations,
-    PlenopticCamera, shared_parameters,
+    Parameter, PlenopticCamera,
 };
 use crate::solver::{
     self, CostOptions, Problem, Projected, SolverCenter, SolverFeature, SolverOptions,
@@ -167,8 +167,8 @@ fn choose(
 ) -> Result<Vec<usize>> {
     let mut best = vec![(f64::INFINITY, 0); candidates.len()];
     let rounds = candidates.iter().map(|(_, poses)| poses.len()).max().unwrap_or(0);
-    let parameters = shared_parameters(camera.lens_types());
-    let fixed = parameters.iter().map(|parameter| parameter.name.to_owned()).collect();
+    let parameters = Parameter::shared(camera.lens_types());
+    let fixed = parameters.iter().map(|parameter| parameter.name().to_owned()).collect();
     let cost = CostOptions { fixed, anchors: Vec::new(), ..cost.clone() };
     let solver = SolverOptions { max_iterations: CHOICE_ITERATIONS, ..*solver };
     for round in 0..rounds {
@@ -336,7 +336,7 @@ mod tests {
             feature.rho_px = feature.rho_px.map(|rho| rho - 100.0 * r.drho_px.unwrap());
         }
         let fixed =
-            shared_parameters(3).iter().map(|parameter| parameter.name.to_owned()).collect();
+            Parameter::shared(3).iter().map(|parameter| parameter.name().to_owned()).collect();
         let cost = CostOptions {
             loss: Loss { kind: LossKind::Cauchy, scale: 0.1 },
             fixed,

@@ -9,9 +9,9 @@ use toml::Table;
 
 use super::start::Start;
 use crate::error::{Error, Result};
-use crate::model::{BoardShape, FramePose, SHAPE, positive, shared_parameters};
+use crate::model::{BoardShape, FramePose, Parameter, SHAPE, positive};
 use crate::quantity::Estimate;
-use crate::solver::{Anchor, CostOptions, Loss, LossKind, SolverOptions, shape_names};
+use crate::solver::{Anchor, CostOptions, Loss, LossKind, SolverOptions, names};
 use crate::table::merge;
 
 /// A named set of options; options that are stated beside it take precedence.
@@ -291,7 +291,7 @@ pub struct CalibrationOptions {
     /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect. (e_x and e_y are
     /// 0 unless they are anchored, and dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    pub fix: Vec<String>,
+    pub fix: Vec<Parameter>,
     /// Prior knowledge: `[calibration.anchors]`, --anchors and --anchor.
     #[arg(skip)]
     pub anchors: Anchors,
@@ -420,7 +420,7 @@ impl CalibrationOptions {
                 kind: self.loss.unwrap_or(LossKind::None),
                 scale: self.loss_scale.unwrap_or(1.0),
             },
-            fixed: self.fixed(),
+            fixed: names(&self.fixed()),
             anchors: self.anchors.stated(),
             ..CostOptions::default()
         }
@@ -432,20 +432,19 @@ impl CalibrationOptions {
         self.blur == Blur::Features
     }
 
-    /// Names of the parameters of camera and board that keep their value.
-    pub(super) fn fixed(&self) -> Vec<String> {
-        let exit_pupil = matches!(self.exit_pupil, ExitPupil::At(_));
+    /// The parameters of camera and board that keep their value.
+    pub(super) fn fixed(&self) -> Vec<Parameter> {
         let implied = [
-            ("dC_ratio", self.pitches == Pitches::One),
-            ("e_z", exit_pupil),
-            ("kappa", self.field_curvature == FieldCurvature::Flat),
-            ("kappa_m", self.field_curvature != FieldCurvature::Estimated),
+            (Parameter::PitchRatio, self.pitches == Pitches::One),
+            (Parameter::PupilZ, matches!(self.exit_pupil, ExitPupil::At(_))),
+            (Parameter::FieldCurvature, self.field_curvature == FieldCurvature::Flat),
+            (Parameter::FieldCurvatureGrowth, self.field_curvature != FieldCurvature::Estimated),
             // Images alone hardly determine them: they are free only if they are anchored.
-            ("e_x", !self.anchors.knows("e_x")),
-            ("e_y", !self.anchors.knows("e_y")),
+            (Parameter::PupilX, !self.anchors.knows("e_x")),
+            (Parameter::PupilY, !self.anchors.knows("e_y")),
         ];
         let implied = implied.into_iter().filter(|(_, fixed)| *fixed);
-        implied.map(|(name, _)| name.to_owned()).chain(self.fix.iter().cloned()).collect()
+        implied.map(|(parameter, _)| parameter).chain(self.fix.iter().copied()).collect()
     }
 
     /// e_z where it is stated, mm.
@@ -470,9 +469,8 @@ impl CalibrationOptions {
     #[must_use]
     pub fn of_corners_only(&self) -> Self {
         let mut options = Self { mode: Mode::CornersOnly, ..self.clone() };
-        let remains = |name: &String| !name.starts_with("f_");
-        options.fix.retain(remains);
-        options.anchors.quantities.retain(|name, _| remains(name));
+        options.fix.retain(|parameter| !parameter.is_of_micro_lenses());
+        options.anchors.quantities.retain(|name, _| !name.starts_with("f_"));
         options
     }
 
@@ -498,11 +496,12 @@ impl CalibrationOptions {
         if self.board != BoardModel::Auto {
             return decided;
         }
-        let kept = shape_names().zip(shape_std_devs).filter(|(_, std_dev)| std_dev.is_none());
-        let kept: Vec<String> = kept.map(|(name, _)| name.to_owned()).collect();
+        let kept = Parameter::SHAPE.into_iter().zip(shape_std_devs);
+        let kept: Vec<Parameter> =
+            kept.filter(|(_, std_dev)| std_dev.is_none()).map(|(p, _)| p).collect();
         decided.board = if kept.len() == SHAPE { BoardModel::Flat } else { BoardModel::Bent };
         if decided.board == BoardModel::Bent {
-            let new = kept.into_iter().filter(|name| !self.fix.contains(name));
+            let new = kept.into_iter().filter(|parameter| !self.fix.contains(parameter));
             decided.fix.extend(new);
         }
         decided
@@ -519,7 +518,7 @@ impl CalibrationOptions {
     /// Whether the board keeps a parameter of its shape.
     pub(super) fn keeps(&self, quantity: &str) -> bool {
         let known = matches!(self.board, BoardModel::Flat | BoardModel::Known(_));
-        known && shape_names().any(|name| name == quantity)
+        known && Parameter::SHAPE.iter().any(|parameter| parameter.name() == quantity)
     }
 
     /// An error that names an impossible option, or one that does not fit this start.
@@ -541,12 +540,12 @@ impl CalibrationOptions {
                  camera: give the shape that it had there",
             ));
         }
-        let is_fixed = |name: &str| self.fix.iter().any(|fixed| fixed == name);
-        if self.board == BoardModel::Bent && shape_names().all(is_fixed) {
+        let is_fixed = |parameter: &Parameter| self.fix.contains(parameter);
+        if self.board == BoardModel::Bent && Parameter::SHAPE.iter().all(is_fixed) {
             return Err(Error::invalid(format!(
                 "the board is to be bent by what comes out, but {} are fixed: free one of them, or take the board to \
                  be flat",
-                shape_names().collect::<Vec<_>>().join(", ")
+                Parameter::SHAPE.map(Parameter::name).join(", ")
             )));
         }
         positive(self.uv_std_dev_px, "the standard deviation of (u, v) (px)")?;
@@ -568,15 +567,12 @@ impl CalibrationOptions {
         if self.max_iterations == 0 || self.threads == 0 {
             return Err(Error::invalid("iterations and threads have to be at least 1"));
         }
-        let known = shared_parameters(start.lens_types());
-        for name in &self.fix {
-            if !known.iter().any(|parameter| parameter.name == *name) {
-                let names: Vec<&str> = known.iter().map(|p| p.name).collect();
-                return Err(Error::invalid(format!(
-                    "there is no parameter '{name}' to fix; this camera has {}",
-                    names.join(", ")
-                )));
-            }
+        let known = Parameter::shared(start.lens_types());
+        if let Some(parameter) = self.fix.iter().find(|parameter| !known.contains(parameter)) {
+            return Err(Error::invalid(format!(
+                "there is no parameter '{parameter}' to fix; this camera has {}",
+                names(&known).join(", ")
+            )));
         }
         Ok(())
     }

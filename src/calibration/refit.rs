@@ -12,8 +12,8 @@ use crate::calibration::stage::center_residuals;
 use crate::calibration::{AnchorSource, Calibration};
 use crate::error::Result;
 use crate::model::{
-    BapFeature, BentBoard, Board, BoardShape, FramePose, MicroImageCenter, PlenopticCamera,
-    Reprojection, SHAPE_PARAMETERS, intrinsic_parameters, shared_parameters,
+    BapFeature, BentBoard, Board, BoardShape, FramePose, MicroImageCenter, Parameter,
+    PlenopticCamera, Reprojection,
 };
 use crate::solver::{
     self, Anchor, CostOptions, Loss, LossKind, Problem, Refinement, SolverCenter, SolverFeature,
@@ -76,15 +76,14 @@ impl<'a> Refit<'a> {
     }
 
     /// The minimum with some parameters held at 0.
-    pub fn without(&self, parameters: &[&str]) -> Result<Minimum> {
+    pub fn without(&self, parameters: &[Parameter]) -> Result<Minimum> {
         let mut start = self.minimum();
-        for parameter in intrinsic_parameters(start.camera.lens_types()) {
-            if parameters.contains(&parameter.name) {
-                parameter.set(&mut start.camera, 0.0);
+        for &parameter in parameters {
+            if parameter.is_of_board() {
+                start.shape.set(parameter, 0.0);
+            } else {
+                start.camera.set(parameter, 0.0);
             }
-        }
-        for parameter in SHAPE_PARAMETERS.iter().filter(|p| parameters.contains(&p.name)) {
-            parameter.set(&mut start.shape, 0.0);
         }
         let cost = self.cost_without(parameters);
         if cost.loss.kind != LossKind::None {
@@ -102,7 +101,7 @@ impl<'a> Refit<'a> {
     pub fn held_out(
         &self,
         minimum: &Minimum,
-        parameters: &[&str],
+        parameters: &[Parameter],
         frames: &[u32],
     ) -> Result<Vec<(u32, f64)>> {
         let with_poses = |held_out: bool| Minimum {
@@ -117,8 +116,8 @@ impl<'a> Refit<'a> {
         let cost = self.cost_without(parameters);
         let solver = SolverOptions { function_tolerance: HELD_OUT_TOLERANCE, ..self.solver() };
         let rest = self.refined(&with_poses(false), &cost, &solver)?;
-        let all = shared_parameters(minimum.camera.lens_types());
-        let fixed = all.iter().map(|parameter| parameter.name.to_owned()).collect();
+        let all = Parameter::shared(minimum.camera.lens_types());
+        let fixed = all.iter().map(|parameter| parameter.name().to_owned()).collect();
         let poses_only = CostOptions { fixed, anchors: Vec::new(), ..cost };
         let left_out = Minimum { camera: rest.camera, shape: rest.shape, ..with_poses(true) };
         let solved = self.solve(&left_out, &poses_only, &[], &solver)?;
@@ -156,11 +155,12 @@ impl<'a> Refit<'a> {
         SolverOptions { threads: 1, ..self.calibration.options.solver() }
     }
 
-    fn cost_without(&self, parameters: &[&str]) -> CostOptions {
+    fn cost_without(&self, parameters: &[Parameter]) -> CostOptions {
         let mut cost = self.calibration.cost.clone();
         cost.fixed.extend(parameters.iter().map(ToString::to_string));
         // What is known of a parameter says nothing where there is none.
-        cost.anchors.retain(|anchor| !parameters.contains(&anchor.quantity.as_str()));
+        let is_held = |quantity: &str| parameters.iter().any(|p| p.name() == quantity);
+        cost.anchors.retain(|anchor| !is_held(&anchor.quantity));
         cost
     }
 

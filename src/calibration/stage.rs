@@ -18,8 +18,8 @@ use crate::checks::calibration as checks;
 use crate::error::Result;
 use crate::finding::Finding;
 use crate::model::{
-    BentBoard, Board, CenterResidual, FramePose, MicroImageCenter, Observations, PlenopticCamera,
-    Reprojection, shared_parameters,
+    BentBoard, Board, CenterResidual, FramePose, MicroImageCenter, Observations, Parameter,
+    PlenopticCamera, Reprojection,
 };
 use crate::solver::{
     self, Anchor, CostOptions, Iteration, LossKind, Problem, Refinement, Termination, Uncertainty,
@@ -204,8 +204,8 @@ fn cost_for(
         cost.loss.scale = LOSS_SCALE;
     }
     if options.mode == Mode::PosesOnly {
-        let all = shared_parameters(camera.lens_types());
-        cost.fixed = all.iter().map(|parameter| parameter.name.to_owned()).collect();
+        let all = Parameter::shared(camera.lens_types());
+        cost.fixed = all.iter().map(|parameter| parameter.name().to_owned()).collect();
     }
     cost
 }

@@ -3,10 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::finding::{Finding, Issue, Severity};
-use crate::model::{
-    BentBoard, FramePose, Observations, PlenopticCamera, Reprojection, intrinsic_parameters,
-    shared_parameters,
-};
+use crate::model::{BentBoard, FramePose, Observations, Parameter, PlenopticCamera, Reprojection};
 use crate::quantity::Estimate;
 use crate::solver::Uncertainty;
 
@@ -98,8 +95,8 @@ pub(crate) fn array_beyond_image(camera: &PlenopticCamera) -> Option<Finding> {
 /// Parameters that the observations do not determine.
 pub(crate) fn undetermined(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> Option<Finding> {
     let (rank, parameters) = (uncertainty.rank, uncertainty.size());
-    let all = shared_parameters(camera.lens_types());
-    let names = uncertainty.undetermined_intrinsics().into_iter().map(|i| all[i].name.to_owned());
+    let all = Parameter::shared(camera.lens_types());
+    let names = uncertainty.undetermined_intrinsics().into_iter().map(|i| all[i].name().to_owned());
     (rank < parameters).then(|| {
         Finding::unusable(Issue::Undetermined { rank, parameters, names: names.collect() })
             .weighing(50.0)
@@ -233,8 +230,9 @@ pub(crate) fn parameters(
     uncertainty: &Uncertainty,
     poses: &[FramePose],
 ) -> Vec<Finding> {
-    let parameters = intrinsic_parameters(camera.lens_types());
-    let is_length = |index: usize| parameters.get(index).is_some_and(|p| LENGTHS.contains(&p.name));
+    let parameters = Parameter::intrinsic(camera.lens_types());
+    let is_length =
+        |index: usize| parameters.get(index).is_some_and(|p| LENGTHS.contains(&p.name()));
     let free = uncertainty.free_intrinsics.iter().enumerate();
     let lengths = free.filter(|(row, index)| is_length(**index) && uncertainty.determined[*row]);
     let mut dominant: Option<(usize, usize, f64)> = None;
@@ -246,18 +244,18 @@ pub(crate) fn parameters(
                 dominant = Some((frame, index, share));
             }
         }
-        let value = parameters[index].value(camera);
+        let value = camera.value(parameters[index]);
         let relative = uncertainty.covariance[(row, row)].sqrt() / value.abs();
         if relative > UNCERTAIN.max(uncertain.map_or(0.0, |u| u.1)) {
             uncertain = Some((index, relative));
         }
     }
     let dominant = dominant.filter(|_| poses.len() > 1).map(|(frame, index, share)| {
-        let (frame, parameter) = (poses[frame].frame, parameters[index].name.to_owned());
+        let (frame, parameter) = (poses[frame].frame, parameters[index].name().to_owned());
         Finding::caution(Issue::DominantFrame { frame, parameter, share }).weighing(3.0)
     });
     let uncertain = uncertain.map(|(index, relative)| {
-        let parameter = parameters[index].name.to_owned();
+        let parameter = parameters[index].name().to_owned();
         Finding::new(severity_above(relative, UNKNOWN), Issue::Uncertain { parameter, relative })
             .weighing((4.0 * relative / UNCERTAIN).min(40.0))
     });

@@ -10,7 +10,7 @@ use plenocal::calibration::{
     Anchors, Calibration, CalibrationOptions, Method, Solution, calibrate, termination_text,
 };
 use plenocal::io::{self, OutputFolder, Project, compote};
-use plenocal::model::{Board, shared_parameters};
+use plenocal::model::{Board, Parameter};
 use plenocal::solver::Termination;
 use plenocal::{Error, Result, report};
 
@@ -215,9 +215,9 @@ pub(super) fn compared(
 /// The exit status of a calibration, which says why if its result should not be used.
 pub(super) fn status(calibration: &Calibration) -> ExitCode {
     let camera = &calibration.camera;
-    let names = shared_parameters(camera.lens_types());
+    let names = Parameter::shared(camera.lens_types());
     let unknown = calibration.uncertainty.undetermined_intrinsics();
-    let unknown: Vec<&str> = unknown.into_iter().map(|index| names[index].name).collect();
+    let unknown: Vec<&str> = unknown.into_iter().map(|index| names[index].name()).collect();
     let why = match calibration.refinement.termination {
         _ if calibration.converged && unknown.is_empty() => return ExitCode::SUCCESS,
         _ if calibration.converged => format!(

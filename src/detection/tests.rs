@@ -63,8 +63,8 @@ fn published() -> (MicroImageArray, Vec<Published>) {
 }
 
 #[test]
-#[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the real data set")]
-fn real_corners_are_clustered_and_labelled_as_published() {
+#[ignore = "needs PLENOCAL_R12A: make test"]
+fn r12a_corners_are_clustered_and_labelled_as_published() {
     let (grid, features) = published();
     let board = Board { columns: 9, rows: 5, square_mm: 10.0 };
     let search = LineSearch {
@@ -126,8 +126,8 @@ const Q_PRIME_MM: [f64; 3] =
 const RHO_BOUND_PX: f64 = 0.006;
 
 #[test]
-#[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the real data set")]
-fn the_median_of_pairs_gives_the_published_blur_radii() {
+#[ignore = "needs PLENOCAL_R12A: make test"]
+fn r12a_median_of_pairs_gives_the_published_blur_radii() {
     let (grid, features) = published();
     let half_pitch = MICRO_IMAGE_PITCH_MM / 2.0 / R12.pixel_size_mm;
     let mut clusters: BTreeMap<(u32, i32), Vec<&Published>> = BTreeMap::new();

@@ -10,7 +10,7 @@ use super::json_file::read_json;
 use super::read_text;
 use crate::calibration::{BoardResult, Trial};
 use crate::error::{Error, Result};
-use crate::model::{Board, BoardShape, SHAPE, SHAPE_PARAMETERS};
+use crate::model::{Board, BoardShape, Parameter, SHAPE};
 use crate::table::finite;
 
 #[derive(Deserialize)]
@@ -49,10 +49,13 @@ pub fn read_true_board(path: &Path) -> Result<BoardShape> {
 #[must_use]
 pub(super) fn board_shape_document(result: &BoardResult) -> Value {
     let by_name = |values: [Option<f64>; SHAPE]| -> Map<String, Value> {
-        let of = |(parameter, value): (&crate::model::Parameter<BoardShape>, Option<f64>)| {
-            Some((parameter.name.to_owned(), json!({ "value": value?, "unit": parameter.unit })))
+        let of = |(parameter, value): (Parameter, Option<f64>)| {
+            Some((
+                parameter.name().to_owned(),
+                json!({ "value": value?, "unit": parameter.unit() }),
+            ))
         };
-        SHAPE_PARAMETERS.iter().zip(values).filter_map(of).collect()
+        Parameter::SHAPE.into_iter().zip(values).filter_map(of).collect()
     };
     let (outcome, reason, [bend, aspect]) = match &result.trial {
         Trial::NotTried => ("not-tried", None, [None; 2]),
@@ -78,7 +81,7 @@ pub(super) fn board_shape_document(result: &BoardResult) -> Value {
     })
 }
 
-/// Reads the shape of a board from a `calibration.json`, with its σ in the order of [`SHAPE_PARAMETERS`], `None` for what was
+/// Reads the shape of a board from a `calibration.json`, with its σ in the order of [`Parameter::SHAPE`], `None` for what was
 /// not estimated; `None` if it is of another board ([`Board::is_same`]), or of none.
 pub fn read_board_shape(
     path: &Path,
@@ -88,6 +91,7 @@ pub fn read_board_shape(
     let Some(section) = value.get("board_shape") else { return Ok(None) };
     let section: ShapeSection = serde_json::from_value(section.clone())
         .map_err(|e| Error::content(path, format!("its board_shape is not valid: {e}")))?;
-    let std_dev = |i: usize| Some(section.standard_deviations.get(SHAPE_PARAMETERS[i].name)?.value);
+    let std_dev =
+        |i: usize| Some(section.standard_deviations.get(Parameter::SHAPE[i].name())?.value);
     Ok(section.board.is_same(board).then(|| (section.shape, std::array::from_fn(std_dev))))
 }

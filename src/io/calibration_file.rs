@@ -12,7 +12,7 @@ use crate::calibration::{
     AnchorResult, BlurMeasurement, Calibration, TypeBlur, termination_text, weakest_directions_text,
 };
 use crate::finding::Severity;
-use crate::model::{Rmse, shared_parameters};
+use crate::model::{Parameter, Rmse};
 use crate::quantity::Estimate;
 use crate::solver::{CommonChange, LossKind};
 
@@ -134,10 +134,11 @@ fn anchors_document(calibration: &Calibration) -> Value {
 /// What each error that all features share changes, by parameter.
 fn common_errors_document(calibration: &Calibration) -> Vec<Value> {
     let uncertainty = &calibration.uncertainty;
-    let names = shared_parameters(calibration.camera.lens_types());
+    let names = Parameter::shared(calibration.camera.lens_types());
     let of = |CommonChange { source, changes }: &CommonChange| {
-        let change =
-            |(&index, change): (&usize, &f64)| (names[index].name.to_owned(), Value::from(*change));
+        let change = |(&index, change): (&usize, &f64)| {
+            (names[index].name().to_owned(), Value::from(*change))
+        };
         let changes: Map<String, Value> =
             uncertainty.free_intrinsics.iter().zip(changes).map(change).collect();
         json!({ "source": source, "changes": changes })
@@ -149,7 +150,7 @@ fn common_errors_document(calibration: &Calibration) -> Vec<Value> {
 fn std_devs_document(calibration: &Calibration) -> Value {
     let lens_types = calibration.camera.lens_types();
     let uncertainty = &calibration.uncertainty;
-    let parameters: Map<String, Value> = shared_parameters(lens_types)
+    let parameters: Map<String, Value> = Parameter::shared(lens_types)
         .iter()
         .zip(uncertainty.shared_std_devs(lens_types))
         .filter_map(|(p, std_devs)| {
@@ -159,9 +160,9 @@ fn std_devs_document(calibration: &Calibration) -> Value {
                 "independent": independent,
                 "ratio": used / independent,
                 "relative_uncertainty": relative,
-                "unit": p.unit,
+                "unit": p.unit(),
             });
-            Some((p.name.to_owned(), value))
+            Some((p.name().to_owned(), value))
         })
         .collect();
     json!({ "errors": errors_text(uncertainty), "parameters": parameters })
@@ -301,10 +302,10 @@ pub fn models_document(comparison: &ModelComparison) -> Value {
 #[must_use]
 pub fn cost_document(evaluated: &Calibration, [features, centers, anchors]: [f64; 3]) -> Value {
     let uncertainty = &evaluated.uncertainty;
-    let names = shared_parameters(evaluated.camera.lens_types());
+    let names = Parameter::shared(evaluated.camera.lens_types());
     let by_name = |values: &[f64]| -> Map<String, Value> {
         let free = uncertainty.free_intrinsics.iter().zip(values);
-        free.map(|(&index, value)| (names[index].name.to_owned(), json!(value))).collect()
+        free.map(|(&index, value)| (names[index].name().to_owned(), json!(value))).collect()
     };
     json!({
         "cost": evaluated.refinement.cost,

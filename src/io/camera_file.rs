@@ -10,7 +10,7 @@ use serde_json::{Map, Value, json};
 
 use super::json_file::{document_of, read_json};
 use crate::error::{Error, Result};
-use crate::model::{EdgeSpread, Parameter, PlenopticCamera, intrinsic_parameters};
+use crate::model::{EdgeSpread, Parameter, PlenopticCamera};
 use crate::quantity::Estimate;
 use crate::solver::Uncertainty;
 
@@ -57,17 +57,17 @@ fn depth_from_blur_document(edges: &EdgeSpread) -> Option<Value> {
 }
 
 fn uncertainty_document(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> Value {
-    let parameters = intrinsic_parameters(camera.lens_types());
+    let parameters = Parameter::intrinsic(camera.lens_types());
     let std_devs: Map<String, Value> = parameters
         .iter()
         .zip(uncertainty.intrinsic_std_devs(camera.lens_types()))
         .filter_map(|(p, std_dev)| {
-            Some((p.name.to_owned(), json!({ "value": std_dev?, "unit": p.unit })))
+            Some((p.name().to_owned(), json!({ "value": std_dev?, "unit": p.unit() })))
         })
         .collect();
     // What follows those of the camera is of the board.
     let free = uncertainty.free_intrinsics.iter();
-    let names: Vec<&str> = free.map_while(|&i| Some(parameters.get(i)?.name)).collect();
+    let names: Vec<&str> = free.map_while(|&i| Some(parameters.get(i)?.name())).collect();
     let correlations = uncertainty.intrinsic_correlations();
     let of_camera = correlations.view((0, 0), (names.len(), names.len()));
     let rows: Vec<Vec<f64>> =
@@ -139,8 +139,8 @@ pub fn read_board_distances(path: &Path) -> Result<Option<[f64; 2]>> {
 pub fn read_std_devs(path: &Path, lens_types: usize) -> Result<Vec<Option<f64>>> {
     let value = read_json(path)?;
     let std_devs = &value["uncertainty"]["standard_deviations"];
-    let of_parameter = |p: &Parameter| std_devs[p.name]["value"].as_f64();
-    Ok(intrinsic_parameters(lens_types).iter().map(of_parameter).collect())
+    let of_parameter = |p: &Parameter| std_devs[p.name()]["value"].as_f64();
+    Ok(Parameter::intrinsic(lens_types).iter().map(of_parameter).collect())
 }
 
 /// The camera in a JSON document.

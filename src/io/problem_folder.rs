@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::{OutputFolder, camera_document, poses_document};
 use crate::calibration::{ProblemFeature, SolvedProblem};
 use crate::error::Result;
-use crate::model::{MicroImageCenter, SHAPE_PARAMETERS};
+use crate::model::{MicroImageCenter, Parameter};
 
 /// `format` of `problem.json`.
 pub const PROBLEM_FORMAT: &str = "plenocal-problem";
@@ -36,9 +36,8 @@ fn problem_document(problem: &SolvedProblem) -> Value {
         "half_width_mm": half_width,
         "half_height_mm": half_height,
     });
-    for parameter in &SHAPE_PARAMETERS {
-        let unit = if parameter.unit == "mm" { "_mm" } else { "" };
-        of_board[format!("{}{unit}", parameter.name)] = parameter.value(&board.shape).into();
+    for parameter in Parameter::SHAPE {
+        of_board[&parameter.key()[1..]] = board.shape.value(parameter).into();
     }
     let cost = &problem.cost;
     json!({

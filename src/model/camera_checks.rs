@@ -3,7 +3,7 @@
 use super::camera::PlenopticCamera;
 use super::checks::positive;
 use super::lattice::{check_array_size, check_lens_types};
-use super::parameters::intrinsic_parameters;
+use super::parameters::Parameter;
 use crate::error::{Error, Result};
 
 impl PlenopticCamera {
@@ -37,11 +37,14 @@ impl PlenopticCamera {
             positive(f, &format!("the camera's f_{} (mm)", i + 1))?;
         }
         for (parameter, value) in
-            intrinsic_parameters(self.lens_types()).iter().zip(self.intrinsics())
+            Parameter::intrinsic(self.lens_types()).iter().zip(self.intrinsics())
         {
             // Squares of values far beyond this overflow.
             if !value.is_finite() || value.abs() > 1e100 {
-                return Err(Error::invalid(format!("the camera's {} is {value}", parameter.name)));
+                return Err(Error::invalid(format!(
+                    "the camera's {} is {value}",
+                    parameter.name()
+                )));
             }
         }
         Ok(())

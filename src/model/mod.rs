@@ -44,9 +44,6 @@ pub use observations::{
     BapFeature, MIN_CORNERS, MeasuredBlur, MicroImageCenter, Observations, TAKEN,
     TAKEN_FROM_WHITES, taken,
 };
-pub use parameters::{
-    MAX_LENS_TYPES, Named, Parameter, SHAPE, SHAPE_PARAMETERS, intrinsic_parameters,
-    shared_parameters,
-};
+pub use parameters::{MAX_LENS_TYPES, Parameter, SHAPE};
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
 pub use sensor::Sensor;

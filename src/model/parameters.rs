@@ -1,140 +1,252 @@
-//! The parameters that all frames share: tables with their names, units and places in a camera and in the
-//! shape of a board.
-//!
-//! The core has its own tables (`for_each_parameter` in `plenocal/camera.hpp`, `shared_names` in
-//! `plenocal/board.hpp`); a test sends values across and compares them name by name.
+//! The parameters that all frames share, from the table that C++ uses too: `cpp/include/plenocal/parameters.def`.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::board::BoardShape;
 use super::camera::PlenopticCamera;
+use crate::error::Error;
 
-/// A parameter of a camera, that is an intrinsic one, or of the shape of a board.
-#[derive(Debug, Clone, Copy)]
-pub struct Parameter<T: 'static = PlenopticCamera> {
-    /// The paper's symbol as it is written in options, tables and files.
-    pub name: &'static str,
-    /// Unit of its value.
-    pub unit: &'static str,
-    get: fn(&T) -> f64,
-    set: fn(&mut T, f64),
+/// A row of the table.
+struct Row {
+    name: &'static str,
+    unit: &'static str,
+    key: &'static str,
+    is_positive: bool,
+    description: &'static str,
 }
 
-impl<T> Parameter<T> {
-    /// The value in a camera or shape.
-    ///
-    /// # Panics
-    /// If it is the focal length of a lens type that the camera does not have.
-    #[must_use]
-    pub fn value(&self, of: &T) -> f64 {
-        (self.get)(of)
-    }
-
-    /// Changes the value in a camera or shape.
-    ///
-    /// # Panics
-    /// Like [`Parameter::value`].
-    pub fn set(&self, of: &mut T, value: f64) {
-        (self.set)(of, value);
-    }
-}
+const POSITIVE: bool = true;
+const FINITE: bool = false;
 
 macro_rules! parameters {
-    ($($name:literal [$unit:literal] $($place:ident).+ $([$index:literal])?;)*) => {
-        [$(Parameter {
-            name: $name,
-            unit: $unit,
-            get: |of| of.$($place).+ $([$index])?,
-            set: |of, value| of.$($place).+ $([$index])? = value,
-        }),*]
+    ($(($id:ident, $name:literal, $unit:literal, $key:literal, $bound:ident, $description:literal);)*) => {
+        /// A parameter that all frames share: an intrinsic one of the camera, or one of the shape of the board.
+        /// They are ordered like the solver's parameter blocks.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub enum Parameter {
+            $(#[doc = $description] $id,)*
+        }
+
+        impl Parameter {
+            /// The intrinsic parameters of a camera of three lens types, then those of the shape of a board.
+            pub const ALL: [Self; [$($name),*].len()] = [$(Self::$id),*];
+
+            const fn row(self) -> Row {
+                match self {
+                    $(Self::$id => Row {
+                        name: $name,
+                        unit: $unit,
+                        key: $key,
+                        is_positive: $bound,
+                        description: $description,
+                    },)*
+                }
+            }
+        }
+    };
+}
+include!(concat!(env!("OUT_DIR"), "/parameters.rs"));
+
+/// The largest number of lens types.
+pub const MAX_LENS_TYPES: usize =
+    Parameter::FocalLengthOfType3 as usize - Parameter::FocalLengthOfType1 as usize + 1;
+/// Number of intrinsic parameters of a camera of pinholes.
+const PINHOLE: usize = Parameter::FocalLengthOfType1 as usize;
+/// Number of parameters of a board's shape.
+pub const SHAPE: usize = Parameter::ALL.len() - PINHOLE - MAX_LENS_TYPES;
+
+impl Parameter {
+    /// The parameters of the shape of a board.
+    pub const SHAPE: [Self; SHAPE] = [Self::SagX, Self::SagY, Self::Twist, Self::Aspect];
+
+    /// Those that the camera of the paper does not have: curvature of the field, exit pupil, a second pitch.
+    pub const BEYOND_THE_PAPER: [Self; 6] = [
+        Self::FieldCurvature,
+        Self::FieldCurvatureGrowth,
+        Self::PupilX,
+        Self::PupilY,
+        Self::PupilZ,
+        Self::PitchRatio,
+    ];
+
+    /// The intrinsic parameters of a camera with this many lens types.
+    ///
+    /// # Panics
+    /// With more than [`MAX_LENS_TYPES`], which no valid camera has.
+    #[must_use]
+    pub fn intrinsic(lens_types: usize) -> &'static [Self] {
+        const ALL: &[Parameter] = &Parameter::ALL;
+        assert!(lens_types <= MAX_LENS_TYPES, "{lens_types} lens types");
+        &ALL[..PINHOLE + lens_types]
+    }
+
+    /// The intrinsic parameters of a camera with this many lens types, then those of the shape of the board. Indices of
+    /// shared parameters refer to this order.
+    ///
+    /// # Panics
+    /// Like [`Parameter::intrinsic`].
+    #[must_use]
+    pub fn shared(lens_types: usize) -> Vec<Self> {
+        [Self::intrinsic(lens_types), &Self::SHAPE].concat()
+    }
+
+    /// The focal length of a lens type, from 0.
+    ///
+    /// # Panics
+    /// Beyond [`MAX_LENS_TYPES`].
+    #[must_use]
+    pub fn focal_length_of(lens_type: usize) -> Self {
+        Self::intrinsic(MAX_LENS_TYPES)[PINHOLE + lens_type]
+    }
+
+    /// The symbol of the paper as it is written in options, tables and files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        self.row().name
+    }
+
+    /// Unit of the value.
+    #[must_use]
+    pub const fn unit(self) -> &'static str {
+        self.row().unit
+    }
+
+    /// Place in `camera.json`, or in the `board` of `problem.json`, as a JSON pointer (RFC 6901).
+    #[must_use]
+    pub const fn key(self) -> &'static str {
+        self.row().key
+    }
+
+    /// Whether only positive values are possible.
+    #[must_use]
+    pub const fn is_positive(self) -> bool {
+        self.row().is_positive
+    }
+
+    /// What the parameter is.
+    #[must_use]
+    pub const fn description(self) -> &'static str {
+        self.row().description
+    }
+
+    /// Whether it is the focal length of a lens type.
+    #[must_use]
+    pub const fn is_of_micro_lenses(self) -> bool {
+        self as usize >= PINHOLE && !self.is_of_board()
+    }
+
+    /// Whether it is a parameter of the board's shape rather than of the camera.
+    #[must_use]
+    pub const fn is_of_board(self) -> bool {
+        self as usize >= PINHOLE + MAX_LENS_TYPES
+    }
+}
+
+impl fmt::Display for Parameter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for Parameter {
+    type Err = Error;
+
+    /// Finds a parameter by its name.
+    fn from_str(name: &str) -> Result<Self, Error> {
+        Self::ALL.into_iter().find(|parameter| parameter.name() == name).ok_or_else(|| {
+            Error::invalid(format!(
+                "there is no parameter '{name}'; there are {}",
+                Self::ALL.map(Self::name).join(", ")
+            ))
+        })
+    }
+}
+
+impl Serialize for Parameter {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
+impl<'de> Deserialize<'de> for Parameter {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+macro_rules! places {
+    ($of:ty { $($id:ident => $($place:ident).+ $([$index:literal])?;)* }) => {
+        impl $of {
+            /// The value of a parameter, in its unit.
+            ///
+            /// # Panics
+            /// If there is no such parameter here: one of the other of camera and board, or the focal length of a lens
+            /// type that the camera does not have.
+            #[must_use]
+            pub fn value(&self, parameter: Parameter) -> f64 {
+                match parameter {
+                    $(Parameter::$id => self.$($place).+ $([$index])?,)*
+                    _ => panic!("{parameter} is no parameter of this"),
+                }
+            }
+
+            /// Changes the value of a parameter.
+            ///
+            /// # Panics
+            /// As when it is read.
+            pub fn set(&mut self, parameter: Parameter, value: f64) {
+                match parameter {
+                    $(Parameter::$id => self.$($place).+ $([$index])? = value,)*
+                    _ => panic!("{parameter} is no parameter of this"),
+                }
+            }
+        }
     };
 }
 
-/// Number of parameters of a camera without lens types.
-const WITHOUT_FOCAL_LENGTHS: usize = 22;
-/// The largest number of lens types.
-pub const MAX_LENS_TYPES: usize = 3;
+places!(PlenopticCamera {
+    FocalLength => main_lens.focal_length_mm;
+    Radial1 => main_lens.radial[0];
+    Radial2 => main_lens.radial[1];
+    Radial3 => main_lens.radial[2];
+    Tangential1 => main_lens.tangential[0];
+    Tangential2 => main_lens.tangential[1];
+    FieldCurvature => main_lens.field_curvature_per_mm;
+    FieldCurvatureGrowth => main_lens.field_curvature_growth_per_mm;
+    PupilX => main_lens.exit_pupil_mm[0];
+    PupilY => main_lens.exit_pupil_mm[1];
+    PupilZ => main_lens.exit_pupil_mm[2];
+    PrincipalPointU => mla.principal_point_px[0];
+    PrincipalPointV => mla.principal_point_px[1];
+    ArrayToSensor => mla.mla_to_sensor_mm;
+    RotationX => mla.rotation_rad[0];
+    RotationY => mla.rotation_rad[1];
+    RotationZ => mla.rotation_rad[2];
+    OffsetX => mla.offset_mm[0];
+    OffsetY => mla.offset_mm[1];
+    LensToArray => mla.lens_to_mla_mm;
+    Pitch => mla.pitch_mm;
+    PitchRatio => mla.pitch_ratio;
+    FocalLengthOfType1 => mla.focal_lengths_mm[0];
+    FocalLengthOfType2 => mla.focal_lengths_mm[1];
+    FocalLengthOfType3 => mla.focal_lengths_mm[2];
+});
 
-static PARAMETERS: [Parameter; WITHOUT_FOCAL_LENGTHS + MAX_LENS_TYPES] = parameters![
-    "F" ["mm"] main_lens.focal_length_mm;
-    "Q1" ["mm^-2"] main_lens.radial[0];
-    "Q2" ["mm^-4"] main_lens.radial[1];
-    "Q3" ["mm^-6"] main_lens.radial[2];
-    "P1" ["mm^-1"] main_lens.tangential[0];
-    "P2" ["mm^-1"] main_lens.tangential[1];
-    "kappa" ["mm^-1"] main_lens.field_curvature_per_mm;
-    "kappa_m" ["mm^-1"] main_lens.field_curvature_growth_per_mm;
-    "e_x" ["mm"] main_lens.exit_pupil_mm[0];
-    "e_y" ["mm"] main_lens.exit_pupil_mm[1];
-    "e_z" ["mm"] main_lens.exit_pupil_mm[2];
-    "u0" ["px"] mla.principal_point_px[0];
-    "v0" ["px"] mla.principal_point_px[1];
-    "d" ["mm"] mla.mla_to_sensor_mm;
-    "theta_x" ["rad"] mla.rotation_rad[0];
-    "theta_y" ["rad"] mla.rotation_rad[1];
-    "theta_z" ["rad"] mla.rotation_rad[2];
-    "t_x" ["mm"] mla.offset_mm[0];
-    "t_y" ["mm"] mla.offset_mm[1];
-    "D" ["mm"] mla.lens_to_mla_mm;
-    "dC" ["mm"] mla.pitch_mm;
-    "dC_ratio" ["1"] mla.pitch_ratio;
-    "f_1" ["mm"] mla.focal_lengths_mm[0];
-    "f_2" ["mm"] mla.focal_lengths_mm[1];
-    "f_3" ["mm"] mla.focal_lengths_mm[2];
-];
-
-/// The intrinsic parameters of a camera with this many lens types, in the order of
-/// [`PlenopticCamera::intrinsics`].
-///
-/// # Panics
-/// With more than [`MAX_LENS_TYPES`], which no valid camera has.
-#[must_use]
-pub fn intrinsic_parameters(lens_types: usize) -> &'static [Parameter] {
-    &PARAMETERS[..WITHOUT_FOCAL_LENGTHS + lens_types]
-}
-
-/// Number of parameters of a board's shape.
-pub const SHAPE: usize = 4;
-
-/// The parameters of a board's shape.
-pub static SHAPE_PARAMETERS: [Parameter<BoardShape>; SHAPE] = parameters![
-    "sag_x" ["mm"] sag_x_mm;
-    "sag_y" ["mm"] sag_y_mm;
-    "twist" ["mm"] twist_mm;
-    "aspect" ["1"] aspect;
-];
-
-/// Name and unit of a parameter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Named {
-    /// The name in options, tables and files.
-    pub name: &'static str,
-    /// Unit of its value.
-    pub unit: &'static str,
-}
-
-impl<T> Parameter<T> {
-    /// Name and unit of it.
-    #[must_use]
-    pub fn named(&self) -> Named {
-        Named { name: self.name, unit: self.unit }
-    }
-}
-
-/// All parameters that frames share: the intrinsic parameters of a camera with this many lens types, then those of
-/// the board's shape.
-///
-/// # Panics
-/// Like [`intrinsic_parameters`].
-#[must_use]
-pub fn shared_parameters(lens_types: usize) -> Vec<Named> {
-    let of_shape = SHAPE_PARAMETERS.iter().map(Parameter::named);
-    intrinsic_parameters(lens_types).iter().map(Parameter::named).chain(of_shape).collect()
-}
+places!(BoardShape {
+    SagX => sag_x_mm;
+    SagY => sag_y_mm;
+    Twist => twist_mm;
+    Aspect => aspect;
+});
 
 impl PlenopticCamera {
-    /// Values of all intrinsic parameters in the order and units of [`intrinsic_parameters`].
+    /// Values of all intrinsic parameters, in the order and units of [`Parameter::intrinsic`].
     #[must_use]
     pub fn intrinsics(&self) -> Vec<f64> {
-        intrinsic_parameters(self.lens_types()).iter().map(|p| p.value(self)).collect()
+        Parameter::intrinsic(self.lens_types()).iter().map(|&p| self.value(p)).collect()
     }
 
     /// This camera with other values of its intrinsic parameters.
@@ -143,12 +255,53 @@ impl PlenopticCamera {
     /// If the number of values is not that of [`PlenopticCamera::intrinsics`].
     #[must_use]
     pub fn with_intrinsics(&self, values: &[f64]) -> Self {
-        let parameters = intrinsic_parameters(self.lens_types());
+        let parameters = Parameter::intrinsic(self.lens_types());
         assert_eq!(values.len(), parameters.len());
         let mut camera = self.clone();
-        for (parameter, &value) in parameters.iter().zip(values) {
-            parameter.set(&mut camera, value);
+        for (&parameter, &value) in parameters.iter().zip(values) {
+            camera.set(parameter, value);
         }
         camera
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use serde_json::Value;
+
+    use super::*;
+    use crate::model::camera::small_camera;
+
+    /// The key of each parameter is where its value stands in `camera.json`.
+    #[test]
+    fn keys_are_places_in_the_files() {
+        let mut camera = small_camera();
+        let mut shape = BoardShape::default();
+        for (i, parameter) in Parameter::ALL.into_iter().enumerate() {
+            let value = 1.0 + i as f64;
+            if parameter.is_of_board() {
+                shape.set(parameter, value);
+                assert!((shape.value(parameter) - value).abs() < 1e-12);
+            } else {
+                camera.set(parameter, value);
+                assert!((camera.value(parameter) - value).abs() < 1e-12);
+            }
+        }
+        let document: Value = serde_json::to_value(&camera).unwrap();
+        for (&parameter, value) in Parameter::intrinsic(3).iter().zip(camera.intrinsics()) {
+            assert_eq!(document.pointer(parameter.key()), Some(&value.into()), "{parameter}");
+        }
+    }
+
+    #[test]
+    fn names_identify_parameters() {
+        let names: BTreeSet<&str> = Parameter::ALL.iter().map(|p| p.name()).collect();
+        assert_eq!(names.len(), Parameter::ALL.len());
+        for parameter in Parameter::ALL {
+            assert_eq!(parameter.name().parse::<Parameter>().unwrap(), parameter);
+        }
+        assert!("D_".parse::<Parameter>().unwrap_err().to_string().contains("theta_x"));
     }
 }

@@ -8,9 +8,7 @@ use crate::assessment::Assessment;
 use crate::calibration::{
     BoardModel, Calibration, Effort, Mode, Trial, termination_text, weakest_directions_text,
 };
-use crate::model::{
-    BoardShape, Named, Parameter, Rmse, SHAPE_PARAMETERS, intrinsic_parameters, shared_parameters,
-};
+use crate::model::{Parameter, Rmse};
 use crate::quantity::{display_unit, two_digits, with_std_dev};
 use crate::solver::{Anchor, CommonChange, LossKind};
 
@@ -60,15 +58,15 @@ fn parameters_table(calibration: &Calibration) -> Table {
     let std_devs = uncertainty.intrinsic_std_devs(lens_types);
     let independent = uncertainty.independent_std_devs(lens_types);
     let values = calibration.initial.intrinsics().into_iter().zip(calibration.camera.intrinsics());
-    let of_camera = intrinsic_parameters(lens_types)
+    let of_camera = Parameter::intrinsic(lens_types)
         .iter()
-        .map(Parameter::named)
+        .copied()
         .zip(values)
         .zip(std_devs.into_iter().zip(independent));
     for ((parameter, (initial, optimised)), (std_dev, independent)) in
         of_camera.chain(of_board(calibration))
     {
-        let (unit, factor) = display_unit(parameter.name, parameter.unit);
+        let (unit, factor) = display_unit(parameter.name(), parameter.unit());
         let scaled = std_dev.map(|s| s * factor);
         let deviation = match std_dev {
             None => "fixed".into(),
@@ -76,7 +74,7 @@ fn parameters_table(calibration: &Calibration) -> Table {
             Some(_) => Cell::std_dev(scaled),
         };
         let mut row = vec![
-            parameter.name.into(),
+            parameter.name().into(),
             unit.into(),
             Cell::value(initial * factor, None),
             Cell::value(optimised * factor, scaled),
@@ -96,19 +94,18 @@ fn parameters_table(calibration: &Calibration) -> Table {
 }
 
 /// A parameter, its initial and optimised value, and both σ.
-type ParameterRow = ((Named, (f64, f64)), (Option<f64>, Option<f64>));
+type ParameterRow = ((Parameter, (f64, f64)), (Option<f64>, Option<f64>));
 
 /// The rows of a board that is not flat.
 fn of_board(calibration: &Calibration) -> Vec<ParameterRow> {
     let (uncertainty, board) = (&calibration.uncertainty, &calibration.board);
     let rows = uncertainty.shape_rows(calibration.camera.lens_types());
     let independent = |row: usize| uncertainty.independent_covariance[(row, row)].sqrt();
-    let of =
-        |((parameter, row), std_dev): ((&Parameter<BoardShape>, Option<usize>), Option<f64>)| {
-            let value = parameter.value(&board.bent.shape);
-            Some(((parameter.named(), (0.0, value)), (std_dev, Some(independent(row?)))))
-        };
-    SHAPE_PARAMETERS.iter().zip(rows).zip(board.std_devs).filter_map(of).collect()
+    let of = |((parameter, row), std_dev): ((Parameter, Option<usize>), Option<f64>)| {
+        let value = board.bent.shape.value(parameter);
+        Some(((parameter, (0.0, value)), (std_dev, Some(independent(row?)))))
+    };
+    Parameter::SHAPE.into_iter().zip(rows).zip(board.std_devs).filter_map(of).collect()
 }
 
 /// What σ rests on.
@@ -126,7 +123,7 @@ fn std_dev_text(calibration: &Calibration) -> String {
         format!(
             " Boards and micro-image centres contradict each other by {std_devs:.0} σ, most in {}; \
              σ does not contain that.",
-            shared_parameters(calibration.camera.lens_types())[index].name
+            Parameter::shared(calibration.camera.lens_types())[index].name()
         )
     });
     let of_all = uncertainty.std_dev_uncertainties(calibration.camera.lens_types());
@@ -272,12 +269,13 @@ const SHOWN: [&str; 6] = ["F", "D", "d", "e_z", "theta_x", "theta_y"];
 fn systematic_errors_table(calibration: &Calibration) -> Option<Table> {
     let uncertainty = &calibration.uncertainty;
     let lens_types = calibration.camera.lens_types();
-    let names = shared_parameters(lens_types);
+    let names = Parameter::shared(lens_types);
     let std_devs = uncertainty.intrinsic_std_devs(lens_types);
     let shown: Vec<usize> = (0..uncertainty.free_intrinsics.len())
-        .filter(|&row| SHOWN.contains(&names[uncertainty.free_intrinsics[row]].name))
+        .filter(|&row| SHOWN.contains(&names[uncertainty.free_intrinsics[row]].name()))
         .collect();
-    let of_parameter = |&row: &usize| Column::number(names[uncertainty.free_intrinsics[row]].name);
+    let of_parameter =
+        |&row: &usize| Column::number(names[uncertainty.free_intrinsics[row]].name());
     let mut table = Table::new(
         "What was taken from the white images, and the change of parameters, in their σ",
         std::iter::once(Column::text("One σ of")).chain(shown.iter().map(of_parameter)),
@@ -368,19 +366,19 @@ fn board_text(calibration: &Calibration) -> String {
         "1" => format!("{name} {value}"),
         unit => format!("{name} {value} {unit}"),
     };
-    let found: Vec<String> = SHAPE_PARAMETERS
-        .iter()
+    let found: Vec<String> = Parameter::SHAPE
+        .into_iter()
         .zip(board.std_devs)
         .filter_map(|(parameter, std_dev)| {
-            let (value, std_dev) = with_std_dev(parameter.value(&board.bent.shape), Some(std_dev?));
-            Some(of(parameter.name, &format!("{value} ± {std_dev}"), parameter.unit))
+            let (value, std_dev) = with_std_dev(board.bent.shape.value(parameter), Some(std_dev?));
+            Some(of(parameter.name(), &format!("{value} ± {std_dev}"), parameter.unit()))
         })
         .collect();
-    let limits: Vec<String> = SHAPE_PARAMETERS
+    let limits: Vec<String> = Parameter::SHAPE
         .iter()
         .zip(board.limits())
         .filter_map(|(parameter, limit)| {
-            Some(of(parameter.name, &two_digits(limit?), parameter.unit))
+            Some(of(parameter.name(), &two_digits(limit?), parameter.unit()))
         })
         .collect();
     let limits = (!limits.is_empty()).then(|| format!("below {} (2 σ)", limits.join(", ")));

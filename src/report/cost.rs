@@ -3,7 +3,7 @@
 use super::calibration::errors_table;
 use super::tree::{Cell, Column, Part, Section, Table};
 use crate::calibration::Calibration;
-use crate::model::{SHAPE_PARAMETERS, shared_parameters};
+use crate::model::Parameter;
 use crate::quantity::display_unit;
 
 /// How far from the minimum a camera may be, in σ of independent errors along the way there, to be as good.
@@ -87,12 +87,12 @@ impl Step {
 
 fn steps(evaluated: &Calibration) -> Vec<Step> {
     let uncertainty = &evaluated.uncertainty;
-    let names = shared_parameters(evaluated.camera.lens_types());
+    let names = Parameter::shared(evaluated.camera.lens_types());
     let mut values = evaluated.camera.intrinsics();
-    values.extend(SHAPE_PARAMETERS.iter().map(|p| p.value(&evaluated.board.bent.shape)));
+    values.extend(Parameter::SHAPE.map(|p| evaluated.board.bent.shape.value(p)));
     let step = |(row, &index): (usize, &usize)| Step {
-        name: names[index].name,
-        unit: names[index].unit,
+        name: names[index].name(),
+        unit: names[index].unit(),
         value: values[index],
         std_dev: uncertainty.covariance[(row, row)].sqrt(),
         gradient: uncertainty.gradient[row],

@@ -5,7 +5,7 @@ use crate::assessment::{
     Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors,
     Reconstruction,
 };
-use crate::model::{PlenopticCamera, Rmse, intrinsic_parameters};
+use crate::model::{Parameter, PlenopticCamera, Rmse};
 use crate::quantity::display_unit;
 
 /// What tables call the point clouds of other software.
@@ -232,9 +232,9 @@ pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> Tab
         "Parameters before and after the refinement (paper, Table 1)",
         first.into_iter().chain(candidates.iter().flat_map(of_candidate)),
     );
-    let parameters = intrinsic_parameters(initial.lens_types());
+    let parameters = Parameter::intrinsic(initial.lens_types());
     for (i, (parameter, value)) in parameters.iter().zip(initial.intrinsics()).enumerate() {
-        let (unit, factor) = display_unit(parameter.name, parameter.unit);
+        let (unit, factor) = display_unit(parameter.name(), parameter.unit());
         let cells = |candidate: &Candidate| {
             let std_dev = candidate.std_devs.get(i).copied().flatten().map(|s| s * factor);
             candidate.camera.intrinsics().get(i).map_or([Cell::Missing, Cell::empty()], |value| {
@@ -242,7 +242,7 @@ pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> Tab
             })
         };
         table.push(
-            [parameter.name.into(), unit.into(), Cell::value(value * factor, None)]
+            [parameter.name().into(), unit.into(), Cell::value(value * factor, None)]
                 .into_iter()
                 .chain(candidates.iter().flat_map(cells)),
         );
@@ -291,14 +291,14 @@ fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<Table> {
             Column::number("Ratio"),
         ],
     );
-    let parameters = intrinsic_parameters(candidate.camera.lens_types());
+    let parameters = Parameter::intrinsic(candidate.camera.lens_types());
     for ((parameter, std_dev), jackknife) in
         parameters.iter().zip(&candidate.std_devs).zip(folds.jackknife_std_devs())
     {
         let Some(std_dev) = std_dev.filter(|s| s.is_finite() && *s > 0.0) else { continue };
-        let (unit, factor) = display_unit(parameter.name, parameter.unit);
+        let (unit, factor) = display_unit(parameter.name(), parameter.unit());
         spread.push([
-            parameter.name.into(),
+            parameter.name().into(),
             unit.into(),
             Cell::std_dev(Some(std_dev * factor)),
             Cell::std_dev(Some(jackknife * factor)),

@@ -97,6 +97,6 @@ fn unasked_text(calibration: &Calibration, without: &WithoutGroup) -> String {
         without.camera.main_lens.focal_length_mm,
         100.0 * longer / calibration.camera.main_lens.focal_length_mm,
         std_devs.unwrap_or(f64::NAN),
-        without.parameters.join(", ")
+        without.parameters.iter().map(|p| p.name()).collect::<Vec<_>>().join(", ")
     )
 }

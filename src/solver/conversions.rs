@@ -5,9 +5,7 @@ use std::ops::Index;
 use nalgebra::{DMatrix, Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
 use super::bridge::ffi;
-use crate::model::{
-    BentBoard, BoardShape, Packing, Parity, PlenopticCamera, SHAPE, SHAPE_PARAMETERS,
-};
+use crate::model::{BentBoard, BoardShape, Packing, Parameter, Parity, PlenopticCamera, SHAPE};
 
 impl From<&PlenopticCamera> for ffi::CameraParts {
     fn from(camera: &PlenopticCamera) -> Self {
@@ -32,7 +30,7 @@ impl From<&PlenopticCamera> for ffi::CameraParts {
 impl From<&BentBoard> for ffi::BoardParts {
     fn from(bent: &BentBoard) -> Self {
         let middle = bent.board.middle_mm();
-        let shape = SHAPE_PARAMETERS.each_ref().map(|parameter| parameter.value(&bent.shape));
+        let shape = Parameter::SHAPE.map(|parameter| bent.shape.value(parameter));
         Self { half_mm: [middle.x, middle.y], shape }
     }
 }
@@ -40,8 +38,8 @@ impl From<&BentBoard> for ffi::BoardParts {
 /// The shape with these parameters.
 pub(super) fn shape(values: &[f64; SHAPE]) -> BoardShape {
     let mut shape = BoardShape::default();
-    for (parameter, &value) in SHAPE_PARAMETERS.iter().zip(values) {
-        parameter.set(&mut shape, value);
+    for (parameter, &value) in Parameter::SHAPE.into_iter().zip(values) {
+        shape.set(parameter, value);
     }
     shape
 }

@@ -6,16 +6,7 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::bridge::ffi::{CostOptions, Loss, LossKind, SolverOptions};
-use crate::model::SHAPE_PARAMETERS;
-
-/// Names of the intrinsic parameters that the paper's camera does not have: curvature of the field, exit
-/// pupil, a second pitch.
-pub const BEYOND_THE_PAPER: [&str; 6] = ["kappa", "kappa_m", "e_x", "e_y", "e_z", "dC_ratio"];
-
-/// Names of the parameters of a board's shape.
-pub(crate) fn shape_names() -> impl Iterator<Item = &'static str> {
-    SHAPE_PARAMETERS.iter().map(|parameter| parameter.name)
-}
+use crate::model::Parameter;
 
 // A type of the bridge cannot derive these.
 impl ValueEnum for LossKind {
@@ -48,6 +39,11 @@ impl<'de> Deserialize<'de> for LossKind {
     }
 }
 
+/// The names of parameters, as the core knows them.
+pub(crate) fn names(parameters: &[Parameter]) -> Vec<String> {
+    parameters.iter().map(ToString::to_string).collect()
+}
+
 impl Default for CostOptions {
     /// The paper's cost: 1 px each, no loss, no anchors, a known board, and only the paper's parameters free.
     fn default() -> Self {
@@ -57,7 +53,7 @@ impl Default for CostOptions {
             centers_std_dev_px: 1.0,
             rho: true,
             loss: Loss { kind: LossKind::None, scale: 1.0 },
-            fixed: BEYOND_THE_PAPER.into_iter().chain(shape_names()).map(str::to_owned).collect(),
+            fixed: names(&[&Parameter::BEYOND_THE_PAPER[..], &Parameter::SHAPE].concat()),
             anchors: Vec::new(),
             anchor_weight: 1.0,
         }

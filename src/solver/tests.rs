@@ -10,8 +10,7 @@ use super::bridge::ffi::{self, NodeRow};
 use super::*;
 use crate::model::{
     BentBoard, Board, BoardShape, EdgeSpread, Lattice, LatticeKind, MainLens, MicroLensArray,
-    Packing, Parity, PlenopticCamera, SHAPE_PARAMETERS, Sensor, intrinsic_parameters,
-    shared_parameters,
+    Packing, Parameter, Parity, PlenopticCamera, Sensor,
 };
 
 fn camera(packing: Packing, columns: i32, rows: i32) -> PlenopticCamera {
@@ -51,14 +50,14 @@ fn both_sides_name_the_same_parameters() {
     ] {
         let mut camera = camera(packing, 5, 4);
         camera.mla.focal_lengths_mm.truncate(types);
-        let table = intrinsic_parameters(types);
+        let table = Parameter::intrinsic(types);
         let distinct: Vec<f64> = (0..table.len()).map(|i| 1.5 + i as f64).collect();
         let camera = camera.with_intrinsics(&distinct);
         let shape = BoardShape { sag_x_mm: 0.1, sag_y_mm: 0.2, twist_mm: 0.3, aspect: 0.04 };
-        let of_camera = table.iter().map(|p| (p.name.to_owned(), p.value(&camera)));
-        let of_board = SHAPE_PARAMETERS.iter().map(|p| (p.name.to_owned(), p.value(&shape)));
+        let of_camera = table.iter().map(|&p| (p.name().to_owned(), camera.value(p)));
+        let of_board = Parameter::SHAPE.map(|p| (p.name().to_owned(), shape.value(p)));
         let ours: Vec<(String, f64)> = of_camera.chain(of_board).collect();
-        let names: Vec<&str> = shared_parameters(types).iter().map(|p| p.name).collect();
+        let names: Vec<&str> = Parameter::shared(types).iter().map(|p| p.name()).collect();
         assert!(ours.iter().map(|(name, _)| name).eq(&names));
         let bent = BentBoard { shape, ..flat_board() };
         let theirs: Vec<(String, f64)> = ffi::parameters(&(&camera).into(), &(&bent).into())

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use super::bridge::ffi::{self, CommonError, CostOptions, Matrix, Uncertainty};
 use super::problem::Problem;
 use crate::error::Result;
-use crate::model::{Named, SHAPE, intrinsic_parameters, shared_parameters};
+use crate::model::{Parameter, SHAPE};
 
 /// Number of parameters of a pose.
 const POSE_PARAMETERS: usize = 6;
@@ -147,7 +147,7 @@ impl Uncertainty {
         of_row: impl Fn(usize) -> T,
     ) -> Vec<Option<T>> {
         let mut values = self.by_shared(lens_types, of_row);
-        values.truncate(intrinsic_parameters(lens_types).len());
+        values.truncate(Parameter::intrinsic(lens_types).len());
         values
     }
 
@@ -157,7 +157,7 @@ impl Uncertainty {
         lens_types: usize,
         of_row: impl Fn(usize) -> T,
     ) -> Vec<Option<T>> {
-        let mut values = vec![None; shared_parameters(lens_types).len()];
+        let mut values = vec![None; Parameter::shared(lens_types).len()];
         for (row, &index) in self.free_intrinsics.iter().enumerate() {
             values[index] = Some(of_row(row));
         }
@@ -182,7 +182,7 @@ impl Uncertainty {
     #[must_use]
     pub fn weakest_directions(&self, lens_types: usize) -> Vec<WeakDirection> {
         let undetermined = self.size() - self.rank;
-        let parameters = shared_parameters(lens_types);
+        let parameters = Parameter::shared(lens_types);
         let describe =
             |i: usize| self.describe(self.weakest.row(i), i >= undetermined, &parameters);
         let mut directions: Vec<WeakDirection> = (0..self.weakest.rows).map(describe).collect();
@@ -190,7 +190,12 @@ impl Uncertainty {
         directions
     }
 
-    fn describe(&self, direction: &[f64], determined: bool, parameters: &[Named]) -> WeakDirection {
+    fn describe(
+        &self,
+        direction: &[f64],
+        determined: bool,
+        parameters: &[Parameter],
+    ) -> WeakDirection {
         let share = |row: usize| {
             let square = direction[row].powi(2);
             if determined {
@@ -207,9 +212,9 @@ impl Uncertainty {
             .iter()
             .enumerate()
             .map(|(row, &index)| Component {
-                name: parameters[index].name.to_owned(),
+                name: parameters[index].name().to_owned(),
                 change: direction[row],
-                unit: parameters[index].unit,
+                unit: parameters[index].unit(),
                 share: share(row),
             })
             .zip(&self.determined)

@@ -4,7 +4,7 @@ use plenocal::Finding;
 use std::fs;
 
 use plenocal::calibration::{AnchorSource, Anchors, Calibration, CalibrationOptions, Start};
-use plenocal::model::{Lean, Noise, Observations};
+use plenocal::model::{Lean, Noise, Observations, Parameter};
 use plenocal::solver::{LossKind, Termination};
 use predicates::str::contains;
 use tempfile::TempDir;
@@ -195,7 +195,7 @@ fn anchors_are_replaced_removed_and_left_out_where_a_parameter_is_fixed() {
     let mut options = anchored();
     options.anchors.state("v0", 360.0, 4.0);
     options.anchors.remove("m");
-    options.fix.push("F".to_owned());
+    options.fix.push(Parameter::FocalLength);
     assert_eq!(quantities(&options), ["v0", "u0", "q'_1", "q'_2", "q'_3"]);
     // Without them nothing would be said of the focal lengths.
     let none = CalibrationOptions { anchors: no_anchors(), ..anchored() };

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 use assert_cmd::assert::Assert;
 use plenocal::Estimate;
 use plenocal::io::{read_camera, read_features, read_internal_parameters, read_std_devs};
-use plenocal::model::{intrinsic_parameters, optics};
+use plenocal::model::{Parameter, optics};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use serde_json::Value;
@@ -70,7 +70,7 @@ fn error(out: &Path, name: &str) -> (f64, f64) {
     let truth = read_camera(&FILES.path("set/truth/camera.json")).unwrap();
     let camera = read_camera(&out.join("camera.json")).unwrap();
     let std_devs = read_std_devs(&out.join("camera.json"), 3).unwrap();
-    let i = intrinsic_parameters(3).iter().position(|p| p.name == name).unwrap();
+    let i = Parameter::intrinsic(3).iter().position(|p| p.name() == name).unwrap();
     let (value, truth) = (camera.intrinsics()[i], truth.intrinsics()[i]);
     (value / truth - 1.0, std_devs[i].unwrap() / truth)
 }

@@ -321,7 +321,10 @@ fn a_diverging_refinement_is_an_error() {
 #[test]
 fn impossible_options_are_rejected() {
     let spoiled = Spoiled::new();
-    spoiled.is_rejected_with(&["--fix", "focal"], &["'focal'", "theta_x"]);
+    spoiled.is_rejected_with(
+        &["--set", "calibration.fix=[\"focal\"]"],
+        &["no parameter 'focal'", "theta_x"],
+    );
     spoiled.is_rejected_with(&["--uv-std-dev", "0"], &["(u, v)", "0"]);
     spoiled.is_rejected_with(&["--loss", "huber", "--loss-scale=-1"], &["loss", "-1"]);
     spoiled.is_rejected_with(&["--loss-scale", "2"], &["no loss", "huber"]);

@@ -7,8 +7,8 @@ use plenocal::calibration::{
     AnchorSource, BoardModel, Calibration, CalibrationOptions, Mode, Start, Trial, calibrate,
 };
 use plenocal::model::{
-    BentBoard, Board, BoardShape, FramePose, Noise, NoiseSource, Observations, PlenopticCamera,
-    SHAPE_PARAMETERS, optics,
+    BentBoard, Board, BoardShape, FramePose, Noise, NoiseSource, Observations, Parameter,
+    PlenopticCamera, optics,
 };
 use plenocal::report::calibration_section;
 use plenocal::solver::synthesize_bent;
@@ -141,10 +141,10 @@ fn the_shape_of_a_bent_board_is_found_and_the_camera_is_right() {
     let observations = scene.observed(BENT, 5);
     let found = scene.calibrated(&observations, BoardModel::Auto);
     assert!(found.converged);
-    for (parameter, std_dev) in SHAPE_PARAMETERS.iter().zip(found.board.std_devs) {
-        let (value, truth) = (parameter.value(&found.board.bent.shape), parameter.value(&BENT));
+    for (parameter, std_dev) in Parameter::SHAPE.into_iter().zip(found.board.std_devs) {
+        let (value, truth) = (found.board.bent.shape.value(parameter), BENT.value(parameter));
         let std_dev = std_dev.unwrap();
-        let name = parameter.name;
+        let name = parameter.name();
         assert!((value - truth).abs() < FOUR_SIGMA * std_dev, "{name}: {value} ± {std_dev}");
         assert!(std_dev < truth.abs() / 3.0, "{name}: {std_dev}");
     }
@@ -188,7 +188,7 @@ fn with_a_flat_board_nothing_changes() {
     assert!(text.contains("From 0 differ the bend by "), "{text}");
     // A parameter that is fixed has no limit, and takes none from the others.
     let mut options = anchored();
-    options.fix.push("twist".to_owned());
+    options.fix.push(Parameter::Twist);
     let limits = scene.with(&observations, &options).board.limits();
     assert_eq!(limits.map(|limit| limit.is_some()), [true, true, false, true]);
 }
@@ -209,7 +209,7 @@ fn bend_and_aspect_are_told_apart() {
     // Folds take that over.
     let decided = anchored().with_decision(found.std_devs);
     assert_eq!(decided.board, BoardModel::Bent);
-    assert!(decided.fix.contains(&"aspect".to_owned()));
+    assert!(decided.fix.contains(&Parameter::Aspect));
     let again = scene.with(&scene.observed(BoardShape::default(), 9), &decided).board;
     assert_eq!(again.std_devs.map(|s| s.is_some()), [true, true, true, false]);
 }
@@ -288,7 +288,7 @@ fn what_is_known_of_a_board_can_be_stated() {
     let observations = scene.observed(BENT, 5);
     let mut options = anchored();
     options.anchors.state("sag_x", 0.1, 1e-7);
-    options.fix.push("twist".to_owned());
+    options.fix.push(Parameter::Twist);
     let found = scene.with(&observations, &options).board;
     assert!((found.bent.shape.sag_x_mm - 0.1).abs() < 1e-4, "{found:?}");
     assert_eq!((found.bent.shape.twist_mm, found.std_devs[2]), (0.0, None));
@@ -296,7 +296,7 @@ fn what_is_known_of_a_board_can_be_stated() {
     let paper = CalibrationOptions { board: BoardModel::Bent, ..CalibrationOptions::paper() };
     assert!(scene.with(&observations, &paper).board.std_devs.iter().all(Option::is_some));
     let mut fixed = paper;
-    fixed.fix.extend(SHAPE_PARAMETERS.iter().map(|p| p.name.to_owned()));
+    fixed.fix.extend(Parameter::SHAPE);
     let error = calibrate(&scene.start(), &scene.board, &observations, &fixed, &mut |_| true);
     let error = error.unwrap_err().to_string();
     assert!(error.contains("sag_x, sag_y, twist, aspect are fixed"), "{error}");
@@ -316,7 +316,7 @@ fn models_are_compared_without_the_shape_of_a_bent_board() {
     let found = scene.calibrated(&scene.observed(BENT, 5), BoardModel::Auto);
     let compared = compare_models(&found, &scene.board, 5, &|| ()).unwrap();
     let shape = compared.groups.iter().find(|w| w.group == Group::BoardShape).unwrap();
-    assert_eq!(shape.parameters, ["sag_x", "sag_y", "twist", "aspect"]);
+    assert_eq!(shape.parameters, Parameter::SHAPE);
     assert_eq!(shape.worth(), Worth::EarnsItsKeep, "{:?}", shape.mean_growth());
     assert!(shape.converged && shape.cost_growth[0] > 100.0, "{:?}", shape.cost_growth);
 }

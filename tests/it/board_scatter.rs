@@ -2,7 +2,7 @@
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use plenocal::calibration::BoardModel;
-use plenocal::model::{BoardShape, Parameter, SHAPE_PARAMETERS};
+use plenocal::model::{BoardShape, Parameter};
 use rayon::prelude::*;
 
 use crate::board::{Random, length_errors, scene};
@@ -61,11 +61,10 @@ impl Kind {
         };
         let (auto, known) = (of(BoardModel::Auto), of(BoardModel::Known(self.shape)));
         let tried = auto.board.tried().map(Option::unwrap);
-        let error = |(p, (value, std_dev)): (&Parameter<BoardShape>, (f64, f64))| {
-            (value - p.value(&self.shape), std_dev)
-        };
+        let error =
+            |(p, (value, std_dev)): (Parameter, (f64, f64))| (value - self.shape.value(p), std_dev);
         Outcome {
-            tried: SHAPE_PARAMETERS.iter().zip(tried).map(error).collect(),
+            tried: Parameter::SHAPE.into_iter().zip(tried).map(error).collect(),
             found: auto.board.std_devs.map(|std_dev| std_dev.is_some()),
             lengths: [auto, known].map(|result| length_errors(&result, &scene.camera)),
         }
@@ -82,11 +81,11 @@ impl Kind {
         };
         println!("{}:", self.name);
         let ratios = std::array::from_fn(|i| rms(&|o| o.tried[i].0 / o.tried[i].1));
-        for (i, parameter) in SHAPE_PARAMETERS.iter().enumerate() {
+        for (i, parameter) in Parameter::SHAPE.iter().enumerate() {
             let worst = all.iter().map(|o| (o.tried[i].0 / o.tried[i].1).abs());
             println!(
                 "  {:6} error/σ {:.2}, worst {:.1} σ, RMS {:.2e}",
-                parameter.name,
+                parameter.name(),
                 ratios[i],
                 worst.fold(0.0, f64::max),
                 rms(&|o| o.tried[i].0)
@@ -127,8 +126,8 @@ fn monte_carlo_of_boards() {
     ] {
         let (ratios, lengths, found) = kind.draw();
         // σ is neither too small nor too large.
-        for (ratio, parameter) in ratios.iter().zip(&SHAPE_PARAMETERS) {
-            assert!((0.5..1.4).contains(ratio), "{}: {} {ratio}", kind.name, parameter.name);
+        for (ratio, parameter) in ratios.iter().zip(Parameter::SHAPE) {
+            assert!((0.5..1.4).contains(ratio), "{}: {} {ratio}", kind.name, parameter.name());
         }
         assert!(
             lengths.iter().all(|ratio| (0.4..1.3).contains(ratio)),

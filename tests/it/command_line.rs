@@ -228,6 +228,8 @@ fn the_help_of_a_command_has_examples_and_its_modes() {
 #[test]
 fn an_unknown_option_exits_with_2() {
     plenocal().args(["calibrate", "--no-such-option"]).assert().code(2);
+    let unknown = plenocal().args(["calibrate", "project.toml", "--fix", "focal"]).assert();
+    unknown.code(2).stderr(contains("no parameter 'focal'").and(contains("theta_x")));
 }
 
 /// The shipped features without their blur radii.

@@ -4,6 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use plenocal::model::Parameter;
+
 /// The sources in the folders, by their path in the repository.
 pub fn sources(folders: &[&str], extensions: &[&str]) -> Vec<(String, String)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -285,4 +287,27 @@ fn circles_are_found_wherever_they_hide() {
     assert_eq!(found(&nested), [["a", "a/d"]]);
     let two = [nested[0], nested[1], ("e", "use super::f::F;"), ("f", "use super::e::E;")];
     assert_eq!(found(&two), [["a", "a/d"], ["e", "f"]]);
+}
+
+/// The rows of a table of parameters in the documentation.
+fn parameter_rows() -> String {
+    let row = |parameter: Parameter| {
+        let key = parameter.key()[1..].replace('/', ".");
+        let (name, unit, description) =
+            (parameter.name(), parameter.unit(), parameter.description().replace('|', "\\|"));
+        format!("| `{name}` | `{key}` | {unit} | {description} |\n")
+    };
+    let head = "| symbol | place | unit | |\n|---|---|---|---|\n".to_owned();
+    head + &Parameter::ALL.into_iter().map(row).collect::<String>()
+}
+
+/// The reference page has the table of parameters; the message of this test is what belongs there.
+#[test]
+fn the_reference_lists_all_parameters() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/files.md");
+    let page = fs::read_to_string(page).unwrap();
+    let (_, rest) = page.split_once("<!-- parameters -->\n").unwrap();
+    let (found, _) = rest.split_once("<!-- /parameters -->").unwrap();
+    let expected = parameter_rows();
+    assert!(found == expected, "the table of parameters in docs/files.md has to be\n{expected}");
 }

@@ -67,19 +67,6 @@ fn completions_of_every_shell_name_the_commands() {
     plenocal().args(["completions", "cmd"]).assert().code(2);
 }
 
-#[test]
-#[cfg_attr(not(plenocal_tools), ignore = "needs bash, zsh and fish; run by `make test-all`")]
-fn shells_accept_their_completions() {
-    let folder = TempDir::new().unwrap();
-    for shell in ["bash", "zsh", "fish"] {
-        let script = folder.path().join(shell);
-        fs::write(&script, completions(shell)).unwrap();
-        let Output { status, stderr, .. } =
-            Command::new(shell).arg("-n").arg(&script).output().expect(shell);
-        assert!(status.success(), "{shell}: {}", String::from_utf8_lossy(&stderr));
-    }
-}
-
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_disk_is_an_error() {
@@ -118,18 +105,6 @@ fn every_command_has_a_manual_page() {
     for page in pages {
         let text = fs::read_to_string(&page).unwrap();
         assert!(text.contains(".SH SYNOPSIS"), "{}", page.display());
-    }
-}
-
-#[test]
-#[cfg_attr(not(plenocal_tools), ignore = "needs groff; run by `make test-all`")]
-fn groff_formats_the_manual_pages_without_a_warning() {
-    let folder = TempDir::new().unwrap();
-    for page in manual_pages(folder.path()) {
-        let mut groff = Command::new("groff");
-        groff.args(["-man", "-Tutf8", "-ww"]).arg(&page);
-        let Output { status, stderr, .. } = groff.output().expect("groff");
-        assert!(status.success() && stderr.is_empty(), "{}", String::from_utf8_lossy(&stderr));
     }
 }
 

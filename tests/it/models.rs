@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use plenocal::assessment::{Group, ModelComparison, WithoutGroup, Worth, compare_models};
 use plenocal::calibration::{Calibration, CalibrationOptions, Refit, Start};
-use plenocal::model::{Noise, Observations, PlenopticCamera, optics};
+use plenocal::model::{Noise, Observations, Parameter, PlenopticCamera, optics};
 use plenocal::report::model_figures;
 use plenocal::solver::synthesize;
 use predicates::prelude::PredicateBooleanExt;
@@ -112,9 +112,10 @@ fn without_a_group_the_minimum_is_that_of_a_calibration_without_it() {
     let calibration = run(&start(&truth), &observations, &options);
     let board = board();
     let refit = Refit::new(&calibration, &board);
-    options.fix.extend(["e_z", "kappa", "kappa_m"].map(str::to_owned));
+    let held = [Parameter::PupilZ, Parameter::FieldCurvature, Parameter::FieldCurvatureGrowth];
+    options.fix.extend(held);
     let expected = run(&start(&truth), &observations, &options);
-    let found = refit.without(&["e_z", "kappa", "kappa_m"]).unwrap();
+    let found = refit.without(&held).unwrap();
     assert!(expected.converged && found.converged);
     let cost: f64 = found.cost_parts.iter().sum();
     assert!((cost / expected.refinement.cost - 1.0).abs() < 1e-9, "{cost}");
@@ -149,13 +150,21 @@ fn what_cannot_be_compared_is_an_error_with_the_reason() {
         compare_models(calibration, &board(), folds, &|| ()).unwrap_err().to_string()
     };
     let mut options = anchored();
-    options.fix.extend(["e_z", "kappa", "kappa_m", "Q1", "Q2", "Q3", "P1"].map(str::to_owned));
+    options.fix.extend([
+        Parameter::PupilZ,
+        Parameter::FieldCurvature,
+        Parameter::FieldCurvatureGrowth,
+        Parameter::Radial1,
+        Parameter::Radial2,
+        Parameter::Radial3,
+        Parameter::Tangential1,
+    ]);
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
     assert!(error(&calibration, 1).contains("8 frames cannot be divided into 1 folds"));
-    let only: Vec<Vec<&str>> =
+    let only: Vec<Vec<Parameter>> =
         compared(&calibration).groups.into_iter().map(|without| without.parameters).collect();
-    assert_eq!(only, [["P2"]]);
-    options.fix.push("P2".to_owned());
+    assert_eq!(only, [[Parameter::Tangential2]]);
+    options.fix.push(Parameter::Tangential2);
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
     assert!(error(&calibration, 5).contains("no models to compare"));
     options = anchored();

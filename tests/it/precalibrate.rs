@@ -241,20 +241,3 @@ fn options_for_another_kind_of_input_are_rejected() {
     }
     assert!(!out.exists());
 }
-
-#[test]
-#[cfg_attr(not(plenocal_whites), ignore = "set PLENOCAL_WHITES to the folder of real white images")]
-fn a_real_calibration_of_a_maker_needs_the_size_of_its_images() {
-    let folder = std::env::var_os("PLENOCAL_WHITES").expect("PLENOCAL_WHITES is set");
-    let xml = Path::new(&folder).join("origami.calib.xml");
-    let out = TempDir::new().unwrap();
-    run(&xml, out.path()).code(1).stderr(contains("give --size"));
-    plenocal()
-        .arg("precalibrate")
-        .arg(&xml)
-        .args(["--size", "2048x2048", "--out"])
-        .arg(out.path())
-        .assert()
-        .success()
-        .stdout(contains("hexagonal-columns").and(contains("pitch 23.202")));
-}

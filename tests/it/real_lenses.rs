@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use plenocal::calibration::{CalibrationOptions, ExitPupil, Start, calibrate};
 use plenocal::io::{camera_document, read_camera};
-use plenocal::model::{Noise, PlenopticCamera, optics};
+use plenocal::model::{Noise, Parameter, PlenopticCamera, optics};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
 use plenocal::simulation::{DataSet, simulate};
 use plenocal::solver::LossKind;
@@ -154,7 +154,7 @@ fn a_camera_that_runs_away_has_not_converged() {
     let start = Start::Datasheet(settings.datasheet(), few.truth.internal);
     let board = settings.target.board();
     let mut constant = free();
-    constant.fix.push("kappa_m".to_owned());
+    constant.fix.push(Parameter::FieldCurvatureGrowth);
     let result = calibrate(&start, &board, &few.observed, &constant, &mut |_| true);
     assert!(!result.unwrap().converged);
     let result = calibrate(&start, &board, &few.observed, &anchored(), &mut |_| true);

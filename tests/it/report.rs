@@ -1,7 +1,6 @@
 //! Figures and the page of a report.
 
 use std::collections::HashSet;
-use std::process::Command;
 use std::sync::LazyLock;
 
 use plenocal::assessment::{Assessment, assess};
@@ -230,66 +229,4 @@ fn many_features_are_shown_by_their_means() {
     figures.iter().for_each(check);
     assert!(figures[0].caption.contains(&format!("{count} features: means over cells")));
     assert!(figures[0].svg.len() < LARGEST_SVG / 3);
-}
-
-/// Collects all failures from the start, and the state of the figures at the end.
-const WATCH: &str = "<script>var failures = [];
-addEventListener('error', e => failures.push(e.message || e.target.tagName), true);</script>";
-const MEASURE: &str = "<script>addEventListener('load', () => {
-  const page = document.documentElement;
-  document.querySelectorAll('details').forEach(d => { d.open = true; });
-  const sizes = [...document.querySelectorAll('figure svg')].map(svg => {
-    const box = svg.getBoundingClientRect();
-    return Math.floor(box.width) + 'x' + Math.floor(box.height);
-  });
-  page.dataset.sizes = sizes.join(' ');
-  page.dataset.beyond = page.scrollWidth - page.clientWidth;
-  page.dataset.failures = failures.join('; ');
-});</script>";
-
-/// The value that the page has left in an attribute of its root.
-fn left_behind<'a>(dom: &'a str, name: &str) -> &'a str {
-    let start = format!("data-{name}=\"");
-    let rest =
-        dom.split_once(&start).unwrap_or_else(|| panic!("the page did not run:\n{dom:.500}")).1;
-    rest.split_once('"').expect("an attribute ends").0
-}
-
-#[test]
-#[cfg_attr(not(plenocal_chromium), ignore = "set PLENOCAL_CHROMIUM to a Chromium browser")]
-fn a_browser_shows_all_figures() {
-    let browser = std::env::var_os("PLENOCAL_CHROMIUM").expect("PLENOCAL_CHROMIUM is set");
-    let figures = figures_of(&shipped(), &board());
-    let count = figures.len();
-    let html = report(figures).to_html();
-    let html = html.replacen("<head>", &format!("<head>{WATCH}"), 1);
-    let html = html.replacen("</body>", &format!("{MEASURE}</body>"), 1);
-    let folder = tempfile::tempdir().unwrap();
-    let page = folder.path().join("report.html");
-    std::fs::write(&page, html).unwrap();
-    // A wide screen, and the narrowest window that the browser opens.
-    for width in [1400, 500] {
-        let output = Command::new(&browser)
-            .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic"])
-            .args(["--no-first-run", "--disable-background-networking", "--disable-sync"])
-            .args(["--disable-component-update", "--enable-logging=stderr", "--dump-dom"])
-            .arg(format!("--user-data-dir={}", folder.path().join("profile").display()))
-            .arg(format!("--window-size={width},900"))
-            .arg(format!("file://{}", page.display()))
-            .output()
-            .unwrap();
-        let dom = String::from_utf8_lossy(&output.stdout);
-        let log = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{log}");
-        assert!(!log.contains("CONSOLE"), "{log}");
-        assert_eq!(left_behind(&dom, "failures"), "");
-        assert_eq!(left_behind(&dom, "beyond"), "0", "wider than the page at {width} px");
-        let sizes: Vec<(u32, u32)> = left_behind(&dom, "sizes")
-            .split_whitespace()
-            .map(|size| size.split_once('x').expect("width and height"))
-            .map(|(width, height)| (width.parse().unwrap(), height.parse().unwrap()))
-            .collect();
-        assert_eq!(sizes.len(), count);
-        assert!(sizes.iter().all(|s| s.0 > 100 && s.1 > 50 && s.0 <= width), "{sizes:?}");
-    }
 }

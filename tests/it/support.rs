@@ -5,9 +5,7 @@ use std::path::{Path, PathBuf};
 use assert_cmd::Command;
 use plenocal::calibration::{Anchors, Blur, Calibration, CalibrationOptions, Start, calibrate};
 use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
-use plenocal::model::{
-    Board, FramePose, Noise, Observations, PlenopticCamera, SHAPE_PARAMETERS, intrinsic_parameters,
-};
+use plenocal::model::{Board, FramePose, Noise, Observations, Parameter, PlenopticCamera};
 use plenocal::simulation::Settings;
 use plenocal::solver::{LossKind, synthesize};
 
@@ -21,13 +19,6 @@ pub fn codes(findings: &[plenocal::Finding]) -> Vec<&'static str> {
 /// Folder of the shipped feature set.
 pub fn synthetic_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data/synthetic")
-}
-
-/// Folder of the real R12-A observations.
-pub fn r12a_folder() -> PathBuf {
-    let folder = PathBuf::from(std::env::var_os("PLENOCAL_R12A").expect("PLENOCAL_R12A is set"));
-    assert!(folder.is_dir(), "PLENOCAL_R12A names no folder: {}", folder.display());
-    folder
 }
 
 /// The program.
@@ -78,11 +69,12 @@ pub fn drawn(camera: &PlenopticCamera, noise: &Noise, seed: u64) -> Observations
 /// One thread: the result does not depend on the machine. No anchors and no loss: the observations
 /// alone, and of the parameters those of the paper.
 pub fn options() -> CalibrationOptions {
-    let fixed = ["kappa", "kappa_m", "e_z"].into_iter();
-    let shape = SHAPE_PARAMETERS.iter().map(|parameter| parameter.name);
+    let mut fix =
+        vec![Parameter::FieldCurvature, Parameter::FieldCurvatureGrowth, Parameter::PupilZ];
+    fix.extend(Parameter::SHAPE);
     CalibrationOptions {
         blur: Blur::Features,
-        fix: fixed.chain(shape).map(str::to_owned).collect(),
+        fix,
         anchors: no_anchors(),
         loss: Some(LossKind::None),
         ..anchored()
@@ -109,7 +101,7 @@ pub fn run(
 
 /// Every intrinsic parameter by name, with two values.
 pub fn pairs(a: &PlenopticCamera, b: &PlenopticCamera) -> Vec<(&'static str, f64, f64)> {
-    let names = intrinsic_parameters(a.lens_types()).iter().map(|p| p.name);
+    let names = Parameter::intrinsic(a.lens_types()).iter().map(|p| p.name());
     let values = a.intrinsics().into_iter().zip(b.intrinsics());
     names.zip(values).map(|(name, (a, b))| (name, a, b)).collect()
 }

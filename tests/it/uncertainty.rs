@@ -2,13 +2,12 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use plenocal::calibration::{CalibrationOptions, Start};
-use plenocal::model::{FramePose, Noise, NoiseSource, Observations, intrinsic_parameters, optics};
+use plenocal::model::{FramePose, Noise, NoiseSource, Observations, Parameter, optics};
 use plenocal::solver::synthesize;
 use rayon::prelude::*;
 
-use crate::r12a;
 use crate::support::{
-    NO_NOISE, anchored, board, datasheet_start, options, pairs, run, true_camera, true_poses,
+    NO_NOISE, board, datasheet_start, options, pairs, run, true_camera, true_poses,
 };
 
 /// Draws of a Monte Carlo experiment. The standard error of a scatter from them is 3.5 %.
@@ -85,7 +84,7 @@ type Outcome = (Vec<f64>, Vec<Option<f64>>, Vec<Option<f64>>);
 /// Scatter over draws, with the root mean square of both predictions; prints them.
 fn monte_carlo(draw: impl Fn(u64) -> Draw + Sync) -> Vec<(&'static str, f64, f64)> {
     let truth = true_camera();
-    let parameters = intrinsic_parameters(3);
+    let parameters = Parameter::intrinsic(3);
     let one = |seed: u64| {
         let (start, observations, options) = draw(seed);
         let calibration = run(&start, &observations, &options);
@@ -109,12 +108,12 @@ fn monte_carlo(draw: impl Fn(u64) -> Draw + Sync) -> Vec<(&'static str, f64, f64
         let mean = draws.iter().map(|d| d.0[i]).sum::<f64>() / DRAWS as f64;
         println!(
             "{:8} RMS error {error:10.3e}, mean {:5.2} se; error/σ {:.3}, independent {:.3}",
-            parameter.name,
+            parameter.name(),
             mean / error * (DRAWS as f64).sqrt(),
             error / shared,
             error / independent
         );
-        ratios.push((parameter.name, error / shared, error / independent));
+        ratios.push((parameter.name(), error / shared, error / independent));
     }
     ratios
 }
@@ -188,61 +187,6 @@ fn monte_carlo_of_errors_that_frames_share() {
     }
 }
 
-/// Two estimates of the same thing: sixteen calibrations, and one small solve for each frame.
-#[test]
-#[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the R12-A files")]
-fn on_r12a_left_out_frames_agree_with_sixteen_calibrations() {
-    const AGREEMENT: f64 = 0.25;
-    let data = r12a::csv();
-    let full = r12a::run(&data, &options());
-    let frames: Vec<u32> = full.poses.iter().map(|p| p.frame).collect();
-    let without: Vec<Vec<f64>> = frames
-        .par_iter()
-        .map(|&frame| {
-            let mut options = options();
-            options.exclude_frames.push(frame);
-            r12a::run(&data, &options).camera.intrinsics()
-        })
-        .collect();
-    let n = frames.len() as f64;
-    let u = &full.uncertainty;
-    let (used, independent) = (u.intrinsic_std_devs(3), u.independent_std_devs(3));
-    let predicted = u.jackknife_std_devs(3);
-    for (i, p) in intrinsic_parameters(3).iter().enumerate() {
-        let mean = without.iter().map(|v| v[i]).sum::<f64>() / n;
-        let sum = without.iter().map(|v| (v[i] - mean).powi(2)).sum::<f64>();
-        let real = ((n - 1.0) / n * sum).sqrt();
-        let (Some(used), Some(independent), Some(predicted)) =
-            (used[i], independent[i], predicted[i])
-        else {
-            continue;
-        };
-        println!(
-            "{:8} jackknife {real:9.3e}: without calibrating {:.2}, σ {:.2}, independent {:.2}",
-            p.name,
-            predicted / real,
-            used / real,
-            independent / real
-        );
-        assert!((predicted / real - 1.0).abs() < AGREEMENT, "{}: {predicted}, {real}", p.name);
-        // σ contains errors of the centres as well, which frames do not show: they make the tilt.
-        let by_centers = p.name.starts_with("theta");
-        assert!(used / real > 1.0 - AGREEMENT, "{}: {used}, {real}", p.name);
-        assert!(by_centers || used / real < 1.0 + AGREEMENT, "{}: {used}, {real}", p.name);
-    }
-}
-
-#[test]
-#[cfg_attr(not(plenocal_r12a), ignore = "set PLENOCAL_R12A to the folder of the R12-A files")]
-fn on_r12a_the_default_anchors_bring_the_camera_to_its_datasheet() {
-    let data = r12a::csv();
-    let result = r12a::run(&data, &anchored());
-    for anchor in &result.anchors {
-        println!("{}: {} ({:+.2} σ)", anchor.anchor.quantity, anchor.result, anchor.pull());
-        assert!(anchor.pull().abs() < 3.0);
-    }
-}
-
 /// First order without an anchor and a real calibration, on a scene where the model is right.
 #[test]
 fn leaving_a_frame_out_is_predicted() {
@@ -301,20 +245,20 @@ fn the_uncertainty_of_q_prime_reaches_the_focal_lengths() {
     let (before, after) =
         (plain.uncertainty.intrinsic_std_devs(3), told.uncertainty.intrinsic_std_devs(3));
     let mla = &told.camera.mla;
-    for (i, parameter) in intrinsic_parameters(3).iter().enumerate() {
+    for (i, parameter) in Parameter::intrinsic(3).iter().enumerate() {
         let (Some(before), Some(after)) = (before[i], after[i]) else { continue };
         let added = (after * after - before * before).max(0.0).sqrt();
-        if parameter.name.starts_with("f_") {
+        if parameter.name().starts_with("f_") {
             // q' = dΔC/2f.
-            let f = parameter.value(&told.camera);
+            let f = told.camera.value(*parameter);
             let expected = std_dev_mm * 2.0 * f * f / (mla.mla_to_sensor_mm * mla.pitch_mm);
             assert!(
                 (added / expected - 1.0).abs() < 0.02,
                 "{}: {added}, {expected}",
-                parameter.name
+                parameter.name()
             );
         } else {
-            assert!(added < 0.05 * before, "{}: {before} to {after}", parameter.name);
+            assert!(added < 0.05 * before, "{}: {before} to {after}", parameter.name());
         }
     }
 }

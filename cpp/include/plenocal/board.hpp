@@ -19,13 +19,10 @@ struct BoardShape {
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>
   static constexpr void visit(Self& self, F&& f) {
-    f("sag_x", self.sag_x);
-    f("sag_y", self.sag_y);
-    f("twist", self.twist);
-    f("aspect", self.aspect);
+#define PLENOCAL_BOARD_SHAPE(id, name, unit, member, ...) f(name, self.member);
+#include "plenocal/parameters.def"
   }
 };
-constexpr int kBoardShapeParameters = parameter_count<BoardShape>();
 static_assert(sizeof(BoardShape<double>) == kBoardShapeParameters * sizeof(double),
               "every member is a parameter");
 
@@ -55,20 +52,12 @@ inline Vector3<double> corner_of(const Board& board, const Vector3<double>& flat
   return board.is_flat() ? flat : corner_of(board, board.shape, flat);
 }
 
-/// Names of the parameters of a shape, in the order of the solver's parameter block.
-inline std::vector<std::string> shape_names() {
-  std::vector<std::string> names;
-  const BoardShape<double> shape{};
-  BoardShape<double>::visit(
-      shape, [&names](const char* name, const double&) { names.emplace_back(name); });
-  return names;
-}
-
-/// Names of the parameters that all frames share: `intrinsic_names`, then `shape_names`. Indices of
-/// shared parameters refer to this order.
+/// Names of the parameters that all frames share: `intrinsic_names`, then those of the shape of the
+/// board. Indices of shared parameters refer to this order.
 inline std::vector<std::string> shared_names(int lens_types) {
   std::vector<std::string> names = intrinsic_names(lens_types);
-  for (std::string& name : shape_names()) names.push_back(std::move(name));
+  const Parameter* shape = std::end(kParameters) - kBoardShapeParameters;
+  for (; shape != std::end(kParameters); ++shape) names.emplace_back(shape->name);
   return names;
 }
 

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "plenocal/export.hpp"
+#include "plenocal/parameters.hpp"
 
 namespace plenocal {
 
@@ -146,14 +147,8 @@ struct MainLens {
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>
   static constexpr void visit(Self& self, F&& f) {
-    f("F", self.focal_length);
-    f("Q1", self.radial[0]);
-    f("Q2", self.radial[1]);
-    f("Q3", self.radial[2]);
-    f("P1", self.tangential[0]);
-    f("P2", self.tangential[1]);
-    f("kappa", self.field_curvature);
-    f("kappa_m", self.field_curvature_growth);
+#define PLENOCAL_MAIN_LENS(id, name, unit, member, ...) f(name, self.member);
+#include "plenocal/parameters.def"
   }
 };
 
@@ -167,9 +162,8 @@ struct ExitPupil {
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>
   static constexpr void visit(Self& self, F&& f) {
-    f("e_x", self.x);
-    f("e_y", self.y);
-    f("e_z", self.z);
+#define PLENOCAL_EXIT_PUPIL(id, name, unit, member, ...) f(name, self.member);
+#include "plenocal/parameters.def"
   }
 };
 
@@ -187,17 +181,8 @@ struct MicroLensArray {
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>
   static constexpr void visit(Self& self, F&& f) {
-    f("u0", self.principal_point[0]);
-    f("v0", self.principal_point[1]);
-    f("d", self.mla_to_sensor);
-    f("theta_x", self.rotation.x);
-    f("theta_y", self.rotation.y);
-    f("theta_z", self.rotation.z);
-    f("t_x", self.offset[0]);
-    f("t_y", self.offset[1]);
-    f("D", self.lens_to_mla);
-    f("dC", self.pitch);
-    f("dC_ratio", self.pitch_ratio);
+#define PLENOCAL_MICRO_LENS_ARRAY(id, name, unit, member, ...) f(name, self.member);
+#include "plenocal/parameters.def"
   }
 };
 
@@ -262,9 +247,6 @@ struct Camera {
 /// The largest number of micro-lenses along a side.
 constexpr int kMaxMicroLenses = 1 << 16;
 
-/// The largest number of lens types.
-constexpr int kMaxLensTypes = 3;
-
 /// Calls f(name, parameter) for every intrinsic parameter of a `Camera` or `const Camera`: main
 /// lens, exit pupil, array, focal lengths. Indices of parameters always refer to this order. The
 /// name is a std::string or converts to one.
@@ -281,11 +263,8 @@ void for_each_parameter(AnyCamera& camera, F&& f) {
 
 /// Names of the intrinsic parameters in the order of `for_each_parameter`.
 inline std::vector<std::string> intrinsic_names(int lens_types) {
-  Camera camera;
-  camera.micro_lens_focal_lengths.resize(lens_types);
   std::vector<std::string> names;
-  for_each_parameter(camera,
-                     [&names](std::string name, double) { names.push_back(std::move(name)); });
+  for (int i = 0; i < kPinholeParameters + lens_types; ++i) names.emplace_back(kParameters[i].name);
   return names;
 }
 

@@ -1,5 +1,6 @@
 // camera.json.
 #include <cmath>
+#include <cstring>
 #include <map>
 
 #include "document.hpp"
@@ -33,6 +34,12 @@ Lattice lattice_from(const Field& array) {
       "orthogonal, or hexagonal-rows or hexagonal-columns with shifted even or odd");
 }
 
+// Whether files of version 1 have no such parameter, which is 0 there.
+bool is_of_version_2(const Parameter& parameter) {
+  const std::string name = parameter.name;
+  return name.rfind("kappa", 0) == 0 || name.rfind("e_", 0) == 0;
+}
+
 Camera camera_from(const Field& root) {
   const Field sensor = root["sensor"], lens = root["main_lens"], array = root["micro_lens_array"];
   Camera camera;
@@ -40,31 +47,20 @@ Camera camera_from(const Field& root) {
   camera.pixel_size = sensor["pixel_size_mm"].number();
   camera.width = sensor["width_px"].integer();
   camera.height = sensor["height_px"].integer();
-  const auto optional = [](const Field& of, const std::string& key) {
-    return of.has(key) ? of[key].number() : 0.0;
-  };
-  camera.main_lens = {
-      lens["focal_length_mm"].number(),
-      {lens["q1_per_mm2"].number(), lens["q2_per_mm4"].number(), lens["q3_per_mm6"].number()},
-      {lens["p1_per_mm"].number(), lens["p2_per_mm"].number()},
-      optional(lens, "field_curvature_per_mm"),
-      optional(lens, "field_curvature_growth_per_mm")};
-  if (lens.has("exit_pupil_mm")) {
-    const auto [x, y, z] = lens["exit_pupil_mm"].vector();
-    camera.exit_pupil = {x, y, z};
-  }
-  const Field principal = root["principal_point_px"], offset = array["offset_mm"];
-  camera.mla = {{principal.at(0).number(), principal.at(1).number()},
-                array["mla_to_sensor_mm"].number(),
-                array["rotation_rad"].vector(),
-                {offset.at(0).number(), offset.at(1).number()},
-                array["lens_to_mla_mm"].number(),
-                array["pitch_mm"].number(),
-                array.has("pitch_ratio") ? array["pitch_ratio"].number() : 1.0};
-  const Field focal_lengths = array["focal_lengths_mm"];
-  for (std::size_t i = 0; i < focal_lengths.size(); ++i) {
-    camera.micro_lens_focal_lengths.push_back(focal_lengths.at(i).number());
-  }
+  if (lens.has("exit_pupil_mm")) lens["exit_pupil_mm"].vector();
+  array["rotation_rad"].vector();
+  const std::size_t types = array["focal_lengths_mm"].size();
+  if (types > kMaxLensTypes) array["focal_lengths_mm"].reject("a list of at most 3 numbers");
+  camera.micro_lens_focal_lengths.resize(types);
+  const Parameter* parameter = kParameters;
+  for_each_parameter(camera, [&](const std::string&, double& value) {
+    const std::string key = parameter->key;
+    const std::string place = key.substr(std::strlen("/main_lens/"));
+    const bool is_absent =
+        is_of_version_2(*parameter) && !lens.has(place.substr(0, place.find('/')));
+    value = is_absent ? 0.0 : root.at_pointer(key).number();
+    ++parameter;
+  });
   try {
     validate(camera);
   } catch (const std::invalid_argument& error) {
@@ -105,60 +101,32 @@ void read_uncertainty(const Field& uncertainty, CameraFile* file) {
 
 Json camera_json(const CameraFile& file) {
   const Camera& camera = file.camera;
-  const auto& lens = camera.main_lens;
-  const auto& mla = camera.mla;
   const auto* packing = &kPackings[0];
   for (const NamedPacking& named : kPackings) {
     if (named.packing == camera.lattice.packing) packing = &named;
   }
-  Json json = {
-      {"format", "plenocal-camera"},
-      {"version", kVersion},
-      {"sensor",
-       {{"width_px", camera.width},
-        {"height_px", camera.height},
-        {"pixel_size_mm", camera.pixel_size}}},
-      {"main_lens",
-       {{"focal_length_mm", lens.focal_length},
-        {"f_number", file.f_number},
-        {"q1_per_mm2", lens.radial[0]},
-        {"q2_per_mm4", lens.radial[1]},
-        {"q3_per_mm6", lens.radial[2]},
-        {"p1_per_mm", lens.tangential[0]},
-        {"p2_per_mm", lens.tangential[1]},
-        {"field_curvature_per_mm", lens.field_curvature},
-        {"field_curvature_growth_per_mm", lens.field_curvature_growth},
-        {"exit_pupil_mm", {camera.exit_pupil.x, camera.exit_pupil.y, camera.exit_pupil.z}}}},
-      {"principal_point_px", {mla.principal_point[0], mla.principal_point[1]}},
-      {"micro_lens_array",
-       {{"lattice", packing->lattice},
-        {"columns", camera.lattice.columns},
-        {"rows", camera.lattice.rows},
-        {"lens_to_mla_mm", mla.lens_to_mla},
-        {"mla_to_sensor_mm", mla.mla_to_sensor},
-        {"rotation_rad", {mla.rotation.x, mla.rotation.y, mla.rotation.z}},
-        {"offset_mm", {mla.offset[0], mla.offset[1]}},
-        {"pitch_mm", mla.pitch},
-        {"pitch_ratio", mla.pitch_ratio},
-        {"focal_lengths_mm", camera.micro_lens_focal_lengths}}}};
+  Json json = {{"format", "plenocal-camera"},
+               {"version", kVersion},
+               {"sensor",
+                {{"width_px", camera.width},
+                 {"height_px", camera.height},
+                 {"pixel_size_mm", camera.pixel_size}}},
+               {"main_lens", {{"f_number", file.f_number}}},
+               {"micro_lens_array",
+                {{"lattice", packing->lattice},
+                 {"columns", camera.lattice.columns},
+                 {"rows", camera.lattice.rows},
+                 {"focal_lengths_mm", Json::array()}}}};
+  const Parameter* parameter = kParameters;
+  for_each_parameter(camera, [&](const std::string&, double value) {
+    json[Json::json_pointer((parameter++)->key)] = value;
+  });
   if (std::isfinite(file.focus_distance)) {
     json["main_lens"]["focus_distance_mm"] = file.focus_distance;
   }
   if (*packing->shifted != '\0') json["micro_lens_array"]["shifted"] = packing->shifted;
   if (file.converged) json["converged"] = *file.converged;
   return json;
-}
-
-// Units of parameters by the power of mm that they have.
-const char* unit_of(const std::string& name) {
-  if (name == "u0" || name == "v0") return "px";
-  if (name == "dC_ratio") return "1";
-  if (name.rfind("theta", 0) == 0) return "rad";
-  if (name == "Q1") return "mm^-2";
-  if (name == "Q2") return "mm^-4";
-  if (name == "Q3") return "mm^-6";
-  if (name == "P1" || name == "P2" || name == "kappa" || name == "kappa_m") return "mm^-1";
-  return "mm";
 }
 
 Json uncertainty_json(const CameraFile& file) {
@@ -168,7 +136,7 @@ Json uncertainty_json(const CameraFile& file) {
   std::vector<double> known;
   for (std::size_t i = 0; i < names.size() && i < file.std_dev.size(); ++i) {
     if (std::isnan(file.std_dev[i])) continue;
-    std_devs[names[i]] = {{"value", file.std_dev[i]}, {"unit", unit_of(names[i])}};
+    std_devs[names[i]] = {{"value", file.std_dev[i]}, {"unit", kParameters[i].unit}};
     free.push_back(names[i]);
     known.push_back(file.std_dev[i]);
   }

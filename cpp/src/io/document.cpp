@@ -57,6 +57,14 @@ Field Field::at(std::size_t i) const {
   return {value_[i], path_, name};
 }
 
+Field Field::at_pointer(const std::string& pointer) const {
+  if (pointer.empty()) return *this;
+  const std::size_t end = std::min(pointer.find('/', 1), pointer.size());
+  const std::string token = pointer.substr(1, end - 1);
+  const bool is_index = std::isdigit(static_cast<unsigned char>(token[0])) != 0;
+  return (is_index ? at(std::stoul(token)) : (*this)[token]).at_pointer(pointer.substr(end));
+}
+
 std::size_t Field::size() const {
   if (!value_.is_array()) reject("a list");
   return value_.size();

@@ -31,6 +31,8 @@ class Field {
   Field operator[](const std::string& key) const;
   Field at(std::size_t i) const;
   std::size_t size() const;
+  /// The value at a JSON pointer.
+  Field at_pointer(const std::string& pointer) const;
 
   bool is_null() const { return value_.is_null(); }
   double number() const;

@@ -121,10 +121,11 @@ ProblemFiles read_problem(const std::string& folder) {
   }
   problem.observations.centers = read_centers(folder + "/centers.csv");
   const Field board = root["board"];
-  problem.observations.board = {board["half_width_mm"].number(),
-                                board["half_height_mm"].number(),
-                                {board["sag_x_mm"].number(), board["sag_y_mm"].number(),
-                                 board["twist_mm"].number(), board["aspect"].number()}};
+  problem.observations.board = {board["half_width_mm"].number(), board["half_height_mm"].number()};
+  const Parameter* parameter = std::end(kParameters) - kBoardShapeParameters;
+  BoardShape<double>::visit(problem.observations.board.shape, [&](const char*, double& value) {
+    value = board.at_pointer((parameter++)->key).number();
+  });
   CostOptions& options = problem.options;
   options.rho = root["rho"].boolean();
   options.features_loss = options.centers_loss = loss_from(root["loss"]);

@@ -3,9 +3,7 @@
 use super::*;
 use crate::calibration::{Anchors, BoardModel, CalibrationOptions, Mode, Start, calibrate};
 use crate::model::small_camera as camera;
-use crate::model::{
-    BentBoard, BoardShape, FramePose, Noise, Observations, SHAPE_PARAMETERS, intrinsic_parameters,
-};
+use crate::model::{BentBoard, BoardShape, FramePose, Noise, Observations, Parameter};
 use crate::solver::synthesize;
 
 const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
@@ -74,9 +72,9 @@ fn the_motion_taken_off_is_that_of_corners_not_of_the_frame_of_a_board() {
     let motion = motion_of_boards(&bent, &BOARD);
     let before = bent_corners(&bent, &BoardShape::default());
     let rows = bent.uncertainty.shape_rows(3);
-    for ((parameter, change), row) in SHAPE_PARAMETERS.iter().zip(CHANGES).zip(rows) {
+    for ((parameter, change), row) in Parameter::SHAPE.iter().zip(CHANGES).zip(rows) {
         let mut shape = BoardShape::default();
-        parameter.set(&mut shape, change);
+        shape.set(*parameter, change);
         let posed = calibrate_with(&options.of_poses_only(shape));
         let (rotation, translation) = rigid_motion(&before, &bent_corners(&posed, &shape));
         // By how much the frames of the boards move.
@@ -86,7 +84,7 @@ fn the_motion_taken_off_is_that_of_corners_not_of_the_frame_of_a_board() {
             let found = rotation * corner + translation - corner;
             let expected = rigid(corner) * motion.column(row.unwrap()) * change;
             let off = (found - expected).norm();
-            assert!(off < 0.15 * apart, "{}: {off} of {apart}", parameter.name);
+            assert!(off < 0.15 * apart, "{}: {off} of {apart}", parameter.name());
         }
     }
 }
@@ -104,10 +102,10 @@ fn the_motion_taken_off_is_that_of_boards_posed_with_another_camera() {
     let before = outer_corners(&calibration);
     let uncertainty = &calibration.uncertainty;
     for (column, &index) in uncertainty.free_intrinsics.iter().enumerate() {
-        let parameter = &intrinsic_parameters(3)[index];
+        let parameter = &Parameter::intrinsic(3)[index];
         let change = CHANGE / uncertainty.information[column].sqrt();
         let mut other = calibration.camera.clone();
-        parameter.set(&mut other, parameter.value(&calibration.camera) + change);
+        other.set(*parameter, calibration.camera.value(*parameter) + change);
         let posed = calibrated(other, &observations, Mode::PosesOnly);
         let (rotation, translation) = rigid_motion(&before, &outer_corners(&posed));
         let mut largest: f64 = 0.0;
@@ -119,6 +117,6 @@ fn the_motion_taken_off_is_that_of_boards_posed_with_another_camera() {
             largest = largest.max(found.norm());
             off = off.max((found - &expected).norm());
         }
-        assert!(off < TOLERANCE * largest, "{}: {off} of {largest}", parameter.name);
+        assert!(off < TOLERANCE * largest, "{}: {off} of {largest}", parameter.name());
     }
 }

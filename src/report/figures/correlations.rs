@@ -5,7 +5,7 @@ use nalgebra::Vector2;
 use super::super::drawing::{Anchor, BLUE, Color, Drawing, INK, ORANGE, WHITE};
 use super::super::tree::Figure;
 use crate::calibration::Calibration;
-use crate::model::shared_parameters;
+use crate::model::Parameter;
 
 /// Correlations beyond this are labelled with their value.
 const STRONG: f64 = 0.9;
@@ -15,9 +15,9 @@ const NAMES: f64 = 86.0;
 
 pub(super) fn correlations(calibration: &Calibration) -> Option<Figure> {
     let uncertainty = &calibration.uncertainty;
-    let parameters = shared_parameters(calibration.camera.lens_types());
+    let parameters = Parameter::shared(calibration.camera.lens_types());
     let names: Vec<&str> =
-        uncertainty.free_intrinsics.iter().map(|&i| parameters[i].name).collect();
+        uncertainty.free_intrinsics.iter().map(|&i| parameters[i].name()).collect();
     if names.len() < 2 {
         return None;
     }

@@ -1,6 +1,5 @@
 //! The independent Ceres program (`cpp/examples/plain_ceres`) reaches the same minimum of an exported problem.
 
-use plenocal::Issue;
 use std::path::Path;
 use std::process::Command;
 
@@ -12,9 +11,8 @@ use plenocal::model::{Board, Observations};
 use plenocal::solver::LossKind;
 use serde_json::Value;
 
-use crate::support::{
-    anchored, board, datasheet_start, options, pairs, run, shipped_observations, true_poses,
-};
+use crate::needs::EXAMPLES;
+use crate::support::{anchored, board, datasheet_start, options, pairs, run, shipped_observations};
 
 /// Relative agreement of the costs.
 const COST: f64 = 1e-9;
@@ -26,11 +24,10 @@ const PARAMETER_SIGMAS: f64 = 1e-3;
 
 /// Exports the problem that a calibration has solved, lets the program solve it, and reads its result.
 fn plain_ceres(calibration: &Calibration, board: &Board) -> (Value, Solution) {
-    let programs = std::env::var_os("PLENOCAL_EXAMPLES").expect("PLENOCAL_EXAMPLES is set");
     let folder = tempfile::tempdir().unwrap();
     let problem = folder.path().join("problem");
     export(calibration, board, &problem);
-    let output = Command::new(Path::new(&programs).join("plain_ceres"))
+    let output = Command::new(EXAMPLES.folder().join("plain_ceres"))
         .arg(&problem)
         .arg("--out")
         .arg(folder.path())
@@ -77,9 +74,7 @@ fn two_pitches() -> CalibrationOptions {
     options
 }
 
-#[test]
-#[cfg_attr(not(plenocal_examples), ignore = "set PLENOCAL_EXAMPLES to the folder of the programs")]
-fn the_minimum_on_the_shipped_features_is_the_same() {
+pub fn the_minimum_on_the_shipped_features_is_the_same() {
     let observations = shipped_observations();
     for options in [options(), two_pitches()] {
         let calibration = run(&datasheet_start(), &observations, &options);
@@ -88,9 +83,7 @@ fn the_minimum_on_the_shipped_features_is_the_same() {
 }
 
 /// The default cost: own σ, anchors with their weight, a loss, the exit pupil and a curved field.
-#[test]
-#[cfg_attr(not(plenocal_examples), ignore = "set PLENOCAL_EXAMPLES to the folder of the programs")]
-fn the_minimum_of_the_default_cost_is_the_same() {
+pub fn the_minimum_of_the_default_cost_is_the_same() {
     let mut observations = shipped_observations();
     for (i, feature) in observations.features.iter_mut().enumerate() {
         let std_dev = 0.05 + 0.001 * (i % 100) as f64;
@@ -138,35 +131,7 @@ fn evaluated_is_the_minimum(
     assert!((0.2..5.0).contains(&(gain / lost)), "{gain} and {lost}");
 }
 
-/// Poses that are given are where the boards start; those of other frames are found.
-#[test]
-fn poses_may_be_given() {
-    let observations = shipped_observations();
-    let reference = run(&datasheet_start(), &observations, &options());
-    let mut given = true_poses();
-    given.truncate(3);
-    given[0].frame = 77;
-    let options = CalibrationOptions { poses: given.clone(), ..options() };
-    let calibration = run(&datasheet_start(), &observations, &options);
-    assert!((calibration.refinement.cost / reference.refinement.cost - 1.0).abs() < COST);
-    assert_eq!(calibration.initial_poses[1], given[1]);
-    assert_ne!(calibration.initial_poses[0].camera_from_board, given[0].camera_from_board);
-    let frames = vec![77];
-    let expected = Issue::PosesOfNoFrame { frames };
-    assert!(calibration.findings.iter().any(|finding| finding.issue == expected));
-
-    let solution = Solution { camera: reference.camera.clone(), poses: given };
-    let at = cost_at(&solution, &datasheet_start(), &board(), &observations, &options).unwrap();
-    assert_eq!(at.poses.len(), 2);
-    assert!(at.left_out.iter().any(|left| left.reason == Issue::PoseNotGiven));
-}
-
-#[test]
-#[cfg_attr(
-    not(all(plenocal_examples, plenocal_r12a)),
-    ignore = "set PLENOCAL_EXAMPLES and PLENOCAL_R12A"
-)]
-fn the_minimum_on_the_real_features_is_the_same() {
+pub fn the_minimum_on_the_real_features_is_the_same() {
     let data = crate::r12a::csv();
     for options in [options(), two_pitches()] {
         let calibration = crate::r12a::run(&data, &options);
