@@ -98,7 +98,7 @@ fn compare(program: &Path, data: &Data, observations: &Observations, threads: us
     without.extrapolate = false;
     let (mut plain, mut solve, mut whole) = (Vec::new(), Vec::new(), Vec::new());
     let (mut ceres, mut ceres_iterations) = (Vec::new(), 0);
-    let (mut anchored, mut anchored_whole) = (Vec::new(), Vec::new());
+    let (mut prior_solve, mut prior_whole) = (Vec::new(), Vec::new());
     let (mut plain_end, mut end) = ((0, 0.0), (0, 0.0));
     let folder = tempfile::tempdir().expect("there is room for the problem");
     let problem = folder.path().join("problem");
@@ -128,8 +128,8 @@ fn compare(program: &Path, data: &Data, observations: &Observations, threads: us
         let calibration =
             calibrate(&data.start, &data.board, observations, &defaults, &mut |_| true)
                 .expect("the data can be calibrated");
-        anchored_whole.push(start.elapsed().as_secs_f64());
-        anchored.push(calibration.refinement.time_s);
+        prior_whole.push(start.elapsed().as_secs_f64());
+        prior_solve.push(calibration.refinement.time_s);
     }
     let (plain, solve, whole) = (median(plain), median(solve), median(whole));
     println!("{threads} thread(s), cold start to convergence, median of {RUNS} runs:");
@@ -148,9 +148,9 @@ fn compare(program: &Path, data: &Data, observations: &Observations, threads: us
     println!(
         "  plenocal, whole stage      {whole:7.3} s  (grid, initial values, refinement, uncertainty)"
     );
-    println!("  with anchors, refinement   {:7.3} s", median(anchored.clone()));
-    println!("  with anchors, whole stage  {:7.3} s", median(anchored_whole));
-    println!("  anchored to paper's        {:7.3}", median(anchored) / solve);
+    println!("  with priors, refinement   {:7.3} s", median(prior_solve.clone()));
+    println!("  with priors, whole stage  {:7.3} s", median(prior_whole));
+    println!("  priors to none             {:7.3}", median(prior_solve) / solve);
     println!("  ratio of the refinements   {:7.3}", solve / plain);
     println!("  ratio of the whole stage   {:7.3}", whole / plain);
 }

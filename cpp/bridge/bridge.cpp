@@ -71,8 +71,8 @@ plenocal::CommonError to_core(const CommonError& shared) {
   for (auto by = shared.centers_px.begin(); by != shared.centers_px.end(); by += 2) {
     error.centers.push_back({by[0], by[1]});
   }
-  error.anchors.assign(shared.anchors.begin(), shared.anchors.end());
-  error.in_anchors = shared.in_anchors;
+  error.priors.assign(shared.priors.begin(), shared.priors.end());
+  error.in_priors = shared.in_priors;
   return error;
 }
 
@@ -85,10 +85,10 @@ plenocal::CostOptions to_core(const CostOptions& shared) {
   options.features_loss = options.centers_loss = to_core(shared.loss);
   options.fixed.clear();
   for (const rust::String& name : shared.fixed) options.fixed.emplace(name);
-  for (const Anchor& anchor : shared.anchors) {
-    options.anchors.push_back({std::string(anchor.quantity), anchor.value, anchor.std_dev});
+  for (const Prior& prior : shared.priors) {
+    options.priors.push_back({std::string(prior.quantity), prior.value, prior.std_dev});
   }
-  options.anchor_weight = shared.anchor_weight;
+  options.prior_weight = shared.prior_weight;
   return options;
 }
 

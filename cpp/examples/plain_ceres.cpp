@@ -202,7 +202,7 @@ struct Known {
     return (quantity - value) * weight;
   }
 };
-struct ParameterAnchor : Known {
+struct ParameterPrior : Known {
   int index;
   template <typename T>
   bool operator()(const T* const* blocks, T* residual) const {
@@ -210,7 +210,7 @@ struct ParameterAnchor : Known {
     return true;
   }
 };
-struct SlopeAnchor : Known {
+struct SlopePrior : Known {
   template <typename T>
   bool operator()(const T* lens, const T* pupil, const T* sensor, const T* mla, T* residual) const {
     const T p = 1.0 + pupil[kEz] / lens[kF];
@@ -218,7 +218,7 @@ struct SlopeAnchor : Known {
     return true;
   }
 };
-struct InterceptAnchor : Known {
+struct InterceptPrior : Known {
   template <typename T>
   bool operator()(const T* sensor, const T* pitch, const T* f, T* residual) const {
     using std::sqrt;
@@ -226,7 +226,7 @@ struct InterceptAnchor : Known {
     return true;
   }
 };
-struct LeanAnchor : Known {
+struct LeanPrior : Known {
   int axis;
   template <typename T>
   bool operator()(const T* pupil, const T* sensor, const T* mla, T* residual) const {
@@ -343,30 +343,30 @@ void AddCenters(const std::string& path, const Lattice& lattice, double pixel_si
   }
 }
 
-void AddAnchor(const Json& anchor, double weight, Parameters* p, ceres::Problem* problem) {
-  const std::string quantity = anchor.at("quantity");
-  const double std_dev = anchor.at("std_dev");
-  const Known known{anchor.at("value"), std::sqrt(weight) / std_dev};
+void AddPrior(const Json& prior, double weight, Parameters* p, ceres::Problem* problem) {
+  const std::string quantity = prior.at("quantity");
+  const double std_dev = prior.at("std_dev");
+  const Known known{prior.at("value"), std::sqrt(weight) / std_dev};
   const auto names = p->Names();
   if (quantity == "m") {
     problem->AddResidualBlock(
-        new ceres::AutoDiffCostFunction<SlopeAnchor, 1, kMainLensSize, kPupilSize, kSensorSize,
-                                        kMlaSize>(new SlopeAnchor{known}),
+        new ceres::AutoDiffCostFunction<SlopePrior, 1, kMainLensSize, kPupilSize, kSensorSize,
+                                        kMlaSize>(new SlopePrior{known}),
         nullptr, p->lens.data(), p->pupil.data(), p->sensor.data(), p->mla.data());
   } else if (quantity.rfind("q'_", 0) == 0) {
     problem->AddResidualBlock(
-        new ceres::AutoDiffCostFunction<InterceptAnchor, 1, kSensorSize, kPitchSize, 1>(
-            new InterceptAnchor{known}),
+        new ceres::AutoDiffCostFunction<InterceptPrior, 1, kSensorSize, kPitchSize, 1>(
+            new InterceptPrior{known}),
         nullptr, p->sensor.data(), p->pitch.data(), names.at("f_" + quantity.substr(3)).block);
   } else if (quantity == "lean_u" || quantity == "lean_v") {
     problem->AddResidualBlock(
-        new ceres::AutoDiffCostFunction<LeanAnchor, 1, kPupilSize, kSensorSize, kMlaSize>(
-            new LeanAnchor{known, quantity == "lean_u" ? 0 : 1}),
+        new ceres::AutoDiffCostFunction<LeanPrior, 1, kPupilSize, kSensorSize, kMlaSize>(
+            new LeanPrior{known, quantity == "lean_u" ? 0 : 1}),
         nullptr, p->pupil.data(), p->sensor.data(), p->mla.data());
   } else {
     const auto [block, size, index] = names.at(quantity);
     auto* cost =
-        new ceres::DynamicAutoDiffCostFunction<ParameterAnchor>(new ParameterAnchor{known, index});
+        new ceres::DynamicAutoDiffCostFunction<ParameterPrior>(new ParameterPrior{known, index});
     cost->AddParameterBlock(size);
     cost->SetNumResiduals(1);
     problem->AddResidualBlock(cost, nullptr, block);
@@ -522,8 +522,8 @@ void Run(const Arguments& arguments) {
   else
     AddFeatures<false>(folder + "features.csv", lattice, pixel_size, loss, &p, &problem);
   AddCenters(folder + "centers.csv", lattice, pixel_size, loss, &p, &problem);
-  for (const Json& anchor : options.at("anchors"))
-    AddAnchor(anchor, options.at("anchor_weight"), &p, &problem);
+  for (const Json& prior : options.at("priors"))
+    AddPrior(prior, options.at("prior_weight"), &p, &problem);
   Fix(options.at("fixed"), &p, &problem);
 
   const auto start = std::chrono::steady_clock::now();

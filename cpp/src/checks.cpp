@@ -59,35 +59,35 @@ void require_center(const CenterObservation& o, const Lattice& lattice) {
   require_std_dev(o.std_dev, text);
 }
 
-void require_anchor(const Anchor& anchor, int lens_types, const std::set<std::string>& fixed) {
+void require_prior(const Prior& prior, int lens_types, const std::set<std::string>& fixed) {
   const auto names = shared_names(lens_types);
-  const std::string text = "the anchor of " + anchor.quantity;
-  if (!std::isfinite(anchor.value)) reject(text + " is not finite");
-  require_std_dev(anchor.std_dev, text);
+  const std::string text = "the prior of " + prior.quantity;
+  if (!std::isfinite(prior.value)) reject(text + " is not finite");
+  require_std_dev(prior.std_dev, text);
   const auto is_fixed = [&fixed](const std::string& name) { return fixed.count(name) > 0; };
-  if (anchor.quantity == kSlopeName) {
+  if (prior.quantity == kSlopeName) {
     if (is_fixed("F") && is_fixed("d") && is_fixed("D") && is_fixed("e_z")) {
       reject(text + " has no effect: F, d, D and e_z are fixed");
     }
     return;
   }
   for (int type = 0; type < lens_types; ++type) {
-    if (anchor.quantity != intercept_name(type)) continue;
+    if (prior.quantity != intercept_name(type)) continue;
     if (is_fixed("f_" + std::to_string(type + 1)) && is_fixed("d") && is_fixed("dC")) {
       reject(text + " has no effect: the focal length, d and dC are fixed");
     }
     return;
   }
-  if (std::find(kLeanNames.begin(), kLeanNames.end(), anchor.quantity) != kLeanNames.end()) {
+  if (std::find(kLeanNames.begin(), kLeanNames.end(), prior.quantity) != kLeanNames.end()) {
     if (is_fixed("theta_x") && is_fixed("theta_y") && is_fixed("d")) {
       reject(text + " has no effect: theta_x, theta_y and d are fixed");
     }
     return;
   }
-  if (!contains(names, anchor.quantity)) {
-    reject("there is no parameter " + anchor.quantity + " to anchor");
+  if (!contains(names, prior.quantity)) {
+    reject("there is no parameter " + prior.quantity + " for a prior");
   }
-  if (is_fixed(anchor.quantity)) reject(text + " has no effect: the parameter is fixed");
+  if (is_fixed(prior.quantity)) reject(text + " has no effect: the parameter is fixed");
 }
 
 }  // namespace
@@ -132,9 +132,9 @@ void require_camera_and_observations(const Camera& camera, std::size_t poses,
   require_std_dev(options.centers_std_dev, "the centres");
   require_loss(options.features_loss);
   require_loss(options.centers_loss);
-  if (!is_positive(options.anchor_weight)) reject("the weight of the anchors has to be positive");
-  for (const Anchor& anchor : options.anchors) {
-    require_anchor(anchor, camera.lens_types(), options.fixed);
+  if (!is_positive(options.prior_weight)) reject("the weight of the priors has to be positive");
+  for (const Prior& prior : options.priors) {
+    require_prior(prior, camera.lens_types(), options.fixed);
   }
   for (int pose : options.fixed_poses) {
     if (pose < 0 || pose >= static_cast<int>(poses)) {

@@ -37,9 +37,9 @@ MatrixXd with_second_order(const MatrixXd& information, const MatrixXd& second,
 
 // Whether the Hessian of the whole cost is positive along all directions, as it is at a minimum.
 // Off it, J'J is the better guess. That of the observations is the identity along the directions.
-bool is_minimum(const MatrixXd& directions, const MatrixXd& anchors,
+bool is_minimum(const MatrixXd& directions, const MatrixXd& priors,
                 const std::vector<MatrixXd>& of_frames, const std::vector<MatrixXd>& of_patches) {
-  MatrixXd within = directions.transpose() * anchors * directions;
+  MatrixXd within = directions.transpose() * priors * directions;
   within.diagonal().array() += 1.0;
   within *= 1.0 - kLeastCurvature;
   for (const MatrixXd& second : of_frames) within += directions.transpose() * second;
@@ -54,7 +54,7 @@ Eliminated without_poses(const NormalEquations& equations) {
   const int p = equations.intrinsics;
   Eliminated result;
   result.patches = equations.patches;
-  result.anchors = equations.information[kAnchor].topLeftCorner(p, p);
+  result.priors = equations.information[kPrior].topLeftCorner(p, p);
   result.poses_by_intrinsics.resize(equations.size() - p, p);
   int first = 0;
   for (const Group& frame : equations.frames) {
@@ -117,7 +117,7 @@ Curvature curvature(const Eliminated& groups, LeastSquares* calibration, int thr
   }
   calibration->set_state(state);
 
-  if (known > 0 && !is_minimum(directions, groups.anchors, of_frames, of_patches)) {
+  if (known > 0 && !is_minimum(directions, groups.priors, of_frames, of_patches)) {
     for (MatrixXd& second : of_frames) second.setZero();
     for (MatrixXd& second : of_patches) second.setZero();
   }

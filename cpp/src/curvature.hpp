@@ -16,7 +16,7 @@ constexpr double kLeastCurvature = 0.05;
 struct Eliminated {
   std::vector<Group> frames;
   std::vector<Group> patches;
-  Eigen::MatrixXd anchors;              ///< their information
+  Eigen::MatrixXd priors;              ///< their information
   Eigen::MatrixXd poses_by_intrinsics;  ///< how the poses follow: 6 rows for each frame
 };
 
@@ -31,7 +31,7 @@ struct Curvature {
 /// Gauss-Newton's J'J leaves out sum r r''. Where the model is not quite right, residuals have a
 /// pattern, and in the weak directions that sum is as large as J'J. It is measured there, by
 /// differences of the gradient; elsewhere it is negligible. The weak directions are those of the
-/// observations; whether they are at a minimum, anchors decide too. `calibration` is left as it
+/// observations; whether they are at a minimum, priors decide too. `calibration` is left as it
 /// was.
 Curvature curvature(const Eliminated& groups, LeastSquares* calibration, int threads = 1);
 

@@ -16,19 +16,19 @@
 
 namespace plenocal {
 
-/// Kinds of residuals. Those of observations each have a variance that is measured, anchors one
+/// Kinds of residuals. Those of observations each have a variance that is measured, priors one
 /// that is known.
-enum ResidualKind { kUv = 0, kRho = 1, kCenter = 2, kAnchor = 3 };
+enum ResidualKind { kUv = 0, kRho = 1, kCenter = 2, kPrior = 3 };
 constexpr int kObservedKinds = 3;
 constexpr int kResidualKinds = 4;
 
 /// Where a residual row comes from: what it shares its errors with.
 struct RowOrigin {
   ResidualKind kind;
-  int group;       ///< frame of a feature; patch of a centre, see `kPatches`; index of an anchor
+  int group;       ///< frame of a feature; patch of a centre, see `kPatches`; index of a prior
   int corner;      ///< of a feature: counts all corners of all frames; else -1
-  double std_dev;  ///< of the cost: px, or the unit of the anchored quantity
-  int observation = -1;  ///< index among features or among centres; -1 of an anchor
+  double std_dev;  ///< of the cost: px, or the unit of the quantity with a prior
+  int observation = -1;  ///< index among features or among centres; -1 of a prior
 };
 
 /// Centres share errors with their neighbours: groups of them are patches of the image, so many
@@ -100,11 +100,11 @@ class LeastSquares {
   void add_features(const Observations& observations, const CostOptions& options,
                     const std::vector<double*>& poses);
   void add_centers(const Observations& observations, const CostOptions& options);
-  void add_anchors(const CostOptions& options);
-  /// Adds an anchor on a q'_i; false if it is on something else.
-  bool add_intercept(const Anchor& anchor, double weight);
+  void add_priors(const CostOptions& options);
+  /// Adds a prior on a q'_i; false if it is on something else.
+  bool add_intercept(const Prior& prior, double weight);
   /// The same of the lean of the array.
-  bool add_lean(const Anchor& anchor, double weight);
+  bool add_lean(const Prior& prior, double weight);
   void fix(const CostOptions& options);
   /// Blocks that all frames share. That of the board's shape is no parameter unless it is free, and
   /// then the problem is the same as without one.

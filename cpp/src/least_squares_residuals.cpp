@@ -70,7 +70,7 @@ void LeastSquares::add_residuals(const Observations& observations, const CostOpt
   }
   add_centers(observations, options);
   fix(options);
-  add_anchors(options);
+  add_priors(options);
 }
 
 template <int I, bool Bent, bool InRig>
@@ -148,44 +148,44 @@ ceres::ResidualBlockId LeastSquares::add_block(std::unique_ptr<ceres::CostFuncti
   return problem_->AddResidualBlock(cost.release(), nullptr, parameters);
 }
 
-bool LeastSquares::add_intercept(const Anchor& anchor, double weight) {
+bool LeastSquares::add_intercept(const Prior& prior, double weight) {
   for (int type = 0; type < frame_.lens_types(); ++type) {
-    if (anchor.quantity != intercept_name(type)) continue;
-    add_block(frame_.lens_types() == 1 ? InterceptResidual<1>::create(type, anchor.value, weight)
-                                       : InterceptResidual<3>::create(type, anchor.value, weight),
+    if (prior.quantity != intercept_name(type)) continue;
+    add_block(frame_.lens_types() == 1 ? InterceptResidual<1>::create(type, prior.value, weight)
+                                       : InterceptResidual<3>::create(type, prior.value, weight),
               {array_.data(), focal_lengths_.data()});
     return true;
   }
   return false;
 }
 
-bool LeastSquares::add_lean(const Anchor& anchor, double weight) {
-  const auto name = std::find(kLeanNames.begin(), kLeanNames.end(), anchor.quantity);
+bool LeastSquares::add_lean(const Prior& prior, double weight) {
+  const auto name = std::find(kLeanNames.begin(), kLeanNames.end(), prior.quantity);
   if (name == kLeanNames.end()) return false;
   const int axis = static_cast<int>(name - kLeanNames.begin());
-  add_block(LeanResidual::create(axis, anchor.value, weight), {exit_pupil_.data(), array_.data()});
+  add_block(LeanResidual::create(axis, prior.value, weight), {exit_pupil_.data(), array_.data()});
   return true;
 }
 
-void LeastSquares::add_anchors(const CostOptions& options) {
-  const double root = std::sqrt(options.anchor_weight);
+void LeastSquares::add_priors(const CostOptions& options) {
+  const double root = std::sqrt(options.prior_weight);
   const auto names = shared_names(frame_.lens_types());
-  for (const Anchor& anchor : options.anchors) {
-    const int index = static_cast<int>(&anchor - options.anchors.data());
-    rows_.push_back({kAnchor, index, -1, anchor.std_dev});
-    const double weight = root / anchor.std_dev;
-    if (anchor.quantity == kSlopeName) {
-      add_block(SlopeResidual::create(anchor.value, weight),
+  for (const Prior& prior : options.priors) {
+    const int index = static_cast<int>(&prior - options.priors.data());
+    rows_.push_back({kPrior, index, -1, prior.std_dev});
+    const double weight = root / prior.std_dev;
+    if (prior.quantity == kSlopeName) {
+      add_block(SlopeResidual::create(prior.value, weight),
                 {lens_.data(), exit_pupil_.data(), array_.data()});
       continue;
     }
-    if (add_intercept(anchor, weight) || add_lean(anchor, weight)) continue;
-    const auto found = std::find(names.begin(), names.end(), anchor.quantity);
+    if (add_intercept(prior, weight) || add_lean(prior, weight)) continue;
+    const auto found = std::find(names.begin(), names.end(), prior.quantity);
     const auto [block, size, place] = places_[found - names.begin()];
     ceres::Matrix row = ceres::Matrix::Zero(1, size);
     row(0, place) = weight;
     add_block(
-        std::make_unique<ceres::NormalPrior>(row, ceres::Vector::Constant(size, anchor.value)),
+        std::make_unique<ceres::NormalPrior>(row, ceres::Vector::Constant(size, prior.value)),
         {block});
   }
 }

@@ -46,7 +46,7 @@ void in_order(const LeastSquares& calibration, int threads, const OfBlock& of_bl
   }
 }
 
-// Consecutive rows of one group: of a corner, of a patch, or an anchor. Calls f(begin, end).
+// Consecutive rows of one group: of a corner, of a patch, or a prior. Calls f(begin, end).
 template <typename F>
 void for_runs(const RowOrigin* rows, int count, const F& f) {
   for (int begin = 0, end = 0; begin < count; begin = end) {
@@ -133,7 +133,7 @@ std::vector<Run> sums_of(const Linearised& block, const RowOrigin* rows,
 
 class Accumulator {
  public:
-  Accumulator(int intrinsics, int frames, int corners, int anchors,
+  Accumulator(int intrinsics, int frames, int corners, int priors,
               const std::vector<CommonError>& common)
       : common_(common),
         by_kind_(frames,
@@ -141,7 +141,7 @@ class Accumulator {
         corners_(corners, zero_group(Pose::kSize)),
         frame_of_corner_(corners, 0),
         rho_(corners),
-        anchors_(zero_group(intrinsics)) {
+        priors_(zero_group(intrinsics)) {
     equations_.intrinsics = intrinsics;
     const int size = intrinsics + Pose::kSize * frames;
     for (auto& information : equations_.information) information.setZero(size, size);
@@ -149,9 +149,9 @@ class Accumulator {
     equations_.patches.assign(kPatches, zero_group(intrinsics));
     equations_.corners.resize(frames);
     equations_.by_common_observations.setZero(size, static_cast<Eigen::Index>(common.size()));
-    equations_.by_common_anchors = equations_.by_common_observations;
-    equations_.in_anchors.setZero(size, anchors);
-    equations_.anchors.setZero(anchors, intrinsics);
+    equations_.by_common_priors = equations_.by_common_observations;
+    equations_.in_priors.setZero(size, priors);
+    equations_.priors.setZero(priors, intrinsics);
   }
 
   void add(const Run& run) {
@@ -184,28 +184,28 @@ class Accumulator {
     equations_.count[kind] += run.count;
   }
 
-  // The only row of an anchor's block.
-  void add_anchor(const Linearised& block, const RowOrigin& row) {
+  // The only row of a prior's block.
+  void add_prior(const Linearised& block, const RowOrigin& row) {
     const double residual = block.residuals[0];
-    equations_.squares[kAnchor] += residual * residual;
-    equations_.pixel_squares[kAnchor] += std::pow(residual * row.std_dev, 2);
-    ++equations_.terms[kAnchor];
-    ++equations_.count[kAnchor];
+    equations_.squares[kPrior] += residual * residual;
+    equations_.pixel_squares[kPrior] += std::pow(residual * row.std_dev, 2);
+    ++equations_.terms[kPrior];
+    ++equations_.count[kPrior];
     if (block.jacobian.cols() == 0) return;
     const Eigen::RowVectorXd jacobian = block.jacobian.row(0);
-    anchors_.information += jacobian.transpose() * jacobian;
-    anchors_.gradient += residual * jacobian.transpose();
-    equations_.anchors.row(row.group) = jacobian;
+    priors_.information += jacobian.transpose() * jacobian;
+    priors_.gradient += residual * jacobian.transpose();
+    equations_.priors.row(row.group) = jacobian;
     double contained = 0.0;
     for (std::size_t k = 0; k < common_.size(); ++k) {
-      const std::vector<double>& moved = common_[k].anchors;
+      const std::vector<double>& moved = common_[k].priors;
       if (moved.empty()) continue;
       const auto column = static_cast<Eigen::Index>(k);
-      equations_.by_common_anchors.col(column).head(equations_.intrinsics) +=
+      equations_.by_common_priors.col(column).head(equations_.intrinsics) +=
           moved[row.group] * jacobian.transpose();
-      if (common_[k].in_anchors) contained += moved[row.group] * moved[row.group];
+      if (common_[k].in_priors) contained += moved[row.group] * moved[row.group];
     }
-    equations_.in_anchors.col(row.group).head(equations_.intrinsics) =
+    equations_.in_priors.col(row.group).head(equations_.intrinsics) =
         std::sqrt(contained) * jacobian.transpose();
   }
 
@@ -244,8 +244,8 @@ class Accumulator {
       equations_.information[kCenter].topLeftCorner(p, p) += patch.information;
       equations_.gradient.head(p) += patch.gradient;
     }
-    equations_.information[kAnchor].topLeftCorner(p, p) = anchors_.information;
-    equations_.gradient.head(p) += anchors_.gradient;
+    equations_.information[kPrior].topLeftCorner(p, p) = priors_.information;
+    equations_.gradient.head(p) += priors_.gradient;
     return std::move(equations_);
   }
 
@@ -265,7 +265,7 @@ class Accumulator {
     int count = 0;
   };
   std::vector<Sum> rho_;  // of corners
-  Group anchors_;
+  Group priors_;
 };
 
 }  // namespace
@@ -312,29 +312,29 @@ GroupGradients group_gradients(const LeastSquares& calibration, int threads) {
 NormalEquations normal_equations(const LeastSquares& calibration,
                                  const std::vector<CommonError>& common, int threads) {
   const std::vector<RowOrigin>& rows = calibration.rows();
-  int frames = 0, corners = 0, anchors = 0;
+  int frames = 0, corners = 0, priors = 0;
   for (const RowOrigin& row : rows) {
-    anchors += row.kind == kAnchor ? 1 : 0;
+    priors += row.kind == kPrior ? 1 : 0;
     if (row.corner < 0) continue;
     frames = std::max(frames, row.group + 1);
     corners = std::max(corners, row.corner + 1);
   }
-  Accumulator sum(static_cast<int>(calibration.free_intrinsics().size()), frames, corners, anchors,
+  Accumulator sum(static_cast<int>(calibration.free_intrinsics().size()), frames, corners, priors,
                   common);
   in_order<std::vector<Run>>(
       calibration, threads,
       [&](const Linearised& block) {
         const RowOrigin* of_block = &rows[block.first_row];
-        return of_block->kind == kAnchor ? std::vector<Run>{} : sums_of(block, of_block, common);
+        return of_block->kind == kPrior ? std::vector<Run>{} : sums_of(block, of_block, common);
       },
       [&](const std::vector<Run>& runs) {
         for (const Run& run : runs) sum.add(run);
       });
   Linearised block;
   for (int index = 0; index < calibration.residual_blocks(); ++index) {
-    if (rows[calibration.first_row(index)].kind != kAnchor) continue;
+    if (rows[calibration.first_row(index)].kind != kPrior) continue;
     calibration.linearise(index, &block);
-    sum.add_anchor(block, rows[block.first_row]);
+    sum.add_prior(block, rows[block.first_row]);
   }
   return sum.finish();
 }

@@ -31,15 +31,15 @@ struct NormalEquations {
   std::vector<Group> patches;               ///< of the centres, on the free intrinsics
   std::vector<std::vector<Group>> corners;  ///< of every frame, on its pose
   /// By how much common errors change the gradient, negative, a column for each: those of
-  /// observations, those of anchors.
-  Eigen::MatrixXd by_common_observations, by_common_anchors;
-  /// What of an anchor's own error these errors are, as a change of the gradient; a column for each
-  /// anchor.
-  Eigen::MatrixXd in_anchors;
+  /// observations, those of priors.
+  Eigen::MatrixXd by_common_observations, by_common_priors;
+  /// What of a prior's own error these errors are, as a change of the gradient; a column for each
+  /// prior.
+  Eigen::MatrixXd in_priors;
 
-  /// Derivatives of the anchored quantities, in arbitrary units: a row for each anchor, a column
+  /// Derivatives of the quantities with a prior, in arbitrary units: a row for each prior, a column
   /// for each free intrinsic.
-  Eigen::MatrixXd anchors;
+  Eigen::MatrixXd priors;
 
   int size() const { return static_cast<int>(gradient.size()); }
   /// First parameter of the pose of a frame.

@@ -55,7 +55,7 @@ constexpr double kMeasuredByBoth = 1e-3;
 // A contradiction of less than this many standard deviations is chance.
 constexpr double kChance = 3.0;
 
-// What boards (with anchors) and centres measure both, compared: along every eigenvector of their
+// What boards (with priors) and centres measure both, compared: along every eigenvector of their
 // relative information these are two measurements of one number.
 Contradiction contradiction(const MatrixXd& boards, const MatrixXd& centers, double of_boards,
                             double of_centers, const VectorXd& gradient_of_centers,
@@ -113,17 +113,17 @@ MatrixXd left_out_changes(const std::vector<Group>& frames, const Curvature& cur
 }  // namespace
 
 MatrixXd common_changes(const NormalEquations& equations, const MatrixXd& inverse,
-                        double anchor_weight) {
+                        double prior_weight) {
   return inverse * (equations.by_common_observations +
-                    std::sqrt(anchor_weight) * equations.by_common_anchors);
+                    std::sqrt(prior_weight) * equations.by_common_priors);
 }
 
 MatrixXd common_covariance(const NormalEquations& equations, const MatrixXd& inverse,
-                           double anchor_weight) {
-  const MatrixXd changes = common_changes(equations, inverse, anchor_weight);
-  const MatrixXd of_anchors = std::sqrt(anchor_weight) * inverse * equations.in_anchors;
-  return anchor_weight * (inverse * equations.information[kAnchor] * inverse) +
-         changes * changes.transpose() - of_anchors * of_anchors.transpose();
+                           double prior_weight) {
+  const MatrixXd changes = common_changes(equations, inverse, prior_weight);
+  const MatrixXd of_priors = std::sqrt(prior_weight) * inverse * equations.in_priors;
+  return prior_weight * (inverse * equations.information[kPrior] * inverse) +
+         changes * changes.transpose() - of_priors * of_priors.transpose();
 }
 
 MatrixXd symmetric(const MatrixXd& matrix) { return 0.5 * (matrix + matrix.transpose()); }
@@ -165,7 +165,7 @@ MatrixXd gradient_spread(const std::vector<Group>& groups) {
   return back * spread * back.transpose();
 }
 
-// Least part of the information on an anchored quantity that observations have, to count here.
+// Least part of the information on a quantity with a prior that observations have, to count here.
 constexpr double kLeastShare = 1e-6;
 
 double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse,
@@ -173,12 +173,12 @@ double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse
                        const MatrixXd& gauss_newton) {
   double sum = 0.0;
   int count = 0;
-  for (const auto& anchor : equations.anchors.rowwise()) {
+  for (const auto& prior : equations.priors.rowwise()) {
     const VectorXd to =
-        inverse.topLeftCorner(spread.rows(), equations.intrinsics) * anchor.transpose();
+        inverse.topLeftCorner(spread.rows(), equations.intrinsics) * prior.transpose();
     const double claimed = to.dot(information * to), least = to.dot(gauss_newton * to);
-    // An anchor alone says what q'_i is: no observation tells of its proportion.
-    if (!(least > kLeastShare * std::abs(anchor.dot(to)))) continue;
+    // A prior alone says what q'_i is: no observation tells of its proportion.
+    if (!(least > kLeastShare * std::abs(prior.dot(to)))) continue;
     sum += to.dot(spread * to) / (claimed > kLeastCurvature * least ? claimed : least);
     ++count;
   }
@@ -195,7 +195,7 @@ MatrixXd at_least(const MatrixXd& covariance, const VectorXd& least) {
 }
 
 SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inverse,
-                           const MatrixXd& independent, double anchor_weight,
+                           const MatrixXd& independent, double prior_weight,
                            LeastSquares* calibration, int threads) {
   const int p = equations.intrinsics;
   const Eliminated groups = without_poses(equations);
@@ -204,7 +204,7 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   MatrixXd observed = MatrixXd::Zero(p, p);
   for (const MatrixXd& hessian : curved.frames) observed += hessian;
   for (const MatrixXd& hessian : curved.patches) observed += hessian;
-  const MatrixXd hessian = observed + groups.anchors;
+  const MatrixXd hessian = observed + groups.priors;
   const MatrixXd of_intrinsics = ScaledInverse(hessian).matrix();
 
   SharedErrors result;
@@ -230,7 +230,7 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
     VectorXd gradient = VectorXd::Zero(p);
     for (const Group& patch : groups.patches) gradient += patch.gradient;
     result.contradiction =
-        contradiction(boards + groups.anchors, centers, dispersion_of(by_frames, boards),
+        contradiction(boards + groups.priors, centers, dispersion_of(by_frames, boards),
                       dispersion_of(by_patches, centers), gradient, camera.diagonal());
   }
   std::vector<MatrixXd> of_poses, spread_of_poses;
@@ -241,8 +241,8 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   }
   const MatrixXd hessian_inverse = joined(of_intrinsics, follow, of_poses);
   result.covariance = symmetric(joined(camera, follow, spread_of_poses) +
-                                common_covariance(equations, hessian_inverse, anchor_weight));
-  result.common_changes = common_changes(equations, hessian_inverse, anchor_weight);
+                                common_covariance(equations, hessian_inverse, prior_weight));
+  result.common_changes = common_changes(equations, hessian_inverse, prior_weight);
 
   const VectorXd variance = result.covariance.diagonal().head(p);
   const auto part = [&](const MatrixXd& spread) -> VectorXd {

@@ -22,12 +22,12 @@ Eigen::MatrixXd gradient_spread(const std::vector<Group>& groups);
 
 /// Changes of the parameters by each common error: a column for each.
 Eigen::MatrixXd common_changes(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
-                               double anchor_weight);
+                               double prior_weight);
 
-/// The part of the covariance that is not due to single observations: of anchors, and of common
+/// The part of the covariance that is not due to single observations: of priors, and of common
 /// errors.
 Eigen::MatrixXd common_covariance(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
-                                  double anchor_weight);
+                                  double prior_weight);
 
 /// Two measurements of one thing that differ.
 struct Contradiction {
@@ -51,13 +51,13 @@ struct SharedErrors {
 /// variances of the intrinsics are at least what that makes them. Evaluates `calibration` at other
 /// values nearby, and leaves it as it was.
 SharedErrors shared_errors(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
-                           const Eigen::MatrixXd& independent, double anchor_weight,
+                           const Eigen::MatrixXd& independent, double prior_weight,
                            LeastSquares* calibration, int threads);
 
-/// How many times larger than the weights claim the variance of the anchored quantities is if the
+/// How many times larger than the weights claim the variance of the quantities with a prior is if the
 /// gradient has the covariance `spread` instead of `information` (of all parameters, or of the
-/// intrinsics with the poses eliminated); the mean over the anchors, and 1 without any.
-/// Where the observations have no minimum of their own along the way of an anchor, their J'J counts
+/// intrinsics with the poses eliminated); the mean over the priors, and 1 without any.
+/// Where the observations have no minimum of their own along the way of a prior, their J'J counts
 /// instead of their Hessian `information`.
 double mean_dispersion(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
                        const Eigen::MatrixXd& spread, const Eigen::MatrixXd& information,

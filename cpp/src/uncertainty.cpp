@@ -59,12 +59,12 @@ void add_weakest(const ScaledInverse& inverse, const MatrixXd& covariance, Uncer
 }
 
 void require_common(const std::vector<CommonError>& common, const Observations& observations,
-                    std::size_t anchors) {
+                    std::size_t priors) {
   for (const CommonError& error : common) {
     if (error.features.size() != observations.features.size() ||
         (!error.centers.empty() && error.centers.size() != observations.centers.size()) ||
-        (!error.anchors.empty() && error.anchors.size() != anchors)) {
-      throw std::invalid_argument("a common error is not of these observations and anchors");
+        (!error.priors.empty() && error.priors.size() != priors)) {
+      throw std::invalid_argument("a common error is not of these observations and priors");
     }
     const bool features_finite =
         std::all_of(error.features.begin(), error.features.end(), [](const Feature<double>& by) {
@@ -73,9 +73,9 @@ void require_common(const std::vector<CommonError>& common, const Observations& 
     const bool centers_finite = std::all_of(
         error.centers.begin(), error.centers.end(),
         [](const Pixel<double>& by) { return std::isfinite(by.u) && std::isfinite(by.v); });
-    const bool anchors_finite = std::all_of(error.anchors.begin(), error.anchors.end(),
+    const bool priors_finite = std::all_of(error.priors.begin(), error.priors.end(),
                                             [](double by) { return std::isfinite(by); });
-    if (!features_finite || !centers_finite || !anchors_finite) {
+    if (!features_finite || !centers_finite || !priors_finite) {
       throw std::invalid_argument("a common error is not finite");
     }
   }
@@ -87,7 +87,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const Observations& observations, const CostOptions& cost_options,
                         const std::vector<CommonError>& common, int threads) {
   if (threads < 1) reject("threads have to be at least 1");
-  require_common(common, observations, cost_options.anchors.size());
+  require_common(common, observations, cost_options.priors.size());
   LeastSquares calibration(camera, poses, observations, cost_options);
   const NormalEquations equations = normal_equations(calibration, common, threads);
 
@@ -112,11 +112,11 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   }
   const MatrixXd inverse = scaled.matrix();
   const MatrixXd independent = independent_spread(equations, inverse, &result);
-  const double weight = cost_options.anchor_weight;
+  const double weight = cost_options.prior_weight;
   const MatrixXd covariance =
       symmetric(inverse * independent * inverse + common_covariance(equations, inverse, weight));
   result.independent_covariance = to_matrix(covariance);
-  const MatrixXd observed = total - equations.information[kAnchor];
+  const MatrixXd observed = total - equations.information[kPrior];
   const SharedErrors shared =
       shared_errors(equations, inverse, independent, weight, &calibration, threads);
   result.poses_by_intrinsics = to_matrix(shared.poses_by_intrinsics);

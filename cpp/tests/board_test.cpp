@@ -229,11 +229,11 @@ TEST(BoardShape, ErrorsAreWithinTheUncertainty) {
   }
 }
 
-TEST(BoardShape, AnAnchorHoldsIt) {
+TEST(BoardShape, APriorHoldsIt) {
   Scene scene = bent_scene(3, kBent);
   test::add_noise(0.1, 0.05, 0.02, 3, &scene.observations);
   CostOptions options = free_shape();
-  options.anchors = {{"sag_y", 0.02, 1e-9}};
+  options.priors = {{"sag_y", 0.02, 1e-9}};
   const Refinement result = refine(scene.camera, scene.poses, scene.observations, options, {});
   EXPECT_NEAR(result.board_shape.sag_y, 0.02, 1e-9);
   options.fix({"sag_y"});

@@ -1,4 +1,4 @@
-// Errors that many features share with anchors, in the covariance.
+// Errors that many features share with priors, in the covariance.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -18,13 +18,13 @@ using test::rejection;
 using test::Scene;
 
 // The change that uncertainty() foresees is that of a refinement with the observations, and the
-// anchor, moved.
+// prior, moved.
 TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
   constexpr double kStep = 1e-5, kTolerance = 0.02;
   const Scene scene = test::make_scene(3);
   CostOptions options = paper();
-  options.anchors = {{"F", scene.camera.main_lens.focal_length, 0.05}};
-  options.anchor_weight = 4.0;
+  options.priors = {{"F", scene.camera.main_lens.focal_length, 0.05}};
+  options.prior_weight = 4.0;
   CommonError error;
   for (const FeatureObservation& o : scene.observations.features) {
     error.features.push_back({kStep * (o.k - 20), kStep * o.frame, kStep});
@@ -32,7 +32,7 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
   for (const CenterObservation& o : scene.observations.centers) {
     error.centers.push_back({kStep * o.k, -kStep * o.l});
   }
-  error.anchors = {kStep};
+  error.priors = {kStep};
   const Uncertainty without = uncertainty(scene.camera, scene.poses, scene.observations, options);
   const Uncertainty u =
       uncertainty(scene.camera, scene.poses, scene.observations, options, {error});
@@ -49,7 +49,7 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
     moved.observations.centers[i].observed.v += error.centers[i].v;
   }
   CostOptions moved_options = options;
-  moved_options.anchors[0].value += error.anchors[0] * options.anchors[0].std_dev;
+  moved_options.priors[0].value += error.priors[0] * options.priors[0].std_dev;
   const Refinement r = refine(moved.camera, moved.poses, moved.observations, moved_options, {});
   const auto before = test::intrinsics(scene.camera), after = test::intrinsics(r.camera);
   for (int i = 0; i < static_cast<int>(u.free_intrinsics.size()); ++i) {
@@ -69,14 +69,14 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
                "common error");
 }
 
-// An anchor's own error is in the covariance already; one of something else that moves it is not.
-TEST(CommonErrors, CountOnceWhereAnchorsContainThem) {
+// A prior's own error is in the covariance already; one of something else that moves it is not.
+TEST(CommonErrors, CountOnceWherePriorsContainThem) {
   const Scene scene = test::make_scene(3);
   CostOptions options = paper();
-  options.anchors = {{"F", scene.camera.main_lens.focal_length, 0.05}};
+  options.priors = {{"F", scene.camera.main_lens.focal_length, 0.05}};
   CommonError error;
   error.features.resize(scene.observations.features.size());
-  error.anchors = {1.0};
+  error.priors = {1.0};
   const auto variances = [&](const std::vector<CommonError>& errors) {
     const Uncertainty u =
         uncertainty(scene.camera, scene.poses, scene.observations, options, errors);
@@ -88,7 +88,7 @@ TEST(CommonErrors, CountOnceWhereAnchorsContainThem) {
   };
   const auto without = variances({}).first;
   const auto contained = variances({error}).first;
-  error.in_anchors = false;
+  error.in_priors = false;
   const auto [added, changes] = variances({error});
   for (std::size_t i = 0; i < without.size(); ++i) {
     EXPECT_NEAR(contained[i], without[i], 1e-9 * without[i]);
@@ -98,17 +98,17 @@ TEST(CommonErrors, CountOnceWhereAnchorsContainThem) {
   EXPECT_GT(added[0], 1.0001 * without[0]);
 }
 
-// Two anchors whose errors are one and the same say less than two that differ: the covariance is
+// Two priors whose errors are one and the same say less than two that differ: the covariance is
 // that of both moved at once.
-TEST(CommonErrors, AreNotAveragedAwayByAnchorsThatShareThem) {
+TEST(CommonErrors, AreNotAveragedAwayByPriorsThatShareThem) {
   const Scene scene = test::make_scene(3);
   CostOptions options = paper();
   const double f = scene.camera.main_lens.focal_length;
-  options.anchors = {{"F", f, 1e-3}, {"F", f, 1e-3}};
+  options.priors = {{"F", f, 1e-3}, {"F", f, 1e-3}};
   CommonError error;
   error.features.resize(scene.observations.features.size());
-  const auto std_dev = [&](const std::vector<double>& anchors) {
-    error.anchors = anchors;
+  const auto std_dev = [&](const std::vector<double>& priors) {
+    error.priors = priors;
     const Uncertainty u =
         uncertainty(scene.camera, scene.poses, scene.observations, options, {error});
     return std::sqrt(u.independent_covariance(0, 0));

@@ -239,8 +239,8 @@ class ProblemFolder : public Files {
   static constexpr auto kProblem = R"({"format": "plenocal-problem", "version": 1,
     "board": {"half_width_mm": 12.0, "half_height_mm": 6.0, "sag_x_mm": 0.0, "sag_y_mm": 0.0,
               "twist_mm": 0.0, "aspect": 0.0},
-    "rho": false, "loss": {"kind": "huber", "scale": 4.0}, "anchor_weight": 2.0,
-    "fixed": ["e_x", "e_y"], "anchors": [{"quantity": "F", "value": 50.0, "std_dev": 1.5}]})";
+    "rho": false, "loss": {"kind": "huber", "scale": 4.0}, "prior_weight": 2.0,
+    "fixed": ["e_x", "e_y"], "priors": [{"quantity": "F", "value": 50.0, "std_dev": 1.5}]})";
 };
 
 TEST_F(ProblemFolder, IsReadAsItWasWritten) {
@@ -252,8 +252,8 @@ TEST_F(ProblemFolder, IsReadAsItWasWritten) {
   EXPECT_EQ(problem.observations.centers.at(0).std_dev, 0.05);
   EXPECT_EQ(problem.observations.board.half_width, 12.0);
   EXPECT_EQ(problem.options.features_loss.kind, LossKind::kHuber);
-  EXPECT_EQ(problem.options.anchor_weight, 2.0);
-  EXPECT_EQ(problem.options.anchors.at(0).quantity, "F");
+  EXPECT_EQ(problem.options.prior_weight, 2.0);
+  EXPECT_EQ(problem.options.priors.at(0).quantity, "F");
   EXPECT_FALSE(problem.options.rho);
 }
 
@@ -264,7 +264,7 @@ TEST_F(ProblemFolder, WhatIsWrongIsNamedWithItsFile) {
   expect_names(message("problem.json", "half_width_mm", "half_width"), "board.half_width_mm");
   expect_names(message("problem.json", "huber", "tukey"), "none, huber or cauchy");
   expect_names(message("problem.json", "4.0}", "\"four\"}"), "loss.scale");
-  expect_names(message("problem.json", "1.5", "null"), "anchors[0].std_dev");
+  expect_names(message("problem.json", "1.5", "null"), "priors[0].std_dev");
   expect_names(message("problem.json", "\"e_y\"", "7"), "fixed[1]");
   expect_names(message("problem.json", "false", "0"), "rho");
   expect_names(message("problem.json", "}]}", ""), "JSON");

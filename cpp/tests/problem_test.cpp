@@ -40,7 +40,7 @@ TEST(CalibrationProblem, EvaluatesAsCeresDoes) {
     options.fix({"F", "Q2"});
     options.free({"e_z", "sag_x"});
     options.fixed_poses = {1};
-    options.anchors = {{"D", 60.0, 2.0}};
+    options.priors = {{"D", 60.0, 2.0}};
     Observations observations = scene.observations;
     observations.board.half_width = observations.board.half_height = 20.0;
     CalibrationProblem calibration(scene.camera, scene.poses, observations, options);
@@ -90,7 +90,7 @@ TEST(CalibrationProblem, CompressedHasTheSameMinimum) {
     CostOptions options;
     options.fix({"F", "Q2"});
     options.fixed_poses = {1};
-    options.anchors = {{"D", 60.0, 2.0}};
+    options.priors = {{"D", 60.0, 2.0}};
     options.features_loss = {LossKind::kCauchy, 2.0};
     options.free({"sag_x"});
     scene.observations.board.half_width = scene.observations.board.half_height = 20.0;
@@ -199,12 +199,12 @@ TEST(Uncertainty, SaysWhereOneMoreStepWouldLead) {
   EXPECT_NEAR(at.expected_decrease, cost, 0.01 * cost);
 }
 
-// A prior that a user adds to the problem does the same as an anchor.
+// A residual block that a user adds does the same as a prior among the options.
 TEST(CalibrationProblem, TakesAdditions) {
   const Scene scene = noisy(3);
-  CostOptions anchored;
-  anchored.anchors = {{"F", 50.2, 0.001}};
-  const Refinement expected = refine(scene.camera, scene.poses, scene.observations, anchored, {});
+  CostOptions with_prior;
+  with_prior.priors = {{"F", 50.2, 0.001}};
+  const Refinement expected = refine(scene.camera, scene.poses, scene.observations, with_prior, {});
 
   CalibrationProblem calibration(scene.camera, scene.poses, scene.observations, {});
   ceres::Matrix row = ceres::Matrix::Zero(1, kMainLensParameters);

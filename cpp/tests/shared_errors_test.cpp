@@ -1,4 +1,4 @@
-// Errors that groups of residuals share, curvature, and anchors: by hand, and by their
+// Errors that groups of residuals share, curvature, and priors: by hand, and by their
 // distribution.
 #include "shared_errors.hpp"
 
@@ -126,10 +126,10 @@ TEST(Lean, IsHowTheDistanceGrowsOverTheImage) {
   EXPECT_GT(std::abs(rn - ln) + std::abs(bn - an), 1e-3);
 }
 
-TEST(Anchors, HoldAQuantity) {
+TEST(Priors, HoldAQuantity) {
   const Scene scene = noisy_scene();
   CostOptions options = paper();
-  options.anchors = {{"F", 50.5, 1e-8}, {kSlopeName, 0.141, 1e-9}};
+  options.priors = {{"F", 50.5, 1e-8}, {kSlopeName, 0.141, 1e-9}};
   const Refinement r = refine(scene.camera, scene.poses, scene.observations, options, {});
   EXPECT_NEAR(r.camera.main_lens.focal_length, 50.5, 1e-6);
   EXPECT_NEAR(micro_image_slope(r.camera.main_lens, r.camera.exit_pupil, r.camera.mla), 0.141,
@@ -137,7 +137,7 @@ TEST(Anchors, HoldAQuantity) {
 }
 
 // Without rho, the q'_i determine the focal lengths, and whatever rho is does not matter.
-TEST(Anchors, OnTheInterceptsTakeThePlaceOfRho) {
+TEST(Priors, OnTheInterceptsTakeThePlaceOfRho) {
   for (int types : {1, 3}) {
     Scene scene = test::make_scene(types);
     const Camera& truth = scene.camera;
@@ -146,7 +146,7 @@ TEST(Anchors, OnTheInterceptsTakeThePlaceOfRho) {
     for (auto& feature : scene.observations.features) feature.observed.rho = 1e3;
     for (int i = 0; i < types; ++i) {
       const double q = blur_intercept(truth.mla, truth.micro_lens_focal_lengths[i]);
-      options.anchors.push_back({intercept_name(i), q, 1e-5});
+      options.priors.push_back({intercept_name(i), q, 1e-5});
     }
     Camera start = truth;
     start.mla.mla_to_sensor *= 1.02;
@@ -168,17 +168,17 @@ TEST(Anchors, OnTheInterceptsTakeThePlaceOfRho) {
   EXPECT_NEAR(blur_intercept(mla, 0.578), 0.035968858, 1e-9);
 }
 
-// The weight of anchors comes from quantities that observations tell of, not from the q'_i.
-TEST(Anchors, OnTheInterceptsDoNotChangeTheDispersion) {
+// The weight of priors comes from quantities that observations tell of, not from the q'_i.
+TEST(Priors, OnTheInterceptsDoNotChangeTheDispersion) {
   const Scene scene = noisy_scene();
   CostOptions without = paper();
   without.rho = false;
-  without.anchors = {{"F", 50.0, 0.5}};
+  without.priors = {{"F", 50.0, 0.5}};
   CostOptions with = without;
   for (int i = 0; i < 3; ++i) {
     without.fix({"f_" + std::to_string(i + 1)});
     const double f = scene.camera.micro_lens_focal_lengths[i];
-    with.anchors.push_back({intercept_name(i), blur_intercept(scene.camera.mla, f), 1e-5});
+    with.priors.push_back({intercept_name(i), blur_intercept(scene.camera.mla, f), 1e-5});
   }
   const auto dispersion = [&](const CostOptions& options) {
     const Refinement r = refine(scene.camera, scene.poses, scene.observations, options, {});
@@ -187,36 +187,36 @@ TEST(Anchors, OnTheInterceptsDoNotChangeTheDispersion) {
   expect_near_relative(dispersion(with), dispersion(without), 1e-6, "dispersion");
 }
 
-TEST(Anchors, GiveTheirOwnUncertaintyWhereObservationsHaveNone) {
-  // Observations so bad that the anchor decides: its sigma is that of the result, whatever its
+TEST(Priors, GiveTheirOwnUncertaintyWhereObservationsHaveNone) {
+  // Observations so bad that the prior decides: its sigma is that of the result, whatever its
   // weight.
   const Scene scene = test::make_scene(3);
   for (double weight : {1.0, 16.0}) {
     CostOptions options = paper();
     options.uv_std_dev = options.rho_std_dev = options.centers_std_dev = 1e4;
-    options.anchors = {{"F", 50.0, 1e-3}};
-    options.anchor_weight = weight;
+    options.priors = {{"F", 50.0, 1e-3}};
+    options.prior_weight = weight;
     const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, options);
     const int place = row_of("F", u);
     expect_near_relative(std::sqrt(u.independent_covariance(place, place)), 1e-3, 1e-3, "F");
   }
 }
 
-TEST(Anchors, LeaveTheMinimumAloneThatTheyAgreeWith) {
+TEST(Priors, LeaveTheMinimumAloneThatTheyAgreeWith) {
   const Scene scene = noisy_scene();
   const Refinement without = refine(scene.camera, scene.poses, scene.observations, paper(), {});
   CostOptions options = paper();
-  options.anchors = {{"D", without.camera.mla.lens_to_mla, 0.01}};
+  options.priors = {{"D", without.camera.mla.lens_to_mla, 0.01}};
   const Refinement with = refine(scene.camera, scene.poses, scene.observations, options, {});
   expect_near_relative(with.cost, without.cost, 1e-10, "cost");
   expect_near_relative(with.camera.mla.lens_to_mla, without.camera.mla.lens_to_mla, 1e-8, "D");
 }
 
-TEST(Anchors, ThatAreImpossibleAreNamed) {
+TEST(Priors, ThatAreImpossibleAreNamed) {
   const Scene scene = test::make_scene(3);
-  const auto message = [&](const Anchor& anchor) {
+  const auto message = [&](const Prior& prior) {
     CostOptions options = paper();
-    options.anchors = {anchor};
+    options.priors = {prior};
     return rejection([&] { refine(scene.camera, scene.poses, scene.observations, options, {}); });
   };
   expect_names(message({"Q9", 1.0, 1.0}), "Q9");
@@ -226,7 +226,7 @@ TEST(Anchors, ThatAreImpossibleAreNamed) {
   expect_names(message({"d", 0.3, INFINITY}), "d");
   expect_names(message({"dC_ratio", 1.0, 1.0}), "fixed");
   CostOptions options = paper();
-  options.anchor_weight = 0.0;
+  options.prior_weight = 0.0;
   expect_names(
       rejection([&] { uncertainty(scene.camera, scene.poses, scene.observations, options); }),
       "weight");
@@ -258,9 +258,9 @@ VectorXd residuals_at(const VectorXd& change, const Scene& scene) {
   return residuals({problem.camera(), problem.poses(), scene.observations}, paper());
 }
 
-// Residuals -x r'' along the direction in which an anchor of u0 moves the camera: J'J is 1 there,
+// Residuals -x r'' along the direction in which a prior of u0 moves the camera: J'J is 1 there,
 // and the curvature 1 - x |r''|^2.
-TEST(Curvature, IsTheTrueOneWhereOnlyAnAnchorMakesItAMinimum) {
+TEST(Curvature, IsTheTrueOneWhereOnlyAPriorMakesItAMinimum) {
   constexpr double kCurvature = -0.5, kStep = 0.1, kTolerance = 0.02;
   Scene scene = test::make_scene(3);
   // Off the axis of a curved field the pattern bends other weak directions too.
@@ -271,7 +271,7 @@ TEST(Curvature, IsTheTrueOneWhereOnlyAnAnchorMakesItAMinimum) {
   const Uncertainty u = uncertainty(scene.camera, scene.poses, scene.observations, paper());
   LeastSquares problem(scene.camera, scene.poses, scene.observations, paper());
   const Eliminated groups = without_poses(normal_equations(problem));
-  MatrixXd information = groups.anchors;  // none
+  MatrixXd information = groups.priors;  // none
   for (const Group& group : groups.frames) information += group.information;
   for (const Group& group : groups.patches) information += group.information;
   const VectorXd towards = ScaledInverse(information).matrix().col(row_of("u0", u));
@@ -292,9 +292,9 @@ TEST(Curvature, IsTheTrueOneWhereOnlyAnAnchorMakesItAMinimum) {
   // No minimum: J'J instead.
   EXPECT_NEAR(curvature_along(direction, scene, paper()), 1.0, kTolerance);
   CostOptions options = paper();
-  options.anchors = {{"u0", scene.camera.mla.principal_point[0], std_dev / std::sqrt(2.0)}};
+  options.priors = {{"u0", scene.camera.mla.principal_point[0], std_dev / std::sqrt(2.0)}};
   EXPECT_NEAR(curvature_along(direction, scene, options), kCurvature, kTolerance);
-  // What weighs the anchor does not come from a negative curvature: residuals are far below 1 px.
+  // What weighs the prior does not come from a negative curvature: residuals are far below 1 px.
   const double dispersion =
       uncertainty(scene.camera, scene.poses, scene.observations, options).dispersion;
   EXPECT_GT(dispersion, 0.0);

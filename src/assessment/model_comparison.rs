@@ -116,8 +116,8 @@ pub struct WithoutGroup {
     pub pattern: f64,
     /// By what fraction the error of each frame grows that is left out ([`ModelComparison::errors`]), by frame.
     pub growth: Vec<(u32, f64)>,
-    /// By how much twice the cost grows, divided by the weight of the anchors: the parts of features,
-    /// centres and anchors. A likelihood ratio, χ² if the group is not needed.
+    /// By how much twice the cost grows, divided by the weight of the priors: the parts of features,
+    /// centres and priors. A likelihood ratio, χ² if the group is not needed.
     pub cost_growth: [f64; 3],
     /// The change of F, mm, and the same in σ of the calibration with the group, where F is free.
     pub focal_length_change: (f64, Option<f64>),
@@ -289,7 +289,7 @@ impl Comparison<'_> {
         all: &Model,
     ) -> Result<WithoutGroup> {
         let minimum = &model.minimum;
-        let weight = calibration.cost.anchor_weight;
+        let weight = calibration.cost.prior_weight;
         let growth = |i: usize| 2.0 * (minimum.cost_parts[i] - all.minimum.cost_parts[i]) / weight;
         let lens_types = calibration.camera.lens_types();
         let std_dev = calibration.uncertainty.intrinsic_std_devs(lens_types)[0];

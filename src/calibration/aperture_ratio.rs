@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 
 use crate::calibration::Start;
-use crate::calibration::anchors::INTERCEPTS;
+use crate::calibration::priors::INTERCEPTS;
 use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
 use crate::finding::Finding;

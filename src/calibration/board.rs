@@ -1,20 +1,20 @@
 //! Whether the board is flat, as the frames show it.
 //!
 //! A board is held to be flat until the frames contradict that. After the refinement with a flat board, its shape
-//! is set free, with anchors at 0 that say how flat boards are. What then is more than 3 σ from 0 stays: the bend
+//! is set free, with priors at 0 that say how flat boards are. What then is more than 3 σ from 0 stays: the bend
 //! as a whole (both sags and the twist), and the aspect. Otherwise the result is that of the flat board, which the
 //! trial has not touched.
 
 use tracing::info;
 
 use crate::calibration::refine::{Refined, Settings, at_end};
-use crate::calibration::{AnchorSource, BoardModel};
+use crate::calibration::{BoardModel, PriorSource};
 use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
 use crate::model::{BentBoard, Parameter, SHAPE};
 use crate::numerics::normal_deviate;
-use crate::solver::{Anchor, CostOptions, Iteration, Problem, Refinement, Termination};
+use crate::solver::{CostOptions, Iteration, Prior, Problem, Refinement, Termination};
 
 /// How flat boards are: σ of sags and twist as a fraction of the diagonal, and σ of the aspect.
 const FLAT: f64 = 1e-3;
@@ -94,15 +94,15 @@ impl BoardResult {
     }
 }
 
-/// A refinement with the anchors that it had, and what was tried before.
+/// A refinement with the priors that it had, and what was tried before.
 pub(super) struct Settled {
     pub refined: Refined,
-    pub anchors: Vec<(Anchor, AnchorSource)>,
+    pub priors: Vec<(Prior, PriorSource)>,
     pub trial: Trial,
     pub aside: Effort,
 }
 
-/// Which parameters of a shape are free, and σ of their anchors.
+/// Which parameters of a shape are free, and σ of their priors.
 #[derive(Clone, Copy, PartialEq)]
 struct Free {
     parameters: [bool; SHAPE],
@@ -117,12 +117,12 @@ impl Free {
 }
 
 impl Settings<'_> {
-    /// Refines camera, board and poses; `cost` has these anchors.
+    /// Refines camera, board and poses; `cost` has these priors.
     pub fn refine_with_board(
         &self,
         problem: &Problem,
         cost: &CostOptions,
-        anchors: &[(Anchor, AnchorSource)],
+        priors: &[(Prior, PriorSource)],
         progress: &mut dyn FnMut(&Iteration) -> bool,
     ) -> Result<Settled> {
         let free = Free {
@@ -132,20 +132,20 @@ impl Settings<'_> {
         };
         // Who knows something of the shape does not hold the board to be flat.
         let stated =
-            anchors.iter().any(|(a, _)| Parameter::SHAPE.iter().any(|p| p.name() == a.quantity));
+            priors.iter().any(|(a, _)| Parameter::SHAPE.iter().any(|p| p.name() == a.quantity));
         let model = match self.options.board {
             BoardModel::Auto if stated => BoardModel::Bent,
             model => model,
         };
         if model == BoardModel::Bent {
-            let trial = self.refine_free(problem, (cost, anchors), &free, progress)?;
+            let trial = self.refine_free(problem, (cost, priors), &free, progress)?;
             let (settled, failed) =
-                self.settle(problem, trial, (cost, anchors), (&free, free), progress);
+                self.settle(problem, trial, (cost, priors), (&free, free), progress);
             return failed.map_or(Ok(settled), Err);
         }
         let mut flat = self.refine(problem, with_fixed(cost, |_| true), progress)?;
         let known =
-            |refined, trial, aside| Settled { refined, anchors: anchors.to_vec(), trial, aside };
+            |refined, trial, aside| Settled { refined, priors: priors.to_vec(), trial, aside };
         let none = Effort::default();
         let stopped = flat.refinement.termination == Termination::Stopped;
         if model != BoardModel::Auto || stopped || !free.parameters.contains(&true) {
@@ -157,11 +157,11 @@ impl Settings<'_> {
         let start = at_end(problem, Some(&flat.refinement));
         let near = Settings {
             common: self.common.clone(),
-            known_weight: Some(flat.cost.anchor_weight),
+            known_weight: Some(flat.cost.prior_weight),
             ..*self
         };
         // If a trial fails, the present result stands.
-        let free_trial = match near.refine_free(&start, (cost, anchors), &free, progress) {
+        let free_trial = match near.refine_free(&start, (cost, priors), &free, progress) {
             Ok(trial) => trial,
             Err(error) => return Ok(known(flat, Trial::Failed(error.to_string()), none)),
         };
@@ -186,7 +186,7 @@ impl Settings<'_> {
         }
         let found = Free { parameters, ..free };
         let (mut settled, failed) =
-            near.settle(&start, free_trial, (cost, anchors), (&free, found), progress);
+            near.settle(&start, free_trial, (cost, priors), (&free, found), progress);
         settled.refined.refinement = flat.refinement.followed_by(settled.refined.refinement);
         Ok(Settled { trial: tried(failed), ..settled })
     }
@@ -196,49 +196,49 @@ impl Settings<'_> {
         &self,
         problem: &Problem,
         cost: &CostOptions,
-        anchors: &[(Anchor, AnchorSource)],
+        priors: &[(Prior, PriorSource)],
     ) -> Result<Settled> {
         let refined = self.evaluate(problem, with_fixed(cost, |_| true))?;
         let (trial, aside) = (Trial::NotTried, Effort::default());
-        Ok(Settled { refined, anchors: anchors.to_vec(), trial, aside })
+        Ok(Settled { refined, priors: priors.to_vec(), trial, aside })
     }
 
-    /// Refines with parameters of the shape free that have an anchor at 0 each, unless another is stated.
+    /// Refines with parameters of the shape free that have a prior at 0 each, unless another is stated.
     fn refine_free(
         &self,
         problem: &Problem,
-        (cost, anchors): (&CostOptions, &[(Anchor, AnchorSource)]),
+        (cost, priors): (&CostOptions, &[(Prior, PriorSource)]),
         free: &Free,
         progress: &mut dyn FnMut(&Iteration) -> bool,
     ) -> Result<Settled> {
         let mut cost = with_fixed(cost, |i| !free.parameters[i]);
-        let mut anchors = anchors.to_vec();
+        let mut priors = priors.to_vec();
         for (i, parameter) in Parameter::SHAPE.iter().enumerate() {
             let quantity = parameter.name().to_owned();
-            let stated = anchors.iter().any(|(anchor, _)| anchor.quantity == quantity);
-            let wanted = self.options.anchors.is_default(&quantity);
+            let stated = priors.iter().any(|(prior, _)| prior.quantity == quantity);
+            let wanted = self.options.priors.is_default(&quantity);
             if free.parameters[i] && wanted && !stated {
                 let std_dev = if i == ASPECT { free.aspect } else { free.bend_mm };
-                let anchor = Anchor { quantity, value: 0.0, std_dev };
-                anchors.push((anchor, AnchorSource::FlatBoard));
+                let prior = Prior { quantity, value: 0.0, std_dev };
+                priors.push((prior, PriorSource::FlatBoard));
             }
         }
-        cost.anchors = anchors.iter().map(|(anchor, _)| anchor.clone()).collect();
+        cost.priors = priors.iter().map(|(prior, _)| prior.clone()).collect();
         let mut common = self.common.clone();
-        for error in common.iter_mut().filter(|error| !error.anchors.is_empty()) {
-            error.anchors.resize(cost.anchors.len(), 0.0);
+        for error in common.iter_mut().filter(|error| !error.priors.is_empty()) {
+            error.priors.resize(cost.priors.len(), 0.0);
         }
         let refined = Settings { common, ..*self }.refine(problem, cost, progress)?;
-        Ok(Settled { refined, anchors, trial: Trial::NotTried, aside: Effort::default() })
+        Ok(Settled { refined, priors, trial: Trial::NotTried, aside: Effort::default() })
     }
 
     /// The same again, if only some of the parameters that were tried stay free, or if the board is bent by more
-    /// than its anchors allow for: then the anchors have to allow for as much. If that fails, the trial with the reason.
+    /// than its priors allow for: then the priors have to allow for as much. If that fails, the trial with the reason.
     fn settle(
         &self,
         problem: &Problem,
         trial: Settled,
-        known: (&CostOptions, &[(Anchor, AnchorSource)]),
+        known: (&CostOptions, &[(Prior, PriorSource)]),
         (before, found): (&Free, Free),
         progress: &mut dyn FnMut(&Iteration) -> bool,
     ) -> (Settled, Option<Error>) {

@@ -6,13 +6,13 @@
 
 use nalgebra::Vector2;
 
-use crate::calibration::anchors::{LEAN, intercept_name};
+use crate::calibration::priors::{LEAN, intercept_name};
 use crate::calibration::{CalibrationOptions, Mode, Start};
 use crate::error::Result;
 use crate::model::{
     BapFeature, InternalParameters, Lean, MicroImageCenter, PlenopticCamera, TAKEN, taken,
 };
-use crate::solver::{self, Anchor, CommonError, CostOptions};
+use crate::solver::{self, CommonError, CostOptions, Prior};
 
 /// How well the model of a blurred corner keeps its distance from the centre of the micro-image, relative: corners in
 /// simulated images are 0.1 % too far outwards through ideal lenses, and 0.3 % through traced ones
@@ -26,7 +26,7 @@ const APERTURE_RATIO: &str = "aperture ratio";
 /// simulated cameras with any law to this.
 const CENTROID_MODEL_PX2: f64 = 0.07;
 
-/// The common errors of features, and of the anchors that have them too.
+/// The common errors of features, and of the priors that have them too.
 pub(super) fn common_errors(
     start: &Start,
     camera: &PlenopticCamera,
@@ -37,23 +37,23 @@ pub(super) fn common_errors(
     let Some(internal) = start.internal().filter(|_| options.mode != Mode::PosesOnly) else {
         return Ok(Vec::new());
     };
-    let anchored = |quantity: &str| {
-        cost.anchors.iter().map(|a| if a.quantity == quantity { 1.0 } else { 0.0 }).collect()
+    let with_prior = |quantity: &str| {
+        cost.priors.iter().map(|a| if a.quantity == quantity { 1.0 } else { 0.0 }).collect()
     };
     let types: Vec<usize> = features.iter().map(|f| camera.lens_type(f.k, f.l)).collect();
     let pixel_mm = camera.sensor.pixel_size_mm;
     let levers = |f: &BapFeature| f.levers_px.unwrap_or([[0.0; 2]; TAKEN]);
     let mut errors = Vec::new();
-    let mut add = |source: &str, anchors: Vec<f64>, by: &dyn Fn(usize, &BapFeature) -> [f64; 3]| {
+    let mut add = |source: &str, priors: Vec<f64>, by: &dyn Fn(usize, &BapFeature) -> [f64; 3]| {
         let features_px: Vec<f64> =
             features.iter().enumerate().flat_map(|(i, f)| by(i, f)).collect();
-        // The error of one anchor alone is in its σ.
-        let of_several = anchors.iter().filter(|by| **by != 0.0).count() > 1;
+        // The error of one prior alone is in its σ.
+        let of_several = priors.iter().filter(|by| **by != 0.0).count() > 1;
         if of_several || features_px.iter().any(|by| *by != 0.0) {
             let (source, centers_px) = (source.to_owned(), Vec::new());
-            // White images do not determine the aperture ratio: σ of their anchors does not contain its error.
-            let in_anchors = source != APERTURE_RATIO;
-            errors.push(CommonError { source, features_px, centers_px, anchors, in_anchors });
+            // White images do not determine the aperture ratio: σ of their priors does not contain its error.
+            let in_priors = source != APERTURE_RATIO;
+            errors.push(CommonError { source, features_px, centers_px, priors, in_priors });
         }
     };
     let [pupil, within, ratio, spread_px2] = std_devs(internal);
@@ -72,13 +72,13 @@ pub(super) fn common_errors(
         let relative = std_dev_mm / internal.q_prime_mm[lens_type];
         // ρ = q'ᵢ − Δc/2ν.
         let rho = if cost.rho { std_dev_mm / pixel_mm } else { 0.0 };
-        add(&name, anchored(&name), &|i, f| {
+        add(&name, with_prior(&name), &|i, f| {
             let [u, v] = levers(f)[taken::INTERCEPT];
             if types[i] == lens_type { [u * relative, v * relative, rho] } else { [0.0; 3] }
         });
     }
-    let (q_mm, of_anchors) = by_aperture_ratio(internal, &cost.anchors, pixel_mm);
-    add(APERTURE_RATIO, of_anchors.iter().map(|by| by * ratio).collect(), &|i, f| {
+    let (q_mm, of_priors) = by_aperture_ratio(internal, &cost.priors, pixel_mm);
+    add(APERTURE_RATIO, of_priors.iter().map(|by| by * ratio).collect(), &|i, f| {
         let [u, v] = levers(f)[taken::APERTURE_RATIO];
         let rho = if cost.rho { -q_mm[types[i]] / pixel_mm } else { 0.0 };
         [u * ratio, v * ratio, rho * ratio]
@@ -88,10 +88,10 @@ pub(super) fn common_errors(
         let middle = camera.sensor.center_px();
         for (name, per_px) in of_lean(lean) {
             let in_std_devs = [0, 1].map(|axis| per_px[axis] / lean.std_dev_per_px[axis]);
-            let axis = |a: &Anchor| LEAN.iter().position(|name| a.quantity == *name);
-            let of_anchor = |a: &Anchor| axis(a).map_or(0.0, |axis| in_std_devs[axis]);
+            let axis = |a: &Prior| LEAN.iter().position(|name| a.quantity == *name);
+            let of_prior = |a: &Prior| axis(a).map_or(0.0, |axis| in_std_devs[axis]);
             // Both discs grow with d.
-            add(name, cost.anchors.iter().map(of_anchor).collect(), &|i, f| {
+            add(name, cost.priors.iter().map(of_prior).collect(), &|i, f| {
                 let growth = (Vector2::from(own_centers[i]) - middle).dot(&Vector2::from(per_px));
                 let [pupil, intercept, ..] = levers(f);
                 [0, 1, 2].map(|c| if c < 2 { (pupil[c] + intercept[c]) * growth } else { 0.0 })
@@ -119,24 +119,24 @@ fn of_lean(lean: &Lean) -> [(&'static str, [f64; 2]); 3] {
 }
 
 /// qᵢ by lens type, mm, by which q'ᵢ fall with ln φ: white images show the product of φ and qᵢ = q'ᵢ − Δc/2. And by how much
-/// the value of each anchor changes with ln φ, in its σ.
+/// the value of each prior changes with ln φ, in its σ.
 fn by_aperture_ratio(
     internal: &InternalParameters,
-    anchors: &[Anchor],
+    priors: &[Prior],
     pixel_mm: f64,
 ) -> (Vec<f64>, Vec<f64>) {
     let half_pitch_mm = internal.micro_image_pitch_mm.unwrap_or(0.0) / 2.0;
     let q_mm: Vec<f64> = internal.q_prime_mm.iter().map(|q| q - half_pitch_mm).collect();
-    let of_anchor = |anchor: &Anchor| {
-        let axis = LEAN.iter().position(|name| anchor.quantity == *name);
+    let of_prior = |prior: &Prior| {
+        let axis = LEAN.iter().position(|name| prior.quantity == *name);
         if let (Some(axis), Some(lean)) = (axis, &internal.lean) {
-            return lean.by_aperture_ratio_per_px[axis] / pixel_mm / anchor.std_dev;
+            return lean.by_aperture_ratio_per_px[axis] / pixel_mm / prior.std_dev;
         }
-        let lens_type = (0..q_mm.len()).find(|i| anchor.quantity == intercept_name(*i));
-        lens_type.map_or(0.0, |i| -q_mm[i] / anchor.std_dev)
+        let lens_type = (0..q_mm.len()).find(|i| prior.quantity == intercept_name(*i));
+        lens_type.map_or(0.0, |i| -q_mm[i] / prior.std_dev)
     };
-    let of_anchors = anchors.iter().map(of_anchor).collect();
-    (q_mm, of_anchors)
+    let of_priors = priors.iter().map(of_prior).collect();
+    (q_mm, of_priors)
 }
 
 /// By how far the fall-off may shift the centroids of micro-images; `None` without a fall-off or centres.
@@ -153,8 +153,8 @@ fn of_centroids(
         source: "centroids".to_owned(),
         features_px: vec![0.0; 3 * features],
         centers_px: centers.iter().flat_map(moved).collect(),
-        anchors: Vec::new(),
-        in_anchors: true,
+        priors: Vec::new(),
+        in_priors: true,
     })
 }
 

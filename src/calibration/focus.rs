@@ -44,7 +44,7 @@ pub(super) fn refocused(
     options: &CalibrationOptions,
 ) -> Option<(Start, Option<Finding>)> {
     let Start::Datasheet(sheet, internal) = start else { return None };
-    if options.fix.contains(&Parameter::LensToArray) || options.anchors.knows("D") {
+    if options.fix.contains(&Parameter::LensToArray) || options.priors.knows("D") {
         return None;
     }
     let corners = corners(initial, internal, board, features);

@@ -169,7 +169,7 @@ fn choose(
     let rounds = candidates.iter().map(|(_, poses)| poses.len()).max().unwrap_or(0);
     let parameters = Parameter::shared(camera.lens_types());
     let fixed = parameters.iter().map(|parameter| parameter.name().to_owned()).collect();
-    let cost = CostOptions { fixed, anchors: Vec::new(), ..cost.clone() };
+    let cost = CostOptions { fixed, priors: Vec::new(), ..cost.clone() };
     let solver = SolverOptions { max_iterations: CHOICE_ITERATIONS, ..*solver };
     for round in 0..rounds {
         let start: Vec<FramePose> = candidates

@@ -1,6 +1,5 @@
 //! Calibration from observations (paper, section 5): initial intrinsics, initial poses, refinement.
 
-mod anchors;
 mod aperture_ratio;
 mod board;
 mod checks;
@@ -12,6 +11,7 @@ mod options;
 mod outlying;
 mod poses;
 mod prepare;
+mod priors;
 mod problem;
 mod refine;
 mod refit;
@@ -20,18 +20,18 @@ mod stage;
 mod start;
 mod words;
 
-pub use anchors::{AnchorResult, AnchorSource, SLOPE, intercept_name};
 pub use aperture_ratio::{BlurMeasurement, TypeBlur};
 pub use board::{BoardResult, Effort, Trial};
 pub use frames::LeftOut;
 pub use initial::initial_camera;
 pub use options::{
-    Anchors, Blur, BoardModel, CalibrationOptions, ExitPupil, FieldCurvature, Method, Mode,
-    NoAnchor, Pitches, StatedAnchor, Weights,
+    Blur, BoardModel, CalibrationOptions, ExitPupil, FieldCurvature, Method, Mode, NoPrior,
+    Pitches, Priors, StatedPrior, Weights,
 };
 pub use outlying::OutlyingFeature;
 pub use poses::initial_poses;
 pub use prepare::{Solution, initial_from};
+pub use priors::{PriorResult, PriorSource, SLOPE, intercept_name};
 pub use problem::{ProblemFeature, SolvedProblem};
 pub use refit::{Minimum, Refit};
 pub use result::Calibration;

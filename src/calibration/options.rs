@@ -11,7 +11,7 @@ use super::start::Start;
 use crate::error::{Error, Result};
 use crate::model::{BoardShape, FramePose, Parameter, SHAPE, positive};
 use crate::quantity::Estimate;
-use crate::solver::{Anchor, CostOptions, Loss, LossKind, SolverOptions, names};
+use crate::solver::{CostOptions, Loss, LossKind, Prior, SolverOptions, names};
 use crate::table::merge;
 
 /// A named set of options; options that are stated beside it take precedence.
@@ -148,74 +148,74 @@ impl FromStr for ExitPupil {
     }
 }
 
-/// Prior knowledge of a camera: default anchors and stated ones.
+/// Prior knowledge of a camera: default priors and stated ones.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
-pub struct Anchors {
-    /// Whether there are the default anchors, of datasheet, white images and sensor.
+pub struct Priors {
+    /// Whether there are the default priors, of datasheet, white images and sensor.
     #[serde(default = "wanted")]
     pub default: bool,
-    /// Stated anchors by quantity: a parameter of camera or board, or `m`. They take the place of default ones.
+    /// Stated priors by quantity: a parameter of camera or board, or `m`. They take the place of default ones.
     #[serde(flatten)]
-    pub quantities: BTreeMap<String, StatedAnchor>,
+    pub quantities: BTreeMap<String, StatedPrior>,
 }
 
 fn wanted() -> bool {
     true
 }
 
-impl Default for Anchors {
+impl Default for Priors {
     fn default() -> Self {
         Self { default: true, quantities: BTreeMap::new() }
     }
 }
 
-/// A stated anchor.
+/// A stated prior.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(untagged, expecting = "an anchor is { value = …, std_dev = … } or \"none\"")]
-pub enum StatedAnchor {
+#[serde(untagged, expecting = "a prior is { value = …, std_dev = … } or \"none\"")]
+pub enum StatedPrior {
     /// A value, in the unit of the parameter in `camera.json` (mm, rad, px).
     Known(Estimate),
-    /// No anchor, not even the default one.
-    Nothing(NoAnchor),
+    /// No prior, not even the default one.
+    Nothing(NoPrior),
 }
 
 /// The word `none`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum NoAnchor {
-    /// No anchor.
+pub enum NoPrior {
+    /// No prior.
     None,
 }
 
-impl Anchors {
+impl Priors {
     /// States the value of a quantity.
     pub fn state(&mut self, quantity: &str, value: f64, std_dev: f64) {
-        let known = StatedAnchor::Known(Estimate { value, std_dev });
+        let known = StatedPrior::Known(Estimate { value, std_dev });
         self.quantities.insert(quantity.to_owned(), known);
     }
 
-    /// Removes the default anchor of a quantity.
+    /// Removes the default prior of a quantity.
     pub fn remove(&mut self, quantity: &str) {
-        self.quantities.insert(quantity.to_owned(), StatedAnchor::Nothing(NoAnchor::None));
+        self.quantities.insert(quantity.to_owned(), StatedPrior::Nothing(NoPrior::None));
     }
 
-    /// Parses anchors as they are written on the command line: `F=50:0.5` is 50 ± 0.5, `F=50:1%` has a relative σ, and
-    /// `F=none` removes a default anchor.
+    /// Parses priors as they are written on the command line: `F=50:0.5` is 50 ± 0.5, `F=50:1%` has a relative σ, and
+    /// `F=none` removes a default prior.
     ///
     /// An error if a text is none of these, or if two name one quantity.
     pub fn state_all(&mut self, texts: &[String]) -> Result<()> {
         let mut named = Vec::new();
         for text in texts {
-            let Some((quantity, anchor)) = parsed(text) else {
+            let Some((quantity, prior)) = parsed(text) else {
                 return Err(Error::invalid(format!(
-                    "'{text}' is not an anchor: write NAME=VALUE:SIGMA as in F=50:0.5 or F=50:1%, or \
-                     NAME=none for no anchor"
+                    "'{text}' is not a prior: write NAME=VALUE:SIGMA as in F=50:0.5 or F=50:1%, or \
+                     NAME=none for no prior"
                 )));
             };
             if named.contains(&quantity) {
-                return Err(Error::invalid(format!("'{text}' anchors a quantity a second time")));
+                return Err(Error::invalid(format!("'{text}' gives a quantity a second prior")));
             }
-            self.quantities.insert(quantity.clone(), anchor);
+            self.quantities.insert(quantity.clone(), prior);
             named.push(quantity);
         }
         Ok(())
@@ -223,32 +223,32 @@ impl Anchors {
 
     /// The stated values.
     #[must_use]
-    pub fn stated(&self) -> Vec<Anchor> {
-        let known = |(quantity, stated): (&String, &StatedAnchor)| match *stated {
-            StatedAnchor::Known(Estimate { value, std_dev }) => {
-                Some(Anchor { quantity: quantity.clone(), value, std_dev })
+    pub fn stated(&self) -> Vec<Prior> {
+        let known = |(quantity, stated): (&String, &StatedPrior)| match *stated {
+            StatedPrior::Known(Estimate { value, std_dev }) => {
+                Some(Prior { quantity: quantity.clone(), value, std_dev })
             }
-            StatedAnchor::Nothing(NoAnchor::None) => None,
+            StatedPrior::Nothing(NoPrior::None) => None,
         };
         self.quantities.iter().filter_map(known).collect()
     }
 
     /// Whether a value is stated for a quantity.
     pub(super) fn knows(&self, quantity: &str) -> bool {
-        matches!(self.quantities.get(quantity), Some(StatedAnchor::Known(_)))
+        matches!(self.quantities.get(quantity), Some(StatedPrior::Known(_)))
     }
 
-    /// Whether a quantity has its default anchor.
+    /// Whether a quantity has its default prior.
     pub(super) fn is_default(&self, quantity: &str) -> bool {
         self.default && !self.quantities.contains_key(quantity)
     }
 }
 
-/// Quantity and anchor of a text such as `F=50:1%`; `None` if it is not one.
-fn parsed(text: &str) -> Option<(String, StatedAnchor)> {
+/// Quantity and prior of a text such as `F=50:1%`; `None` if it is not one.
+fn parsed(text: &str) -> Option<(String, StatedPrior)> {
     let (quantity, known) = text.split_once('=')?;
-    let anchor = match known.trim() {
-        "none" => StatedAnchor::Nothing(NoAnchor::None),
+    let prior = match known.trim() {
+        "none" => StatedPrior::Nothing(NoPrior::None),
         known => {
             let (value, std_dev) = known.split_once(':')?;
             let value: f64 = value.trim().parse().ok()?;
@@ -256,10 +256,10 @@ fn parsed(text: &str) -> Option<(String, StatedAnchor)> {
                 Some(percent) => value.abs() * percent.trim().parse::<f64>().ok()? / 100.0,
                 None => std_dev.trim().parse().ok()?,
             };
-            StatedAnchor::Known(Estimate { value, std_dev })
+            StatedPrior::Known(Estimate { value, std_dev })
         }
     };
-    Some((quantity.trim().to_owned(), anchor))
+    Some((quantity.trim().to_owned(), prior))
 }
 
 /// Options of a calibration. Their docs are the help of the command line.
@@ -289,16 +289,16 @@ pub struct CalibrationOptions {
     pub board: BoardModel,
     /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, kappa, kappa_m, e_z, u0, v0, d,
     /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect. (e_x and e_y are
-    /// 0 unless they are anchored, and dC_ratio is fixed unless --pitches two.)
+    /// 0 unless they are defaults, and dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub fix: Vec<Parameter>,
-    /// Prior knowledge: `[calibration.anchors]`, --anchors and --anchor.
+    /// Prior knowledge: `[calibration.priors]`, --priors and --prior.
     #[arg(skip)]
-    pub anchors: Anchors,
-    /// How much the anchors weigh against observations, whose errors are not independent: a factor on their squared
+    pub priors: Priors,
+    /// How much the priors weigh against observations, whose errors are not independent: a factor on their squared
     /// residuals [default: measured, see calibration.json].
     #[arg(long, value_name = "W")]
-    pub anchor_weight: Option<f64>,
+    pub prior_weight: Option<f64>,
     /// Weights of observations [default: own].
     #[arg(long)]
     pub weights: Weights,
@@ -350,8 +350,8 @@ impl Default for CalibrationOptions {
             field_curvature: FieldCurvature::default(),
             board: BoardModel::default(),
             fix: Vec::new(),
-            anchors: Anchors::default(),
-            anchor_weight: None,
+            priors: Priors::default(),
+            prior_weight: None,
             weights: Weights::default(),
             blur: Blur::default(),
             uv_std_dev_px: cost.uv_std_dev_px,
@@ -375,11 +375,11 @@ board = \"flat\"
 blur = \"features\"
 weights = \"unit\"
 loss = \"none\"
-anchors.default = false
+priors.default = false
 ";
 
 impl CalibrationOptions {
-    /// The calibration of the paper: every observation has the same weight, no loss, no anchors, the exit pupil in the
+    /// The calibration of the paper: every observation has the same weight, no loss, no priors, the exit pupil in the
     /// lens, a flat field, f from ρ, a flat board.
     // The text is constant.
     #[allow(clippy::missing_panics_doc)]
@@ -392,6 +392,11 @@ impl CalibrationOptions {
     ///
     /// An error that names the option if one is unknown or has an impossible value.
     pub(crate) fn from_table(mut stated: Table) -> Result<Self> {
+        for (earlier, name) in [("anchors", "priors"), ("anchor_weight", "prior_weight")] {
+            if let Some(value) = stated.remove(earlier) {
+                stated.entry(name).or_insert(value);
+            }
+        }
         let method = stated.remove("method").map(Method::deserialize).transpose();
         let method = method.map_err(|e| Error::invalid(format!("method: {}", e.message())))?;
         let mut options = match method.unwrap_or_default() {
@@ -409,7 +414,7 @@ impl CalibrationOptions {
         })
     }
 
-    /// The cost without default anchors.
+    /// The cost without default priors.
     pub(super) fn cost(&self) -> CostOptions {
         CostOptions {
             uv_std_dev_px: self.uv_std_dev_px,
@@ -421,7 +426,7 @@ impl CalibrationOptions {
                 scale: self.loss_scale.unwrap_or(1.0),
             },
             fixed: names(&self.fixed()),
-            anchors: self.anchors.stated(),
+            priors: self.priors.stated(),
             ..CostOptions::default()
         }
     }
@@ -439,9 +444,9 @@ impl CalibrationOptions {
             (Parameter::PupilZ, matches!(self.exit_pupil, ExitPupil::At(_))),
             (Parameter::FieldCurvature, self.field_curvature == FieldCurvature::Flat),
             (Parameter::FieldCurvatureGrowth, self.field_curvature != FieldCurvature::Estimated),
-            // Images alone hardly determine them: they are free only if they are anchored.
-            (Parameter::PupilX, !self.anchors.knows("e_x")),
-            (Parameter::PupilY, !self.anchors.knows("e_y")),
+            // Images alone hardly determine them: they are free only if they have a prior.
+            (Parameter::PupilX, !self.priors.knows("e_x")),
+            (Parameter::PupilY, !self.priors.knows("e_y")),
         ];
         let implied = implied.into_iter().filter(|(_, fixed)| *fixed);
         implied.map(|(parameter, _)| parameter).chain(self.fix.iter().copied()).collect()
@@ -470,7 +475,7 @@ impl CalibrationOptions {
     pub fn of_corners_only(&self) -> Self {
         let mut options = Self { mode: Mode::CornersOnly, ..self.clone() };
         options.fix.retain(|parameter| !parameter.is_of_micro_lenses());
-        options.anchors.quantities.retain(|name, _| !name.starts_with("f_"));
+        options.priors.quantities.retain(|name, _| !name.starts_with("f_"));
         options
     }
 
@@ -483,7 +488,7 @@ impl CalibrationOptions {
             board: BoardModel::Known(shape),
             exit_pupil: ExitPupil::Estimated,
             field_curvature: FieldCurvature::Estimated,
-            anchors: Anchors { default: self.anchors.default, ..Anchors::default() },
+            priors: Priors { default: self.priors.default, ..Priors::default() },
             ..self.clone()
         }
     }
@@ -563,7 +568,7 @@ impl CalibrationOptions {
             ));
         }
         positive(self.loss_scale.unwrap_or(1.0), "the scale of the loss")?;
-        positive(self.anchor_weight.unwrap_or(1.0), "the weight of the anchors")?;
+        positive(self.prior_weight.unwrap_or(1.0), "the weight of the priors")?;
         if self.max_iterations == 0 || self.threads == 0 {
             return Err(Error::invalid("iterations and threads have to be at least 1"));
         }
@@ -597,9 +602,9 @@ mod tests {
         assert_eq!(of(""), CalibrationOptions::default());
         assert_eq!(of("method = \"paper\""), CalibrationOptions::paper());
         let mixed =
-            of("method = \"paper\"\nloss = \"huber\"\nanchors.F = { value = 50, std_dev = 1 }");
+            of("method = \"paper\"\nloss = \"huber\"\npriors.F = { value = 50, std_dev = 1 }");
         assert_eq!(mixed.loss, Some(LossKind::Huber));
-        assert!(mixed.anchors.knows("F") && !mixed.anchors.default);
+        assert!(mixed.priors.knows("F") && !mixed.priors.default);
         assert_eq!(mixed.board, BoardModel::Flat);
     }
 
@@ -611,7 +616,7 @@ mod tests {
             ("loss = \"hubr\"", "loss: 'hubr' is no loss"),
             ("mode = \"x\"", "mode: unknown variant `x`, expected one of `full`"),
             ("max_iterations = -1", "max_iterations: "),
-            ("anchors.F = 3", "anchors"),
+            ("priors.F = 3", "priors"),
         ] {
             let error = CalibrationOptions::from_table(text.parse().unwrap()).unwrap_err();
             assert!(error.to_string().contains(words), "{error}");
@@ -619,18 +624,18 @@ mod tests {
     }
 
     #[test]
-    fn anchors_are_read_as_they_are_written_on_the_command_line() {
-        let mut anchors = Anchors::default();
+    fn priors_are_read_as_they_are_written_on_the_command_line() {
+        let mut priors = Priors::default();
         let texts = ["F=50:1%", "u0=none", "d = 1:0.1"].map(str::to_owned);
-        anchors.state_all(&texts).unwrap();
+        priors.state_all(&texts).unwrap();
         let found: Vec<(String, f64, f64)> =
-            anchors.stated().into_iter().map(|a| (a.quantity, a.value, a.std_dev)).collect();
+            priors.stated().into_iter().map(|a| (a.quantity, a.value, a.std_dev)).collect();
         assert_eq!(found, [("F".to_owned(), 50.0, 0.5), ("d".to_owned(), 1.0, 0.1)]);
-        assert!(!anchors.is_default("u0") && anchors.is_default("v0"));
+        assert!(!priors.is_default("u0") && priors.is_default("v0"));
         for wrong in ["F", "F=50", "F=50:x"] {
-            assert!(anchors.state_all(&[wrong.to_owned()]).is_err(), "{wrong}");
+            assert!(priors.state_all(&[wrong.to_owned()]).is_err(), "{wrong}");
         }
-        assert!(anchors.state_all(&["F=1:1".to_owned(), "F=2:1".to_owned()]).is_err());
+        assert!(priors.state_all(&["F=1:1".to_owned(), "F=2:1".to_owned()]).is_err());
     }
 
     fn is_read<T: ValueEnum + for<'a> Deserialize<'a> + PartialEq>() {

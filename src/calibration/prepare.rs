@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use crate::calibration::anchors::check_anchors;
 use crate::calibration::aperture_ratio::{with_aperture_ratio, with_that_of_start};
 use crate::calibration::checks::{check_indices, check_observations, without_frames};
 use crate::calibration::focus::refocused;
 use crate::calibration::frames::{Frames, given_frames, initial_frames};
+use crate::calibration::priors::check_priors;
 use crate::calibration::{
     BlurMeasurement, CalibrationOptions, FieldCurvature, LeftOut, Mode, Start, Weights,
     initial_camera,
@@ -49,7 +49,7 @@ pub(super) fn prepared(
     };
     start.validate()?;
     options.validate(&start)?;
-    check_anchors(options, start.lens_types())?;
+    check_priors(options, start.lens_types())?;
     let (mut observations, excluded) = without_frames(observations, &options.exclude_frames)?;
     if options.weights == Weights::Unit {
         observations.forget_std_devs();

@@ -21,7 +21,7 @@ pub struct SolvedProblem {
     pub features: Vec<ProblemFeature>,
     /// The micro-image centres, with the σ that they count with.
     pub centers: Vec<MicroImageCenter>,
-    /// The cost, with all anchors and their weight. Its factors on σ are 1.
+    /// The cost, with all priors and their weight. Its factors on σ are 1.
     pub cost: CostOptions,
     /// The cost where the calibration ended.
     pub minimum: f64,

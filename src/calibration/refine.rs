@@ -16,7 +16,7 @@ use crate::solver::{
 /// Limit of repetitions: correcting one mirrored board may reveal others.
 const MAX_RECONSIDERATIONS: usize = 4;
 
-/// The weight of the anchors is measured at a rough minimum, after so many iterations (of which the first ones, where the
+/// The weight of the priors is measured at a rough minimum, after so many iterations (of which the first ones, where the
 /// trust region is too large, take little time and lead nowhere), and again if it
 /// differs from the weight used there by more than this factor. With as few frames as there are, it is
 /// known to some ten per cent at best.
@@ -26,7 +26,7 @@ const ALIKE: f64 = 2.0;
 const MAX_ATTEMPTS: usize = 6;
 /// The weight to begin with: that of real observations.
 const FIRST_WEIGHT: f64 = 10.0;
-/// Weight of the anchors where residuals vanish, as in simulations without noise.
+/// Weight of the priors where residuals vanish, as in simulations without noise.
 const LEAST_WEIGHT: f64 = 1e-6;
 
 /// What a refinement needs besides the problem.
@@ -35,11 +35,11 @@ pub(super) struct Settings<'a> {
     pub options: &'a CalibrationOptions,
     /// Errors that observations have in common.
     pub common: Vec<CommonError>,
-    /// The weight of the anchors of the refinement that has ended where this one begins; `None` far from a minimum.
+    /// The weight of the priors of the refinement that has ended where this one begins; `None` far from a minimum.
     pub known_weight: Option<f64>,
 }
 
-/// The refinement, its uncertainty, and the cost that it ended with: with the weight of the anchors, and
+/// The refinement, its uncertainty, and the cost that it ended with: with the weight of the priors, and
 /// without the loss if it was stopped before the loss took part.
 pub(super) struct Refined {
     pub refinement: Refinement,
@@ -48,7 +48,7 @@ pub(super) struct Refined {
 }
 
 impl Settings<'_> {
-    /// Refines; with anchors, after it has found their weight.
+    /// Refines; with priors, after it has found their weight.
     pub fn refine(
         &self,
         problem: &Problem,
@@ -63,10 +63,10 @@ impl Settings<'_> {
             );
             progress(iteration)
         };
-        let stated = self.options.anchor_weight;
-        let measured = !cost.anchors.is_empty() && stated.is_none();
-        if !cost.anchors.is_empty() {
-            cost.anchor_weight = stated.or(self.known_weight).unwrap_or(FIRST_WEIGHT);
+        let stated = self.options.prior_weight;
+        let measured = !cost.priors.is_empty() && stated.is_none();
+        if !cost.priors.is_empty() {
+            cost.prior_weight = stated.or(self.known_weight).unwrap_or(FIRST_WEIGHT);
         }
         // Far from the minimum nearly all residuals are in the flat part of a loss: without one the way
         // takes a fifth of the steps.
@@ -75,7 +75,7 @@ impl Settings<'_> {
             ..cost.clone()
         };
         let is_far = self.known_weight.is_none();
-        let mut rough = is_far && (!cost.anchors.is_empty() || cost.loss.kind != LossKind::None);
+        let mut rough = is_far && (!cost.priors.is_empty() || cost.loss.kind != LossKind::None);
         let mut so_far: Option<Refinement> = None;
         let mut attempt = 0;
         loop {
@@ -89,7 +89,7 @@ impl Settings<'_> {
             let refinement = followed(so_far.take(), next);
             let refined = at_end(problem, Some(&refinement));
             let uncertainty = self.uncertainty(&refined, &used)?;
-            let change = uncertainty.dispersion.max(LEAST_WEIGHT) / cost.anchor_weight;
+            let change = uncertainty.dispersion.max(LEAST_WEIGHT) / cost.prior_weight;
             let settled = !measured || (1.0 / ALIKE..ALIKE).contains(&change);
             let done = stopped
                 || self.left(Some(&refinement)) == 0
@@ -98,8 +98,8 @@ impl Settings<'_> {
                 return Ok(Refined { refinement, uncertainty, cost: used });
             }
             if measured {
-                cost.anchor_weight *= change;
-                debug!("the anchors weigh {:.3}", cost.anchor_weight);
+                cost.prior_weight *= change;
+                debug!("the priors weigh {:.3}", cost.prior_weight);
             }
             rough = rough && !settled && attempt < MAX_ATTEMPTS / 2;
             so_far = Some(refinement);
@@ -110,13 +110,13 @@ impl Settings<'_> {
     pub fn evaluate(&self, problem: &Problem, mut cost: CostOptions) -> Result<Refined> {
         let solver =
             SolverOptions { max_iterations: 0, extrapolate: false, ..self.options.solver() };
-        cost.anchor_weight = self.options.anchor_weight.unwrap_or(FIRST_WEIGHT);
+        cost.prior_weight = self.options.prior_weight.unwrap_or(FIRST_WEIGHT);
         let mut uncertainty = self.uncertainty(problem, &cost)?;
-        if self.options.anchor_weight.is_none() && !cost.anchors.is_empty() {
+        if self.options.prior_weight.is_none() && !cost.priors.is_empty() {
             for _ in 0..MAX_ATTEMPTS {
                 let weight = uncertainty.dispersion.max(LEAST_WEIGHT);
-                let settled = (1.0 / ALIKE..ALIKE).contains(&(weight / cost.anchor_weight));
-                cost.anchor_weight = weight;
+                let settled = (1.0 / ALIKE..ALIKE).contains(&(weight / cost.prior_weight));
+                cost.prior_weight = weight;
                 uncertainty = self.uncertainty(problem, &cost)?;
                 if settled {
                     break;

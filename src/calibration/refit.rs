@@ -1,22 +1,22 @@
 //! A calibration refined again from its minimum, without some parameters or without some frames.
 //!
-//! All the rest stays: the observations, their weights, the loss, the anchors and their weight. So costs can be
+//! All the rest stays: the observations, their weights, the loss, the priors and their weight. So costs can be
 //! compared, and the way to the new minimum is short.
 
 use nalgebra::Isometry3;
 
-use crate::calibration::anchors::results;
 use crate::calibration::checks::check_refined;
 use crate::calibration::frames::{feature_residuals, solver_centers, solver_features};
+use crate::calibration::priors::results;
 use crate::calibration::stage::center_residuals;
-use crate::calibration::{AnchorSource, Calibration};
+use crate::calibration::{Calibration, PriorSource};
 use crate::error::Result;
 use crate::model::{
     BapFeature, BentBoard, Board, BoardShape, FramePose, MicroImageCenter, Parameter,
     PlenopticCamera, Reprojection,
 };
 use crate::solver::{
-    self, Anchor, CostOptions, Loss, LossKind, Problem, Refinement, SolverCenter, SolverFeature,
+    self, CostOptions, Loss, LossKind, Prior, Problem, Refinement, SolverCenter, SolverFeature,
     SolverOptions, Termination,
 };
 
@@ -36,7 +36,7 @@ pub struct Minimum {
     pub shape: BoardShape,
     /// The poses of the boards.
     pub poses: Vec<FramePose>,
-    /// What features, centres and anchors contribute to the cost.
+    /// What features, centres and priors contribute to the cost.
     pub cost_parts: [f64; 3],
     /// Whether the solver reached it, by its tolerances.
     pub converged: bool,
@@ -118,7 +118,7 @@ impl<'a> Refit<'a> {
         let rest = self.refined(&with_poses(false), &cost, &solver)?;
         let all = Parameter::shared(minimum.camera.lens_types());
         let fixed = all.iter().map(|parameter| parameter.name().to_owned()).collect();
-        let poses_only = CostOptions { fixed, anchors: Vec::new(), ..cost };
+        let poses_only = CostOptions { fixed, priors: Vec::new(), ..cost };
         let left_out = Minimum { camera: rest.camera, shape: rest.shape, ..with_poses(true) };
         let solved = self.solve(&left_out, &poses_only, &[], &solver)?;
         let squares = |(pose, cost): (&FramePose, &f64)| {
@@ -160,7 +160,7 @@ impl<'a> Refit<'a> {
         cost.fixed.extend(parameters.iter().map(ToString::to_string));
         // What is known of a parameter says nothing where there is none.
         let is_held = |quantity: &str| parameters.iter().any(|p| p.name() == quantity);
-        cost.anchors.retain(|anchor| !is_held(&anchor.quantity));
+        cost.priors.retain(|prior| !is_held(&prior.quantity));
         cost
     }
 
@@ -209,18 +209,20 @@ impl<'a> Refit<'a> {
         converged: bool,
     ) -> Minimum {
         let (camera, shape) = (refinement.camera.clone(), refinement.shape);
-        let known: Vec<(Anchor, AnchorSource)> = self
+        let known: Vec<(Prior, PriorSource)> = self
             .calibration
-            .anchors
+            .priors
             .iter()
-            .filter(|known| cost.anchors.contains(&known.anchor))
-            .map(|known| (known.anchor.clone(), known.source))
+            .filter(|known| cost.priors.contains(&known.prior))
+            .map(|known| (known.prior.clone(), known.source))
             .collect();
-        let pulls: f64 =
-            results(known, &camera, &shape).iter().map(|known| known.pull().powi(2)).sum();
-        let anchors = cost.anchor_weight / 2.0 * pulls;
+        let pulls: f64 = results(known, &camera, &shape)
+            .iter()
+            .map(|known| known.normalised_residual().powi(2))
+            .sum();
+        let priors = cost.prior_weight / 2.0 * pulls;
         let features: f64 = refinement.frame_costs.iter().sum();
-        let cost_parts = [features, refinement.cost - features - anchors, anchors];
+        let cost_parts = [features, refinement.cost - features - priors, priors];
         Minimum { camera, shape, poses, cost_parts, converged }
     }
 }

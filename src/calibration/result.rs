@@ -1,6 +1,6 @@
 //! The result of a calibration.
 
-use crate::calibration::{AnchorResult, BlurMeasurement, BoardResult, CalibrationOptions, LeftOut};
+use crate::calibration::{BlurMeasurement, BoardResult, CalibrationOptions, LeftOut, PriorResult};
 use crate::finding::Finding;
 use crate::model::{FramePose, PlenopticCamera, Reprojection, optics};
 use crate::precalibration::MicroImageArray;
@@ -38,13 +38,13 @@ pub struct Calibration {
     pub converged: bool,
     /// The options used.
     pub options: CalibrationOptions,
-    /// The cost used, with all anchors and their weight; without the loss if the solve ended before the
+    /// The cost used, with all priors and their weight; without the loss if the solve ended before the
     /// loss took part.
     pub cost: CostOptions,
     /// What the widths of edges say; `None` where the features do not state them.
     pub blur: Option<BlurMeasurement>,
-    /// What became of the anchors.
-    pub anchors: Vec<AnchorResult>,
+    /// What became of the priors.
+    pub priors: Vec<PriorResult>,
     /// What the user should know.
     pub findings: Vec<Finding>,
 }

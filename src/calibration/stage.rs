@@ -3,15 +3,15 @@
 use nalgebra::Isometry3;
 use tracing::debug;
 
-use crate::calibration::anchors::{anchors, contradicted, results};
 use crate::calibration::board::{Settled, findings_of};
 use crate::calibration::common_errors::common_errors;
 use crate::calibration::frames::{Frames, feature_residuals, solver_centers, solver_features};
 use crate::calibration::outlying::{LOSS_SCALE, loss_by_residuals};
 use crate::calibration::prepare::{Prepared, Solution, prepared};
+use crate::calibration::priors::{contradicted, priors, results};
 use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::{
-    AnchorSource, BlurMeasurement, BoardResult, Calibration, CalibrationOptions, LeftOut, Mode,
+    BlurMeasurement, BoardResult, Calibration, CalibrationOptions, LeftOut, Mode, PriorSource,
     Start,
 };
 use crate::checks::calibration as checks;
@@ -22,7 +22,7 @@ use crate::model::{
     PlenopticCamera, Reprojection,
 };
 use crate::solver::{
-    self, Anchor, CostOptions, Iteration, LossKind, Problem, Refinement, Termination, Uncertainty,
+    self, CostOptions, Iteration, LossKind, Prior, Problem, Refinement, Termination, Uncertainty,
 };
 
 /// The minimum counts as reached if one more Gauss-Newton step would lower the cost by less than this
@@ -85,16 +85,16 @@ fn completed(
     let poses: Vec<Isometry3<f64>> = frames.poses.iter().map(|p| p.camera_from_board).collect();
     let problem =
         Problem { camera: &initial, board, poses: &poses, features: &features, centers: &centers };
-    let anchors = anchors(&start, options);
-    let mut cost = cost_for(options, &initial, &observations, &anchors);
+    let priors = priors(&start, options);
+    let mut cost = cost_for(options, &initial, &observations, &priors);
     let all = (frames.features.as_slice(), observations.centers.as_slice());
     let common = common_errors(&start, &initial, all, &cost, options)?;
     let settings = Settings { frames: &frames, options, common, known_weight: None };
     let (settled, outlying) = match at {
-        Some(_) => (settings.evaluated(&problem, &cost, &anchors)?, None),
-        None => withstanding(&settings, &problem, &mut cost, &anchors, progress)?,
+        Some(_) => (settings.evaluated(&problem, &cost, &priors)?, None),
+        None => withstanding(&settings, &problem, &mut cost, &priors, progress)?,
     };
-    let Settled { refined, anchors, trial, aside } = settled;
+    let Settled { refined, priors, trial, aside } = settled;
     let Refined { refinement, uncertainty, cost } = refined;
 
     let refined = at_end(&problem, Some(&refinement));
@@ -107,7 +107,7 @@ fn completed(
     let poses = refined_poses(&frames, &refinement);
     let converged = (at.is_some() || refinement.termination == Termination::Converged)
         && is_minimum(&refinement, &uncertainty, &reprojection);
-    let results = results(anchors, &refinement.camera, &refinement.shape);
+    let results = results(priors, &refinement.camera, &refinement.shape);
     let estimates_camera = options.mode != Mode::PosesOnly;
     let given = at.map_or(&options.poses, |at| &at.poses);
     let mut findings: Vec<Finding> = grid
@@ -143,7 +143,7 @@ fn completed(
         uncertainty,
         converged,
         options: options.clone(),
-        anchors: results,
+        priors: results,
         blur,
         cost,
         findings,
@@ -156,10 +156,10 @@ fn withstanding(
     settings: &Settings,
     problem: &Problem,
     cost: &mut CostOptions,
-    anchors: &[(Anchor, AnchorSource)],
+    priors: &[(Prior, PriorSource)],
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<(Settled, Option<Finding>)> {
-    let settled = settings.refine_with_board(problem, cost, anchors, progress)?;
+    let settled = settings.refine_with_board(problem, cost, priors, progress)?;
     let refinement = &settled.refined.refinement;
     let has_loss = settings.options.loss.is_some() || cost.loss.kind != LossKind::None;
     if has_loss || refinement.termination == Termination::Stopped {
@@ -172,7 +172,7 @@ fn withstanding(
     };
     debug!("{finding}");
     cost.loss = loss;
-    Ok((settings.refine_with_board(problem, cost, anchors, progress)?, Some(finding)))
+    Ok((settings.refine_with_board(problem, cost, priors, progress)?, Some(finding)))
 }
 
 pub(super) fn center_residuals(
@@ -189,15 +189,15 @@ pub(super) fn center_residuals(
     Ok(centers.iter().zip(projected).map(residual).collect())
 }
 
-/// The cost with what depends on the input: default anchors, and the loss.
+/// The cost with what depends on the input: default priors, and the loss.
 fn cost_for(
     options: &CalibrationOptions,
     camera: &PlenopticCamera,
     observations: &Observations,
-    anchors: &[(Anchor, AnchorSource)],
+    priors: &[(Prior, PriorSource)],
 ) -> CostOptions {
     let mut cost = options.cost();
-    cost.anchors = anchors.iter().map(|(anchor, _)| anchor.clone()).collect();
+    cost.priors = priors.iter().map(|(prior, _)| prior.clone()).collect();
     if options.loss.is_none() {
         let stated = observations.features.iter().all(|f| f.std_dev_px.is_some());
         cost.loss.kind = if stated { LossKind::Huber } else { LossKind::None };

@@ -7,7 +7,7 @@ use std::time::Instant;
 use clap::{Args, ValueEnum};
 use plenocal::assessment::{ModelComparison, assess, compare_models, comparison_steps};
 use plenocal::calibration::{
-    Anchors, Calibration, CalibrationOptions, Method, Solution, calibrate, termination_text,
+    Calibration, CalibrationOptions, Method, Priors, Solution, calibrate, termination_text,
 };
 use plenocal::io::{self, OutputFolder, Project, compote};
 use plenocal::model::{Board, Parameter};
@@ -71,25 +71,26 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", conflicts_with = "board", help_heading = "Estimation")]
     board_shape: Option<PathBuf>,
     /// What is known of the camera before any board is seen [default: default].
-    #[arg(long, help_heading = "Estimation")]
-    anchors: Option<DefaultAnchors>,
+    #[arg(long, alias = "anchors", help_heading = "Estimation")]
+    priors: Option<DefaultPriors>,
     /// What you know of a parameter or of m, in the units of camera.json: F=50:0.5 for 50 mm to 0.5 mm, or
-    /// F=50:1%. Takes the place of a default anchor; F=none removes it.
+    /// F=50:1%. Takes the place of a default prior; F=none removes it.
     #[arg(
         long,
+        alias = "anchor",
         value_name = "NAME=VALUE:SIGMA",
         value_delimiter = ',',
         help_heading = "Estimation"
     )]
-    anchor: Vec<String>,
+    prior: Vec<String>,
 
     /// Do not refine: say how large cost, gradient and residuals are at the --camera and the --poses that you have
-    /// from elsewhere, and what one more step would gain. The cost is that of the project, anchors included.
+    /// from elsewhere, and what one more step would gain. The cost is that of the project, priors included.
     #[arg(long, requires_all = ["camera", "poses"], conflicts_with_all = ["compare_models", "compote"], help_heading = "Estimation")]
     evaluate_only: bool,
 
     /// Also write the problem that was solved to this folder: observations with board coordinates and standard deviations, start,
-    /// anchors, loss, fixed parameters; for a Ceres program of your own.
+    /// priors, loss, fixed parameters; for a Ceres program of your own.
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     export_problem: Option<PathBuf>,
     /// Say what exit pupil, field curvature and distortion are worth: calibrate without each, and compare by
@@ -104,13 +105,13 @@ pub struct Arguments {
     compote: bool,
 }
 
-/// Whether there are default anchors.
+/// Whether there are default priors.
 #[derive(Clone, Copy, ValueEnum)]
-enum DefaultAnchors {
+enum DefaultPriors {
     /// The focal length of the datasheet to 3 %, m of the white images to 2 %, the axis in the middle of the sensor to
     /// 0.5 mm.
     Default,
-    /// Only what --anchor states.
+    /// Only what --prior states.
     None,
 }
 
@@ -121,7 +122,7 @@ Examples:
       --centers centers.csv --features features.csv --out results
   plenocal calibrate project.toml --fix Q3,P1,P2 --exclude 3,7 --out results
   plenocal calibrate project.toml --compare-models --out results
-  plenocal calibrate project.toml --anchor F=51.6:0.2,u0=none --out results
+  plenocal calibrate project.toml --prior F=51.6:0.2,u0=none --out results
   plenocal calibrate project.toml --method paper --out paper
   plenocal calibrate project.toml --export-problem problem --out results
   plenocal calibrate project.toml --evaluate-only --camera mine/camera.json \\
@@ -291,14 +292,14 @@ impl Arguments {
     fn options(&self, project: &Project) -> Result<CalibrationOptions> {
         let mut options = project.calibration.clone();
         self.options.apply(&mut options)?;
-        match self.anchors {
-            Some(DefaultAnchors::None) => {
-                options.anchors = Anchors { default: false, ..Anchors::default() };
+        match self.priors {
+            Some(DefaultPriors::None) => {
+                options.priors = Priors { default: false, ..Priors::default() };
             }
-            Some(DefaultAnchors::Default) => options.anchors.default = true,
+            Some(DefaultPriors::Default) => options.priors.default = true,
             None => {}
         }
-        options.anchors.state_all(&self.anchor)?;
+        options.priors.state_all(&self.prior)?;
         Ok(options)
     }
 

@@ -38,7 +38,7 @@ fn option(issue: &Issue) -> Option<String> {
     match issue {
         Issue::OutlyingCenters { .. } | Issue::OutlyingUnweighted { .. } => Some("--loss".into()),
         Issue::Undetermined { .. } => Some("--fix".into()),
-        Issue::PriorContradicted { .. } => Some("--anchor".into()),
+        Issue::PriorContradicted { .. } => Some("--prior".into()),
         Issue::OutlyingFrame { frame, .. } => Some(format!("--exclude {frame}")),
         _ => None,
     }

@@ -9,7 +9,7 @@ use super::camera_file::errors_text;
 use super::{camera_document, poses_document};
 use crate::assessment::{Assessment, Distance, ModelComparison, PointTrust, Verdict, WithoutGroup};
 use crate::calibration::{
-    AnchorResult, BlurMeasurement, Calibration, TypeBlur, termination_text, weakest_directions_text,
+    BlurMeasurement, Calibration, PriorResult, TypeBlur, termination_text, weakest_directions_text,
 };
 use crate::finding::Severity;
 use crate::model::{Parameter, Rmse};
@@ -113,21 +113,21 @@ fn assessment_document(assessment: &Assessment) -> Value {
     })
 }
 
-fn anchors_document(calibration: &Calibration) -> Value {
-    let of = |a: &AnchorResult| {
+fn priors_document(calibration: &Calibration) -> Value {
+    let of = |a: &PriorResult| {
         json!({
-            "quantity": a.anchor.quantity,
+            "quantity": a.prior.quantity,
             "unit": a.unit(),
-            "value": a.anchor.value,
-            "std_dev": a.anchor.std_dev,
+            "value": a.prior.value,
+            "std_dev": a.prior.std_dev,
             "result": a.result,
-            "pull": a.pull(),
+            "normalised_residual": a.normalised_residual(),
             "source": a.source.to_string(),
         })
     };
     json!({
-        "weight": (!calibration.anchors.is_empty()).then_some(calibration.cost.anchor_weight),
-        "anchors": calibration.anchors.iter().map(of).collect::<Vec<_>>(),
+        "weight": (!calibration.priors.is_empty()).then_some(calibration.cost.prior_weight),
+        "priors": calibration.priors.iter().map(of).collect::<Vec<_>>(),
     })
 }
 
@@ -225,7 +225,7 @@ pub fn calibration_document(
         "frames_left_out": left_out,
         "time_s": time_s,
         "solver_time_s": refinement.time_s,
-        "anchors": anchors_document(calibration),
+        "priors": priors_document(calibration),
         "blur": blur_document(calibration.blur.as_ref()),
         "board_shape": board_shape_document(&calibration.board),
         "standard_deviations": std_devs_document(calibration),
@@ -263,7 +263,7 @@ fn blur_document(measured: Option<&BlurMeasurement>) -> Value {
 pub fn models_document(comparison: &ModelComparison) -> Value {
     let of_group = |without: &WithoutGroup| {
         let (mean, std_error) = without.mean_growth();
-        let [features, centers, anchors] = without.cost_growth;
+        let [features, centers, priors] = without.cost_growth;
         let (longer_mm, std_devs) = without.focal_length_change;
         let frames: Vec<Value> = without
             .growth
@@ -275,7 +275,7 @@ pub fn models_document(comparison: &ModelComparison) -> Value {
             "parameters": without.parameters,
             "verdict": without.worth().to_string(),
             "error_growth": { "mean": mean, "standard_error": std_error, "frames": frames },
-            "chi_square_growth": { "features": features, "centers": centers, "anchors": anchors },
+            "chi_square_growth": { "features": features, "centers": centers, "priors": priors },
             "focal_length_mm": without.camera.main_lens.focal_length_mm,
             "focal_length_change": { "mm": longer_mm, "std_devs": std_devs },
             "pattern": without.pattern,
@@ -297,10 +297,10 @@ pub fn models_document(comparison: &ModelComparison) -> Value {
     })
 }
 
-/// `evaluation` of `cost.json`: the parts of a cost (features, centres, anchors), its gradient, and what one more step would gain, by the names of the
+/// `evaluation` of `cost.json`: the parts of a cost (features, centres, priors), its gradient, and what one more step would gain, by the names of the
 /// free parameters and in their units.
 #[must_use]
-pub fn cost_document(evaluated: &Calibration, [features, centers, anchors]: [f64; 3]) -> Value {
+pub fn cost_document(evaluated: &Calibration, [features, centers, priors]: [f64; 3]) -> Value {
     let uncertainty = &evaluated.uncertainty;
     let names = Parameter::shared(evaluated.camera.lens_types());
     let by_name = |values: &[f64]| -> Map<String, Value> {
@@ -311,8 +311,8 @@ pub fn cost_document(evaluated: &Calibration, [features, centers, anchors]: [f64
         "cost": evaluated.refinement.cost,
         "of_features": features,
         "of_centers": centers,
-        "of_anchors": anchors,
-        "anchor_weight": (!evaluated.anchors.is_empty()).then_some(evaluated.cost.anchor_weight),
+        "of_priors": priors,
+        "prior_weight": (!evaluated.priors.is_empty()).then_some(evaluated.cost.prior_weight),
         "is_minimum": evaluated.converged,
         "gradient_max_norm": uncertainty.gradient.iter().fold(0.0_f64, |most, g| most.max(g.abs())),
         "gradient": by_name(&uncertainty.gradient),

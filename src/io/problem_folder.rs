@@ -46,8 +46,8 @@ fn problem_document(problem: &SolvedProblem) -> Value {
         "rho": cost.rho,
         "loss": cost.loss,
         "fixed": cost.fixed,
-        "anchors": cost.anchors,
-        "anchor_weight": cost.anchor_weight,
+        "priors": cost.priors,
+        "prior_weight": cost.prior_weight,
         "board": of_board,
         "cost_of_plenocal": problem.minimum,
     })

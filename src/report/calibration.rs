@@ -10,7 +10,7 @@ use crate::calibration::{
 };
 use crate::model::{Parameter, Rmse};
 use crate::quantity::{display_unit, two_digits, with_std_dev};
-use crate::solver::{Anchor, CommonChange, LossKind};
+use crate::solver::{CommonChange, LossKind, Prior};
 
 /// The result of a calibration: verdict, parameters, errors, convergence, weakest directions; and figures.
 #[must_use]
@@ -30,7 +30,7 @@ pub fn calibration_section(
         if is_fixed { poses_table(calibration) } else { parameters_table(calibration) };
     let tables = [
         Some(main_table),
-        anchors_table(calibration),
+        priors_table(calibration),
         systematic_errors_table(calibration),
         assessment.object_space.as_ref().map(object_space_table),
         Some(errors_table(calibration)),
@@ -138,9 +138,9 @@ fn std_dev_text(calibration: &Calibration) -> String {
     )
 }
 
-/// How observations count against anchors.
-fn anchor_weight_text(calibration: &Calibration) -> String {
-    let weight = calibration.cost.anchor_weight;
+/// How observations count against priors.
+fn prior_weight_text(calibration: &Calibration) -> String {
+    let weight = calibration.cost.prior_weight;
     let (changed, factor, known) = if weight < 1.0 {
         ("multiplied", 1.0 / weight, "better")
     } else {
@@ -148,16 +148,16 @@ fn anchor_weight_text(calibration: &Calibration) -> String {
     };
     let why = if calibration.uncertainty.shared {
         format!(
-            "as the frames show, the observations know the anchored quantities about that much {known} \
+            "as the frames show, the observations know the quantities with a prior about that much {known} \
              (in variance) than their σ predict"
         )
     } else {
-        "so few frames do not show how well the observations know the anchored quantities, and ten \
+        "so few frames do not show how well the observations know the quantities with a prior, and ten \
          times the variance of independent errors is assumed"
             .to_owned()
     };
     format!(
-        "Against the anchors, the weight of every observation is {changed} by {factor:.3}: {why}."
+        "Against the priors, the weight of every observation is {changed} by {factor:.3}: {why}."
     )
 }
 
@@ -228,12 +228,12 @@ pub(super) fn errors_table(calibration: &Calibration) -> Table {
     table
 }
 
-/// Anchors with prior, result and pull.
-fn anchors_table(calibration: &Calibration) -> Option<Table> {
+/// Priors with prior, result and pull.
+fn priors_table(calibration: &Calibration) -> Option<Table> {
     let mut table = Table::new(
         "What was known, what came out, and how the observations pull on it",
         [
-            Column::text("Anchor"),
+            Column::text("Prior"),
             Column::text("Unit"),
             Column::number("Known"),
             Column::number("± σ"),
@@ -242,10 +242,10 @@ fn anchors_table(calibration: &Calibration) -> Option<Table> {
             Column::text("From"),
         ],
     );
-    for anchor in &calibration.anchors {
-        let quantity = &anchor.anchor.quantity;
-        let (unit, factor) = display_unit(quantity, anchor.unit());
-        let Anchor { value, std_dev, .. } = anchor.anchor;
+    for prior in &calibration.priors {
+        let quantity = &prior.prior.quantity;
+        let (unit, factor) = display_unit(quantity, prior.unit());
+        let Prior { value, std_dev, .. } = prior.prior;
         let std_dev = Some(std_dev * factor);
         let [known, of_known] = Cell::with_std_dev(value * factor, std_dev);
         table.push([
@@ -253,12 +253,12 @@ fn anchors_table(calibration: &Calibration) -> Option<Table> {
             unit.into(),
             known,
             of_known,
-            Cell::value(anchor.result * factor, std_dev),
-            Cell::signed(anchor.pull(), 2),
-            anchor.source.to_string().into(),
+            Cell::value(prior.result * factor, std_dev),
+            Cell::signed(prior.normalised_residual(), 2),
+            prior.source.to_string().into(),
         ]);
     }
-    (!calibration.anchors.is_empty()).then_some(table)
+    (!calibration.priors.is_empty()).then_some(table)
 }
 
 /// Parameters in the table of systematic errors, if they are free.
@@ -331,8 +331,8 @@ fn summary(calibration: &Calibration) -> String {
         let _ = writeln!(text, "{ratio}");
     }
     let _ = writeln!(text, "{}", std_dev_text(calibration));
-    if !calibration.anchors.is_empty() {
-        let _ = writeln!(text, "{}", anchor_weight_text(calibration));
+    if !calibration.priors.is_empty() {
+        let _ = writeln!(text, "{}", prior_weight_text(calibration));
     }
     let what = if calibration.cost.loss.kind == LossKind::None {
         "Measured noise per coordinate"

@@ -10,21 +10,21 @@ use crate::quantity::display_unit;
 const NEGLIGIBLE: f64 = 0.01;
 
 /// Cost, gradient and residuals at a solution, and what one more step would gain. The cost has a part of the features, one of
-/// the centres, and one of the anchors.
+/// the centres, and one of the priors.
 #[must_use]
-pub fn cost_section(evaluated: &Calibration, [features, centers, anchors]: [f64; 3]) -> Section {
+pub fn cost_section(evaluated: &Calibration, [features, centers, priors]: [f64; 3]) -> Section {
     let [counted, centred] =
         [evaluated.reprojection.features.len(), evaluated.reprojection.centers.len()];
-    let weight = if evaluated.anchors.is_empty() {
+    let weight = if evaluated.priors.is_empty() {
         String::new()
     } else {
-        format!(", weight {:.6}", evaluated.cost.anchor_weight)
+        format!(", weight {:.6}", evaluated.cost.prior_weight)
     };
     let cost = format!(
-        "Cost {:.9}: {features:.6} of {counted} features, {centers:.6} of {centred} centres, {anchors:.6} of {} \
-         anchors{weight}.",
+        "Cost {:.9}: {features:.6} of {counted} features, {centers:.6} of {centred} centres, {priors:.6} of {} \
+         priors{weight}.",
         evaluated.refinement.cost,
-        evaluated.anchors.len()
+        evaluated.priors.len()
     );
     let parts = vec![
         Part::Text(verdict(evaluated)),

@@ -76,7 +76,7 @@ fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Str
         "Error: |r/σ|² of a feature in a frame that took no part in the calibration; with everything its mean is \
          {:.3} ({} folds of {} frames). Given is by how much it grows, in the mean over the frames, with σ from \
          their scatter. A group earns its keep if that is more than 1 % and more than 2 σ, and harms if it is as \
-         much less. χ²: by how much twice the cost grows, in its parts, divided by the weight of the anchors.",
+         much less. χ²: by how much twice the cost grows, in its parts, divided by the weight of the priors.",
         comparison.mean_error(),
         comparison.folds,
         comparison.errors.len()

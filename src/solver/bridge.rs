@@ -263,7 +263,7 @@ pub(super) mod ffi {
 
     /// What is known of a camera beforehand: one more residual in the cost, (quantity − value)/σ.
     #[derive(Debug, Clone, PartialEq, Serialize)]
-    pub struct Anchor {
+    pub struct Prior {
         /// Name of a parameter of the camera or of the board's shape, or `m` for |m| = dpF/2(D + e_z) (mm).
         pub quantity: String,
         /// Its value, in the unit of the parameter.
@@ -272,7 +272,7 @@ pub(super) mod ffi {
         pub std_dev: f64,
     }
 
-    /// The cost: ½ Σ loss(|r/σ|²) + w/2 Σ (anchor residual)². The σ of an observation's residual is its own
+    /// The cost: ½ Σ loss(|r/σ|²) + w/2 Σ (prior residual)². The σ of an observation's residual is its own
     /// (1 px unless given) times the factor given here for its kind.
     #[derive(Debug, Clone, PartialEq)]
     pub struct CostOptions {
@@ -282,7 +282,7 @@ pub(super) mod ffi {
         pub rho_std_dev_px: f64,
         /// Factor on σ of u and v of a micro-image centre, likewise.
         pub centers_std_dev_px: f64,
-        /// Whether the ρ of features counts, as in the paper. It is made of q'ᵢ and of the same u and v: with anchors
+        /// Whether the ρ of features counts, as in the paper. It is made of q'ᵢ and of the same u and v: with priors
         /// on the q'ᵢ, which determine the fᵢ, it says nothing more.
         pub rho: bool,
         /// Loss on features and on centres.
@@ -290,10 +290,10 @@ pub(super) mod ffi {
         /// Names of the parameters of camera and board that keep their value.
         pub fixed: Vec<String>,
         /// What is known beforehand, each of another quantity.
-        pub anchors: Vec<Anchor>,
+        pub priors: Vec<Prior>,
         /// w: how many times larger the variance of what the observations say is than their σ claims. It
-        /// keeps observations and anchors in proportion.
-        pub anchor_weight: f64,
+        /// keeps observations and priors in proportion.
+        pub prior_weight: f64,
     }
 
     /// Options of the minimisation.
@@ -353,10 +353,10 @@ pub(super) mod ffi {
         pub features_px: Vec<f64>,
         /// By how much it moves u and v of each centre, px: two values for each; empty for none.
         pub centers_px: Vec<f64>,
-        /// By how much it moves the value of each anchor, in its σ; empty for none.
-        pub anchors: Vec<f64>,
-        /// Whether the σ of the anchors contains it already.
-        pub in_anchors: bool,
+        /// By how much it moves the value of each prior, in its σ; empty for none.
+        pub priors: Vec<f64>,
+        /// Whether the σ of the priors contains it already.
+        pub in_priors: bool,
     }
 
     /// What a common error changes.
@@ -368,14 +368,14 @@ pub(super) mod ffi {
         pub changes: Vec<f64>,
     }
 
-    /// How well observations and anchors determine the parameters.
+    /// How well observations and priors determine the parameters.
     ///
     /// The parameters are the free ones of the camera and of the board's shape, called intrinsic here, then six for every
     /// pose (angle-axis rotation in rad, translation in mm). There are two covariances. That of independent errors takes every
     /// observation for itself, with the measured variance of its kind. That of shared errors lets all
     /// residuals of a frame, and those of neighbouring centres, have errors in common; it comes from how
     /// much frames contradict each other. Both are valid whether or not the weights match the noise, and
-    /// both contain anchors and what all features of a lens type share. Equations: `Uncertainty` in
+    /// both contain priors and what all features of a lens type share. Equations: `Uncertainty` in
     /// `plenocal/refine.hpp`.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Uncertainty {
@@ -403,8 +403,8 @@ pub(super) mod ffi {
         pub common_changes: Vec<CommonChange>,
         /// How the poses follow the free intrinsic parameters: six rows for each.
         pub poses_by_intrinsics: Matrix,
-        /// How many times larger the variance of the anchored quantities is than the weights claim, as far as
-        /// the observations cause it; 1 without anchors.
+        /// How many times larger the variance of the quantities with a prior is than the weights claim, as far as
+        /// the observations cause it; 1 without priors.
         pub dispersion: f64,
         /// By how many σ boards and micro-image centres contradict each other at most.
         pub contradiction_std_devs: f64,

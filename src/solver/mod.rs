@@ -22,8 +22,9 @@ pub use back_projection::{
     virtual_depths,
 };
 pub use bridge::ffi::{
-    Anchor, CommonChange, CommonError, CostOptions, Iteration, Loss, LossKind, Matrix, MetricPoint,
-    MicroPixel, Ray, SeenPoint, Sighting, SolverOptions, Termination, Uncertainty, VirtualPoint,
+    CommonChange, CommonError, CostOptions, Iteration, Loss, LossKind, Matrix, MetricPoint,
+    MicroPixel, Prior, Ray, SeenPoint, Sighting, SolverOptions, Termination, Uncertainty,
+    VirtualPoint,
 };
 pub(crate) use bridge::ffi::{PointSensitivity, Projected, SolverCenter, SolverFeature};
 pub use bridge::silence_log;

@@ -45,7 +45,7 @@ pub(crate) fn names(parameters: &[Parameter]) -> Vec<String> {
 }
 
 impl Default for CostOptions {
-    /// The paper's cost: 1 px each, no loss, no anchors, a known board, and only the paper's parameters free.
+    /// The paper's cost: 1 px each, no loss, no priors, a known board, and only the paper's parameters free.
     fn default() -> Self {
         Self {
             uv_std_dev_px: 1.0,
@@ -54,8 +54,8 @@ impl Default for CostOptions {
             rho: true,
             loss: Loss { kind: LossKind::None, scale: 1.0 },
             fixed: names(&[&Parameter::BEYOND_THE_PAPER[..], &Parameter::SHAPE].concat()),
-            anchors: Vec::new(),
-            anchor_weight: 1.0,
+            priors: Vec::new(),
+            prior_weight: 1.0,
         }
     }
 }

@@ -87,7 +87,7 @@ loss = "huber"
 loss_scale = 3.0
 max_iterations = 50
 threads = 1
-[calibration.anchors]
+[calibration.priors]
 default = true
 F = { value = 16.2, std_dev = 0.1 }
 u0 = "none"

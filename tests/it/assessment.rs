@@ -5,7 +5,7 @@ use plenocal::calibration::{Blur, Calibration, calibrate};
 use plenocal::model::{Noise, Observations};
 use plenocal::{Finding, Issue};
 
-use crate::support::{anchored, board, codes, datasheet_start, run, true_camera};
+use crate::support::{board, codes, datasheet_start, defaults, run, true_camera};
 use crate::uncertainty::sixteen_poses;
 use plenocal::solver::synthesize;
 
@@ -27,7 +27,7 @@ fn observations(seed: u64) -> Observations {
 
 fn assessed(observations: &Observations) -> (Calibration, Assessment) {
     // Here ρ is a measurement of its own.
-    let mut options = anchored();
+    let mut options = defaults();
     options.blur = Blur::Features;
     let calibration = run(&datasheet_start(), observations, &options);
     let assessment = assess(&calibration, &board()).unwrap();
@@ -117,7 +117,7 @@ fn a_board_of_another_size_in_all_frames_is_not_called_good() {
     let observations = observations(8);
     for factor in [0.88, 1.12] {
         let wrong = plenocal::model::Board { square_mm: factor * board().square_mm, ..board() };
-        match calibrate(&datasheet_start(), &wrong, &observations, &anchored(), &mut |_| true) {
+        match calibrate(&datasheet_start(), &wrong, &observations, &defaults(), &mut |_| true) {
             Ok(result) => {
                 let assessment = assess(&result, &wrong).unwrap();
                 assert_ne!(assessment.verdict, Verdict::Good, "{factor}");

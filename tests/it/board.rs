@@ -4,7 +4,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use plenocal::Issue;
 use plenocal::assessment::{Group, Posed, Worth, assess, compare_models, pose_boards};
 use plenocal::calibration::{
-    AnchorSource, BoardModel, Calibration, CalibrationOptions, Mode, Start, Trial, calibrate,
+    BoardModel, Calibration, CalibrationOptions, Mode, PriorSource, Start, Trial, calibrate,
 };
 use plenocal::model::{
     BentBoard, Board, BoardShape, FramePose, Noise, NoiseSource, Observations, Parameter,
@@ -13,7 +13,7 @@ use plenocal::model::{
 use plenocal::report::calibration_section;
 use plenocal::solver::synthesize_bent;
 
-use crate::support::{anchored, codes, datasheet_start, pairs, true_camera};
+use crate::support::{codes, datasheet_start, defaults, pairs, true_camera};
 
 const NOISE: Noise = Noise { uv_px: 0.1, rho_px: 0.02, centers_px: 0.05 };
 
@@ -111,7 +111,7 @@ impl Scene {
     }
 
     pub fn calibrated(&self, observations: &Observations, board: BoardModel) -> Calibration {
-        self.with(observations, &CalibrationOptions { board, ..anchored() })
+        self.with(observations, &CalibrationOptions { board, ..defaults() })
     }
 
     fn with(&self, observations: &Observations, options: &CalibrationOptions) -> Calibration {
@@ -158,13 +158,13 @@ fn the_shape_of_a_bent_board_is_found_and_the_camera_is_right() {
     let [.., (_, flat_d)] = length_errors(&flat, &scene.camera);
     assert!(d.abs() < 0.005 && flat_d.abs() > 0.01, "{d}, {flat_d}");
     assert_eq!(flat.board.bent.shape, BoardShape::default());
-    // Without its anchors it is found as well.
-    let mut options = anchored();
-    options.anchors.default = false;
+    // Without its priors it is found as well.
+    let mut options = defaults();
+    options.priors.default = false;
     let free = scene.with(&observations, &options);
     let (a, b) = (free.board.bent.shape.sag_x_mm, found.board.bent.shape.sag_x_mm);
     assert!((a - b).abs() < found.board.std_devs[0].unwrap(), "{a}, {b}");
-    assert!(free.anchors.iter().all(|known| known.source != AnchorSource::FlatBoard));
+    assert!(free.priors.iter().all(|known| known.source != PriorSource::FlatBoard));
 }
 
 /// The trial of a shape leaves no trace but what it has shown.
@@ -176,7 +176,7 @@ fn with_a_flat_board_nothing_changes() {
     let flat = scene.calibrated(&observations, BoardModel::Flat);
     assert_eq!((&auto.camera, &auto.poses), (&flat.camera, &flat.poses));
     assert_eq!(auto.uncertainty.covariance, flat.uncertainty.covariance);
-    assert_eq!((&auto.anchors, &auto.cost), (&flat.anchors, &flat.cost));
+    assert_eq!((&auto.priors, &auto.cost), (&flat.priors, &flat.cost));
     assert_eq!(auto.board.bent, flat.board.bent);
     assert_eq!((&flat.board.trial, flat.board.limits()), (&Trial::NotTried, [None; 4]));
     let limits = auto.board.limits().map(Option::unwrap);
@@ -187,7 +187,7 @@ fn with_a_flat_board_nothing_changes() {
     assert!(text.contains("The board is flat: below sag_x 0.0"), "{text}");
     assert!(text.contains("From 0 differ the bend by "), "{text}");
     // A parameter that is fixed has no limit, and takes none from the others.
-    let mut options = anchored();
+    let mut options = defaults();
     options.fix.push(Parameter::Twist);
     let limits = scene.with(&observations, &options).board.limits();
     assert_eq!(limits.map(|limit| limit.is_some()), [true, true, false, true]);
@@ -207,7 +207,7 @@ fn bend_and_aspect_are_told_apart() {
     let found = scene.calibrated(&scene.observed(bent, 8), BoardModel::Auto).board;
     assert_eq!(found.std_devs.map(|s| s.is_some()), [true, true, true, false]);
     // Folds take that over.
-    let decided = anchored().with_decision(found.std_devs);
+    let decided = defaults().with_decision(found.std_devs);
     assert_eq!(decided.board, BoardModel::Bent);
     assert!(decided.fix.contains(&Parameter::Aspect));
     let again = scene.with(&scene.observed(BoardShape::default(), 9), &decided).board;
@@ -274,20 +274,24 @@ fn a_board_that_is_bent_too_far_is_a_warning() {
     assert!(is_warped(warped(&found), true), "{:?}", found.findings);
     let known = scene.calibrated(&scene.observed(shape, 5), BoardModel::Known(shape));
     assert!(is_warped(warped(&known), false), "{:?}", known.findings);
-    // The anchor that boards are flat to 0.1 % does not pull it back.
-    assert!(found.anchors.iter().all(|known| known.pull().abs() < 3.0), "{:?}", found.anchors);
+    // The prior that boards are flat to 0.1 % does not pull it back.
+    assert!(
+        found.priors.iter().all(|known| known.normalised_residual().abs() < 3.0),
+        "{:?}",
+        found.priors
+    );
     let assessment = assess(&found, &scene.board).unwrap();
     assert!(codes(&assessment.findings).contains(&"warped-board"));
     assert!(assessment.object_space.is_some() && assessment.next_board.is_some());
 }
 
-/// Anchors of the shape are those of any parameter.
+/// Priors of the shape are those of any parameter.
 #[test]
 fn what_is_known_of_a_board_can_be_stated() {
     let scene = scene(3);
     let observations = scene.observed(BENT, 5);
-    let mut options = anchored();
-    options.anchors.state("sag_x", 0.1, 1e-7);
+    let mut options = defaults();
+    options.priors.state("sag_x", 0.1, 1e-7);
     options.fix.push(Parameter::Twist);
     let found = scene.with(&observations, &options).board;
     assert!((found.bent.shape.sag_x_mm - 0.1).abs() < 1e-4, "{found:?}");
@@ -303,8 +307,8 @@ fn what_is_known_of_a_board_can_be_stated() {
     options.board = BoardModel::Flat;
     let error = calibrate(&scene.start(), &scene.board, &observations, &options, &mut |_| true)
         .unwrap_err();
-    assert!(error.to_string().contains("sag_x is anchored, but it is fixed"), "{error}");
-    let bent = CalibrationOptions { mode: Mode::PosesOnly, board: BoardModel::Bent, ..anchored() };
+    assert!(error.to_string().contains("sag_x is defaults, but it is fixed"), "{error}");
+    let bent = CalibrationOptions { mode: Mode::PosesOnly, board: BoardModel::Bent, ..defaults() };
     let camera = Start::Camera(scene.camera.clone());
     let error = calibrate(&camera, &scene.board, &observations, &bent, &mut |_| true).unwrap_err();
     assert!(error.to_string().contains("give the shape that it had"), "{error}");

@@ -1,6 +1,5 @@
 //! Tests of whole stages and of the command line.
 
-mod anchors;
 mod aperture_ratio;
 mod assessment;
 mod bad_input;
@@ -31,6 +30,7 @@ mod own_programs;
 mod precalibrate;
 mod precalibration;
 mod prepared;
+mod priors;
 mod real_lenses;
 mod recovery;
 mod report;

@@ -12,7 +12,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::support::{
-    anchored, board, datasheet_start, no_anchors, pairs, plenocal, run, shipped_observations,
+    board, datasheet_start, defaults, no_priors, pairs, plenocal, run, shipped_observations,
     synthetic_folder, true_camera,
 };
 use crate::uncertainty::sixteen_poses;
@@ -68,7 +68,7 @@ fn observed(camera: &PlenopticCamera, seed: u64) -> Observations {
 /// The shipped camera has distortion, its pupil in the lens, and a flat field.
 #[test]
 fn what_a_camera_has_earns_its_keep_and_what_it_has_not_makes_no_difference() {
-    let calibration = run(&datasheet_start(), &shipped_observations(), &anchored());
+    let calibration = run(&datasheet_start(), &shipped_observations(), &defaults());
     let comparison = compared(&calibration);
     for group in [Group::ExitPupil, Group::FieldCurvature] {
         let without = of(&comparison, group);
@@ -90,7 +90,7 @@ fn what_a_camera_has_earns_its_keep_and_what_it_has_not_makes_no_difference() {
 fn exit_pupil_and_field_curvature_of_a_real_lens_earn_their_keep() {
     for seed in [1, 2] {
         let truth = real_camera();
-        let calibration = run(&start(&truth), &observed(&truth, seed), &anchored());
+        let calibration = run(&start(&truth), &observed(&truth, seed), &defaults());
         let comparison = compared(&calibration);
         for group in [Group::ExitPupil, Group::FieldCurvature] {
             assert_eq!(of(&comparison, group).worth(), Worth::EarnsItsKeep, "{group}");
@@ -108,7 +108,7 @@ fn exit_pupil_and_field_curvature_of_a_real_lens_earn_their_keep() {
 fn without_a_group_the_minimum_is_that_of_a_calibration_without_it() {
     let truth = real_camera();
     let observations = observed(&truth, 3);
-    let mut options = CalibrationOptions { anchors: no_anchors(), ..anchored() };
+    let mut options = CalibrationOptions { priors: no_priors(), ..defaults() };
     let calibration = run(&start(&truth), &observations, &options);
     let board = board();
     let refit = Refit::new(&calibration, &board);
@@ -129,12 +129,12 @@ fn without_a_group_the_minimum_is_that_of_a_calibration_without_it() {
 /// The same frames, all with the same errors: the parts of the cost are those of the calibration.
 #[test]
 fn the_parts_of_the_cost_are_those_of_the_calibration() {
-    let calibration = run(&datasheet_start(), &shipped_observations(), &anchored());
+    let calibration = run(&datasheet_start(), &shipped_observations(), &defaults());
     let board = board();
     let minimum = Refit::new(&calibration, &board).minimum();
-    let [_, centers, anchors] = minimum.cost_parts;
-    let pulls: f64 = calibration.anchors.iter().map(|a| a.pull().powi(2)).sum();
-    assert!((anchors - calibration.cost.anchor_weight / 2.0 * pulls).abs() < 1e-12);
+    let [_, centers, priors] = minimum.cost_parts;
+    let pulls: f64 = calibration.priors.iter().map(|a| a.normalised_residual().powi(2)).sum();
+    assert!((priors - calibration.cost.prior_weight / 2.0 * pulls).abs() < 1e-12);
     let of_centers: f64 = calibration
         .reprojection
         .centers
@@ -149,7 +149,7 @@ fn what_cannot_be_compared_is_an_error_with_the_reason() {
     let error = |calibration: &Calibration, folds: usize| {
         compare_models(calibration, &board(), folds, &|| ()).unwrap_err().to_string()
     };
-    let mut options = anchored();
+    let mut options = defaults();
     options.fix.extend([
         Parameter::PupilZ,
         Parameter::FieldCurvature,
@@ -167,7 +167,7 @@ fn what_cannot_be_compared_is_an_error_with_the_reason() {
     options.fix.push(Parameter::Tangential2);
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
     assert!(error(&calibration, 5).contains("no models to compare"));
-    options = anchored();
+    options = defaults();
     options.exclude_frames = vec![0, 1, 2];
     let few = run(&datasheet_start(), &shipped_observations(), &options);
     assert!(error(&few, 5).contains("5 frame(s)"));
@@ -178,7 +178,7 @@ fn what_cannot_be_compared_is_an_error_with_the_reason() {
 
 #[test]
 fn the_figures_show_both_cameras() {
-    let calibration = run(&datasheet_start(), &shipped_observations(), &anchored());
+    let calibration = run(&datasheet_start(), &shipped_observations(), &defaults());
     let figures = model_figures(&calibration, &compared(&calibration));
     assert_eq!(figures.len(), 5);
     for figure in figures.iter().flatten() {

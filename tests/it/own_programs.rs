@@ -14,7 +14,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::support::{
-    anchored, board, datasheet_start, drawn, no_anchors, options, plenocal, run,
+    board, datasheet_start, defaults, drawn, no_priors, options, plenocal, run,
     shipped_observations, synthetic_folder, true_camera, true_poses,
 };
 
@@ -44,14 +44,14 @@ fn a_solution_from_elsewhere_is_evaluated() {
     let of_problem = json(&problem.join("problem.json"));
     let result = json(&at("results/calibration.json"));
     assert_eq!(of_problem["cost_of_plenocal"], result["cost"]);
-    assert_eq!(of_problem["anchor_weight"], result["anchors"]["weight"]);
-    assert_eq!(of_problem["anchors"].as_array().unwrap().len(), 7);
+    assert_eq!(of_problem["prior_weight"], result["priors"]["weight"]);
+    assert_eq!(of_problem["priors"].as_array().unwrap().len(), 7);
 
     let (camera, poses) = (at("results/camera.json"), at("results/poses.json"));
-    let weight = of_problem["anchor_weight"].to_string();
+    let weight = of_problem["prior_weight"].to_string();
     let evaluate = |camera: &Path, out: &str| {
         let (camera, poses) = (camera.to_str().unwrap(), poses.to_str().unwrap());
-        let more = ["--evaluate-only", "--board", "flat", "--anchor-weight", &weight];
+        let more = ["--evaluate-only", "--board", "flat", "--prior-weight", &weight];
         calibrate(&[&more[..], &["--camera", camera, "--poses", poses]].concat(), out)
     };
     evaluate(&camera, "same").success().stdout(contains("This is a minimum."));
@@ -110,7 +110,7 @@ fn a_bent_board_is_exported_as_free() {
     let poses = true_poses();
     let observations =
         drawn(&true_camera(), &Noise { uv_px: 0.05, rho_px: 0.02, centers_px: 0.02 }, 4);
-    let bent = CalibrationOptions { board: BoardModel::Bent, anchors: no_anchors(), ..anchored() };
+    let bent = CalibrationOptions { board: BoardModel::Bent, priors: no_priors(), ..defaults() };
     let calibration = run(&Start::Camera(true_camera()), &observations, &bent);
     let problem = SolvedProblem::of(&calibration, &board());
     assert_eq!(problem.poses.len(), poses.len());

@@ -12,7 +12,7 @@ use predicates::str::contains;
 use tempfile::TempDir;
 
 use crate::support::{
-    NO_NOISE, anchored, datasheet_start, drawn, no_anchors, options, pairs, plenocal, preset, run,
+    NO_NOISE, datasheet_start, defaults, drawn, no_priors, options, pairs, plenocal, preset, run,
     synthetic_folder, true_camera,
 };
 
@@ -33,9 +33,9 @@ fn start(camera: &PlenopticCamera) -> Start {
     Start::Datasheet(sheet, optics::internal_parameters(camera))
 }
 
-/// Exit pupil and field curvature free, without anchors and loss.
+/// Exit pupil and field curvature free, without priors and loss.
 fn free() -> CalibrationOptions {
-    CalibrationOptions { anchors: no_anchors(), loss: Some(LossKind::None), ..anchored() }
+    CalibrationOptions { priors: no_priors(), loss: Some(LossKind::None), ..defaults() }
 }
 
 #[test]
@@ -137,16 +137,16 @@ fn the_camera_of_the_paper_can_start_from_a_real_one() {
 
 /// A pupil beside the axis is a parameter if something is known of it.
 #[test]
-fn an_anchor_frees_the_place_of_the_pupil_across_the_axis() {
+fn an_prior_frees_the_place_of_the_pupil_across_the_axis() {
     let out = TempDir::new().unwrap();
     let mut command = plenocal();
     command.arg("calibrate").arg(synthetic_folder().join("project.toml"));
-    command.args(["--anchor", "e_x=0:0.1", "--out"]).arg(out.path()).assert().success();
+    command.args(["--prior", "e_x=0:0.1", "--out"]).arg(out.path()).assert().success();
     let lens = read_camera(&out.path().join("camera.json")).unwrap().main_lens;
     assert!(lens.exit_pupil_mm.x != 0.0 && lens.exit_pupil_mm.y == 0.0, "{:?}", lens.exit_pupil_mm);
 }
 
-/// Noise of 0.2 px and no anchor: F and D run away together with the pupil.
+/// Noise of 0.2 px and no prior: F and D run away together with the pupil.
 #[test]
 fn a_camera_that_runs_away_has_not_converged() {
     let settings = preset("keplerian", &["rays=1"]);
@@ -157,7 +157,7 @@ fn a_camera_that_runs_away_has_not_converged() {
     constant.fix.push(Parameter::FieldCurvatureGrowth);
     let result = calibrate(&start, &board, &few.observed, &constant, &mut |_| true);
     assert!(!result.unwrap().converged);
-    let result = calibrate(&start, &board, &few.observed, &anchored(), &mut |_| true);
+    let result = calibrate(&start, &board, &few.observed, &defaults(), &mut |_| true);
     assert!(result.unwrap().converged);
 }
 

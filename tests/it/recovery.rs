@@ -7,7 +7,7 @@ use plenocal::model::{Datasheet, FramePose, Noise, Parameter};
 use plenocal::solver::{LossKind, synthesize};
 
 use crate::support::{
-    NO_NOISE, anchored, board, codes, datasheet_start, drawn, options, pairs, run,
+    NO_NOISE, board, codes, datasheet_start, defaults, drawn, options, pairs, run,
     shipped_observations, true_camera, true_poses,
 };
 
@@ -234,15 +234,15 @@ fn the_covariance_agrees_with_monte_carlo() {
 #[test]
 fn a_wrong_focus_distance_is_noticed_and_mended() {
     let observations = shipped_observations();
-    let right = run(&datasheet_start(), &observations, &anchored());
+    let right = run(&datasheet_start(), &observations, &defaults());
     assert!(!codes(&right.findings).contains(&"focus-distance"));
     let Start::Datasheet(sheet, internal) = datasheet_start() else { unreachable!() };
     for wrong in [0.6, 2.0, 5.0, f64::INFINITY] {
         let focus_distance_mm = wrong * sheet.focus_distance_mm;
         let start = Start::Datasheet(Datasheet { focus_distance_mm, ..sheet }, internal.clone());
-        let found = run(&start, &observations, &anchored());
+        let found = run(&start, &observations, &defaults());
         assert!(found.converged, "{wrong}");
-        // The weight of the anchors is measured on the way, so that the end depends on it a little.
+        // The weight of the priors is measured on the way, so that the end depends on it a little.
         let std_devs = right.uncertainty.intrinsic_std_devs(3);
         let pairs = pairs(&found.camera, &right.camera);
         for ((name, value, expected), std_dev) in pairs.iter().zip(&std_devs) {
@@ -257,9 +257,9 @@ fn a_wrong_focus_distance_is_noticed_and_mended() {
         assert!((0.7..1.4).contains(&by_boards), "{wrong}: {by_boards} of the true distance");
     }
     // What is held to a value starts there.
-    let mut held = anchored();
+    let mut held = defaults();
     held.fix = vec![Parameter::LensToArray];
-    held.anchors.default = false;
+    held.priors.default = false;
     let found = run(&datasheet_start(), &observations, &held);
     assert!(!codes(&found.findings).contains(&"focus-distance"));
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use assert_cmd::Command;
-use plenocal::calibration::{Anchors, Blur, Calibration, CalibrationOptions, Start, calibrate};
+use plenocal::calibration::{Blur, Calibration, CalibrationOptions, Priors, Start, calibrate};
 use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
 use plenocal::model::{Board, FramePose, Noise, Observations, Parameter, PlenopticCamera};
 use plenocal::simulation::Settings;
@@ -66,7 +66,7 @@ pub fn drawn(camera: &PlenopticCamera, noise: &Noise, seed: u64) -> Observations
     synthesize(camera, &board(), &true_poses(), noise, seed).unwrap()
 }
 
-/// One thread: the result does not depend on the machine. No anchors and no loss: the observations
+/// One thread: the result does not depend on the machine. No priors and no loss: the observations
 /// alone, and of the parameters those of the paper.
 pub fn options() -> CalibrationOptions {
     let mut fix =
@@ -75,19 +75,19 @@ pub fn options() -> CalibrationOptions {
     CalibrationOptions {
         blur: Blur::Features,
         fix,
-        anchors: no_anchors(),
+        priors: no_priors(),
         loss: Some(LossKind::None),
-        ..anchored()
+        ..defaults()
     }
 }
 
-/// No anchors, not even default ones.
-pub fn no_anchors() -> Anchors {
-    Anchors { default: false, ..Anchors::default() }
+/// No priors, not even default ones.
+pub fn no_priors() -> Priors {
+    Priors { default: false, ..Priors::default() }
 }
 
 /// The defaults, with one thread.
-pub fn anchored() -> CalibrationOptions {
+pub fn defaults() -> CalibrationOptions {
     CalibrationOptions { threads: 1, ..CalibrationOptions::default() }
 }
 

@@ -128,7 +128,7 @@ fn true_start(q_prime_std_dev_mm: f64) -> Start {
 
 #[test]
 #[ignore = "slow: 400 calibrations; run by `make test-slow`"]
-fn monte_carlo_of_independent_errors_weights_and_anchors() {
+fn monte_carlo_of_independent_errors_weights_and_priors() {
     let truth = true_camera();
     let exact = exact();
     let pixel = truth.sensor.pixel_size_mm;
@@ -150,7 +150,7 @@ fn monte_carlo_of_independent_errors_weights_and_anchors() {
         ];
         let mut options = options();
         for (quantity, value, std_dev) in known {
-            options.anchors.state(quantity, value + std_dev * normal.draw(), std_dev);
+            options.priors.state(quantity, value + std_dev * normal.draw(), std_dev);
         }
         (true_start(q_px * pixel), observations, options)
     });
@@ -187,7 +187,7 @@ fn monte_carlo_of_errors_that_frames_share() {
     }
 }
 
-/// First order without an anchor and a real calibration, on a scene where the model is right.
+/// First order without a prior and a real calibration, on a scene where the model is right.
 #[test]
 fn leaving_a_frame_out_is_predicted() {
     let noise = Noise { uv_px: 0.1, rho_px: 0.02, centers_px: 0.05 };

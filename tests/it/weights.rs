@@ -11,7 +11,7 @@ use predicates::str::contains;
 use tempfile::TempDir;
 
 use crate::support::{
-    anchored, codes, datasheet_start, options, pairs, plenocal, run, shipped_observations,
+    codes, datasheet_start, defaults, options, pairs, plenocal, run, shipped_observations,
     synthetic_folder,
 };
 
@@ -100,8 +100,8 @@ fn one_wrong_feature_is_withstood_without_standard_deviations() {
     let mut spoiled = clean.clone();
     let corner = &mut spoiled.features[1000].corner;
     *corner = (*corner + 17) % 40;
-    let by_clean = run(&datasheet_start(), &clean, &anchored());
-    let by_spoiled = run(&datasheet_start(), &spoiled, &anchored());
+    let by_clean = run(&datasheet_start(), &clean, &defaults());
+    let by_spoiled = run(&datasheet_start(), &spoiled, &defaults());
     let warned = |c: &Calibration| codes(&c.findings).contains(&"outlying-unweighted");
     assert!(!warned(&by_clean), "{:?}", by_clean.findings);
     assert!(warned(&by_spoiled), "{:?}", by_spoiled.findings);
@@ -113,7 +113,7 @@ fn one_wrong_feature_is_withstood_without_standard_deviations() {
         let Some(std_dev) = std_dev else { continue };
         assert!((a - b).abs() < std_dev, "{name}: {a} and {b} ± {std_dev}");
     }
-    let mut paper = anchored();
+    let mut paper = defaults();
     paper.loss = Some(LossKind::None);
     assert!(!warned(&run(&datasheet_start(), &spoiled, &paper)));
 }

@@ -212,8 +212,8 @@ fn options() -> Vec<Mistake> {
             "[calibration]\nexclude_frames = [0,1,2,3,4,5,6,7,8,9]",
             Refused(&["frames", "exclude"]),
         ),
-        mistake("F, anchored at 20 mm", Warned(&["F is"]), || {
-            Set::mini().more("[calibration]\nanchors = { F = [20, 0.01] }")
+        mistake("F with a prior of 20 mm", Warned(&["F is"]), || {
+            Set::mini().more("[calibration]\npriors = { F = [20, 0.01] }")
         }),
     ]
 }

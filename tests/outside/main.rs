@@ -48,7 +48,7 @@ fn main() -> ExitCode {
         test!(r12a::the_published_camera_reprojects_centres_and_corners needs R12A),
         test!(r12a::corners_only_gives_a_camera_near_the_full_one needs R12A),
         test!(r12a::left_out_frames_agree_with_sixteen_calibrations needs R12A),
-        test!(r12a::the_default_anchors_bring_the_camera_to_its_datasheet needs R12A),
+        test!(r12a::the_default_priors_bring_the_camera_to_its_datasheet needs R12A),
         test!(plain_ceres::the_minimum_on_the_shipped_features_is_the_same needs EXAMPLES),
         test!(plain_ceres::the_minimum_of_the_default_cost_is_the_same needs EXAMPLES),
         test!(plain_ceres::the_minimum_on_the_real_features_is_the_same needs EXAMPLES R12A),

@@ -12,7 +12,7 @@ use plenocal::solver::LossKind;
 use serde_json::Value;
 
 use crate::needs::EXAMPLES;
-use crate::support::{anchored, board, datasheet_start, options, pairs, run, shipped_observations};
+use crate::support::{board, datasheet_start, defaults, options, pairs, run, shipped_observations};
 
 /// Relative agreement of the costs.
 const COST: f64 = 1e-9;
@@ -47,7 +47,7 @@ fn export(calibration: &Calibration, board: &Board, folder: &Path) {
     output.commit().unwrap();
 }
 
-/// Both programs agree. `cost` is that of the calibration, which counts an anchored camera by another weight at its
+/// Both programs agree. `cost` is that of the calibration, which counts a camera with priors by another weight at its
 /// start.
 fn assert_same(calibration: &Calibration, (result, solution): &(Value, Solution)) {
     assert_eq!(result["converged"], true);
@@ -82,7 +82,7 @@ pub fn the_minimum_on_the_shipped_features_is_the_same() {
     }
 }
 
-/// The default cost: own σ, anchors with their weight, a loss, the exit pupil and a curved field.
+/// The default cost: own σ, priors with their weight, a loss, the exit pupil and a curved field.
 pub fn the_minimum_of_the_default_cost_is_the_same() {
     let mut observations = shipped_observations();
     for (i, feature) in observations.features.iter_mut().enumerate() {
@@ -93,10 +93,10 @@ pub fn the_minimum_of_the_default_cost_is_the_same() {
         center.std_dev_px = Some(0.02 + 0.001 * (i % 10) as f64);
     }
     for kind in [LossKind::Huber, LossKind::Cauchy] {
-        let mut options = CalibrationOptions { board: BoardModel::Flat, ..anchored() };
+        let mut options = CalibrationOptions { board: BoardModel::Flat, ..defaults() };
         (options.loss, options.loss_scale) = (Some(kind), Some(1.5));
         let calibration = run(&datasheet_start(), &observations, &options);
-        assert!(calibration.anchors.len() > 5 && calibration.cost.anchor_weight > 0.0);
+        assert!(calibration.priors.len() > 5 && calibration.cost.prior_weight > 0.0);
         let solved = plain_ceres(&calibration, &board());
         assert_same(&calibration, &solved);
         evaluated_is_the_minimum(&calibration, &solved.1, &observations, &options);
@@ -111,8 +111,8 @@ fn evaluated_is_the_minimum(
     observations: &Observations,
     options: &CalibrationOptions,
 ) {
-    let weight = Some(calibration.cost.anchor_weight);
-    let options = CalibrationOptions { anchor_weight: weight, ..options.clone() };
+    let weight = Some(calibration.cost.prior_weight);
+    let options = CalibrationOptions { prior_weight: weight, ..options.clone() };
     let evaluate = |solution: &Solution| {
         cost_at(solution, &datasheet_start(), &board(), observations, &options).unwrap()
     };

@@ -12,7 +12,7 @@ use plenocal::model::{Board, Observations, Parameter};
 use rayon::prelude::*;
 
 use crate::needs::R12A;
-use crate::support::{anchored, options, pairs};
+use crate::support::{defaults, options, pairs};
 
 /// The minimum with the CSV files, from `cpp/examples/plain_ceres`, and half a unit of its last digit.
 const MINIMUM_CSV: f64 = 7_188.390_898;
@@ -234,11 +234,16 @@ pub fn left_out_frames_agree_with_sixteen_calibrations() {
     }
 }
 
-pub fn the_default_anchors_bring_the_camera_to_its_datasheet() {
+pub fn the_default_priors_bring_the_camera_to_its_datasheet() {
     let data = csv();
-    let result = run(&data, &anchored());
-    for anchor in &result.anchors {
-        println!("{}: {} ({:+.2} σ)", anchor.anchor.quantity, anchor.result, anchor.pull());
-        assert!(anchor.pull().abs() < 3.0);
+    let result = run(&data, &defaults());
+    for prior in &result.priors {
+        println!(
+            "{}: {} ({:+.2} σ)",
+            prior.prior.quantity,
+            prior.result,
+            prior.normalised_residual()
+        );
+        assert!(prior.normalised_residual().abs() < 3.0);
     }
 }

@@ -40,17 +40,17 @@ struct Observations {
   Board board{};
 };
 
-/// Name of |m|, mm (`micro_image_slope`), among the quantities of anchors.
+/// Name of |m|, mm (`micro_image_slope`), among the quantities of priors.
 constexpr char kSlopeName[] = "m";
 
-/// Name of q'_i, mm (`blur_intercept`), among the quantities of anchors: "q'_1" for lens type 0.
+/// Name of q'_i, mm (`blur_intercept`), among the quantities of priors: "q'_1" for lens type 0.
 inline std::string intercept_name(int lens_type) { return "q'_" + std::to_string(lens_type + 1); }
 
-/// Names of the lean of the array along u and v, 1/mm (`lean`), among the quantities of anchors.
+/// Names of the lean of the array along u and v, 1/mm (`lean`), among the quantities of priors.
 constexpr std::array<const char*, 2> kLeanNames = {"lean_u", "lean_v"};
 
 /// What is known of a camera beforehand: one more residual, (quantity - value) / std_dev.
-struct Anchor {
+struct Prior {
   /// A free parameter, see `shared_names`, `kSlopeName`, an `intercept_name` or one of
   /// `kLeanNames`.
   std::string quantity;
@@ -59,14 +59,14 @@ struct Anchor {
 };
 
 /// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations + w/2 sum r_a^2 over the
-/// anchors. The sigma of a residual is that of the observation (1 px unless given) times the factor
+/// priors. The sigma of a residual is that of the observation (1 px unless given) times the factor
 /// given here for its kind.
 struct CostOptions {
   double uv_std_dev = 1.0;       ///< of a feature's u and v
   double rho_std_dev = 1.0;      ///< of a feature's rho
   double centers_std_dev = 1.0;  ///< of a centre's u and v
   /// Whether the rho of features counts, as in the paper. It is made of q'_i and of the same u and
-  /// v: with anchors on the q'_i, which determine the focal lengths, it says nothing more.
+  /// v: with priors on the q'_i, which determine the focal lengths, it says nothing more.
   bool rho = true;
   Loss features_loss;  ///< on |(u, v, rho)| of a feature
   Loss centers_loss;   ///< on |(u, v)| of a centre
@@ -77,10 +77,10 @@ struct CostOptions {
                                  "dC_ratio", "sag_x",   "sag_y", "twist", "aspect"};
   /// Indices of poses that keep their value.
   std::vector<int> fixed_poses;
-  std::vector<Anchor> anchors;
+  std::vector<Prior> priors;
   /// w: how many times larger the variance of what the observations say is than their sigma claims,
-  /// see `Uncertainty::dispersion`. It keeps observations and anchors in proportion.
-  double anchor_weight = 1.0;
+  /// see `Uncertainty::dispersion`. It keeps observations and priors in proportion.
+  double prior_weight = 1.0;
 
   /// Adds names to `fixed`.
   PLENOCAL_API void fix(const std::vector<std::string>& names);
@@ -147,7 +147,7 @@ PLENOCAL_API Refinement refine(const Camera& camera, const std::vector<Pose>& po
                                const Observations& observations, const CostOptions& cost_options,
                                const SolverOptions& solver_options, const Progress& progress = {});
 
-/// How well observations and anchors determine the parameters, at a minimum of the cost.
+/// How well observations and priors determine the parameters, at a minimum of the cost.
 ///
 /// Parameters: those that all frames share and that are free, in the order of `shared_names`, then
 /// 6 per pose (`names`). The former are called intrinsics here, that of the board's shape included.
@@ -172,7 +172,7 @@ PLENOCAL_API Refinement refine(const Camera& camera, const std::vector<Pose>& po
 /// of the intrinsics are at least what S of independent errors makes them with this A: where a few
 /// frames scatter less than noise does, that is chance.
 ///
-/// Both contain w^2 H_a of the anchors, with H_a their information at w = 1, and the errors of rho
+/// Both contain w^2 H_a of the priors, with H_a their information at w = 1, and the errors of rho
 /// that all features of a lens type share.
 struct Uncertainty {
   static constexpr int kWeakest = 3;       ///< the largest number of rows in `weakest`
@@ -197,8 +197,8 @@ struct Uncertainty {
   Matrix frame_shares;
   /// How the poses follow the free intrinsics: 6 rows for each frame.
   Matrix poses_by_intrinsics;
-  /// How many times larger the variance of the anchored quantities due to the observations is than
-  /// the weights claim, in the mean; 1 without anchors. `CostOptions::anchor_weight` should be
+  /// How many times larger the variance of the quantities with a prior due to the observations is than
+  /// the weights claim, in the mean; 1 without priors. `CostOptions::prior_weight` should be
   /// this. With too few frames it is ten times what independent errors make it.
   double dispersion = 1.0;
   /// By how many standard deviations boards and centres contradict each other at most, if errors
@@ -241,9 +241,9 @@ struct Uncertainty {
 struct CommonError {
   std::vector<Feature<double>> features;  ///< by how much each feature moves, px
   std::vector<Pixel<double>> centers;     ///< by how much each centre moves, px; empty for none
-  /// By how much the value of each anchor moves, in its sigma; empty for none.
-  std::vector<double> anchors;
-  bool in_anchors = true;  ///< whether the sigma of the anchors contains it already
+  /// By how much the value of each prior moves, in its sigma; empty for none.
+  std::vector<double> priors;
+  bool in_priors = true;  ///< whether the sigma of the priors contains it already
 };
 
 /// The same for any number of threads. Throws std::invalid_argument like `refine`, and if common
@@ -254,7 +254,7 @@ PLENOCAL_API Uncertainty uncertainty(const Camera& camera, const std::vector<Pos
                                      const std::vector<CommonError>& common = {}, int threads = 1);
 
 /// The information of each frame on the free intrinsics, with its pose unknown: a square matrix for
-/// each frame, the same for any number of threads. Anchors and centres take no part. Throws like
+/// each frame, the same for any number of threads. Priors and centres take no part. Throws like
 /// `refine`.
 PLENOCAL_API std::vector<Matrix> frame_information(const Camera& camera,
                                                    const std::vector<Pose>& poses,

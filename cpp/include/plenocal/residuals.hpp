@@ -265,7 +265,7 @@ class CenterResiduals {
   Loss loss_;
 };
 
-/// Residual of an anchor on |m|. Parameter blocks: main lens, exit pupil, array.
+/// Residual of a prior on |m|. Parameter blocks: main lens, exit pupil, array.
 class SlopeResidual {
  public:
   /// `value` in mm; `weight` is 1 / sigma, 1/mm.
@@ -291,7 +291,7 @@ class SlopeResidual {
   double weight_;
 };
 
-/// Residual of an anchor on q'_i of one of I lens types. Parameter blocks: array, focal lengths.
+/// Residual of a prior on q'_i of one of I lens types. Parameter blocks: array, focal lengths.
 template <int I>
 class InterceptResidual {
  public:
@@ -318,7 +318,7 @@ class InterceptResidual {
   double weight_;
 };
 
-/// Residual of an anchor on the lean along one axis of the image. Parameter blocks: exit pupil,
+/// Residual of a prior on the lean along one axis of the image. Parameter blocks: exit pupil,
 /// array.
 class LeanResidual {
  public:

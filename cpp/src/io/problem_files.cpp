@@ -129,14 +129,16 @@ ProblemFiles read_problem(const std::string& folder) {
   CostOptions& options = problem.options;
   options.rho = root["rho"].boolean();
   options.features_loss = options.centers_loss = loss_from(root["loss"]);
-  options.anchor_weight = root["anchor_weight"].number();
+  // Problems exported before 0.1.0 call priors anchors.
+  const bool is_earlier = root.has("anchors");
+  options.prior_weight = root[is_earlier ? "anchor_weight" : "prior_weight"].number();
   options.fixed.clear();
-  const Field fixed = root["fixed"], anchors = root["anchors"];
+  const Field fixed = root["fixed"], priors = root[is_earlier ? "anchors" : "priors"];
   for (std::size_t i = 0; i < fixed.size(); ++i) options.fixed.insert(fixed.at(i).string());
-  for (std::size_t i = 0; i < anchors.size(); ++i) {
-    const Field anchor = anchors.at(i);
-    options.anchors.push_back(
-        {anchor["quantity"].string(), anchor["value"].number(), anchor["std_dev"].number()});
+  for (std::size_t i = 0; i < priors.size(); ++i) {
+    const Field prior = priors.at(i);
+    options.priors.push_back(
+        {prior["quantity"].string(), prior["value"].number(), prior["std_dev"].number()});
   }
   return problem;
 }

@@ -1,7 +1,7 @@
 //! What is taken off the error of a point: the motion of the boards.
 
 use super::*;
-use crate::calibration::{Anchors, BoardModel, CalibrationOptions, Mode, Start, calibrate};
+use crate::calibration::{BoardModel, CalibrationOptions, Mode, Priors, Start, calibrate};
 use crate::model::small_camera as camera;
 use crate::model::{BentBoard, BoardShape, FramePose, Noise, Observations, Parameter};
 use crate::solver::synthesize;
@@ -64,7 +64,7 @@ fn the_motion_taken_off_is_that_of_corners_not_of_the_frame_of_a_board() {
     const CHANGES: [f64; 4] = [1e-3, 1e-3, 1e-3, 1e-4];
     let observations = synthesize(&camera(), &BOARD, &poses(), &EXACT, 1).unwrap();
     let options = CalibrationOptions { board: BoardModel::Bent, ..CalibrationOptions::paper() };
-    let options = CalibrationOptions { anchors: Anchors::default(), ..options };
+    let options = CalibrationOptions { priors: Priors::default(), ..options };
     let calibrate_with = |options: &CalibrationOptions| {
         calibrate(&Start::Camera(camera()), &BOARD, &observations, options, &mut |_| true).unwrap()
     };

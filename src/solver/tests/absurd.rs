@@ -65,9 +65,9 @@ fn parts() -> Parts {
         std_dev_px: 1.0,
     };
     let centers = nodes.zip(places).map(center).collect();
-    let anchor =
-        |quantity: &str, value| Anchor { quantity: quantity.to_owned(), value, std_dev: 0.1 };
-    let anchors = vec![anchor("F", 16.2), anchor("m", 0.14), anchor("q'_1", 0.036)];
+    let prior =
+        |quantity: &str, value| Prior { quantity: quantity.to_owned(), value, std_dev: 0.1 };
+    let priors = vec![prior("F", 16.2), prior("m", 0.14), prior("q'_1", 0.036)];
     let loss = Loss { kind: LossKind::Huber, scale: 4.0 };
     Parts {
         camera,
@@ -75,7 +75,7 @@ fn parts() -> Parts {
         poses,
         features,
         centers,
-        cost: CostOptions { loss, anchors, ..CostOptions::default() },
+        cost: CostOptions { loss, priors, ..CostOptions::default() },
     }
 }
 
@@ -114,11 +114,11 @@ fn spoil(parts: &mut Parts, random: &mut StdRng) {
             let center = &mut parts.centers[center];
             (center.u_px, center.l) = (value, number);
         }
-        11 => parts.cost.anchors[axis].value = value,
+        11 => parts.cost.priors[axis].value = value,
         12 => {
             let cost = &mut parts.cost;
             *any_mut(
-                [&mut cost.uv_std_dev_px, &mut cost.loss.scale, &mut cost.anchor_weight],
+                [&mut cost.uv_std_dev_px, &mut cost.loss.scale, &mut cost.prior_weight],
                 axis,
             ) = value;
         }

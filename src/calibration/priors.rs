@@ -1,8 +1,8 @@
-//! Anchors: what is known of a camera before any board is seen, as residuals in the cost.
+//! Priors: what is known of a camera before any board is seen, as residuals in the cost.
 //!
-//! Every anchor has a value and a σ, and one residual (quantity − value)/σ. Observations of a frame
-//! share errors, so their residuals claim to know more than they do. The weight of the anchors makes
-//! up for that: w is by how much the variance of the anchored quantities due to the observations is
+//! Every prior has a value and a σ, and one residual (quantity − value)/σ. Observations of a frame
+//! share errors, so their residuals claim to know more than they do. The weight of the priors makes
+//! up for that: w is by how much the variance of the quantities with a prior due to the observations is
 //! larger than claimed ([`Uncertainty::dispersion`](crate::solver::Uncertainty)). This is the
 //! magnitude adjustment of a composite likelihood (Pauli, Racugno, Ventura 2011), on the other side
 //! of the balance.
@@ -15,9 +15,9 @@ use crate::error::{Error, Result};
 use crate::finding::Finding;
 use crate::model::{BoardShape, MAX_LENS_TYPES, Parameter, PlenopticCamera, optics};
 use crate::quantity::Estimate;
-use crate::solver::Anchor;
+use crate::solver::Prior;
 
-/// Name of |m| among the quantities of anchors.
+/// Name of |m| among the quantities of priors.
 pub const SLOPE: &str = "m";
 /// Names of the lean of the array along u and v among them.
 pub const LEAN: [&str; 2] = ["lean_u", "lean_v"];
@@ -30,9 +30,9 @@ const F_NUMBERS: f64 = 0.02;
 /// How far from the middle of the sensor a mount may put the axis, mm.
 const MOUNT_MM: f64 = 0.5;
 
-/// Where the value of an anchor comes from.
+/// Where the value of a prior comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum AnchorSource {
+pub enum PriorSource {
     /// The focal length in the datasheet.
     Datasheet,
     /// m and q'ᵢ of the white images.
@@ -47,32 +47,32 @@ pub enum AnchorSource {
     Stated,
 }
 
-/// An anchor, and what became of it.
+/// A prior, and what became of it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct AnchorResult {
-    /// The anchor.
-    pub anchor: Anchor,
+pub struct PriorResult {
+    /// The prior.
+    pub prior: Prior,
     /// Where its value comes from.
-    pub source: AnchorSource,
+    pub source: PriorSource,
     /// The value in the refined camera, in the unit of the quantity.
     pub result: f64,
 }
 
-impl AnchorResult {
-    /// By how many of its σ the observations pull on the anchor: (result − value)/σ.
+impl PriorResult {
+    /// By how many of its σ the observations pull on the prior: (result − value)/σ.
     #[must_use]
-    pub fn pull(&self) -> f64 {
-        (self.result - self.anchor.value) / self.anchor.std_dev
+    pub fn normalised_residual(&self) -> f64 {
+        (self.result - self.prior.value) / self.prior.std_dev
     }
 
     /// Unit of the quantity.
     #[must_use]
     pub fn unit(&self) -> &'static str {
-        unit(&self.anchor.quantity)
+        unit(&self.prior.quantity)
     }
 }
 
-impl fmt::Display for AnchorSource {
+impl fmt::Display for PriorSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Datasheet => "datasheet",
@@ -85,7 +85,7 @@ impl fmt::Display for AnchorSource {
     }
 }
 
-/// Name of q'ᵢ among the quantities of anchors: `q'_1` for the first lens type, from 0.
+/// Name of q'ᵢ among the quantities of priors: `q'_1` for the first lens type, from 0.
 #[must_use]
 pub fn intercept_name(lens_type: usize) -> String {
     format!("q'_{}", lens_type + 1)
@@ -98,68 +98,68 @@ fn unit(quantity: &str) -> &'static str {
     quantity.parse().map_or("mm", Parameter::unit)
 }
 
-/// The anchors of a calibration: those stated, and of the default ones those that no other replaces,
+/// The priors of a calibration: those stated, and of the default ones those that no other replaces,
 /// that are wanted, and whose quantity is free.
-pub(super) fn anchors(start: &Start, options: &CalibrationOptions) -> Vec<(Anchor, AnchorSource)> {
+pub(super) fn priors(start: &Start, options: &CalibrationOptions) -> Vec<(Prior, PriorSource)> {
     if options.mode == Mode::PosesOnly {
         return Vec::new();
     }
-    let stated = options.anchors.stated().into_iter().map(|a| (a, AnchorSource::Stated));
+    let stated = options.priors.stated().into_iter().map(|a| (a, PriorSource::Stated));
     let fixed = options.fixed();
-    let wanted = |anchor: &Anchor| {
-        let stated = options.anchors.quantities.contains_key(&anchor.quantity);
-        !stated && is_free(&anchor.quantity, &fixed)
+    let wanted = |prior: &Prior| {
+        let stated = options.priors.quantities.contains_key(&prior.quantity);
+        !stated && is_free(&prior.quantity, &fixed)
     };
-    let mut defaults = if options.anchors.default { default_anchors(start) } else { Vec::new() };
+    let mut defaults = if options.priors.default { default_priors(start) } else { Vec::new() };
     if !options.has_rho() {
         defaults.extend(of_white_images(start));
     }
-    stated.chain(defaults.into_iter().filter(|(anchor, _)| wanted(anchor))).collect()
+    stated.chain(defaults.into_iter().filter(|(prior, _)| wanted(prior))).collect()
 }
 
 /// What white images measure: q'ᵢ, or those of the camera that is started from, and the lean of the array. They are
 /// observations that all features share: without ρ, and without q'ᵢ, nothing is said of the fᵢ.
-fn of_white_images(start: &Start) -> Vec<(Anchor, AnchorSource)> {
+fn of_white_images(start: &Start) -> Vec<(Prior, PriorSource)> {
     let (internal, source) = match start {
-        Start::Datasheet(_, internal) => (internal.clone(), AnchorSource::WhiteImages),
-        Start::Camera(camera) => (optics::internal_parameters(camera), AnchorSource::Start),
+        Start::Datasheet(_, internal) => (internal.clone(), PriorSource::WhiteImages),
+        Start::Camera(camera) => (optics::internal_parameters(camera), PriorSource::Start),
     };
     let intercept = |lens_type: usize| {
         let value = internal.q_prime_mm[lens_type];
         let std_dev = internal.q_prime_std_dev_mm.get(lens_type).copied();
         let std_dev = std_dev.unwrap_or(INTERCEPTS * value);
-        Anchor { quantity: intercept_name(lens_type), value, std_dev }
+        Prior { quantity: intercept_name(lens_type), value, std_dev }
     };
-    let mut anchors: Vec<Anchor> = (0..start.lens_types()).map(intercept).collect();
+    let mut priors: Vec<Prior> = (0..start.lens_types()).map(intercept).collect();
     if let Some(lean) = &internal.lean {
         let pixel_size_mm = start.sensor().pixel_size_mm;
-        anchors.extend(LEAN.iter().enumerate().map(|(axis, quantity)| Anchor {
+        priors.extend(LEAN.iter().enumerate().map(|(axis, quantity)| Prior {
             quantity: (*quantity).to_owned(),
             value: lean.growth_per_px[axis] / pixel_size_mm,
             std_dev: lean.std_dev_per_px[axis] / pixel_size_mm,
         }));
     }
-    anchors.into_iter().map(|anchor| (anchor, source)).collect()
+    priors.into_iter().map(|prior| (prior, source)).collect()
 }
 
-fn default_anchors(start: &Start) -> Vec<(Anchor, AnchorSource)> {
-    let anchor = |quantity: &str, value: f64, std_dev: f64| Anchor {
+fn default_priors(start: &Start) -> Vec<(Prior, PriorSource)> {
+    let prior = |quantity: &str, value: f64, std_dev: f64| Prior {
         quantity: quantity.to_owned(),
         value,
         std_dev,
     };
     let sensor = start.sensor();
     let (middle, mount) = (sensor.center_px(), MOUNT_MM / sensor.pixel_size_mm);
-    let mut anchors = Vec::new();
+    let mut priors = Vec::new();
     if let Start::Datasheet(sheet, internal) = start {
         let (f, m) = (sheet.focal_length_mm, internal.m_mm);
         let of_m = internal.m_std_dev_mm.unwrap_or(0.0).hypot(F_NUMBERS * m);
-        anchors.push((anchor("F", f, ENGRAVED * f), AnchorSource::Datasheet));
-        anchors.push((anchor(SLOPE, m, of_m), AnchorSource::WhiteImages));
+        priors.push((prior("F", f, ENGRAVED * f), PriorSource::Datasheet));
+        priors.push((prior(SLOPE, m, of_m), PriorSource::WhiteImages));
     }
-    anchors.push((anchor("u0", middle.x, mount), AnchorSource::SensorMiddle));
-    anchors.push((anchor("v0", middle.y, mount), AnchorSource::SensorMiddle));
-    anchors
+    priors.push((prior("u0", middle.x, mount), PriorSource::SensorMiddle));
+    priors.push((prior("v0", middle.y, mount), PriorSource::SensorMiddle));
+    priors
 }
 
 /// Whether a quantity depends on a parameter that is not fixed.
@@ -178,8 +178,8 @@ fn is_free(quantity: &str, fixed: &[Parameter]) -> bool {
     quantity.parse().is_ok_and(|parameter: P| any_is_free(&[parameter]))
 }
 
-/// An error that names an anchor that is not possible.
-pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> Result<()> {
+/// An error that names a prior that is not possible.
+pub(super) fn check_priors(options: &CalibrationOptions, lens_types: usize) -> Result<()> {
     let known = Parameter::shared(lens_types);
     let names = || -> Vec<String> {
         let parameters = known.iter().map(|p| p.name().to_owned());
@@ -188,34 +188,34 @@ pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> 
     };
     let unknown = |quantity: &str| {
         Error::invalid(format!(
-            "there is no quantity '{quantity}' to anchor; this camera has {}",
+            "there is no quantity '{quantity}' for a prior; this camera has {}",
             names().join(", ")
         ))
     };
-    let stated = options.anchors.stated();
+    let stated = options.priors.stated();
     if options.mode == Mode::PosesOnly && !stated.is_empty() {
         return Err(Error::invalid(
-            "anchors hold the camera, which is fixed where only poses are estimated: leave them out",
+            "priors hold the camera, which is fixed where only poses are estimated: leave them out",
         ));
     }
-    let mut quantities = options.anchors.quantities.keys();
+    let mut quantities = options.priors.quantities.keys();
     if let Some(quantity) = quantities.find(|q| !names().contains(q)) {
         return Err(unknown(quantity));
     }
     let fixed = options.fixed();
-    for Anchor { quantity, value, std_dev } in &stated {
+    for Prior { quantity, value, std_dev } in &stated {
         if !value.is_finite() {
-            return Err(Error::invalid(format!("the anchor of {quantity} has the value {value}")));
+            return Err(Error::invalid(format!("the prior of {quantity} has the value {value}")));
         }
         if !(std_dev.is_finite() && *std_dev > 0.0) {
             return Err(Error::invalid(format!(
-                "the anchor of {quantity} has σ = {std_dev}, which has to be positive; to hold a \
+                "the prior of {quantity} has σ = {std_dev}, which has to be positive; to hold a \
                  parameter at a value, fix it"
             )));
         }
         if !is_free(quantity, &fixed) || options.keeps(quantity) {
             return Err(Error::invalid(format!(
-                "{quantity} is anchored, but it is fixed: an anchor would have no effect; leave one \
+                "{quantity} is defaults, but it is fixed: a prior would have no effect; leave one \
                  of the two out"
             )));
         }
@@ -223,21 +223,21 @@ pub(super) fn check_anchors(options: &CalibrationOptions, lens_types: usize) -> 
     Ok(())
 }
 
-/// A finding for each anchor that the observations contradict.
-pub(super) fn contradicted(results: &[AnchorResult]) -> impl Iterator<Item = Finding> {
+/// A finding for each prior that the observations contradict.
+pub(super) fn contradicted(results: &[PriorResult]) -> impl Iterator<Item = Finding> {
     results.iter().filter_map(|r| {
-        let Anchor { quantity, value, std_dev } = &r.anchor;
+        let Prior { quantity, value, std_dev } = &r.prior;
         let prior = Estimate { value: *value, std_dev: *std_dev };
         checks::prior((quantity, r.unit()), prior, r.result, &r.source.to_string())
     })
 }
 
-/// What became of the anchors in the refined camera and board.
+/// What became of the priors in the refined camera and board.
 pub(super) fn results(
-    anchors: Vec<(Anchor, AnchorSource)>,
+    priors: Vec<(Prior, PriorSource)>,
     camera: &PlenopticCamera,
     shape: &BoardShape,
-) -> Vec<AnchorResult> {
+) -> Vec<PriorResult> {
     let value = |quantity: &str| {
         if quantity == SLOPE {
             return optics::internal_parameters(camera).m_mm;
@@ -254,10 +254,10 @@ pub(super) fn results(
             Err(_) => f64::NAN,
         }
     };
-    let result = |(anchor, source): (Anchor, AnchorSource)| AnchorResult {
-        result: value(&anchor.quantity),
-        anchor,
+    let result = |(prior, source): (Prior, PriorSource)| PriorResult {
+        result: value(&prior.quantity),
+        prior,
         source,
     };
-    anchors.into_iter().map(result).collect()
+    priors.into_iter().map(result).collect()
 }
