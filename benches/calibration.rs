@@ -49,7 +49,8 @@ fn shipped() -> plenocal::Result<Data> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/synthetic");
     let project = Project::read(&folder.join("project.toml"))?;
     let sheet = project.datasheet()?.expect("the shipped project has a camera");
-    let internal = project.internal().expect("the shipped project has internal parameters");
+    let internal =
+        project.internal_parameters.expect("the shipped project has internal parameters");
     Ok(Data {
         name: "the shipped feature set",
         centers: folder.join("centers.csv"),

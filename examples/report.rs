@@ -17,7 +17,7 @@ fn main() -> Result<()> {
     let project = Project::read(&data.join("project.toml"))?;
     let start = Start::Datasheet(
         project.datasheet()?.expect("a camera"),
-        project.internal().expect("internal parameters"),
+        project.internal_parameters.clone().expect("internal parameters"),
     );
     let board = project.board.expect("a board");
     let mut observations = read_features(&data.join("features.csv"), true)?;

@@ -644,7 +644,7 @@ fn prior_remedy(quantity: &str) -> &'static str {
             "check whether the images are cropped; with few tilted boards, or corners that are biased \
              towards the border, the axis drifts off"
         }
-        "lean_u" | "lean_v" => {
+        "tilt_u" | "tilt_v" => {
             "check that the white images are of this camera, and the position of the exit pupil if you have \
              stated it; else the corners are biased towards one side of the image"
         }

@@ -63,8 +63,8 @@ Observations observations_of(const ProblemParts& problem) {
           mapped<std::vector>(problem.centers, center), to_core(problem.board)};
 }
 
-plenocal::CommonError to_core(const CommonError& shared) {
-  plenocal::CommonError error;
+plenocal::SystematicError to_core(const SystematicError& shared) {
+  plenocal::SystematicError error;
   for (auto by = shared.features_px.begin(); by != shared.features_px.end(); by += 3) {
     error.features.push_back({by[0], by[1], by[2]});
   }
@@ -214,9 +214,9 @@ RefinementParts refine(const ProblemParts& problem, const CostOptions& cost,
 }
 
 Uncertainty uncertainty(const ProblemParts& problem, const CostOptions& cost,
-                        rust::Slice<const CommonError> common, std::size_t threads) {
+                        rust::Slice<const SystematicError> common, std::size_t threads) {
   const auto errors =
-      mapped<std::vector>(common, [](const CommonError& error) { return to_core(error); });
+      mapped<std::vector>(common, [](const SystematicError& error) { return to_core(error); });
   const plenocal::Uncertainty u =
       plenocal::uncertainty(to_core(problem.camera), poses_of(problem), observations_of(problem),
                             to_core(cost), errors, to_core(threads));
@@ -229,10 +229,10 @@ Uncertainty uncertainty(const ProblemParts& problem, const CostOptions& cost,
   shared.freedom = from_core(u.freedom);
   shared.left_out_changes = from_core(u.left_out_changes);
   shared.frame_shares = from_core(u.frame_shares);
-  for (int row = 0; row < u.common_changes.rows && u.common_changes.columns > 0; ++row) {
-    CommonChange change{common[row].source, {}};
-    for (double by : u.common_changes.eigen().row(row)) change.changes.push_back(by);
-    shared.common_changes.push_back(std::move(change));
+  for (int row = 0; row < u.systematic_changes.rows && u.systematic_changes.columns > 0; ++row) {
+    SystematicChange change{common[row].source, {}};
+    for (double by : u.systematic_changes.eigen().row(row)) change.changes.push_back(by);
+    shared.systematic_changes.push_back(std::move(change));
   }
   shared.poses_by_intrinsics = from_core(u.poses_by_intrinsics);
   shared.dispersion = u.dispersion;

@@ -193,7 +193,7 @@ struct FeatureResidual {
 };
 
 // What is known beforehand, (quantity - value)/sigma: a parameter by its place in a block; |m|, the
-// radius of micro-images by 1/N; q'_i, the blur that white images show of a lens type; the lean of
+// radius of micro-images by 1/N; q'_i, the blur that white images show of a lens type; the tilt gradient of
 // the array as the gradient of ln d along an image axis.
 struct Known {
   double value, weight;
@@ -226,7 +226,7 @@ struct InterceptPrior : Known {
     return true;
   }
 };
-struct LeanPrior : Known {
+struct TiltGradientPrior : Known {
   int axis;
   template <typename T>
   bool operator()(const T* pupil, const T* sensor, const T* mla, T* residual) const {
@@ -358,10 +358,10 @@ void AddPrior(const Json& prior, double weight, Parameters* p, ceres::Problem* p
         new ceres::AutoDiffCostFunction<InterceptPrior, 1, kSensorSize, kPitchSize, 1>(
             new InterceptPrior{known}),
         nullptr, p->sensor.data(), p->pitch.data(), names.at("f_" + quantity.substr(3)).block);
-  } else if (quantity == "lean_u" || quantity == "lean_v") {
+  } else if (quantity == "tilt_u" || quantity == "tilt_v") {
     problem->AddResidualBlock(
-        new ceres::AutoDiffCostFunction<LeanPrior, 1, kPupilSize, kSensorSize, kMlaSize>(
-            new LeanPrior{known, quantity == "lean_u" ? 0 : 1}),
+        new ceres::AutoDiffCostFunction<TiltGradientPrior, 1, kPupilSize, kSensorSize, kMlaSize>(
+            new TiltGradientPrior{known, quantity == "tilt_u" ? 0 : 1}),
         nullptr, p->pupil.data(), p->sensor.data(), p->mla.data());
   } else {
     const auto [block, size, index] = names.at(quantity);

@@ -160,10 +160,10 @@ bool LeastSquares::add_intercept(const Prior& prior, double weight) {
 }
 
 bool LeastSquares::add_lean(const Prior& prior, double weight) {
-  const auto name = std::find(kLeanNames.begin(), kLeanNames.end(), prior.quantity);
-  if (name == kLeanNames.end()) return false;
-  const int axis = static_cast<int>(name - kLeanNames.begin());
-  add_block(LeanResidual::create(axis, prior.value, weight), {exit_pupil_.data(), array_.data()});
+  const auto name = std::find(kTiltGradientNames.begin(), kTiltGradientNames.end(), prior.quantity);
+  if (name == kTiltGradientNames.end()) return false;
+  const int axis = static_cast<int>(name - kTiltGradientNames.begin());
+  add_block(TiltGradientResidual::create(axis, prior.value, weight), {exit_pupil_.data(), array_.data()});
   return true;
 }
 

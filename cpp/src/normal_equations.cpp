@@ -78,8 +78,8 @@ struct Run {
   auto by_common(int k) const { return all().row(columns + 1 + k).head(columns).transpose(); }
 };
 
-// By how much a common error moves the number that a row observes, over its standard deviation.
-double moved(const CommonError& common, const RowOrigin& row, bool is_u) {
+// By how much a systematic error moves the number that a row observes, over its standard deviation.
+double moved(const SystematicError& common, const RowOrigin& row, bool is_u) {
   if (row.kind == kCenter) {
     if (common.centers.empty()) return 0.0;
     const Pixel<double>& by = common.centers[row.observation];
@@ -90,7 +90,7 @@ double moved(const CommonError& common, const RowOrigin& row, bool is_u) {
 }
 
 Run sums_of_run(const Linearised& block, const RowOrigin* rows, int begin, int end,
-                ResidualKind kind, const std::vector<CommonError>& common) {
+                ResidualKind kind, const std::vector<SystematicError>& common) {
   const int columns = static_cast<int>(block.jacobian.cols());
   const int width = gram_width(columns + 1 + static_cast<int>(common.size()));
   Run run{rows[begin], columns, std::vector<double>(width * width), width};
@@ -106,7 +106,7 @@ Run sums_of_run(const Linearised& block, const RowOrigin* rows, int begin, int e
     packed.push_back(residual);
     // u comes before v.
     const bool is_u = i == 0 || rows[i - 1].observation != row.observation;
-    for (const CommonError& error : common) packed.push_back(moved(error, row, is_u));
+    for (const SystematicError& error : common) packed.push_back(moved(error, row, is_u));
     ++run.count;
     packed.resize(static_cast<std::size_t>(width) * run.count);
     run.sum += residual;
@@ -118,7 +118,7 @@ Run sums_of_run(const Linearised& block, const RowOrigin* rows, int begin, int e
 
 // The sums of a block of features or centres.
 std::vector<Run> sums_of(const Linearised& block, const RowOrigin* rows,
-                         const std::vector<CommonError>& common) {
+                         const std::vector<SystematicError>& common) {
   std::vector<Run> runs;
   for_runs(rows, static_cast<int>(block.residuals.size()), [&](int begin, int end) {
     const auto add = [&](ResidualKind kind) {
@@ -134,7 +134,7 @@ std::vector<Run> sums_of(const Linearised& block, const RowOrigin* rows,
 class Accumulator {
  public:
   Accumulator(int intrinsics, int frames, int corners, int priors,
-              const std::vector<CommonError>& common)
+              const std::vector<SystematicError>& common)
       : common_(common),
         by_kind_(frames,
                  {zero_group(intrinsics + Pose::kSize), zero_group(intrinsics + Pose::kSize)}),
@@ -148,8 +148,8 @@ class Accumulator {
     equations_.gradient.setZero(size);
     equations_.patches.assign(kPatches, zero_group(intrinsics));
     equations_.corners.resize(frames);
-    equations_.by_common_observations.setZero(size, static_cast<Eigen::Index>(common.size()));
-    equations_.by_common_priors = equations_.by_common_observations;
+    equations_.by_systematic_observations.setZero(size, static_cast<Eigen::Index>(common.size()));
+    equations_.by_systematic_priors = equations_.by_systematic_observations;
     equations_.in_priors.setZero(size, priors);
     equations_.priors.setZero(priors, intrinsics);
   }
@@ -167,7 +167,7 @@ class Accumulator {
       add_to(&equations_.patches[run.origin.group], run);
     }
     for (int k = 0; k < static_cast<int>(common_.size()); ++k) {
-      auto sum = equations_.by_common_observations.col(k);
+      auto sum = equations_.by_systematic_observations.col(k);
       sum.head(p) += run.by_common(k).head(p);
       if (run.origin.corner < 0) continue;
       const int pose = equations_.pose(run.origin.group);
@@ -201,7 +201,7 @@ class Accumulator {
       const std::vector<double>& moved = common_[k].priors;
       if (moved.empty()) continue;
       const auto column = static_cast<Eigen::Index>(k);
-      equations_.by_common_priors.col(column).head(equations_.intrinsics) +=
+      equations_.by_systematic_priors.col(column).head(equations_.intrinsics) +=
           moved[row.group] * jacobian.transpose();
       if (common_[k].in_priors) contained += moved[row.group] * moved[row.group];
     }
@@ -255,7 +255,7 @@ class Accumulator {
     group->gradient += run.gradient();
   }
 
-  const std::vector<CommonError>& common_;
+  const std::vector<SystematicError>& common_;
   NormalEquations equations_;
   std::vector<std::array<Group, 2>> by_kind_;  // of frames: kUv, kRho
   std::vector<Group> corners_;
@@ -310,7 +310,7 @@ GroupGradients group_gradients(const LeastSquares& calibration, int threads) {
 }
 
 NormalEquations normal_equations(const LeastSquares& calibration,
-                                 const std::vector<CommonError>& common, int threads) {
+                                 const std::vector<SystematicError>& common, int threads) {
   const std::vector<RowOrigin>& rows = calibration.rows();
   int frames = 0, corners = 0, priors = 0;
   for (const RowOrigin& row : rows) {

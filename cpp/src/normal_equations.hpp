@@ -30,9 +30,9 @@ struct NormalEquations {
   std::vector<Group> frames;                ///< on the free intrinsics and the pose of the frame
   std::vector<Group> patches;               ///< of the centres, on the free intrinsics
   std::vector<std::vector<Group>> corners;  ///< of every frame, on its pose
-  /// By how much common errors change the gradient, negative, a column for each: those of
+  /// By how much systematic errors change the gradient, negative, a column for each: those of
   /// observations, those of priors.
-  Eigen::MatrixXd by_common_observations, by_common_priors;
+  Eigen::MatrixXd by_systematic_observations, by_systematic_priors;
   /// What of a prior's own error these errors are, as a change of the gradient; a column for each
   /// prior.
   Eigen::MatrixXd in_priors;
@@ -48,7 +48,7 @@ struct NormalEquations {
 
 /// The same for any number of threads. Throws std::invalid_argument where the model is not defined.
 NormalEquations normal_equations(const LeastSquares& calibration,
-                                 const std::vector<CommonError>& common = {}, int threads = 1);
+                                 const std::vector<SystematicError>& common = {}, int threads = 1);
 
 /// Gradients of frames (on the free intrinsics and the pose of the frame) and of patches (on the
 /// free intrinsics), as in `NormalEquations`.

@@ -112,15 +112,15 @@ MatrixXd left_out_changes(const std::vector<Group>& frames, const Curvature& cur
 
 }  // namespace
 
-MatrixXd common_changes(const NormalEquations& equations, const MatrixXd& inverse,
+MatrixXd systematic_changes(const NormalEquations& equations, const MatrixXd& inverse,
                         double prior_weight) {
-  return inverse * (equations.by_common_observations +
-                    std::sqrt(prior_weight) * equations.by_common_priors);
+  return inverse * (equations.by_systematic_observations +
+                    std::sqrt(prior_weight) * equations.by_systematic_priors);
 }
 
-MatrixXd common_covariance(const NormalEquations& equations, const MatrixXd& inverse,
+MatrixXd systematic_covariance(const NormalEquations& equations, const MatrixXd& inverse,
                            double prior_weight) {
-  const MatrixXd changes = common_changes(equations, inverse, prior_weight);
+  const MatrixXd changes = systematic_changes(equations, inverse, prior_weight);
   const MatrixXd of_priors = std::sqrt(prior_weight) * inverse * equations.in_priors;
   return prior_weight * (inverse * equations.information[kPrior] * inverse) +
          changes * changes.transpose() - of_priors * of_priors.transpose();
@@ -241,8 +241,8 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   }
   const MatrixXd hessian_inverse = joined(of_intrinsics, follow, of_poses);
   result.covariance = symmetric(joined(camera, follow, spread_of_poses) +
-                                common_covariance(equations, hessian_inverse, prior_weight));
-  result.common_changes = common_changes(equations, hessian_inverse, prior_weight);
+                                systematic_covariance(equations, hessian_inverse, prior_weight));
+  result.systematic_changes = systematic_changes(equations, hessian_inverse, prior_weight);
 
   const VectorXd variance = result.covariance.diagonal().head(p);
   const auto part = [&](const MatrixXd& spread) -> VectorXd {

@@ -20,13 +20,13 @@ namespace plenocal {
 /// others.
 Eigen::MatrixXd gradient_spread(const std::vector<Group>& groups);
 
-/// Changes of the parameters by each common error: a column for each.
-Eigen::MatrixXd common_changes(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
+/// Changes of the parameters by each systematic error: a column for each.
+Eigen::MatrixXd systematic_changes(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
                                double prior_weight);
 
 /// The part of the covariance that is not due to single observations: of priors, and of common
 /// errors.
-Eigen::MatrixXd common_covariance(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
+Eigen::MatrixXd systematic_covariance(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
                                   double prior_weight);
 
 /// Two measurements of one thing that differ.
@@ -44,7 +44,7 @@ struct SharedErrors {
   Eigen::MatrixXd poses_by_intrinsics;
   Eigen::MatrixXd frame_shares;
   Eigen::MatrixXd left_out_changes;
-  Eigen::MatrixXd common_changes;
+  Eigen::MatrixXd systematic_changes;
 };
 
 /// `inverse` is H^+, `independent` the covariance of the gradient if all errors are independent:

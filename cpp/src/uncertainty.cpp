@@ -58,13 +58,13 @@ void add_weakest(const ScaledInverse& inverse, const MatrixXd& covariance, Uncer
   result->weakest = to_matrix(weakest);
 }
 
-void require_common(const std::vector<CommonError>& common, const Observations& observations,
+void require_common(const std::vector<SystematicError>& common, const Observations& observations,
                     std::size_t priors) {
-  for (const CommonError& error : common) {
+  for (const SystematicError& error : common) {
     if (error.features.size() != observations.features.size() ||
         (!error.centers.empty() && error.centers.size() != observations.centers.size()) ||
         (!error.priors.empty() && error.priors.size() != priors)) {
-      throw std::invalid_argument("a common error is not of these observations and priors");
+      throw std::invalid_argument("a systematic error is not of these observations and priors");
     }
     const bool features_finite =
         std::all_of(error.features.begin(), error.features.end(), [](const Feature<double>& by) {
@@ -76,7 +76,7 @@ void require_common(const std::vector<CommonError>& common, const Observations& 
     const bool priors_finite = std::all_of(error.priors.begin(), error.priors.end(),
                                             [](double by) { return std::isfinite(by); });
     if (!features_finite || !centers_finite || !priors_finite) {
-      throw std::invalid_argument("a common error is not finite");
+      throw std::invalid_argument("a systematic error is not finite");
     }
   }
 }
@@ -85,7 +85,7 @@ void require_common(const std::vector<CommonError>& common, const Observations& 
 
 Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const Observations& observations, const CostOptions& cost_options,
-                        const std::vector<CommonError>& common, int threads) {
+                        const std::vector<SystematicError>& common, int threads) {
   if (threads < 1) reject("threads have to be at least 1");
   require_common(common, observations, cost_options.priors.size());
   LeastSquares calibration(camera, poses, observations, cost_options);
@@ -114,7 +114,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   const MatrixXd independent = independent_spread(equations, inverse, &result);
   const double weight = cost_options.prior_weight;
   const MatrixXd covariance =
-      symmetric(inverse * independent * inverse + common_covariance(equations, inverse, weight));
+      symmetric(inverse * independent * inverse + systematic_covariance(equations, inverse, weight));
   result.independent_covariance = to_matrix(covariance);
   const MatrixXd observed = total - equations.information[kPrior];
   const SharedErrors shared =
@@ -133,8 +133,8 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
         kAssumedDispersion * mean_dispersion(equations, inverse, independent, observed, observed);
   }
   const MatrixXd changes =
-      result.shared ? shared.common_changes : common_changes(equations, inverse, weight);
-  result.common_changes = to_matrix(changes.topRows(equations.intrinsics).transpose());
+      result.shared ? shared.systematic_changes : systematic_changes(equations, inverse, weight);
+  result.systematic_changes = to_matrix(changes.topRows(equations.intrinsics).transpose());
   result.covariance = to_matrix(result.shared ? shared.covariance : covariance);
   add_weakest(scaled, result.shared ? shared.covariance : covariance, &result);
   const VectorXd step = -inverse * equations.gradient;

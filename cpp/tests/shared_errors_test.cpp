@@ -102,7 +102,7 @@ int row_of(const std::string& name, const Uncertainty& u) {
   return static_cast<int>(std::find(free.begin(), free.end(), index_of(name)) - free.begin());
 }
 
-TEST(Lean, IsHowTheDistanceGrowsOverTheImage) {
+TEST(TiltGradient, IsHowTheDistanceGrowsOverTheImage) {
   // Lenses about the middle, by their centres and where their micro-images are.
   Camera camera = test::simple_camera();
   camera.exit_pupil = {0.0, 0.0, -9.0};
@@ -120,7 +120,7 @@ TEST(Lean, IsHowTheDistanceGrowsOverTheImage) {
   const auto [ru, rv, rn] = place(3, 2);
   const auto [au, av, an] = place(2, 1);
   const auto [bu, bv, bn] = place(2, 3);
-  const Vector2<double> found = lean(camera.exit_pupil, camera.mla);
+  const Vector2<double> found = tilt_gradient(camera.exit_pupil, camera.mla);
   EXPECT_NEAR(found.x * (ru - lu) + found.y * (rv - lv), rn - ln, 1e-6);
   EXPECT_NEAR(found.x * (bu - au) + found.y * (bv - av), bn - an, 1e-6);
   EXPECT_GT(std::abs(rn - ln) + std::abs(bn - an), 1e-3);

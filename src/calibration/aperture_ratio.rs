@@ -192,7 +192,7 @@ fn pitch_mm(internal: &InternalParameters, grid: &MicroImageArray, pixel_mm: f64
 }
 
 /// Converts features that were found with a different aperture ratio to the aperture ratio of the camera: ρ by qᵢ, since
-/// φqᵢ is constant, u and v by their levers. Features without measured blur stay unchanged.
+/// φqᵢ is constant, u and v by their sensitivities. Features without measured blur stay unchanged.
 pub(super) fn with_that_of_start(
     mut features: Vec<BapFeature>,
     start: &Start,
@@ -215,8 +215,8 @@ pub(super) fn with_that_of_start(
         if let (Some(rho), Some(q)) = (&mut f.rho_px, q) {
             *rho += q * (1.0 - ratio.value / blur.aperture_ratio);
         }
-        if let Some(levers) = f.levers_px {
-            let [by_u, by_v] = levers[APERTURE_RATIO];
+        if let Some(sensitivities) = f.sensitivities_px {
+            let [by_u, by_v] = sensitivities[APERTURE_RATIO];
             let change = (ratio.value / blur.aperture_ratio).ln();
             f.u_px += by_u * change;
             f.v_px += by_v * change;

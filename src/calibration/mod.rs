@@ -3,7 +3,6 @@
 mod aperture_ratio;
 mod board;
 mod checks;
-mod common_errors;
 mod focus;
 mod frames;
 mod initial;
@@ -18,6 +17,7 @@ mod refit;
 mod result;
 mod stage;
 mod start;
+mod systematic_errors;
 mod words;
 
 pub use aperture_ratio::{BlurMeasurement, TypeBlur};

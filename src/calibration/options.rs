@@ -289,7 +289,7 @@ pub struct CalibrationOptions {
     pub board: BoardModel,
     /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, kappa, kappa_m, e_z, u0, v0, d,
     /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect. (e_x and e_y are
-    /// 0 unless they are defaults, and dC_ratio is fixed unless --pitches two.)
+    /// 0 unless they have a prior, and dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub fix: Vec<Parameter>,
     /// Prior knowledge: `[calibration.priors]`, --priors and --prior.

@@ -19,8 +19,8 @@ use crate::solver::Prior;
 
 /// Name of |m| among the quantities of priors.
 pub const SLOPE: &str = "m";
-/// Names of the lean of the array along u and v among them.
-pub const LEAN: [&str; 2] = ["lean_u", "lean_v"];
+/// Names of the tilt gradient of the array along u and v among them.
+pub const TILT_GRADIENT: [&str; 2] = ["tilt_u", "tilt_v"];
 /// Engraved focal lengths are rounded: a "50 mm" lens is often one of 51.6 mm.
 const ENGRAVED: f64 = 0.03;
 /// What q'ᵢ are worth if nothing is said of them.
@@ -92,7 +92,7 @@ pub fn intercept_name(lens_type: usize) -> String {
 }
 
 fn unit(quantity: &str) -> &'static str {
-    if LEAN.contains(&quantity) {
+    if TILT_GRADIENT.contains(&quantity) {
         return "mm^-1";
     }
     quantity.parse().map_or("mm", Parameter::unit)
@@ -117,7 +117,7 @@ pub(super) fn priors(start: &Start, options: &CalibrationOptions) -> Vec<(Prior,
     stated.chain(defaults.into_iter().filter(|(prior, _)| wanted(prior))).collect()
 }
 
-/// What white images measure: q'ᵢ, or those of the camera that is started from, and the lean of the array. They are
+/// What white images measure: q'ᵢ, or those of the camera that is started from, and the tilt gradient of the array. They are
 /// observations that all features share: without ρ, and without q'ᵢ, nothing is said of the fᵢ.
 fn of_white_images(start: &Start) -> Vec<(Prior, PriorSource)> {
     let (internal, source) = match start {
@@ -131,12 +131,12 @@ fn of_white_images(start: &Start) -> Vec<(Prior, PriorSource)> {
         Prior { quantity: intercept_name(lens_type), value, std_dev }
     };
     let mut priors: Vec<Prior> = (0..start.lens_types()).map(intercept).collect();
-    if let Some(lean) = &internal.lean {
+    if let Some(tilt_gradient) = &internal.tilt_gradient {
         let pixel_size_mm = start.sensor().pixel_size_mm;
-        priors.extend(LEAN.iter().enumerate().map(|(axis, quantity)| Prior {
+        priors.extend(TILT_GRADIENT.iter().enumerate().map(|(axis, quantity)| Prior {
             quantity: (*quantity).to_owned(),
-            value: lean.growth_per_px[axis] / pixel_size_mm,
-            std_dev: lean.std_dev_per_px[axis] / pixel_size_mm,
+            value: tilt_gradient.growth_per_px[axis] / pixel_size_mm,
+            std_dev: tilt_gradient.std_dev_per_px[axis] / pixel_size_mm,
         }));
     }
     priors.into_iter().map(|prior| (prior, source)).collect()
@@ -169,7 +169,7 @@ fn is_free(quantity: &str, fixed: &[Parameter]) -> bool {
     if quantity == SLOPE {
         return any_is_free(&[P::FocalLength, P::ArrayToSensor, P::LensToArray, P::PupilZ]);
     }
-    if LEAN.contains(&quantity) {
+    if TILT_GRADIENT.contains(&quantity) {
         return any_is_free(&[P::RotationX, P::RotationY, P::ArrayToSensor]);
     }
     if let Some(lens_type) = (0..MAX_LENS_TYPES).find(|&i| intercept_name(i) == quantity) {
@@ -183,7 +183,7 @@ pub(super) fn check_priors(options: &CalibrationOptions, lens_types: usize) -> R
     let known = Parameter::shared(lens_types);
     let names = || -> Vec<String> {
         let parameters = known.iter().map(|p| p.name().to_owned());
-        let of_white_images = [SLOPE].into_iter().chain(LEAN).map(str::to_owned);
+        let of_white_images = [SLOPE].into_iter().chain(TILT_GRADIENT).map(str::to_owned);
         parameters.chain(of_white_images).chain((0..lens_types).map(intercept_name)).collect()
     };
     let unknown = |quantity: &str| {
@@ -215,7 +215,7 @@ pub(super) fn check_priors(options: &CalibrationOptions, lens_types: usize) -> R
         }
         if !is_free(quantity, &fixed) || options.keeps(quantity) {
             return Err(Error::invalid(format!(
-                "{quantity} is defaults, but it is fixed: a prior would have no effect; leave one \
+                "{quantity} has a prior, but it is fixed: a prior would have no effect; leave one \
                  of the two out"
             )));
         }
@@ -245,8 +245,8 @@ pub(super) fn results(
         if let Some(lens_type) = (0..camera.lens_types()).find(|&i| intercept_name(i) == quantity) {
             return optics::internal_parameters(camera).q_prime_mm[lens_type];
         }
-        if let Some(axis) = LEAN.iter().position(|name| *name == quantity) {
-            return optics::lean_per_mm(camera)[axis];
+        if let Some(axis) = TILT_GRADIENT.iter().position(|name| *name == quantity) {
+            return optics::tilt_gradient_per_mm(camera)[axis];
         }
         match quantity.parse::<Parameter>() {
             Ok(parameter) if parameter.is_of_board() => shape.value(parameter),

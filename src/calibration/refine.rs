@@ -9,8 +9,8 @@ use crate::calibration::frames::{Frames, reconsidered_poses};
 use crate::error::Result;
 use crate::model::BentBoard;
 use crate::solver::{
-    self, CommonError, CostOptions, Iteration, Loss, LossKind, Problem, Refinement, SolverOptions,
-    Termination, Uncertainty,
+    self, CostOptions, Iteration, Loss, LossKind, Problem, Refinement, SolverOptions,
+    SystematicError, Termination, Uncertainty,
 };
 
 /// Limit of repetitions: correcting one mirrored board may reveal others.
@@ -34,7 +34,7 @@ pub(super) struct Settings<'a> {
     pub frames: &'a Frames,
     pub options: &'a CalibrationOptions,
     /// Errors that observations have in common.
-    pub common: Vec<CommonError>,
+    pub common: Vec<SystematicError>,
     /// The weight of the priors of the refinement that has ended where this one begins; `None` far from a minimum.
     pub known_weight: Option<f64>,
 }

@@ -4,12 +4,12 @@ use nalgebra::Isometry3;
 use tracing::debug;
 
 use crate::calibration::board::{Settled, findings_of};
-use crate::calibration::common_errors::common_errors;
 use crate::calibration::frames::{Frames, feature_residuals, solver_centers, solver_features};
 use crate::calibration::outlying::{LOSS_SCALE, loss_by_residuals};
 use crate::calibration::prepare::{Prepared, Solution, prepared};
 use crate::calibration::priors::{contradicted, priors, results};
 use crate::calibration::refine::{Refined, Settings, at_end};
+use crate::calibration::systematic_errors::systematic_errors;
 use crate::calibration::{
     BlurMeasurement, BoardResult, Calibration, CalibrationOptions, LeftOut, Mode, PriorSource,
     Start,
@@ -88,7 +88,7 @@ fn completed(
     let priors = priors(&start, options);
     let mut cost = cost_for(options, &initial, &observations, &priors);
     let all = (frames.features.as_slice(), observations.centers.as_slice());
-    let common = common_errors(&start, &initial, all, &cost, options)?;
+    let common = systematic_errors(&start, &initial, all, &cost, options)?;
     let settings = Settings { frames: &frames, options, common, known_weight: None };
     let (settled, outlying) = match at {
         Some(_) => (settings.evaluated(&problem, &cost, &priors)?, None),

@@ -1,7 +1,7 @@
 //! Checks of images of boards, and of the boards found in them.
 
 use crate::finding::{Finding, Issue};
-use crate::model::{Board, Subset};
+use crate::model::{Board, Subset, at_most_full};
 use crate::numerics::median;
 use crate::quantity::Estimate;
 
@@ -9,6 +9,66 @@ use crate::quantity::Estimate;
 const FEW_FRAMES: usize = 4;
 /// The variance of both axes together of an even motion is a twelfth of its square, the variance along an axis half of it.
 const MOTION: f64 = 24.0;
+
+/// A frame is rejected if more than this part of its micro-images is unusable for the same reason.
+const UNUSABLE: f64 = 0.25;
+/// Aperture ratios that differ by fewer σ, or by less than this part, may differ by chance.
+const RATIO_STD_DEVS: f64 = 3.0;
+
+/// Aperture ratios are the same if they differ by less than this part.
+const SAME_RATIO: f64 = 0.002;
+
+/// Parts of the micro-images of a frame that are unusable, by the reason.
+pub(crate) struct UnusableParts {
+    pub saturated_white: f64,
+    pub saturated: f64,
+    pub too_small: f64,
+    pub dark: f64,
+    /// Pitch of the micro-images.
+    pub pitch_px: f64,
+}
+
+/// The exposure of a frame; the reason if it allows for no detection.
+pub(crate) fn exposure(unusable: &UnusableParts) -> Result<(), Issue> {
+    let UnusableParts { saturated_white, saturated, too_small, dark, pitch_px } = *unusable;
+    if saturated_white > UNUSABLE {
+        return Err(Issue::SaturatedWhite { part: saturated_white });
+    }
+    if saturated > UNUSABLE {
+        return Err(Issue::Saturated { part: saturated });
+    }
+    if too_small > UNUSABLE {
+        return Err(Issue::MicroImagesTooSmall { part: too_small, pitch_px });
+    }
+    if dark > UNUSABLE {
+        return Err(Issue::DarkWhite { part: dark });
+    }
+    Ok(())
+}
+
+/// Whether an aperture ratio is another one than the ratio that corners were fitted with, by so many σ.
+pub(crate) fn ratio_differs(found: &Estimate, fitted_with: f64, std_devs: f64) -> bool {
+    let change = (found.value - fitted_with).abs();
+    change > SAME_RATIO * found.value && change > std_devs * found.std_dev
+}
+
+/// Corners that were fitted with another aperture ratio than all frames show: the ratio of other boards with its σ, or that
+/// of the first frames.
+pub(crate) fn aperture_ratio(
+    fitted_with: f64,
+    of_other_boards: Option<f64>,
+    estimated: Estimate,
+) -> Option<Finding> {
+    let (taken, issue) = match of_other_boards {
+        // What is taken of those boards is at most 1.
+        Some(std_dev) => (
+            Estimate { std_dev: estimated.std_dev.hypot(std_dev), ..at_most_full(&estimated) },
+            Issue::ApertureRatioOfOtherBoards { fitted_with, estimated },
+        ),
+        None => (estimated, Issue::ApertureRatioOfFirstFrames { fitted_with, estimated }),
+    };
+    ratio_differs(&taken, fitted_with, RATIO_STD_DEVS).then(|| Finding::caution(issue))
+}
 
 /// Images whose samples were rounded to few levels: the frames with their number of levels.
 pub(crate) fn few_levels(frames: &[(u32, u32)]) -> Option<Finding> {

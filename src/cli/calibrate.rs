@@ -18,8 +18,8 @@ use super::cost;
 use super::evaluate::calibrated;
 use super::given::Given;
 use super::input::{Files, Input};
+use super::messages::{print_result, say, tell, warn};
 use super::progress;
-use super::talk::{print_result, say, tell, warn};
 
 /// Calibrate a camera from micro-image centres and BAP features.
 ///

@@ -10,7 +10,7 @@ use plenocal::model::PlenopticCamera;
 use plenocal::{Error, Result, report};
 
 use super::evaluate::calibrated;
-use super::talk::print_result;
+use super::messages::print_result;
 
 /// Compare two calibrated cameras: parameters in standard deviations, and what they see.
 ///

@@ -24,6 +24,6 @@ Examples:
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut super::Cli::command(), "plenocal", &mut script);
-    super::talk::print(&script)?;
+    super::messages::print(&script)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -11,7 +11,7 @@ use plenocal::model::Board;
 use plenocal::{Result, report};
 
 use super::input::Input;
-use super::talk::{print_result, tell};
+use super::messages::{print_result, tell};
 
 /// Evaluates, and writes cost.json and residuals.csv, and the problem if it is wanted.
 pub(super) fn run(

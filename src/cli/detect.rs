@@ -11,8 +11,8 @@ use plenocal::precalibration::PrecalibrationOptions;
 use plenocal::{Result, report};
 
 use super::boards::{self, Options, Shoot};
+use super::messages::{print_result, tell};
 use super::precalibrate::{measure, stage_centers};
-use super::talk::{print_result, tell};
 
 /// Detect the corners of a checkerboard in raw images automatically.
 ///

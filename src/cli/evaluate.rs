@@ -14,8 +14,8 @@ use plenocal::{Error, Result, report};
 
 use super::boards::{self, Options, Shoot, images_of};
 use super::input::{Files, Input, board_shape, camera_source};
+use super::messages::{print_result, tell};
 use super::progress;
-use super::talk::{print_result, tell};
 
 /// Evaluate a camera: on boards not used in its calibration, on known displacements, against the truth,
 /// and by leaving frames out.

@@ -15,7 +15,7 @@ use super::boards::{self, Options, Shoot};
 use super::calibrate::{stage_results, status};
 use super::evaluate::calibrated;
 use super::input::board_shape;
-use super::talk::{print_result, tell};
+use super::messages::{print_result, tell};
 
 /// Find the poses of boards in raw images with a calibrated camera.
 ///

@@ -8,7 +8,7 @@ use plenocal::io::{self, CameraSource, Project};
 use plenocal::model::{Board, BoardShape, Datasheet, Observations, SHAPE};
 use plenocal::{Error, Result};
 
-use super::talk::warn;
+use super::messages::warn;
 
 /// The files named on the command line.
 pub struct Files<'a> {
@@ -147,7 +147,7 @@ pub fn camera_source(path: &Path) -> Result<CameraSource> {
 }
 
 fn from_datasheet(mut sheet: Datasheet, files: &Files, project: &Project) -> Result<Start> {
-    let internal = match (files.params, project.internal()) {
+    let internal = match (files.params, project.internal_parameters.clone()) {
         (Some(path), _) => {
             if sheet.array_size.is_none() {
                 sheet.array_size = io::read_array_size(path)?;

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use plenocal::io;
 
+use super::messages::say;
 use super::progress;
-use super::talk::say;
 
 /// The convention of shells: 128 plus the number of SIGINT.
 const INTERRUPTED: i32 = 130;

@@ -15,13 +15,13 @@ mod input;
 mod interrupt;
 mod logging;
 mod man;
+mod messages;
 mod points;
 mod precalibrate;
 mod progress;
 mod rays;
 mod run;
 mod simulate;
-mod talk;
 
 use std::process::ExitCode;
 
@@ -104,7 +104,7 @@ pub fn run() -> ExitCode {
         Command::Man(arguments) => man::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {
-        talk::say_error(&error);
+        messages::say_error(&error);
         ExitCode::FAILURE
     })
 }

@@ -15,7 +15,7 @@ use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
 use super::evaluate::{beyond_boards, calibrated};
-use super::talk::{print_result, warn};
+use super::messages::{print_result, warn};
 
 /// Make metric points of virtual depths, by a calibrated camera.
 ///

@@ -17,8 +17,8 @@ use plenocal::{Error, Finding, Result, Subject};
 use rayon::prelude::*;
 
 use super::boards::{camera_of, listed_images};
+use super::messages::{print_result, tell};
 use super::progress;
-use super::talk::{print_result, tell};
 
 /// Measure the micro-image array and the internal parameters on white images.
 ///

@@ -14,8 +14,8 @@ use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
 use super::evaluate::{beyond_boards, calibrated};
+use super::messages::{print_result, warn};
 use super::progress;
-use super::talk::{print_result, warn};
 
 /// Compute the ray in space of every pixel of a calibrated camera.
 ///

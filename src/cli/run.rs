@@ -26,8 +26,8 @@ use serde_json::{Value, json};
 use super::boards::{self, Options, Shoot, images_of};
 use super::calibrate::{compared, stage_results, status, with_method};
 use super::evaluate::{calibrated, clouds, evaluated};
+use super::messages::{print_result, say, tell};
 use super::precalibrate;
-use super::talk::{print_result, say, tell};
 
 /// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
 ///

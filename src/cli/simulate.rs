@@ -80,7 +80,7 @@ Examples:
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let text = simulate(arguments)?;
-    let printed = super::talk::print(text.as_bytes());
+    let printed = super::messages::print(text.as_bytes());
     // Once the data set is written, a closed stdout is not an error.
     if arguments.print {
         printed?;

@@ -28,7 +28,7 @@ pub(super) fn aberration_change<'a>(
         for (row, measured) in &rows {
             line.add(row, measured, 1.0);
         }
-        // What no line explains of the places must be explained by what no line explains of the levers (Frisch,
+        // What no line explains of the places must be explained by what no line explains of the sensitivities (Frisch,
         // Waugh and Lovell).
         let Some(explained) = line.solve() else { continue };
         for (row, measured) in &rows {
@@ -37,7 +37,7 @@ pub(super) fn aberration_change<'a>(
             squares += left.w * left.w;
         }
         for seen in corner {
-            let by = seen.levers.by_aberration.abs();
+            let by = seen.sensitivities.by_aberration.abs();
             largest = largest.sup(&by.row(0).sup(&by.row(1)).transpose());
         }
         freedom += rows.len() as f64 - 3.0;
@@ -54,12 +54,12 @@ pub(super) fn aberration_change<'a>(
     Some(if shows { change } else { -aberration.coefficients_per_px2 })
 }
 
-/// The two equations of an observation: of the line in its β and γ, with the levers of S, C and T and the straightened
+/// The two equations of an observation: of the line in its β and γ, with the sensitivities of S, C and T and the straightened
 /// place on their right.
 fn rows(seen: &CornerMeasurement) -> [(Vector3<f64>, RowVector4<f64>); 2] {
     let observation = seen.on_line();
     let design = observation.whitened(&CornerLine::design(&observation.center));
-    let by = observation.whitened(&seen.levers.by_aberration);
+    let by = observation.whitened(&seen.sensitivities.by_aberration);
     let place = observation.whitened(&observation.position);
     [0, 1].map(|i| {
         let measured = RowVector4::new(by[(i, 0)], by[(i, 1)], by[(i, 2)], place[i]);
@@ -73,7 +73,7 @@ mod tests {
 
     use super::super::CornerObservation;
     use super::super::corner::Corner;
-    use super::super::corner_sensitivity::Levers;
+    use super::super::corner_sensitivity::Sensitivities;
     use super::*;
 
     const PUPIL_PX: f64 = 6.0;
@@ -121,7 +121,7 @@ mod tests {
                                 explained: 1.0,
                             },
                             slope_before: slope,
-                            levers: Levers {
+                            sensitivities: Sensitivities {
                                 by_slope: Vector2::zeros(),
                                 by_taken: SMatrix::zeros(),
                                 by_aberration: bend.terms(&w) * (slope - 1.0),

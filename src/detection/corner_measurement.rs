@@ -3,7 +3,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::corner::Corner;
-use super::corner_sensitivity::Levers;
+use super::corner_sensitivity::Sensitivities;
 use super::edge_width::EdgeWidth;
 use super::micro_images::STEPS;
 use super::{CornerObservation, MicroOptics};
@@ -16,19 +16,19 @@ pub(super) struct CornerMeasurement {
     /// γ₀, the slope that its line had before.
     pub slope_before: f64,
     /// By how much the observation moves with that slope and the aberration.
-    pub levers: Levers,
+    pub sensitivities: Sensitivities,
     /// What its edges say of the blur.
     pub width: Option<EdgeWidth>,
 }
 
 impl CornerMeasurement {
-    /// The observation as it enters the line: its place i + (γ − γ₀) lever = β + γ c is a line in γ as well, that
-    /// of i − γ₀ lever over c − lever. So the slope and the blur that follows from it are found together;
+    /// The observation as it enters the line: its place i + (γ − γ₀) sensitivity = β + γ c is a line in γ as well, that
+    /// of i − γ₀ sensitivity over c − sensitivity. So the slope and the blur that follows from it are found together;
     /// by turns, each round would leave half of an error.
     pub fn on_line(&self) -> CornerObservation {
         CornerObservation {
-            center: self.observation.center - self.levers.by_slope,
-            position: self.observation.position - self.levers.by_slope * self.slope_before,
+            center: self.observation.center - self.sensitivities.by_slope,
+            position: self.observation.position - self.sensitivities.by_slope * self.slope_before,
             ..self.observation
         }
     }
@@ -36,26 +36,26 @@ impl CornerMeasurement {
     /// [`CornerMeasurement::on_line`] if one of what is taken from white images is larger by its part of [`STEPS`].
     pub fn on_line_with(&self, taken: usize) -> CornerObservation {
         let on_line = self.on_line();
-        let moved = self.levers.by_taken.column(taken) * STEPS[taken];
+        let moved = self.sensitivities.by_taken.column(taken) * STEPS[taken];
         CornerObservation { position: on_line.position + moved, ..on_line }
     }
 
-    /// Adds to a lever what follows from how the slope of the line changes with it.
+    /// Adds to a sensitivity what follows from how the slope of the line changes with it.
     pub fn take_slope(&mut self, taken: usize, slope: f64) {
-        let by_slope = self.levers.by_slope * slope;
-        let mut lever = self.levers.by_taken.column_mut(taken);
-        lever += by_slope;
+        let by_slope = self.sensitivities.by_slope * slope;
+        let mut sensitivity = self.sensitivities.by_taken.column_mut(taken);
+        sensitivity += by_slope;
     }
 
     /// Moves the observation to where another aberration puts it.
     pub fn change_aberration(&mut self, change: &Vector3<f64>) {
-        self.moved(&(self.levers.by_aberration * change));
+        self.moved(&(self.sensitivities.by_aberration * change));
     }
 
     /// Moves the observation to where the blur radius of another slope puts it. What its edges say of the aperture ratio is then
     /// over that radius.
     pub fn change_slope(&mut self, slope: f64, optics: &MicroOptics) {
-        self.moved(&(self.levers.by_slope * (slope - self.slope_before)));
+        self.moved(&(self.sensitivities.by_slope * (slope - self.slope_before)));
         let wider_px = optics.blur_radius_px(slope) - optics.blur_radius_px(self.slope_before);
         let log_ratio = wider_px / optics.blur_by_ratio_px(self.slope_before);
         self.width = self.width.map(|width| width.about(&Vector2::new(-log_ratio, 0.0)));
@@ -94,7 +94,7 @@ mod tests {
             },
             corner: corner(Vector2::zeros()),
             slope_before: 0.5,
-            levers: Levers {
+            sensitivities: Sensitivities {
                 by_slope: Vector2::new(0.3, -0.2),
                 by_aberration: Matrix2x3::zeros(),
                 by_taken: ByTaken::zeros(),

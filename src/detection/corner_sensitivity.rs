@@ -23,7 +23,7 @@ pub(super) type ByTaken = SMatrix<f64, 2, TAKEN>;
 
 /// Derivatives of the straightened place of a corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Levers {
+pub(super) struct Sensitivities {
     /// By the slope, px.
     pub by_slope: Vector2<f64>,
     /// By S, C and T, px³.
@@ -40,16 +40,16 @@ const COLUMNS: usize = 3 + GIVEN;
 /// The unknowns of a fit: place (u, v), level and contrast.
 const UNKNOWNS: usize = 4;
 
-/// The levers of a corner that was fitted, but for those by what is taken from white images, and the inverse of the normal
+/// The sensitivities of a corner that was fitted, but for those by what is taken from white images, and the inverse of the normal
 /// matrix of its fit; `None` if the light does not determine its place.
 #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-pub(super) fn levers(
+pub(super) fn sensitivities(
     corner: &Corner,
     patch: &Patch,
     rays: &Rays,
     slope: f64,
     bend: &Bend,
-) -> Option<(Levers, Matrix4<f64>)> {
+) -> Option<(Sensitivities, Matrix4<f64>)> {
     let pixels = patch.x.len();
     let mut room = vec![0.0; (COLUMNS + 2) * pixels];
     let sums = Sums {
@@ -63,15 +63,16 @@ pub(super) fn levers(
     let (normal, right) = Arch::new().dispatch(sums);
     let normal = Matrix4::from_fn(|a, b| f64::from(normal[a.max(b)][a.min(b)]));
     let inverse = normal.cholesky()?.inverse();
-    let levers = inverse * SMatrix::<f64, UNKNOWNS, GIVEN>::from_fn(|a, b| f64::from(right[a][b]));
-    let place = levers.fixed_rows::<2>(0);
-    levers.iter().all(|x| x.is_finite()).then(|| {
-        let levers = Levers {
+    let sensitivities =
+        inverse * SMatrix::<f64, UNKNOWNS, GIVEN>::from_fn(|a, b| f64::from(right[a][b]));
+    let place = sensitivities.fixed_rows::<2>(0);
+    sensitivities.iter().all(|x| x.is_finite()).then(|| {
+        let sensitivities = Sensitivities {
             by_slope: place.column(0).into_owned(),
             by_aberration: place.fixed_columns::<3>(1).into_owned(),
             by_taken: ByTaken::zeros(),
         };
-        (levers, inverse)
+        (sensitivities, inverse)
     })
 }
 
@@ -345,7 +346,7 @@ pub(super) mod tests {
 
     /// The place follows what is taken for granted, as fits with other values show.
     #[test]
-    fn levers_are_the_changes_of_fits() {
+    fn sensitivities_are_the_changes_of_fits() {
         let micro_images = micro_images(23.0);
         let optics = micro_images.optics(1, 1);
         let vignetting = micro_images.vignetting(&optics);
@@ -361,31 +362,31 @@ pub(super) mod tests {
         let (known, bend) = rays(SLOPE, [0.0; 3], &patch);
         let truth = corner(place);
         light(&mut patch, &truth, &known);
-        let (levers, inverse) = levers(&truth, &patch, &known, SLOPE, &bend).unwrap();
+        let (sensitivities, inverse) = sensitivities(&truth, &patch, &known, SLOPE, &bend).unwrap();
         let place_with = |slope: f64, coefficients: [f64; 3]| {
             let (rays, _) = rays(slope, coefficients, &patch);
             truth.fitted(&patch, &rays, Free::Place, &mut FitRoom::default()).unwrap().place
         };
         assert!((place_with(SLOPE, [0.0; 3]) - place).norm() < 2e-3);
-        let close = |change: Vector2<f64>, lever: Vector2<f64>, step: f64| {
-            let expected = lever * step;
+        let close = |change: Vector2<f64>, sensitivity: Vector2<f64>, step: f64| {
+            let expected = sensitivity * step;
             assert!(
                 (change - expected).norm() < 0.15 * expected.norm() + 3e-3,
                 "{change} {expected}"
             );
         };
         let by_slope = place_with(SLOPE + 0.01, [0.0; 3]) - place_with(SLOPE - 0.01, [0.0; 3]);
-        close(by_slope, levers.by_slope, 0.02);
+        close(by_slope, sensitivities.by_slope, 0.02);
         for i in 0..3 {
-            let lever = levers.by_aberration.column(i).into_owned();
+            let sensitivity = sensitivities.by_aberration.column(i).into_owned();
             // That moves the place by a fiftieth of a pixel.
-            let step = 0.02 / lever.norm();
+            let step = 0.02 / sensitivity.norm();
             let with = |sign: f64| {
                 let mut coefficients = [0.0; 3];
                 coefficients[i] = sign * step;
                 place_with(SLOPE, coefficients)
             };
-            close(with(1.0) - with(-1.0), lever, 2.0 * step);
+            close(with(1.0) - with(-1.0), sensitivity, 2.0 * step);
         }
         let others = |patch: &Patch| -> [Rays; TAKEN] {
             std::array::from_fn(|taken| {
@@ -396,11 +397,13 @@ pub(super) mod tests {
         let mut on_edges = OnEdges::default();
         on_edges.find(&truth, &patch, &known);
         let by_taken = on_edges.by_taken(&truth, &others(&on_edges.patch), &inverse, 1.0);
-        for ((other, lever), step) in others(&patch).iter().zip(by_taken.column_iter()).zip(STEPS) {
+        for ((other, sensitivity), step) in
+            others(&patch).iter().zip(by_taken.column_iter()).zip(STEPS)
+        {
             let moved =
                 truth.fitted(&patch, other, Free::Place, &mut FitRoom::default()).unwrap().place
                     - place;
-            close(moved, lever.into_owned(), step);
+            close(moved, sensitivity.into_owned(), step);
         }
         assert!(by_taken.column(0).norm() > 0.5, "{by_taken}");
     }
@@ -408,7 +411,7 @@ pub(super) mod tests {
     /// Along an edge that the few pixels do not see they say nothing of the place; what level and contrast make up for does not
     /// move it.
     #[test]
-    fn few_pixels_make_no_large_levers() {
+    fn few_pixels_make_no_large_sensitivities() {
         let few = Matrix4::from_diagonal(&[1.0, 1e-6, 1.0, 1.0].into());
         let right = SMatrix::<f64, UNKNOWNS, 1>::new(0.1, 0.01, 0.0, 0.0);
         let place = place_by_few(&few, &right, &Matrix4::identity(), 1.0);
@@ -422,7 +425,7 @@ pub(super) mod tests {
 
     /// All fifths of the pixels together say what all pixels do.
     #[test]
-    fn a_fifth_of_the_pixels_shows_the_levers() {
+    fn a_fifth_of_the_pixels_shows_the_sensitivities() {
         let micro_images = micro_images(23.0);
         let optics = micro_images.optics(1, 1);
         let rays = |patch: &Patch, taken: Option<usize>| {
@@ -437,7 +440,7 @@ pub(super) mod tests {
         for place in [Vector2::new(4.0, -2.5), Vector2::new(-4.5, 3.5), Vector2::new(0.5, 0.2)] {
             let truth = corner(place);
             let (_, inverse) =
-                levers(&truth, &patch, &rays(&patch, None), SLOPE, &Bend::none()).unwrap();
+                sensitivities(&truth, &patch, &rays(&patch, None), SLOPE, &Bend::none()).unwrap();
             let by = |few: &Patch| {
                 let mut on_edges = OnEdges::default();
                 on_edges.find(&truth, few, &rays(few, None));

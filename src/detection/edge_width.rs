@@ -151,8 +151,6 @@ const SIGNIFICANT: f64 = 3.0;
 /// standard deviations.
 pub(super) const MOVED_PX2: f64 = 0.05;
 pub(super) const MOVED: f64 = 5.0;
-/// Aperture ratios are the same if they differ by less than this part.
-const SAME_RATIO: f64 = 0.002;
 /// Rounds in which they are left out.
 const ROUNDS: usize = 5;
 /// How well the model of a corner tells v, as a part of the variance of the point spread: light at the rim of the pupil is
@@ -253,12 +251,6 @@ impl OfFrames {
         let ratio = Estimate { value, std_dev: value * of_ratio };
         Some(Self { ratio, wider_px2: Estimate::new(at.y, std_dev(1).hypot(of_width)), alike })
     }
-}
-
-/// Whether an aperture ratio is another one than that which corners were fitted with, by so many standard deviations.
-pub(super) fn differs(found: &Estimate, fitted_with: f64, std_devs: f64) -> bool {
-    let change = (found.value - fitted_with).abs();
-    change > SAME_RATIO * found.value && change > std_devs * found.std_dev
 }
 
 impl std::ops::Div<f64> for EdgeWidth {

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::frame::Frame;
 use super::patch::{Patch, Room, Unusable};
+use crate::checks::boards::{self as checks, UnusableParts};
 use crate::finding::Issue;
 use crate::numerics::median;
 
@@ -20,8 +21,6 @@ const LEAST_LEVEL: f64 = 0.1;
 /// image, of which more is bright.
 const SATURATED: f32 = 0.2;
 const SATURATED_WHITE: f32 = 0.5;
-/// A frame is rejected if more than this part of the micro-images are unusable for the same reason.
-const TOO_MANY: f64 = 0.25;
 
 /// The white image is covered where it has less than this part of its usual light.
 const COVERED: f64 = 0.1;
@@ -95,16 +94,11 @@ fn check_exposure(frame: &Frame, levels: &[Result<Level, Unusable>]) -> Result<(
         let count = unusable.filter(|reason| *reason == why).count();
         count as f64 / levels.len() as f64
     };
-    let micro_image_pitch_px = frame.search.micro_images.grid.pitch_px;
-    let too_small = |part| Issue::MicroImagesTooSmall { part, pitch_px: micro_image_pitch_px };
-    let reasons: [(Unusable, &dyn Fn(f64) -> Issue); 4] = [
-        (Unusable::SaturatedWhite, &|part| Issue::SaturatedWhite { part }),
-        (Unusable::Saturated, &|part| Issue::Saturated { part }),
-        (Unusable::TooSmall, &too_small),
-        (Unusable::Dark, &|part| Issue::DarkWhite { part }),
-    ];
-    match reasons.iter().find(|(why, _)| part(*why) > TOO_MANY) {
-        Some((why, rejection)) => Err(rejection(part(*why))),
-        None => Ok(()),
-    }
+    checks::exposure(&UnusableParts {
+        saturated_white: part(Unusable::SaturatedWhite),
+        saturated: part(Unusable::Saturated),
+        too_small: part(Unusable::TooSmall),
+        dark: part(Unusable::Dark),
+        pitch_px: frame.search.micro_images.grid.pitch_px,
+    })
 }

@@ -131,7 +131,7 @@ pub(super) fn detection(
                 // over pairs. The uncertainty of q'ᵢ, which all features of a lens type share,
                 // is not in it.
                 rho_std_dev_px: Some(half_pitch * found.line.slope_std_dev),
-                levers_px: Some((*by_taken).into()),
+                sensitivities_px: Some((*by_taken).into()),
                 blur,
             });
         }

@@ -1,15 +1,12 @@
 //! Findings about a set of images of boards.
 
-use super::edge_width::{MOVED, MOVED_PX2, differs};
+use super::edge_width::{MOVED, MOVED_PX2};
 use super::flat_field::unlike;
 use super::{DetectedFrame, MicroImages};
 use crate::checks::boards as checks;
-use crate::finding::{Finding, Issue};
-use crate::model::{Board, Subset, at_most_full};
+use crate::finding::Finding;
+use crate::model::{Board, Subset};
 use crate::quantity::Estimate;
-
-/// Aperture ratios that differ by fewer standard deviations may differ by chance.
-const CHANCE: f64 = 3.0;
 
 /// Findings about frames that are left out or blurred, and about a doubtful board.
 pub(super) fn findings(frames: &[DetectedFrame], board: &Board, subset: Subset) -> Vec<Finding> {
@@ -43,22 +40,14 @@ pub(super) fn findings(frames: &[DetectedFrame], board: &Board, subset: Subset) 
 
 /// A finding if corners were fitted with another aperture ratio than all frames show.
 pub(super) fn fitted_otherwise(found: &Estimate, micro_images: &MicroImages) -> Option<Finding> {
-    let fitted_with = micro_images.aperture_ratio();
-    let (taken, issue) = match micro_images.settled() {
-        // What is taken of those boards is at most 1.
-        Some(std_dev) => (
-            Estimate { std_dev: found.std_dev.hypot(std_dev), ..at_most_full(found) },
-            Issue::ApertureRatioOfOtherBoards { fitted_with, estimated: *found },
-        ),
-        None => (*found, Issue::ApertureRatioOfFirstFrames { fitted_with, estimated: *found }),
-    };
-    differs(&taken, fitted_with, CHANCE).then(|| Finding::caution(issue))
+    checks::aperture_ratio(micro_images.aperture_ratio(), micro_images.settled(), *found)
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::micro_images::tests::micro_images;
     use super::*;
+    use crate::model::at_most_full;
 
     /// What other boards have shown is taken as at most 1, and both σ count.
     #[test]

@@ -7,9 +7,9 @@ use super::MicroOptics;
 use crate::error::{Error, Result};
 use crate::model::taken::{APERTURE_RATIO, FALL_OFF, INTERCEPT, POINT_SPREAD, PUPIL};
 use crate::model::{
-    Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, MicroImageCenter,
-    ROW_DISTANCE, SampleLevels, Sensor, TAKEN, check_array_size, check_centers, growth_per_px,
-    optics,
+    Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, MicroImageCenter,
+    ROW_DISTANCE, SampleLevels, Sensor, TAKEN, TiltGradient, check_array_size, check_centers,
+    growth_per_px, optics,
 };
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::quantity::Estimate;
@@ -42,8 +42,8 @@ pub struct MicroImages {
     fall_off: FallOff,
     /// The angles at which light arrives in the middle of the image.
     in_the_middle: Obliquity,
-    /// The lean of the array, where it was measured.
-    lean: Option<Lean>,
+    /// The tilt gradient of the array, where it was measured.
+    tilt_gradient: Option<TiltGradient>,
     /// (D + d)/d.
     lens_to_sensor: f64,
     /// Gradient of ln d, 1/px.
@@ -152,7 +152,7 @@ impl MicroImages {
             middle,
             in_the_middle: Obliquity::in_the_middle(within, mla_to_sensor_px, half_pitch_px),
             fall_off,
-            lean: internal.lean,
+            tilt_gradient: internal.tilt_gradient,
             lens_to_sensor: lens_to_sensor_px / mla_to_sensor_px,
             growth_per_px: Vector2::zeros(),
         };
@@ -172,7 +172,7 @@ impl MicroImages {
     fn tabulate(&mut self) -> f64 {
         let perspective_per_px = &self.grid.perspective_per_px;
         self.growth_per_px =
-            growth_per_px(self.lean.as_ref(), perspective_per_px, self.lens_to_sensor);
+            growth_per_px(self.tilt_gradient.as_ref(), perspective_per_px, self.lens_to_sensor);
         let most = self.growth_per_px.abs().dot(&self.middle);
         #[allow(clippy::cast_possible_truncation)] // a small number
         let last_step = (most.min(MOST_GROWTH) / GROWTH_STEP).ceil() as i32;
@@ -239,8 +239,10 @@ impl MicroImages {
         let q_prime_px = self.q_prime_px.iter().map(of_type).collect();
         let in_the_middle =
             Obliquity { half_pitch_px: half_pitch * aperture_ratio, ..self.in_the_middle };
-        let lean = self.lean.map(|lean| lean.with_aperture_ratio(-change.ln()));
-        let mut other = Self { q_prime_px, aperture_ratio, in_the_middle, lean, ..self.clone() };
+        let tilt_gradient =
+            self.tilt_gradient.map(|tilt_gradient| tilt_gradient.with_aperture_ratio(-change.ln()));
+        let mut other =
+            Self { q_prime_px, aperture_ratio, in_the_middle, tilt_gradient, ..self.clone() };
         other.tabulate();
         other
     }
@@ -423,7 +425,7 @@ pub(super) mod tests {
             q_prime_std_dev_mm: Vec::new(),
             pupil_growth: 0.0,
             fall_off: None,
-            lean: None,
+            tilt_gradient: None,
             point_spread_px2: None,
             aperture_ratio: None,
             levels: None,

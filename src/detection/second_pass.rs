@@ -10,7 +10,7 @@ use super::blur::Blur;
 use super::board::LabelledBoard;
 use super::corner::{Corner, FitRoom, Free};
 use super::corner_measurement::CornerMeasurement;
-use super::corner_sensitivity::{ByTaken, Levers, OnEdges, levers};
+use super::corner_sensitivity::{ByTaken, OnEdges, Sensitivities, sensitivities};
 use super::distortion::Distortion;
 use super::edge_width::{EdgeWidth, WidthChange};
 use super::first_pass::LEAST_CONTRAST;
@@ -68,7 +68,7 @@ pub(super) struct BoardCorner {
 pub(super) struct Found {
     pub observation: CornerObservation,
     pub corner: Corner,
-    /// How the place changes with what is taken from white images, px: see [`BapFeature::levers_px`].
+    /// How the place changes with what is taken from white images, px: see [`BapFeature::sensitivities_px`].
     pub by_taken: ByTaken,
     /// What its edges say of the blur.
     pub width: Option<EdgeWidth>,
@@ -281,7 +281,8 @@ impl CornerSearch<'_> {
         let start = self.expected_corner(sought, &center, room.patch.mean());
         blur.trace(&room.patch, &mut room.rays);
         let mut corner = self.fitted(&start, room)?;
-        let (mut levers, inverse) = levers(&corner, &room.patch, &room.rays, slope, &bend)?;
+        let (mut sensitivities, inverse) =
+            sensitivities(&corner, &room.patch, &room.rays, slope, &bend)?;
         let has_width = self.last || (node.0 + node.1).rem_euclid(ROUGH_WIDTHS) == 0;
         let mut width = None;
         if has_width {
@@ -289,7 +290,8 @@ impl CornerSearch<'_> {
             room.few = room.patch.thinned(step);
             room.rays.thin(step, &mut room.few_rays);
             let blurred = (&optics, &blur, slope);
-            let (found, off) = self.by_few(&corner, blurred, (&mut levers, &inverse), room)?;
+            let (found, off) =
+                self.by_few(&corner, blurred, (&mut sensitivities, &inverse), room)?;
             corner.place += off;
             width = Some(found);
         }
@@ -297,16 +299,16 @@ impl CornerSearch<'_> {
             return None;
         }
         let observation = self.frame.observation(node, &corner);
-        Some(CornerMeasurement { observation, slope_before: slope, levers, width, corner })
+        Some(CornerMeasurement { observation, slope_before: slope, sensitivities, width, corner })
     }
 
     /// What a few pixels of a corner say of the width of its edges, and by how much its place is off, px; and, in the last
-    /// round, its levers by what is taken from white images.
+    /// round, its sensitivities by what is taken from white images.
     fn by_few(
         &self,
         corner: &Corner,
         (optics, blur, slope): (&MicroOptics, &Blur, f64),
-        (levers, inverse): (&mut Levers, &Matrix4<f64>),
+        (sensitivities, inverse): (&mut Sensitivities, &Matrix4<f64>),
         room: &mut Room,
     ) -> Option<(EdgeWidth, Vector2<f64>)> {
         let Room { patch, few, few_rays, on_edges, others, .. } = room;
@@ -318,7 +320,7 @@ impl CornerSearch<'_> {
                 let blur = Blur::new(&optics, slope, blur.bend, vignetting);
                 blur.wider(self.wider_px2).trace(&on_edges.patch, rays);
             }
-            levers.by_taken = on_edges.by_taken(corner, others, inverse, share);
+            sensitivities.by_taken = on_edges.by_taken(corner, others, inverse, share);
         }
         let summed = summed(blur, corner, few);
         let by_ratio_px = optics.blur_by_ratio_px(slope);
@@ -392,7 +394,7 @@ impl CornerSearch<'_> {
             .map(|seen| Found {
                 observation: seen.observation,
                 corner: seen.corner,
-                by_taken: seen.levers.by_taken,
+                by_taken: seen.sensitivities.by_taken,
                 width: seen.width,
             })
             .collect();

@@ -7,10 +7,11 @@ use tracing::debug;
 
 use super::board_images::{BoardImage, DetectedBoards, DetectedFrame};
 use super::detect_frame::{detect_again, detect_frame};
-use super::edge_width::{EdgeWidth, OfFrames, differs};
+use super::edge_width::{EdgeWidth, OfFrames};
 use super::findings::{findings, fitted_otherwise};
 use super::flat_field::Likeness;
 use super::{Detection, FrameCounts, MicroImages, Search};
+use crate::checks::boards::ratio_differs;
 use crate::error::{Error, Result};
 use crate::finding::Issue;
 use crate::image::{Grey, RawImage};
@@ -138,7 +139,7 @@ impl Looking<'_> {
             let Some(ratio) = shown.map(|widths| widths.ratio) else { break };
             let step = [fitted_with, ratio.value];
             follows = before.map_or(0.0, |before| part_that_follows(before, step));
-            if !differs(&ratio, fitted_with, SAME) {
+            if !ratio_differs(&ratio, fitted_with, SAME) {
                 break;
             }
             debug!("aperture ratio {:.4} ± {:.4}: searching again", ratio.value, ratio.std_dev);

@@ -262,7 +262,7 @@ mod tests {
     use nalgebra::Matrix2;
 
     use super::super::corner::{FitRoom, Free};
-    use super::super::corner_sensitivity::levers;
+    use super::super::corner_sensitivity::sensitivities;
     use super::super::edge_width::EdgeWidth;
     use super::super::exact_light::{DIRECTIONS, ExactLight};
     use super::*;
@@ -280,7 +280,7 @@ mod tests {
             let rays = blur.rays(&patch);
             let found = corner.fitted(&patch, &rays, Free::Place, &mut FitRoom::default()).unwrap();
             let summed = summed(&blur, &found, &patch);
-            let (_, inverse) = levers(&found, &patch, &rays, 0.5, &blur.bend).unwrap();
+            let (_, inverse) = sensitivities(&found, &patch, &rays, 0.5, &blur.bend).unwrap();
             let all = (&inverse, 1.0);
             let (width, off) =
                 EdgeWidth::of(&found, &patch, &rays, &summed, taken.rho, all).unwrap();

@@ -14,7 +14,7 @@ use crate::calibration::{
 use crate::finding::Severity;
 use crate::model::{Parameter, Rmse};
 use crate::quantity::Estimate;
-use crate::solver::{CommonChange, LossKind};
+use crate::solver::{LossKind, SystematicChange};
 
 /// The content of `camera.json` for a calibration, `converged` and the distances of its boards included.
 #[must_use]
@@ -135,7 +135,7 @@ fn priors_document(calibration: &Calibration) -> Value {
 fn common_errors_document(calibration: &Calibration) -> Vec<Value> {
     let uncertainty = &calibration.uncertainty;
     let names = Parameter::shared(calibration.camera.lens_types());
-    let of = |CommonChange { source, changes }: &CommonChange| {
+    let of = |SystematicChange { source, changes }: &SystematicChange| {
         let change = |(&index, change): (&usize, &f64)| {
             (names[index].name().to_owned(), Value::from(*change))
         };
@@ -143,7 +143,7 @@ fn common_errors_document(calibration: &Calibration) -> Vec<Value> {
             uncertainty.free_intrinsics.iter().zip(changes).map(change).collect();
         json!({ "source": source, "changes": changes })
     };
-    uncertainty.common_changes.iter().map(of).collect()
+    uncertainty.systematic_changes.iter().map(of).collect()
 }
 
 /// Both σ of every free parameter, and how uncertain the first is.
@@ -229,7 +229,7 @@ pub fn calibration_document(
         "blur": blur_document(calibration.blur.as_ref()),
         "board_shape": board_shape_document(&calibration.board),
         "standard_deviations": std_devs_document(calibration),
-        "common_errors": common_errors_document(calibration),
+        "systematic_errors": common_errors_document(calibration),
         "weakest_directions": weakest_directions_text(calibration),
         "warnings": warnings,
         "findings": calibration.findings,

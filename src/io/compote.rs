@@ -101,7 +101,7 @@ pub(super) fn internal_parameters_from(
         q_prime_std_dev_mm: Vec::new(),
         pupil_growth: 0.0,
         fall_off: None,
-        lean: None,
+        tilt_gradient: None,
         point_spread_px2: None,
         aperture_ratio: None,
         levels: None,

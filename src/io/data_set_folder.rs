@@ -1,5 +1,6 @@
 //! A simulated data set as a folder: images, project file, truth, and observations drawn from it.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -13,7 +14,6 @@ use super::{
 use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::model::{FramePose, InternalParameters, Subset};
-use crate::quantity::Estimate;
 use crate::simulation::{
     Content, DataSet, Progress, Settings, Shot, Simulated, Target, TrueCenter, TrueFeature,
     simulate,
@@ -115,7 +115,7 @@ fn stage_truth(output: &mut OutputFolder, target: &Target, simulated: &Simulated
     let Simulated { data_set, truth, .. } = simulated;
     output.stage_json("truth/camera.json", &camera_document(&truth.camera, None))?;
     output.stage("truth/centers.csv", |out| write_true_centers(out, &truth.centers))?;
-    let internal = internal_text(&truth.internal);
+    let internal = internal_text(&truth.internal)?;
     output.stage("truth/internal_parameters.toml", |out| out.write_all(internal.as_bytes()))?;
     if let Some(figures) = &truth.main_lens {
         let figures = toml::to_string(figures).map_err(|e| {
@@ -150,7 +150,7 @@ fn stage_observed(
         "# plenocal project: observations drawn from the truth of a simulation, with noise.\n\n\
          {}\n{}\n[observations]\ncenters = \"centers.csv\"\nfeatures = \"features.csv\"\n",
         camera_text(settings),
-        internal_text(&truth.internal),
+        internal_text(&truth.internal)?,
     );
     output.stage("observed/project.toml", |out| out.write_all(project.as_bytes()))
 }
@@ -177,18 +177,10 @@ fn write_true_features(out: &mut dyn Write, features: &[TrueFeature]) -> io::Res
     })
 }
 
-fn internal_text(internal: &InternalParameters) -> String {
-    let pitch = internal.micro_image_pitch_mm.map(|p| format!("micro_image_pitch_mm = {p}\n"));
-    let ratio = internal.aperture_ratio.map(|Estimate { value, std_dev }| {
-        format!("aperture_ratio = {{ value = {value}, std_dev = {std_dev} }}\n")
-    });
-    format!(
-        "[internal_parameters]\nm_mm = {}\nq_prime_mm = {:?}\n{}{}",
-        internal.m_mm,
-        internal.q_prime_mm,
-        pitch.unwrap_or_default(),
-        ratio.unwrap_or_default()
-    )
+fn internal_text(internal: &InternalParameters) -> Result<String> {
+    let tables = BTreeMap::from([("internal_parameters", internal)]);
+    toml::to_string(&tables)
+        .map_err(|e| Error::invalid(format!("the internal parameters cannot be written: {e}")))
 }
 
 /// How far the board is from flat and exact.

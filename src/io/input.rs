@@ -111,7 +111,7 @@ pub fn read_internal_parameters(
 ) -> Result<InternalParameters> {
     let internal = match read_document(path)? {
         Document::Project(project) => project
-            .internal()
+            .internal_parameters
             .ok_or_else(|| Error::invalid("there is no table [internal_parameters] in it")),
         Document::Json(value) if is_format(&value, PRECALIBRATION_FORMAT) => {
             precalibration_file::internal_parameters_from(value)

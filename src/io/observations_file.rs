@@ -1,7 +1,7 @@
 //! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP features, u, v and ρ in
 //! px; the same columns as COMPOTE's. Standard deviations, px, may follow: `std_dev` of centres, `std_u`, `std_v` and
 //! `std_rho` of features. `blur`, `std_blur`, `shared_blur` and `aperture_ratio` of features are their
-//! [`BapFeature::blur`], and columns such as `du_pupil` and `dv_pupil` their [`BapFeature::levers_px`]. Columns are found
+//! [`BapFeature::blur`], and columns such as `du_pupil` and `dv_pupil` their [`BapFeature::sensitivities_px`]. Columns are found
 //! by their names in the first line; others are ignored. Gzip-compressed files are COMPOTE's binary form.
 
 use std::io::{self, Write};
@@ -47,7 +47,7 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
     let optional: Vec<&str> = ["rho", "std_u", "std_v", "std_rho", CORRELATION]
         .into_iter()
         .chain(BLUR)
-        .chain(LEVERS.into_iter().flatten())
+        .chain(SENSITIVITIES.into_iter().flatten())
         .collect();
     let features = rows(path, &bytes, &required, &optional, |row| {
         Ok(BapFeature {
@@ -65,7 +65,7 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
             },
             correlation: row.correlation()?,
             rho_std_dev_px: row.std_dev("std_rho")?,
-            levers_px: row.levers()?,
+            sensitivities_px: row.sensitivities()?,
             blur: row.blur()?,
         })
     })?;
@@ -108,8 +108,8 @@ pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::R
 /// Column of [`BapFeature::correlation`].
 const CORRELATION: &str = "corr_uv";
 
-/// Columns of [`BapFeature::levers_px`], u and v.
-const LEVERS: [[&str; 2]; TAKEN] = [
+/// Columns of [`BapFeature::sensitivities_px`], u and v.
+const SENSITIVITIES: [[&str; 2]; TAKEN] = [
     ["du_pupil", "dv_pupil"],
     ["du_intercept", "dv_intercept"],
     ["du_fall_off", "dv_fall_off"],
@@ -120,19 +120,22 @@ const LEVERS: [[&str; 2]; TAKEN] = [
 /// Columns of [`BapFeature::blur`].
 const BLUR: [&str; 4] = ["blur", "std_blur", "shared_blur", "aperture_ratio"];
 
-/// Writes BAP features as CSV, with their standard deviations and levers if they have any.
+/// Writes BAP features as CSV, with their standard deviations and sensitivities if they have any.
 pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Result<()> {
     let measured = |f: &BapFeature| f.std_dev_px.is_some() || f.rho_std_dev_px.is_some();
     let measured = features.iter().any(measured);
     let std_devs = if measured { ",std_u,std_v,std_rho" } else { "" };
     let correlated = measured && features.iter().any(|f| f.correlation != 0.0);
     let correlation = if correlated { format!(",{CORRELATION}") } else { String::new() };
-    let with_levers = features.iter().any(|f| f.levers_px.is_some());
-    let levers =
-        if with_levers { format!(",{}", LEVERS.as_flattened().join(",")) } else { String::new() };
+    let with_sensitivities = features.iter().any(|f| f.sensitivities_px.is_some());
+    let sensitivities = if with_sensitivities {
+        format!(",{}", SENSITIVITIES.as_flattened().join(","))
+    } else {
+        String::new()
+    };
     let with_blur = features.iter().any(|f| f.blur.is_some());
     let blur = if with_blur { format!(",{}", BLUR.join(",")) } else { String::new() };
-    writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}{correlation}{blur}{levers}")?;
+    writeln!(out, "k,l,u,v,rho,cluster,frame{std_devs}{correlation}{blur}{sensitivities}")?;
     features.iter().try_for_each(|f| {
         let rho = f.rho_px.map(|rho| rho.to_string()).unwrap_or_default();
         write!(out, "{},{},{},{},{rho},{},{}", f.k, f.l, f.u_px, f.v_px, f.corner, f.frame)?;
@@ -152,8 +155,14 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
                 None => write!(out, ",,,,")?,
             }
         }
-        for lever in f.levers_px.unwrap_or_default().as_flattened().iter().filter(|_| with_levers) {
-            let text = f.levers_px.map(|_| format!("{lever:.4}")).unwrap_or_default();
+        for sensitivity in f
+            .sensitivities_px
+            .unwrap_or_default()
+            .as_flattened()
+            .iter()
+            .filter(|_| with_sensitivities)
+        {
+            let text = f.sensitivities_px.map(|_| format!("{sensitivity:.4}")).unwrap_or_default();
             write!(out, ",{text}")?;
         }
         writeln!(out)
@@ -208,23 +217,25 @@ impl Row<'_> {
         self.text(name).map(|_| self.number(name)).transpose()
     }
 
-    /// All levers, or `None` where there are none.
-    fn levers(&self) -> Result<Option<[[f64; 2]; TAKEN]>> {
-        let mut levers = [[0.0; 2]; TAKEN];
+    /// All sensitivities, or `None` where there are none.
+    fn sensitivities(&self) -> Result<Option<[[f64; 2]; TAKEN]>> {
+        let mut sensitivities = [[0.0; 2]; TAKEN];
         let mut missing = 0;
-        for (lever, name) in levers.as_flattened_mut().iter_mut().zip(LEVERS.as_flattened()) {
+        for (sensitivity, name) in
+            sensitivities.as_flattened_mut().iter_mut().zip(SENSITIVITIES.as_flattened())
+        {
             match self.measured(name)? {
-                Some(value) => *lever = value,
+                Some(value) => *sensitivity = value,
                 None => missing += 1,
             }
         }
         match missing {
-            0 => Ok(Some(levers)),
+            0 => Ok(Some(sensitivities)),
             missing if missing == 2 * TAKEN => Ok(None),
             _ => Err(self.error(&format!(
                 "{} go together, but some are missing: if an older version wrote the file, detect the boards again; else leave \
                  all of these columns out",
-                LEVERS.as_flattened().join(", ")
+                SENSITIVITIES.as_flattened().join(", ")
             ))),
         }
     }

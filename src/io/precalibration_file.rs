@@ -9,19 +9,28 @@ use serde_json::{Map, Value, json};
 use super::json_file::document_of;
 use super::observations_file::std_dev_text;
 use crate::error::{Error, Result};
-use crate::model::{FallOff, InternalParameters, Lean, MicroImageCenter, SampleLevels};
+use crate::model::{InternalParameters, MicroImageCenter};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
-use crate::quantity::Estimate;
 
 /// `format` of the file.
 pub const PRECALIBRATION_FORMAT: &str = "plenocal-precalibration";
 /// `version` of the file.
 pub const PRECALIBRATION_VERSION: u64 = 1;
 
+/// Fields of the internal parameters whose σ stand beside each other in the file.
+const WITH_STD_DEV: [&str; 2] = ["m_mm", "q_prime_mm"];
+const STD_DEVS: &str = "standard_deviations";
+const RMS: &str = "rms_px";
+
+/// The field of [`InternalParameters`] with the σ of another.
+fn std_dev_key(name: &str) -> String {
+    name.replace("_mm", "_std_dev_mm")
+}
+
 #[derive(Deserialize)]
 struct PrecalibrationFile {
     version: u64,
-    internal_parameters: Option<InternalFile>,
+    internal_parameters: Option<Value>,
     micro_image_array: Option<ArraySize>,
 }
 
@@ -29,29 +38,6 @@ struct PrecalibrationFile {
 struct ArraySize {
     columns: i32,
     rows: i32,
-}
-
-#[derive(Deserialize)]
-struct InternalFile {
-    m_mm: f64,
-    q_prime_mm: Vec<f64>,
-    micro_image_pitch_mm: Option<f64>,
-    standard_deviations: Option<InternalStdDevs>,
-    #[serde(default)]
-    pupil_growth: f64,
-    fall_off: Option<FallOff>,
-    lean: Option<Lean>,
-    #[serde(alias = "point_spread")]
-    point_spread_px2: Option<Estimate>,
-    #[serde(alias = "fill_factor")]
-    aperture_ratio: Option<Estimate>,
-    levels: Option<SampleLevels>,
-}
-
-#[derive(Deserialize)]
-struct InternalStdDevs {
-    m_mm: f64,
-    q_prime_mm: Vec<f64>,
 }
 
 /// The content of `precalibration.json` where only an array was measured.
@@ -114,25 +100,16 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
         })
         .collect();
     let mut fields = fields_of_array(&result.array, &result.lens_types);
-    fields.insert(
-        "internal_parameters".to_owned(),
-        json!({
-            "m_mm": internal.parameters.m_mm,
-            "q_prime_mm": internal.parameters.q_prime_mm,
-            "micro_image_pitch_mm": internal.parameters.micro_image_pitch_mm,
-            "standard_deviations": {
-                "m_mm": internal.parameters.m_std_dev_mm,
-                "q_prime_mm": internal.parameters.q_prime_std_dev_mm,
-            },
-            "pupil_growth": internal.parameters.pupil_growth,
-            "fall_off": internal.parameters.fall_off,
-            "lean": internal.parameters.lean,
-            "point_spread_px2": internal.parameters.point_spread_px2,
-            "aperture_ratio": internal.parameters.aperture_ratio,
-            "levels": internal.parameters.levels,
-            "rms_px": internal.rms_px,
-        }),
-    );
+    let mut parameters = json!(internal.parameters);
+    if let Value::Object(fields) = &mut parameters {
+        let mut std_devs = Map::new();
+        for name in WITH_STD_DEV {
+            std_devs.insert(name.to_owned(), json!(fields.remove(&std_dev_key(name))));
+        }
+        fields.insert(STD_DEVS.to_owned(), std_devs.into());
+        fields.insert(RMS.to_owned(), internal.rms_px.into());
+    }
+    fields.insert("internal_parameters".to_owned(), parameters);
     fields.insert("radii".to_owned(), json!(radii));
     fields.insert("pitch_correction".to_owned(), json!(result.pitch_correction));
     Value::Object(fields)
@@ -154,26 +131,24 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
             file.version
         )));
     }
-    let internal = file.internal_parameters.ok_or_else(|| {
+    let mut internal = file.internal_parameters.ok_or_else(|| {
         Error::invalid(
             "this pre-calibration is from one image and has no internal parameters; these need \
              white images at several f-numbers",
         )
     })?;
-    let std_devs = internal.standard_deviations;
-    Ok(InternalParameters {
-        m_mm: internal.m_mm,
-        q_prime_mm: internal.q_prime_mm,
-        micro_image_pitch_mm: internal.micro_image_pitch_mm,
-        m_std_dev_mm: std_devs.as_ref().map(|s| s.m_mm),
-        q_prime_std_dev_mm: std_devs.map(|s| s.q_prime_mm).unwrap_or_default(),
-        pupil_growth: internal.pupil_growth,
-        fall_off: internal.fall_off,
-        lean: internal.lean,
-        point_spread_px2: internal.point_spread_px2,
-        aperture_ratio: internal.aperture_ratio,
-        levels: internal.levels,
-    })
+    if let Value::Object(fields) = &mut internal {
+        fields.remove(RMS);
+        if let Some(Value::Object(mut std_devs)) = fields.remove(STD_DEVS) {
+            for name in WITH_STD_DEV {
+                if let Some(value) = std_devs.remove(name).filter(|value| !value.is_null()) {
+                    fields.insert(std_dev_key(name), value);
+                }
+            }
+        }
+    }
+    serde_path_to_error::deserialize(internal)
+        .map_err(|e| Error::invalid(format!("internal_parameters.{}: {}", e.path(), e.inner())))
 }
 
 /// Writes the centres of an array as CSV, with the standard deviation per axis of each where it was

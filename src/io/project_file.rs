@@ -12,10 +12,8 @@ use crate::calibration::CalibrationOptions;
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
-    Board, Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, Lean, SampleLevels,
-    Sensor, optics,
+    Board, Configuration, Datasheet, InternalParameters, LatticeKind, Sensor, optics,
 };
-use crate::quantity::Estimate;
 use crate::table::{finite, replace};
 
 /// A project file. Every table may be left out where a command gets its content another way.
@@ -29,7 +27,7 @@ pub struct Project {
     /// The micro-lens array as stated by its maker.
     pub micro_lens_array: Option<ArraySection>,
     /// Measured on white images.
-    pub internal_parameters: Option<InternalSection>,
+    pub internal_parameters: Option<InternalParameters>,
     /// The board.
     pub board: Option<Board>,
     /// Where the raw images are, relative to the project file.
@@ -115,38 +113,6 @@ impl ArraySection {
             )),
         }
     }
-}
-
-/// `[internal_parameters]`
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct InternalSection {
-    /// |m|, mm.
-    pub m_mm: f64,
-    /// q'ᵢ, mm.
-    pub q_prime_mm: Vec<f64>,
-    /// Δc, mm.
-    pub micro_image_pitch_mm: Option<f64>,
-    /// σ of |m|, mm.
-    pub m_std_dev_mm: Option<f64>,
-    /// σ of each q'ᵢ, mm.
-    #[serde(default)]
-    pub q_prime_std_dev_mm: Vec<f64>,
-    /// Growth of the pupil's picture beyond 1/N, times N².
-    #[serde(default)]
-    pub pupil_growth: f64,
-    /// The fall-off of light.
-    pub fall_off: Option<FallOff>,
-    /// The lean of the array.
-    pub lean: Option<Lean>,
-    /// The point spread.
-    #[serde(alias = "point_spread")]
-    pub point_spread_px2: Option<Estimate>,
-    /// The aperture ratio that q'ᵢ belong to; 1 if it is not stated.
-    #[serde(alias = "fill_factor")]
-    pub aperture_ratio: Option<Estimate>,
-    /// Black and saturation level of the images.
-    pub levels: Option<SampleLevels>,
 }
 
 /// `[images]`
@@ -331,23 +297,5 @@ impl Project {
                 "a camera needs all of the tables [sensor], [main_lens] and [micro_lens_array]",
             )),
         }
-    }
-
-    /// The internal parameters, if they are there.
-    #[must_use]
-    pub fn internal(&self) -> Option<InternalParameters> {
-        self.internal_parameters.as_ref().map(|section| InternalParameters {
-            m_mm: section.m_mm,
-            q_prime_mm: section.q_prime_mm.clone(),
-            micro_image_pitch_mm: section.micro_image_pitch_mm,
-            m_std_dev_mm: section.m_std_dev_mm,
-            q_prime_std_dev_mm: section.q_prime_std_dev_mm.clone(),
-            pupil_growth: section.pupil_growth,
-            fall_off: section.fall_off,
-            lean: section.lean,
-            point_spread_px2: section.point_spread_px2,
-            aperture_ratio: section.aperture_ratio,
-            levels: section.levels,
-        })
     }
 }

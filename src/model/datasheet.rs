@@ -1,16 +1,16 @@
 //! What is known about a camera before it is calibrated: its datasheet, and its internal
 //! parameters.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::checks::positive;
 use super::edge_spread::EdgeSpread;
 use super::fall_off::FallOff;
 use super::lattice::{Configuration, LatticeKind, check_array_size, check_lens_types};
-use super::lean::Lean;
 use super::levels::SampleLevels;
 use super::observations::MicroImageCenter;
 use super::sensor::Sensor;
+use super::tilt_gradient::TiltGradient;
 use crate::error::{Error, Result};
 use crate::quantity::Estimate;
 
@@ -41,7 +41,8 @@ pub struct Datasheet {
 }
 
 /// Internal parameters Ω = {m, q'₁ … q'_I} (paper, section 3.2), measured on white images.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct InternalParameters {
     /// |m|, mm: growth of the micro-image radius with 1/N, for small pupils.
     pub m_mm: f64,
@@ -52,17 +53,22 @@ pub struct InternalParameters {
     /// σ of |m|, mm, where it is known.
     pub m_std_dev_mm: Option<f64>,
     /// σ of each q'ᵢ, mm; empty where they are not known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub q_prime_std_dev_mm: Vec<f64>,
     /// How much more than 1/N the pupil's picture grows, times N²: 0 for a thin lens, see
     /// [`Self::pupil_radius_mm`].
+    #[serde(default)]
     pub pupil_growth: f64,
     /// The fall-off of light, where it was measured.
     pub fall_off: Option<FallOff>,
-    /// The lean of the array, where it was measured.
-    pub lean: Option<Lean>,
+    /// The tilt gradient of the array, where it was measured.
+    #[serde(alias = "lean")]
+    pub tilt_gradient: Option<TiltGradient>,
     /// The point spread, where it was measured.
+    #[serde(alias = "point_spread")]
     pub point_spread_px2: Option<Estimate>,
     /// The aperture ratio that q'ᵢ go with, where it is known; 1 otherwise. White images show its product with qᵢ = q'ᵢ − Δc/2.
+    #[serde(alias = "fill_factor")]
     pub aperture_ratio: Option<Estimate>,
     /// Black and saturation level of the images, where they are known; otherwise samples are linear
     /// from 0 to full scale.
@@ -146,7 +152,9 @@ impl InternalParameters {
             q_prime_mm: self.q_prime_mm.iter().map(|q| half_mm + (q - half_mm) * change).collect(),
             q_prime_std_dev_mm: self.q_prime_std_dev_mm.iter().map(of_std_dev).collect(),
             micro_image_pitch_mm: Some(pitch_mm),
-            lean: self.lean.map(|lean| lean.with_aperture_ratio(-change.ln())),
+            tilt_gradient: self
+                .tilt_gradient
+                .map(|tilt_gradient| tilt_gradient.with_aperture_ratio(-change.ln())),
             aperture_ratio: Some(aperture_ratio),
             ..self.clone()
         }
@@ -184,8 +192,8 @@ impl InternalParameters {
         if let Some(fall_off) = &self.fall_off {
             fall_off.validate()?;
         }
-        if let Some(lean) = &self.lean {
-            lean.validate()?;
+        if let Some(tilt_gradient) = &self.tilt_gradient {
+            tilt_gradient.validate()?;
         }
         EdgeSpread { aperture_ratio: self.aperture_ratio, point_spread_px2: self.point_spread_px2 }
             .validate()?;

@@ -12,7 +12,6 @@ mod datasheet;
 mod edge_spread;
 mod fall_off;
 mod lattice;
-mod lean;
 mod levels;
 mod noise;
 mod observations;
@@ -20,6 +19,7 @@ pub mod optics;
 mod parameters;
 mod reprojection;
 mod sensor;
+mod tilt_gradient;
 
 pub use board::{BentBoard, Board, BoardShape, FramePose, Subset};
 #[cfg(test)]
@@ -34,8 +34,6 @@ pub use lattice::{
     Configuration, Lattice, LatticeKind, MAX_MICRO_LENSES, Packing, Parity, ROW_DISTANCE,
 };
 pub(crate) use lattice::{check_array_size, check_lens_types};
-pub use lean::Lean;
-pub(crate) use lean::growth_per_px;
 pub use levels::SampleLevels;
 pub(crate) use levels::full_scale;
 pub use noise::{Noise, NoiseSource};
@@ -47,3 +45,5 @@ pub use observations::{
 pub use parameters::{MAX_LENS_TYPES, Parameter, SHAPE};
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
 pub use sensor::Sensor;
+pub use tilt_gradient::TiltGradient;
+pub(crate) use tilt_gradient::growth_per_px;

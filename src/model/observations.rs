@@ -45,7 +45,7 @@ pub struct BapFeature {
     pub rho_std_dev_px: Option<f64>,
     /// How far u and v move if what the detection takes from the white images is wrong, where that is known: px
     /// per relative change of each of [`TAKEN_FROM_WHITES`], and per px² of the point spread.
-    pub levers_px: Option<[[f64; 2]; TAKEN]>,
+    pub sensitivities_px: Option<[[f64; 2]; TAKEN]>,
     /// The blur radius as the width of its edges shows it, where it was measured.
     pub blur: Option<MeasuredBlur>,
 }

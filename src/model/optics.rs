@@ -66,11 +66,11 @@ pub fn f_number_of_stop(stop: f64) -> f64 {
     (thirds / 3.0 / 2.0).exp2()
 }
 
-/// The lean of the array of a known camera, ∇ ln d along u and v, 1/mm of the sensor: see [`Lean`].
+/// The tilt gradient of the array of a known camera, ∇ ln d along u and v, 1/mm of the sensor: see [`TiltGradient`].
 ///
-/// [`Lean`]: crate::model::Lean
+/// [`TiltGradient`]: crate::model::TiltGradient
 #[must_use]
-pub fn lean_per_mm(camera: &PlenopticCamera) -> Vector2<f64> {
+pub fn tilt_gradient_per_mm(camera: &PlenopticCamera) -> Vector2<f64> {
     let angles = camera.mla.rotation_rad;
     let normal = Rotation3::from_euler_angles(angles.x, angles.y, angles.z) * Vector3::z();
     // Micro-images lie further apart than their lenses.
@@ -95,7 +95,7 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
         q_prime_std_dev_mm: Vec::new(),
         pupil_growth: 0.0,
         fall_off: None,
-        lean: None,
+        tilt_gradient: None,
         point_spread_px2: camera.edge_spread.point_spread_px2,
         aperture_ratio: camera.edge_spread.aperture_ratio,
         levels: None,

@@ -132,7 +132,7 @@ mod tests {
             std_dev_px: None,
             rho_std_dev_px: None,
             correlation: 0.0,
-            levers_px: None,
+            sensitivities_px: None,
             blur: None,
         };
         FeatureResidual { feature, lens_type: 0, du_px, dv_px, drho_px }

@@ -11,8 +11,9 @@ use super::centers::{measure_sample, nodes_in, part_with};
 use super::centroid::{Blob, pixels_about};
 use super::options::White;
 use super::pattern::Pattern;
+use crate::checks::whites::{self as checks, Darkest};
 use crate::error::{Error, Result};
-use crate::finding::{Finding, Issue};
+use crate::finding::Finding;
 use crate::image::RawImage;
 use crate::model::{LatticeKind, full_scale};
 use crate::numerics::median;
@@ -33,16 +34,10 @@ const DARK_PX: f64 = 1.5;
 const TAIL_PX: f64 = 1.0;
 /// Where even the darkest places have this part of the light of the micro-images, they are not dark.
 const BRIGHT: f64 = 0.25;
-/// Where they have less than this part, the black level does not matter.
-const HARMLESS: f64 = 0.01;
 /// Hot pixels are so many median deviations away; a deviation is one grey level, at least.
 const OUTLIERS: f64 = 6.0;
 /// With more than this part of the samples at 0, noise is clipped there.
 const CLIPPED: f64 = 0.02;
-/// A stated black level is wrong if it is off by more than so many standard deviations and so many grey
-/// levels. Stray light may make the darkness brighter, by as much as does not matter.
-const CONTRADICTION: f64 = 3.0;
-const SLACK: f64 = 0.5;
 
 /// The black level, grey levels of the first white image.
 pub(super) struct Black {
@@ -53,33 +48,6 @@ pub(super) struct Black {
     pub std_dev: Option<f64>,
     /// Where it is not known, or cannot be what is stated.
     pub finding: Option<Finding>,
-}
-
-/// The darkest places of a white image, as parts of full scale.
-struct Darkest {
-    /// Their mean sample and its σ.
-    level: f64,
-    std_dev: f64,
-    /// The light of the micro-images above it.
-    light: f64,
-    /// Step from one sample to the next.
-    grey_level: f64,
-    /// No light reaches them. Else micro-images touch, and the black level is below.
-    is_dark: bool,
-}
-
-impl Darkest {
-    /// Whether this cannot be the black level.
-    fn contradicts(&self, stated: f64) -> bool {
-        let noise = CONTRADICTION * self.std_dev + SLACK * self.grey_level;
-        let above = self.level - stated;
-        above < -noise || self.is_dark && above > noise + HARMLESS * self.light
-    }
-
-    /// Whether the images would be much the same with another black level.
-    fn is_harmless(&self) -> bool {
-        self.is_dark || self.level < HARMLESS * (self.level + self.light)
-    }
 }
 
 /// The black level as it is stated, or else as the white images show it between the micro-images of
@@ -110,25 +78,16 @@ pub(super) fn black_level(
                  light, from 0 to {full}"
             )));
         }
-        let wrong =
-            darkest.or(shown.first()).filter(|(_, darkest)| darkest.contradicts(level / full));
-        let finding = wrong.map(|(white, darkest)| {
-            Finding::caution(Issue::BlackLevelContradicted {
-                stated: level,
-                image: white.name.clone(),
-                measured: darkest.level * full,
-            })
-        });
+        let finding = darkest
+            .or(shown.first())
+            .and_then(|(white, darkest)| checks::black_level(level, full, darkest, &white.name));
         return Ok(Black { level, bits, std_dev: None, finding });
     }
     if let Some((_, darkest)) = darkest {
         let [level, std_dev] = [darkest.level, darkest.std_dev].map(|part| part * full);
         return Ok(Black { level, bits, std_dev: Some(std_dev), finding: None });
     }
-    let finding = shown
-        .iter()
-        .all(|(_, darkest)| !darkest.is_harmless())
-        .then(|| Finding::caution(Issue::BlackLevelUnknown));
+    let finding = checks::black_level_unknown(shown.iter().map(|(_, darkest)| darkest));
     Ok(Black { level: 0.0, bits, std_dev: None, finding })
 }
 
@@ -235,28 +194,4 @@ fn grouped_median(samples: &[f64], grey_level: f64) -> f64 {
     let below = part(&|sample| sample < middle - 0.5 * grey_level);
     let here = part(&|sample| (sample - middle).abs() <= 0.5 * grey_level);
     middle + ((0.5 - below) / here.max(f64::MIN_POSITIVE) - 0.5) * grey_level
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn stray_light_contradicts_no_black_level_but_darker_places_do() {
-        let grey_level = 1.0 / 255.0;
-        let darkest = |is_dark| Darkest {
-            level: 16.0 * grey_level,
-            std_dev: 0.3 * grey_level,
-            light: 0.8,
-            grey_level,
-            is_dark,
-        };
-        for (stated, in_the_dark, between_touching) in
-            [(20.0, true, true), (16.5, false, false), (14.5, false, false), (8.0, true, false)]
-        {
-            let contradicts = |is_dark| darkest(is_dark).contradicts(stated * grey_level);
-            assert_eq!(contradicts(true), in_the_dark, "{stated}");
-            assert_eq!(contradicts(false), between_touching, "{stated}");
-        }
-    }
 }

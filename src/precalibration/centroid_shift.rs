@@ -3,7 +3,7 @@
 //! Light falls off with its angle of incidence, by cos⁴ and by what the pixels add. Away from the
 //! optical axis a micro-image is therefore brighter on one side, and its centroid is shifted in
 //! proportion to its distance from the axis: all centres together seem to have another pitch. How far
-//! depends on the micro-image: its light Ī(r) changes by −g·L Ī, with the lever L(r) of [`DiscGeometry::lever`], and
+//! depends on the micro-image: its light Ī(r) changes by −g·L Ī, with the sensitivity L(r) of [`DiscGeometry::sensitivity`], and
 //! a centroid that is off by ε sees its window with −ε Ī′ more light on that side. In a window w(r) the two
 //! balance at ε = −g X with
 //!
@@ -14,7 +14,7 @@
 //! over the rings of the mean micro-image as the image shows it. Light that is clipped changes nothing, and a
 //! window that cuts some of it is taken into account.
 //!
-//! [`DiscGeometry::lever`]: super::disc_geometry::DiscGeometry::lever
+//! [`DiscGeometry::sensitivity`]: super::disc_geometry::DiscGeometry::sensitivity
 
 use nalgebra::Vector2;
 
@@ -28,12 +28,16 @@ use crate::model::FallOff;
 use crate::vignetting::Obliquity;
 
 /// X (px²) of micro-images with these rings, in a window by distance.
-fn shift_moment(rings: &[Ring], window: impl Fn(f64) -> f64, lever: impl Fn(f64) -> f64) -> f64 {
+fn shift_moment(
+    rings: &[Ring],
+    window: impl Fn(f64) -> f64,
+    sensitivity: impl Fn(f64) -> f64,
+) -> f64 {
     let (mut change, mut restoring) = (0.0, 0.0);
     for ring in rings {
         let weight = window(ring.radius) * ring.radius.powi(2);
         if weight > 0.0 {
-            change += weight * ring.unclipped * lever(ring.radius);
+            change += weight * ring.unclipped * sensitivity(ring.radius);
             restoring -= weight * ring.slope;
         }
     }
@@ -56,7 +60,7 @@ const STEP_PX: f64 = 0.1;
 /// it falls off inside a micro-image.
 pub(super) fn shift_moments(
     light: &[Alike],
-    levers: &DiscGeometry,
+    sensitivities: &DiscGeometry,
     pitch_px: f64,
     law: &Obliquity,
 ) -> Vec<Moment> {
@@ -69,7 +73,7 @@ pub(super) fn shift_moments(
         let unclipped = sum(|ring| ring.unclipped) / sum(|ring| ring.light).max(1e-9);
         // As the discs have it where d is larger: there g is smaller.
         let of_discs = |growth: f64| {
-            let at = |r: f64| levers.light_and_lever(lens_type, r, growth, law);
+            let at = |r: f64| sensitivities.light_and_sensitivity(lens_type, r, growth, law);
             let ring = |ring: &Ring| {
                 let (light, _) = at(ring.radius);
                 let slope = at(ring.radius + STEP_PX).0 - at(ring.radius - STEP_PX).0;
@@ -79,7 +83,7 @@ pub(super) fn shift_moments(
             shift_moment(&rings, window, |r| at(r).1) / (1.0 + growth)
         };
         Moment {
-            x: shift_moment(rings, window, |r| levers.lever(lens_type, r, law)),
+            x: shift_moment(rings, window, |r| sensitivities.sensitivity(lens_type, r, law)),
             // Light that is clipped shifts nothing.
             growth: (of_discs(GROWTH) - of_discs(-GROWTH)) / (2.0 * GROWTH) * unclipped,
         }

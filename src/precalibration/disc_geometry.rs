@@ -5,7 +5,7 @@ use nalgebra::Vector2;
 
 use super::grid::MicroImageArray;
 use super::options::PrecalibrationOptions;
-use crate::model::{InternalParameters, Lean, growth_per_px};
+use crate::model::{InternalParameters, TiltGradient, growth_per_px};
 use crate::vignetting::{Obliquity, Pixel};
 
 /// Slices that a part of a micro-lens is summed over, and places in them: Gauss and Legendre, one of both sides.
@@ -54,8 +54,12 @@ impl DiscGeometry {
     }
 
     /// How d grows over the image, px⁻¹.
-    pub fn growth_per_px(&self, lean: Option<&Lean>, grid: &MicroImageArray) -> Vector2<f64> {
-        growth_per_px(lean, &grid.perspective_per_px, self.lens_to_sensor)
+    pub fn growth_per_px(
+        &self,
+        tilt_gradient: Option<&TiltGradient>,
+        grid: &MicroImageArray,
+    ) -> Vector2<f64> {
+        growth_per_px(tilt_gradient, &grid.perspective_per_px, self.lens_to_sensor)
     }
 
     /// What its pixels collect.
@@ -71,12 +75,12 @@ impl DiscGeometry {
     /// How much light at distance r from the middle changes with the gradient g, over g: |y − M|, outwards, the
     /// mean over the light of a pixel and over the part of the micro-lens that it sees the pupil through. With
     /// s = y − M, light f(s²) off the axis is f(|s + t|²), and changes along t as s f′(s²).
-    pub fn lever(&self, lens_type: usize, r: f64, law: &Obliquity) -> f64 {
-        self.light_and_lever(lens_type, r, 0.0, law).1
+    pub fn sensitivity(&self, lens_type: usize, r: f64, law: &Obliquity) -> f64 {
+        self.light_and_sensitivity(lens_type, r, 0.0, law).1
     }
 
-    /// The light at distance r in units of its own, and its lever, where d is larger by `growth`.
-    pub fn light_and_lever(
+    /// The light at distance r in units of its own, and its sensitivity, where d is larger by `growth`.
+    pub fn light_and_sensitivity(
         &self,
         lens_type: usize,
         r: f64,
@@ -97,7 +101,7 @@ impl DiscGeometry {
     /// the middle. a and φ(qᵢ + ΔC/2) grow in proportion, the micro-lens stays, and light arrives less obliquely.
     /// `law` is how light falls off inside a micro-image.
     pub fn light_and_growth(&self, lens_type: usize, r: f64, law: &Obliquity) -> (f64, f64) {
-        let light = |r: f64, growth: f64| self.light_and_lever(lens_type, r, growth, law).0;
+        let light = |r: f64, growth: f64| self.light_and_sensitivity(lens_type, r, growth, law).0;
         let middle = light(0.0, 0.0);
         let growth = (light(r, GROWTH) - light(r, -GROWTH)) / (2.0 * GROWTH * middle);
         (light(r, 0.0) / middle, growth)

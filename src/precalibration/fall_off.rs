@@ -12,13 +12,14 @@ use super::array::FoundArray;
 use super::centroid::{Blob, WINDOW};
 use super::disc_geometry::DiscGeometry;
 use super::discs::WITHIN;
-use super::lean::{Growth, lean, with_shared};
 use super::options::PrecalibrationOptions;
 use super::rings::{Alike, Gradient};
 use super::samples::Samples;
-use crate::finding::{Finding, Issue};
+use super::tilt_gradient::{Growth, tilt_gradient, with_shared};
+use crate::checks::whites as checks;
+use crate::finding::Finding;
 use crate::image::Grey;
-use crate::model::{FallOff, InternalParameters, Lean};
+use crate::model::{FallOff, InternalParameters, TiltGradient};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
 use crate::quantity::Estimate;
 use crate::vignetting::Obliquity;
@@ -37,15 +38,15 @@ const ROUNDS: usize = 4;
 /// A fall-off is known if its σ is below this part of that of cos⁴: corners near the border of an R12 are then
 /// right to 0.01 px.
 const KNOWN: f64 = 0.2;
-/// Aperture ratios of micro-lenses with gaps: the parabola in ln φ through these and that of no gaps has the lean to half a
+/// Aperture ratios of micro-lenses with gaps: the parabola in ln φ through these and that of no gaps has the tilt gradient to half a
 /// per cent at 0.8.
 const OTHERWISE: [f64; 2] = [0.9, 0.7];
 
 /// The fall-off of a camera.
 pub(super) struct Measured {
     pub fall_off: FallOff,
-    /// The lean of the array, where it shows.
-    pub lean: Option<Lean>,
+    /// The tilt gradient of the array, where it shows.
+    pub tilt_gradient: Option<TiltGradient>,
     /// That the fall-off was not measured.
     pub finding: Option<Finding>,
 }
@@ -114,16 +115,12 @@ impl Light {
         let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, self.middle);
         let known = |fall_off: &FallOff| fall_off.std_dev_per_px2 < KNOWN * cos4.growth_per_px2;
         let gradients = self.gradients(internal, options, law);
-        let lean = self.lean(&gradients);
-        debug!("{lean:?}");
+        let tilt_gradient = self.tilt_gradient(&gradients);
+        debug!("{tilt_gradient:?}");
         let Some(measured) = plane(&gradients.concat()).filter(known) else {
             let within_std_dev_per_px2 = cos4.within_per_px2;
             let fall_off = FallOff { within_std_dev_per_px2, ..cos4 };
-            return Measured {
-                fall_off,
-                lean,
-                finding: Some(Finding::caution(Issue::ResponseUnknown)),
-            };
+            return Measured { fall_off, tilt_gradient, finding: Some(checks::response_unknown()) };
         };
         let [growth, std_dev] =
             [measured.growth_per_px2, measured.std_dev_per_px2].map(|x| x / cos4.growth_per_px2);
@@ -136,33 +133,35 @@ impl Light {
         let within_std_dev_per_px2 = WITHIN * within_per_px2.abs();
         Measured {
             fall_off: FallOff { within_per_px2, within_std_dev_per_px2, ..measured },
-            lean,
+            tilt_gradient,
             finding: None,
         }
     }
 
-    fn lean(&self, gradients: &[Vec<Gradient>]) -> Option<Lean> {
+    fn tilt_gradient(&self, gradients: &[Vec<Gradient>]) -> Option<TiltGradient> {
         let growths = |group: &Vec<Gradient>| group.iter().map(|g| g.growth).collect();
         let growths: Vec<Vec<Growth>> = gradients.iter().map(growths).collect();
-        lean(&growths, &self.middle)
+        tilt_gradient(&growths, &self.middle)
     }
 
-    /// A lean with what the `law` inside micro-images takes for known: how the lean changes with the aperture ratio, which white
-    /// images do not show, and with H, whose σ goes into that of both axes. `None` if the lean does not show with either.
+    /// A tilt gradient with what the `law` inside micro-images takes for known: how the tilt gradient changes with the aperture ratio, which white
+    /// images do not show, and with H, whose σ goes into that of both axes. `None` if the tilt gradient does not show with either.
     pub fn complete(
         &self,
-        lean: Lean,
+        tilt_gradient: TiltGradient,
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
         law: &Obliquity,
         fall_off: &FallOff,
-    ) -> Option<Lean> {
+    ) -> Option<TiltGradient> {
         let pitch_mm = self.seen_pitch_px * options.pixel_size_mm;
-        let than = |other: &Lean| [0, 1].map(|i| other.growth_per_px[i] - lean.growth_per_px[i]);
+        let than = |other: &TiltGradient| {
+            [0, 1].map(|i| other.growth_per_px[i] - tilt_gradient.growth_per_px[i])
+        };
         // Over ln φ, which goes from its own to that of these.
         let with_gaps = |value: f64| {
             let narrower = internal.with_aperture_ratio(Estimate::exact(value), pitch_mm);
-            let by_ratio = self.lean(&self.gradients(&narrower, options, law))?;
+            let by_ratio = self.tilt_gradient(&self.gradients(&narrower, options, law))?;
             let change = (value / internal.aperture_ratio()).ln();
             Some((change, than(&by_ratio).map(|by| by / change)))
         };
@@ -174,12 +173,12 @@ impl Light {
         let within = fall_off.within_per_px2 + fall_off.within_std_dev_per_px2;
         let otherwise =
             Obliquity::in_the_middle(within, mla_to_sensor_px, self.seen_pitch_px / 2.0);
-        let by_law = self.lean(&self.gradients(internal, options, &otherwise))?;
+        let by_law = self.tilt_gradient(&self.gradients(internal, options, &otherwise))?;
         debug!("with H by its σ larger: {by_law:?}");
-        Some(Lean {
+        Some(TiltGradient {
             by_aperture_ratio_per_px,
             by_aperture_ratio_squared_per_px,
-            ..with_shared(&lean, than(&by_law))
+            ..with_shared(&tilt_gradient, than(&by_law))
         })
     }
 
@@ -191,11 +190,11 @@ impl Light {
         law: &Obliquity,
     ) -> Vec<Vec<Gradient>> {
         let of_image = |(f_number, types): &(f64, Vec<Alike>)| {
-            let levers = DiscGeometry::new(internal, *f_number, self.seen_pitch_px, options);
+            let sensitivities = DiscGeometry::new(internal, *f_number, self.seen_pitch_px, options);
             let of_type = |(lens_type, alike): (usize, &Alike)| {
-                let lever = |r| levers.lever(lens_type, r, law);
-                let light = |r| levers.light_and_growth(lens_type, r, law);
-                alike.gradients(self.reach_px, lever, light)
+                let sensitivity = |r| sensitivities.sensitivity(lens_type, r, law);
+                let light = |r| sensitivities.light_and_growth(lens_type, r, law);
+                alike.gradients(self.reach_px, sensitivity, light)
             };
             types.iter().enumerate().map(of_type).collect::<Vec<_>>()
         };

@@ -11,14 +11,9 @@ use tracing::debug;
 use super::discs::Discs;
 use super::measurement::measured;
 use super::options::{PrecalibrationOptions, White};
-use crate::checks::whites as checks;
+use crate::checks::whites::{self as checks, LINEAR};
 use crate::error::Error;
 
-/// Powers this close to 1 are linear: on simulated cameras discs tell them to 0.01, with JPEG to 0.03,
-/// and with a point spread as wide as half the narrowest blur to 0.06. At this limit q' has an error of up
-/// to 2 %. Where noise hides more, so many of its standard deviations are linear.
-const LINEAR: f64 = 0.08;
-const SIGNIFICANT: f64 = 3.0;
 /// Where the power is looked for: what undoes the gamma of pictures, a weaker one, and the
 /// opposite.
 const STARTS: [f64; 3] = [2.2, 1.5, 0.5];
@@ -33,7 +28,7 @@ const CERTAIN: f64 = 0.01;
 pub(super) fn power_of_discs(discs: &Discs) -> Option<f64> {
     discs
         .exponent
-        .filter(|(exponent, std_dev)| exponent.abs() > LINEAR.max(SIGNIFICANT * std_dev))
+        .filter(|(exponent, std_dev)| !checks::is_linear(*exponent, *std_dev))
         .map(|(exponent, _)| 1.0 + exponent)
 }
 

@@ -67,12 +67,13 @@ pub(super) fn measured(
         samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
     let oblique = internal_of(&by_profile)?;
     // Again with the discs as they are.
-    let Measured { mut fall_off, lean, finding: unknown_fall_off } =
+    let Measured { mut fall_off, tilt_gradient, finding: unknown_fall_off } =
         light.fall_off(&oblique.parameters, options, &obliquity);
     take_within(&mut fall_off, discs);
-    let levers = DiscGeometry::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
-    let moments = shift_moments(light.of_reference(), &levers, seen_pitch_px, &obliquity);
-    let growth = levers.growth_per_px(lean.as_ref(), &found.array.grid);
+    let sensitivities =
+        DiscGeometry::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
+    let moments = shift_moments(light.of_reference(), &sensitivities, seen_pitch_px, &obliquity);
+    let growth = sensitivities.growth_per_px(tilt_gradient.as_ref(), &found.array.grid);
     let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments, &growth)?;
 
     let (by_type, discs) = match options.estimator {
@@ -83,13 +84,15 @@ pub(super) fn measured(
     let mut radii = samples.measurements(&by_type);
     let mut internal = samples.internal(discs, &mut radii, &by_type, array.grid.pitch_px)?;
     internal.parameters.fall_off = Some(fall_off);
-    internal.parameters.lean = lean
-        .and_then(|lean| light.complete(lean, &oblique.parameters, options, &obliquity, &fall_off));
+    internal.parameters.tilt_gradient = tilt_gradient.and_then(|tilt_gradient| {
+        light.complete(tilt_gradient, &oblique.parameters, options, &obliquity, &fall_off)
+    });
     internal.parameters.levels = Some(levels);
     let wrong_f_number = doubt.map(|doubt| doubt.finding);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
-    let wrong_aperture = different_aperture((reference, &grey), &levers, &samples, &found.pattern)
-        .filter(|_| wrong_f_number.is_none());
+    let wrong_aperture =
+        different_aperture((reference, &grey), &sensitivities, &samples, &found.pattern)
+            .filter(|_| wrong_f_number.is_none());
     let by_lines = by_lines(discs, options.estimator, &mut internal.parameters);
     let oblong = oblong(&grey, &array.centers, array.grid.pitch_px);
     let types = checks::lens_types(lens_types.agreement);
@@ -214,7 +217,7 @@ mod tests {
             micro_image_pitch_mm: None,
             pupil_growth: 0.0,
             fall_off: None,
-            lean: None,
+            tilt_gradient: None,
             point_spread_px2: None,
             aperture_ratio: None,
             levels: None,

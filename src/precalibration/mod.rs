@@ -16,7 +16,6 @@ mod fall_off;
 mod grid;
 mod indexing;
 mod internal;
-mod lean;
 mod lens_types;
 mod linearity;
 mod measurement;
@@ -32,6 +31,7 @@ mod rings;
 mod roundness;
 mod samples;
 mod stage;
+mod tilt_gradient;
 
 pub use array::{ArrayMeasurement, LeftOutCenters, LensTypes};
 pub use array_checks::array_findings;

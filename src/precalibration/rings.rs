@@ -13,7 +13,7 @@ use nalgebra::{Matrix3, Matrix6, SMatrix, Vector2, Vector3, Vector6};
 use rayon::prelude::*;
 
 use super::centers::part_with;
-use super::lean::Growth;
+use super::tilt_gradient::Growth;
 use crate::image::Grey;
 
 /// Width of the rings, px.
@@ -171,14 +171,14 @@ impl Alike {
     }
 
     /// g and the growth of every micro-image that shows them, by its light up to a distance; see
-    /// [`DiscGeometry::lever`] and [`DiscGeometry::light_and_growth`].
+    /// [`DiscGeometry::sensitivity`] and [`DiscGeometry::light_and_growth`].
     ///
-    /// [`DiscGeometry::lever`]: super::disc_geometry::DiscGeometry::lever
+    /// [`DiscGeometry::sensitivity`]: super::disc_geometry::DiscGeometry::sensitivity
     /// [`DiscGeometry::light_and_growth`]: super::disc_geometry::DiscGeometry::light_and_growth
     pub fn gradients(
         &self,
         reach: f64,
-        lever: impl Fn(f64) -> f64 + Sync,
+        sensitivity: impl Fn(f64) -> f64 + Sync,
         light_and_growth: impl Fn(f64) -> (f64, f64) + Sync,
     ) -> Vec<Gradient> {
         let brightest = self.mean.iter().map(|ring| ring.light).fold(0.0, f64::max);
@@ -190,7 +190,7 @@ impl Alike {
         let squares = whole().map(|(_, (light, _))| light * light).sum::<f64>();
         let middle = products / squares.max(f64::MIN_POSITIVE);
         let design = |(ring, (_, growth)): &(&Ring, (f64, f64))| {
-            let lever = -ring.light * lever(ring.radius);
+            let sensitivity = -ring.light * sensitivity(ring.radius);
             let slope = -ring.slope;
             let weight = 1.0 / (ring.light + READ_NOISE * brightest);
             let growth = middle * growth;
@@ -198,8 +198,8 @@ impl Alike {
             #[rustfmt::skip]
             let columns = SMatrix::<f64, 6, 3>::new(
                 ring.light, 0.0, 0.0,
-                0.0, lever, 0.0,
-                0.0, 0.0, lever,
+                0.0, sensitivity, 0.0,
+                0.0, 0.0, sensitivity,
                 0.0, slope, 0.0,
                 0.0, 0.0, slope,
                 growth, 0.0, 0.0,

@@ -10,7 +10,7 @@ use crate::calibration::{
 };
 use crate::model::{Parameter, Rmse};
 use crate::quantity::{display_unit, two_digits, with_std_dev};
-use crate::solver::{CommonChange, LossKind, Prior};
+use crate::solver::{LossKind, Prior, SystematicChange};
 
 /// The result of a calibration: verdict, parameters, errors, convergence, weakest directions; and figures.
 #[must_use]
@@ -280,14 +280,14 @@ fn systematic_errors_table(calibration: &Calibration) -> Option<Table> {
         "What was taken from the white images, and the change of parameters, in their σ",
         std::iter::once(Column::text("One σ of")).chain(shown.iter().map(of_parameter)),
     );
-    for CommonChange { source, changes } in &uncertainty.common_changes {
+    for SystematicChange { source, changes } in &uncertainty.systematic_changes {
         let share = |&row: &usize| {
             let std_dev = std_devs[uncertainty.free_intrinsics[row]].unwrap_or(f64::INFINITY);
             Cell::signed(changes[row] / std_dev, 2)
         };
         table.push(std::iter::once(source.as_str().into()).chain(shown.iter().map(share)));
     }
-    (!shown.is_empty() && !uncertainty.common_changes.is_empty()).then_some(table)
+    (!shown.is_empty() && !uncertainty.systematic_changes.is_empty()).then_some(table)
 }
 
 fn summary(calibration: &Calibration) -> String {

@@ -158,7 +158,7 @@ impl Tracer {
             q_prime_std_dev_mm: Vec::new(),
             pupil_growth: 0.0,
             fall_off: None,
-            lean: None,
+            tilt_gradient: None,
             point_spread_px2: None,
             aperture_ratio: Some(Estimate::exact(self.array.aperture_ratio)),
             levels: None,

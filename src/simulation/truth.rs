@@ -170,7 +170,7 @@ impl Tracer {
                         std_dev_px: None,
                         rho_std_dev_px: None,
                         correlation: 0.0,
-                        levers_px: None,
+                        sensitivities_px: None,
                         blur: None,
                     };
                     Some(TrueFeature { feature, visible: spot.visible })

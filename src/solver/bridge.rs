@@ -346,7 +346,7 @@ pub(super) mod ffi {
 
     /// An error that observations have in common: one standard deviation of it.
     #[derive(Debug, Clone, PartialEq)]
-    pub struct CommonError {
+    pub struct SystematicError {
         /// Its cause.
         pub source: String,
         /// By how much it moves u, v and ρ of each feature, px: three values for each.
@@ -359,9 +359,9 @@ pub(super) mod ffi {
         pub in_priors: bool,
     }
 
-    /// What a common error changes.
+    /// What a systematic error changes.
     #[derive(Debug, Clone, PartialEq)]
-    pub struct CommonChange {
+    pub struct SystematicChange {
         /// The cause of the error.
         pub source: String,
         /// The change of each free intrinsic parameter.
@@ -399,8 +399,8 @@ pub(super) mod ffi {
         /// The share of each frame (a row) in what the weights claim the variance of the free intrinsic
         /// parameters to be, 0 to 1.
         pub frame_shares: Matrix,
-        /// What each common error changes.
-        pub common_changes: Vec<CommonChange>,
+        /// What each systematic error changes.
+        pub systematic_changes: Vec<SystematicChange>,
         /// How the poses follow the free intrinsic parameters: six rows for each.
         pub poses_by_intrinsics: Matrix,
         /// How many times larger the variance of the quantities with a prior is than the weights claim, as far as
@@ -465,7 +465,7 @@ pub(super) mod ffi {
         fn uncertainty(
             problem: &ProblemParts,
             cost: &CostOptions,
-            common: &[CommonError],
+            common: &[SystematicError],
             threads: usize,
         ) -> Result<Uncertainty>;
         fn frame_information(

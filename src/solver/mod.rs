@@ -22,8 +22,8 @@ pub use back_projection::{
     virtual_depths,
 };
 pub use bridge::ffi::{
-    CommonChange, CommonError, CostOptions, Iteration, Loss, LossKind, Matrix, MetricPoint,
-    MicroPixel, Prior, Ray, SeenPoint, Sighting, SolverOptions, Termination, Uncertainty,
+    CostOptions, Iteration, Loss, LossKind, Matrix, MetricPoint, MicroPixel, Prior, Ray, SeenPoint,
+    Sighting, SolverOptions, SystematicChange, SystematicError, Termination, Uncertainty,
     VirtualPoint,
 };
 pub(crate) use bridge::ffi::{PointSensitivity, Projected, SolverCenter, SolverFeature};

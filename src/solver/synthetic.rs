@@ -65,7 +65,7 @@ pub fn synthesize_bent(
                         std_dev_px: None,
                         rho_std_dev_px: None,
                         correlation: 0.0,
-                        levers_px: None,
+                        sensitivities_px: None,
                         blur: None,
                     }));
                 }

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use super::bridge::ffi::{self, CommonError, CostOptions, Matrix, Uncertainty};
+use super::bridge::ffi::{self, CostOptions, Matrix, SystematicError, Uncertainty};
 use super::problem::Problem;
 use crate::error::Result;
 use crate::model::{Parameter, SHAPE};
@@ -244,7 +244,7 @@ impl Uncertainty {
 pub(crate) fn uncertainty(
     problem: &Problem,
     cost: &CostOptions,
-    common: &[CommonError],
+    common: &[SystematicError],
     threads: usize,
 ) -> Result<Uncertainty> {
     Ok(ffi::uncertainty(&problem.parts(), cost, common, threads)?)

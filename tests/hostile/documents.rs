@@ -139,7 +139,7 @@ pub fn full_features() -> Vec<u8> {
         std_dev_px: Some([0.02, 0.03]),
         rho_std_dev_px: Some(0.05),
         correlation: 0.3,
-        levers_px: Some([[0.01, -0.02]; TAKEN]),
+        sensitivities_px: Some([[0.01, -0.02]; TAKEN]),
         blur: Some(MeasuredBlur {
             radius_px: -1.6,
             std_dev_px: 0.05,
@@ -206,7 +206,7 @@ pub fn compote_documents() -> [Value; 4] {
         q_prime_std_dev_mm: Vec::new(),
         pupil_growth: 0.0,
         fall_off: None,
-        lean: None,
+        tilt_gradient: None,
         point_spread_px2: None,
         aperture_ratio: None,
         levels: None,

@@ -106,7 +106,7 @@ fn solve(path: &Path) -> Result<String> {
 }
 
 fn datasheet(project: &Project) -> Option<Start> {
-    Some(Start::Datasheet(project.datasheet().ok()??, project.internal()?))
+    Some(Start::Datasheet(project.datasheet().ok()??, project.internal_parameters.clone()?))
 }
 
 /// A few iterations; the camera that comes of them.

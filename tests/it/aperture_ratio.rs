@@ -1,5 +1,5 @@
 //! Micro-lenses with gaps between them: white images and boards together tell the aperture ratio, and with it the true q'ᵢ,
-//! fᵢ and lean of the array.
+//! fᵢ and tilt gradient of the array.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -122,20 +122,21 @@ fn features_do_not_depend_on_the_number_of_threads() {
     assert!(features("1") == features("3"));
 }
 
-/// White images alone cannot tell how the array leans: they show how φq'ᵢ grows.
+/// White images alone cannot tell how the array is tilted: they show how φq'ᵢ grows.
 #[test]
 fn the_lean_goes_with_the_aperture_ratio() {
     let path = FILES.path("found/precalibration.json");
     let shown = read_internal_parameters(&path, None).unwrap();
     let truth = read_camera(&FILES.path("set/truth/camera.json")).unwrap();
     let pixel_mm = truth.sensor.pixel_size_mm;
-    let lean = optics::lean_per_mm(&truth) * pixel_mm;
+    let tilt_gradient = optics::tilt_gradient_per_mm(&truth) * pixel_mm;
     let ratio = Estimate::exact(RATIO);
     let pitch_mm = shown.micro_image_pitch_mm.unwrap();
     let [shown, known] = [shown.clone(), shown.with_aperture_ratio(ratio, pitch_mm)]
-        .map(|internal| internal.lean.unwrap());
+        .map(|internal| internal.tilt_gradient.unwrap());
     for axis in 0..2 {
-        let [shown, known] = [shown, known].map(|found| found.growth_per_px[axis] / lean[axis]);
+        let [shown, known] =
+            [shown, known].map(|found| found.growth_per_px[axis] / tilt_gradient[axis]);
         let std_dev = known * (known / shown) * 0.03;
         assert!((shown - RATIO).abs() < 0.05, "{shown}");
         assert!((known - 1.0).abs() < SIGMAS * std_dev.abs(), "{known}");
@@ -202,7 +203,7 @@ fn earlier_names_are_read() {
     let ratio = ("aperture_ratio", "fill_factor");
     let features = earlier("features.csv", &[ratio]);
     let read = |path: &Path| read_features(path, true).unwrap().features;
-    assert!(read(&features)[0].blur.is_some() && read(&features)[0].levers_px.is_some());
+    assert!(read(&features)[0].blur.is_some() && read(&features)[0].sensitivities_px.is_some());
     assert_eq!(read(&features), read(&FILES.path("found/features.csv")));
 
     let spread = ("\"point_spread_px2\"", "\"point_spread\"");

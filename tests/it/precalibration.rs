@@ -178,17 +178,21 @@ fn a_traced_lens_is_measured_from_its_white_images() {
         assert!(error_px.abs() < 0.008 && (q - truth).abs() < 3.0 * std_dev, "{error_px} px");
     }
     // With the pupil taken for in the lens the perspective is 12 % off.
-    let (lean, leans) = (found.lean.unwrap(), optics::lean_per_mm(&settings.camera));
+    let (tilt_gradient, truth_per_mm) =
+        (found.tilt_gradient.unwrap(), optics::tilt_gradient_per_mm(&settings.camera));
     for axis in 0..2 {
-        let truth = leans[axis] * settings.camera.sensor.pixel_size_mm;
-        let error = lean.growth_per_px[axis] - truth;
+        let truth = truth_per_mm[axis] * settings.camera.sensor.pixel_size_mm;
+        let error = tilt_gradient.growth_per_px[axis] - truth;
         println!(
-            "lean {:+.2} %, {:+.1} sigma",
+            "tilt_gradient {:+.2} %, {:+.1} sigma",
             100.0 * error / truth,
-            error / lean.std_dev_per_px[axis]
+            error / tilt_gradient.std_dev_per_px[axis]
         );
-        assert!(error.abs() < 0.08 * truth.abs(), "{lean:?}, {truth}");
-        assert!(error.abs() < 3.0 * lean.std_dev_per_px[axis], "{lean:?}, {truth}");
+        assert!(error.abs() < 0.08 * truth.abs(), "{tilt_gradient:?}, {truth}");
+        assert!(
+            error.abs() < 3.0 * tilt_gradient.std_dev_per_px[axis],
+            "{tilt_gradient:?}, {truth}"
+        );
     }
     // Boards are seen through the pupil as it is, 0.057 px larger at f/4 (by an independent trace).
     let pupil = found.pupil_radius_mm(4.0) / (truth.m_mm / 4.0) - 1.0;

@@ -4,7 +4,7 @@ use plenocal::Finding;
 use std::fs;
 
 use plenocal::calibration::{Calibration, CalibrationOptions, PriorSource, Priors, Start};
-use plenocal::model::{Lean, Noise, Observations, Parameter};
+use plenocal::model::{Noise, Observations, Parameter, TiltGradient};
 use plenocal::solver::{LossKind, Termination};
 use predicates::str::contains;
 use tempfile::TempDir;
@@ -51,7 +51,7 @@ fn honest_observations() -> Observations {
 #[test]
 fn the_lean_has_the_prior_that_is_computed() {
     let observations = shipped_observations();
-    for (quantity, value) in [("lean_u", -1.9e-3), ("lean_v", -2.4e-3)] {
+    for (quantity, value) in [("tilt_u", -1.9e-3), ("tilt_v", -2.4e-3)] {
         let result = run(&datasheet_start(), &observations, &with_prior(quantity, value, 1e-9));
         let found = named(&result, quantity);
         assert!((found.result - value).abs() < 1e-8, "{quantity}: {}", found.result);
@@ -59,26 +59,26 @@ fn the_lean_has_the_prior_that_is_computed() {
     }
 }
 
-/// White images say how the array leans, without what is assumed of the lens.
+/// White images say how the array is tilted, without what is assumed of the lens.
 #[test]
 fn the_lean_of_white_images_counts_also_without_priors() {
     let Start::Datasheet(sheet, mut internal) = datasheet_start() else { unreachable!() };
-    let lean = Lean {
+    let tilt_gradient = TiltGradient {
         growth_per_px: [-9.8e-6, -1.3e-5],
         std_dev_per_px: [2e-7, 3e-7],
         shared_per_px: [-1e-7, -1e-7],
         by_aperture_ratio_per_px: [0.0; 2],
         by_aperture_ratio_squared_per_px: [0.0; 2],
     };
-    internal.lean = Some(lean);
+    internal.tilt_gradient = Some(tilt_gradient);
     let mut options = defaults();
     options.priors.default = false;
     let result = run(&Start::Datasheet(sheet, internal), &shipped_observations(), &options);
-    for (axis, quantity) in ["lean_u", "lean_v"].into_iter().enumerate() {
+    for (axis, quantity) in ["tilt_u", "tilt_v"].into_iter().enumerate() {
         let found = named(&result, quantity);
         assert_eq!(found.source, PriorSource::WhiteImages);
         let per_px = found.prior.value * sheet.sensor.pixel_size_mm;
-        assert!((per_px - lean.growth_per_px[axis]).abs() < 1e-15);
+        assert!((per_px - tilt_gradient.growth_per_px[axis]).abs() < 1e-15);
         assert!(
             found.normalised_residual().abs() < 3.0,
             "{quantity}: {}",
@@ -252,8 +252,8 @@ fn bad_priors_are_errors_that_name_them() {
         ("F=16", "NAME=VALUE:SIGMA"),
         ("F", "NAME=VALUE:SIGMA"),
         ("F=16:x", "NAME=VALUE:SIGMA"),
-        ("dC_ratio=1:0.1", "dC_ratio is defaults, but it is fixed"),
-        ("F=16:1,F=17:1", "second time"),
+        ("dC_ratio=1:0.1", "dC_ratio has a prior, but it is fixed"),
+        ("F=16:1,F=17:1", "second prior"),
     ] {
         calibrate(&["--prior", argument], "").code(1).stderr(contains(words));
     }

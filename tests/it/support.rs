@@ -45,7 +45,7 @@ pub fn true_poses() -> Vec<FramePose> {
 /// The start that the shipped project gives: datasheet and internal parameters.
 pub fn datasheet_start() -> Start {
     let project = project();
-    Start::Datasheet(project.datasheet().unwrap().unwrap(), project.internal().unwrap())
+    Start::Datasheet(project.datasheet().unwrap().unwrap(), project.internal_parameters.unwrap())
 }
 
 pub fn shipped_observations() -> Observations {

@@ -20,7 +20,7 @@ class PLENOCAL_API FileError : public std::runtime_error {
 };
 
 /// What this library needs of camera.json. The file has more: at which distances boards were, fill
-/// factor and point spread, how depths by blur are off, and the uncertainty's common errors.
+/// factor and point spread, how depths by blur are off, and the uncertainty's systematic errors.
 struct CameraFile {
   Camera camera;
   /// Setting of the main lens: N of the images of boards, which a camera that is written has to

@@ -46,13 +46,13 @@ constexpr char kSlopeName[] = "m";
 /// Name of q'_i, mm (`blur_intercept`), among the quantities of priors: "q'_1" for lens type 0.
 inline std::string intercept_name(int lens_type) { return "q'_" + std::to_string(lens_type + 1); }
 
-/// Names of the lean of the array along u and v, 1/mm (`lean`), among the quantities of priors.
-constexpr std::array<const char*, 2> kLeanNames = {"lean_u", "lean_v"};
+/// Names of the tilt gradient of the array along u and v, 1/mm (`tilt_gradient`), among the quantities of priors.
+constexpr std::array<const char*, 2> kTiltGradientNames = {"tilt_u", "tilt_v"};
 
 /// What is known of a camera beforehand: one more residual, (quantity - value) / std_dev.
 struct Prior {
   /// A free parameter, see `shared_names`, `kSlopeName`, an `intercept_name` or one of
-  /// `kLeanNames`.
+  /// `kTiltGradientNames`.
   std::string quantity;
   double value;    ///< in the unit of the quantity
   double std_dev;  ///< likewise
@@ -220,8 +220,8 @@ struct Uncertainty {
   std::array<double, 3> residual_std_dev{};
   /// s_k: by how much the errors are larger than their sigma in the cost says; 1 if it is right.
   std::array<double, 3> std_dev_factors{};
-  /// Change of the free intrinsics by each common error: a row for each error.
-  Matrix common_changes;
+  /// Change of the free intrinsics by each systematic error: a row for each error.
+  Matrix systematic_changes;
   /// How much a further Gauss-Newton step would lower the cost: 0 at a true minimum.
   double expected_decrease = 0.0;
   /// That step: a change of each parameter.
@@ -238,7 +238,7 @@ struct Uncertainty {
 
 /// An error that observations have in common, such as that of q' from white images: one standard
 /// deviation of it.
-struct CommonError {
+struct SystematicError {
   std::vector<Feature<double>> features;  ///< by how much each feature moves, px
   std::vector<Pixel<double>> centers;     ///< by how much each centre moves, px; empty for none
   /// By how much the value of each prior moves, in its sigma; empty for none.
@@ -251,7 +251,7 @@ struct CommonError {
 PLENOCAL_API Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                                      const Observations& observations,
                                      const CostOptions& cost_options,
-                                     const std::vector<CommonError>& common = {}, int threads = 1);
+                                     const std::vector<SystematicError>& common = {}, int threads = 1);
 
 /// The information of each frame on the free intrinsics, with its pose unknown: a square matrix for
 /// each frame, the same for any number of threads. Priors and centres take no part. Throws like

@@ -318,18 +318,18 @@ class InterceptResidual {
   double weight_;
 };
 
-/// Residual of a prior on the lean along one axis of the image. Parameter blocks: exit pupil,
+/// Residual of a prior on the tilt gradient along one axis of the image. Parameter blocks: exit pupil,
 /// array.
-class LeanResidual {
+class TiltGradientResidual {
  public:
   /// `axis` is 0 for u and 1 for v; `value` in 1/mm; `weight` is 1 / sigma, mm.
-  LeanResidual(int axis, double value, double weight)
+  TiltGradientResidual(int axis, double value, double weight)
       : axis_(axis), value_(value), weight_(weight) {}
 
   template <typename T>
   bool operator()(const T* exit_pupil, const T* array, T* residual) const {
     const Vector2<T> found =
-        lean(from_block<ExitPupil>(exit_pupil), from_block<MicroLensArray>(array));
+        tilt_gradient(from_block<ExitPupil>(exit_pupil), from_block<MicroLensArray>(array));
     residual[0] = ((axis_ == 0 ? found.x : found.y) - value_) * weight_;
     return true;
   }
@@ -337,8 +337,8 @@ class LeanResidual {
   /// A cost function of it.
   static std::unique_ptr<ceres::CostFunction> create(int axis, double value, double weight) {
     return std::make_unique<
-        ceres::AutoDiffCostFunction<LeanResidual, 1, kExitPupilParameters, kArrayParameters>>(
-        new LeanResidual(axis, value, weight));
+        ceres::AutoDiffCostFunction<TiltGradientResidual, 1, kExitPupilParameters, kArrayParameters>>(
+        new TiltGradientResidual(axis, value, weight));
   }
 
  private:

@@ -66,8 +66,8 @@ fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
             let ratio = of_frame + if lens_type == 2 { other } else { 0.0 };
             let noise = 0.05 * (f64::from(i * 7 % 11) / 5.0 - 1.0);
             let blur = TRUE_RATIO * q + ratio * growth + noise + f64::from(i / 59) * 9.0;
-            let mut levers_px = [[0.0; 2]; TAKEN];
-            levers_px[APERTURE_RATIO] = [2.0, -1.0];
+            let mut sensitivities_px = [[0.0; 2]; TAKEN];
+            sensitivities_px[APERTURE_RATIO] = [2.0, -1.0];
             features.push(BapFeature {
                 frame: frame.try_into().unwrap(),
                 corner: i,
@@ -79,7 +79,7 @@ fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
                 std_dev_px: Some([0.03; 2]),
                 rho_std_dev_px: Some(0.01),
                 correlation: 0.0,
-                levers_px: Some(levers_px),
+                sensitivities_px: Some(sensitivities_px),
                 blur: Some(MeasuredBlur {
                     radius_px: blur,
                     std_dev_px: 0.04,

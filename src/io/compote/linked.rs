@@ -58,7 +58,7 @@ fn sections(data: &[u8]) -> Result<Observations> {
             std_dev_px: None,
             rho_std_dev_px: None,
             correlation: 0.0,
-            levers_px: None,
+            sensitivities_px: None,
             blur: None,
             corner: i32_at(r, 32),
             frame: u32::try_from(frame)

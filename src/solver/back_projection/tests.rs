@@ -101,7 +101,7 @@ fn features(seen: &[SeenPoint], rho_std_dev_px: Option<f64>) -> Vec<BapFeature> 
             std_dev_px: Some([s.std_dev_px[0], s.std_dev_px[1]]),
             correlation: s.correlation,
             rho_std_dev_px,
-            levers_px: None,
+            sensitivities_px: None,
             blur: None,
         };
         point.sightings.iter().map(feature).collect::<Vec<_>>()

@@ -19,13 +19,13 @@ using test::Scene;
 
 // The change that uncertainty() foresees is that of a refinement with the observations, and the
 // prior, moved.
-TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
+TEST(SystematicErrors, ChangeParametersAsMovedObservationsDo) {
   constexpr double kStep = 1e-5, kTolerance = 0.02;
   const Scene scene = test::make_scene(3);
   CostOptions options = paper();
   options.priors = {{"F", scene.camera.main_lens.focal_length, 0.05}};
   options.prior_weight = 4.0;
-  CommonError error;
+  SystematicError error;
   for (const FeatureObservation& o : scene.observations.features) {
     error.features.push_back({kStep * (o.k - 20), kStep * o.frame, kStep});
   }
@@ -56,7 +56,7 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
     const int index = u.free_intrinsics[i];
     const double change = after[index] - before[index];
     const double std_dev = std::sqrt(without.independent_covariance(i, i));
-    EXPECT_NEAR(u.common_changes(0, i), change, kTolerance * std::abs(change) + 1e-3 * std_dev)
+    EXPECT_NEAR(u.systematic_changes(0, i), change, kTolerance * std::abs(change) + 1e-3 * std_dev)
         << index;
     EXPECT_GE(u.independent_covariance(i, i), without.independent_covariance(i, i) +
                                                   0.9 * change * change - 1e-6 * std_dev * std_dev)
@@ -66,25 +66,25 @@ TEST(CommonErrors, ChangeParametersAsMovedObservationsDo) {
   expect_names(rejection([&] {
                  uncertainty(scene.camera, scene.poses, scene.observations, options, {error});
                }),
-               "common error");
+               "systematic error");
 }
 
 // A prior's own error is in the covariance already; one of something else that moves it is not.
-TEST(CommonErrors, CountOnceWherePriorsContainThem) {
+TEST(SystematicErrors, CountOnceWherePriorsContainThem) {
   const Scene scene = test::make_scene(3);
   CostOptions options = paper();
   options.priors = {{"F", scene.camera.main_lens.focal_length, 0.05}};
-  CommonError error;
+  SystematicError error;
   error.features.resize(scene.observations.features.size());
   error.priors = {1.0};
-  const auto variances = [&](const std::vector<CommonError>& errors) {
+  const auto variances = [&](const std::vector<SystematicError>& errors) {
     const Uncertainty u =
         uncertainty(scene.camera, scene.poses, scene.observations, options, errors);
     std::vector<double> diagonal;
     for (int i = 0; i < static_cast<int>(u.free_intrinsics.size()); ++i) {
       diagonal.push_back(u.independent_covariance(i, i));
     }
-    return std::make_pair(diagonal, u.common_changes.values);
+    return std::make_pair(diagonal, u.systematic_changes.values);
   };
   const auto without = variances({}).first;
   const auto contained = variances({error}).first;
@@ -100,12 +100,12 @@ TEST(CommonErrors, CountOnceWherePriorsContainThem) {
 
 // Two priors whose errors are one and the same say less than two that differ: the covariance is
 // that of both moved at once.
-TEST(CommonErrors, AreNotAveragedAwayByPriorsThatShareThem) {
+TEST(SystematicErrors, AreNotAveragedAwayByPriorsThatShareThem) {
   const Scene scene = test::make_scene(3);
   CostOptions options = paper();
   const double f = scene.camera.main_lens.focal_length;
   options.priors = {{"F", f, 1e-3}, {"F", f, 1e-3}};
-  CommonError error;
+  SystematicError error;
   error.features.resize(scene.observations.features.size());
   const auto std_dev = [&](const std::vector<double>& priors) {
     error.priors = priors;

@@ -1,18 +1,18 @@
 //! Errors that observations have in common, because something was taken from the white images.
 //!
 //! Where a corner is found depends a little on the pupil of the main lens, on q'ᵢ, on how light falls off inside a
-//! micro-image, on the point spread, and on how the array leans. All features share the errors of these, and no scatter shows them. All
+//! micro-image, on the point spread, and on how the array is tilted. All features share the errors of these, and no scatter shows them. All
 //! centres share how far the fall-off shifts the centroids of micro-images.
 
 use nalgebra::Vector2;
 
-use crate::calibration::priors::{LEAN, intercept_name};
+use crate::calibration::priors::{TILT_GRADIENT, intercept_name};
 use crate::calibration::{CalibrationOptions, Mode, Start};
 use crate::error::Result;
 use crate::model::{
-    BapFeature, InternalParameters, Lean, MicroImageCenter, PlenopticCamera, TAKEN, taken,
+    BapFeature, InternalParameters, MicroImageCenter, PlenopticCamera, TAKEN, TiltGradient, taken,
 };
-use crate::solver::{self, CommonError, CostOptions, Prior};
+use crate::solver::{self, CostOptions, Prior, SystematicError};
 
 /// How well the model of a blurred corner keeps its distance from the centre of the micro-image, relative: corners in
 /// simulated images are 0.1 % too far outwards through ideal lenses, and 0.3 % through traced ones
@@ -26,14 +26,14 @@ const APERTURE_RATIO: &str = "aperture ratio";
 /// simulated cameras with any law to this.
 const CENTROID_MODEL_PX2: f64 = 0.07;
 
-/// The common errors of features, and of the priors that have them too.
-pub(super) fn common_errors(
+/// The systematic errors of features, and of the priors that have them too.
+pub(super) fn systematic_errors(
     start: &Start,
     camera: &PlenopticCamera,
     (features, centers): (&[BapFeature], &[MicroImageCenter]),
     cost: &CostOptions,
     options: &CalibrationOptions,
-) -> Result<Vec<CommonError>> {
+) -> Result<Vec<SystematicError>> {
     let Some(internal) = start.internal().filter(|_| options.mode != Mode::PosesOnly) else {
         return Ok(Vec::new());
     };
@@ -42,7 +42,7 @@ pub(super) fn common_errors(
     };
     let types: Vec<usize> = features.iter().map(|f| camera.lens_type(f.k, f.l)).collect();
     let pixel_mm = camera.sensor.pixel_size_mm;
-    let levers = |f: &BapFeature| f.levers_px.unwrap_or([[0.0; 2]; TAKEN]);
+    let sensitivities = |f: &BapFeature| f.sensitivities_px.unwrap_or([[0.0; 2]; TAKEN]);
     let mut errors = Vec::new();
     let mut add = |source: &str, priors: Vec<f64>, by: &dyn Fn(usize, &BapFeature) -> [f64; 3]| {
         let features_px: Vec<f64> =
@@ -53,7 +53,7 @@ pub(super) fn common_errors(
             let (source, centers_px) = (source.to_owned(), Vec::new());
             // White images do not determine the aperture ratio: σ of their priors does not contain its error.
             let in_priors = source != APERTURE_RATIO;
-            errors.push(CommonError { source, features_px, centers_px, priors, in_priors });
+            errors.push(SystematicError { source, features_px, centers_px, priors, in_priors });
         }
     };
     let [pupil, within, ratio, spread_px2] = std_devs(internal);
@@ -63,7 +63,7 @@ pub(super) fn common_errors(
         ("point spread", taken::POINT_SPREAD, spread_px2),
     ] {
         add(name, Vec::new(), &|_, f| {
-            let [u, v] = levers(f)[taken];
+            let [u, v] = sensitivities(f)[taken];
             [u * std_dev, v * std_dev, 0.0]
         });
     }
@@ -73,27 +73,27 @@ pub(super) fn common_errors(
         // ρ = q'ᵢ − Δc/2ν.
         let rho = if cost.rho { std_dev_mm / pixel_mm } else { 0.0 };
         add(&name, with_prior(&name), &|i, f| {
-            let [u, v] = levers(f)[taken::INTERCEPT];
+            let [u, v] = sensitivities(f)[taken::INTERCEPT];
             if types[i] == lens_type { [u * relative, v * relative, rho] } else { [0.0; 3] }
         });
     }
     let (q_mm, of_priors) = by_aperture_ratio(internal, &cost.priors, pixel_mm);
     add(APERTURE_RATIO, of_priors.iter().map(|by| by * ratio).collect(), &|i, f| {
-        let [u, v] = levers(f)[taken::APERTURE_RATIO];
+        let [u, v] = sensitivities(f)[taken::APERTURE_RATIO];
         let rho = if cost.rho { -q_mm[types[i]] / pixel_mm } else { 0.0 };
         [u * ratio, v * ratio, rho * ratio]
     });
     let own_centers = solver::project_centers(camera, features.iter().map(|f| (f.k, f.l)))?;
-    if let Some(lean) = &internal.lean {
+    if let Some(tilt_gradient) = &internal.tilt_gradient {
         let middle = camera.sensor.center_px();
-        for (name, per_px) in of_lean(lean) {
-            let in_std_devs = [0, 1].map(|axis| per_px[axis] / lean.std_dev_per_px[axis]);
-            let axis = |a: &Prior| LEAN.iter().position(|name| a.quantity == *name);
+        for (name, per_px) in of_tilt_gradient(tilt_gradient) {
+            let in_std_devs = [0, 1].map(|axis| per_px[axis] / tilt_gradient.std_dev_per_px[axis]);
+            let axis = |a: &Prior| TILT_GRADIENT.iter().position(|name| a.quantity == *name);
             let of_prior = |a: &Prior| axis(a).map_or(0.0, |axis| in_std_devs[axis]);
             // Both discs grow with d.
             add(name, cost.priors.iter().map(of_prior).collect(), &|i, f| {
                 let growth = (Vector2::from(own_centers[i]) - middle).dot(&Vector2::from(per_px));
-                let [pupil, intercept, ..] = levers(f);
+                let [pupil, intercept, ..] = sensitivities(f);
                 [0, 1, 2].map(|c| if c < 2 { (pupil[c] + intercept[c]) * growth } else { 0.0 })
             });
         }
@@ -106,16 +106,21 @@ pub(super) fn common_errors(
 /// How far a corner may be from where it is, in proportion to its distance from the centre of its micro-image, px.
 fn of_blur_model(feature: &BapFeature, own_center: [f64; 2]) -> [f64; 3] {
     let [u, v] = [feature.u_px - own_center[0], feature.v_px - own_center[1]];
-    feature.levers_px.map_or([0.0; 3], |_| [u * BLUR_MODEL, v * BLUR_MODEL, 0.0])
+    feature.sensitivities_px.map_or([0.0; 3], |_| [u * BLUR_MODEL, v * BLUR_MODEL, 0.0])
 }
 
-/// Errors of the lean along both axes, px⁻¹: what each has of its own, and what they share.
-fn of_lean(lean: &Lean) -> [(&'static str, [f64; 2]); 3] {
+/// Errors of the tilt gradient along both axes, px⁻¹: what each has of its own, and what they share.
+fn of_tilt_gradient(tilt_gradient: &TiltGradient) -> [(&'static str, [f64; 2]); 3] {
     let own = |axis: usize| {
-        let variance = lean.std_dev_per_px[axis].powi(2) - lean.shared_per_px[axis].powi(2);
+        let variance =
+            tilt_gradient.std_dev_per_px[axis].powi(2) - tilt_gradient.shared_per_px[axis].powi(2);
         variance.max(0.0).sqrt()
     };
-    [(LEAN[0], [own(0), 0.0]), (LEAN[1], [0.0, own(1)]), ("lean", lean.shared_per_px)]
+    [
+        (TILT_GRADIENT[0], [own(0), 0.0]),
+        (TILT_GRADIENT[1], [0.0, own(1)]),
+        ("tilt_gradient", tilt_gradient.shared_per_px),
+    ]
 }
 
 /// qᵢ by lens type, mm, by which q'ᵢ fall with ln φ: white images show the product of φ and qᵢ = q'ᵢ − Δc/2. And by how much
@@ -128,9 +133,9 @@ fn by_aperture_ratio(
     let half_pitch_mm = internal.micro_image_pitch_mm.unwrap_or(0.0) / 2.0;
     let q_mm: Vec<f64> = internal.q_prime_mm.iter().map(|q| q - half_pitch_mm).collect();
     let of_prior = |prior: &Prior| {
-        let axis = LEAN.iter().position(|name| prior.quantity == *name);
-        if let (Some(axis), Some(lean)) = (axis, &internal.lean) {
-            return lean.by_aperture_ratio_per_px[axis] / pixel_mm / prior.std_dev;
+        let axis = TILT_GRADIENT.iter().position(|name| prior.quantity == *name);
+        if let (Some(axis), Some(tilt_gradient)) = (axis, &internal.tilt_gradient) {
+            return tilt_gradient.by_aperture_ratio_per_px[axis] / pixel_mm / prior.std_dev;
         }
         let lens_type = (0..q_mm.len()).find(|i| prior.quantity == intercept_name(*i));
         lens_type.map_or(0.0, |i| -q_mm[i] / prior.std_dev)
@@ -144,12 +149,12 @@ fn of_centroids(
     internal: &InternalParameters,
     features: usize,
     centers: &[MicroImageCenter],
-) -> Option<CommonError> {
+) -> Option<SystematicError> {
     let fall_off = internal.fall_off.filter(|_| !centers.is_empty())?;
     let moved = |c: &MicroImageCenter| -> [f64; 2] {
         (fall_off.gradient(&Vector2::new(c.u_px, c.v_px)) * CENTROID_MODEL_PX2).into()
     };
-    Some(CommonError {
+    Some(SystematicError {
         source: "centroids".to_owned(),
         features_px: vec![0.0; 3 * features],
         centers_px: centers.iter().flat_map(moved).collect(),
@@ -162,7 +167,7 @@ fn of_centroids(
 /// point spread, px².
 fn std_devs(internal: &InternalParameters) -> [f64; 4] {
     let pupil = internal.m_std_dev_mm.map_or(0.0, |std_dev| std_dev / internal.m_mm.abs());
-    // Without a fall-off there is no lever either.
+    // Without a fall-off there is no sensitivity either.
     let known = internal.fall_off.filter(|fall_off| fall_off.within_per_px2 != 0.0);
     let within = known
         .map_or(0.0, |fall_off| fall_off.within_std_dev_per_px2 / fall_off.within_per_px2.abs());

@@ -1,7 +1,7 @@
-//! How the array leans against the sensor, from the discs of micro-images all over white images.
+//! How the array is tilted against the sensor, from the discs of micro-images all over white images.
 //!
 //! Both discs grow with the distance d of the array from the sensor: a and q' are d times an angle. Where the
-//! array leans, d grows across the image, and every micro-image tells by how much. That needs no main lens;
+//! array is tilted, d grows across the image, and every micro-image tells by how much. That needs no main lens;
 //! the perspective of the centres is ∇d/(D + e_z + d), and needs to know where the exit pupil is.
 //!
 //! Vignetting by the main lens cuts discs too, but equally on both sides of the axis: the part of the growth
@@ -9,7 +9,7 @@
 
 use nalgebra::{SMatrix, SVector, Vector1, Vector2, Vector6};
 
-use crate::model::Lean;
+use crate::model::TiltGradient;
 use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
 
 /// By how much the discs of a micro-image are larger than those of its type in the mean.
@@ -38,10 +38,10 @@ const SETTLED: f64 = 1e-12;
 /// Squares of the place are taken in this unit, px, which keeps the equations in scale.
 const UNIT_PX: f64 = 1000.0;
 
-/// The lean that all groups show, each of one lens type in one white image, about `middle`; `None` without
+/// The tilt gradient that all groups show, each of one lens type in one white image, about `middle`; `None` without
 /// two groups that do. Groups differ by more than their noise where discs are not what they are taken for,
 /// and their scatter is in σ, with the model's error, which both axes share.
-pub(super) fn lean(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<Lean> {
+pub(super) fn tilt_gradient(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<TiltGradient> {
     let of_groups: Vec<(Vector2<f64>, Vector2<f64>)> =
         groups.iter().filter_map(|growths| slope(growths, middle)).collect();
     if of_groups.len() < 2 {
@@ -61,7 +61,7 @@ pub(super) fn lean(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<Lean
     };
     let (along_u, along_v) = (axis(0), axis(1));
     let growth_per_px = [along_u.0, along_v.0];
-    let own = Lean {
+    let own = TiltGradient {
         growth_per_px,
         std_dev_per_px: [along_u.1, along_v.1],
         shared_per_px: [0.0; 2],
@@ -71,14 +71,15 @@ pub(super) fn lean(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<Lean
     Some(with_shared(&own, growth_per_px.map(|growth| MODEL * growth)))
 }
 
-/// A lean that may also be off by as much along both axes at once.
-pub(super) fn with_shared(lean: &Lean, by_per_px: [f64; 2]) -> Lean {
-    let signed =
-        |i: usize| lean.shared_per_px[i].hypot(by_per_px[i]).copysign(lean.growth_per_px[i]);
-    Lean {
-        std_dev_per_px: [0, 1].map(|i| lean.std_dev_per_px[i].hypot(by_per_px[i])),
+/// A tilt gradient that may also be off by as much along both axes at once.
+pub(super) fn with_shared(tilt_gradient: &TiltGradient, by_per_px: [f64; 2]) -> TiltGradient {
+    let signed = |i: usize| {
+        tilt_gradient.shared_per_px[i].hypot(by_per_px[i]).copysign(tilt_gradient.growth_per_px[i])
+    };
+    TiltGradient {
+        std_dev_per_px: [0, 1].map(|i| tilt_gradient.std_dev_per_px[i].hypot(by_per_px[i])),
         shared_per_px: [0, 1].map(signed),
-        ..*lean
+        ..*tilt_gradient
     }
 }
 
@@ -147,12 +148,12 @@ impl Reweighted for Surface<'_> {
 mod tests {
     use super::*;
 
-    const LEAN: [f64; 2] = [-1.0e-5, 1.4e-5];
+    const TILT_GRADIENT: [f64; 2] = [-1.0e-5, 1.4e-5];
     const NOISE: f64 = 3e-3;
     const MIDDLE: [f64; 2] = [500.0, 400.0];
 
     /// Micro-images all over an image, vignetted towards its border, with noise of its own; every fortieth shows
-    /// dust. `bias` is what a group takes for lean.
+    /// dust. `bias` is what a group takes for tilt gradient.
     fn group(seed: u32, bias: f64) -> Vec<Growth> {
         let mut noise = seed;
         let mut error = || {
@@ -166,21 +167,21 @@ mod tests {
                     .component_mul(&Vector2::new(50.0, 40.0));
                 let p = place - middle;
                 let dust = if i % 40 == 7 { 0.3 } else { 0.0 };
-                let lean = Vector2::from(LEAN) * (1.0 + bias);
-                let value = lean.dot(&p) - 2e-8 * p.norm_squared() + error() + dust;
+                let tilt_gradient = Vector2::from(TILT_GRADIENT) * (1.0 + bias);
+                let value = tilt_gradient.dot(&p) - 2e-8 * p.norm_squared() + error() + dust;
                 Growth { place, value, weight: NOISE.powi(-2) }
             })
             .collect()
     }
 
-    fn found(groups: &[Vec<Growth>]) -> Lean {
-        lean(groups, &Vector2::from(MIDDLE)).unwrap()
+    fn found(groups: &[Vec<Growth>]) -> TiltGradient {
+        tilt_gradient(groups, &Vector2::from(MIDDLE)).unwrap()
     }
 
     #[test]
     fn the_lean_is_found_through_vignetting_and_dust() {
         let found = found(&[group(1, 0.0), group(2, 0.0), group(3, 0.0), group(4, 0.0)]);
-        for (i, truth) in LEAN.into_iter().enumerate() {
+        for (i, truth) in TILT_GRADIENT.into_iter().enumerate() {
             let (error, std_dev) = (found.growth_per_px[i] - truth, found.std_dev_per_px[i]);
             assert!(error.abs() < 3.0 * std_dev, "{found:?}");
             assert!((1e-7..5e-7).contains(&std_dev), "{found:?}");
@@ -193,11 +194,14 @@ mod tests {
         let disagree = found(&[group(1, -0.5), group(2, 0.5)]);
         assert!(disagree.std_dev_per_px[0] > 4.0 * agree.std_dev_per_px[0], "{disagree:?}");
         // The model is the same for both axes, however the groups differ.
-        for (lean, axis) in [(agree, 0), (agree, 1), (disagree, 0), (disagree, 1)] {
-            let of_model = lean.shared_per_px[axis] / lean.growth_per_px[axis];
-            assert!((of_model - MODEL).abs() < 1e-9, "{lean:?}");
+        for (tilt_gradient, axis) in [(agree, 0), (agree, 1), (disagree, 0), (disagree, 1)] {
+            let of_model = tilt_gradient.shared_per_px[axis] / tilt_gradient.growth_per_px[axis];
+            assert!((of_model - MODEL).abs() < 1e-9, "{tilt_gradient:?}");
         }
-        assert!(lean(&[group(1, 0.0)], &Vector2::from(MIDDLE)).is_none());
-        assert!(lean(&[group(1, 0.0)[..20].to_vec(), group(2, 0.0)], &Vector2::zeros()).is_none());
+        assert!(tilt_gradient(&[group(1, 0.0)], &Vector2::from(MIDDLE)).is_none());
+        assert!(
+            tilt_gradient(&[group(1, 0.0)[..20].to_vec(), group(2, 0.0)], &Vector2::zeros())
+                .is_none()
+        );
     }
 }
