@@ -59,7 +59,7 @@ pub struct PriorResult {
 }
 
 impl PriorResult {
-    /// By how many of its σ the observations pull on the prior: (result − value)/σ.
+    /// The residual of the prior over its σ: (result − value)/σ.
     #[must_use]
     pub fn normalised_residual(&self) -> f64 {
         (self.result - self.prior.value) / self.prior.std_dev

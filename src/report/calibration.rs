@@ -228,17 +228,17 @@ pub(super) fn errors_table(calibration: &Calibration) -> Table {
     table
 }
 
-/// Priors with prior, result and pull.
+/// Priors with their residuals.
 fn priors_table(calibration: &Calibration) -> Option<Table> {
     let mut table = Table::new(
-        "What was known, what came out, and how the observations pull on it",
+        "Priors, results, and their residuals",
         [
             Column::text("Prior"),
             Column::text("Unit"),
             Column::number("Known"),
             Column::number("± σ"),
             Column::number("Result"),
-            Column::of("Pull", "σ"),
+            Column::of("Residual", "σ"),
             Column::text("From"),
         ],
     );
