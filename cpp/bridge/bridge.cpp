@@ -214,9 +214,9 @@ RefinementParts refine(const ProblemParts& problem, const CostOptions& cost,
 }
 
 Uncertainty uncertainty(const ProblemParts& problem, const CostOptions& cost,
-                        rust::Slice<const SystematicError> common, std::size_t threads) {
+                        rust::Slice<const SystematicError> systematic, std::size_t threads) {
   const auto errors =
-      mapped<std::vector>(common, [](const SystematicError& error) { return to_core(error); });
+      mapped<std::vector>(systematic, [](const SystematicError& error) { return to_core(error); });
   const plenocal::Uncertainty u =
       plenocal::uncertainty(to_core(problem.camera), poses_of(problem), observations_of(problem),
                             to_core(cost), errors, to_core(threads));
@@ -230,7 +230,7 @@ Uncertainty uncertainty(const ProblemParts& problem, const CostOptions& cost,
   shared.left_out_changes = from_core(u.left_out_changes);
   shared.frame_shares = from_core(u.frame_shares);
   for (int row = 0; row < u.systematic_changes.rows && u.systematic_changes.columns > 0; ++row) {
-    SystematicChange change{common[row].source, {}};
+    SystematicChange change{systematic[row].source, {}};
     for (double by : u.systematic_changes.eigen().row(row)) change.changes.push_back(by);
     shared.systematic_changes.push_back(std::move(change));
   }

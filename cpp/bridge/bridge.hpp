@@ -44,7 +44,7 @@ rust::Vec<Pair> project_centers(const CameraParts& camera, rust::Slice<const Mic
 RefinementParts refine(const ProblemParts& problem, const CostOptions& cost,
                        const SolverOptions& solver, ProgressSink& progress);
 Uncertainty uncertainty(const ProblemParts& problem, const CostOptions& cost,
-                        rust::Slice<const SystematicError> common, std::size_t threads);
+                        rust::Slice<const SystematicError> systematic, std::size_t threads);
 rust::Vec<Matrix> frame_information(const ProblemParts& problem, const CostOptions& cost,
                                     std::size_t threads);
 rust::Vec<SolverFeature> visible_features(const CameraParts& camera, const BoardParts& board,

@@ -193,8 +193,8 @@ struct FeatureResidual {
 };
 
 // What is known beforehand, (quantity - value)/sigma: a parameter by its place in a block; |m|, the
-// radius of micro-images by 1/N; q'_i, the blur that white images show of a lens type; the tilt gradient of
-// the array as the gradient of ln d along an image axis.
+// radius of micro-images by 1/N; q'_i, the blur that white images show of a lens type; the tilt
+// gradient of the array as the gradient of ln d along an image axis.
 struct Known {
   double value, weight;
   template <typename T>

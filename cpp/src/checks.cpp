@@ -78,7 +78,8 @@ void require_prior(const Prior& prior, int lens_types, const std::set<std::strin
     }
     return;
   }
-  if (std::find(kTiltGradientNames.begin(), kTiltGradientNames.end(), prior.quantity) != kTiltGradientNames.end()) {
+  if (std::find(kTiltGradientNames.begin(), kTiltGradientNames.end(), prior.quantity) !=
+      kTiltGradientNames.end()) {
     if (is_fixed("theta_x") && is_fixed("theta_y") && is_fixed("d")) {
       reject(text + " has no effect: theta_x, theta_y and d are fixed");
     }

@@ -16,7 +16,7 @@ constexpr double kLeastCurvature = 0.05;
 struct Eliminated {
   std::vector<Group> frames;
   std::vector<Group> patches;
-  Eigen::MatrixXd priors;              ///< their information
+  Eigen::MatrixXd priors;               ///< their information
   Eigen::MatrixXd poses_by_intrinsics;  ///< how the poses follow: 6 rows for each frame
 };
 

@@ -103,8 +103,8 @@ class LeastSquares {
   void add_priors(const CostOptions& options);
   /// Adds a prior on a q'_i; false if it is on something else.
   bool add_intercept(const Prior& prior, double weight);
-  /// The same of the tilt gradient of the array.
-  bool add_lean(const Prior& prior, double weight);
+  /// The same for a prior on the tilt gradient of the array.
+  bool add_tilt_gradient(const Prior& prior, double weight);
   void fix(const CostOptions& options);
   /// Blocks that all frames share. That of the board's shape is no parameter unless it is free, and
   /// then the problem is the same as without one.

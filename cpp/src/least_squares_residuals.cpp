@@ -159,11 +159,12 @@ bool LeastSquares::add_intercept(const Prior& prior, double weight) {
   return false;
 }
 
-bool LeastSquares::add_lean(const Prior& prior, double weight) {
+bool LeastSquares::add_tilt_gradient(const Prior& prior, double weight) {
   const auto name = std::find(kTiltGradientNames.begin(), kTiltGradientNames.end(), prior.quantity);
   if (name == kTiltGradientNames.end()) return false;
   const int axis = static_cast<int>(name - kTiltGradientNames.begin());
-  add_block(TiltGradientResidual::create(axis, prior.value, weight), {exit_pupil_.data(), array_.data()});
+  add_block(TiltGradientResidual::create(axis, prior.value, weight),
+            {exit_pupil_.data(), array_.data()});
   return true;
 }
 
@@ -179,14 +180,13 @@ void LeastSquares::add_priors(const CostOptions& options) {
                 {lens_.data(), exit_pupil_.data(), array_.data()});
       continue;
     }
-    if (add_intercept(prior, weight) || add_lean(prior, weight)) continue;
+    if (add_intercept(prior, weight) || add_tilt_gradient(prior, weight)) continue;
     const auto found = std::find(names.begin(), names.end(), prior.quantity);
     const auto [block, size, place] = places_[found - names.begin()];
     ceres::Matrix row = ceres::Matrix::Zero(1, size);
     row(0, place) = weight;
-    add_block(
-        std::make_unique<ceres::NormalPrior>(row, ceres::Vector::Constant(size, prior.value)),
-        {block});
+    add_block(std::make_unique<ceres::NormalPrior>(row, ceres::Vector::Constant(size, prior.value)),
+              {block});
   }
 }
 

@@ -58,7 +58,7 @@ void for_runs(const RowOrigin* rows, int count, const F& f) {
   }
 }
 
-// What the rows of one kind and group say: sums of products of J, r, and of by how much common
+// What the rows of one kind and group say: sums of products of J, r, and of by how much systematic
 // errors move the observation.
 struct Run {
   RowOrigin origin;  // of the first row
@@ -75,24 +75,24 @@ struct Run {
   auto information() const { return all().topLeftCorner(columns, columns); }
   auto gradient() const { return all().row(columns).head(columns).transpose(); }
   double squares() const { return all()(columns, columns); }
-  auto by_common(int k) const { return all().row(columns + 1 + k).head(columns).transpose(); }
+  auto by_systematic(int k) const { return all().row(columns + 1 + k).head(columns).transpose(); }
 };
 
 // By how much a systematic error moves the number that a row observes, over its standard deviation.
-double moved(const SystematicError& common, const RowOrigin& row, bool is_u) {
+double moved(const SystematicError& error, const RowOrigin& row, bool is_u) {
   if (row.kind == kCenter) {
-    if (common.centers.empty()) return 0.0;
-    const Pixel<double>& by = common.centers[row.observation];
+    if (error.centers.empty()) return 0.0;
+    const Pixel<double>& by = error.centers[row.observation];
     return (is_u ? by.u : by.v) / row.std_dev;
   }
-  const Feature<double>& by = common.features[row.observation];
+  const Feature<double>& by = error.features[row.observation];
   return (row.kind == kRho ? by.rho : is_u ? by.u : by.v) / row.std_dev;
 }
 
 Run sums_of_run(const Linearised& block, const RowOrigin* rows, int begin, int end,
-                ResidualKind kind, const std::vector<SystematicError>& common) {
+                ResidualKind kind, const std::vector<SystematicError>& systematic) {
   const int columns = static_cast<int>(block.jacobian.cols());
-  const int width = gram_width(columns + 1 + static_cast<int>(common.size()));
+  const int width = gram_width(columns + 1 + static_cast<int>(systematic.size()));
   Run run{rows[begin], columns, std::vector<double>(width * width), width};
   run.origin.kind = kind;
   thread_local std::vector<double> packed;
@@ -106,7 +106,7 @@ Run sums_of_run(const Linearised& block, const RowOrigin* rows, int begin, int e
     packed.push_back(residual);
     // u comes before v.
     const bool is_u = i == 0 || rows[i - 1].observation != row.observation;
-    for (const SystematicError& error : common) packed.push_back(moved(error, row, is_u));
+    for (const SystematicError& error : systematic) packed.push_back(moved(error, row, is_u));
     ++run.count;
     packed.resize(static_cast<std::size_t>(width) * run.count);
     run.sum += residual;
@@ -118,11 +118,11 @@ Run sums_of_run(const Linearised& block, const RowOrigin* rows, int begin, int e
 
 // The sums of a block of features or centres.
 std::vector<Run> sums_of(const Linearised& block, const RowOrigin* rows,
-                         const std::vector<SystematicError>& common) {
+                         const std::vector<SystematicError>& systematic) {
   std::vector<Run> runs;
   for_runs(rows, static_cast<int>(block.residuals.size()), [&](int begin, int end) {
     const auto add = [&](ResidualKind kind) {
-      runs.push_back(sums_of_run(block, rows, begin, end, kind, common));
+      runs.push_back(sums_of_run(block, rows, begin, end, kind, systematic));
     };
     add(rows[begin].kind);
     // u, v and rho by turns.
@@ -134,8 +134,8 @@ std::vector<Run> sums_of(const Linearised& block, const RowOrigin* rows,
 class Accumulator {
  public:
   Accumulator(int intrinsics, int frames, int corners, int priors,
-              const std::vector<SystematicError>& common)
-      : common_(common),
+              const std::vector<SystematicError>& systematic)
+      : systematic_(systematic),
         by_kind_(frames,
                  {zero_group(intrinsics + Pose::kSize), zero_group(intrinsics + Pose::kSize)}),
         corners_(corners, zero_group(Pose::kSize)),
@@ -148,7 +148,8 @@ class Accumulator {
     equations_.gradient.setZero(size);
     equations_.patches.assign(kPatches, zero_group(intrinsics));
     equations_.corners.resize(frames);
-    equations_.by_systematic_observations.setZero(size, static_cast<Eigen::Index>(common.size()));
+    equations_.by_systematic_observations.setZero(size,
+                                                  static_cast<Eigen::Index>(systematic.size()));
     equations_.by_systematic_priors = equations_.by_systematic_observations;
     equations_.in_priors.setZero(size, priors);
     equations_.priors.setZero(priors, intrinsics);
@@ -166,12 +167,12 @@ class Accumulator {
     } else if (run.columns > 0) {
       add_to(&equations_.patches[run.origin.group], run);
     }
-    for (int k = 0; k < static_cast<int>(common_.size()); ++k) {
+    for (int k = 0; k < static_cast<int>(systematic_.size()); ++k) {
       auto sum = equations_.by_systematic_observations.col(k);
-      sum.head(p) += run.by_common(k).head(p);
+      sum.head(p) += run.by_systematic(k).head(p);
       if (run.origin.corner < 0) continue;
       const int pose = equations_.pose(run.origin.group);
-      sum.segment<Pose::kSize>(pose) += run.by_common(k).tail<Pose::kSize>();
+      sum.segment<Pose::kSize>(pose) += run.by_systematic(k).tail<Pose::kSize>();
     }
     if (kind == kRho) {
       rho_[run.origin.corner].sum += run.sum;
@@ -197,13 +198,13 @@ class Accumulator {
     priors_.gradient += residual * jacobian.transpose();
     equations_.priors.row(row.group) = jacobian;
     double contained = 0.0;
-    for (std::size_t k = 0; k < common_.size(); ++k) {
-      const std::vector<double>& moved = common_[k].priors;
+    for (std::size_t k = 0; k < systematic_.size(); ++k) {
+      const std::vector<double>& moved = systematic_[k].priors;
       if (moved.empty()) continue;
       const auto column = static_cast<Eigen::Index>(k);
       equations_.by_systematic_priors.col(column).head(equations_.intrinsics) +=
           moved[row.group] * jacobian.transpose();
-      if (common_[k].in_priors) contained += moved[row.group] * moved[row.group];
+      if (systematic_[k].in_priors) contained += moved[row.group] * moved[row.group];
     }
     equations_.in_priors.col(row.group).head(equations_.intrinsics) =
         std::sqrt(contained) * jacobian.transpose();
@@ -255,7 +256,7 @@ class Accumulator {
     group->gradient += run.gradient();
   }
 
-  const std::vector<SystematicError>& common_;
+  const std::vector<SystematicError>& systematic_;
   NormalEquations equations_;
   std::vector<std::array<Group, 2>> by_kind_;  // of frames: kUv, kRho
   std::vector<Group> corners_;
@@ -310,7 +311,7 @@ GroupGradients group_gradients(const LeastSquares& calibration, int threads) {
 }
 
 NormalEquations normal_equations(const LeastSquares& calibration,
-                                 const std::vector<SystematicError>& common, int threads) {
+                                 const std::vector<SystematicError>& systematic, int threads) {
   const std::vector<RowOrigin>& rows = calibration.rows();
   int frames = 0, corners = 0, priors = 0;
   for (const RowOrigin& row : rows) {
@@ -320,12 +321,12 @@ NormalEquations normal_equations(const LeastSquares& calibration,
     corners = std::max(corners, row.corner + 1);
   }
   Accumulator sum(static_cast<int>(calibration.free_intrinsics().size()), frames, corners, priors,
-                  common);
+                  systematic);
   in_order<std::vector<Run>>(
       calibration, threads,
       [&](const Linearised& block) {
         const RowOrigin* of_block = &rows[block.first_row];
-        return of_block->kind == kPrior ? std::vector<Run>{} : sums_of(block, of_block, common);
+        return of_block->kind == kPrior ? std::vector<Run>{} : sums_of(block, of_block, systematic);
       },
       [&](const std::vector<Run>& runs) {
         for (const Run& run : runs) sum.add(run);

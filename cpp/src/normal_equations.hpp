@@ -48,7 +48,8 @@ struct NormalEquations {
 
 /// The same for any number of threads. Throws std::invalid_argument where the model is not defined.
 NormalEquations normal_equations(const LeastSquares& calibration,
-                                 const std::vector<SystematicError>& common = {}, int threads = 1);
+                                 const std::vector<SystematicError>& systematic = {},
+                                 int threads = 1);
 
 /// Gradients of frames (on the free intrinsics and the pose of the frame) and of patches (on the
 /// free intrinsics), as in `NormalEquations`.

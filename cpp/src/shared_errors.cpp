@@ -113,13 +113,13 @@ MatrixXd left_out_changes(const std::vector<Group>& frames, const Curvature& cur
 }  // namespace
 
 MatrixXd systematic_changes(const NormalEquations& equations, const MatrixXd& inverse,
-                        double prior_weight) {
+                            double prior_weight) {
   return inverse * (equations.by_systematic_observations +
                     std::sqrt(prior_weight) * equations.by_systematic_priors);
 }
 
 MatrixXd systematic_covariance(const NormalEquations& equations, const MatrixXd& inverse,
-                           double prior_weight) {
+                               double prior_weight) {
   const MatrixXd changes = systematic_changes(equations, inverse, prior_weight);
   const MatrixXd of_priors = std::sqrt(prior_weight) * inverse * equations.in_priors;
   return prior_weight * (inverse * equations.information[kPrior] * inverse) +

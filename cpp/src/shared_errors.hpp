@@ -22,12 +22,12 @@ Eigen::MatrixXd gradient_spread(const std::vector<Group>& groups);
 
 /// Changes of the parameters by each systematic error: a column for each.
 Eigen::MatrixXd systematic_changes(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
-                               double prior_weight);
+                                   double prior_weight);
 
-/// The part of the covariance that is not due to single observations: of priors, and of common
+/// The part of the covariance that is not due to single observations: of priors, and of systematic
 /// errors.
-Eigen::MatrixXd systematic_covariance(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
-                                  double prior_weight);
+Eigen::MatrixXd systematic_covariance(const NormalEquations& equations,
+                                      const Eigen::MatrixXd& inverse, double prior_weight);
 
 /// Two measurements of one thing that differ.
 struct Contradiction {
@@ -54,8 +54,8 @@ SharedErrors shared_errors(const NormalEquations& equations, const Eigen::Matrix
                            const Eigen::MatrixXd& independent, double prior_weight,
                            LeastSquares* calibration, int threads);
 
-/// How many times larger than the weights claim the variance of the quantities with a prior is if the
-/// gradient has the covariance `spread` instead of `information` (of all parameters, or of the
+/// How many times larger than the weights claim the variance of the quantities with a prior is if
+/// the gradient has the covariance `spread` instead of `information` (of all parameters, or of the
 /// intrinsics with the poses eliminated); the mean over the priors, and 1 without any.
 /// Where the observations have no minimum of their own along the way of a prior, their J'J counts
 /// instead of their Hessian `information`.

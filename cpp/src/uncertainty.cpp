@@ -58,9 +58,9 @@ void add_weakest(const ScaledInverse& inverse, const MatrixXd& covariance, Uncer
   result->weakest = to_matrix(weakest);
 }
 
-void require_common(const std::vector<SystematicError>& common, const Observations& observations,
-                    std::size_t priors) {
-  for (const SystematicError& error : common) {
+void require_systematic(const std::vector<SystematicError>& systematic,
+                        const Observations& observations, std::size_t priors) {
+  for (const SystematicError& error : systematic) {
     if (error.features.size() != observations.features.size() ||
         (!error.centers.empty() && error.centers.size() != observations.centers.size()) ||
         (!error.priors.empty() && error.priors.size() != priors)) {
@@ -74,7 +74,7 @@ void require_common(const std::vector<SystematicError>& common, const Observatio
         error.centers.begin(), error.centers.end(),
         [](const Pixel<double>& by) { return std::isfinite(by.u) && std::isfinite(by.v); });
     const bool priors_finite = std::all_of(error.priors.begin(), error.priors.end(),
-                                            [](double by) { return std::isfinite(by); });
+                                           [](double by) { return std::isfinite(by); });
     if (!features_finite || !centers_finite || !priors_finite) {
       throw std::invalid_argument("a systematic error is not finite");
     }
@@ -85,11 +85,11 @@ void require_common(const std::vector<SystematicError>& common, const Observatio
 
 Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const Observations& observations, const CostOptions& cost_options,
-                        const std::vector<SystematicError>& common, int threads) {
+                        const std::vector<SystematicError>& systematic, int threads) {
   if (threads < 1) reject("threads have to be at least 1");
-  require_common(common, observations, cost_options.priors.size());
+  require_systematic(systematic, observations, cost_options.priors.size());
   LeastSquares calibration(camera, poses, observations, cost_options);
-  const NormalEquations equations = normal_equations(calibration, common, threads);
+  const NormalEquations equations = normal_equations(calibration, systematic, threads);
 
   Uncertainty result;
   result.free_intrinsics = calibration.free_intrinsics();
@@ -113,8 +113,8 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   const MatrixXd inverse = scaled.matrix();
   const MatrixXd independent = independent_spread(equations, inverse, &result);
   const double weight = cost_options.prior_weight;
-  const MatrixXd covariance =
-      symmetric(inverse * independent * inverse + systematic_covariance(equations, inverse, weight));
+  const MatrixXd covariance = symmetric(inverse * independent * inverse +
+                                        systematic_covariance(equations, inverse, weight));
   result.independent_covariance = to_matrix(covariance);
   const MatrixXd observed = total - equations.information[kPrior];
   const SharedErrors shared =

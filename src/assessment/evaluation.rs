@@ -24,7 +24,7 @@ pub struct Candidate {
     pub std_devs: Vec<Option<f64>>,
     /// The shape that its calibration has found of the board, or what else is known of it.
     pub board_shape: BoardShape,
-    /// Standard deviations of its parameters, in the order of [`Parameter::SHAPE`](crate::model::SHAPE_PARAMETERS); `None` for
+    /// Standard deviations of its parameters, in the order of [`Parameter::SHAPE`](crate::model::Parameter::SHAPE); `None` for
     /// those that are not estimated.
     pub shape_std_devs: [Option<f64>; SHAPE],
 }

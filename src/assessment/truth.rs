@@ -37,7 +37,7 @@ impl ParameterError {
     }
 }
 
-/// Errors of every parameter that both cameras have, in the order of [`intrinsic_parameters`];
+/// Errors of every parameter that both cameras have, in the order of [`Parameter::intrinsic`];
 /// `std_devs` are those of the estimate in the same order. The estimate may know another part of the
 /// array. An error if the cameras are of different kinds.
 pub fn parameter_errors(

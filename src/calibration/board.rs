@@ -156,7 +156,7 @@ impl Settings<'_> {
         }
         let start = at_end(problem, Some(&flat.refinement));
         let near = Settings {
-            common: self.common.clone(),
+            systematic: self.systematic.clone(),
             known_weight: Some(flat.cost.prior_weight),
             ..*self
         };
@@ -224,11 +224,11 @@ impl Settings<'_> {
             }
         }
         cost.priors = priors.iter().map(|(prior, _)| prior.clone()).collect();
-        let mut common = self.common.clone();
-        for error in common.iter_mut().filter(|error| !error.priors.is_empty()) {
+        let mut systematic = self.systematic.clone();
+        for error in systematic.iter_mut().filter(|error| !error.priors.is_empty()) {
             error.priors.resize(cost.priors.len(), 0.0);
         }
-        let refined = Settings { common, ..*self }.refine(problem, cost, progress)?;
+        let refined = Settings { systematic, ..*self }.refine(problem, cost, progress)?;
         Ok(Settled { refined, priors, trial: Trial::NotTried, aside: Effort::default() })
     }
 

@@ -297,7 +297,7 @@ pub struct CalibrationOptions {
     pub priors: Priors,
     /// How much the priors weigh against observations, whose errors are not independent: a factor on their squared
     /// residuals [default: measured, see calibration.json].
-    #[arg(long, value_name = "W")]
+    #[arg(long, alias = "anchor-weight", value_name = "W")]
     pub prior_weight: Option<f64>,
     /// Weights of observations [default: own].
     #[arg(long)]
@@ -393,8 +393,11 @@ impl CalibrationOptions {
     /// An error that names the option if one is unknown or has an impossible value.
     pub(crate) fn from_table(mut stated: Table) -> Result<Self> {
         for (earlier, name) in [("anchors", "priors"), ("anchor_weight", "prior_weight")] {
-            if let Some(value) = stated.remove(earlier) {
-                stated.entry(name).or_insert(value);
+            rename(&mut stated, earlier, name);
+        }
+        if let Some(toml::Value::Table(priors)) = stated.get_mut("priors") {
+            for (earlier, name) in [("lean_u", "tilt_u"), ("lean_v", "tilt_v")] {
+                rename(priors, earlier, name);
             }
         }
         let method = stated.remove("method").map(Method::deserialize).transpose();
@@ -583,6 +586,13 @@ impl CalibrationOptions {
     }
 }
 
+/// Gives the value of a key a new key.
+fn rename(table: &mut Table, earlier: &str, name: &str) {
+    if let Some(value) = table.remove(earlier) {
+        table.entry(name).or_insert(value);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use toml::Value;
@@ -606,6 +616,11 @@ mod tests {
         assert_eq!(mixed.loss, Some(LossKind::Huber));
         assert!(mixed.priors.knows("F") && !mixed.priors.default);
         assert_eq!(mixed.board, BoardModel::Flat);
+        let earlier = of(
+            "method = \"paper\"\nanchor_weight = 2\nanchors.lean_u = { value = 0, std_dev = 1 }",
+        );
+        assert_eq!(earlier.prior_weight, Some(2.0));
+        assert!(earlier.priors.knows("tilt_u") && !earlier.priors.default);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! Every prior has a value and a σ, and one residual (quantity − value)/σ. Observations of a frame
 //! share errors, so their residuals claim to know more than they do. The weight of the priors makes
-//! up for that: w is by how much the variance of the quantities with a prior due to the observations is
+//! up for that: w is by how much the variance that observations leave to quantities with a prior is
 //! larger than claimed ([`Uncertainty::dispersion`](crate::solver::Uncertainty)). This is the
 //! magnitude adjustment of a composite likelihood (Pauli, Racugno, Ventura 2011), on the other side
 //! of the balance.

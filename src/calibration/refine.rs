@@ -33,8 +33,8 @@ const LEAST_WEIGHT: f64 = 1e-6;
 pub(super) struct Settings<'a> {
     pub frames: &'a Frames,
     pub options: &'a CalibrationOptions,
-    /// Errors that observations have in common.
-    pub common: Vec<SystematicError>,
+    /// The systematic errors of observations and priors.
+    pub systematic: Vec<SystematicError>,
     /// The weight of the priors of the refinement that has ended where this one begins; `None` far from a minimum.
     pub known_weight: Option<f64>,
 }
@@ -128,7 +128,7 @@ impl Settings<'_> {
     }
 
     fn uncertainty(&self, at: &Problem, cost: &CostOptions) -> Result<Uncertainty> {
-        solver::uncertainty(at, cost, &self.common, self.options.threads)
+        solver::uncertainty(at, cost, &self.systematic, self.options.threads)
     }
 
     /// Iterations that the options still allow.

@@ -216,11 +216,11 @@ impl<'a> Refit<'a> {
             .filter(|known| cost.priors.contains(&known.prior))
             .map(|known| (known.prior.clone(), known.source))
             .collect();
-        let pulls: f64 = results(known, &camera, &shape)
+        let squares: f64 = results(known, &camera, &shape)
             .iter()
             .map(|known| known.normalised_residual().powi(2))
             .sum();
-        let priors = cost.prior_weight / 2.0 * pulls;
+        let priors = cost.prior_weight / 2.0 * squares;
         let features: f64 = refinement.frame_costs.iter().sum();
         let cost_parts = [features, refinement.cost - features - priors, priors];
         Minimum { camera, shape, poses, cost_parts, converged }

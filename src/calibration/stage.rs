@@ -88,8 +88,8 @@ fn completed(
     let priors = priors(&start, options);
     let mut cost = cost_for(options, &initial, &observations, &priors);
     let all = (frames.features.as_slice(), observations.centers.as_slice());
-    let common = systematic_errors(&start, &initial, all, &cost, options)?;
-    let settings = Settings { frames: &frames, options, common, known_weight: None };
+    let systematic = systematic_errors(&start, &initial, all, &cost, options)?;
+    let settings = Settings { frames: &frames, options, systematic, known_weight: None };
     let (settled, outlying) = match at {
         Some(_) => (settings.evaluated(&problem, &cost, &priors)?, None),
         None => withstanding(&settings, &problem, &mut cost, &priors, progress)?,

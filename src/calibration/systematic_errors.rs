@@ -37,7 +37,7 @@ pub(super) fn systematic_errors(
     let Some(internal) = start.internal().filter(|_| options.mode != Mode::PosesOnly) else {
         return Ok(Vec::new());
     };
-    let with_prior = |quantity: &str| {
+    let at_prior_on = |quantity: &str| {
         cost.priors.iter().map(|a| if a.quantity == quantity { 1.0 } else { 0.0 }).collect()
     };
     let types: Vec<usize> = features.iter().map(|f| camera.lens_type(f.k, f.l)).collect();
@@ -72,7 +72,7 @@ pub(super) fn systematic_errors(
         let relative = std_dev_mm / internal.q_prime_mm[lens_type];
         // ρ = q'ᵢ − Δc/2ν.
         let rho = if cost.rho { std_dev_mm / pixel_mm } else { 0.0 };
-        add(&name, with_prior(&name), &|i, f| {
+        add(&name, at_prior_on(&name), &|i, f| {
             let [u, v] = sensitivities(f)[taken::INTERCEPT];
             if types[i] == lens_type { [u * relative, v * relative, rho] } else { [0.0; 3] }
         });
@@ -119,7 +119,7 @@ fn of_tilt_gradient(tilt_gradient: &TiltGradient) -> [(&'static str, [f64; 2]); 
     [
         (TILT_GRADIENT[0], [own(0), 0.0]),
         (TILT_GRADIENT[1], [0.0, own(1)]),
-        ("tilt_gradient", tilt_gradient.shared_per_px),
+        ("tilt gradient", tilt_gradient.shared_per_px),
     ]
 }
 

@@ -8,9 +8,9 @@ use crate::quantity::Estimate;
 use crate::solver::Uncertainty;
 
 /// A prior that is contradicted by more σ than this is a finding.
-pub(crate) const PULLED: f64 = 3.0;
+pub(crate) const CONTRADICTED: f64 = 3.0;
 /// By this many σ, the prior or the observations are wrong.
-const TORN: f64 = 6.0;
+const WRONG: f64 = 6.0;
 /// What m of the white images is worth besides its own σ: the tolerance of engraved f-numbers, relative.
 const SLOPE_FLOOR: f64 = 0.02;
 /// m of simulated cameras is within 1 % of the m of their white images.
@@ -170,11 +170,11 @@ pub(crate) fn prior(
     result: f64,
     source: &str,
 ) -> Option<Finding> {
-    let pull = ((result - prior.value) / prior.std_dev).abs();
-    (pull > PULLED).then(|| {
+    let off = ((result - prior.value) / prior.std_dev).abs();
+    (off > CONTRADICTED).then(|| {
         let (quantity, source) = (quantity.to_owned(), source.to_owned());
         let issue = Issue::PriorContradicted { quantity, unit, prior, result, source };
-        Finding::new(severity_above(pull, TORN), issue).weighing(2.0 * pull)
+        Finding::new(severity_above(off, WRONG), issue).weighing(2.0 * off)
     })
 }
 
@@ -182,7 +182,7 @@ pub(crate) fn prior(
 pub(crate) fn slope(error: f64) -> Option<Finding> {
     let off = error.abs();
     (off > SLOPES_AGREE).then(|| {
-        Finding::new(severity_above(off, TORN * SLOPE_FLOOR), Issue::SlopeContradicted { error })
+        Finding::new(severity_above(off, WRONG * SLOPE_FLOOR), Issue::SlopeContradicted { error })
             .weighing(2.0 * off / SLOPE_FLOOR)
     })
 }

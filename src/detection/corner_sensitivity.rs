@@ -63,10 +63,10 @@ pub(super) fn sensitivities(
     let (normal, right) = Arch::new().dispatch(sums);
     let normal = Matrix4::from_fn(|a, b| f64::from(normal[a.max(b)][a.min(b)]));
     let inverse = normal.cholesky()?.inverse();
-    let sensitivities =
+    let derivatives =
         inverse * SMatrix::<f64, UNKNOWNS, GIVEN>::from_fn(|a, b| f64::from(right[a][b]));
-    let place = sensitivities.fixed_rows::<2>(0);
-    sensitivities.iter().all(|x| x.is_finite()).then(|| {
+    let place = derivatives.fixed_rows::<2>(0);
+    derivatives.iter().all(|x| x.is_finite()).then(|| {
         let sensitivities = Sensitivities {
             by_slope: place.column(0).into_owned(),
             by_aberration: place.fixed_columns::<3>(1).into_owned(),

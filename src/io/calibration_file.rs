@@ -132,7 +132,7 @@ fn priors_document(calibration: &Calibration) -> Value {
 }
 
 /// What each error that all features share changes, by parameter.
-fn common_errors_document(calibration: &Calibration) -> Vec<Value> {
+fn systematic_errors_document(calibration: &Calibration) -> Vec<Value> {
     let uncertainty = &calibration.uncertainty;
     let names = Parameter::shared(calibration.camera.lens_types());
     let of = |SystematicChange { source, changes }: &SystematicChange| {
@@ -229,7 +229,7 @@ pub fn calibration_document(
         "blur": blur_document(calibration.blur.as_ref()),
         "board_shape": board_shape_document(&calibration.board),
         "standard_deviations": std_devs_document(calibration),
-        "systematic_errors": common_errors_document(calibration),
+        "systematic_errors": systematic_errors_document(calibration),
         "weakest_directions": weakest_directions_text(calibration),
         "warnings": warnings,
         "findings": calibration.findings,

@@ -132,7 +132,7 @@ impl BentBoard {
     }
 
     /// By how much its corners are moved in the mean by a small change of each parameter of its shape, mm per
-    /// unit of the parameter, in the board frame; in the order of [`Parameter::SHAPE`](super::SHAPE_PARAMETERS).
+    /// unit of the parameter, in the board frame; in the order of [`Parameter::SHAPE`](super::Parameter::SHAPE).
     #[must_use]
     pub fn mean_motion_mm(&self) -> [Vector3<f64>; 4] {
         // The mean of ξ² over n equidistant values from −1 to 1.

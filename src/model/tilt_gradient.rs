@@ -17,7 +17,7 @@ pub struct TiltGradient {
     /// fall-off.
     #[serde(default)]
     pub shared_per_px: [f64; 2],
-    /// How much both grow with ln φ, px⁻¹: white images show how the discs of blur grow, which is the tilt gradient by φq'ᵢ, and of
+    /// How much both grow with ln φ, px⁻¹: white images show how the discs of blur grow, which is the tilt gradient times φq'ᵢ, and of
     /// that only φqᵢ.
     #[serde(default, alias = "by_fill_factor_per_px")]
     pub by_aperture_ratio_per_px: [f64; 2],
@@ -31,7 +31,7 @@ const PUPIL: f64 = 0.25;
 /// σ of a growth of d that is nearly 0, px⁻¹.
 const LEAST_GROWTH: f64 = 1e-7;
 
-/// ∇ ln d, px⁻¹, as far as it is known before a calibration: by the tilt gradient, and by the perspective of the centres, t =
+/// ∇ ln d, px⁻¹, as far as it is known before a calibration: by the discs of white images, and by the perspective of the centres, t =
 /// ∇d/(D + e_z + d), which tells it as well as it is known how far the exit pupil is from the sensor;
 /// `lens_to_sensor` is (D + d)/d.
 #[must_use]

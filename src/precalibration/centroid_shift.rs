@@ -60,7 +60,7 @@ const STEP_PX: f64 = 0.1;
 /// it falls off inside a micro-image.
 pub(super) fn shift_moments(
     light: &[Alike],
-    sensitivities: &DiscGeometry,
+    geometry: &DiscGeometry,
     pitch_px: f64,
     law: &Obliquity,
 ) -> Vec<Moment> {
@@ -73,7 +73,7 @@ pub(super) fn shift_moments(
         let unclipped = sum(|ring| ring.unclipped) / sum(|ring| ring.light).max(1e-9);
         // As the discs have it where d is larger: there g is smaller.
         let of_discs = |growth: f64| {
-            let at = |r: f64| sensitivities.light_and_sensitivity(lens_type, r, growth, law);
+            let at = |r: f64| geometry.light_and_sensitivity(lens_type, r, growth, law);
             let ring = |ring: &Ring| {
                 let (light, _) = at(ring.radius);
                 let slope = at(ring.radius + STEP_PX).0 - at(ring.radius - STEP_PX).0;
@@ -83,7 +83,7 @@ pub(super) fn shift_moments(
             shift_moment(&rings, window, |r| at(r).1) / (1.0 + growth)
         };
         Moment {
-            x: shift_moment(rings, window, |r| sensitivities.sensitivity(lens_type, r, law)),
+            x: shift_moment(rings, window, |r| geometry.sensitivity(lens_type, r, law)),
             // Light that is clipped shifts nothing.
             growth: (of_discs(GROWTH) - of_discs(-GROWTH)) / (2.0 * GROWTH) * unclipped,
         }

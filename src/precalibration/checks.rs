@@ -116,14 +116,14 @@ pub fn check_stated_pitch(
 /// A finding if the micro-images of the reference do not have the size of its f-number.
 pub(super) fn different_aperture(
     (reference, grey): (&White, &Grey),
-    sensitivities: &DiscGeometry,
+    geometry: &DiscGeometry,
     samples: &Samples,
     pattern: &Pattern,
 ) -> Option<Finding> {
     let (middle, pattern) = samples.middle_of(grey, pattern);
     let profile = profile_at((&middle, grey.floor()), &pattern, samples.nodes.first()?);
-    let (a, b) = sensitivities.radii(0);
-    let radius = profile.fit(REACH * pattern.pitch(), sensitivities.pixel())?.outer;
+    let (a, b) = geometry.radii(0);
+    let radius = profile.fit(REACH * pattern.pitch(), geometry.pixel())?.outer;
     let looks_like = reference.f_number * a / (radius - b);
     checks::aperture(reference.f_number, radius, a + b, looks_like)
         .map(|finding| finding.about_image(&reference.name))

@@ -144,8 +144,8 @@ impl Light {
         tilt_gradient(&growths, &self.middle)
     }
 
-    /// A tilt gradient with what the `law` inside micro-images takes for known: how the tilt gradient changes with the aperture ratio, which white
-    /// images do not show, and with H, whose σ goes into that of both axes. `None` if the tilt gradient does not show with either.
+    /// A tilt gradient with what the `law` inside micro-images takes for known: how it changes with the aperture ratio, which white
+    /// images do not show, and with H, whose σ goes into that of both axes. `None` if it does not show with either.
     pub fn complete(
         &self,
         tilt_gradient: TiltGradient,
@@ -190,10 +190,10 @@ impl Light {
         law: &Obliquity,
     ) -> Vec<Vec<Gradient>> {
         let of_image = |(f_number, types): &(f64, Vec<Alike>)| {
-            let sensitivities = DiscGeometry::new(internal, *f_number, self.seen_pitch_px, options);
+            let geometry = DiscGeometry::new(internal, *f_number, self.seen_pitch_px, options);
             let of_type = |(lens_type, alike): (usize, &Alike)| {
-                let sensitivity = |r| sensitivities.sensitivity(lens_type, r, law);
-                let light = |r| sensitivities.light_and_growth(lens_type, r, law);
+                let sensitivity = |r| geometry.sensitivity(lens_type, r, law);
+                let light = |r| geometry.light_and_growth(lens_type, r, law);
                 alike.gradients(self.reach_px, sensitivity, light)
             };
             types.iter().enumerate().map(of_type).collect::<Vec<_>>()

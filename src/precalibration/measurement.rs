@@ -70,10 +70,10 @@ pub(super) fn measured(
     let Measured { mut fall_off, tilt_gradient, finding: unknown_fall_off } =
         light.fall_off(&oblique.parameters, options, &obliquity);
     take_within(&mut fall_off, discs);
-    let sensitivities =
+    let geometry =
         DiscGeometry::new(&oblique.parameters, reference.f_number, seen_pitch_px, options);
-    let moments = shift_moments(light.of_reference(), &sensitivities, seen_pitch_px, &obliquity);
-    let growth = sensitivities.growth_per_px(tilt_gradient.as_ref(), &found.array.grid);
+    let moments = shift_moments(light.of_reference(), &geometry, seen_pitch_px, &obliquity);
+    let growth = geometry.growth_per_px(tilt_gradient.as_ref(), &found.array.grid);
     let (array, pitch_correction) = corrected_array(&found, &fall_off, &moments, &growth)?;
 
     let (by_type, discs) = match options.estimator {
@@ -91,7 +91,7 @@ pub(super) fn measured(
     let wrong_f_number = doubt.map(|doubt| doubt.finding);
     // Lines through a wrong f-number say nothing about the aperture of the reference.
     let wrong_aperture =
-        different_aperture((reference, &grey), &sensitivities, &samples, &found.pattern)
+        different_aperture((reference, &grey), &geometry, &samples, &found.pattern)
             .filter(|_| wrong_f_number.is_none());
     let by_lines = by_lines(discs, options.estimator, &mut internal.parameters);
     let oblong = oblong(&grey, &array.centers, array.grid.pitch_px);

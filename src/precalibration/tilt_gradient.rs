@@ -153,7 +153,7 @@ mod tests {
     const MIDDLE: [f64; 2] = [500.0, 400.0];
 
     /// Micro-images all over an image, vignetted towards its border, with noise of its own; every fortieth shows
-    /// dust. `bias` is what a group takes for tilt gradient.
+    /// dust. `bias` is the part by which a group has the tilt gradient too large.
     fn group(seed: u32, bias: f64) -> Vec<Growth> {
         let mut noise = seed;
         let mut error = || {
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn the_lean_is_found_through_vignetting_and_dust() {
+    fn the_tilt_gradient_is_found_through_vignetting_and_dust() {
         let found = found(&[group(1, 0.0), group(2, 0.0), group(3, 0.0), group(4, 0.0)]);
         for (i, truth) in TILT_GRADIENT.into_iter().enumerate() {
             let (error, std_dev) = (found.growth_per_px[i] - truth, found.std_dev_per_px[i]);

@@ -64,7 +64,7 @@ pub(super) mod ffi {
         Failed,
     }
 
-    /// A camera: its parameters in the order of both tables, and its other values.
+    /// A camera: its parameters in the order of the table, and its other values.
     struct CameraParts {
         packing: Packing,
         columns: i32,
@@ -379,7 +379,7 @@ pub(super) mod ffi {
     /// `plenocal/refine.hpp`.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Uncertainty {
-        /// Indices of the free parameters into [`shared_parameters`](crate::model::shared_parameters): of the camera,
+        /// Indices of the free parameters into [`Parameter::shared`](crate::model::Parameter::shared): of the camera,
         /// then of the board's shape.
         pub free_intrinsics: Vec<usize>,
         /// Number of independent directions of parameter space that are determined.
@@ -465,7 +465,7 @@ pub(super) mod ffi {
         fn uncertainty(
             problem: &ProblemParts,
             cost: &CostOptions,
-            common: &[SystematicError],
+            systematic: &[SystematicError],
             threads: usize,
         ) -> Result<Uncertainty>;
         fn frame_information(

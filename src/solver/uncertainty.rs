@@ -68,7 +68,7 @@ impl Uncertainty {
         self.by_intrinsic(lens_types, |row| self.std_dev(row))
     }
 
-    /// Indices into [`shared_parameters`] of the free parameters that are not determined.
+    /// Indices into [`Parameter::shared`] of the free parameters that are not determined.
     #[must_use]
     pub fn undetermined_intrinsics(&self) -> Vec<usize> {
         let of_row = |(&index, &known): (&usize, &bool)| (!known).then_some(index);
@@ -240,14 +240,14 @@ impl Uncertainty {
     }
 }
 
-/// Uncertainty of the parameters at a minimum, with errors that observations have in common.
+/// Uncertainty of the parameters at a minimum, with systematic errors of the observations.
 pub(crate) fn uncertainty(
     problem: &Problem,
     cost: &CostOptions,
-    common: &[SystematicError],
+    systematic: &[SystematicError],
     threads: usize,
 ) -> Result<Uncertainty> {
-    Ok(ffi::uncertainty(&problem.parts(), cost, common, threads)?)
+    Ok(ffi::uncertainty(&problem.parts(), cost, systematic, threads)?)
 }
 
 /// The information of each pose's features on the free parameters of camera and board, with the pose unknown.

@@ -124,7 +124,7 @@ fn features_do_not_depend_on_the_number_of_threads() {
 
 /// White images alone cannot tell how the array is tilted: they show how φq'ᵢ grows.
 #[test]
-fn the_lean_goes_with_the_aperture_ratio() {
+fn the_tilt_gradient_goes_with_the_aperture_ratio() {
     let path = FILES.path("found/precalibration.json");
     let shown = read_internal_parameters(&path, None).unwrap();
     let truth = read_camera(&FILES.path("set/truth/camera.json")).unwrap();

@@ -133,8 +133,8 @@ fn the_parts_of_the_cost_are_those_of_the_calibration() {
     let board = board();
     let minimum = Refit::new(&calibration, &board).minimum();
     let [_, centers, priors] = minimum.cost_parts;
-    let pulls: f64 = calibration.priors.iter().map(|a| a.normalised_residual().powi(2)).sum();
-    assert!((priors - calibration.cost.prior_weight / 2.0 * pulls).abs() < 1e-12);
+    let squares: f64 = calibration.priors.iter().map(|a| a.normalised_residual().powi(2)).sum();
+    assert!((priors - calibration.cost.prior_weight / 2.0 * squares).abs() < 1e-12);
     let of_centers: f64 = calibration
         .reprojection
         .centers

@@ -184,7 +184,7 @@ fn a_traced_lens_is_measured_from_its_white_images() {
         let truth = truth_per_mm[axis] * settings.camera.sensor.pixel_size_mm;
         let error = tilt_gradient.growth_per_px[axis] - truth;
         println!(
-            "tilt_gradient {:+.2} %, {:+.1} sigma",
+            "tilt gradient {:+.2} %, {:+.1} sigma",
             100.0 * error / truth,
             error / tilt_gradient.std_dev_per_px[axis]
         );

@@ -49,7 +49,7 @@ fn honest_observations() -> Observations {
 
 /// The value is that of the formula in Rust, the residual that of C++.
 #[test]
-fn the_lean_has_the_prior_that_is_computed() {
+fn the_tilt_gradient_is_held_as_it_is_computed() {
     let observations = shipped_observations();
     for (quantity, value) in [("tilt_u", -1.9e-3), ("tilt_v", -2.4e-3)] {
         let result = run(&datasheet_start(), &observations, &with_prior(quantity, value, 1e-9));
@@ -61,7 +61,7 @@ fn the_lean_has_the_prior_that_is_computed() {
 
 /// White images say how the array is tilted, without what is assumed of the lens.
 #[test]
-fn the_lean_of_white_images_counts_also_without_priors() {
+fn the_tilt_gradient_of_white_images_counts_also_without_default_priors() {
     let Start::Datasheet(sheet, mut internal) = datasheet_start() else { unreachable!() };
     let tilt_gradient = TiltGradient {
         growth_per_px: [-9.8e-6, -1.3e-5],
@@ -89,7 +89,7 @@ fn the_lean_of_white_images_counts_also_without_priors() {
 }
 
 #[test]
-fn an_prior_without_tolerance_holds_a_parameter() {
+fn a_prior_without_tolerance_holds_a_parameter() {
     let observations = shipped_observations();
     for (quantity, value) in [("F", 16.3), ("d", 0.33), ("u0", 500.0)] {
         let result = run(&datasheet_start(), &observations, &with_prior(quantity, value, 1e-7));
@@ -103,7 +103,7 @@ fn an_prior_without_tolerance_holds_a_parameter() {
 /// Two independent measurements of F: their mean is weighted by the inverse squares of their σ, that of
 /// the observations in proportion to what they are worth.
 #[test]
-fn observations_and_an_prior_are_weighted_by_their_variances() {
+fn observations_and_a_prior_are_weighted_by_their_variances() {
     let observations = honest_observations();
     let alone = run(&datasheet_start(), &observations, &options());
     let (f, s) = (

@@ -137,7 +137,7 @@ fn the_camera_of_the_paper_can_start_from_a_real_one() {
 
 /// A pupil beside the axis is a parameter if something is known of it.
 #[test]
-fn an_prior_frees_the_place_of_the_pupil_across_the_axis() {
+fn a_prior_frees_the_place_of_the_pupil_across_the_axis() {
     let out = TempDir::new().unwrap();
     let mut command = plenocal();
     command.arg("calibrate").arg(synthetic_folder().join("project.toml"));

@@ -167,9 +167,9 @@ T blur_intercept(const MicroLensArray<T>& mla, const T& focal_length) {
   return 0.5 * mla.pitch * sqrt(mla.pitch_ratio) * mla.mla_to_sensor / focal_length;
 }
 
-/// The tilt gradient of the array against the sensor as micro-images show it: the gradient of ln d along u
-/// and v, 1/mm of the sensor. The normal of the array is Rz Ry Rx e_z, u and v run against x and y,
-/// and micro-images lie further apart than their lenses.
+/// The tilt gradient of the array against the sensor as micro-images show it: the gradient of ln d
+/// along u and v, 1/mm of the sensor. The normal of the array is Rz Ry Rx e_z, u and v run against
+/// x and y, and micro-images lie further apart than their lenses.
 template <typename T>
 Vector2<T> tilt_gradient(const ExitPupil<T>& pupil, const MicroLensArray<T>& mla) {
   using std::cos;

@@ -46,7 +46,8 @@ constexpr char kSlopeName[] = "m";
 /// Name of q'_i, mm (`blur_intercept`), among the quantities of priors: "q'_1" for lens type 0.
 inline std::string intercept_name(int lens_type) { return "q'_" + std::to_string(lens_type + 1); }
 
-/// Names of the tilt gradient of the array along u and v, 1/mm (`tilt_gradient`), among the quantities of priors.
+/// Names of the tilt gradient of the array along u and v, 1/mm (`tilt_gradient`), among the
+/// quantities of priors.
 constexpr std::array<const char*, 2> kTiltGradientNames = {"tilt_u", "tilt_v"};
 
 /// What is known of a camera beforehand: one more residual, (quantity - value) / std_dev.
@@ -197,8 +198,8 @@ struct Uncertainty {
   Matrix frame_shares;
   /// How the poses follow the free intrinsics: 6 rows for each frame.
   Matrix poses_by_intrinsics;
-  /// How many times larger the variance of the quantities with a prior due to the observations is than
-  /// the weights claim, in the mean; 1 without priors. `CostOptions::prior_weight` should be
+  /// How many times larger than the weights claim the variance is that observations leave to the
+  /// quantities with a prior, in the mean; 1 without priors. `CostOptions::prior_weight` should be
   /// this. With too few frames it is ten times what independent errors make it.
   double dispersion = 1.0;
   /// By how many standard deviations boards and centres contradict each other at most, if errors
@@ -246,12 +247,13 @@ struct SystematicError {
   bool in_priors = true;  ///< whether the sigma of the priors contains it already
 };
 
-/// The same for any number of threads. Throws std::invalid_argument like `refine`, and if common
-/// errors are not of these observations.
+/// The same for any number of threads. Throws std::invalid_argument like `refine`, and if
+/// systematic errors are not of these observations.
 PLENOCAL_API Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                                      const Observations& observations,
                                      const CostOptions& cost_options,
-                                     const std::vector<SystematicError>& common = {}, int threads = 1);
+                                     const std::vector<SystematicError>& systematic = {},
+                                     int threads = 1);
 
 /// The information of each frame on the free intrinsics, with its pose unknown: a square matrix for
 /// each frame, the same for any number of threads. Priors and centres take no part. Throws like

@@ -318,8 +318,8 @@ class InterceptResidual {
   double weight_;
 };
 
-/// Residual of a prior on the tilt gradient along one axis of the image. Parameter blocks: exit pupil,
-/// array.
+/// Residual of a prior on the tilt gradient along one axis of the image. Parameter blocks: exit
+/// pupil, array.
 class TiltGradientResidual {
  public:
   /// `axis` is 0 for u and 1 for v; `value` in 1/mm; `weight` is 1 / sigma, mm.
@@ -336,8 +336,8 @@ class TiltGradientResidual {
 
   /// A cost function of it.
   static std::unique_ptr<ceres::CostFunction> create(int axis, double value, double weight) {
-    return std::make_unique<
-        ceres::AutoDiffCostFunction<TiltGradientResidual, 1, kExitPupilParameters, kArrayParameters>>(
+    return std::make_unique<ceres::AutoDiffCostFunction<TiltGradientResidual, 1,
+                                                        kExitPupilParameters, kArrayParameters>>(
         new TiltGradientResidual(axis, value, weight));
   }
 

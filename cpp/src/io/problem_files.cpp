@@ -137,8 +137,9 @@ ProblemFiles read_problem(const std::string& folder) {
   for (std::size_t i = 0; i < fixed.size(); ++i) options.fixed.insert(fixed.at(i).string());
   for (std::size_t i = 0; i < priors.size(); ++i) {
     const Field prior = priors.at(i);
-    options.priors.push_back(
-        {prior["quantity"].string(), prior["value"].number(), prior["std_dev"].number()});
+    std::string quantity = prior["quantity"].string();
+    if (is_earlier && quantity.rfind("lean_", 0) == 0) quantity.replace(0, 4, "tilt");
+    options.priors.push_back({quantity, prior["value"].number(), prior["std_dev"].number()});
   }
   return problem;
 }
