@@ -1,7 +1,7 @@
 //! Findings: everything that is told about images, boards, cameras and results, in one shape.
 //!
 //! A finding has a code, a severity, a subject, the measured values behind it, and a remedy. Checks (`crate::checks`)
-//! create findings from measured values; stages return them; verdicts, exit statuses and tests use severities and codes.
+//! create findings from measured values; stages return them; verdicts and tests use severities and codes.
 //! The wording of all findings is the table in this file, and nowhere else.
 
 use std::fmt;

@@ -122,9 +122,9 @@
 //!
 //! # Where the equations are
 //!
-//! The projection, Eq. (completemodel), and the blur radius, Eq. (blurradius), are in the C++
-//! header `cpp/include/plenocal/projection.hpp`, and nowhere else; the cost of section 5.3 is in
-//! `residuals.hpp` beside it. The scalar relations of section 5.1 are in [`model::optics`].
+//! The projection, Eq. (completemodel), and with it the blur radius of a camera, Eq. (blurradius), are in the C++
+//! header `cpp/include/plenocal/projection.hpp`; the blur radius that images show, Eq. (radiusfinal), is in
+//! `src/detection/micro_optics.rs`; the cost of section 5.3 is in `residuals.hpp`. The scalar relations of section 5.1 are in [`model::optics`].
 
 #![allow(clippy::doc_markdown)] // names such as COMPOTE and plenocal are not code
 

@@ -75,7 +75,7 @@ The same step by step:
 
 Exit status:
   0    done, and the result is converged and finite
-  1    bad input or a failure: nothing was written; stages that a run had finished are kept
+  1    bad input or a failure: nothing was written
   2    the command line was not understood
   3    not converged, or parameters are not determined: results were written, marked as such
   130  interrupted (Ctrl-C, SIGTERM, SIGHUP): nothing half-written is left";
