@@ -496,6 +496,17 @@ issues! {
     Undetermined "undetermined" { rank: usize, parameters: usize, names: Vec<String> } =>
         format!("the observations determine {rank} of {parameters} parameters; not determined: {}", if names.is_empty() { "some poses".to_owned() } else { names.join(", ") }),
         "fix parameters, or add observations that determine them: frames at other distances and tilts, every lens type";
+    /// The calibration that a camera in use is from has not converged.
+    CameraNotConverged "camera-not-converged" =>
+        "the calibration of this camera has not converged", "calibrate it again";
+    /// The calibration that a camera in use is from has not determined some parameters.
+    CameraUndetermined "camera-undetermined" { names: Vec<String> } =>
+        format!("the calibration of this camera has not determined {}", names.join(", ")),
+        "frames at other distances and tilts would";
+    /// The verdict on the calibration that a camera in use is from.
+    CameraNotToBeUsed "camera-not-to-be-used" { reasons: Vec<String> } =>
+        format!("the verdict on the calibration of this camera is \"do not use\" ({})", reasons.join(", ")),
+        "see its report, and calibrate it again";
     /// Residuals are far larger than noise.
     BadFit "bad-fit" { rms_px: f64, micro_image_pitch_px: f64 } =>
         format!("the residuals of the features are {rms_px:.2} px RMS, a large part of a micro-image ({micro_image_pitch_px:.1} px): noise alone is far smaller"),

@@ -7,7 +7,7 @@ use super::patterns::{Patterns, patterns};
 use super::verdict::{Verdict, findings};
 use crate::calibration::{Calibration, Mode};
 use crate::error::Result;
-use crate::finding::Finding;
+use crate::finding::{self, Finding};
 use crate::model::Board;
 
 /// Whether a calibration is to be trusted, and where.
@@ -26,6 +26,15 @@ pub struct Assessment {
     pub object_space: Option<ObjectSpace>,
     /// The further board that would help most; `None` likewise.
     pub next_board: Option<NextBoard>,
+}
+
+impl Assessment {
+    /// Adds findings about the input of the calibration, which count for the verdict.
+    pub fn add(&mut self, findings: Vec<Finding>) {
+        self.findings.extend(findings);
+        finding::sort(&mut self.findings);
+        self.verdict = Verdict::of(&self.findings);
+    }
 }
 
 /// Assesses a calibration made with this board.

@@ -5,9 +5,11 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::{Args, ValueEnum};
-use plenocal::assessment::{ModelComparison, assess, compare_models, comparison_steps};
+use plenocal::assessment::{
+    Assessment, ModelComparison, Verdict, assess, compare_models, comparison_steps,
+};
 use plenocal::calibration::{
-    Calibration, CalibrationOptions, Method, Priors, Solution, calibrate, termination_text,
+    Calibration, CalibrationOptions, Method, Mode, Priors, Solution, calibrate, termination_text,
 };
 use plenocal::io::{self, OutputFolder, Project, compote};
 use plenocal::model::{Board, Parameter};
@@ -17,7 +19,7 @@ use plenocal::{Error, Result, report};
 use super::cost;
 use super::evaluate::calibrated;
 use super::given::Given;
-use super::input::{Files, Input};
+use super::input::{Files, Input, camera_findings};
 use super::messages::{print_result, say, tell, warn};
 use super::progress;
 
@@ -171,7 +173,11 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     );
     bar.finish_and_clear();
     let calibration = calibration.map_err(|error| input.located(error))?;
-    let assessment = assess(&calibration, &input.board)?;
+    let mut assessment = assess(&calibration, &input.board)?;
+    if input.options.mode == Mode::PosesOnly {
+        let camera = arguments.camera.as_ref().or(arguments.project.as_ref());
+        assessment.add(camera.map_or(Ok(Vec::new()), |path| camera_findings(path))?);
+    }
     let compared =
         arguments.compare_models.then(|| compared(&calibration, &input.board, FOLDS, json));
 
@@ -188,7 +194,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         None => {}
     }
 
-    stage_results(&mut output, &calibration, with_compote)?;
+    stage_results(&mut output, (&calibration, &assessment), with_compote)?;
     if has_camera(&calibration) {
         output.stage_json("calibration.json", &document)?;
     }
@@ -196,7 +202,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     paths.extend(cost::exported(export, &calibration, &input.board)?);
     tell(&calibration.findings);
     print_result(json, &document, &section.to_text(), &paths)?;
-    Ok(status(&calibration))
+    Ok(status(&calibration, assessment.verdict))
 }
 
 /// Compares models in at most so many folds, with a progress bar.
@@ -213,25 +219,27 @@ pub(super) fn compared(
     comparison
 }
 
-/// The exit status of a calibration, which says why if its result should not be used.
-pub(super) fn status(calibration: &Calibration) -> ExitCode {
-    let camera = &calibration.camera;
-    let names = Parameter::shared(camera.lens_types());
+/// The exit status of a calibration with a verdict; the reason is printed if its result should not be used.
+pub(super) fn status(calibration: &Calibration, verdict: Verdict) -> ExitCode {
+    let names = Parameter::shared(calibration.camera.lens_types());
     let unknown = calibration.uncertainty.undetermined_intrinsics();
     let unknown: Vec<&str> = unknown.into_iter().map(|index| names[index].name()).collect();
-    let why = match calibration.refinement.termination {
-        _ if calibration.converged && unknown.is_empty() => return ExitCode::SUCCESS,
-        _ if calibration.converged => format!(
-            "not determined: {}. Take frames at other distances and tilts, or hold them (--fix)",
-            unknown.join(", ")
-        ),
-        Termination::IterationLimit => {
-            format!("not converged: {} Raise --max-iterations.", termination_text(calibration))
-        }
-        _ => format!("not converged: {}", termination_text(calibration)),
+    let (status, why) = if !calibration.converged {
+        let more = match calibration.refinement.termination {
+            Termination::IterationLimit => " Raise --max-iterations.",
+            _ => "",
+        };
+        (3, format!("not converged: {}{more}", termination_text(calibration)))
+    } else if !unknown.is_empty() {
+        let remedy = "Take frames at other distances and tilts, or hold them (--fix)";
+        (3, format!("not determined: {}. {remedy}", unknown.join(", ")))
+    } else if verdict == Verdict::DoNotUse {
+        (4, "the verdict is: do not use; the reasons stand above".to_owned())
+    } else {
+        return ExitCode::SUCCESS;
     };
     say(&format!("error: {why}"));
-    ExitCode::from(3)
+    ExitCode::from(status)
 }
 
 /// Whether a calibration has estimated a camera; with poses only, it is unchanged.
@@ -242,7 +250,7 @@ fn has_camera(calibration: &Calibration) -> bool {
 /// Stages the results of a calibration.
 pub(super) fn stage_results(
     output: &mut OutputFolder,
-    calibration: &Calibration,
+    (calibration, assessment): (&Calibration, &Assessment),
     with_compote: bool,
 ) -> Result<()> {
     let uncertainty = Some(&calibration.uncertainty);
@@ -264,7 +272,8 @@ pub(super) fn stage_results(
         output.stage_json(folder.join("poses.js"), &compote::poses_document(&calibration.poses))?;
     }
     if has_camera(calibration) {
-        output.stage_json("camera.json", &io::calibrated_camera_document(calibration))?;
+        output
+            .stage_json("camera.json", &io::calibrated_camera_document(calibration, assessment))?;
     }
     output.stage_json("poses.json", &poses)?;
     output.stage("residuals.csv", |out| io::write_residuals(out, &calibration.reprojection))?;

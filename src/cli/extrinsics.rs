@@ -14,7 +14,7 @@ use plenocal::{Result, report};
 use super::boards::{self, Options, Shoot};
 use super::calibrate::{stage_results, status};
 use super::evaluate::calibrated;
-use super::input::board_shape;
+use super::input::{board_shape, camera_findings};
 use super::messages::{print_result, tell};
 
 /// Find the poses of boards in raw images with a calibrated camera.
@@ -82,13 +82,14 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let options = CalibrationOptions::default().of_poses_only(shape);
     let result =
         calibrate(&Start::Camera(camera), &shoot.board, &observations, &options, &mut |_| true)?;
-    let assessment = assess(&result, &shoot.board)?;
-    stage_results(&mut output, &result, false)?;
+    let mut assessment = assess(&result, &shoot.board)?;
+    assessment.add(camera_findings(&arguments.camera)?);
+    stage_results(&mut output, (&result, &assessment), false)?;
     let paths = output.commit()?;
     tell(&found.findings);
     tell(&result.findings);
     let document = io::calibration_document(&result, &assessment, begun.elapsed().as_secs_f64());
     let section = report::calibration_section("Poses", &result, &assessment, Vec::new());
     print_result(arguments.json, &document, &section.to_text(), &paths)?;
-    Ok(status(&result))
+    Ok(status(&result, assessment.verdict))
 }

@@ -6,9 +6,9 @@ use plenocal::calibration::{BoardModel, CalibrationOptions, Mode, Start};
 use plenocal::error::{Input as Part, Observed};
 use plenocal::io::{self, CameraSource, Project};
 use plenocal::model::{Board, BoardShape, Datasheet, Observations, SHAPE};
-use plenocal::{Error, Result};
+use plenocal::{Error, Finding, Result};
 
-use super::messages::warn;
+use super::messages::tell;
 
 /// The files named on the command line.
 pub struct Files<'a> {
@@ -141,9 +141,17 @@ fn start(files: &Files, project: &Project, mode: Mode) -> Result<Start> {
 pub fn camera_source(path: &Path) -> Result<CameraSource> {
     let source = io::read_camera_source(path)?;
     if matches!(source, CameraSource::Camera(_)) {
-        warn(&io::read_camera_doubts(path)?);
+        tell(&camera_findings(path)?);
     }
     Ok(source)
+}
+
+/// Findings about the camera in a file; a project file gives none.
+pub fn camera_findings(path: &Path) -> Result<Vec<Finding>> {
+    if path.extension().is_some_and(|extension| extension == "toml") {
+        return Ok(Vec::new());
+    }
+    io::read_camera_findings(path)
 }
 
 fn from_datasheet(mut sheet: Datasheet, files: &Files, project: &Project) -> Result<Start> {

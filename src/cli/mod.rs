@@ -74,10 +74,11 @@ The same step by step:
       --centers white/centers.csv --features boards/features.csv --out results
 
 Exit status:
-  0    done, and the result is converged and finite
+  0    done; of a calibration, the verdict is good or usable with care
   1    bad input or a failure: nothing was written
   2    the command line was not understood
   3    not converged, or parameters are not determined: results were written, marked as such
+  4    the verdict is: do not use; results were written, marked as such
   130  interrupted (Ctrl-C, SIGTERM, SIGHUP): nothing half-written is left";
 
 /// Runs the command line of this process.

@@ -327,7 +327,7 @@ impl<'a> Run<'a> {
         let result = calibrate(start, board, observations, options, &mut |_| true)?;
         let assessment = assess(&result, board)?;
         tell(&result.findings);
-        stage_results(output, &result, false)?;
+        stage_results(output, (&result, &assessment), false)?;
         let time_s = begun.elapsed().as_secs_f64();
         let mut document = io::calibration_document(&result, &assessment, time_s);
         let mut models = Vec::new();
@@ -351,7 +351,7 @@ impl<'a> Run<'a> {
         let Observed { start, observations } = observed;
         let result = calibrate(start, board, observations, &options, &mut |_| true)?;
         let assessment = assess(&result, board)?;
-        stage_results(output, &result, false)?;
+        stage_results(output, (&result, &assessment), false)?;
         let time_s = begun.elapsed().as_secs_f64();
         let document = io::calibration_document(&result, &assessment, time_s);
         output.stage_json("calibration.json", &document)?;
@@ -481,7 +481,7 @@ impl<'a> Run<'a> {
             "evaluation": evaluation,
         });
         print_result(self.arguments.json, &result, &text, &[path])?;
-        Ok(status(calibration))
+        Ok(status(calibration, of_findings))
     }
 
     /// The verdict, the parameters, what models are worth, and the evaluation, as printed.

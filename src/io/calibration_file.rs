@@ -11,16 +11,22 @@ use crate::assessment::{Assessment, Distance, ModelComparison, PointTrust, Verdi
 use crate::calibration::{
     BlurMeasurement, Calibration, PriorResult, TypeBlur, termination_text, weakest_directions_text,
 };
-use crate::finding::Severity;
+use crate::finding::{Finding, Severity};
 use crate::model::{Parameter, Rmse};
 use crate::quantity::Estimate;
 use crate::solver::{LossKind, SystematicChange};
 
-/// The content of `camera.json` for a calibration, `converged` and the distances of its boards included.
+/// The content of `camera.json` for a calibration: also whether it has converged, the verdict with the codes of its reasons,
+/// and the distances of its boards.
 #[must_use]
-pub fn calibrated_camera_document(calibration: &Calibration) -> Value {
+pub fn calibrated_camera_document(calibration: &Calibration, assessment: &Assessment) -> Value {
     let mut camera = camera_document(&calibration.camera, Some(&calibration.uncertainty));
     camera["converged"] = calibration.converged.into();
+    let reasons = assessment.findings.iter().filter(|finding| finding.severity > Severity::Note);
+    camera["verdict"] = json!({
+        "verdict": assessment.verdict.to_string(),
+        "reasons": reasons.map(Finding::code).collect::<Vec<_>>(),
+    });
     let distances = calibration.poses.iter().map(|p| p.camera_from_board.translation.z);
     let [near_mm, far_mm] =
         distances.fold([f64::INFINITY, 0.0], |[near, far], z: f64| [near.min(z), far.max(z)]);
@@ -235,7 +241,7 @@ pub fn calibration_document(
         "findings": calibration.findings,
         "models": null,
         "initial_camera": camera_document(&calibration.initial, None),
-        "camera": calibrated_camera_document(calibration),
+        "camera": calibrated_camera_document(calibration, assessment),
         "poses": poses_document(&calibration.poses, uncertainty)["poses"],
     })
 }

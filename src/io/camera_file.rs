@@ -9,7 +9,9 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::json_file::{document_of, read_json};
+use crate::assessment::Verdict;
 use crate::error::{Error, Result};
+use crate::finding::{Finding, Issue, Subject};
 use crate::model::{EdgeSpread, Parameter, PlenopticCamera};
 use crate::quantity::Estimate;
 use crate::solver::Uncertainty;
@@ -96,33 +98,36 @@ pub fn read_camera(path: &Path) -> Result<PlenopticCamera> {
     camera_from(value).map_err(|e| e.in_file(path))
 }
 
-/// Why the camera of a `camera.json` should not be used: its calibration did not converge, or did not determine some of its
-/// parameters. Empty for a camera that nothing speaks against, or of which no calibration is known.
+/// Findings about the calibration that the camera of a `camera.json` is from: that it did not converge, did not determine
+/// some parameters, or ended in the verdict "do not use". Empty for a camera that nothing speaks against, or of which no
+/// calibration is known.
 #[must_use]
-pub fn camera_doubts(document: &Value) -> Vec<String> {
-    let mut doubts = Vec::new();
+pub fn camera_findings(document: &Value) -> Vec<Finding> {
+    let mut issues = Vec::new();
     if document["converged"] == Value::Bool(false) {
-        doubts.push("the calibration of this camera has not converged".to_owned());
+        issues.push(Issue::CameraNotConverged);
     }
     let std_devs = document["uncertainty"]["standard_deviations"].as_object();
     let unknown = |(name, entry): (&String, &Value)| {
         entry.get("value").is_some_and(Value::is_null).then(|| name.clone())
     };
-    let unknown: Vec<String> = std_devs.into_iter().flatten().filter_map(unknown).collect();
-    if !unknown.is_empty() {
-        doubts.push(format!(
-            "the calibration of this camera has not determined {}: frames at other distances and tilts would",
-            unknown.join(", ")
-        ));
+    let names: Vec<String> = std_devs.into_iter().flatten().filter_map(unknown).collect();
+    if !names.is_empty() {
+        issues.push(Issue::CameraUndetermined { names });
     }
-    doubts
+    let verdict = &document["verdict"];
+    if issues.is_empty() && verdict["verdict"] == Verdict::DoNotUse.to_string() {
+        let reasons = verdict["reasons"].as_array().into_iter().flatten();
+        let reasons = reasons.filter_map(Value::as_str).map(str::to_owned).collect();
+        issues.push(Issue::CameraNotToBeUsed { reasons });
+    }
+    issues.into_iter().map(Finding::unusable).collect()
 }
 
-/// The doubts of [`camera_doubts`] about the camera in a file, each with its path; COMPOTE's files give none.
-pub fn read_camera_doubts(path: &Path) -> Result<Vec<String>> {
-    let document = read_json(path)?;
-    let with_path = |doubt: String| format!("{}: {doubt}", path.display());
-    Ok(camera_doubts(&document).into_iter().map(with_path).collect())
+/// The findings of [`camera_findings`] about the camera in a file; COMPOTE's files give none.
+pub fn read_camera_findings(path: &Path) -> Result<Vec<Finding>> {
+    let about = |finding: Finding| finding.about(Subject::File(path.to_owned()));
+    Ok(camera_findings(&read_json(path)?).into_iter().map(about).collect())
 }
 
 /// Nearest and furthest distance (mm) of the boards that the camera of a `camera.json` was calibrated with, by their corner 0;

@@ -40,8 +40,8 @@ pub use calibration_file::{
     calibrated_camera_document, calibration_document, cost_document, models_document,
 };
 pub use camera_file::{
-    CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_doubts, read_board_distances,
-    read_camera, read_camera_doubts, read_std_devs,
+    CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_findings, read_board_distances,
+    read_camera, read_camera_findings, read_std_devs,
 };
 pub use comparison_file::comparison_document;
 pub use data_set_folder::{image_name, is_data_set, remove_older_data, stage_data_set};

@@ -239,7 +239,7 @@ pub static CALIBRATED: LazyLock<[Value; 3]> = LazyLock::new(|| {
     let assessment = assess(&result, &BOARD).expect("the shipped observations are good");
     let poses: Vec<FramePose> = result.poses.iter().take(3).copied().collect();
     [
-        calibrated_camera_document(&result),
+        calibrated_camera_document(&result, &assessment),
         poses_document(&poses, None),
         few_fields(calibration_document(&result, &assessment, 1.0)),
     ]

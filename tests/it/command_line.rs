@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use assert_cmd::assert::Assert;
 use plenocal::io::{read_camera, read_features, read_poses, write_features};
 use predicates::prelude::*;
 use serde_json::Value;
@@ -175,18 +176,43 @@ fn whoever_reads_a_doubtful_camera_says_so() {
         "F": { "value": 0.1, "unit": "mm" }, "D": { "value": null, "unit": "mm" },
     });
     fs::write(&path, camera.to_string()).unwrap();
-    let mut command = plenocal();
-    command.args(["calibrate", "--mode", "poses-only", "--camera"]).arg(&path);
-    command.arg("--scene").arg(synthetic_folder().join("project.toml"));
-    command.arg("--features").arg(synthetic_folder().join("features.csv"));
-    command.arg("--out").arg(folder.path().join("poses"));
-    command
-        .assert()
-        .success()
+    poses_only(&path, &folder.path().join("poses"))
+        .code(4)
         .stderr(predicate::str::contains(
             "camera.json: the calibration of this camera has not converged",
         ))
-        .stderr(predicate::str::contains("has not determined D:"));
+        .stderr(predicate::str::contains("has not determined D:"))
+        .stdout(predicate::str::contains("Verdict: do not use"));
+}
+
+fn poses_only(camera: &Path, out: &Path) -> Assert {
+    let mut command = plenocal();
+    command.args(["calibrate", "--mode", "poses-only", "--camera"]).arg(camera);
+    command.arg("--scene").arg(synthetic_folder().join("project.toml"));
+    command.arg("--features").arg(synthetic_folder().join("features.csv"));
+    command.arg("--out").arg(out).assert()
+}
+
+/// The focal length of the datasheet is another one: the prior is contradicted.
+#[test]
+fn a_verdict_of_not_to_be_used_is_an_exit_status_and_follows_the_camera() {
+    let folder = TempDir::new().unwrap();
+    let (out, poses) = (folder.path().join("out"), folder.path().join("poses"));
+    calibrate(&out)
+        .args(["--prior", "F=17:0.01"])
+        .assert()
+        .code(4)
+        .stdout(predicate::str::contains("Verdict: do not use"))
+        .stderr(predicate::str::contains("error: the verdict is: do not use"));
+    let path = out.join("camera.json");
+    let camera: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    assert_eq!(camera["verdict"]["verdict"], "do not use");
+    assert_eq!(camera["verdict"]["reasons"][0], "prior-contradicted");
+    let told = "[camera-not-to-be-used]";
+    poses_only(&path, &poses).code(4).stderr(predicate::str::contains(told));
+    let mut rays = plenocal();
+    rays.arg("rays").arg(&path).arg("--out").arg(folder.path().join("rays"));
+    rays.assert().success().stderr(predicate::str::contains(told));
 }
 
 #[test]

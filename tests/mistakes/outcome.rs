@@ -87,9 +87,9 @@ pub fn of(set: &Set) -> Outcome {
     Outcome { kind, errors, said: format!("{said}{reasons}") }
 }
 
-/// The status of a run without a result; 3 is that of one that did not converge.
+/// The status of a run without a result; 3 is the status of one that did not converge, 4 of one that is not to be used.
 fn refused(output: &Output) -> Option<i32> {
-    output.status.code().filter(|code| !matches!(code, 0 | 3))
+    output.status.code().filter(|code| !matches!(code, 0 | 3 | 4))
 }
 
 /// Warnings and errors of the program, with the lines that belong to them.
