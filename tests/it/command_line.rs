@@ -193,13 +193,13 @@ fn poses_only(camera: &Path, out: &Path) -> Assert {
     command.arg("--out").arg(out).assert()
 }
 
-/// The focal length of the datasheet is another one: the prior is contradicted.
+/// The squares are stated too large, so that m of the white images is contradicted.
 #[test]
 fn a_verdict_of_not_to_be_used_is_an_exit_status_and_follows_the_camera() {
     let folder = TempDir::new().unwrap();
     let (out, poses) = (folder.path().join("out"), folder.path().join("poses"));
     calibrate(&out)
-        .args(["--prior", "F=17:0.01"])
+        .args(["--set", "board.square_mm=4"])
         .assert()
         .code(4)
         .stdout(predicate::str::contains("Verdict: do not use"))
