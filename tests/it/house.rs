@@ -292,7 +292,14 @@ fn circles_are_found_wherever_they_hide() {
 /// The rows of a table of parameters in the documentation.
 fn parameter_rows() -> String {
     let row = |parameter: Parameter| {
-        let key = parameter.key()[1..].replace('/', ".");
+        let tokens = parameter.key()[1..].split('/').enumerate();
+        let key: String = tokens
+            .map(|(i, token)| match token.parse::<usize>() {
+                Ok(index) => format!("[{index}]"),
+                Err(_) if i == 0 => token.to_owned(),
+                Err(_) => format!(".{token}"),
+            })
+            .collect();
         let (name, unit, description) =
             (parameter.name(), parameter.unit(), parameter.description().replace('|', "\\|"));
         format!("| `{name}` | `{key}` | {unit} | {description} |\n")
