@@ -1,4 +1,4 @@
-//! Builds the C++ core with `CMake`, then the bridge to it with `cxx-build`, and takes over the table of parameters.
+//! Builds the C++ core with `CMake`, then the bridge to it with `cxx-build`, and generates the table of parameters.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -6,8 +6,8 @@ use std::{env, fs};
 
 const PARAMETERS: &str = "cpp/include/plenocal/parameters.def";
 
-/// Writes the rows of the table of parameters as a call of the macro in `src/model/parameters.rs`, without the places in C++.
-fn take_over_parameters() {
+/// Generates a call of the macro in `src/model/parameters.rs` from the rows of the table, without the members in C++.
+fn generate_parameters() {
     let table = fs::read_to_string(PARAMETERS).expect("the table of parameters can be read");
     let mut call = "parameters! {\n".to_owned();
     for row in table.lines().filter(|line| line.starts_with("PLENOCAL_")) {
@@ -21,7 +21,7 @@ fn take_over_parameters() {
 }
 
 fn main() {
-    take_over_parameters();
+    generate_parameters();
     // Always optimised: Ceres' Jets are about fifty times slower without inlining.
     let core = cmake::Config::new("cpp")
         .profile("Release")

@@ -104,10 +104,9 @@ void CostOptions::free(const std::vector<std::string>& names) {
 }
 
 bool is_shape_free(const CostOptions& options) {
-  const Parameter* shape = std::end(kParameters) - kBoardShapeParameters;
-  return std::any_of(shape, std::end(kParameters), [&options](const Parameter& parameter) {
-    return options.fixed.count(parameter.name) == 0;
-  });
+  return std::any_of(
+      kBoardShapeTable, std::end(kParameters),
+      [&options](const Parameter& parameter) { return options.fixed.count(parameter.name) == 0; });
 }
 
 namespace {

@@ -103,7 +103,7 @@ class LeastSquares {
   void add_priors(const CostOptions& options);
   /// Adds a prior on a q'_i; false if it is on something else.
   bool add_intercept(const Prior& prior, double weight);
-  /// The same for a prior on the tilt gradient of the array.
+  /// Adds a prior on a component of the tilt gradient; false if it is on something else.
   bool add_tilt_gradient(const Prior& prior, double weight);
   void fix(const CostOptions& options);
   /// Blocks that all frames share. That of the board's shape is no parameter unless it is free, and

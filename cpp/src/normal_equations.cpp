@@ -58,8 +58,8 @@ void for_runs(const RowOrigin* rows, int count, const F& f) {
   }
 }
 
-// What the rows of one kind and group say: sums of products of J, r, and of by how much systematic
-// errors move the observation.
+// Sums over the rows of one kind and group: products of J, r, and the changes of the observation by
+// systematic errors.
 struct Run {
   RowOrigin origin;  // of the first row
   int columns;       // of J

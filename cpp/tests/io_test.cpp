@@ -257,6 +257,16 @@ TEST_F(ProblemFolder, IsReadAsItWasWritten) {
   EXPECT_FALSE(problem.options.rho);
 }
 
+// Before 0.1.0, priors were called anchors, and the tilt gradient lean.
+TEST_F(ProblemFolder, OfEarlierVersionsIsRead) {
+  std::string text = replaced(kProblem, "prior_weight", "anchor_weight");
+  text = replaced(replaced(text, "priors", "anchors"), "\"F\"", "\"lean_v\"");
+  put("problem.json", text);
+  const ProblemFiles problem = read_problem(path());
+  EXPECT_EQ(problem.options.prior_weight, 2.0);
+  EXPECT_EQ(problem.options.priors.at(0).quantity, "tilt_v");
+}
+
 TEST_F(ProblemFolder, WhatIsWrongIsNamedWithItsFile) {
   using test::expect_names;
   expect_names(message("problem.json", "plenocal-problem", "plenocal-camera"), "plenocal-problem");

@@ -478,7 +478,9 @@ impl CalibrationOptions {
     pub fn of_corners_only(&self) -> Self {
         let mut options = Self { mode: Mode::CornersOnly, ..self.clone() };
         options.fix.retain(|parameter| !parameter.is_of_micro_lenses());
-        options.priors.quantities.retain(|name, _| !name.starts_with("f_"));
+        let is_of_micro_lenses =
+            |name: &String| name.parse().is_ok_and(Parameter::is_of_micro_lenses);
+        options.priors.quantities.retain(|name, _| !is_of_micro_lenses(name));
         options
     }
 

@@ -12,7 +12,7 @@ const MOTION: f64 = 24.0;
 
 /// A frame is rejected if more than this part of its micro-images is unusable for the same reason.
 const UNUSABLE: f64 = 0.25;
-/// Aperture ratios that differ by fewer σ, or by less than this part, may differ by chance.
+/// Aperture ratios that differ by fewer σ may differ by chance.
 const RATIO_STD_DEVS: f64 = 3.0;
 
 /// Aperture ratios are the same if they differ by less than this part.

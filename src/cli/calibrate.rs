@@ -14,7 +14,7 @@ use plenocal::calibration::{
 use plenocal::io::{self, OutputFolder, Project, compote};
 use plenocal::model::{Board, Parameter};
 use plenocal::solver::Termination;
-use plenocal::{Error, Result, report};
+use plenocal::{Error, Finding, Result, Severity, report};
 
 use super::cost;
 use super::evaluate::calibrated;
@@ -202,7 +202,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     paths.extend(cost::exported(export, &calibration, &input.board)?);
     tell(&calibration.findings);
     print_result(json, &document, &section.to_text(), &paths)?;
-    Ok(status(&calibration, assessment.verdict))
+    Ok(status(&calibration, &assessment.findings))
 }
 
 /// Compares models in at most so many folds, with a progress bar.
@@ -219,8 +219,8 @@ pub(super) fn compared(
     comparison
 }
 
-/// The exit status of a calibration with a verdict; the reason is printed if its result should not be used.
-pub(super) fn status(calibration: &Calibration, verdict: Verdict) -> ExitCode {
+/// Returns the exit status of a calibration with these findings, and prints the reason if its result should not be used.
+pub(super) fn status(calibration: &Calibration, findings: &[Finding]) -> ExitCode {
     let names = Parameter::shared(calibration.camera.lens_types());
     let unknown = calibration.uncertainty.undetermined_intrinsics();
     let unknown: Vec<&str> = unknown.into_iter().map(|index| names[index].name()).collect();
@@ -233,8 +233,10 @@ pub(super) fn status(calibration: &Calibration, verdict: Verdict) -> ExitCode {
     } else if !unknown.is_empty() {
         let remedy = "Take frames at other distances and tilts, or hold them (--fix)";
         (3, format!("not determined: {}. {remedy}", unknown.join(", ")))
-    } else if verdict == Verdict::DoNotUse {
-        (4, "the verdict is: do not use; the reasons stand above".to_owned())
+    } else if Verdict::of(findings) == Verdict::DoNotUse {
+        let unusable = findings.iter().filter(|finding| finding.severity == Severity::Unusable);
+        let reasons: Vec<&str> = unusable.map(Finding::code).collect();
+        (4, format!("the verdict is \"do not use\" ({})", reasons.join(", ")))
     } else {
         return ExitCode::SUCCESS;
     };

@@ -91,5 +91,5 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let document = io::calibration_document(&result, &assessment, begun.elapsed().as_secs_f64());
     let section = report::calibration_section("Poses", &result, &assessment, Vec::new());
     print_result(arguments.json, &document, &section.to_text(), &paths)?;
-    Ok(status(&result, assessment.verdict))
+    Ok(status(&result, &assessment.findings))
 }

@@ -481,7 +481,7 @@ impl<'a> Run<'a> {
             "evaluation": evaluation,
         });
         print_result(self.arguments.json, &result, &text, &[path])?;
-        Ok(status(calibration, of_findings))
+        Ok(status(calibration, &self.findings))
     }
 
     /// The verdict, the parameters, what models are worth, and the evaluation, as printed.

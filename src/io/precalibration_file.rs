@@ -164,3 +164,37 @@ pub fn write_measured_centers(
         writeln!(out, "{},{},{},{},{std_dev},{}", c.k, c.l, c.u_px, c.v_px, lens_type(c) + 1)
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Names that fields had before 0.1.0, and σ that are not known.
+    #[test]
+    fn internal_parameters_of_earlier_files_are_read() {
+        let document = |internal: Value| {
+            json!({
+                "format": PRECALIBRATION_FORMAT,
+                "version": PRECALIBRATION_VERSION,
+                "internal_parameters": internal,
+            })
+        };
+        let read = |internal: Value| internal_parameters_from(document(internal));
+        let earlier = read(json!({
+            "m_mm": 0.14,
+            "q_prime_mm": [0.035],
+            "standard_deviations": { "m_mm": 0.001, "q_prime_mm": null },
+            "rms_px": 0.01,
+            "fill_factor": { "value": 0.9, "std_dev": 0.01 },
+            "lean": { "growth_per_px": [1e-6, 2e-6], "std_dev_per_px": [1e-7, 1e-7] },
+            "point_spread": { "value": 0.3, "std_dev": 0.1 },
+        }))
+        .unwrap();
+        assert_eq!((earlier.m_std_dev_mm, earlier.q_prime_std_dev_mm), (Some(0.001), vec![]));
+        assert_eq!(earlier.aperture_ratio.unwrap().value.to_bits(), 0.9_f64.to_bits());
+        assert_eq!(earlier.tilt_gradient.unwrap().growth_per_px[1].to_bits(), 2e-6_f64.to_bits());
+        assert_eq!(earlier.point_spread_px2.unwrap().value.to_bits(), 0.3_f64.to_bits());
+        let error = read(json!({ "m_mm": "wide", "q_prime_mm": [0.035] })).unwrap_err();
+        assert!(error.to_string().starts_with("internal_parameters.m_mm: "), "{error}");
+    }
+}

@@ -22,31 +22,22 @@ impl PlenopticCamera {
                 )));
             }
         }
-        let mla = &self.mla;
-        positive(self.main_lens.focal_length_mm, "the camera's F (mm)")?;
-        positive(mla.lens_to_mla_mm, "the camera's D (mm)")?;
+        for (&parameter, value) in
+            Parameter::intrinsic(self.lens_types()).iter().zip(self.intrinsics())
+        {
+            let unit = if parameter.unit() == "mm" { " (mm)" } else { "" };
+            if parameter.is_positive() {
+                positive(value, &format!("the camera's {parameter}{unit}"))?;
+            }
+            // Squares of values far beyond this overflow.
+            if !value.is_finite() || value.abs() > 1e100 {
+                return Err(Error::invalid(format!("the camera's {parameter} is {value}")));
+            }
+        }
         positive(self.pupil_to_mla_mm(), "the camera's D + e_z, exit pupil to array (mm),")?;
         positive(
             self.main_lens.pupil_magnification(),
             "the camera's 1 + e_z/F, the magnification of its pupil,",
-        )?;
-        positive(mla.mla_to_sensor_mm, "the camera's d (mm)")?;
-        positive(mla.pitch_mm, "the camera's dC (mm)")?;
-        positive(mla.pitch_ratio, "the camera's dC_ratio")?;
-        for (i, &f) in mla.focal_lengths_mm.iter().enumerate() {
-            positive(f, &format!("the camera's f_{} (mm)", i + 1))?;
-        }
-        for (parameter, value) in
-            Parameter::intrinsic(self.lens_types()).iter().zip(self.intrinsics())
-        {
-            // Squares of values far beyond this overflow.
-            if !value.is_finite() || value.abs() > 1e100 {
-                return Err(Error::invalid(format!(
-                    "the camera's {} is {value}",
-                    parameter.name()
-                )));
-            }
-        }
-        Ok(())
+        )
     }
 }

@@ -203,7 +203,9 @@ fn a_verdict_of_not_to_be_used_is_an_exit_status_and_follows_the_camera() {
         .assert()
         .code(4)
         .stdout(predicate::str::contains("Verdict: do not use"))
-        .stderr(predicate::str::contains("error: the verdict is: do not use"));
+        .stderr(predicate::str::contains(
+            "error: the verdict is \"do not use\" (prior-contradicted",
+        ));
     let path = out.join("camera.json");
     let camera: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     assert_eq!(camera["verdict"]["verdict"], "do not use");

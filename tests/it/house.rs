@@ -318,3 +318,17 @@ fn the_reference_lists_all_parameters() {
     let expected = parameter_rows();
     assert!(found == expected, "the table of parameters in docs/files.md has to be\n{expected}");
 }
+
+/// The Rust of the README stands, line by line, in an example that is compiled.
+#[test]
+fn the_readme_speaks_rust() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let readme = fs::read_to_string(root.join("README.md")).unwrap();
+    let example = fs::read_to_string(root.join("examples/calibrate.rs")).unwrap();
+    let mut compiled = example.lines().map(str::trim);
+    let (_, block) = readme.split_once("```rust\n").unwrap();
+    let (block, _) = block.split_once("```").unwrap();
+    for line in block.lines().map(str::trim) {
+        assert!(compiled.any(|other| other == line), "not in examples/calibrate.rs: {line}");
+    }
+}

@@ -52,12 +52,13 @@ inline Vector3<double> corner_of(const Board& board, const Vector3<double>& flat
   return board.is_flat() ? flat : corner_of(board, board.shape, flat);
 }
 
-/// Names of the parameters that all frames share: `intrinsic_names`, then those of the shape of the
-/// board. Indices of shared parameters refer to this order.
+/// Names of the parameters that all frames share: `intrinsic_names`, then the shape of the board.
+/// Indices of shared parameters refer to this order.
 inline std::vector<std::string> shared_names(int lens_types) {
   std::vector<std::string> names = intrinsic_names(lens_types);
-  const Parameter* shape = std::end(kParameters) - kBoardShapeParameters;
-  for (; shape != std::end(kParameters); ++shape) names.emplace_back(shape->name);
+  for (const Parameter* p = kBoardShapeTable; p != std::end(kParameters); ++p) {
+    names.emplace_back(p->name);
+  }
   return names;
 }
 

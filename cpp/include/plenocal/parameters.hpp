@@ -7,15 +7,14 @@ namespace plenocal {
 
 /// A row of the table.
 struct Parameter {
-  const char* name;         ///< symbol of the paper as it is written in options, tables and files
+  const char* name;         ///< symbol as written in options, tables and files
   const char* unit;         ///< of its value: mm, mm^-1, ..., rad, px or 1
   const char* key;          ///< JSON pointer into camera.json, or into the board of problem.json
   bool is_positive;         ///< whether its value has to be positive; all have to be finite
   const char* description;  ///< one line
 };
 
-/// The intrinsic parameters of a camera, three lens types included, then those of the shape of the
-/// board.
+/// The table: intrinsic parameters of a camera with three lens types, then the shape of the board.
 inline constexpr Parameter kParameters[] = {
 #define FINITE false
 #define POSITIVE true
@@ -43,6 +42,9 @@ inline constexpr int kBoardShapeParameters = 0
 #define PLENOCAL_BOARD_SHAPE(...) +1
 #include "plenocal/parameters.def"
     ;
+
+/// The parameters of the shape of a board, up to the end of the table.
+inline constexpr const Parameter* kBoardShapeTable = std::end(kParameters) - kBoardShapeParameters;
 
 /// Number of intrinsic parameters of a camera of pinholes.
 inline constexpr int kPinholeParameters =

@@ -18,8 +18,8 @@ class LeastSquares;
 /// What an evaluation of a problem gives.
 struct Evaluation {
   double cost = 0.0;
-  /// Standardised residuals: of the features u, v and, if it counts, rho, by frame and board point;
-  /// of the centres u and v; of the priors.
+  /// Standardised residuals: u, v and, if it counts, rho of the features, by frame and board point;
+  /// u and v of the centres; then the priors.
   std::vector<double> residuals;
   std::vector<double> gradient;  ///< J'r, in the order of `CalibrationProblem::names`
   /// d residuals / d parameters, likewise; the columns of a fixed pose are empty. Eigen::Map takes

@@ -60,8 +60,8 @@ struct Prior {
 };
 
 /// The cost function: 1/2 sum rho(|r / sigma|^2) over all observations + w/2 sum r_a^2 over the
-/// priors. The sigma of a residual is that of the observation (1 px unless given) times the factor
-/// given here for its kind.
+/// priors. A residual has the sigma of its observation (1 px unless given) times the factor for its
+/// kind.
 struct CostOptions {
   double uv_std_dev = 1.0;       ///< of a feature's u and v
   double rho_std_dev = 1.0;      ///< of a feature's rho
@@ -247,8 +247,8 @@ struct SystematicError {
   bool in_priors = true;  ///< whether the sigma of the priors contains it already
 };
 
-/// The same for any number of threads. Throws std::invalid_argument like `refine`, and if
-/// systematic errors are not of these observations.
+/// The result does not depend on the number of threads. Throws std::invalid_argument like `refine`,
+/// and if systematic errors are not of these observations.
 PLENOCAL_API Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                                      const Observations& observations,
                                      const CostOptions& cost_options,

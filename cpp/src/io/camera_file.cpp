@@ -1,6 +1,5 @@
 // camera.json.
 #include <cmath>
-#include <cstring>
 #include <map>
 
 #include "document.hpp"
@@ -34,10 +33,16 @@ Lattice lattice_from(const Field& array) {
       "orthogonal, or hexagonal-rows or hexagonal-columns with shifted even or odd");
 }
 
-// Whether files of version 1 have no such parameter, which is 0 there.
-bool is_of_version_2(const Parameter& parameter) {
-  const std::string name = parameter.name;
-  return name.rfind("kappa", 0) == 0 || name.rfind("e_", 0) == 0;
+// Adds what files of version 1 do not have: exit pupil and field curvature, which are 0 there.
+void complete(Json* json) {
+  const auto lens = json->find("main_lens");
+  if (lens == json->end() || !lens->is_object()) return;
+  const auto add = [&lens](const char* key, const Json& value) {
+    if (!lens->contains(key) || (*lens)[key].is_null()) (*lens)[key] = value;
+  };
+  add("exit_pupil_mm", {0.0, 0.0, 0.0});
+  add("field_curvature_per_mm", 0.0);
+  add("field_curvature_growth_per_mm", 0.0);
 }
 
 Camera camera_from(const Field& root) {
@@ -47,19 +52,14 @@ Camera camera_from(const Field& root) {
   camera.pixel_size = sensor["pixel_size_mm"].number();
   camera.width = sensor["width_px"].integer();
   camera.height = sensor["height_px"].integer();
-  if (lens.has("exit_pupil_mm")) lens["exit_pupil_mm"].vector();
+  lens["exit_pupil_mm"].vector();
   array["rotation_rad"].vector();
   const std::size_t types = array["focal_lengths_mm"].size();
   if (types > kMaxLensTypes) array["focal_lengths_mm"].reject("a list of at most 3 numbers");
   camera.micro_lens_focal_lengths.resize(types);
   const Parameter* parameter = kParameters;
   for_each_parameter(camera, [&](const std::string&, double& value) {
-    const std::string key = parameter->key;
-    const std::string place = key.substr(std::strlen("/main_lens/"));
-    const bool is_absent =
-        is_of_version_2(*parameter) && !lens.has(place.substr(0, place.find('/')));
-    value = is_absent ? 0.0 : root.at_pointer(key).number();
-    ++parameter;
+    value = root.at_pointer((parameter++)->key).number();
   });
   try {
     validate(camera);
@@ -159,7 +159,8 @@ Json uncertainty_json(const CameraFile& file) {
 }  // namespace
 
 CameraFile read_camera(const std::string& path) {
-  const Json json = document(path, "plenocal-camera", kVersion);
+  Json json = document(path, "plenocal-camera", kVersion);
+  complete(&json);
   const Field root(json, path, "");
   CameraFile file;
   file.camera = camera_from(root);

@@ -122,7 +122,7 @@ ProblemFiles read_problem(const std::string& folder) {
   problem.observations.centers = read_centers(folder + "/centers.csv");
   const Field board = root["board"];
   problem.observations.board = {board["half_width_mm"].number(), board["half_height_mm"].number()};
-  const Parameter* parameter = std::end(kParameters) - kBoardShapeParameters;
+  const Parameter* parameter = kBoardShapeTable;
   BoardShape<double>::visit(problem.observations.board.shape, [&](const char*, double& value) {
     value = board.at_pointer((parameter++)->key).number();
   });
