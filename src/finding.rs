@@ -507,6 +507,54 @@ issues! {
     CameraNotToBeUsed "camera-not-to-be-used" { reasons: Vec<String> } =>
         format!("the verdict on the calibration of this camera is \"do not use\" ({})", reasons.join(", ")),
         "see its report, and calibrate it again";
+    /// The micro-image centres of a camera in use are not those of the white images.
+    CentersContradicted "centers-contradicted" { rms_px: f64, shift_px: [f64; 2], pitch_px: f64 } =>
+        format!("the micro-image centres of the camera are {rms_px:.2} px RMS off those of the white images, of which ({:+.2}, {:+.2}) px are a shift", shift_px[0], shift_px[1]),
+        "use the camera with images of the same camera, neither cropped, turned nor resized since its calibration; if array or sensor have moved, calibrate it again";
+    /// The blur radii of the lens types of a camera in use are not those of the white images.
+    LensTypesContradicted "lens-types-contradicted" { white_images_px: Vec<f64>, camera_px: Vec<f64>, permuted: Option<Vec<usize>> } =>
+        lens_types_text(white_images_px, camera_px, permuted.as_deref()),
+        "use the camera with white images of the same camera, whose lens types are counted in the same order";
+    /// A camera is used at another f-number than that of its calibration.
+    OtherFNumber "other-f-number" { camera: f64, boards: f64 } =>
+        format!("the camera was calibrated at f/{camera:.2}, and is used at f/{boards:.2}: with spherical aberration, F and the blur change with the aperture"),
+        "calibrate it at the f-number of the images, or compare both on boards";
+    /// The blur radii of boards are not those of the fixed camera.
+    BlurContradicted "blur-contradicted" { rms_std_devs: f64 } =>
+        format!("the blur radii of the boards are {rms_std_devs:.0} σ RMS off those of the camera"),
+        "check that the camera is of these images and that its focal lengths f_1, f_2 … are in the order of the lens types";
+    /// Boards fit a fixed camera best with squares of another size.
+    SquaresContradicted "squares-contradicted" { fitted_mm: Estimate, square_mm: f64 } =>
+        format!("the boards fit the camera best with squares of {fitted_mm} mm, and not of {square_mm} mm"),
+        "check the size of the squares (square_mm), and that the lens is focused as in the calibration of the camera";
+    /// Rays or points lie far off the boards that a camera was calibrated with.
+    BeyondBoards "beyond-boards" { beyond: usize, all: usize, near_mm: f64, far_mm: f64 } =>
+        format!("{beyond} of {all} distances are far nearer or further than the boards of the calibration ({near_mm:.0} to {far_mm:.0} mm): the errors of the camera grow there"),
+        "see the σ by distance in the report of the calibration; boards at such distances would help";
+    /// Virtual points name a micro-lens outside the array.
+    OutsideArray "outside-array" { points: usize, first: usize } =>
+        format!("{points} point(s) name a micro-lens outside the array (the first is point {first}) and have no metric point"),
+        "check that k and l count from 0 as in centers.csv of this camera";
+    /// Virtual points lie far from the micro-image whose index they have.
+    FarFromMicroImage "far-from-micro-image" { points: usize, first: usize, pitch_px: f64 } =>
+        format!("{points} point(s) lie more than a pitch ({pitch_px:.1} px) from the centre of the micro-image whose index they have (the first is point {first})"),
+        "check that k, l, u and v are of this camera, in px of the raw image, and not exchanged";
+    /// Virtual depths have the sign that images of the camera cannot have.
+    DepthsOfOtherSign "depths-of-other-sign" { points: usize, first: usize, galilean: bool } =>
+        format!("{points} virtual depth(s) are not {} (the first is of point {first}), but the main lens of this {} camera makes its images {} the array", if *galilean { "positive" } else { "negative" }, if *galilean { "Galilean" } else { "Keplerian" }, if *galilean { "behind" } else { "before" }),
+        "check the sign: virtual depths count from the array, and are positive behind it";
+    /// The σ of points is not known, since no σ of virtual depths is stated.
+    PointsWithoutSigma "points-without-sigma" =>
+        "no σ of virtual depths is stated, so that no σ of points is known, and none is written",
+        "state it, in a column std_nu or for all";
+    /// The sightings of corners contradict each other.
+    CornersScatter "corners-scatter" { ratio: f64 } =>
+        format!("the features of a corner scatter {ratio:.1} times as much about its point as their σ predicts"),
+        "check that the camera is of these features; their indices count from 0 as in centers.csv";
+    /// The arrays of two cameras are counted in different ways.
+    CountedOtherwise "counted-otherwise" { first: String, second: String } =>
+        format!("the micro-lenses of the first camera are counted on {first}, those of the second on {second}: the cameras are compared by place, but features and centres of one do not belong to the other"),
+        NONE;
     /// Residuals are far larger than noise.
     BadFit "bad-fit" { rms_px: f64, micro_image_pitch_px: f64 } =>
         format!("the residuals of the features are {rms_px:.2} px RMS, a large part of a micro-image ({micro_image_pitch_px:.1} px): noise alone is far smaller"),
@@ -616,6 +664,20 @@ issues! {
     StepScale "step-scale" { ratio: f64, step_mm: f64, square_mm: f64 } =>
         step_scale_text(*ratio, *step_mm, *square_mm),
         "measure both, and correct one of them";
+}
+
+fn lens_types_text(white_px: &[f64], camera_px: &[f64], permuted: Option<&[usize]>) -> String {
+    let row =
+        |radii: &[f64]| radii.iter().map(|r| format!("{r:.2}")).collect::<Vec<_>>().join(", ");
+    let order = permuted.map_or(String::new(), |order| {
+        let order: Vec<String> = order.iter().map(ToString::to_string).collect();
+        format!(": its types {} are types 1, 2 … of the white images", order.join(", "))
+    });
+    format!(
+        "the blur radii of the lens types in the white images are {} px, those of the camera {} px{order}",
+        row(white_px),
+        row(camera_px)
+    )
 }
 
 /// Numbers in a row.

@@ -7,6 +7,7 @@
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use crate::error::{Error, Result};
+use crate::finding::{Finding, Issue};
 use crate::model::{BentBoard, Board, BoardShape, Parameter, PlenopticCamera};
 use crate::solver::{
     self, CostOptions, Loss, LossKind, MicroPixel, Problem, Projected, Ray, SolverFeature,
@@ -17,6 +18,8 @@ use crate::solver::{
 const GRID: [u32; 2] = [32, 24];
 /// Fewest points that a motion is fitted to.
 const FEWEST: usize = 12;
+/// At each distance there are [`GRID`] points.
+const MOST_DISTANCES: usize = 100;
 
 /// A parameter of both cameras.
 #[derive(Debug, Clone, PartialEq)]
@@ -56,6 +59,8 @@ pub struct DistanceDifference {
     pub rms_mm: Option<[f64; 2]>,
     /// How much further away the second sees them in the mean, mm.
     pub further_mm: Option<f64>,
+    /// Root mean square difference of the blur radii of points, px; `None` for arrays of pinholes.
+    pub blur_rms_px: Option<f64>,
 }
 
 /// Two cameras compared.
@@ -69,6 +74,8 @@ pub struct CameraComparison {
     pub second_from_first: Isometry3<f64>,
     /// What is left with it, by distance.
     pub distances: Vec<DistanceDifference>,
+    /// What else differs.
+    pub findings: Vec<Finding>,
 }
 
 impl CameraComparison {
@@ -77,6 +84,12 @@ impl CameraComparison {
     pub fn rms_px(&self) -> f64 {
         let shifts = || self.distances.iter().flat_map(|d| &d.shifts_px).map(|(_, shift)| shift);
         root_mean_square(shifts().map(Vector2::norm))
+    }
+
+    /// The largest root mean square difference of blur radii at a distance, px; `None` for arrays of pinholes.
+    #[must_use]
+    pub fn blur_rms_px(&self) -> Option<f64> {
+        self.distances.iter().filter_map(|d| d.blur_rms_px).reduce(f64::max)
     }
 }
 
@@ -120,16 +133,21 @@ pub fn compare_cameras(
 ) -> Result<CameraComparison> {
     if first.sensor != second.sensor {
         return Err(Error::invalid(format!(
-            "the first camera has a sensor of {} x {} px of {} mm, the second one of {} x {} px of {} mm",
-            first.sensor.width_px,
-            first.sensor.height_px,
-            first.sensor.pixel_size_mm,
-            second.sensor.width_px,
-            second.sensor.height_px,
-            second.sensor.pixel_size_mm
+            "the first camera has a sensor of {}, the second one of {}",
+            first.sensor, second.sensor
+        )));
+    }
+    if distances_mm.len() > MOST_DISTANCES {
+        return Err(Error::invalid(format!(
+            "cameras are compared at up to {MOST_DISTANCES} distances, and these are {}",
+            distances_mm.len()
         )));
     }
     let types = first.lens_types();
+    let counted_otherwise = (first.lattice != second.lattice).then(|| {
+        let [first, second] = [first, second].map(|camera| camera.lattice.to_string());
+        Finding::caution(Issue::CountedOtherwise { first, second })
+    });
     let alike = second.with_array_of(first).filter(|second| second.lens_types() == types);
     let second = alike.ok_or_else(|| {
         Error::invalid(format!(
@@ -164,6 +182,7 @@ pub fn compare_cameras(
         raw_rms_px: root_mean_square(raw.iter().map(|(_, shift)| shift.norm())),
         second_from_first: motion,
         distances: differences.collect::<Result<_>>()?,
+        findings: counted_otherwise.into_iter().collect(),
     })
 }
 
@@ -191,7 +210,16 @@ fn difference(
         .filter_map(|(there, found)| Some(Point3::from(found?.point_mm) - there))
         .collect();
     let some = !off.is_empty();
+    let blur = [(first, Isometry3::identity()), (second, *motion)]
+        .map(|(camera, motion)| with_problem(camera, &motion, points, solver::project));
+    let [first_blur, second_blur] = blur;
+    let blur: Vec<f64> = first_blur?
+        .iter()
+        .zip(second_blur?)
+        .filter_map(|(first, second)| Some(second?.rho()? - (*first)?.rho()?))
+        .collect();
     Ok(DistanceDifference {
+        blur_rms_px: (!blur.is_empty()).then(|| root_mean_square(blur.iter().copied())),
         at_mm,
         rms_px: root_mean_square(lengths()),
         largest_px: lengths().fold(0.0, f64::max),

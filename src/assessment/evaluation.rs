@@ -166,6 +166,8 @@ fn candidate_result(
         let what = format!("{name}, boards of {subset}");
         if let Ok(posed) = &posed {
             findings.extend(posed.left_out.iter().map(LeftOut::finding));
+            let about = |finding: &Finding| finding.clone().about(Subject::Part(what.clone()));
+            findings.extend(posed.findings.iter().map(about));
             if !posed.converged {
                 findings.push(
                     Finding::caution(Issue::PosesNotConverged).about(Subject::Part(what.clone())),

@@ -6,6 +6,7 @@
 
 pub mod bias;
 mod camera_comparison;
+mod camera_in_use;
 mod cross_validation;
 mod detection_score;
 mod evaluation;
@@ -24,6 +25,7 @@ mod verdict;
 pub use camera_comparison::{
     CameraComparison, DistanceDifference, ParameterPair, WithStdDevs, compare_cameras,
 };
+pub use camera_in_use::{check_camera, check_corners, check_distances, check_virtual_points};
 pub use cross_validation::{CrossValidation, Fold, cross_validate, foldable_frames};
 pub use detection_score::{DetectionScore, INSIDE_PX, SMALL_RHO_PX, TRUE_PX};
 pub use evaluation::{

@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
+use super::held_out_boards::of_fixed_camera;
 use super::outliers::OutlyingFrame;
 use super::{Outliers, Patterns};
 use crate::calibration::{Calibration, Mode, SLOPE};
@@ -57,7 +58,9 @@ pub(super) fn findings(
         .chain(outliers.frames.iter().map(OutlyingFrame::finding))
         .chain(checks::outlying_features(outlying, all))
         .collect();
-    if calibration.options.mode != Mode::PosesOnly {
+    if calibration.options.mode == Mode::PosesOnly {
+        findings.extend(of_fixed_camera(calibration));
+    } else {
         findings.extend(of_white_images(calibration));
         findings.extend(of_residuals(calibration, patterns));
         findings.extend(checks::boards(&calibration.poses));

@@ -5,5 +5,6 @@
 
 pub(crate) mod boards;
 pub(crate) mod calibration;
+pub(crate) mod camera;
 pub(crate) mod steps;
 pub(crate) mod whites;

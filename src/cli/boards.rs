@@ -81,9 +81,9 @@ impl Shoot {
         )))
     }
 
-    /// The micro-images from a folder written by `precalibrate`; an error if it belongs to another
+    /// The micro-images and internal parameters from a folder written by `precalibrate`; an error if it belongs to another
     /// camera, or to another black level than the project states.
-    pub fn read_precalibration(&self, folder: &Path) -> Result<MicroImages> {
+    pub fn read_precalibration(&self, folder: &Path) -> Result<(MicroImages, InternalParameters)> {
         const STAGE: &str = "precalibration";
         let (internal, centers) = (folder.join("precalibration.json"), folder.join("centers.csv"));
         let of_run = folder.join(STAGE);
@@ -99,7 +99,9 @@ impl Shoot {
         let internal = io::read_internal_parameters(&internal, Some(sheet.sensor.pixel_size_mm))?;
         self.check_black_level(&internal).map_err(|e| e.in_file(folder))?;
         let measured = io::read_centers(&centers)?;
-        MicroImages::of_measurements(&measured, &internal, &sheet).map_err(|e| e.in_file(folder))
+        let micro_images = MicroImages::of_measurements(&measured, &internal, &sheet)
+            .map_err(|e| e.in_file(folder))?;
+        Ok((micro_images, internal))
     }
 
     fn check_black_level(&self, internal: &InternalParameters) -> Result<()> {

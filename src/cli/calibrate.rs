@@ -233,15 +233,24 @@ pub(super) fn status(calibration: &Calibration, findings: &[Finding]) -> ExitCod
     } else if !unknown.is_empty() {
         let remedy = "Take frames at other distances and tilts, or hold them (--fix)";
         (3, format!("not determined: {}. {remedy}", unknown.join(", ")))
-    } else if Verdict::of(findings) == Verdict::DoNotUse {
-        let unusable = findings.iter().filter(|finding| finding.severity == Severity::Unusable);
-        let reasons: Vec<&str> = unusable.map(Finding::code).collect();
-        (4, format!("the verdict is \"do not use\" ({})", reasons.join(", ")))
     } else {
-        return ExitCode::SUCCESS;
+        return verdict_status(findings).unwrap_or(ExitCode::SUCCESS);
     };
     say(&format!("error: {why}"));
     ExitCode::from(status)
+}
+
+/// Returns the exit status of findings after which a camera should not be used, and prints their codes; `None` if it may be
+/// used.
+pub(super) fn verdict_status(findings: &[Finding]) -> Option<ExitCode> {
+    if Verdict::of(findings) != Verdict::DoNotUse {
+        return None;
+    }
+    let unusable = findings.iter().filter(|finding| finding.severity == Severity::Unusable);
+    let mut reasons: Vec<&str> = unusable.map(Finding::code).collect();
+    reasons.dedup();
+    say(&format!("error: the verdict is \"do not use\" ({})", reasons.join(", ")));
+    Some(ExitCode::from(4))
 }
 
 /// Whether a calibration has estimated a camera; with poses only, it is unchanged.

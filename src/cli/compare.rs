@@ -10,7 +10,7 @@ use plenocal::model::PlenopticCamera;
 use plenocal::{Error, Result, report};
 
 use super::evaluate::calibrated;
-use super::messages::print_result;
+use super::messages::{print_result, tell};
 
 /// Compare two calibrated cameras: parameters in standard deviations, and what they see.
 ///
@@ -69,6 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         }
         paths = output.commit()?;
     }
+    tell(&comparison.findings);
     print_result(
         arguments.json,
         &document,

@@ -57,7 +57,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut output = OutputFolder::new(&arguments.out)?;
     let shoot = Shoot::of(path, &Project::read(path)?)?;
     let micro_images = if let Some(folder) = &arguments.precalibration {
-        shoot.read_precalibration(folder)?
+        shoot.read_precalibration(folder)?.0
     } else {
         let options = PrecalibrationOptions {
             black_level: shoot.images.black_level,

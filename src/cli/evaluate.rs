@@ -5,15 +5,17 @@ use std::process::ExitCode;
 
 use clap::Args;
 use plenocal::assessment::{
-    Candidate, Evaluation, EvaluationInput, Folds, evaluate, foldable_frames,
+    Candidate, Evaluation, EvaluationInput, Folds, check_camera, check_distances, evaluate,
+    foldable_frames,
 };
 use plenocal::detection::DepthEstimator;
 use plenocal::io::{self, CameraSource, OutputFolder, Project};
 use plenocal::model::{BapFeature, Board, PlenopticCamera, Subset};
-use plenocal::{Error, Result, report};
+use plenocal::{Error, Finding, Result, Subject, report};
 
 use super::boards::{self, Options, Shoot, images_of};
-use super::input::{Files, Input, board_shape, camera_source};
+use super::calibrate::verdict_status;
+use super::input::{Files, Input, board_shape, camera_findings, camera_source};
 use super::messages::{print_result, tell};
 use super::progress;
 
@@ -91,25 +93,10 @@ pub fn calibrated(path: &Path) -> Result<PlenopticCamera> {
     }
 }
 
-/// How far beyond the boards of a calibration its camera is trusted, as a fraction of their distance.
-const BEYOND: f64 = 0.2;
-
-/// A warning about points at some distances, or about rays at one, if they lie far off the boards that a camera was
-/// calibrated with.
-pub fn beyond_boards(camera: &Path, distances_mm: &[f64]) -> Result<Option<String>> {
-    let Some([near, far]) = io::read_board_distances(camera)? else { return Ok(None) };
-    let trusted = near * (1.0 - BEYOND)..=far * (1.0 + BEYOND);
-    let beyond = distances_mm.iter().filter(|z| !trusted.contains(z)).count();
-    let what = match distances_mm {
-        [distance] => format!("{distance:.0} mm is"),
-        several => format!("{beyond} of {} points are", several.len()),
-    };
-    Ok((beyond > 0).then(|| {
-        format!(
-            "{what} far nearer or further than the boards of the calibration ({near:.0} to {far:.0} mm): the errors of the \
-             camera grow there. The report of the calibration has its σ by distance; boards at such distances would help"
-        )
-    }))
+/// A finding about points at some distances, or about rays at one, that lie far off the boards that a camera was calibrated with.
+pub fn beyond_boards(camera: &Path, distances_mm: &[f64]) -> Result<Option<Finding>> {
+    let boards_mm = io::read_board_distances(camera)?;
+    Ok(boards_mm.and_then(|boards_mm| check_distances(boards_mm, distances_mm)))
 }
 
 /// Distances of the point clouds of a project, by frame.
@@ -126,7 +113,15 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let shoot = Shoot::of(path, &project)?;
     let shape = arguments.board_shape.as_deref();
     let candidates = candidates(&arguments.camera, &shoot.board, shape)?;
-    let micro_images = shoot.read_precalibration(&arguments.precalibration)?;
+    let (micro_images, internal) = shoot.read_precalibration(&arguments.precalibration)?;
+    let mut of_cameras = Vec::new();
+    for (candidate, path) in candidates.iter().zip(&arguments.camera) {
+        let found = check_camera(&candidate.camera, &shoot.sheet, &micro_images.grid, &internal)
+            .map_err(|e| e.in_file(path))?;
+        let about = |finding: Finding| finding.about(Subject::File(path.clone()));
+        of_cameras.extend(found.into_iter().map(about));
+        of_cameras.extend(camera_findings(path)?);
+    }
     let folds = match (arguments.folds, &arguments.features) {
         (Some(count), Some(features)) => {
             let files = Files {
@@ -182,22 +177,27 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         evaluation_poses: true_poses.map(io::read_poses).transpose()?,
         folds,
     };
-    let evaluation = evaluated(&candidates, &input, arguments.json);
-    tell(&evaluation.findings);
+    let mut evaluation = evaluated(&candidates, &input, arguments.json);
+    evaluation.findings.splice(0..0, of_cameras);
     let tables = report::evaluation_tables(&evaluation, &candidates);
     if tables.is_empty() {
-        return Err(Error::invalid(
-            "there is nothing to evaluate with: list boards under evaluation or \
-             [images.translation], give a true camera, or --folds",
-        )
-        .in_file(path));
+        let failed: Vec<String> = evaluation.findings.iter().map(ToString::to_string).collect();
+        let reason = if failed.is_empty() {
+            "there is nothing to evaluate with: list boards under evaluation or [images.translation], give a true \
+             camera, or --folds"
+                .to_owned()
+        } else {
+            format!("nothing could be evaluated:\n  {}", failed.join("\n  "))
+        };
+        return Err(Error::invalid(reason).in_file(path));
     }
+    tell(&evaluation.findings);
     let document = io::evaluation_document(&evaluation);
     output.stage_json("evaluation.json", &document)?;
     let paths = output.commit()?;
     let text: Vec<String> = tables.iter().map(ToString::to_string).collect();
     print_result(arguments.json, &document, &text.join("\n\n"), &paths)?;
-    Ok(ExitCode::SUCCESS)
+    Ok(verdict_status(&evaluation.findings).unwrap_or(ExitCode::SUCCESS))
 }
 
 /// Evaluates with a progress bar for the folds.

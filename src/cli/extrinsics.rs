@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
-use plenocal::assessment::assess;
+use plenocal::assessment::{assess, check_camera};
 use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::detection::DepthEstimator;
 use plenocal::io::{self, OutputFolder, Project};
@@ -70,7 +70,9 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let stated = arguments.board_shape.as_deref();
     let (shape, _) =
         board_shape(stated, Some(&arguments.camera), &shoot.board)?.unwrap_or_default();
-    let micro_images = shoot.read_precalibration(&arguments.precalibration)?;
+    let (micro_images, internal) = shoot.read_precalibration(&arguments.precalibration)?;
+    let of_white_images = check_camera(&camera, &shoot.sheet, &micro_images.grid, &internal)
+        .map_err(|e| e.in_file(&arguments.camera))?;
     let search = Options {
         subset: arguments.subset,
         estimator: arguments.estimator,
@@ -83,7 +85,9 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let result =
         calibrate(&Start::Camera(camera), &shoot.board, &observations, &options, &mut |_| true)?;
     let mut assessment = assess(&result, &shoot.board)?;
+    tell(&of_white_images);
     assessment.add(camera_findings(&arguments.camera)?);
+    assessment.add(of_white_images);
     stage_results(&mut output, (&result, &assessment), false)?;
     let paths = output.commit()?;
     tell(&found.findings);

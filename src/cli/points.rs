@@ -6,16 +6,17 @@ use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 use nalgebra::Vector2;
+use plenocal::assessment::{check_corners, check_virtual_points};
 use plenocal::io::{self, DepthMap, OutputFolder, PlyColumn, VirtualDepths};
 use plenocal::model::PlenopticCamera;
 use plenocal::solver::{
     MetricPoint, MicroPixel, VirtualPoint, corners, focused_points, metric_points, micro_images_at,
 };
-use plenocal::{Error, Result};
+use plenocal::{Error, Finding, Issue, Result, Severity};
 use serde_json::{Value, json};
 
 use super::evaluate::{beyond_boards, calibrated};
-use super::messages::{print_result, warn};
+use super::messages::{print_result, tell};
 
 /// Make metric points of virtual depths, by a calibrated camera.
 ///
@@ -75,6 +76,9 @@ Examples:
 struct Cloud {
     points: Vec<Option<MetricPoint>>,
     labels: [(&'static str, Vec<i32>); 2],
+    /// Whether the σ of points are known.
+    has_std_devs: bool,
+    findings: Vec<Finding>,
 }
 
 /// Runs the command.
@@ -84,11 +88,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let cloud = cloud(arguments, &camera).map_err(|e| e.in_file(&arguments.input))?;
     let found = cloud.points.iter().flatten().count();
     if found == 0 {
-        return Err(Error::invalid(
-            "no point: are the virtual depths of this camera, counted from the array and positive behind it? Beyond the \
-             focal length of the main lens are those of images that it makes",
-        )
-        .in_file(&arguments.input));
+        return Err(Error::invalid(no_point(&cloud.findings)).in_file(&arguments.input));
     }
     output.stage("points.ply", |out| {
         io::write_ply(out, "plenocal points, mm, camera frame", &columns(&cloud))
@@ -100,7 +100,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let depths: Vec<f64> = cloud.points.iter().flatten().map(|p| p.point_mm[2]).collect();
     let doubt = beyond_boards(&arguments.camera, &depths)?;
     let paths = output.commit()?;
-    warn(doubt.as_slice());
+    tell(cloud.findings.iter().chain(&doubt));
     print_result(arguments.json, &document, &text(&document), &paths)?;
     Ok(ExitCode::SUCCESS)
 }
@@ -118,7 +118,11 @@ fn cloud(arguments: &Arguments, camera: &PlenopticCamera) -> Result<Cloud> {
                 ("k", seen.iter().map(|s| s.at.k).collect()),
                 ("l", seen.iter().map(|s| s.at.l).collect()),
             ];
-            Ok(Cloud { points: metric_points(camera, &seen)?, labels })
+            let mut findings = check_virtual_points(camera, &seen)?;
+            // The depth decides on the distance of a point.
+            let has_std_devs = seen.iter().all(|point| point.std_dev[2] > 0.0);
+            findings.extend(without_std_devs(has_std_devs));
+            Ok(Cloud { points: metric_points(camera, &seen)?, labels, has_std_devs, findings })
         }
         VirtualDepths::Map(map) => of_map(&map, arguments.map, std_dev, camera),
         VirtualDepths::Features => of_features(&arguments.input, camera),
@@ -127,11 +131,13 @@ fn cloud(arguments: &Arguments, camera: &PlenopticCamera) -> Result<Cloud> {
 
 /// Corners of boards, each by all its features in a frame.
 fn of_features(path: &Path, camera: &PlenopticCamera) -> Result<Cloud> {
-    let found = corners(camera, &io::read_features(path, false)?.features)?;
+    let features = io::read_features(path, false)?.features;
+    let found = corners(camera, &features)?;
+    let findings = check_corners(&found, &features).into_iter().collect();
     let frames = found.labels.iter().map(|(frame, _)| i32::try_from(*frame).unwrap_or(i32::MAX));
     let numbers = found.labels.iter().map(|(_, corner)| *corner);
     let labels = [("frame", frames.collect()), ("corner", numbers.collect())];
-    Ok(Cloud { points: found.points, labels })
+    Ok(Cloud { points: found.points, labels, has_std_devs: true, findings })
 }
 
 fn of_map(
@@ -182,7 +188,31 @@ fn of_map(
     #[allow(clippy::cast_possible_truncation)] // within an image
     let whole =
         |of: fn(&Vector2<f64>) -> f64| places.iter().map(|p| of(p).round() as i32).collect();
-    Ok(Cloud { points, labels: [("u", whole(|p| p.x)), ("v", whole(|p| p.y))] })
+    let labels = [("u", whole(|p| p.x)), ("v", whole(|p| p.y))];
+    let has_std_devs = std_dev[2] > 0.0;
+    let findings = without_std_devs(has_std_devs).into_iter().collect();
+    Ok(Cloud { points, labels, has_std_devs, findings })
+}
+
+/// A note that no σ of points is known.
+fn without_std_devs(known: bool) -> Option<Finding> {
+    (!known).then(|| Finding::note(Issue::PointsWithoutSigma))
+}
+
+/// Why no virtual depth gives a point.
+fn no_point(findings: &[Finding]) -> String {
+    let told: Vec<String> = findings
+        .iter()
+        .filter(|finding| finding.severity > Severity::Note)
+        .map(ToString::to_string)
+        .collect();
+    if told.is_empty() {
+        "no point: are the virtual depths of this camera, counted from the array and positive behind it? Beyond the focal \
+         length of the main lens are those of images that it makes"
+            .to_owned()
+    } else {
+        format!("no point:\n  {}", told.join("\n  "))
+    }
 }
 
 fn columns(cloud: &Cloud) -> Vec<PlyColumn<'static>> {
@@ -193,10 +223,11 @@ fn columns(cloud: &Cloud) -> Vec<PlyColumn<'static>> {
         PlyColumn::Float("x", coordinate(0)),
         PlyColumn::Float("y", coordinate(1)),
         PlyColumn::Float("z", coordinate(2)),
-        PlyColumn::Float("sigma_x", std_dev(0)),
-        PlyColumn::Float("sigma_y", std_dev(1)),
-        PlyColumn::Float("sigma_z", std_dev(2)),
     ];
+    if cloud.has_std_devs {
+        let names = ["sigma_x", "sigma_y", "sigma_z"];
+        columns.extend((0..).zip(names).map(|(axis, name)| PlyColumn::Float(name, std_dev(axis))));
+    }
     for (name, labels) in &cloud.labels {
         let kept = labels.iter().zip(&cloud.points).filter(|(_, point)| point.is_some());
         columns.push(PlyColumn::Int(name, kept.map(|(label, _)| *label).collect()));
@@ -206,11 +237,16 @@ fn columns(cloud: &Cloud) -> Vec<PlyColumn<'static>> {
 
 fn write_csv(out: &mut dyn Write, cloud: &Cloud) -> std::io::Result<()> {
     let [(first, firsts), (second, seconds)] = &cloud.labels;
-    writeln!(out, "{first},{second},x_mm,y_mm,z_mm,sigma_x_mm,sigma_y_mm,sigma_z_mm")?;
+    let names = if cloud.has_std_devs { ",sigma_x_mm,sigma_y_mm,sigma_z_mm" } else { "" };
+    writeln!(out, "{first},{second},x_mm,y_mm,z_mm{names}")?;
     for ((point, a), b) in cloud.points.iter().zip(firsts).zip(seconds) {
         let Some(point) = point else { continue };
         let ([x, y, z], [sx, sy, sz]) = (point.point_mm, point.std_devs_mm());
-        writeln!(out, "{a},{b},{x:.6},{y:.6},{z:.6},{sx:.6},{sy:.6},{sz:.6}")?;
+        write!(out, "{a},{b},{x:.6},{y:.6},{z:.6}")?;
+        if cloud.has_std_devs {
+            write!(out, ",{sx:.6},{sy:.6},{sz:.6}")?;
+        }
+        writeln!(out)?;
     }
     Ok(())
 }
@@ -218,13 +254,17 @@ fn write_csv(out: &mut dyn Write, cloud: &Cloud) -> std::io::Result<()> {
 fn document(arguments: &Arguments, cloud: &Cloud) -> Value {
     let points = || cloud.points.iter().flatten();
     let depths = || points().map(|p| p.point_mm[2]).collect::<Vec<f64>>();
-    let median = |axis: usize| quantile(points().map(|p| p.std_devs_mm()[axis]).collect(), 0.5);
+    let median = |axis: usize| {
+        let known = cloud.has_std_devs;
+        known.then(|| quantile(points().map(|p| p.std_devs_mm()[axis]).collect(), 0.5))
+    };
     json!({
         "input": arguments.input.display().to_string(),
         "camera": arguments.camera.display().to_string(),
         "points": points().count(),
         "without_point": cloud.points.iter().filter(|point| point.is_none()).count(),
         "distance_mm": { "near": quantile(depths(), 0.05), "median": quantile(depths(), 0.5), "far": quantile(depths(), 0.95) },
+        "findings": cloud.findings,
         "median_sigma_mm": { "x": median(0), "y": median(1), "z": median(2) },
     })
 }

@@ -14,7 +14,7 @@ use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
 use super::evaluate::{beyond_boards, calibrated};
-use super::messages::{print_result, warn};
+use super::messages::{print_result, say, tell};
 use super::progress;
 
 /// Compute the ray in space of every pixel of a calibrated camera.
@@ -54,6 +54,8 @@ In Python:
   rays = numpy.load('rays/rays.npy')       # height x width x 6, mm; NaN where there is none
   origin, direction = rays[v, u, :3], rays[v, u, 3:]";
 
+/// Files of more than this size are announced before they are written.
+const ANNOUNCED_GB: f64 = 1.0;
 /// Rays are computed so many rows at a time.
 const ROWS: u32 = 32;
 /// A lens focused at infinity has its rays begin so many focal lengths away.
@@ -72,6 +74,11 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let bar = progress::share(u64::from(height));
     let mut count = 0;
     let shape = [height as usize, width as usize, 6];
+    let gigabytes =
+        shape.iter().product::<usize>() as f64 * if arguments.double { 8e-9 } else { 4e-9 };
+    if gigabytes > ANNOUNCED_GB {
+        say(&format!("writing rays.npy of {gigabytes:.1} GB"));
+    }
     let header = NpyHeader::floats(arguments.double, &shape);
     let staged = output.stage("rays.npy", |out| {
         header.write(out)?;
@@ -106,7 +113,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     output.stage_json("rays.json", &document)?;
     let doubt = beyond_boards(&arguments.camera, &[at_mm])?;
     let paths = output.commit()?;
-    warn(doubt.as_slice());
+    tell(&doubt);
     let bends: Vec<String> = bend.iter().map(Bend::text).collect();
     let text = format!(
         "{count} of {pixels} pixels have a ray; the others are outside the array.\nRays begin at {at_mm:.1} mm from the \

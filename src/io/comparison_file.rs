@@ -25,6 +25,7 @@ pub fn comparison_document(comparison: &CameraComparison) -> Value {
             "across_mm": difference.rms_mm.map(|[across, _]| across),
             "along_mm": difference.rms_mm.map(|[_, along]| along),
             "further_mm": difference.further_mm,
+            "blur_rms_px": difference.blur_rms_px,
         })
     };
     let motion = &comparison.second_from_first;
@@ -38,6 +39,8 @@ pub fn comparison_document(comparison: &CameraComparison) -> Value {
         },
         "rms_px_without_motion": comparison.raw_rms_px,
         "rms_px": comparison.rms_px(),
+        "blur_rms_px": comparison.blur_rms_px(),
+        "findings": comparison.findings,
         "distances": comparison.distances.iter().map(distance).collect::<Vec<Value>>(),
     })
 }

@@ -1,5 +1,7 @@
 //! The image sensor.
 
+use std::fmt;
+
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +22,13 @@ pub struct Sensor {
     pub height_px: u32,
     /// Edge of a pixel s, mm.
     pub pixel_size_mm: f64,
+}
+
+impl fmt::Display for Sensor {
+    /// Such as `1000 x 750 px of 0.0055 mm`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} x {} px of {} mm", self.width_px, self.height_px, self.pixel_size_mm)
+    }
 }
 
 impl Sensor {

@@ -21,8 +21,11 @@ pub fn comparison_section(comparison: &CameraComparison) -> Section {
         .filter_map(|pair| Some((pair.name, pair.difference_in_std_devs()?)))
         .collect();
     let most = in_std_devs.iter().map(|(_, std_devs)| std_devs.abs()).fold(0.0, f64::max);
-    let verdict = if rms_px < HARDLY_PX {
+    let blur_px = comparison.blur_rms_px();
+    let verdict = if rms_px < HARDLY_PX && blur_px.is_none_or(|blur| blur < HARDLY_PX) {
         "The two cameras see the same"
+    } else if rms_px < HARDLY_PX {
+        "The two cameras see the same points, but blur them differently"
     } else {
         "The two cameras see differently"
     };
@@ -40,8 +43,9 @@ pub fn comparison_section(comparison: &CameraComparison) -> Section {
     } else {
         Some(format!("Parameters apart by more than {DIFFERENT:.0} σ: {}.", differing.join(", ")))
     };
+    let blur = blur_px.map_or(String::new(), |blur| format!(" and blur radii {blur:.3} px"));
     let seen = format!(
-        "{verdict}: pixels are {rms_px:.3} px RMS apart, after their frames were brought together by ({:+.3}, {:+.3}, {:+.3}) mm \
+        "{verdict}: pixels are {rms_px:.3} px RMS apart{blur}, after their frames were brought together by ({:+.3}, {:+.3}, {:+.3}) mm \
          and {:.3} mrad; {:.3} px without that.",
         shift.x,
         shift.y,
@@ -64,6 +68,7 @@ fn distances(comparison: &CameraComparison) -> Table {
             Column::of("Across", "mm"),
             Column::of("Along", "mm"),
             Column::of("Further", "mm"),
+            Column::of("Blur", "px"),
             Column::number("Points"),
         ],
     );
@@ -76,6 +81,7 @@ fn distances(comparison: &CameraComparison) -> Table {
             number(d.rms_mm.map(|[across, _]| across)),
             number(d.rms_mm.map(|[_, along]| along)),
             Cell::or_missing(d.further_mm, |x| Cell::signed(x, 4)),
+            number(d.blur_rms_px),
             d.shifts_px.len().into(),
         ]);
     }

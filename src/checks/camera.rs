@@ -1,0 +1,151 @@
+//! Checks of a camera in use: whether it is the camera of the white images and boards that it is used with.
+
+use crate::finding::{Finding, Issue};
+use crate::quantity::Estimate;
+
+/// Centres of calibrated cameras are within 0.1 px of those of their own white images; an array that has moved by half a pixel
+/// moves u₀ and v₀ by as much.
+const CENTERS_PX: f64 = 0.5;
+/// Beyond this part of a pitch, it is another array or another sensor.
+const CENTERS_WRONG: f64 = 0.1;
+/// Blur radii of white images and camera differ by less than this part of the largest: the prior of f-numbers is worth 2 %.
+const BLUR: f64 = 0.05;
+const BLUR_WRONG: f64 = 0.2;
+/// A permutation explains white images if what it leaves is this part of what the stated order leaves.
+const PERMUTED: f64 = 0.3;
+/// Engraved f-numbers are this exact, relative; half a stop is 19 %.
+const F_NUMBER: f64 = 0.1;
+/// Blur radii of boards are within 1.4 σ RMS of a camera that is right.
+const BLUR_STD_DEVS: f64 = 3.0;
+const BLUR_STD_DEVS_WRONG: f64 = 8.0;
+/// The scale of the squares is within 0.03 % of 1 for cameras that are right, through real lenses too; distances are off by as
+/// much.
+const SCALE: f64 = 0.003;
+const SCALE_WRONG: f64 = 0.01;
+/// A scale counts where it is so many σ from 1.
+const SURE: f64 = 5.0;
+
+/// Micro-image centres of a camera against those of white images: root mean square and mean differences, px.
+pub(crate) fn centers(rms_px: f64, shift_px: [f64; 2], pitch_px: f64) -> Option<Finding> {
+    (rms_px > CENTERS_PX).then(|| {
+        let issue = Issue::CentersContradicted { rms_px, shift_px, pitch_px };
+        let severity = super::calibration::severity_above(rms_px, CENTERS_WRONG * pitch_px);
+        Finding::new(severity, issue).weighing(50.0)
+    })
+}
+
+/// Blur radii of the lens types, px, by white images and by a camera.
+pub(crate) fn lens_types(white_images_px: &[f64], camera_px: &[f64]) -> Option<Finding> {
+    let off = |order: &[usize]| {
+        let pairs = white_images_px.iter().zip(order);
+        pairs.map(|(white, i)| (white - camera_px[*i]).abs()).fold(0.0, f64::max)
+    };
+    let stated: Vec<usize> = (0..camera_px.len()).collect();
+    let largest = white_images_px.iter().fold(0.0, |max: f64, q| max.max(q.abs()));
+    let part = off(&stated) / largest;
+    if white_images_px.len() != camera_px.len() || part.is_nan() || part <= BLUR {
+        return None;
+    }
+    let orders = permutations(camera_px.len());
+    let best = orders.iter().min_by(|a, b| off(a).total_cmp(&off(b)))?;
+    let permuted = (off(best) < PERMUTED * off(&stated))
+        .then(|| best.iter().map(|i| i + 1).collect::<Vec<usize>>());
+    let severity = match permuted {
+        Some(_) => crate::finding::Severity::Unusable,
+        None => super::calibration::severity_above(part, BLUR_WRONG),
+    };
+    let (white_images_px, camera_px) = (white_images_px.to_vec(), camera_px.to_vec());
+    let issue = Issue::LensTypesContradicted { white_images_px, camera_px, permuted };
+    Some(Finding::new(severity, issue).weighing(40.0 * part / BLUR))
+}
+
+/// All orders of a few numbers.
+fn permutations(count: usize) -> Vec<Vec<usize>> {
+    (0..count).fold(vec![Vec::new()], |orders, next| {
+        let with = |order: &Vec<usize>| {
+            let order = order.clone();
+            (0..=order.len()).map(move |at| {
+                let mut longer = order.clone();
+                longer.insert(at, next);
+                longer
+            })
+        };
+        orders.iter().flat_map(with).collect()
+    })
+}
+
+/// The f-number that a camera was calibrated at, and that of the boards it is used with.
+pub(crate) fn f_number(camera: f64, boards: f64) -> Option<Finding> {
+    ((boards / camera - 1.0).abs() > F_NUMBER)
+        .then(|| Finding::caution(Issue::OtherFNumber { camera, boards }))
+}
+
+/// Blur radii of boards against a fixed camera: root mean square of the differences over their σ.
+pub(crate) fn blur(rms_std_devs: f64) -> Option<Finding> {
+    (rms_std_devs > BLUR_STD_DEVS).then(|| {
+        let severity = super::calibration::severity_above(rms_std_devs, BLUR_STD_DEVS_WRONG);
+        Finding::new(severity, Issue::BlurContradicted { rms_std_devs })
+            .weighing(5.0 * rms_std_devs / BLUR_STD_DEVS)
+    })
+}
+
+/// The scale of the squares of a board by which boards fit a fixed camera best.
+pub(crate) fn squares(scale: &Estimate, square_mm: f64) -> Option<Finding> {
+    let off = (scale.value - 1.0).abs();
+    (off > SCALE && off > SURE * scale.std_dev).then(|| {
+        let issue = Issue::SquaresContradicted { fitted_mm: scale.scaled(square_mm), square_mm };
+        let severity = super::calibration::severity_above(off, SCALE_WRONG);
+        Finding::new(severity, issue).weighing(20.0 * off / SCALE)
+    })
+}
+
+/// How far beyond the boards of a calibration its camera is trusted, as a part of their distance.
+const BEYOND: f64 = 0.2;
+
+/// Distances of points or rays against the nearest and furthest board of the calibration, mm.
+pub(crate) fn distances([near_mm, far_mm]: [f64; 2], distances_mm: &[f64]) -> Option<Finding> {
+    let trusted = near_mm * (1.0 - BEYOND)..=far_mm * (1.0 + BEYOND);
+    let (all, beyond) =
+        (distances_mm.len(), distances_mm.iter().filter(|z| !trusted.contains(z)).count());
+    (beyond > 0).then(|| Finding::caution(Issue::BeyondBoards { beyond, all, near_mm, far_mm }))
+}
+
+/// Scatter of the features of corners about their points, over their σ: 1 to 1.3 where the camera is right.
+const CORNERS: f64 = 2.0;
+const CORNERS_WRONG: f64 = 5.0;
+
+/// The scatter of the features of corners about their points, over their σ.
+pub(crate) fn corners(ratio: f64) -> Option<Finding> {
+    (ratio > CORNERS).then(|| {
+        let severity = super::calibration::severity_above(ratio, CORNERS_WRONG);
+        Finding::new(severity, Issue::CornersScatter { ratio }).weighing(5.0 * ratio / CORNERS)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::finding::Severity;
+
+    #[test]
+    fn a_permutation_of_lens_types_is_named() {
+        let white = [-3.0, -1.5, -2.2];
+        assert_eq!(lens_types(&white, &[-3.02, -1.48, -2.19]), None);
+        let found = lens_types(&white, &[-2.2, -1.5, -3.0]).unwrap();
+        assert_eq!(found.severity, Severity::Unusable);
+        let Issue::LensTypesContradicted { permuted, .. } = &found.issue else { panic!() };
+        assert_eq!(permuted.as_deref(), Some([3, 2, 1].as_slice()));
+        let other = lens_types(&white, &[-3.3, -1.6, -2.4]).unwrap();
+        assert_eq!(other.severity, Severity::Caution);
+        assert_eq!(lens_types(&white, &[-6.0, -3.0, -4.0]).unwrap().severity, Severity::Unusable);
+        assert_eq!(permutations(3).len(), 6);
+    }
+
+    #[test]
+    fn squares_have_to_be_off_by_much_and_surely() {
+        assert_eq!(squares(&Estimate::new(1.002, 1e-5), 10.0), None);
+        assert_eq!(squares(&Estimate::new(1.02, 0.01), 10.0), None);
+        let severity = |scale| squares(&Estimate::new(scale, 1e-4), 10.0).unwrap().severity;
+        assert_eq!([severity(1.005), severity(0.98)], [Severity::Caution, Severity::Unusable]);
+    }
+}
