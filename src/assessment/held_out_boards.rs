@@ -59,7 +59,7 @@ pub(super) fn of_fixed_camera(calibration: &Calibration) -> Vec<Finding> {
 /// Root mean square of the differences of blur radii from those of the camera, over their σ; `None` where no σ is stated.
 fn blur_in_std_devs(calibration: &Calibration) -> Option<f64> {
     let of = |r: &crate::model::FeatureResidual| {
-        Some((r.drho_px? / r.feature.std_dev_px?[2]).powi(2)).filter(|square| square.is_finite())
+        Some((r.drho_px? / r.feature.rho_std_dev_px?).powi(2)).filter(|square| square.is_finite())
     };
     let squares: Vec<f64> = calibration.reprojection.features.iter().filter_map(of).collect();
     (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())

@@ -8,6 +8,8 @@ use crate::quantity::display_unit;
 const DIFFERENT: f64 = 3.0;
 /// A shift below this is smaller than what detectors see, px.
 const HARDLY_PX: f64 = 0.05;
+/// Likewise for blur radii.
+const HARDLY_BLURRED_PX: f64 = 0.1;
 
 /// What the comparison comes to, then the tables.
 #[must_use]
@@ -22,7 +24,7 @@ pub fn comparison_section(comparison: &CameraComparison) -> Section {
         .collect();
     let most = in_std_devs.iter().map(|(_, std_devs)| std_devs.abs()).fold(0.0, f64::max);
     let blur_px = comparison.blur_rms_px();
-    let verdict = if rms_px < HARDLY_PX && blur_px.is_none_or(|blur| blur < HARDLY_PX) {
+    let verdict = if rms_px < HARDLY_PX && blur_px.is_none_or(|blur| blur < HARDLY_BLURRED_PX) {
         "The two cameras see the same"
     } else if rms_px < HARDLY_PX {
         "The two cameras see the same points, but blur them differently"
