@@ -163,6 +163,9 @@ void print_layout() {
   MEMBER(CameraFile, f_number);
   MEMBER(CameraFile, focus_distance);
   MEMBER(CameraFile, converged);
+  MEMBER(CameraFile, verdict);
+  MEMBER(CameraFile, reasons);
+  MEMBER(CameraFile, undetermined);
   MEMBER(CameraFile, std_dev);
   MEMBER(CameraFile, covariance);
   STRUCT(BoardGrid);
@@ -379,9 +382,12 @@ void use_files(const std::string& folder, const Camera& camera, const std::vecto
   CameraFile file;
   file.camera = camera;
   file.f_number = 4.0;
+  file.verdict = Verdict::kDoNotUse;
+  file.reasons = {"bad-fit"};
   file.std_dev.assign(intrinsic_names(camera.lens_types()).size(), 0.5);
   write_camera(folder + "/camera.json", file);
   print("sigma read", read_camera(folder + "/camera.json").std_dev.at(3));
+  std::printf("%s\n", read_camera(folder + "/camera.json").objections().at(0).c_str());
   std::map<int, Pose> by_frame;
   for (std::size_t i = 0; i < poses.size(); ++i) by_frame[static_cast<int>(i)] = poses[i];
   write_poses(folder + "/poses.json", by_frame);
