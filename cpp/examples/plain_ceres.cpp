@@ -19,10 +19,14 @@
 #include <glog/logging.h>
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <array>
+#include <cerrno>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <cstring>
+#include <filesystem>
 #include <fstream>
 #include <iostream>
 #include <map>
@@ -42,8 +46,8 @@ constexpr const char* kHelp =
 Usage: plain_ceres PROBLEM --out DIR [--threads N] [--verbose]
 
 PROBLEM is a folder that `plenocal calibrate ... --export-problem PROBLEM` has written. The result
-goes to camera.json and poses.json in the folder DIR, which has to be there; a summary goes to
-standard output as JSON.
+goes to camera.json and poses.json in the folder DIR, which is made if it is not there; a summary
+goes to standard output as JSON.
 
   --threads N   threads of the solver (1)
   --verbose     iterations and Ceres' report, on standard error
@@ -458,7 +462,8 @@ Json PosesJson(const Parameters& p) {
 void Write(const std::string& path, const Json& json) {
   std::ofstream file(path);
   file << json.dump(2) << "\n";
-  if (!file.flush()) throw std::runtime_error(path + ": cannot be written");
+  if (!file.flush())
+    throw std::runtime_error(path + ": cannot be written: " + std::strerror(errno));
 }
 
 ceres::LossFunction* LossFrom(const Json& loss) {
@@ -525,6 +530,12 @@ void Run(const Arguments& arguments) {
   for (const Json& prior : options.at("priors"))
     AddPrior(prior, options.at("prior_weight"), &p, &problem);
   Fix(options.at("fixed"), &p, &problem);
+
+  // Before the solve, which would be in vain.
+  std::error_code error;
+  std::filesystem::create_directories(arguments.out, error);
+  if (error)
+    throw std::runtime_error(arguments.out + ": the folder cannot be made: " + error.message());
 
   const auto start = std::chrono::steady_clock::now();
   const ceres::Solver::Summary summary = Solve(arguments.threads, arguments.verbose, &p, &problem);

@@ -3,6 +3,7 @@
 #include <ceres/jet.h>
 
 #include <Eigen/Dense>
+#include <algorithm>
 
 #include "checks.hpp"
 
@@ -52,6 +53,14 @@ MetricPoint with_covariance(const Vector3<Jet>& point, const Eigen::Matrix3d& co
   return result;
 }
 
+// A point with its covariance, or nothing where numbers are beyond all bounds.
+std::optional<MetricPoint> finite(const MetricPoint& point) {
+  const auto& c = point.covariance;
+  const bool all = is_finite(point.point) &&
+                   std::all_of(c.begin(), c.end(), [](double x) { return std::isfinite(x); });
+  return all ? std::optional(point) : std::nullopt;
+}
+
 // The point with an image p' that depends on three variables with these sigma.
 std::optional<MetricPoint> imaged(const MainLens<double>& lens, const Vector3<Jet>& image,
                                   const std::array<double, 3>& std_dev) {
@@ -60,7 +69,7 @@ std::optional<MetricPoint> imaged(const MainLens<double>& lens, const Vector3<Je
     return std::nullopt;
   }
   const Eigen::Vector3d std_devs(std_dev[0], std_dev[1], std_dev[2]);
-  return with_covariance(*point, std_devs.cwiseAbs2().asDiagonal());
+  return finite(with_covariance(*point, std_devs.cwiseAbs2().asDiagonal()));
 }
 
 // What a sighting says of the image p' of a point: residuals over sigma and their derivatives.
@@ -244,6 +253,8 @@ std::optional<MetricPoint> BackProjection::point(const VirtualPoint& seen) const
   const auto lens = micro_lens(seen.at.k, seen.at.l);
   if (!lens) return std::nullopt;
   require_std_devs(seen);
+  // The image lies on the micro-lens, and every pixel behind it shows it.
+  if (seen.virtual_depth == 0.0) return std::nullopt;
   // Derivatives by u, v and nu.
   const ArrayOptics<Jet> array(constant(camera_.mla), camera_.pixel_size);
   const Vector3<Jet> center = constant(optics_.array.micro_lens_center(lens->node));
@@ -254,6 +265,7 @@ std::optional<MetricPoint> BackProjection::point(const VirtualPoint& seen) const
 
 std::optional<MetricPoint> BackProjection::focused_point(const VirtualPoint& seen) const {
   require_std_devs(seen);
+  if (seen.virtual_depth == 0.0) return std::nullopt;
   // Derivatives by u, v and nu.
   const ArrayOptics<Jet> array(constant(camera_.mla), camera_.pixel_size);
   const Vector3<Jet> on_sensor =
@@ -318,7 +330,7 @@ std::optional<MetricPoint> BackProjection::triangulate(const std::vector<Sightin
   MetricPoint result = with_covariance(*point, with_least_depth(inverse, least));
   result.chi_square = squares;
   result.freedom = residuals - kPoint;
-  return result;
+  return finite(result);
 }
 
 std::optional<double> BackProjection::virtual_depth(int k, int l,
@@ -341,6 +353,7 @@ std::optional<double> BackProjection::virtual_depth_of_blur(int k, int l, double
 
 std::size_t BackProjection::object_rays(const Pixel<double>* pixels, std::size_t n, double z,
                                         Ray<double>* rays) const {
+  if (n > 0 && (pixels == nullptr || rays == nullptr)) reject("there are no pixels or no rays");
   std::size_t found = 0;
   for (std::size_t i = 0; i < n; ++i) {
     const auto at = micro_image_at(pixels[i]);
@@ -353,6 +366,7 @@ std::size_t BackProjection::object_rays(const Pixel<double>* pixels, std::size_t
 
 std::size_t BackProjection::points(const VirtualPoint* seen, std::size_t n,
                                    MetricPoint* points) const {
+  if (n > 0 && (seen == nullptr || points == nullptr)) reject("there are no points to find");
   MetricPoint none{{kNan, kNan, kNan}};
   none.covariance.fill(kNan);
   std::size_t found = 0;

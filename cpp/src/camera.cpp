@@ -32,6 +32,10 @@ void validate(const Camera& camera) {
   }
   require_positive(camera.pixel_size, "pixel size (mm)");
   if (camera.width < 0 || camera.height < 0) reject("the camera's width or height is negative");
+  if (static_cast<long long>(camera.width) * camera.height > kMaxPixels) {
+    reject("a sensor of " + std::to_string(camera.width) + " x " + std::to_string(camera.height) +
+           " px is too large: at most " + std::to_string(kMaxPixels) + " px are possible");
+  }
   const Parameter* parameter = kParameters;
   for_each_parameter(camera, [&parameter](const std::string& name, double value) {
     if (parameter->is_positive) {
@@ -74,6 +78,7 @@ std::optional<Feature<double>> project(const Camera& camera, const Pose& camera_
 }
 
 Pixel<double> project_center(const Camera& camera, int k, int l) {
+  validate(camera);
   const ArrayOptics<double> optics(camera.mla, camera.pixel_size);
   return optics.micro_image_center(camera.exit_pupil, camera.lattice.node(k, l));
 }

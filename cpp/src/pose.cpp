@@ -1,11 +1,15 @@
 #include <Eigen/Geometry>
 
+#include "checks.hpp"
 #include "plenocal/projection.hpp"
 
 namespace plenocal {
 namespace {
 
 Eigen::Isometry3d motion(const Pose& pose) {
+  for (double value : pose_block(pose)) {
+    if (!std::isfinite(value)) reject("the pose is not finite");
+  }
   const auto &r = pose.rotation, &t = pose.translation;
   const Eigen::Vector3d rotation(r.x, r.y, r.z);
   const double angle = rotation.norm();
@@ -28,6 +32,9 @@ Pose composed(const Pose& second, const Pose& first) {
 }
 
 Vector3<double> transformed(const Pose& pose, const Vector3<double>& point) {
+  if (!std::isfinite(point.x) || !std::isfinite(point.y) || !std::isfinite(point.z)) {
+    reject("the point is not finite");
+  }
   const Eigen::Vector3d p = motion(pose) * Eigen::Vector3d(point.x, point.y, point.z);
   return {p.x(), p.y(), p.z()};
 }

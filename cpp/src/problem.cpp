@@ -1,5 +1,8 @@
 #include "plenocal/problem.hpp"
 
+#include <algorithm>
+#include <cmath>
+
 #include "checks.hpp"
 #include "least_squares.hpp"
 
@@ -47,6 +50,9 @@ std::vector<double> CalibrationProblem::state() const {
 void CalibrationProblem::set_state(const std::vector<double>& state) {
   const auto size = static_cast<Eigen::Index>(state.size());
   if (size != parts_->state().size()) reject("the state is one of another problem");
+  if (!std::all_of(state.begin(), state.end(), [](double x) { return std::isfinite(x); })) {
+    reject("the state is not finite");
+  }
   parts_->set_state(Eigen::Map<const Eigen::VectorXd>(state.data(), size));
 }
 

@@ -57,7 +57,9 @@ struct MetricPoint {
 /// functions may be called by several threads.
 ///
 /// Where the camera sees nothing, there is no result: outside the array, within the focal length,
-/// far outside the image where distortion has no inverse, and for numbers that are not finite.
+/// far outside the image where distortion has no inverse, at the virtual depth 0 (on the
+/// micro-lens), and for numbers that are not finite. A negative virtual depth is that of an image
+/// before the array, and one below 1 that of an image before the sensor.
 class PLENOCAL_API BackProjection {
  public:
   /// Throws std::invalid_argument if the camera is not valid.

@@ -1,6 +1,8 @@
 // The board as it is: a flat grid of corners, bent and stretched a little.
 #pragma once
 
+#include <stdexcept>
+
 #include "plenocal/camera.hpp"
 
 namespace plenocal {
@@ -47,8 +49,12 @@ Vector3<T> corner_of(const Board& size, const BoardShape<T>& shape, const Vector
           flat.z + shape.sag_x * (xi * xi) + shape.sag_y * (eta * eta) + shape.twist * (xi * eta)};
 }
 
-/// Where a corner of the flat grid is on a board.
+/// Where a corner of the flat grid is on a board. Throws std::invalid_argument if a board that is
+/// not flat has no size.
 inline Vector3<double> corner_of(const Board& board, const Vector3<double>& flat) {
+  if (!board.is_flat() && !(board.half_width > 0.0 && board.half_height > 0.0)) {
+    throw std::invalid_argument("a board that is not flat needs a size");
+  }
   return board.is_flat() ? flat : corner_of(board, board.shape, flat);
 }
 

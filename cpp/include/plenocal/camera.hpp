@@ -120,7 +120,9 @@ struct Lattice {
     if (types < 3 || packing == Packing::kOrthogonal) return 0;
     const int along = has_straight_rows() ? k : l;
     const int across = has_straight_rows() ? l : k;
-    return (along + (shifted_parity() == 0 ? 1 : 2) * (across & 1)) % 3;
+    const int type = (along % 3 + (shifted_parity() == 0 ? 1 : 2) * (across & 1)) % 3;
+    // Outside of the array, indices may be negative.
+    return type < 0 ? type + 3 : type;
   }
 
  private:
@@ -244,8 +246,9 @@ struct Camera {
   int lens_types() const { return static_cast<int>(micro_lens_focal_lengths.size()); }
 };
 
-/// The largest number of micro-lenses along a side.
+/// The largest number of micro-lenses along a side, and of pixels of a sensor.
 constexpr int kMaxMicroLenses = 1 << 16;
+constexpr long long kMaxPixels = 1LL << 28;
 
 /// Calls f(name, parameter) for every intrinsic parameter of a `Camera` or `const Camera`: main
 /// lens, exit pupil, array, focal lengths. Indices of parameters always refer to this order. The
@@ -269,8 +272,8 @@ inline std::vector<std::string> intrinsic_names(int lens_types) {
 }
 
 /// Throws std::invalid_argument with the offending value unless the model is defined for the
-/// camera: sizes positive, everything finite, the exit pupil between the array and the front focal
-/// point, the number of lens types supported.
+/// camera: sizes positive, no more than `kMaxPixels`, everything finite, the exit pupil between the
+/// array and the front focal point, the number of lens types supported.
 PLENOCAL_API void validate(const Camera& camera);
 
 }  // namespace plenocal

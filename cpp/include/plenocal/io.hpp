@@ -19,8 +19,11 @@ class PLENOCAL_API FileError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// What this library needs of camera.json. The file has more: at which distances boards were, fill
-/// factor and point spread, how depths by blur are off, and the uncertainty's systematic errors.
+/// The verdict on a calibration: the heaviest of what speaks against it.
+enum class Verdict { kGood, kUsableWithCare, kDoNotUse };
+
+/// What this library needs of camera.json. The file has more: at which distances boards were,
+/// aperture ratio and point spread, and how depths by blur are off.
 struct CameraFile {
   Camera camera;
   /// Setting of the main lens: N of the images of boards, which a camera that is written has to
@@ -29,20 +32,32 @@ struct CameraFile {
   double focus_distance = std::numeric_limits<double>::infinity();
   /// Whether the camera is at a minimum; nothing if it is no result of a calibration.
   std::optional<bool> converged;
+  /// The verdict on the calibration, and the codes of its reasons ("bad-fit"); nothing if the file
+  /// states none.
+  std::optional<Verdict> verdict;
+  std::vector<std::string> reasons;
+  /// Names of the parameters that the calibration has not determined.
+  std::vector<std::string> undetermined;
   /// sigma of each parameter in the order of `for_each_parameter`, in its unit; not a number where
   /// it was fixed or not determined. Empty if none is known.
   std::vector<double> std_dev;
   /// Covariance of the parameters with a sigma, in their order; empty if it is not known.
   Matrix covariance;
+
+  /// What speaks against using the camera, a sentence for each: that its calibration has not
+  /// converged, has not determined some parameters, or ended in the verdict "do not use". The
+  /// command line warns of the same. Empty if nothing does, or nothing is known of a calibration.
+  PLENOCAL_API std::vector<std::string> objections() const;
 };
 
-/// Reads a camera. Throws FileError if the file cannot be read, is none of these, lacks a field, or
-/// has a camera that is not valid.
+/// Reads a camera. Throws FileError if the file cannot be read, is none of these, lacks a field or
+/// has one that is not known, or has a camera that is not valid.
 PLENOCAL_API CameraFile read_camera(const std::string& path);
 
 /// Writes a camera so that plenocal reads it; what else a file said is not written again, since it
 /// belongs to the camera as it was calibrated. Throws FileError, and std::invalid_argument if the
-/// camera is not valid or its f-number is not stated.
+/// camera is not valid, its f-number is not stated, or sigma and covariance are not of its
+/// parameters.
 PLENOCAL_API void write_camera(const std::string& path, const CameraFile& file);
 
 /// Reads camera_from_board of each frame. Throws FileError.
@@ -56,8 +71,13 @@ struct BoardGrid {
   int columns = 0, rows = 0;
   double square = 0.0;  ///< mm
 
-  /// Corner number i of the flat board, row by row; mm, board frame.
+  /// Corner number i of the flat board, row by row; mm, board frame. Throws std::invalid_argument
+  /// for a corner that the board does not have.
   Vector3<double> corner(int i) const {
+    if (i < 0 || columns < 1 || i / columns >= rows) {
+      throw std::invalid_argument("corner " + std::to_string(i) + " is not on a board of " +
+                                  std::to_string(columns) + " x " + std::to_string(rows));
+    }
     return {square * (i % columns), square * (i / columns), 0.0};
   }
   /// The board, flat.

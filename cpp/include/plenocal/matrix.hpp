@@ -3,6 +3,8 @@
 
 #include <Eigen/Core>
 #include <cstddef>
+#include <stdexcept>
+#include <string>
 #include <vector>
 
 namespace plenocal {
@@ -15,7 +17,13 @@ struct Matrix {
   int rows = 0, columns = 0;
   std::vector<double> values;  ///< `rows` x `columns`, row by row
 
+  /// Throws std::out_of_range for a row or column that there is not.
   double operator()(int row, int column) const {
+    if (row < 0 || row >= rows || column < 0 || column >= columns) {
+      throw std::out_of_range("there is no entry (" + std::to_string(row) + ", " +
+                              std::to_string(column) + ") in a matrix of " + std::to_string(rows) +
+                              " x " + std::to_string(columns));
+    }
     return values[static_cast<std::size_t>(row) * columns + column];
   }
 

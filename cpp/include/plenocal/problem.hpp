@@ -86,7 +86,7 @@ class PLENOCAL_API CalibrationProblem {
   Evaluation evaluate() const;
 
   /// All parameters as one vector, block by block, and back. Throws std::invalid_argument if the
-  /// vector is of another length.
+  /// vector is of another length or not finite.
   std::vector<double> state() const;
   void set_state(const std::vector<double>& state);
 

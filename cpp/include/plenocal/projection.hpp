@@ -7,6 +7,7 @@
 
 #include <limits>
 #include <optional>
+#include <stdexcept>
 
 #include "plenocal/camera.hpp"
 
@@ -48,7 +49,8 @@ inline Pose pose_from_block(const std::array<double, Pose::kSize>& b) {
 }
 
 /// The motion of `first`, then that of `second`: with second = camera_from_rig and first =
-/// rig_from_board it is camera_from_board.
+/// rig_from_board it is camera_from_board. This and the following throw std::invalid_argument for a
+/// pose or a point that is not finite.
 PLENOCAL_API Pose composed(const Pose& second, const Pose& first);
 
 /// The motion back: board_from_camera of camera_from_board.
@@ -300,10 +302,14 @@ struct Optics {
   bool has_blur;                             ///< false for an array of pinholes
 
   /// `focal_lengths` are those of `lens_types` types: 0 (then the pointer may be null) to
-  /// `kMaxLensTypes`.
+  /// `kMaxLensTypes`. Throws std::invalid_argument for another number of them.
   Optics(const MainLens<T>& lens, const MicroLensArray<T>& mla, const T* focal_lengths,
          int lens_types, double pixel_size)
       : main_lens(lens), array(mla, pixel_size), has_blur(lens_types > 0) {
+    if (lens_types < 0 || lens_types > kMaxLensTypes) {
+      throw std::invalid_argument("there are no cameras of " + std::to_string(lens_types) +
+                                  " lens types");
+    }
     for (int i = 0; i < lens_types; ++i) inverse_focal_lengths[i] = 1.0 / focal_lengths[i];
   }
 };
@@ -359,7 +365,8 @@ PLENOCAL_API std::optional<Feature<double>> project(const Camera& camera,
                                                     const Vector3<double>& board_point, int k,
                                                     int l);
 
-/// Micro-image centre of micro-lens (k, l), which may lie outside the array.
+/// Micro-image centre of micro-lens (k, l), which may lie outside the array. Throws
+/// std::invalid_argument if the camera is not valid.
 PLENOCAL_API Pixel<double> project_center(const Camera& camera, int k, int l);
 
 }  // namespace plenocal

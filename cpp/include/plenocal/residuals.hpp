@@ -7,8 +7,10 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <memory>
 #include <stdexcept>
+#include <string>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -25,6 +27,20 @@
 #endif
 
 namespace plenocal {
+
+/// Whether a weight or a length can be one.
+inline bool is_scale(double value) { return value > 0.0 && value < HUGE_VAL; }
+
+/// Throws std::invalid_argument unless there are terms and they can be evaluated.
+inline void require_terms(std::size_t count, double pixel_size, const Loss& loss) {
+  if (count == 0) throw std::invalid_argument("a residual block needs an observation");
+  if (!is_scale(pixel_size)) {
+    throw std::invalid_argument("the pixel size (mm) has to be positive and finite");
+  }
+  if (!is_scale(loss.scale)) {
+    throw std::invalid_argument("the scale of the robust loss has to be positive and finite");
+  }
+}
 
 /// An observed feature, ready for the functor.
 struct WeightedFeature {
@@ -43,12 +59,20 @@ class FeatureResiduals {
  public:
   static constexpr int kResiduals = I == 0 ? 2 : 3;
 
-  /// Of the board, only its size is used. Throws std::invalid_argument for a lens type that there
-  /// is not.
+  /// Of the board, only its size is used. Throws std::invalid_argument without features, for a lens
+  /// type that there is not, and for a weight, pixel size or scale of the loss that is not positive
+  /// and finite.
   FeatureResiduals(std::vector<WeightedFeature> features, double pixel_size, Loss loss,
                    const Board& board = {})
       : features_(std::move(features)), pixel_size_(pixel_size), loss_(loss), board_(board) {
+    require_terms(features_.size(), pixel_size_, loss_);
+    if (Bent && !(is_scale(board_.half_width) && is_scale(board_.half_height))) {
+      throw std::invalid_argument("a board whose shape is a parameter needs a size");
+    }
     for (const WeightedFeature& f : features_) {
+      if (!is_scale(f.weight.u) || !is_scale(f.weight.v) || (I > 0 && !is_scale(f.weight.rho))) {
+        throw std::invalid_argument("the weight of a feature has to be positive and finite");
+      }
       if (I > 0 && (f.micro_lens.lens_type < 0 || f.micro_lens.lens_type >= I)) {
         throw std::invalid_argument("a feature has a lens type that the camera does not have");
       }
@@ -231,8 +255,16 @@ class CenterResiduals {
  public:
   static constexpr int kResiduals = 2;
 
+  /// Throws std::invalid_argument like `FeatureResiduals`.
   CenterResiduals(std::vector<WeightedCenter> centers, double pixel_size, Loss loss)
-      : centers_(std::move(centers)), pixel_size_(pixel_size), loss_(loss) {}
+      : centers_(std::move(centers)), pixel_size_(pixel_size), loss_(loss) {
+    require_terms(centers_.size(), pixel_size_, loss_);
+    for (const WeightedCenter& c : centers_) {
+      if (!is_scale(c.weight)) {
+        throw std::invalid_argument("the weight of a centre has to be positive and finite");
+      }
+    }
+  }
 
   template <typename T>
   PLENOCAL_FLATTEN bool operator()(const T* exit_pupil, const T* array, T* residuals) const {
@@ -295,9 +327,14 @@ class SlopeResidual {
 template <int I>
 class InterceptResidual {
  public:
-  /// `value` in mm; `weight` is 1 / sigma, 1/mm.
+  /// `value` in mm; `weight` is 1 / sigma, 1/mm. Throws std::invalid_argument for a lens type that
+  /// there is not.
   InterceptResidual(int lens_type, double value, double weight)
-      : lens_type_(lens_type), value_(value), weight_(weight) {}
+      : lens_type_(lens_type), value_(value), weight_(weight) {
+    if (lens_type < 0 || lens_type >= I) {
+      throw std::invalid_argument("there is no lens type " + std::to_string(lens_type));
+    }
+  }
 
   template <typename T>
   bool operator()(const T* array, const T* focal_lengths, T* residual) const {
@@ -322,9 +359,14 @@ class InterceptResidual {
 /// pupil, array.
 class TiltGradientResidual {
  public:
-  /// `axis` is 0 for u and 1 for v; `value` in 1/mm; `weight` is 1 / sigma, mm.
+  /// `axis` is 0 for u and 1 for v; `value` in 1/mm; `weight` is 1 / sigma, mm. Throws
+  /// std::invalid_argument for another axis.
   TiltGradientResidual(int axis, double value, double weight)
-      : axis_(axis), value_(value), weight_(weight) {}
+      : axis_(axis), value_(value), weight_(weight) {
+    if (axis != 0 && axis != 1) {
+      throw std::invalid_argument("there is no axis " + std::to_string(axis));
+    }
+  }
 
   template <typename T>
   bool operator()(const T* exit_pupil, const T* array, T* residual) const {

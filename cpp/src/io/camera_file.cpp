@@ -1,4 +1,5 @@
 // camera.json.
+#include <algorithm>
 #include <cmath>
 #include <map>
 
@@ -9,6 +10,7 @@ namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr int kVersion = 2;
+constexpr double kTurn = 6.283185307179586;  // 2 pi
 
 struct NamedPacking {
   Packing packing;
@@ -33,6 +35,37 @@ Lattice lattice_from(const Field& array) {
       "orthogonal, or hexagonal-rows or hexagonal-columns with shifted even or odd");
 }
 
+struct NamedVerdict {
+  Verdict verdict;
+  const char* name;
+};
+constexpr NamedVerdict kVerdicts[] = {{Verdict::kGood, "good"},
+                                      {Verdict::kUsableWithCare, "usable with care"},
+                                      {Verdict::kDoNotUse, "do not use"}};
+
+// Fields that earlier versions wrote under another name are known too.
+void require_known_fields(const Field& root) {
+  root.require_keys({"format", "version", "converged", "verdict", "boards", "sensor", "main_lens",
+                     "principal_point_px", "micro_lens_array", "point_spread_px2", "point_spread",
+                     "depth_from_blur", "uncertainty"});
+  root["sensor"].require_keys({"width_px", "height_px", "pixel_size_mm"});
+  root["main_lens"].require_keys({"focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6",
+                                  "p1_per_mm", "p2_per_mm", "field_curvature_per_mm",
+                                  "field_curvature_growth_per_mm", "exit_pupil_mm", "f_number",
+                                  "focus_distance_mm"});
+  root["micro_lens_array"].require_keys({"lattice", "columns", "rows", "shifted", "lens_to_mla_mm",
+                                         "mla_to_sensor_mm", "rotation_rad", "offset_mm",
+                                         "pitch_mm", "pitch_ratio", "focal_lengths_mm",
+                                         "aperture_ratio", "fill_factor"});
+}
+
+void require_distances(const Field& boards) {
+  if (!boards.has("near_mm") || !boards.has("far_mm")) return;
+  if (boards["near_mm"].number() > boards["far_mm"].number()) {
+    boards["near_mm"].reject("at most boards.far_mm");
+  }
+}
+
 // Adds what files of version 1 do not have: exit pupil and field curvature, which are 0 there.
 void complete(Json* json) {
   const auto lens = json->find("main_lens");
@@ -53,7 +86,10 @@ Camera camera_from(const Field& root) {
   camera.width = sensor["width_px"].integer();
   camera.height = sensor["height_px"].integer();
   lens["exit_pupil_mm"].vector();
-  array["rotation_rad"].vector();
+  const Vector3<double> angles = array["rotation_rad"].vector();
+  if (std::max({std::abs(angles.x), std::abs(angles.y), std::abs(angles.z)}) > kTurn) {
+    array["rotation_rad"].reject("angles in rad, at most 2 pi each");
+  }
   const std::size_t types = array["focal_lengths_mm"].size();
   if (types > kMaxLensTypes) array["focal_lengths_mm"].reject("a list of at most 3 numbers");
   camera.micro_lens_focal_lengths.resize(types);
@@ -69,15 +105,24 @@ Camera camera_from(const Field& root) {
   return camera;
 }
 
+constexpr double kRounding = 1e-9;  // of correlations
+
 // sigma of all parameters, and the covariance of those that have one.
 void read_uncertainty(const Field& uncertainty, CameraFile* file) {
   const std::vector<std::string> names = intrinsic_names(file->camera.lens_types());
   const Field std_devs = uncertainty["standard_deviations"];
+  const std::vector<std::string> stated = std_devs.keys();
   std::map<std::string, double> known;
   for (const std::string& name : names) {
-    const bool has = std_devs.has(name) && std_devs[name].has("value");
-    file->std_dev.push_back(has ? std_devs[name]["value"].number() : kNan);
-    if (has) known[name] = file->std_dev.back();
+    file->std_dev.push_back(kNan);
+    if (std::find(stated.begin(), stated.end(), name) == stated.end()) continue;
+    const Field value = std_devs[name]["value"];
+    if (value.is_null()) {
+      file->undetermined.push_back(name);
+      continue;
+    }
+    if (value.number() < 0.0) value.reject("a standard deviation");
+    known[name] = file->std_dev.back() = value.number();
   }
   if (!uncertainty.has("correlations")) return;
   const Field correlations = uncertainty["correlations"];
@@ -92,11 +137,55 @@ void read_uncertainty(const Field& uncertainty, CameraFile* file) {
       const Field entry = matrix.at(row[a]).at(row[b]);
       // Not determined together: no covariance.
       if (entry.is_null()) return;
+      if (std::abs(entry.number()) > 1.0 + kRounding) entry.reject("a correlation");
       covariance.push_back(entry.number() * known[a] * known[b]);
     }
   }
   const int size = static_cast<int>(known.size());
   file->covariance = {size, size, std::move(covariance)};
+}
+
+void read_verdict(const Field& field, CameraFile* file) {
+  const std::string name = field["verdict"].string();
+  for (const NamedVerdict& named : kVerdicts) {
+    if (name == named.name) file->verdict = named.verdict;
+  }
+  if (!file->verdict) field["verdict"].reject("good, usable with care or do not use");
+  const Field reasons = field["reasons"];
+  for (std::size_t i = 0; i < reasons.size(); ++i) file->reasons.push_back(reasons.at(i).string());
+}
+
+std::string joined(const std::vector<std::string>& words) {
+  std::string text;
+  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
+  return text;
+}
+
+// sigma and covariance have to be those of the parameters.
+void require_uncertainty(const CameraFile& file) {
+  const std::size_t parameters = intrinsic_names(file.camera.lens_types()).size();
+  const auto& std_dev = file.std_dev;
+  if (!std_dev.empty() && std_dev.size() != parameters) {
+    throw std::invalid_argument("the camera has " + std::to_string(parameters) +
+                                " parameters, but " + std::to_string(std_dev.size()) +
+                                " standard deviations");
+  }
+  for (double value : std_dev) {
+    if (value < 0.0 || std::isinf(value)) {
+      throw std::invalid_argument("a standard deviation of the camera is " + std::to_string(value));
+    }
+  }
+  const auto known = std::count_if(std_dev.begin(), std_dev.end(),
+                                   [](double value) { return !std::isnan(value); });
+  const Matrix& covariance = file.covariance;
+  if (covariance.rows == 0 && covariance.columns == 0 && covariance.values.empty()) return;
+  if (covariance.rows != known || covariance.columns != known ||
+      covariance.values.size() != static_cast<std::size_t>(known * known)) {
+    throw std::invalid_argument("the covariance of the camera is " +
+                                std::to_string(covariance.rows) + " x " +
+                                std::to_string(covariance.columns) + ", but " +
+                                std::to_string(known) + " parameters have a standard deviation");
+  }
 }
 
 Json camera_json(const CameraFile& file) {
@@ -126,6 +215,11 @@ Json camera_json(const CameraFile& file) {
   }
   if (*packing->shifted != '\0') json["micro_lens_array"]["shifted"] = packing->shifted;
   if (file.converged) json["converged"] = *file.converged;
+  for (const NamedVerdict& named : kVerdicts) {
+    if (file.verdict == named.verdict) {
+      json["verdict"] = {{"verdict", named.name}, {"reasons", file.reasons}};
+    }
+  }
   return json;
 }
 
@@ -140,14 +234,25 @@ Json uncertainty_json(const CameraFile& file) {
     free.push_back(names[i]);
     known.push_back(file.std_dev[i]);
   }
+  const auto undetermined = [&](const std::string& name) {
+    const auto& all = file.undetermined;
+    return std::find(all.begin(), all.end(), name) != all.end();
+  };
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    if (undetermined(names[i])) {
+      std_devs[names[i]] = {{"value", nullptr}, {"unit", kParameters[i].unit}};
+    }
+  }
   Json json = {{"standard_deviations", std_devs}};
   const int n = static_cast<int>(free.size());
-  if (file.covariance.rows == n) {
+  if (file.covariance.rows > 0) {
     Json matrix = Json::array();
     for (int i = 0; i < n; ++i) {
       Json row = Json::array();
       for (int j = 0; j < n; ++j) {
-        row.push_back(file.covariance(i, j) / (known[i] * known[j]));
+        // What is exact goes with nothing.
+        const double scale = known[i] * known[j];
+        row.push_back(scale > 0.0 ? file.covariance(i, j) / scale : (i == j ? 1.0 : 0.0));
       }
       matrix.push_back(row);
     }
@@ -158,16 +263,40 @@ Json uncertainty_json(const CameraFile& file) {
 
 }  // namespace
 
+std::vector<std::string> CameraFile::objections() const {
+  std::vector<std::string> objections;
+  if (converged == false) {
+    objections.emplace_back("the calibration of this camera has not converged: calibrate it again");
+  }
+  if (!undetermined.empty()) {
+    objections.push_back("the calibration of this camera has not determined " +
+                         joined(undetermined) + ": frames at other distances and tilts would");
+  }
+  // Its reasons are the two above, if they apply.
+  if (objections.empty() && verdict == Verdict::kDoNotUse) {
+    objections.push_back("the verdict on the calibration of this camera is \"do not use\" (" +
+                         joined(reasons) + "): see its report, and calibrate it again");
+  }
+  return objections;
+}
+
 CameraFile read_camera(const std::string& path) {
   Json json = document(path, "plenocal-camera", kVersion);
   complete(&json);
   const Field root(json, path, "");
+  require_known_fields(root);
   CameraFile file;
   file.camera = camera_from(root);
   const Field lens = root["main_lens"];
-  file.f_number = lens["f_number"].number();
-  if (lens.has("focus_distance_mm")) file.focus_distance = lens["focus_distance_mm"].number();
+  const auto positive = [&lens](const char* key) {
+    if (!(lens[key].number() > 0.0)) lens[key].reject("a positive number");
+    return lens[key].number();
+  };
+  if (lens.has("f_number")) file.f_number = positive("f_number");
+  if (lens.has("focus_distance_mm")) file.focus_distance = positive("focus_distance_mm");
   if (root.has("converged")) file.converged = root["converged"].boolean();
+  if (root.has("verdict")) read_verdict(root["verdict"], &file);
+  if (root.has("boards")) require_distances(root["boards"]);
   if (root.has("uncertainty")) read_uncertainty(root["uncertainty"], &file);
   return file;
 }
@@ -177,6 +306,7 @@ void write_camera(const std::string& path, const CameraFile& file) {
   if (!(std::isfinite(file.f_number) && file.f_number > 0.0)) {
     throw std::invalid_argument("the f-number of the camera has to be positive and finite");
   }
+  require_uncertainty(file);
   Json json = camera_json(file);
   if (!file.std_dev.empty()) json["uncertainty"] = uncertainty_json(file);
   write_text(path, json.dump(2) + "\n");

@@ -1,5 +1,6 @@
 #include "document.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <fstream>
@@ -45,8 +46,27 @@ bool Field::has(const std::string& key) const {
   return value_.is_object() && value_.contains(key) && !value_[key].is_null();
 }
 
+std::vector<std::string> Field::keys() const {
+  if (!value_.is_object()) reject("a table of fields");
+  std::vector<std::string> keys;
+  for (const auto& [key, value] : value_.items()) keys.push_back(key);
+  return keys;
+}
+
+void Field::require_keys(std::initializer_list<const char*> known) const {
+  for (const std::string& key : keys()) {
+    if (std::find(known.begin(), known.end(), key) == known.end()) {
+      fail(path_, "there is a field " + name_of(key) + ", which is not known: is it misspelt?");
+    }
+  }
+}
+
+std::string Field::name_of(const std::string& key) const {
+  return name_.empty() ? key : name_ + "." + key;
+}
+
 Field Field::operator[](const std::string& key) const {
-  const std::string name = name_.empty() ? key : name_ + "." + key;
+  const std::string name = name_of(key);
   if (!value_.is_object() || !value_.contains(key)) fail(path_, "there is no " + name);
   return {value_[key], path_, name};
 }

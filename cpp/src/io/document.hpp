@@ -1,8 +1,10 @@
 // JSON documents: fields with their names for messages.
 #pragma once
 
+#include <initializer_list>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <vector>
 
 #include "plenocal/io.hpp"
 
@@ -28,6 +30,10 @@ class Field {
 
   /// Whether there is a field of this name that is not null.
   bool has(const std::string& key) const;
+  /// Names of the fields of a table.
+  std::vector<std::string> keys() const;
+  /// Rejects a table that has a field of another name: a misspelt one would be ignored.
+  void require_keys(std::initializer_list<const char*> known) const;
   Field operator[](const std::string& key) const;
   Field at(std::size_t i) const;
   std::size_t size() const;
@@ -45,6 +51,8 @@ class Field {
   const std::string& file() const { return path_; }
 
  private:
+  std::string name_of(const std::string& key) const;
+
   const Json& value_;
   const std::string& path_;
   std::string name_;

@@ -1,6 +1,6 @@
 # Installs the library into an empty prefix, then configures, builds and runs the consumer there.
 # cmake -D library_build=… -D source=… -D scratch=… -D generator=… -D compiler=… -D flags=…
-# -D config=… -P …
+# -D config=… -D programs=… -P …
 
 function(run)
   execute_process(COMMAND ${ARGN} RESULT_VARIABLE result)
@@ -20,7 +20,7 @@ run(${CMAKE_COMMAND} -S ${source} -B ${scratch}/build -G ${generator}
   -DCMAKE_RUNTIME_OUTPUT_DIRECTORY_${config}=${scratch}/bin)
 run(${CMAKE_COMMAND} --build ${scratch}/build --config ${config})
 run(${scratch}/bin/consumer)
-file(READ ${scratch}/build/vectorised.txt programs)
+# The examples are programs too, if they are built.
 foreach(program ${programs})
-  run(${scratch}/bin/${program})
+  run(${scratch}/prefix/bin/${program})
 endforeach()
