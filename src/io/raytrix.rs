@@ -3,7 +3,7 @@
 //! Positions are measured from the middle of the image, y upwards, in units of the pitch ("lens"),
 //! except for the offset, which is in px.
 
-use std::f64::consts::{FRAC_PI_2, FRAC_PI_3};
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_6};
 use std::path::Path;
 
 use nalgebra::{Matrix2, Vector2};
@@ -60,9 +60,10 @@ impl Unused {
             let stated = all.split(';').filter_map(|number| number.trim().parse::<f64>().ok());
             (stated.into_iter().any(|number| number != 0.0)).then(|| text(node, "function"))
         });
+        // The axis of a hexagonal lattice is one of six directions along rows, or of six between them.
         // y is upwards in the file, so that its angles are of the other sense.
         let stated = in_root("rotation").and_then(|node| number(node).ok()).unwrap_or(0.0);
-        let symmetry = if kind == LatticeKind::Orthogonal { FRAC_PI_2 } else { FRAC_PI_3 };
+        let symmetry = if kind == LatticeKind::Orthogonal { FRAC_PI_2 } else { FRAC_PI_6 };
         let beside = stated + lattice_rad;
         let rotation_rad = beside - (beside / symmetry).round() * symmetry;
         let is_some = rotation_rad.is_finite() && rotation_rad.abs() > LEAST_ROTATION_RAD;
