@@ -41,7 +41,10 @@ fn read_document(path: &Path) -> Result<Document> {
             format!("there is nothing in it but {value}: give a file with all its fields");
         return Err(Error::content(path, message));
     }
-    if text.trim_start().starts_with(['{', '[']) {
+    // A table of a project file begins with a bracket too, and a name.
+    let inside = text.trim_start().trim_start_matches(['[', ' ']);
+    let is_table = text.trim_start().starts_with('[') && inside.starts_with(char::is_alphabetic);
+    if text.trim_start().starts_with(['{', '[']) && !is_table {
         return json_from(text).map(Document::Json).map_err(|e| e.in_file(path));
     }
     Ok(Document::Project(Box::new(Project::read(path)?)))

@@ -106,6 +106,9 @@ pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::R
     })
 }
 
+/// No σ is smaller, px or virtual depth: weights of its square would overflow.
+const LEAST_STD_DEV: f64 = 1e-9;
+
 /// Column of [`BapFeature::correlation`].
 const CORRELATION: &str = "corr_uv";
 
@@ -276,6 +279,9 @@ impl Row<'_> {
             Some(value) if value <= 0.0 => Err(self.error(&format!(
                 "{name} is {value}, but a standard deviation is positive; leave it empty where it was \
                  not measured"
+            ))),
+            Some(value) if value < LEAST_STD_DEV => Err(self.error(&format!(
+                "{name} is {value}, and nothing is measured to {LEAST_STD_DEV}; leave it empty where it was not measured"
             ))),
             value => Ok(value),
         }

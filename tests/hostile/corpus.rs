@@ -200,6 +200,7 @@ fn tiffs() -> Vec<Vec<u8>> {
 
 /// Images with a profile, an orientation or several pages.
 pub fn images_with_notes() -> Vec<Vec<u8>> {
+    const FIRST_CHUNK: usize = 33;
     let mut files = tiffs();
     let [png, _, _, _, jpeg] = &images()[..5] else { return files };
     // Little-endian: an orientation, and an offset of the block with the colour space, both within the block.
@@ -213,7 +214,6 @@ pub fn images_with_notes() -> Vec<Vec<u8>> {
         [&length[..], name, content, &[0; 4]].concat()
     };
     let with = |file: &[u8], at: usize, piece: &[u8]| [&file[..at], piece, &file[at..]].concat();
-    const FIRST_CHUNK: usize = 33;
     for piece in [chunk(b"eXIf", exif), chunk(b"gAMA", &45_455_u32.to_be_bytes())] {
         files.push(with(png, FIRST_CHUNK, &piece));
     }

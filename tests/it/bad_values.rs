@@ -205,7 +205,7 @@ fn a_camera_has_no_other_keys_and_possible_values() {
         ("\"version\"", "\"colour\": 1, \"version\"", &["'colour' is no key", "leave it out"]),
         ("\"pitch_mm\"", "\"pich_mm\"", &["micro_lens_array", "`pich_mm`: is `pitch_mm` meant?"]),
         ("\"version\": 1", "\"version\": \"1\"", &["has to be a number", "\"version\": 2"]),
-        ("\"version\": 1,", "", &["has no version"]),
+        ("\"version\": 1", "\"converged\": true", &["has no version"]),
         ("\"focal_length_mm\": 16.2", "\"focal_length_mm\": 1e308", &["F (mm)", "correct it"]),
         ("\"width_px\": 1000", "\"width_px\": 600000", &["450000000", "268435456"]),
         ("\"width_px\": 1000", "\"width_px\": -1", &["width_px", "a whole number from 0"]),
@@ -266,8 +266,9 @@ fn tables_of_other_programs_are_recognised() {
     for (text, words) in [
         (&b"k;l;u;v\n1;2;3,5;4,5\n"[..], &["commas", "points"][..]),
         (b"k\tl\tu\tv\n1\t2\t3.5\t4.5\n", &["not by tabs"]),
-        (b"k,l,u,v\n1,2,3,5,4,5\n", &["line 2", "6 columns", "write decimals with points"]),
+        (b"k,l,u,v\n1,2,3,5,4,5\n", &["line 2", "6 columns", "are there commas in its numbers"]),
         (b"k,l,u,v\n1,2,\"3,5\",4.5\n", &["line 2", "'3,5'", "write decimals with points"]),
+        (b"k,l,u,v,std_dev\n1,2,3,4,1e-300\n", &["line 2", "nothing is measured to"]),
         (b"\xff\xfek\0,\0l\0", &["UTF-16", "save it as UTF-8"]),
         (b"k,l,u,v\n1,2,3,4\n\xe9,2,3,4\n", &["not in UTF-8"]),
     ] {

@@ -31,7 +31,8 @@ pub fn curve(profile: &[u8]) -> Option<String> {
 /// A curve that is not straight, in words.
 fn bent(curve: &[u8]) -> Option<String> {
     let tone_curve = || "with a tone curve".to_owned();
-    let power = |gamma: f64| (gamma != 1.0).then(|| format!("with gamma {gamma:.2}"));
+    let power =
+        |gamma: f64| ((gamma - 1.0).abs() > STRAIGHT).then(|| format!("with gamma {gamma:.2}"));
     match curve.get(..4)? {
         b"curv" => {
             let count = number(curve, 8)?;

@@ -52,7 +52,7 @@ struct Decoded {
 pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
     // Read whole before it is decoded: a failure of the disk is one of reading, not of the image.
     let bytes = read_bytes(path)?;
-    let image = decode(bytes).and_then(|decoded| interpreted(decoded, color));
+    let image = decode(&bytes).and_then(|decoded| interpreted(decoded, color));
     image.map_err(|e| e.in_file(path))
 }
 
@@ -77,24 +77,24 @@ fn format_of_others(mut file: File) -> Result<(u32, u32, Color)> {
     Ok((width, height, color))
 }
 
-fn decode(bytes: Vec<u8>) -> Result<Decoded> {
+fn decode(bytes: &[u8]) -> Result<Decoded> {
     if bytes.is_empty() {
         return Err(Error::invalid("this image file is empty: copy it again"));
     }
     if bytes.starts_with(jpeg::MAGIC) {
-        if !jpeg::is_whole(&bytes) {
+        if !jpeg::is_whole(bytes) {
             return Err(cut_off("JPEG"));
-        } else if !scans::are_complete(&bytes) {
+        } else if !scans::are_complete(bytes) {
             return Err(damaged("JPEG"));
         }
     }
-    if tags::Tags::of(Cursor::new(&bytes)).is_some() {
-        if let Some(decoded) = tiff::decode(&bytes)? {
-            return Ok(decoded);
-        }
+    if tags::Tags::of(Cursor::new(bytes)).is_some()
+        && let Some(decoded) = tiff::decode(bytes)?
+    {
+        return Ok(decoded);
     }
-    let (reader, name) = reader_of(Cursor::new(&bytes))?;
-    if reader.format() == Some(ImageFormat::Png) && !png::is_whole(&bytes) {
+    let (reader, name) = reader_of(Cursor::new(bytes))?;
+    if reader.format() == Some(ImageFormat::Png) && !png::is_whole(bytes) {
         return Err(cut_off(name));
     }
     let wrong = |e: ImageError| refused(name, &e);

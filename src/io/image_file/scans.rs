@@ -172,7 +172,7 @@ fn pass_block(bits: &mut Bits, [dc, ac]: &[&Table; 2]) -> Option<()> {
             END_OF_BLOCK => break,
             ZEROS => at += 16,
             // A run of blocks that end, which a file of one pass does not have.
-            symbol if symbol & 15 == 0 => return None,
+            symbol if symbol % 16 == 0 => return None,
             symbol => {
                 at += usize::from(symbol >> 4) + 1;
                 bits.pass((symbol & 15).into())?;

@@ -13,12 +13,12 @@ use crate::finding::Issue;
 const WIDTH: u32 = 24;
 const HEIGHT: u32 = 16;
 
-fn level(i: u32) -> u32 {
-    i * 7 % 251
+fn level(i: u32) -> u8 {
+    u8::try_from(i * 7 % 251).unwrap()
 }
 
 fn grey() -> DynamicImage {
-    let pixel = |x, y| image::Luma([u8::try_from(level(y * WIDTH + x)).unwrap()]);
+    let pixel = |x, y| image::Luma([level(y * WIDTH + x)]);
     DynamicImage::ImageLuma8(GrayImage::from_fn(WIDTH, HEIGHT, pixel))
 }
 
@@ -137,8 +137,8 @@ fn all<T>(sample: impl Fn(u32) -> T) -> Vec<T> {
     (0..WIDTH * HEIGHT).map(sample).collect()
 }
 
-fn sixteen(factor: u32, offset: u32) -> Samples {
-    Samples::Bits16(all(|i| u16::try_from(level(i) * factor + offset).unwrap()))
+fn sixteen(factor: u16, offset: u16) -> Samples {
+    Samples::Bits16(all(|i| u16::from(level(i)) * factor + offset))
 }
 
 const FORMATS: [ImageFormat; 5] =
@@ -193,17 +193,19 @@ fn a_jpeg_file_whose_samples_end_early_is_damaged() {
 
 #[test]
 fn numbers_of_other_types_are_grey_levels_if_they_can_be() {
-    let floats = tiff_of::<colortype::Gray32Float>(&all(|i| level(i) as f32 * 16.0 + 5.25), false);
+    let floats =
+        tiff_of::<colortype::Gray32Float>(&all(|i| f32::from(level(i)) * 16.0 + 5.25), false);
     assert_eq!(read(&floats).unwrap().samples, sixteen(16, 5));
     let doubles = tiff_of::<colortype::Gray64Float>(&all(|i| f64::from(level(i)) * 200.0), true);
     assert_eq!(read(&doubles).unwrap().samples, sixteen(200, 0));
-    let signed = tiff_of::<colortype::GrayI16>(&all(|i| level(i) as i16 * 16), false);
+    let signed = tiff_of::<colortype::GrayI16>(&all(|i| i16::from(level(i)) * 16), false);
     assert_eq!(read(&signed).unwrap().samples, sixteen(16, 0));
-    let long = tiff_of::<colortype::Gray32>(&all(|i| level(i) * 256), true);
+    let long = tiff_of::<colortype::Gray32>(&all(|i| u32::from(level(i)) * 256), true);
     assert_eq!(read(&long).unwrap().samples, sixteen(256, 0));
-    let big = tiff_of::<colortype::Gray8>(&all(|i| level(i) as u8), true);
-    assert_eq!(read(&big).unwrap().samples, Samples::Bits8(all(|i| level(i) as u8)));
-    let rgb: Vec<f32> = all(|i| level(i) as f32 * 16.0).into_iter().flat_map(|s| [s; 3]).collect();
+    let big = tiff_of::<colortype::Gray8>(&all(level), true);
+    assert_eq!(read(&big).unwrap().samples, Samples::Bits8(all(level)));
+    let rgb: Vec<f32> =
+        all(|i| f32::from(level(i)) * 16.0).into_iter().flat_map(|s| [s; 3]).collect();
     let rgb = read(&tiff_of::<colortype::RGB32Float>(&rgb, false)).unwrap();
     assert_eq!((rgb.color, rgb.width, rgb.height), (Color::Rgb, 24, 16));
 }
@@ -211,14 +213,14 @@ fn numbers_of_other_types_are_grey_levels_if_they_can_be() {
 #[test]
 fn numbers_that_are_no_grey_levels_are_refused_with_what_to_do() {
     let floats = |of: &dyn Fn(f32) -> f32| {
-        tiff_of::<colortype::Gray32Float>(&all(|i| of(level(i) as f32)), false)
+        tiff_of::<colortype::Gray32Float>(&all(|i| of(f32::from(level(i)))), false)
     };
     assert_refused(&floats(&|s| s / 251.0), &["from 0 to 0.99", "from 0 to 1, by 65535"]);
     assert_refused(&floats(&|s| s), &["to 250", "8 bits, multiply by 257"]);
     assert_refused(&floats(&|s| 16.0 * s - 3.0), &["down to -3", "dark image", "black_level"]);
     assert_refused(&floats(&|s| 1000.0 * s), &["up to 250000", "divide all images"]);
     assert_refused(&floats(&|s| if s < 1.0 { f32::NAN } else { 2000.0 }), &["NaN"]);
-    let signed = tiff_of::<colortype::GrayI16>(&all(|i| level(i) as i16 - 1), false);
+    let signed = tiff_of::<colortype::GrayI16>(&all(|i| i16::from(level(i)) - 1), false);
     assert_refused(&signed, &["down to -1"]);
     // Noise about black is rounded like all else.
     assert!(read(&floats(&|s| 16.0 * s - 0.25)).is_ok());
@@ -226,7 +228,7 @@ fn numbers_that_are_no_grey_levels_are_refused_with_what_to_do() {
 
 #[test]
 fn palettes_transparency_and_few_bits_are_read() {
-    let numbers: Vec<u8> = all(|i| (i % 16) as u8);
+    let numbers: Vec<u8> = all(|i| level(i) % 16);
     let map = |of: &dyn Fn(u16, u16) -> u16| -> Vec<u16> {
         (0..3).flat_map(|c| (0..256).map(move |i| (c, i))).map(|(c, i)| of(c, i)).collect()
     };
@@ -237,10 +239,11 @@ fn palettes_transparency_and_few_bits_are_read() {
     let image = read(&palette(map(&|c, i| (i / (c + 1)) << 8))).unwrap();
     assert_eq!(image.color, Color::Rgb);
     let Samples::Bits8(rgb) = &image.samples else { panic!("{image:?}") };
-    assert_eq!(rgb[3 * 13..3 * 14], [13, 6, 4]);
+    let number = numbers[13];
+    assert_eq!(rgb[3 * 13..3 * 14], [number, number / 2, number / 3]);
 
     let with_alpha: Vec<u8> =
-        all(|i| [(level(i) as u16 * 200).to_le_bytes(), [0xff; 2]].concat()).concat();
+        all(|i| [(u16::from(level(i)) * 200).to_le_bytes(), [0xff; 2]].concat()).concat();
     let extra = |kind: u16| described(&[16, 16], &[(262, vec![1]), (338, vec![kind])]);
     assert_eq!(read(&tiff(&extra(2), &with_alpha, 1)).unwrap().samples, sixteen(200, 0));
     assert_refused(&tiff(&extra(0), &with_alpha, 1), &["2 channels", "save it with one channel"]);
@@ -271,7 +274,7 @@ fn codes(name: &str, bytes: &[u8]) -> Vec<Issue> {
 }
 
 /// A PNG file with a chunk after its first one; the checksum is not looked at.
-fn with_chunk(name: &[u8; 4], content: &[u8]) -> Vec<u8> {
+fn with_chunk(name: &[u8], content: &[u8]) -> Vec<u8> {
     const FIRST: usize = 8 + 12 + 13;
     let mut bytes = encoded(&grey(), ImageFormat::Png);
     let mut chunk = u32::try_from(content.len()).unwrap().to_be_bytes().to_vec();
@@ -363,7 +366,7 @@ fn curves_orientation_and_pages_are_told() {
         packed.finish().unwrap()
     };
     assert_eq!(codes("a", &with_chunk(b"iCCP", &packed)), gamma);
-    let samples = all(|i| level(i) as u8);
+    let samples = all(level);
     let tags = described(&[8], &[(262, vec![1]), (274, vec![8])]);
     let stack = tiff(&tags, &samples, 3);
     let several = Issue::SeveralPages { images: 1, first: "a".to_owned(), pages: 3 };

@@ -58,7 +58,7 @@ fn described(bytes: &[u8]) -> Option<(Described, [u8; 2])> {
     let map = all(tag::COLOR_MAP);
     let is_grey = matches!(photometric, Some(WHITE_IS_ZERO | 1));
     let known = match &extra {
-        None => is_grey && samples == 1 || !is_grey,
+        None => samples == 1 || !is_grey,
         Some(extra) => extra.is_empty() || matches!(extra[..], [1 | 2]),
     };
     let at = page.entry(tag::PHOTOMETRIC).map(|entry| entry.at);
@@ -235,7 +235,9 @@ fn unpacked(packed: &[u8], in_row: usize, bits: u64) -> Vec<u8> {
 fn stretched(mut levels: Vec<u8>, bits: u64, is_palette: bool) -> Vec<u8> {
     let most = u8::try_from((1_u64 << bits) - 1).unwrap_or(u8::MAX).max(1);
     if !is_palette {
-        levels.iter_mut().for_each(|level| *level *= u8::MAX / most);
+        for level in &mut levels {
+            *level *= u8::MAX / most;
+        }
     }
     levels
 }
@@ -306,8 +308,8 @@ fn as_levels(numbers: &[f64], kind: &str, rounded: bool) -> Result<Samples> {
 fn colored(numbers: &Decoded, map: &[u64]) -> Result<Decoded> {
     let colors = map.len() / 3;
     // Of 8 bits, in the upper byte alone or in both, or else of 16 bits.
-    let eight = map.iter().all(|level| level & 0xff == 0)
-        || map.iter().all(|level| level & 0xff == level >> 8);
+    let eight = map.iter().all(|level| level % 256 == 0)
+        || map.iter().all(|level| level % 256 == level / 256);
     let color = if is_grey(map) { Color::Grey } else { Color::Rgb };
     let pixels: Vec<usize> = match &numbers.samples {
         Samples::Bits8(all) => all.iter().map(|&n| usize::from(n)).collect(),
