@@ -250,6 +250,22 @@ issues! {
     LossyCompression "lossy-compression" { images: usize, first: String } =>
         format!("{images} image(s) are JPEG (the first is {first}): compression moves and widens edges, and biases d, fᵢ and m by some per cent"),
         "take images without loss (PNG, TIFF)";
+    /// Image files say of themselves that their samples are not linear in light.
+    ImageProfile "image-profile-not-linear" { images: usize, first: String, profile: String } =>
+        format!("{images} image(s) say of themselves that their samples are not linear in light (the first is {first}: {profile}); the samples are used as they are"),
+        "export them without gamma and sRGB; if the samples are linear nevertheless, leave the profile out of the files";
+    /// Image files say of themselves that they are to be turned or mirrored.
+    ImageOrientation "image-orientation" { images: usize, first: String, orientation: u64 } =>
+        format!("{images} image(s) say of themselves that they are to be turned or mirrored (the first is {first}: orientation {orientation}); the pixels are used as they are stored"),
+        "see that all images, white images and boards, are stored as the sensor delivers them, and that none was turned by other software";
+    /// TIFF files have several pages.
+    SeveralPages "several-pages" { images: usize, first: String, pages: usize } =>
+        format!("{images} TIFF file(s) have several pages (the first is {first}, with {pages}): only the first page is read"),
+        "save the page that is meant as a file of its own";
+    /// A maker's calibration has values that are not used.
+    MakerValuesUnused "maker-values-unused" { distortion: Option<String>, rotation_rad: f64 } =>
+        maker_values_text(distortion.as_deref(), *rotation_rad),
+        "measure the array on a white image of the camera, and use its centres";
     /// A file was changed while it was read.
     FileChanged "file-changed" =>
         "was changed while it was read", "run again";
@@ -762,6 +778,17 @@ fn step_scale_text(ratio: f64, step_mm: f64, square_mm: f64) -> String {
          are {:.4} mm and not {square_mm} mm (square_mm), or the step is {:.4} mm and not {step_mm} mm (step_mm)",
         square_mm / ratio,
         step_mm * ratio
+    )
+}
+
+fn maker_values_text(distortion: Option<&str>, rotation_rad: f64) -> String {
+    let distortion = distortion.map(|function| format!("a distortion ({function})"));
+    let rotation = (rotation_rad != 0.0)
+        .then(|| format!("a rotation beside that of the lattice ({:.3} mrad)", 1e3 * rotation_rad));
+    let values: Vec<String> = distortion.into_iter().chain(rotation).collect();
+    format!(
+        "the file states {}, which are not used: centres are off, the more the further they are from the middle of the image",
+        values.join(" and ")
     )
 }
 

@@ -1,7 +1,7 @@
 //! Errors before and after the refinement: whether camera and observations belong together.
 
 use crate::calibration::{CalibrationOptions, LeftOut, Mode, Start};
-use crate::error::{Error, Result};
+use crate::error::{Error, Observed, Result};
 use crate::finding::Issue;
 use crate::model::{BapFeature, Board, Observations, PlenopticCamera};
 use crate::precalibration::MicroImageArray;
@@ -83,16 +83,27 @@ pub(super) fn check_indices(
         .map(|(f, [u, v])| (f, (f.u_px - u).hypot(f.v_px - v)))
         .filter(|(_, distance)| *distance > pitch);
     let Some((f, distance)) = far.next() else { return Ok(()) };
-    Err(Error::invalid(format!(
+    let sensor = &camera.sensor;
+    let [width_mm, height_mm] =
+        [sensor.width_px, sensor.height_px].map(|edge| f64::from(edge) * sensor.pixel_size_mm);
+    let could_be_mm = |f: &BapFeature| f.u_px.abs() <= width_mm && f.v_px.abs() <= height_mm;
+    let remedy = if features.iter().all(could_be_mm) {
+        "are u and v in mm? Give them in px"
+    } else {
+        "give the features and the camera or centres whose indices they have"
+    };
+    let message = format!(
         "corner {} of frame {} is {distance:.0} px from the centre of its micro-image ({}, {}), and {} \
          more features are too far from theirs; a micro-image is {pitch:.1} px wide, so indices and \
-         positions do not belong together",
+         positions do not belong together: {remedy}",
         f.corner,
         f.frame,
         f.k,
         f.l,
         far.count()
-    )))
+    );
+    let BapFeature { frame, corner, k, l, .. } = *f;
+    Err(Error::Observation { observation: Observed::Feature { frame, corner, k, l }, message })
 }
 
 /// An error if the refined camera or a pose is impossible.

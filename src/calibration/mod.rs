@@ -26,7 +26,7 @@ pub use frames::LeftOut;
 pub use initial::initial_camera;
 pub use options::{
     Blur, BoardModel, CalibrationOptions, ExitPupil, FieldCurvature, Method, Mode, NoPrior,
-    Pitches, Priors, StatedPrior, Weights,
+    Pitches, Priors, StatedPrior, Weights, frame_list,
 };
 pub use outlying::OutlyingFeature;
 pub use poses::initial_poses;

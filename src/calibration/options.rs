@@ -268,9 +268,10 @@ fn parsed(text: &str) -> Option<(String, StatedPrior)> {
 #[derive(Debug, Clone, PartialEq, Deserialize, Args)]
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrationOptions {
-    /// Frames to leave out, e.g. 3,7.
-    #[arg(long = "exclude", alias = "exclude-frames", value_name = "LIST", value_delimiter = ',')]
-    pub exclude_frames: Vec<u32>,
+    /// Frames to leave out, e.g. 3,7 or 0-4,7.
+    #[arg(long = "exclude", alias = "exclude-frames", value_name = "LIST", value_parser = frame_list)]
+    // Named in full, the type stands for one value of the flag.
+    pub exclude_frames: ::std::vec::Vec<u32>,
     /// What to estimate [default: full].
     #[arg(long)]
     pub mode: Mode,
@@ -417,6 +418,32 @@ impl CalibrationOptions {
         })
     }
 
+    /// An error that names a number that no calibration can have.
+    pub(crate) fn check_numbers(&self) -> Result<()> {
+        for (std_dev, name) in [
+            (self.uv_std_dev_px, "(u, v) (uv_std_dev_px)"),
+            (self.rho_std_dev_px, "rho (rho_std_dev_px)"),
+            (self.centers_std_dev_px, "the centres (centers_std_dev_px)"),
+        ] {
+            positive(std_dev, &format!("the standard deviation of {name}"))?;
+            if std_dev < LEAST_STD_DEV_PX {
+                return Err(Error::invalid(format!(
+                    "the standard deviation of {name} is {std_dev} px, and nothing is measured to {LEAST_STD_DEV_PX} px: \
+                     give that of your features, or leave it out"
+                )));
+            }
+        }
+        positive(self.loss_scale.unwrap_or(1.0), "the scale of the loss (loss_scale)")?;
+        positive(self.prior_weight.unwrap_or(1.0), "the weight of the priors (prior_weight)")?;
+        if self.max_iterations == 0 {
+            return Err(Error::invalid("max_iterations is 0, but has to be at least 1"));
+        }
+        if self.threads == 0 {
+            return Err(Error::invalid("threads is 0, but has to be at least 1"));
+        }
+        Ok(())
+    }
+
     /// The cost without default priors.
     pub(super) fn cost(&self) -> CostOptions {
         CostOptions {
@@ -558,24 +585,17 @@ impl CalibrationOptions {
                 Parameter::SHAPE.map(Parameter::name).join(", ")
             )));
         }
-        positive(self.uv_std_dev_px, "the standard deviation of (u, v) (px)")?;
-        positive(self.rho_std_dev_px, "the standard deviation of rho (px)")?;
+        self.check_numbers()?;
         if self.mode == Mode::Full && !self.has_rho() && (self.rho_std_dev_px - 1.0).abs() > 0.0 {
             return Err(Error::invalid(
                 "a standard deviation of rho is given, but rho does not count: let it count (blur = \
                  \"features\"), or leave the standard deviation out",
             ));
         }
-        positive(self.centers_std_dev_px, "the standard deviation of the centres (px)")?;
         if self.loss_scale.is_some() && matches!(self.loss, None | Some(LossKind::None)) {
             return Err(Error::invalid(
                 "a loss scale is given, but no loss: give loss = \"huber\" or \"cauchy\" too",
             ));
-        }
-        positive(self.loss_scale.unwrap_or(1.0), "the scale of the loss")?;
-        positive(self.prior_weight.unwrap_or(1.0), "the weight of the priors")?;
-        if self.max_iterations == 0 || self.threads == 0 {
-            return Err(Error::invalid("iterations and threads have to be at least 1"));
         }
         let known = Parameter::shared(start.lens_types());
         if let Some(parameter) = self.fix.iter().find(|parameter| !known.contains(parameter)) {
@@ -587,6 +607,27 @@ impl CalibrationOptions {
         Ok(())
     }
 }
+
+/// Frames as on the command line: numbers and ranges of them, separated by commas.
+pub fn frame_list(text: &str) -> std::result::Result<Vec<u32>, String> {
+    const MOST: u32 = 100_000;
+    let wrong =
+        || format!("'{text}' is no list of frames: write numbers and ranges, such as 3,7 or 0-4,7");
+    let mut frames = Vec::new();
+    for part in text.split(',').map(str::trim) {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
+        let (first, last) = (number(first)?, number(last)?);
+        if first > last || last - first > MOST {
+            return Err(wrong());
+        }
+        frames.extend(first..=last);
+    }
+    Ok(frames)
+}
+
+/// Positions that are less uncertain are measured by nobody, and weights of squares of less overflow.
+const LEAST_STD_DEV_PX: f64 = 1e-6;
 
 /// Gives the value of a key a new key.
 fn rename(table: &mut Table, earlier: &str, name: &str) {

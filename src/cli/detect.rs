@@ -24,7 +24,7 @@ pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images].
     project: PathBuf,
     /// Folder for the results: features.csv, detection.json and a picture of every frame; and, without
-    /// --precalibration, centers.csv and precalibration.json.
+    /// --precalibration, centers.csv and precalibration.json. Files of earlier results are replaced.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Folder written by `plenocal precalibrate`; without it the white images of the project are
@@ -56,6 +56,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let path = &arguments.project;
     let mut output = OutputFolder::new(&arguments.out)?;
     let shoot = Shoot::of(path, &Project::read(path)?)?;
+    tell(&io::doubtful_files(&shoot.images));
     let micro_images = if let Some(folder) = &arguments.precalibration {
         shoot.read_precalibration(folder)?.0
     } else {

@@ -183,6 +183,12 @@ fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out
             let _ = writeln!(text, "  {count:>4} {what}");
         }
     }
+    if !images.skipped.is_empty() {
+        let _ = writeln!(text, "\nSkipped:");
+    }
+    for (path, reason) in &images.skipped {
+        let _ = writeln!(text, "  {}: {reason}", path.display());
+    }
     if let Some((name, sheet)) = draft.preset {
         let _ = writeln!(
             text,

@@ -34,7 +34,8 @@ pub struct Arguments {
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(u16, u16)>,
     /// Folder for the results: precalibration.json and centers.csv; from images also
-    /// micro-images.svg; from a project also radii.svg and COMPOTE's camera.js and params.js.
+    /// micro-images.svg; from a project also radii.svg and COMPOTE's camera.js and params.js. Files of earlier results are
+    /// replaced.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// How radii are measured: the edge of a fitted profile, or the paper's second moments, which
@@ -127,6 +128,7 @@ fn of_image(
     let path = &arguments.input;
     let image = io::read_image(path, arguments.color)?;
     let array = measure_array(&image, None).map_err(|e| e.in_file(path))?;
+    tell(&io::image_findings(&[path]));
     let of_color = image.doubtful_color().map(Finding::caution).into_iter();
     let findings = of_color.chain(array_findings(&array, &image));
     tell(&findings.map(|f| f.about(Subject::File(path.clone()))).collect::<Vec<_>>());
@@ -148,6 +150,8 @@ fn of_raytrix(
 ) -> Result<(String, serde_json::Value)> {
     let path = &arguments.input;
     let maker = io::read_raytrix(path)?;
+    let findings = maker.findings().into_iter().map(|f| f.about(Subject::File(path.clone())));
+    tell(&findings.collect::<Vec<_>>());
     let (width, height) = arguments.size.ok_or_else(|| {
         Error::invalid("a Raytrix calibration does not state the size of the images: give --size")
             .in_file(path)
@@ -188,10 +192,17 @@ fn of_project(
         ..PrecalibrationOptions::of_datasheet(&sheet)
     };
     let (result, whites) = measure(path, &images, &sheet, &options, arguments.json)?;
+    tell(&of_whites(&images));
     tell(&result.findings);
     stage(output, &result, &sheet, &whites)?;
     let section = report::precalibration_section(&result, Vec::new());
     Ok((section.to_text(), io::precalibration_document(&result)))
+}
+
+/// What is doubtful about the files of the white images.
+fn of_whites(images: &ImagesSection) -> Vec<Finding> {
+    let none = ImagesSection { calibration: Vec::new(), evaluation: Vec::new(), ..images.clone() };
+    io::doubtful_files(&ImagesSection { translation: None, ..none })
 }
 
 /// Measures the white images of a project, and returns these too.

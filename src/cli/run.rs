@@ -11,7 +11,7 @@ use plenocal::assessment::{
     Assessment, Candidate, EvaluationInput, Folds, PosePairs, Verdict, assess,
 };
 use plenocal::calibration::{
-    Calibration, CalibrationOptions, Method, Mode, Start, calibrate, initial_from,
+    Calibration, CalibrationOptions, Method, Mode, Start, calibrate, frame_list, initial_from,
 };
 use plenocal::detection::{DepthEstimator, DetectedBoards, MicroImages};
 use plenocal::io::{
@@ -38,15 +38,17 @@ pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images]; `plenocal init` writes one.
     pub project: PathBuf,
 
-    /// Folder for the results: report.html, verdict.json, manifest.json, and a folder for each stage.
+    /// Folder for the results: report.html, verdict.json, manifest.json, and a folder for each stage. Files of earlier
+    /// results are replaced.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// How the virtual depth of a corner is estimated from the micro-images that show it.
     #[arg(long, default_value = "line")]
     pub estimator: DepthEstimator,
-    /// Frames of the calibration to leave out, e.g. 3,7; in place of those of the project.
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    pub exclude: Option<Vec<u32>>,
+    /// Frames of the calibration to leave out, e.g. 3,7 or 0-4,7; in place of those of the project.
+    #[arg(long, value_name = "LIST", value_parser = frame_list)]
+    // Named in full, the type stands for one value of the flag.
+    pub exclude: Option<::std::vec::Vec<u32>>,
     /// Set of calibration options to begin with; in place of that of the project.
     #[arg(long)]
     pub method: Option<Method>,

@@ -8,7 +8,8 @@ use std::path::Path;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use super::json_file::{document_of, read_json};
+use super::json_file::{check_version, document_of, read_json};
+use super::spelling::meant;
 use crate::assessment::Verdict;
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue, Subject};
@@ -148,17 +149,46 @@ pub fn read_std_devs(path: &Path, lens_types: usize) -> Result<Vec<Option<f64>>>
     Ok(Parameter::intrinsic(lens_types).iter().map(of_parameter).collect())
 }
 
+/// Keys of the file beside those of the camera, and whether a reader looks into them.
+const BESIDE: [&str; 7] =
+    ["format", "version", "uncertainty", "boards", "verdict", "converged", "depth_from_blur"];
+/// Keys of the camera itself; the last is that of earlier files.
+const OF_CAMERA: [&str; 6] = [
+    "sensor",
+    "main_lens",
+    "principal_point_px",
+    "micro_lens_array",
+    "point_spread_px2",
+    "point_spread",
+];
+
 /// The camera in a JSON document.
-pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
-    let version = value.get("version").and_then(Value::as_u64);
-    if !version.is_some_and(|version| (1..=CAMERA_VERSION).contains(&version)) {
-        return Err(Error::invalid(format!(
-            "this is a {CAMERA_FORMAT} file of version {}, but only versions up to \
-             {CAMERA_VERSION} are known",
-            version.map_or("unknown".to_owned(), |v| v.to_string())
-        )));
+pub(super) fn camera_from(mut value: Value) -> Result<PlenopticCamera> {
+    check_version(&value, CAMERA_FORMAT, CAMERA_VERSION)?;
+    if let Some(fields) = value.as_object_mut() {
+        let known = BESIDE.into_iter().chain(OF_CAMERA);
+        if let Some(key) = fields.keys().find(|key| !known.clone().any(|known| known == *key)) {
+            let instead = meant(key, known)
+                .map_or_else(|| "leave it out".to_owned(), |meant| format!("is '{meant}' meant?"));
+            return Err(Error::invalid(format!(
+                "'{key}' is no key of a {CAMERA_FORMAT} file: {instead}"
+            )));
+        }
+        check_boards(&fields.get("boards").cloned().unwrap_or_default())?;
+        fields.retain(|key, _| OF_CAMERA.contains(&key.as_str()));
     }
     let camera: PlenopticCamera = document_of(value, CAMERA_FORMAT)?;
     camera.validate()?;
     Ok(camera)
+}
+
+fn check_boards(boards: &Value) -> Result<()> {
+    let [near, far] = ["near_mm", "far_mm"].map(|name| boards[name].as_f64());
+    match near.zip(far) {
+        Some((near, far)) if !(0.0 < near && near <= far) => Err(Error::invalid(format!(
+            "in boards: near_mm is {near} and far_mm is {far}, but boards lie in front of the camera, and the nearest is not \
+             beyond the furthest: correct them, or leave boards out"
+        ))),
+        _ => Ok(()),
+    }
 }

@@ -7,9 +7,9 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::ImagesSection;
+use super::image_file::image_findings;
 use super::manifest::hash_file;
-use super::open;
+use super::{ImagesSection, open};
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
 
@@ -32,7 +32,14 @@ pub fn first_look(images: &ImagesSection) -> Result<Vec<Finding>> {
             )));
         }
     }
-    Ok(compressed(images).into_iter().collect())
+    Ok(doubtful_files(images))
+}
+
+/// What is doubtful about the files themselves: compression with loss, and what [`image_findings`] tells.
+#[must_use]
+pub fn doubtful_files(images: &ImagesSection) -> Vec<Finding> {
+    let files: Vec<&Path> = images.files().collect();
+    compressed(images).into_iter().chain(image_findings(&files)).collect()
 }
 
 /// For each image, the name of one with the same content among those `before` it or earlier in the list. A frame that

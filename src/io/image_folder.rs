@@ -3,12 +3,9 @@
 use std::cmp::Ordering;
 use std::collections::HashSet;
 use std::fs;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use image::{ImageDecoder, ImageReader};
-
-use super::open;
+use super::image_file::format_of;
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::optics;
@@ -58,6 +55,8 @@ pub struct SortedImages {
     pub translation: Vec<PathBuf>,
     /// Images whose names do not say what they show, or contradict themselves.
     pub unsorted: Vec<PathBuf>,
+    /// What has the name of an image and cannot be used, and why.
+    pub skipped: Vec<(PathBuf, &'static str)>,
 }
 
 /// What all sorted images have in common.
@@ -96,12 +95,20 @@ enum Kind {
 }
 
 /// Finds PNG, TIFF, BMP, PGM/PPM and JPEG files in a folder and its subfolders, and sorts them by
-/// their paths in the folder. Hidden files are skipped.
+/// their paths in the folder. Hidden files are skipped, and so are links that lead nowhere, pipes, and names that a project
+/// file cannot hold; these are listed.
 ///
 /// An error if there are none.
 pub fn sort_images(folder: &Path) -> Result<SortedImages> {
-    let mut files = Vec::new();
-    images_in(folder, &mut HashSet::new(), &mut files)?;
+    let mut found = Vec::new();
+    images_in(folder, &mut HashSet::new(), &mut found)?;
+    let (mut files, mut skipped) = (Vec::new(), Vec::new());
+    for path in found {
+        match unusable(&path, folder) {
+            None => files.push(path),
+            Some(reason) => skipped.push((path, reason)),
+        }
+    }
     if files.is_empty() {
         return Err(Error::content(
             folder,
@@ -111,7 +118,7 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
     let below =
         |path: &Path| path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
     files.sort_by(|a, b| natural_order(&below(a), &below(b)));
-    let mut sorted = SortedImages::default();
+    let mut sorted = SortedImages { skipped, ..SortedImages::default() };
     for path in files {
         let name = below(&path);
         let name = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem).to_lowercase();
@@ -131,6 +138,16 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
         }
     }
     Ok(sorted)
+}
+
+/// Why a file that was found in a folder cannot be used in a project.
+fn unusable(path: &Path, folder: &Path) -> Option<&'static str> {
+    let Ok(metadata) = fs::metadata(path) else { return Some("the link leads nowhere") };
+    if !metadata.is_file() {
+        return Some("it is a pipe or a device");
+    }
+    let below = path.strip_prefix(folder).unwrap_or(path);
+    below.to_str().is_none().then_some("its name is not UTF-8, as project files are: rename it")
 }
 
 fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBuf>) -> Result<()> {
@@ -291,20 +308,6 @@ impl SortedImages {
         let channels = formats.iter().all(|&(_, (.., color))| color == first).then_some(first);
         Ok(Some(CommonFormat { width_px, height_px, channels }))
     }
-}
-
-/// Width, height and channels, from the first bytes of an image.
-fn format_of(path: &Path) -> Result<(u32, u32, Color)> {
-    let unreadable = |source| Error::Read { path: path.to_owned(), source };
-    let file = open(path).map_err(unreadable)?;
-    let reader =
-        ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(unreadable)?;
-    let decoder = reader
-        .into_decoder()
-        .map_err(|e| Error::content(path, format!("this image cannot be read: {e}")))?;
-    let (width, height) = decoder.dimensions();
-    let color = if decoder.color_type().has_color() { Color::Rgb } else { Color::Grey };
-    Ok((width, height, color))
 }
 
 #[cfg(test)]

@@ -34,7 +34,17 @@ fn read_document(path: &Path) -> Result<Document> {
     if text.trim().is_empty() {
         return Err(Error::content(path, "the file is empty"));
     }
-    if text.trim_start().starts_with(['{', '[']) {
+    if let Ok(value @ (Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_))) =
+        serde_json::from_str(text)
+    {
+        let message =
+            format!("there is nothing in it but {value}: give a file with all its fields");
+        return Err(Error::content(path, message));
+    }
+    // A table of a project file begins with a bracket too, and a name.
+    let inside = text.trim_start().trim_start_matches(['[', ' ']);
+    let is_table = text.trim_start().starts_with('[') && inside.starts_with(char::is_alphabetic);
+    if text.trim_start().starts_with(['{', '[']) && !is_table {
         return json_from(text).map(Document::Json).map_err(|e| e.in_file(path));
     }
     Ok(Document::Project(Box::new(Project::read(path)?)))
@@ -83,12 +93,13 @@ fn wanted(value: Value, files: &[&str]) -> Result<Value> {
 pub fn read_camera_source(path: &Path) -> Result<CameraSource> {
     let source = match read_document(path)? {
         Document::Project(project) => project.datasheet().and_then(|sheet| {
-            sheet.map(CameraSource::Datasheet).ok_or_else(|| {
+            let sheet = sheet.ok_or_else(|| {
                 Error::invalid(
                     "there is no camera in this project file: add [sensor], [main_lens] and \
                      [micro_lens_array]",
                 )
-            })
+            })?;
+            sheet.validate().map(|()| CameraSource::Datasheet(sheet))
         }),
         Document::Json(value) if is_format(&value, camera_file::CAMERA_FORMAT) => {
             camera_file::camera_from(value).map(|camera| CameraSource::Camera(Box::new(camera)))
@@ -153,5 +164,6 @@ pub fn read_poses(path: &Path) -> Result<Vec<FramePose>> {
         }
         Document::Json(value) => wanted(value, &["poses.js"]).and_then(compote::poses_from),
     };
-    poses.map_err(|e| e.in_file(path))
+    let poses = poses.and_then(poses_file::of_different_frames);
+    poses.and_then(poses_file::before_the_camera).map_err(|e| e.in_file(path))
 }

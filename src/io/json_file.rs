@@ -8,6 +8,7 @@ use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Number, Value};
 
 use super::read_text;
+use super::spelling::plain;
 use crate::error::{Error, Result};
 
 /// Reads a JSON file. A key that an object has twice is an error: which of the values was meant is not known.
@@ -24,8 +25,27 @@ pub(super) fn json_from(text: &str) -> Result<Value> {
 
 /// A document of a format, or an error that names the field that is not as it should be.
 pub(super) fn document_of<T: DeserializeOwned>(value: Value, format: &str) -> Result<T> {
-    serde_path_to_error::deserialize(value)
-        .map_err(|e| Error::invalid(format!("not a valid {format} file: {e}")))
+    serde_path_to_error::deserialize(value).map_err(|e| {
+        Error::invalid(format!("not a valid {format} file: {}", plain(&e.to_string())))
+    })
+}
+
+/// An error unless a document has a version from 1 to the newest one.
+pub(super) fn check_version(document: &Value, format: &str, newest: u64) -> Result<()> {
+    let known = if newest == 1 { "version 1 is" } else { "versions up to {} are" };
+    let known = known.replace("{}", &newest.to_string());
+    match document.get("version") {
+        Some(version) if version.as_u64().is_some_and(|v| (1..=newest).contains(&v)) => Ok(()),
+        Some(version @ Value::Number(_)) => Err(Error::invalid(format!(
+            "this is a {format} file of version {version}, but only {known} known"
+        ))),
+        Some(other) => Err(Error::invalid(format!(
+            "the version of this {format} file is {other}, but has to be a number: write \"version\": {newest}"
+        ))),
+        None => Err(Error::invalid(format!(
+            "this {format} file has no version: write \"version\": {newest}"
+        ))),
+    }
 }
 
 /// A value without repeated keys.

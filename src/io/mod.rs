@@ -28,6 +28,7 @@ mod project_draft;
 mod project_file;
 mod raytrix;
 mod residuals_file;
+mod spelling;
 mod virtual_depths;
 
 use std::fs::{self, File};
@@ -47,9 +48,9 @@ pub use comparison_file::comparison_document;
 pub use data_set_folder::{image_name, is_data_set, remove_older_data, stage_data_set};
 pub use detection_file::detection_document;
 pub use evaluation_file::evaluation_document;
-pub use first_look::{first_look, repeated};
+pub use first_look::{doubtful_files, first_look, repeated};
 pub use folder_lock::FolderLock;
-pub use image_file::{read_image, write_jpeg, write_png};
+pub use image_file::{image_findings, read_image, write_jpeg, write_png};
 pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{
     CameraSource, read_array_size, read_board, read_camera_source, read_internal_parameters,
@@ -91,6 +92,9 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>> {
 /// What a shell or a caller has opened already, whatever it is.
 const OPENED: [&str; 3] = ["/dev/stdin", "/dev/fd", "/proc/self/fd"];
 
+/// Files that commands write or read in folders, which may be given in their place.
+const IN_FOLDERS: [&str; 3] = ["project.toml", "camera.json", "calibration/camera.json"];
+
 /// Opens a file to read. An error if it is something else: nobody may ever write into a pipe of the file system, and
 /// devices have no end.
 fn open(path: &Path) -> io::Result<File> {
@@ -98,8 +102,17 @@ fn open(path: &Path) -> io::Result<File> {
     if kind.is_file() || OPENED.iter().any(|opened| path.starts_with(opened)) {
         return File::open(path);
     }
-    let what = if kind.is_dir() { "it is a folder" } else { "it is a pipe or a device" };
-    Err(io::Error::other(format!("{what}: give a file")))
+    if !kind.is_dir() {
+        return Err(io::Error::other("it is a pipe or a device: give a file"));
+    }
+    let inside: Vec<String> = IN_FOLDERS
+        .iter()
+        .map(|name| path.join(name))
+        .filter(|file| file.is_file())
+        .map(|file| file.display().to_string())
+        .collect();
+    let which = if inside.is_empty() { "a file".to_owned() } else { inside.join(" or ") };
+    Err(io::Error::other(format!("it is a folder: give {which}")))
 }
 
 fn record_read(path: &Path, bytes: u64, begun: Instant) {
@@ -109,6 +122,17 @@ fn record_read(path: &Path, bytes: u64, begun: Instant) {
 
 /// Reads a text file.
 pub fn read_text(path: &Path) -> Result<String> {
-    String::from_utf8(read_bytes(path)?)
-        .map_err(|_| Error::content(path, "this is not a text file"))
+    String::from_utf8(read_bytes(path)?).map_err(|e| Error::content(path, not_utf8(e.as_bytes())))
+}
+
+/// What is wrong with a file that should be a text in UTF-8.
+fn not_utf8(bytes: &[u8]) -> &'static str {
+    const MARKS: [&[u8]; 2] = [b"\xff\xfe", b"\xfe\xff"];
+    if MARKS.iter().any(|mark| bytes.starts_with(mark)) {
+        "this text is in UTF-16: save it as UTF-8"
+    } else if bytes.iter().take(4096).any(|byte| *byte == 0) {
+        "this is not a text file"
+    } else {
+        "this text is not in UTF-8: save it as UTF-8"
+    }
 }

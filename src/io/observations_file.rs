@@ -9,7 +9,8 @@ use std::path::Path;
 
 use csv::{ReaderBuilder, StringRecord, Trim};
 
-use super::{compote, read_bytes};
+use super::spelling::meant;
+use super::{compote, not_utf8, read_bytes};
 use crate::error::{Error, Observed, Result};
 use crate::model::{
     BapFeature, MeasuredBlur, MicroImageCenter, Observations, TAKEN, check_aperture_ratio,
@@ -105,6 +106,9 @@ pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::R
     })
 }
 
+/// No σ is smaller, px or virtual depth: weights of its square would overflow.
+const LEAST_STD_DEV: f64 = 1e-9;
+
 /// Column of [`BapFeature::correlation`].
 const CORRELATION: &str = "corr_uv";
 
@@ -197,7 +201,8 @@ impl Row<'_> {
 
     fn field<T: std::str::FromStr>(&self, name: &str, what: &str) -> Result<T> {
         let text = self.text(name).unwrap_or_default();
-        text.parse().map_err(|_| self.error(&format!("{name} is '{text}', not {what}")))
+        let decimals = if text.contains(',') { ": write decimals with points" } else { "" };
+        text.parse().map_err(|_| self.error(&format!("{name} is '{text}', not {what}{decimals}")))
     }
 
     fn integer<T: std::str::FromStr>(&self, name: &str) -> Result<T> {
@@ -275,6 +280,9 @@ impl Row<'_> {
                 "{name} is {value}, but a standard deviation is positive; leave it empty where it was \
                  not measured"
             ))),
+            Some(value) if value < LEAST_STD_DEV => Err(self.error(&format!(
+                "{name} is {value}, and nothing is measured to {LEAST_STD_DEV}; leave it empty where it was not measured"
+            ))),
             value => Ok(value),
         }
     }
@@ -289,42 +297,8 @@ fn misspelt(
     let is_there = |name: &str| columns.iter().any(|(column, _)| *column == name);
     header.iter().filter(|found| !is_there(found)).find_map(|found| {
         let absent = known.iter().copied().filter(|name| !is_there(name));
-        let alike = absent.filter(|name| looks_like(&found.to_lowercase(), name));
-        alike.map(|name| (found.to_owned(), name)).next()
+        meant(found, absent).map(|name| (found.to_owned(), name))
     })
-}
-
-/// Whether a word is another one with a letter too many, too few or wrong, or with two letters exchanged; or, of a long
-/// word, any two of these.
-fn looks_like(found: &str, name: &str) -> bool {
-    const SHORTEST: usize = 3;
-    const LONG: usize = 6;
-    let most = if name.len() < LONG { 1 } else { 2 };
-    if name.len() < SHORTEST {
-        // Of the names of one letter, only the case may differ.
-        return found == name;
-    }
-    if found.len().abs_diff(name.len()) > most {
-        return false;
-    }
-    let (a, b): (Vec<char>, Vec<char>) = (found.chars().collect(), name.chars().collect());
-    let mut steps = vec![vec![0; b.len() + 1]; a.len() + 1];
-    for i in 0..=a.len() {
-        for j in 0..=b.len() {
-            steps[i][j] = if i == 0 || j == 0 {
-                i + j
-            } else {
-                let changed = steps[i - 1][j - 1] + usize::from(a[i - 1] != b[j - 1]);
-                let exchanged = if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
-                    steps[i - 2][j - 2] + 1
-                } else {
-                    usize::MAX
-                };
-                changed.min(exchanged).min(steps[i - 1][j] + 1).min(steps[i][j - 1] + 1)
-            };
-        }
-    }
-    steps[a.len()][b.len()] <= most
 }
 
 /// The line of an observation in its CSV file; the last one if it is given several times. `None` if the file is not CSV or
@@ -361,6 +335,36 @@ fn current_name(name: &str) -> &str {
     }
 }
 
+/// What to do about a header whose names are not separated by commas; nothing if they are.
+fn other_separator(header: &StringRecord) -> &'static str {
+    let one = header.get(0).filter(|_| header.len() == 1).unwrap_or_default();
+    if one.contains(';') {
+        ": separate the columns by commas, and write decimals with points"
+    } else if one.contains(char::is_whitespace) {
+        ": separate the columns by commas, not by tabs or blanks"
+    } else {
+        ""
+    }
+}
+
+/// A line that is not as the first one, in words.
+fn broken_row(error: &csv::Error) -> String {
+    match error.kind() {
+        csv::ErrorKind::UnequalLengths { pos, expected_len, len } => {
+            let line = pos.as_ref().map_or(0, csv::Position::line);
+            let decimals = if len > expected_len {
+                ": are there commas in its numbers? Write decimals with points"
+            } else {
+                ": is the file cut off?"
+            };
+            format!(
+                "line {line} has {len} columns, but the first line names {expected_len}{decimals}"
+            )
+        }
+        _ => error.to_string(),
+    }
+}
+
 fn rows<T>(
     path: &Path,
     bytes: &[u8],
@@ -368,8 +372,10 @@ fn rows<T>(
     optional: &[&'static str],
     parse: impl Fn(&Row) -> Result<T>,
 ) -> Result<Vec<T>> {
-    let mut reader = ReaderBuilder::new().trim(Trim::All).from_reader(bytes);
-    let broken = |error: csv::Error| Error::content(path, error.to_string());
+    let text = std::str::from_utf8(bytes).map_err(|_| Error::content(path, not_utf8(bytes)))?;
+    let text = text.trim_start_matches('\u{feff}'); // the byte order mark of some editors
+    let mut reader = ReaderBuilder::new().trim(Trim::All).from_reader(text.as_bytes());
+    let broken = |error: csv::Error| Error::content(path, broken_row(&error));
     let header: StringRecord = reader.headers().map_err(broken)?.iter().map(current_name).collect();
     let mut columns = Vec::new();
     for &name in required.iter().chain(optional) {
@@ -397,10 +403,11 @@ fn rows<T>(
         return Err(Error::content(
             path,
             format!(
-                "the first line has no column '{}'; it has to name the columns {}, and reads '{}'",
+                "the first line has no column '{}'; it has to name the columns {}, and reads '{}'{}",
                 missing.join("', '"),
                 required.join(","),
-                header.iter().collect::<Vec<_>>().join(",").chars().take(80).collect::<String>()
+                header.iter().collect::<Vec<_>>().join(",").chars().take(80).collect::<String>(),
+                other_separator(&header)
             ),
         ));
     }

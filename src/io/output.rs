@@ -96,6 +96,10 @@ impl OutputFolder {
                 format!("cannot become a folder, because {} is a file", there.display()),
             ));
         }
+        if folder.is_relative() && std::env::current_dir().is_err() {
+            let gone = "the working folder no longer exists: change to another one";
+            return Err(Error::Write { path: folder.to_owned(), source: io::Error::other(gone) });
+        }
         // Found now rather than after the work; the file has no name on most systems.
         tempfile::tempfile_in(there)
             .map_err(|e| Error::Write { path: folder.to_owned(), source: plain(e) })?;

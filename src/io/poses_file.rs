@@ -1,10 +1,12 @@
 //! `poses.json`: where the boards were.
 
+use std::collections::HashSet;
+
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::json_file::document_of;
+use super::json_file::{check_version, document_of};
 use crate::error::{Error, Result};
 use crate::model::FramePose;
 use crate::solver::Uncertainty;
@@ -16,7 +18,6 @@ pub const POSES_VERSION: u64 = 1;
 
 #[derive(Deserialize)]
 struct PosesFile {
-    version: u64,
     poses: Vec<PoseFile>,
 }
 
@@ -67,13 +68,8 @@ pub fn poses_document(poses: &[FramePose], uncertainty: Option<&Uncertainty>) ->
 
 /// The poses in a JSON document.
 pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
+    check_version(&value, POSES_FORMAT, POSES_VERSION)?;
     let file: PosesFile = document_of(value, POSES_FORMAT)?;
-    if file.version != POSES_VERSION {
-        return Err(Error::invalid(format!(
-            "this is a {POSES_FORMAT} file of version {}, but only version {POSES_VERSION} is known",
-            file.version
-        )));
-    }
     let pose = |p: PoseFile| {
         let camera_from_board = Isometry3::from_parts(
             Translation3::from(Vector3::from(p.camera_from_board.translation_mm)),
@@ -84,6 +80,38 @@ pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
         possible(FramePose { frame: p.frame, camera_from_board })
     };
     file.poses.into_iter().map(pose).collect()
+}
+
+/// The poses as they are; an error if a frame has two: which of them was meant is not known.
+pub(super) fn of_different_frames(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
+    let mut seen = HashSet::new();
+    match poses.iter().find(|pose| !seen.insert(pose.frame)) {
+        Some(pose) => Err(Error::invalid(format!(
+            "the pose of frame {} is given twice: leave one out",
+            pose.frame
+        ))),
+        None => Ok(poses),
+    }
+}
+
+/// The nearest that the first corner of a board is to the camera: what is nearer is not in mm.
+const NEAREST_MM: f64 = 5.0;
+
+/// The poses as they are; an error if a board lies behind the camera, or in it.
+pub(super) fn before_the_camera(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
+    let z = |pose: &FramePose| pose.camera_from_board.translation.z;
+    let Some(pose) = poses.iter().find(|pose| z(pose) < NEAREST_MM) else { return Ok(poses) };
+    let (frame, z_mm) = (pose.frame, z(pose));
+    Err(Error::invalid(if z_mm < 0.0 {
+        format!(
+            "the board of frame {frame} lies behind the camera, at z = {z_mm} mm: camera_from_board takes points of the \
+             board into the camera frame, whose z leads towards the scene"
+        )
+    } else {
+        format!(
+            "the board of frame {frame} lies {z_mm} mm before the camera: are the translations in m? Give them in mm"
+        )
+    }))
 }
 
 /// Squares of values far beyond this overflow.

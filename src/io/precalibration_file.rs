@@ -6,8 +6,9 @@ use std::io::{self, Write};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
-use super::json_file::document_of;
+use super::json_file::{check_version, document_of};
 use super::observations_file::std_dev_text;
+use super::spelling::plain;
 use crate::error::{Error, Result};
 use crate::model::{InternalParameters, MicroImageCenter};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
@@ -29,7 +30,6 @@ fn std_dev_key(name: &str) -> String {
 
 #[derive(Deserialize)]
 struct PrecalibrationFile {
-    version: u64,
     internal_parameters: Option<Value>,
     micro_image_array: Option<ArraySize>,
 }
@@ -123,14 +123,8 @@ pub(super) fn array_size_from(value: Value) -> Result<Option<(i32, i32)>> {
 
 /// The internal parameters in a JSON document.
 pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameters> {
+    check_version(&value, PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION)?;
     let file: PrecalibrationFile = document_of(value, PRECALIBRATION_FORMAT)?;
-    if file.version != PRECALIBRATION_VERSION {
-        return Err(Error::invalid(format!(
-            "this is a {PRECALIBRATION_FORMAT} file of version {}, but only version \
-             {PRECALIBRATION_VERSION} is known",
-            file.version
-        )));
-    }
     let mut internal = file.internal_parameters.ok_or_else(|| {
         Error::invalid(
             "this pre-calibration is from one image and has no internal parameters; these need \
@@ -147,8 +141,10 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
             }
         }
     }
-    serde_path_to_error::deserialize(internal)
-        .map_err(|e| Error::invalid(format!("internal_parameters.{}: {}", e.path(), e.inner())))
+    serde_path_to_error::deserialize(internal).map_err(|e| {
+        let message = plain(&e.inner().to_string());
+        Error::invalid(format!("internal_parameters.{}: {message}", e.path()))
+    })
 }
 
 /// Writes the centres of an array as CSV, with the standard deviation per axis of each where it was

@@ -8,6 +8,7 @@ use toml::{Table, Value};
 
 use super::project_draft::FILL_IN;
 use super::read_text;
+use super::spelling::plain;
 use crate::calibration::CalibrationOptions;
 use crate::error::{Error, Result};
 use crate::image::Color;
@@ -245,7 +246,7 @@ impl Project {
             } else {
                 String::new()
             };
-            Error::invalid(format!("not a valid project file: {e}{hint}"))
+            Error::invalid(format!("not a valid project file: {}{hint}", plain(&e.to_string())))
         };
         let mut table: Table = text.parse().map_err(wrong)?;
         set.iter().try_for_each(|pair| replace(&mut table, pair))?;
@@ -255,8 +256,9 @@ impl Project {
         project.check_step()?;
         finite(&table)?;
         project.calibration = match table.remove("calibration") {
-            Some(Value::Table(stated)) => CalibrationOptions::from_table(stated)
-                .map_err(|e| Error::invalid(format!("in [calibration]: {e}")))?,
+            Some(Value::Table(stated)) => CalibrationOptions::from_table(stated).map_err(|e| {
+                Error::invalid(format!("in [calibration]: {}", plain(&e.to_string())))
+            })?,
             Some(other) => {
                 return Err(Error::invalid(format!(
                     "calibration is {other}: write its options below [calibration]"
@@ -264,6 +266,8 @@ impl Project {
             }
             None => CalibrationOptions::default(),
         };
+        let numbers = project.calibration.check_numbers();
+        numbers.map_err(|e| Error::invalid(format!("in [calibration]: {e}")))?;
         Ok(project)
     }
 

@@ -3,6 +3,7 @@
 //! Positions are measured from the middle of the image, y upwards, in units of the pitch ("lens"),
 //! except for the offset, which is in px.
 
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_6};
 use std::path::Path;
 
 use nalgebra::{Matrix2, Vector2};
@@ -10,6 +11,7 @@ use roxmltree::{Document, Node};
 
 use super::read_text;
 use crate::error::{Error, Result};
+use crate::finding::{Finding, Issue};
 use crate::model::{LatticeKind, MicroImageCenter, check_lens_types};
 use crate::precalibration::{lattice_centers, lattice_orientation};
 
@@ -30,6 +32,43 @@ pub struct RaytrixCalibration {
     steps_px: Matrix2<f64>,
     /// Colour of each of several lens types, see [`color`].
     colors: Vec<i32>,
+    /// What the file states of the array that is not used.
+    unused: Unused,
+}
+
+/// What a file states that is not used: it is not known where it is measured from, or in which sense.
+#[derive(Debug, Clone, PartialEq, Default)]
+struct Unused {
+    /// Name of a distortion with parameters that are not 0.
+    distortion: Option<String>,
+    /// A rotation beside that of the lattice, rad.
+    rotation_rad: f64,
+}
+
+/// Rotations that are less are those of rounding: 0.05 px at the border of a large image.
+const LEAST_ROTATION_RAD: f64 = 1e-5;
+
+impl Unused {
+    fn of(root: Node, kind: LatticeKind, lattice_rad: f64) -> Self {
+        let in_root = |name: &str| root.children().find(|child| child.has_tag_name(name));
+        let text = |node: Node, name: &str| {
+            let inner = node.children().find(|child| child.has_tag_name(name));
+            inner.and_then(|node| node.text()).unwrap_or_default().trim().to_owned()
+        };
+        let distortion = in_root("distortion").and_then(|node| {
+            let all = text(node, "parameter");
+            let stated = all.split(';').filter_map(|number| number.trim().parse::<f64>().ok());
+            (stated.into_iter().any(|number| number != 0.0)).then(|| text(node, "function"))
+        });
+        // The axis of a hexagonal lattice is one of six directions along rows, or of six between them.
+        // y is upwards in the file, so that its angles are of the other sense.
+        let stated = in_root("rotation").and_then(|node| number(node).ok()).unwrap_or(0.0);
+        let symmetry = if kind == LatticeKind::Orthogonal { FRAC_PI_2 } else { FRAC_PI_6 };
+        let beside = stated + lattice_rad;
+        let rotation_rad = beside - (beside / symmetry).round() * symmetry;
+        let is_some = rotation_rad.is_finite() && rotation_rad.abs() > LEAST_ROTATION_RAD;
+        Self { distortion, rotation_rad: if is_some { rotation_rad } else { 0.0 } }
+    }
 }
 
 /// Reads a `RayCalibData` file.
@@ -73,6 +112,7 @@ fn calibration(root: Node) -> Result<RaytrixCalibration> {
         offset_px: upwards * vector(offset)?,
         steps_px,
         colors,
+        unused: Unused::of(root, kind, rotation_rad),
     })
 }
 
@@ -132,6 +172,15 @@ fn vector(node: Node) -> Result<Vector2<f64>> {
 }
 
 impl RaytrixCalibration {
+    /// Findings about what the file states and is not used.
+    #[must_use]
+    pub fn findings(&self) -> Vec<Finding> {
+        let Unused { distortion, rotation_rad } = self.unused.clone();
+        let is_some = distortion.is_some() || rotation_rad != 0.0;
+        let issue = is_some.then_some(Issue::MakerValuesUnused { distortion, rotation_rad });
+        issue.into_iter().map(Finding::caution).collect()
+    }
+
     /// All centres in an image of this size, px.
     pub fn centers(&self, width: u16, height: u16) -> Result<Vec<MicroImageCenter>> {
         let origin = Self::middle(width, height) + self.offset_px;
@@ -251,6 +300,38 @@ mod tests {
             let of = |c: &MicroImageCenter| maker.lens_type(600, 500, Vector2::new(c.u_px, c.v_px));
             assert!(centers.iter().all(|c| of(c) == 0));
         }
+    }
+
+    #[test]
+    fn what_is_not_used_is_told() {
+        let three = [0.0, 1.0, 2.0];
+        let of = |turned: f64, more: &str| {
+            let file = file(turned, 60.0, &three);
+            let maker = read(&file.replace("</RayCalibData>", &format!("{more}</RayCalibData>")));
+            maker.unwrap().findings().into_iter().map(|finding| finding.issue).collect::<Vec<_>>()
+        };
+        let distortion = |function: &str, parameters: &str| {
+            format!(
+                "<distortion><function>{function}</function><parameter>{parameters}</parameter></distortion>"
+            )
+        };
+        let issue = |distortion: Option<&str>, rotation_rad: f64| {
+            vec![Issue::MakerValuesUnused {
+                distortion: distortion.map(str::to_owned),
+                rotation_rad,
+            }]
+        };
+        assert_eq!(of(0.0, &distortion("constant", "0")), []);
+        assert_eq!(of(0.0, &distortion("Brown", "-0.001;0.0007")), issue(Some("Brown"), 0.0));
+        // A rotation that is that of the lattice says nothing new.
+        assert_eq!(of(0.0, "<rotation>0.000005</rotation>"), []);
+        assert_eq!(of(90.0, "<rotation>1.570796370506</rotation>"), []);
+        let [Issue::MakerValuesUnused { distortion: None, rotation_rad }] =
+            of(0.0, "<rotation>0.0007</rotation>")[..]
+        else {
+            panic!("a rotation is not told")
+        };
+        assert!((rotation_rad - 7e-4).abs() < 1e-9, "{rotation_rad}");
     }
 
     #[test]

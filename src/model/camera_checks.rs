@@ -1,5 +1,7 @@
 //! Whether a camera is possible.
 
+use std::f64::consts::TAU;
+
 use super::camera::PlenopticCamera;
 use super::checks::positive;
 use super::lattice::{check_array_size, check_lens_types};
@@ -14,7 +16,7 @@ impl PlenopticCamera {
         check_array_size(self.lattice.columns, self.lattice.rows)?;
         check_lens_types(self.lens_types(), self.lattice.kind())?;
         if let Some(setting) = self.main_lens.setting {
-            positive(setting.f_number, "the f-number of the main lens")?;
+            positive(setting.f_number, "the f-number of the main lens (f_number)")?;
             if setting.focus_distance_mm.is_nan() || setting.focus_distance_mm <= 0.0 {
                 return Err(Error::invalid(format!(
                     "the focus distance of the main lens (mm) is {}: it has to be positive, or inf",
@@ -31,8 +33,16 @@ impl PlenopticCamera {
             }
             // Squares of values far beyond this overflow.
             if !value.is_finite() || value.abs() > 1e100 {
-                return Err(Error::invalid(format!("the camera's {parameter} is {value}")));
+                return Err(Error::invalid(format!(
+                    "the camera's {parameter}{unit} is {value}, which is that of no camera: correct it, or calibrate again"
+                )));
             }
+        }
+        if self.mla.rotation_rad.amax() > TAU {
+            return Err(Error::invalid(format!(
+                "the array is rotated by ({}, {}, {}) rad (rotation_rad), more than a whole turn: are these degrees?",
+                self.mla.rotation_rad.x, self.mla.rotation_rad.y, self.mla.rotation_rad.z
+            )));
         }
         positive(self.pupil_to_mla_mm(), "the camera's D + e_z, exit pupil to array (mm),")?;
         positive(

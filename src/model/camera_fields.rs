@@ -35,6 +35,7 @@ impl<'de> Deserialize<'de> for PlenopticCamera {
 }
 
 #[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct MainLensFile {
     focal_length_mm: f64,
     q1_per_mm2: f64,
@@ -57,6 +58,7 @@ struct MainLensFile {
 }
 
 #[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct ArrayFile {
     lattice: LatticeKind,
     columns: i32,

@@ -93,10 +93,10 @@ impl Datasheet {
             check_array_size(columns, rows)?;
         }
         if let Some(pitch) = self.micro_image_pitch_px {
-            positive(pitch, "the micro-image pitch (px)")?;
+            positive(pitch, "the micro-image pitch (micro_image_pitch_px)")?;
         }
-        positive(self.focal_length_mm, "the focal length of the main lens (mm)")?;
-        positive(self.f_number, "the f-number of the main lens")?;
+        positive(self.focal_length_mm, "the focal length of the main lens (focal_length_mm)")?;
+        positive(self.f_number, "the f-number of the main lens (f_number)")?;
         check_lens_types(self.lens_types, self.lattice_kind)?;
         let half_diagonal_mm = self.sensor.half_diagonal_mm();
         if half_diagonal_mm > WIDEST * self.focal_length_mm {
@@ -112,7 +112,7 @@ impl Datasheet {
         // The sum of object and image distance of a thin lens is at least 4F.
         if self.focus_distance_mm.is_nan() || self.focus_distance_mm < 4.0 * self.focal_length_mm {
             return Err(Error::invalid(format!(
-                "a focus distance of {} mm is not possible with F = {} mm: it is measured from the \
+                "a focus distance of {} mm is not possible with F = {} mm: focus_distance_mm is measured from the \
                  sensor and is at least 4 F",
                 self.focus_distance_mm, self.focal_length_mm
             )));
@@ -162,12 +162,12 @@ impl InternalParameters {
 
     /// Checks all values; an error names the one that is not possible, or a wrong number of q'.
     pub fn validate(&self, lens_types: usize) -> Result<()> {
-        positive(self.m_mm, "the internal parameter |m| (mm)")?;
+        positive(self.m_mm, "the internal parameter |m| (m_mm)")?;
         for (i, &q) in self.q_prime_mm.iter().enumerate() {
-            positive(q, &format!("the internal parameter q'_{} (mm)", i + 1))?;
+            positive(q, &format!("the internal parameter q'_{} (q_prime_mm)", i + 1))?;
         }
         if let Some(pitch) = self.micro_image_pitch_mm {
-            positive(pitch, "the micro-image pitch (mm)")?;
+            positive(pitch, "the micro-image pitch (micro_image_pitch_mm)")?;
         }
         if lens_types != 0 && self.q_prime_mm.len() != lens_types {
             return Err(Error::invalid(format!(

@@ -12,6 +12,9 @@ use crate::error::{Error, Result};
 const SMALLEST_PIXEL_MM: f64 = 2e-4;
 const LARGEST_PIXEL_MM: f64 = 0.2;
 
+/// No sensor for images has more, and what is computed for each of them fits into memory.
+pub(crate) const MOST_PIXELS: u64 = 1 << 28;
+
 /// The image sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -49,11 +52,19 @@ impl Sensor {
     pub(crate) fn validate(&self) -> Result<()> {
         if self.width_px == 0 || self.height_px == 0 {
             return Err(Error::invalid(format!(
-                "a sensor of {} x {} pixels has no area",
+                "a sensor of {} x {} pixels has no area: give width_px and height_px of the images",
                 self.width_px, self.height_px
             )));
         }
-        positive(self.pixel_size_mm, "the pixel size (mm)")?;
+        let pixels = u64::from(self.width_px) * u64::from(self.height_px);
+        if pixels > MOST_PIXELS {
+            return Err(Error::invalid(format!(
+                "a sensor of {} x {} pixels has {pixels}, and the limit is {MOST_PIXELS}: give width_px and height_px of \
+                 the images",
+                self.width_px, self.height_px
+            )));
+        }
+        positive(self.pixel_size_mm, "the pixel size (pixel_size_mm)")?;
         if (SMALLEST_PIXEL_MM..=LARGEST_PIXEL_MM).contains(&self.pixel_size_mm) {
             return Ok(());
         }

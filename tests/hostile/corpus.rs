@@ -9,6 +9,8 @@ use flate2::write::GzEncoder;
 use image::{DynamicImage, GrayImage, ImageFormat};
 use plenocal::io::{Project, read_camera, read_centers, read_features, read_poses};
 use plenocal::model::{Board, Datasheet, FramePose, Observations, PlenopticCamera};
+use tiff::encoder::colortype::{ColorType, Gray8, Gray32, Gray32Float, Gray64Float, GrayI16};
+use tiff::encoder::{Compression as Packing, TiffEncoder, TiffValue};
 
 use super::documents::{self, FEW};
 
@@ -164,6 +166,67 @@ pub fn prescriptions() -> Vec<Vec<u8>> {
     documents::toml_files("lenses").iter().map(|path| bytes(path)).collect()
 }
 
+/// TIFF files of samples that are not those of a camera, `BigTIFF`, and a stack.
+fn tiffs() -> Vec<Vec<u8>> {
+    fn of<C: ColorType>(level: impl Fn(u16) -> C::Inner, big: bool, pages: usize) -> Vec<u8>
+    where
+        [C::Inner]: TiffValue,
+    {
+        const EDGE: u32 = 12;
+        let samples: Vec<C::Inner> = (0..144).map(level).collect();
+        let mut bytes = Cursor::new(Vec::new());
+        if big {
+            let mut encoder = TiffEncoder::new_big(&mut bytes).expect("memory can be written");
+            for _ in 0..pages {
+                encoder.write_image::<C>(EDGE, EDGE, &samples).expect("the size is right");
+            }
+        } else {
+            let encoder = TiffEncoder::new(&mut bytes).expect("memory can be written");
+            let mut encoder = encoder.with_compression(Packing::Lzw);
+            for _ in 0..pages {
+                encoder.write_image::<C>(EDGE, EDGE, &samples).expect("the size is right");
+            }
+        }
+        bytes.into_inner()
+    }
+    vec![
+        of::<Gray32Float>(|i| f32::from(i) * 100.25, false, 1),
+        of::<Gray64Float>(|i| f64::from(i) * 100.25, true, 1),
+        of::<GrayI16>(|i| i16::try_from(i).unwrap_or_default() * 100, false, 1),
+        of::<Gray32>(|i| u32::from(i) * 400, true, 1),
+        of::<Gray8>(|i| u8::try_from(i).unwrap_or_default(), false, 3),
+    ]
+}
+
+/// Images with a profile, an orientation or several pages.
+pub fn images_with_notes() -> Vec<Vec<u8>> {
+    const FIRST_CHUNK: usize = 33;
+    let mut files = tiffs();
+    let [png, _, _, _, jpeg] = &images()[..5] else { return files };
+    // Little-endian: an orientation, and an offset of the block with the colour space, both within the block.
+    let exif = b"II*\0\x08\0\0\0\x02\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\x69\x87\x04\0\x01\0\0\0\x26\0\0\0\0\0\0\0\
+        \x01\0\x01\xa0\x03\0\x01\0\0\0\x01\0\0\0\0\0\0\0";
+    let profile =
+        [&[0; 128][..], b"\0\0\0\x01kTRC\0\0\0\x90\0\0\0\x0ecurv\0\0\0\0\0\0\0\x01\x02\x33"]
+            .concat();
+    let chunk = |name: &[u8], content: &[u8]| {
+        let length = u32::try_from(content.len()).unwrap_or_default().to_be_bytes();
+        [&length[..], name, content, &[0; 4]].concat()
+    };
+    let with = |file: &[u8], at: usize, piece: &[u8]| [&file[..at], piece, &file[at..]].concat();
+    for piece in [chunk(b"eXIf", exif), chunk(b"gAMA", &45_455_u32.to_be_bytes())] {
+        files.push(with(png, FIRST_CHUNK, &piece));
+    }
+    for (marker, begin, content) in
+        [(0xe1, &b"Exif\0\0"[..], &exif[..]), (0xe2, b"ICC_PROFILE\0\x01\x01", &profile)]
+    {
+        let length = u16::try_from(begin.len() + content.len() + 2).unwrap_or_default();
+        let segment = [&[0xff, marker][..], &length.to_be_bytes(), begin, content].concat();
+        files.push(with(jpeg, 2, &segment));
+    }
+    files
+}
+
 /// Small images of every kind that is read.
 pub fn images() -> Vec<Vec<u8>> {
     let pixel = |x, y| image::Luma([u8::try_from((7 * x + 13 * y) % 256).unwrap_or_default()]);
@@ -194,6 +257,7 @@ pub fn images() -> Vec<Vec<u8>> {
         .flat_map(|image| formats.map(|format| (image, format)))
         .filter_map(encoded)
         .collect();
+    files.extend(tiffs());
     files.push(b"P2\n3 2\n255\n0 10 20\n30 40 50\n".to_vec());
     files.push(b"P3\n1 2\n65535\n0 10 20\n30 40 50\n".to_vec());
     files

@@ -29,7 +29,7 @@ pub struct Target {
 }
 
 /// All readers.
-pub const TARGETS: [Target; 18] = [
+pub const TARGETS: [Target; 19] = [
     Target {
         name: "project",
         file: "project.toml",
@@ -186,6 +186,12 @@ pub const TARGETS: [Target; 18] = [
             let format = io::sort_images(folder).and_then(|images| images.common_format());
             Ok(format!("{} {:?}", image?.width, format?))
         },
+    },
+    Target {
+        name: "what images say of themselves",
+        file: "image.tif",
+        seeds: corpus::images_with_notes,
+        read: |path| Ok(format!("{:?}", io::image_findings(&[path]))),
     },
 ];
 

@@ -216,6 +216,17 @@ fn missing_centres_are_rejected() {
 }
 
 #[test]
+fn frames_are_excluded_by_ranges() {
+    let spoiled = Spoiled::new();
+    spoiled.is_rejected_with(&["--exclude", "0-3,99"], &["frame 99"]);
+    let mut command = plenocal();
+    command.arg("calibrate").arg(spoiled.path("project.toml")).args(["--exclude", "7-x", "--out"]);
+    let words =
+        predicate::str::contains("no list of frames").and(predicate::str::contains("0-4,7"));
+    command.arg(spoiled.path("out")).assert().failure().stderr(words);
+}
+
+#[test]
 fn excluding_an_unknown_frame_is_rejected() {
     Spoiled::new().is_rejected_with(&["--exclude", "99"], &["frame 99"]);
 }
@@ -280,9 +291,13 @@ fn damaged_camera_files_are_rejected() {
 
 #[test]
 fn a_feature_outside_its_micro_image_is_rejected() {
-    Spoiled::new()
-        .append("features.csv", "5,5,900.0,700.0,0.1,3,0")
-        .is_rejected(&["corner 3", "(5, 5)", "0 more"]);
+    Spoiled::new().append("features.csv", "5,5,900.0,700.0,0.1,3,0").is_rejected(&[
+        "features.csv",
+        "corner 3",
+        "frame 0",
+        "(5, 5)",
+        "0 more",
+    ]);
 }
 
 #[test]

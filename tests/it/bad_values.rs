@@ -190,6 +190,123 @@ fn an_impossible_observation_is_named_with_its_line() {
     }
 }
 
+/// The truth of the shipped observations with one replacement.
+fn edited_truth(from: &str, to: &str) -> File {
+    let truth = fs::read_to_string(synthetic_folder().join("truth/camera.json")).unwrap();
+    let edited = truth.replacen(from, to, 1);
+    assert_ne!(truth, edited, "{from}");
+    file("camera.json", edited)
+}
+
+#[test]
+fn a_camera_has_no_other_keys_and_possible_values() {
+    for (from, to, words) in [
+        ("\"sensor\"", "\"sensr\"", &["'sensr'", "is 'sensor' meant?"][..]),
+        ("\"version\"", "\"colour\": 1, \"version\"", &["'colour' is no key", "leave it out"]),
+        ("\"pitch_mm\"", "\"pich_mm\"", &["micro_lens_array", "`pich_mm`: is `pitch_mm` meant?"]),
+        ("\"version\": 1", "\"version\": \"1\"", &["has to be a number", "\"version\": 2"]),
+        ("\"version\": 1", "\"converged\": true", &["has no version"]),
+        ("\"focal_length_mm\": 16.2", "\"focal_length_mm\": 1e308", &["F (mm)", "correct it"]),
+        ("\"width_px\": 1000", "\"width_px\": 600000", &["450000000", "268435456"]),
+        ("\"width_px\": 1000", "\"width_px\": -1", &["width_px", "a whole number from 0"]),
+        (
+            "\"version\": 1",
+            "\"version\": 1, \"boards\": {\"near_mm\": 90, \"far_mm\": 80}",
+            &["near_mm is 90", "far_mm is 80"],
+        ),
+    ] {
+        let camera = edited_truth(from, to);
+        assert_refused(read_camera_source(&camera.path), &[&["camera.json"], words].concat());
+    }
+    let nothing = file("camera.json", "null");
+    assert_refused(read_camera_source(&nothing.path), &["camera.json", "nothing in it but null"]);
+    let beside = edited_truth(
+        "\"version\": 1",
+        "\"version\": 1, \"converged\": true, \"boards\": {\"near_mm\": 80, \"far_mm\": 90}, \
+         \"uncertainty\": {}, \"verdict\": {}, \"depth_from_blur\": {}",
+    );
+    assert!(read_camera_source(&beside.path).is_ok());
+}
+
+#[test]
+fn the_array_of_a_camera_is_not_turned_by_degrees() {
+    let mut camera = true_camera();
+    camera.mla.rotation_rad.z = 90.0;
+    let document = plenocal::io::camera_document(&camera, None).to_string();
+    let camera = file("camera.json", document);
+    assert_refused(read_camera(&camera.path), &["camera.json", "rotation_rad", "degrees"]);
+}
+
+#[test]
+fn boards_lie_before_the_camera_once_each() {
+    let poses = |of: &[(u32, f64)]| {
+        let pose = |&(frame, z): &(u32, f64)| {
+            format!(
+                "{{\"frame\": {frame}, \"camera_from_board\": {{\"rotation_vector_rad\": [0, 0, 0], \
+                 \"translation_mm\": [0, 0, {z}]}}}}"
+            )
+        };
+        let all: Vec<String> = of.iter().map(pose).collect();
+        let all = all.join(", ");
+        let head = "\"format\": \"plenocal-poses\", \"version\": 1";
+        file("poses.json", format!("{{{head}, \"poses\": [{all}]}}"))
+    };
+    assert!(read_poses(&poses(&[(0, 80.0), (1, 80.0)]).path).is_ok());
+    for (of, words) in [
+        ([(0, 80.0), (0, 120.0)], ["frame 0", "given twice"]),
+        ([(0, 80.0), (1, 0.12)], ["frame 1", "in m?"]),
+        ([(0, 80.0), (1, -90.0)], ["frame 1", "behind the camera"]),
+    ] {
+        assert_refused(read_poses(&poses(&of).path), &[&["poses.json"], &words[..]].concat());
+    }
+}
+
+#[test]
+fn tables_of_other_programs_are_recognised() {
+    for (text, words) in [
+        (&b"k;l;u;v\n1;2;3,5;4,5\n"[..], &["commas", "points"][..]),
+        (b"k\tl\tu\tv\n1\t2\t3.5\t4.5\n", &["not by tabs"]),
+        (b"k,l,u,v\n1,2,3,5,4,5\n", &["line 2", "6 columns", "are there commas in its numbers"]),
+        (b"k,l,u,v\n1,2,\"3,5\",4.5\n", &["line 2", "'3,5'", "write decimals with points"]),
+        (b"k,l,u,v,std_dev\n1,2,3,4,1e-300\n", &["line 2", "nothing is measured to"]),
+        (b"\xff\xfek\0,\0l\0", &["UTF-16", "save it as UTF-8"]),
+        (b"k,l,u,v\n1,2,3,4\n\xe9,2,3,4\n", &["not in UTF-8"]),
+    ] {
+        let centers = file("centers.csv", text);
+        assert_refused(read_centers(&centers.path), &[&["centers.csv"], words].concat());
+    }
+    let marked = file("centers.csv", b"\xef\xbb\xbfk,l,u,v\n1,2,3.5,4.5\n");
+    assert_eq!(read_centers(&marked.path).unwrap().len(), 1);
+}
+
+#[test]
+fn a_folder_names_the_file_in_it() {
+    let folder = TempDir::new().unwrap();
+    let refused = |words: &[&str]| assert_refused(Project::read(folder.path()), words);
+    refused(&["it is a folder: give a file"]);
+    fs::write(folder.path().join("project.toml"), documents::PROJECT).unwrap();
+    refused(&["it is a folder: give", "project.toml"]);
+}
+
+#[test]
+fn range_errors_of_a_project_name_its_key() {
+    for (from, to, words) in [
+        ("f_number = 2.8", "f_number = 0.0", "f_number"),
+        ("width_px = 1000", "width_px = 0", "width_px"),
+        ("pixel_size_mm = 0.0055", "pixel_size_mm = -1.0", "pixel_size_mm"),
+        ("focus_distance_mm = inf", "focus_distance_mm = -120.0", "focus_distance_mm"),
+        ("loss_scale = 3.0", "loss_scale = 0.0", "loss_scale"),
+        ("threads = 1", "threads = 0", "threads is 0"),
+        ("uv_std_dev_px = 0.1", "uv_std_dev_px = 1e-300", "nothing is measured to"),
+        ("columns = 43", "columns = 4.5", "a whole number from"),
+    ] {
+        let project = documents::PROJECT.replacen(from, to, 1);
+        assert_ne!(project, documents::PROJECT, "{from}");
+        let project = file("project.toml", project);
+        assert_refused(read_camera_source(&project.path), &["project.toml", words]);
+    }
+}
+
 /// A data set of few images.
 fn simulate(folder: &Path, boards: &str, force: &[&str]) -> assert_cmd::assert::Assert {
     let few = ["rays=1", "boards.evaluation=0", "translation.images=0", boards];

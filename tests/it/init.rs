@@ -234,3 +234,22 @@ fn an_existing_file_is_kept() {
     assert!(fs::read_to_string(&out).unwrap().contains("[[images.whites]]"));
     init(folder.path(), folder.path()).arg("--force").assert().code(1);
 }
+
+/// One file that cannot be used does not keep the others from it.
+#[cfg(target_os = "linux")]
+#[test]
+fn what_cannot_be_read_is_listed_and_skipped() {
+    use std::os::unix::ffi::OsStrExt;
+    let folder = folder_of(&["white_f4.png", "board_1.png"]);
+    let at = |name: &[u8]| folder.path().join(std::ffi::OsStr::from_bytes(name));
+    std::os::unix::fs::symlink("nowhere.png", at(b"board_2.png")).unwrap();
+    fs::copy(at(b"board_1.png"), at(b"board_\xff.png")).unwrap();
+    let pipe = std::process::Command::new("mkfifo").arg(at(b"board_3.png")).status();
+    assert!(pipe.unwrap().success());
+    let out = folder.path().join("project.toml");
+    let mut assert = init(folder.path(), &out).assert().success();
+    for words in ["board_2.png: the link leads nowhere", "board_3.png: it is a pipe", "not UTF-8"] {
+        assert = assert.stdout(predicate::str::contains(words));
+    }
+    assert!(fs::read_to_string(&out).unwrap().contains("board_1.png"));
+}

@@ -1,0 +1,292 @@
+//! Image files.
+
+mod icc;
+mod jpeg;
+mod notes;
+mod png;
+mod scans;
+mod tags;
+#[cfg(test)]
+mod tests;
+mod tiff;
+
+use std::borrow::Cow;
+use std::error::Error as StdError;
+use std::fmt::Display;
+use std::fs::File;
+use std::io::{self, BufReader, Cursor, ErrorKind, Write};
+use std::path::Path;
+
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{
+    DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageFormat,
+    ImageReader,
+};
+
+use super::{open, read_bytes};
+use crate::error::{Error, Result};
+use crate::image::{Color, RawImage, Samples};
+
+pub use notes::image_findings;
+
+/// The samples of an image may take so many bytes.
+const LIMIT_BYTES: u64 = 512 << 20;
+
+/// What a file has, before its colour is interpreted.
+struct Decoded {
+    width: usize,
+    height: usize,
+    /// Grey or RGB.
+    color: Color,
+    samples: Samples,
+}
+
+/// Reads a PNG, TIFF, BMP, PGM/PPM or JPEG file; transparency is ignored.
+///
+/// Samples have 8 or 16 bits. Those of TIFF files may also be signed, of 32 or 64 bits, or floating-point numbers if
+/// they are grey levels from 0 to 65535; these are rounded to whole levels. Of several pages the first is read.
+///
+/// `color` says what the samples stand for; without it they are grey or RGB, as in the file. A file
+/// with three channels cannot be a colour mosaic, and one with a single channel cannot be RGB.
+pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
+    // Read whole before it is decoded: a failure of the disk is one of reading, not of the image.
+    let bytes = read_bytes(path)?;
+    let image = decode(&bytes).and_then(|decoded| interpreted(decoded, color));
+    image.map_err(|e| e.in_file(path))
+}
+
+/// Width and height, px, and grey or RGB, from the header of an image file.
+pub(super) fn format_of(path: &Path) -> Result<(u32, u32, Color)> {
+    let read = |source| Error::Read { path: path.to_owned(), source };
+    let file = open(path).map_err(read)?;
+    let of_tiff = tags::Tags::of(BufReader::new(&file)).map(|mut tags| tiff::format(&mut tags));
+    let format = match of_tiff {
+        Some(format) => format.ok_or_else(|| cut_off("TIFF")),
+        None => File::try_clone(&file).map_err(read).and_then(format_of_others),
+    };
+    format.map_err(|e| e.in_file(path))
+}
+
+fn format_of_others(mut file: File) -> Result<(u32, u32, Color)> {
+    io::Seek::rewind(&mut file).map_err(|e| unreadable("image", &e))?;
+    let (reader, name) = reader_of(BufReader::new(file))?;
+    let decoder = reader.into_decoder().map_err(|e| refused(name, &e))?;
+    let (width, height) = decoder.dimensions();
+    let color = if decoder.color_type().has_color() { Color::Rgb } else { Color::Grey };
+    Ok((width, height, color))
+}
+
+fn decode(bytes: &[u8]) -> Result<Decoded> {
+    if bytes.is_empty() {
+        return Err(Error::invalid("this image file is empty: copy it again"));
+    }
+    if bytes.starts_with(jpeg::MAGIC) {
+        if !jpeg::is_whole(bytes) {
+            return Err(cut_off("JPEG"));
+        } else if !scans::are_complete(bytes) {
+            return Err(damaged("JPEG"));
+        }
+    }
+    if tags::Tags::of(Cursor::new(bytes)).is_some()
+        && let Some(decoded) = tiff::decode(bytes)?
+    {
+        return Ok(decoded);
+    }
+    let (reader, name) = reader_of(Cursor::new(bytes))?;
+    if reader.format() == Some(ImageFormat::Png) && !png::is_whole(bytes) {
+        return Err(cut_off(name));
+    }
+    let wrong = |e: ImageError| refused(name, &e);
+    let decoder = reader.into_decoder().map_err(wrong)?;
+    let (width, height) = decoder.dimensions();
+    within_limit(width, height, u64::from(decoder.color_type().bytes_per_pixel()))?;
+    samples_of(DynamicImage::from_decoder(decoder).map_err(wrong)?)
+}
+
+/// A decoder of the format that a file has, by its first bytes, and the name of the format.
+fn reader_of<R: io::BufRead + io::Seek>(file: R) -> Result<(ImageReader<R>, &'static str)> {
+    let reader =
+        ImageReader::new(file).with_guessed_format().map_err(|e| unreadable("image", &e))?;
+    let name = match reader.format() {
+        Some(ImageFormat::Png) => "PNG",
+        Some(ImageFormat::Tiff) => "TIFF",
+        Some(ImageFormat::Bmp) => "BMP",
+        Some(ImageFormat::Pnm) => "PGM",
+        Some(ImageFormat::Jpeg) => "JPEG",
+        _ => {
+            return Err(Error::invalid(
+                "this is no PNG, TIFF, BMP, PGM, PPM or JPEG file, whatever its name says: save the image as PNG or TIFF \
+                 with 8 or 16 bits",
+            ));
+        }
+    };
+    Ok((reader, name))
+}
+
+fn samples_of(decoded: DynamicImage) -> Result<Decoded> {
+    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+    let (color, samples) = match decoded {
+        DynamicImage::ImageLuma8(image) => (Color::Grey, Samples::Bits8(image.into_raw())),
+        DynamicImage::ImageLuma16(image) => (Color::Grey, Samples::Bits16(image.into_raw())),
+        DynamicImage::ImageRgb16(_) | DynamicImage::ImageRgba16(_) => {
+            (Color::Rgb, Samples::Bits16(decoded.into_rgb16().into_raw()))
+        }
+        DynamicImage::ImageLumaA8(_) => {
+            (Color::Grey, Samples::Bits8(decoded.into_luma8().into_raw()))
+        }
+        DynamicImage::ImageLumaA16(_) => {
+            (Color::Grey, Samples::Bits16(decoded.into_luma16().into_raw()))
+        }
+        DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_) => {
+            (Color::Rgb, Samples::Bits8(decoded.into_rgb8().into_raw()))
+        }
+        other => {
+            return Err(Error::invalid(format!(
+                "samples of the kind {:?} are not supported: save the image with whole numbers of 8 or 16 bits, linear in \
+                 light",
+                other.color()
+            )));
+        }
+    };
+    Ok(Decoded { width, height, color, samples })
+}
+
+/// The image as samples of this colour.
+fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
+    let Decoded { width, height, color: stored, samples } = decoded;
+    if width == 0 || height == 0 {
+        return Err(Error::invalid(format!(
+            "this image of {width} x {height} px is empty: save it again"
+        )));
+    }
+    let color = match (color, stored) {
+        (None, stored) => stored,
+        // A grey picture may be stored in three channels.
+        (Some(Color::Grey | Color::Rgb), Color::Rgb) => Color::Rgb,
+        (Some(color), Color::Grey) if color != Color::Rgb => color,
+        (Some(color), _) => {
+            let channels = stored.samples();
+            return Err(Error::invalid(format!(
+                "this image has {channels} channel(s), but is said to be '{}': correct the colour, or give the image as \
+                 the camera delivered it",
+                color.name()
+            )));
+        }
+    };
+    Ok(RawImage { width, height, color, samples })
+}
+
+/// The error for a file whose end is missing.
+fn cut_off(format: &str) -> Error {
+    Error::invalid(format!("this {format} file is cut off: copy it again, or take the image again"))
+}
+
+/// The error for a file of which a part is missing or not what was written.
+fn damaged(format: &str) -> Error {
+    Error::invalid(format!(
+        "this {format} file is damaged, and a part of the image is missing: copy it again, or take the image again"
+    ))
+}
+
+/// The error for a file that cannot be decoded.
+fn unreadable(format: &str, reason: &dyn Display) -> Error {
+    Error::invalid(format!(
+        "this {format} file cannot be read ({reason}): copy it again if it is damaged; else save the image as PNG or TIFF \
+         with 8 or 16 bits, grey or RGB"
+    ))
+}
+
+fn refused(format: &str, error: &ImageError) -> Error {
+    match error {
+        ImageError::Limits(_) => Error::invalid(format!(
+            "this {format} file states a size for which more than {} MB of memory are needed: give an image of a camera, \
+             not larger than that",
+            LIMIT_BYTES >> 20
+        )),
+        error if is_end_of_file(error) => cut_off(format),
+        // The header of a PGM file ends with the file.
+        error if error.to_string().ends_with("Unexpected end of PNM header") => cut_off(format),
+        error => unreadable(format, error),
+    }
+}
+
+/// Whether an error is, or comes from, an end of file where none should be.
+fn is_end_of_file(error: &(dyn StdError + 'static)) -> bool {
+    let mut cause = Some(error);
+    while let Some(error) = cause {
+        let of_system = match error.downcast_ref::<ImageError>() {
+            Some(ImageError::IoError(error)) => Some(error),
+            _ => error.downcast_ref::<io::Error>(),
+        };
+        if of_system.is_some_and(|error| error.kind() == ErrorKind::UnexpectedEof) {
+            return true;
+        }
+        cause = error.source();
+    }
+    false
+}
+
+fn too_large(width: u32, height: u32) -> Error {
+    Error::invalid(format!(
+        "this image of {width} x {height} px takes more than {} MB of memory, which is the limit: give an image of a \
+         camera, not larger than that",
+        LIMIT_BYTES >> 20
+    ))
+}
+
+/// An error for an image that is too large.
+fn within_limit(width: u32, height: u32, bytes_per_pixel: u64) -> Result<()> {
+    let bytes = u64::from(width) * u64::from(height);
+    match bytes.checked_mul(bytes_per_pixel) {
+        Some(bytes) if bytes <= LIMIT_BYTES => Ok(()),
+        _ => Err(too_large(width, height)),
+    }
+}
+
+/// Writes a raw image as PNG, 8 or 16 bit, grey (a colour mosaic too) or RGB.
+pub fn write_png(out: &mut dyn Write, raw: &RawImage) -> io::Result<()> {
+    let rgb = raw.color == Color::Rgb;
+    let (bytes, color) = match &raw.samples {
+        Samples::Bits8(samples) => {
+            let color = if rgb { ExtendedColorType::Rgb8 } else { ExtendedColorType::L8 };
+            (Cow::from(samples), color)
+        }
+        Samples::Bits16(samples) => {
+            let color = if rgb { ExtendedColorType::Rgb16 } else { ExtendedColorType::L16 };
+            // The encoder takes the machine's byte order.
+            (samples.iter().flat_map(|s| s.to_ne_bytes()).collect(), color)
+        }
+    };
+    let encoder = PngEncoder::new_with_quality(out, CompressionType::Fast, FilterType::Adaptive);
+    encode(encoder, raw, &bytes, color)
+}
+
+/// Writes a raw image as JPEG of a quality from 1 to 100, 8 bit, grey or RGB. An error for samples of 16 bits
+/// and for a colour mosaic, whose colours JPEG would mix.
+pub fn write_jpeg(out: &mut dyn Write, raw: &RawImage, quality: u8) -> io::Result<()> {
+    let (Samples::Bits8(samples), Color::Grey | Color::Rgb) = (&raw.samples, raw.color) else {
+        return Err(io::Error::other(
+            "only images of 8 bits, grey or rgb, can be written as JPEG: write this one as PNG",
+        ));
+    };
+    let rgb = raw.color == Color::Rgb;
+    let color = if rgb { ExtendedColorType::Rgb8 } else { ExtendedColorType::L8 };
+    encode(JpegEncoder::new_with_quality(out, quality), raw, samples, color)
+}
+
+fn encode(
+    encoder: impl ImageEncoder,
+    raw: &RawImage,
+    bytes: &[u8],
+    color: ExtendedColorType,
+) -> io::Result<()> {
+    let size = |pixels: usize| u32::try_from(pixels).map_err(io::Error::other);
+    encoder.write_image(bytes, size(raw.width)?, size(raw.height)?, color).map_err(|error| {
+        match error {
+            // A full disk, for example: the system's own message says it best.
+            ImageError::IoError(error) => error,
+            other => io::Error::other(other),
+        }
+    })
+}

@@ -1,0 +1,169 @@
+//! What image files say about their samples that a calibration does not follow: tone curves, orientation, pages.
+
+use std::io::{self, BufReader, Cursor, Read, Seek};
+use std::path::Path;
+
+use flate2::read::ZlibDecoder;
+use rayon::prelude::*;
+
+use super::tags::{Tags, tag};
+use super::{icc, jpeg, png, tiff};
+use crate::finding::{Finding, Issue};
+use crate::io::open;
+
+/// Profiles and EXIF blocks of PNG and JPEG files come before the samples.
+const HEAD: u64 = 1 << 20;
+/// No profile of a curve is longer.
+const LONGEST_PROFILE: u64 = 1 << 22;
+/// Segments of JPEG files with EXIF blocks and profiles, and what their contents begin with.
+const APP1: u8 = 0xe1;
+const APP2: u8 = 0xe2;
+const EXIF: &[u8] = b"Exif\0\0";
+const ICC: &[u8] = b"ICC_PROFILE\0";
+/// `ColorSpace` of EXIF blocks.
+const SRGB: u64 = 1;
+/// `gAMA` of samples that are linear in light, and its unit.
+const LINEAR_GAMA: u32 = 100_000;
+
+/// What a file says.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+struct Notes {
+    /// Why the samples are not linear in light.
+    curve: Option<String>,
+    /// How the image is to be turned or mirrored, if it is.
+    orientation: Option<u64>,
+    /// Pages, smaller versions and masks apart.
+    pages: usize,
+}
+
+/// Findings about image files that say of themselves that their samples are not linear in light, that they are to be
+/// turned, or that they have several pages. Nothing of this is followed: samples and pixels are used as they are
+/// stored. Files that cannot be read give none: they are reported when their turn comes.
+#[must_use]
+pub fn image_findings<P: AsRef<Path> + Sync>(images: &[P]) -> Vec<Finding> {
+    let notes: Vec<(String, Notes)> = images
+        .par_iter()
+        .map(|path| (name(path.as_ref()), notes_of(path.as_ref()).unwrap_or_default()))
+        .collect();
+    let of_curve = |(name, notes): &(String, Notes)| {
+        notes.curve.clone().map(|profile| (name.clone(), profile))
+    };
+    let of_orientation = |(name, notes): &(String, Notes)| {
+        notes.orientation.map(|orientation| (name.clone(), orientation))
+    };
+    let of_pages =
+        |(name, notes): &(String, Notes)| (notes.pages > 1).then(|| (name.clone(), notes.pages));
+    let curves = first_of(notes.iter().filter_map(of_curve));
+    let turned = first_of(notes.iter().filter_map(of_orientation));
+    let several = first_of(notes.iter().filter_map(of_pages));
+    let issues = [
+        curves.map(|(images, first, profile)| Issue::ImageProfile { images, first, profile }),
+        turned.map(|(images, first, orientation)| Issue::ImageOrientation {
+            images,
+            first,
+            orientation,
+        }),
+        several.map(|(images, first, pages)| Issue::SeveralPages { images, first, pages }),
+    ];
+    issues.into_iter().flatten().map(Finding::caution).collect()
+}
+
+/// How many there are, and the first.
+fn first_of<T>(mut found: impl Iterator<Item = (String, T)>) -> Option<(usize, String, T)> {
+    let (name, what) = found.next()?;
+    Some((1 + found.count(), name, what))
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn notes_of(path: &Path) -> io::Result<Notes> {
+    let mut file = open(path)?;
+    if let Some(tags) = Tags::of(BufReader::new(&file)) {
+        return Ok(of_tiff(tags));
+    }
+    file.rewind()?;
+    let mut head = Vec::new();
+    file.take(HEAD).read_to_end(&mut head)?;
+    Ok(if head.starts_with(jpeg::MAGIC) { of_jpeg(&head) } else { of_png(&head) })
+}
+
+fn of_tiff(mut tags: Tags<impl Read + Seek>) -> Notes {
+    let pages = tags.pages();
+    let mut is_image = |page: &super::tags::Page| {
+        let kind = page.entry(tag::SUBFILE_TYPE).and_then(|entry| tags.value(entry));
+        kind.unwrap_or(0) & (tiff::REDUCED | tiff::MASK) == 0
+    };
+    let count = pages.iter().filter(|page| is_image(page)).count();
+    let entry = |number: u16| pages.first().and_then(|page| page.entry(number));
+    let profile = entry(tag::ICC_PROFILE).and_then(|entry| tags.content(entry));
+    let orientation = entry(tag::ORIENTATION).and_then(|entry| tags.value(entry));
+    Notes {
+        curve: profile.and_then(|profile| icc::curve(&profile)),
+        orientation: orientation.filter(is_turned),
+        pages: count,
+    }
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // as a filter
+fn is_turned(orientation: &u64) -> bool {
+    (2..=8).contains(orientation)
+}
+
+/// Orientation and colour space of an EXIF block.
+fn of_exif(block: &[u8]) -> Notes {
+    let Some(mut tags) = Tags::of(Cursor::new(block)) else { return Notes::default() };
+    let Some(page) = tags.first() else { return Notes::default() };
+    let orientation = page.entry(tag::ORIENTATION).and_then(|entry| tags.value(entry));
+    let inner = page.entry(tag::EXIF).and_then(|entry| tags.page_at(entry));
+    let space = inner.and_then(|page| page.entry(tag::EXIF_COLOR_SPACE));
+    let is_srgb = space.and_then(|entry| tags.value(entry)) == Some(SRGB);
+    Notes {
+        curve: is_srgb.then(|| "EXIF colour space sRGB".to_owned()),
+        orientation: orientation.filter(is_turned),
+        pages: 1,
+    }
+}
+
+fn of_jpeg(head: &[u8]) -> Notes {
+    let with = |wanted: u8, begin: &'static [u8]| {
+        let of_kind = jpeg::header(head).filter(move |segment| segment.marker == wanted);
+        of_kind.filter_map(move |segment| segment.content.strip_prefix(begin))
+    };
+    let exif = with(APP1, EXIF).next().map(of_exif).unwrap_or_default();
+    // After the number of the segment and how many there are.
+    let profile: Vec<u8> =
+        with(APP2, ICC).flat_map(|content| content.get(2..).unwrap_or_default()).copied().collect();
+    let curve = if profile.is_empty() { exif.curve } else { icc::curve(&profile) };
+    Notes { curve, ..exif }
+}
+
+fn of_png(head: &[u8]) -> Notes {
+    let chunk = |wanted: &[u8; 4]| {
+        png::chunks(head).find(|(name, _)| name == wanted).map(|(_, content)| content)
+    };
+    let exif = chunk(b"eXIf").map(of_exif).unwrap_or_default();
+    // A profile goes before the other chunks, and sRGB before gAMA.
+    let curve = if let Some(profile) = chunk(b"iCCP").and_then(unpacked_profile) {
+        icc::curve(&profile)
+    } else if chunk(b"sRGB").is_some() {
+        Some("sRGB chunk".to_owned())
+    } else if let Some(gama) = chunk(b"gAMA").and_then(|content| content.first_chunk()) {
+        let gama = u32::from_be_bytes(*gama);
+        let text = format!("gAMA {}", f64::from(gama) / f64::from(LINEAR_GAMA));
+        (gama != LINEAR_GAMA).then_some(text)
+    } else {
+        exif.curve
+    };
+    Notes { curve, ..exif }
+}
+
+/// The profile in an `iCCP` chunk: after its name and the method of compression.
+fn unpacked_profile(chunk: &[u8]) -> Option<Vec<u8>> {
+    let end = chunk.iter().position(|byte| *byte == 0)?;
+    let mut profile = Vec::new();
+    let packed = ZlibDecoder::new(chunk.get(end + 2..)?);
+    packed.take(LONGEST_PROFILE).read_to_end(&mut profile).ok()?;
+    Some(profile)
+}
