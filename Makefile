@@ -12,7 +12,7 @@ MAKEFLAGS += --no-print-directory
 # The C++ programs of the tests and benchmarks.
 export PLENOCAL_EXAMPLES = $(CURDIR)/$(BUILD)/examples
 
-.PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-faults fuzz \
+.PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-misuse test-faults fuzz \
         test-cpp test-rust lint bench sanitizers doc doc-cpp data figures format clean
 
 help:
@@ -20,6 +20,7 @@ help:
 	@echo "make test       the tests; PLENOCAL_R12A=DIR and PLENOCAL_WHITES=DIR add real data"
 	@echo "make test-all   also reports in a browser, shell completions, manual pages; installs Chromium"
 	@echo "make test-slow  the slow tests (Monte Carlo, bias of corners, large images)"
+	@echo "make test-misuse    what becomes of 290 uses of a calibrated camera, wrong and right ones (some minutes)"
 	@echo "make test-mistakes  what becomes of 470 users' mistakes and 100 clean sets (an hour)"
 	@echo "make test-faults  kills, full and broken disks, pipes and links (some minutes)"
 	@echo "make fuzz       a million damaged files, solves and runs (ten minutes); FUZZ=\"--cases N\" or a target"
@@ -78,6 +79,9 @@ test-slow: cpp
 	cargo test --release --test it -- --ignored --nocapture $(SLOW)
 
 # MISTAKES="part of a name" runs some of them.
+test-misuse: deps
+	cargo test --release --test misuse -- $(if $(MISUSE),"$(MISUSE)")
+
 test-mistakes: deps
 	cargo test --release --test mistakes -- $(if $(MISTAKES),"$(MISTAKES)")
 
@@ -97,7 +101,7 @@ lint: deps
 	  --log-level=WARNING
 	cmake --build build/lint --parallel $(JOBS)
 	cargo clippy --release --all-targets -- -D warnings
-	cargo clippy --release --test mistakes --test faults --test fuzz -- -D warnings
+	cargo clippy --release --test mistakes --test misuse --test faults --test fuzz -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps --document-private-items
 
 bench: cpp
