@@ -5,22 +5,20 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::{Args, ValueEnum};
-use plenocal::assessment::{
-    Assessment, ModelComparison, Verdict, assess, compare_models, comparison_steps,
-};
+use plenocal::assessment::{Assessment, ModelComparison, assess, compare_models, comparison_steps};
 use plenocal::calibration::{
     Calibration, CalibrationOptions, Method, Mode, Priors, Solution, calibrate, termination_text,
 };
 use plenocal::io::{self, OutputFolder, Project, compote};
 use plenocal::model::{Board, Parameter};
 use plenocal::solver::Termination;
-use plenocal::{Error, Finding, Result, Severity, report};
+use plenocal::{Error, Finding, Result, report};
 
 use super::cost;
 use super::evaluate::calibrated;
 use super::given::Given;
 use super::input::{Files, Input, camera_findings};
-use super::messages::{print_result, say, tell, warn};
+use super::messages::{print_result, say, tell, verdict_status, warn};
 use super::progress;
 
 /// Calibrate a camera from micro-image centres and BAP features.
@@ -238,19 +236,6 @@ pub(super) fn status(calibration: &Calibration, findings: &[Finding]) -> ExitCod
     };
     say(&format!("error: {why}"));
     ExitCode::from(status)
-}
-
-/// Returns the exit status of findings after which a camera should not be used, and prints their codes; `None` if it may be
-/// used.
-pub(super) fn verdict_status(findings: &[Finding]) -> Option<ExitCode> {
-    if Verdict::of(findings) != Verdict::DoNotUse {
-        return None;
-    }
-    let unusable = findings.iter().filter(|finding| finding.severity == Severity::Unusable);
-    let mut reasons: Vec<&str> = unusable.map(Finding::code).collect();
-    reasons.dedup();
-    say(&format!("error: the verdict is \"do not use\" ({})", reasons.join(", ")));
-    Some(ExitCode::from(4))
 }
 
 /// Whether a calibration has estimated a camera; with poses only, it is unchanged.

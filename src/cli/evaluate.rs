@@ -14,9 +14,8 @@ use plenocal::model::{BapFeature, Board, PlenopticCamera, Subset};
 use plenocal::{Error, Finding, Result, Subject, report};
 
 use super::boards::{self, Options, Shoot, images_of};
-use super::calibrate::verdict_status;
 use super::input::{Files, Input, board_shape, camera_findings, camera_source};
-use super::messages::{print_result, tell};
+use super::messages::{print_result, tell, verdict_status};
 use super::progress;
 
 /// Evaluate a camera: on boards not used in its calibration, on known displacements, against the truth,

@@ -3,9 +3,11 @@
 use std::fmt::Display;
 use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
+use std::process::ExitCode;
 
+use plenocal::assessment::Verdict;
 use plenocal::error::Input;
-use plenocal::{Error, Finding, Issue, Result};
+use plenocal::{Error, Finding, Issue, Result, Severity};
 use serde::Serialize;
 
 /// Writes a line to stderr. It is not an error if nobody reads it.
@@ -42,6 +44,19 @@ fn option(issue: &Issue) -> Option<String> {
         Issue::OutlyingFrame { frame, .. } => Some(format!("--exclude {frame}")),
         _ => None,
     }
+}
+
+/// Returns the exit status of findings after which a camera should not be used, and prints their codes; `None` if it may be
+/// used.
+pub fn verdict_status(findings: &[Finding]) -> Option<ExitCode> {
+    if Verdict::of(findings) != Verdict::DoNotUse {
+        return None;
+    }
+    let unusable = findings.iter().filter(|finding| finding.severity == Severity::Unusable);
+    let mut reasons: Vec<&str> = unusable.map(Finding::code).collect();
+    reasons.dedup();
+    say(&format!("error: the verdict is \"do not use\" ({})", reasons.join(", ")));
+    Some(ExitCode::from(4))
 }
 
 /// Says what went wrong, and what helps.
