@@ -86,10 +86,9 @@ pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
 pub(super) fn of_different_frames(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
     let mut seen = HashSet::new();
     match poses.iter().find(|pose| !seen.insert(pose.frame)) {
-        Some(pose) => Err(Error::invalid(format!(
-            "the pose of frame {} is given twice: leave one out",
-            pose.frame
-        ))),
+        Some(pose) => {
+            Err(Error::invalid(format!("frame {} has two poses: leave one out", pose.frame)))
+        }
         None => Ok(poses),
     }
 }

@@ -102,8 +102,6 @@ pub struct TranslationStage {
     pub step_mm: f64,
 }
 
-/// About twenty times an R12.
-const MAX_PIXELS: u64 = 1 << 28;
 const MAX_MICRO_LENSES: u64 = 1 << 20;
 const MAX_IMAGES: u64 = 1000;
 const F_NUMBERS: RangeInclusive<f64> = 0.1..=1000.0;
@@ -154,12 +152,9 @@ impl Settings {
 
     /// An error if the data set would not fit into memory, or an f-number is impossible.
     fn check_size(&self) -> Result<()> {
-        let sensor = &self.camera.sensor;
-        let pixels = u64::from(sensor.width_px) * u64::from(sensor.height_px);
         let images = self.boards.calibration.max(self.boards.evaluation);
         let images = images.max(self.translation.images).max(self.white_images.f_numbers.len());
         for (what, count, limit) in [
-            ("pixels", pixels, MAX_PIXELS),
             ("micro-lenses", self.camera.lattice.nodes() as u64, MAX_MICRO_LENSES),
             ("images of one kind", images as u64, MAX_IMAGES),
         ] {
@@ -169,6 +164,8 @@ impl Settings {
                 )));
             }
         }
+        let sensor = &self.camera.sensor;
+        let pixels = u64::from(sensor.width_px) * u64::from(sensor.height_px);
         if self.imaging.hot_pixels as u64 > pixels {
             return Err(Error::invalid(format!(
                 "{} hot pixels are more than the {pixels} of the sensor",

@@ -253,7 +253,7 @@ fn boards_lie_before_the_camera_once_each() {
     };
     assert!(read_poses(&poses(&[(0, 80.0), (1, 80.0)]).path).is_ok());
     for (of, words) in [
-        ([(0, 80.0), (0, 120.0)], ["frame 0", "given twice"]),
+        ([(0, 80.0), (0, 120.0)], ["frame 0", "two poses"]),
         ([(0, 80.0), (1, 0.12)], ["frame 1", "in m?"]),
         ([(0, 80.0), (1, -90.0)], ["frame 1", "behind the camera"]),
     ] {
