@@ -17,8 +17,8 @@ const SLOPE_FLOOR: f64 = 0.02;
 const SLOPES_AGREE: f64 = 0.015;
 /// The features of clean images, of real lenses too, scatter by 1.1 to 1.4 times their σ.
 const SCATTER: f64 = 1.6;
-/// Of users' mistakes, those with a scatter above 3 had F or fᵢ off by 2 % and more.
-const SCATTER_WRONG: f64 = 3.0;
+/// Of 428 users' mistakes, those that left the camera right scattered by up to 4.8 times σ; at 6.5 and more it was wrong.
+const SCATTER_WRONG: f64 = 6.0;
 /// A reprojection error above this fraction of the micro-image pitch is not noise of a detector. On
 /// the R12 the limit is 2.3 px; real data have 0.9 px.
 const BAD_FIT: f64 = 0.1;
