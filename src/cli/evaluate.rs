@@ -110,6 +110,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut output = OutputFolder::new(&arguments.out)?;
     let project = Project::read(path)?;
     let shoot = Shoot::of(path, &project)?;
+    tell(&io::doubtful_files(&shoot.images));
     let shape = arguments.board_shape.as_deref();
     let candidates = candidates(&arguments.camera, &shoot.board, shape)?;
     let (micro_images, internal) = shoot.read_precalibration(&arguments.precalibration)?;
