@@ -9,7 +9,7 @@ use crate::model::{
     BapFeature, Configuration, Datasheet, InternalParameters, PlenopticCamera, optics,
 };
 use crate::precalibration::MicroImageArray;
-use crate::solver::{self, Corners, VirtualPoint};
+use crate::solver::{self, Corners, MicroPixel, VirtualPoint};
 
 /// Checks a calibrated camera against a pre-calibration, `grid` and `internal`, and against what is stated of the camera of the
 /// images: centres, blur radii of the lens types, m, and the f-number.
@@ -110,19 +110,7 @@ pub fn check_virtual_points(
     camera: &PlenopticCamera,
     points: &[VirtualPoint],
 ) -> Result<Vec<Finding>> {
-    let (lattice, pitch_px) = (&camera.lattice, camera.micro_image_pitch_px());
-    let is_inside = |point: &VirtualPoint| {
-        (0..lattice.columns).contains(&point.at.k) && (0..lattice.rows).contains(&point.at.l)
-    };
-    let (inside, outside): (Vec<_>, Vec<_>) =
-        (1..).zip(points).partition(|(_, point)| is_inside(point));
-    let centers = solver::project_centers(camera, inside.iter().map(|(_, p)| (p.at.k, p.at.l)))?;
-    let far: Vec<usize> = inside
-        .iter()
-        .zip(centers)
-        .filter(|((_, p), [u, v])| (p.at.u_px - u).hypot(p.at.v_px - v) > pitch_px)
-        .map(|((number, _), _)| *number)
-        .collect();
+    let mut found = check_places(camera, points.iter().map(|point| point.at))?;
     let galilean = match camera.configuration() {
         Some(Configuration::Galilean) => Some(true),
         Some(Configuration::Keplerian) => Some(false),
@@ -133,17 +121,39 @@ pub fn check_virtual_points(
         let all = (1..).zip(points).filter(|(_, point)| is_other(point.virtual_depth));
         all.map(|(number, _)| number).collect()
     };
+    found.extend(galilean.and_then(|galilean| {
+        counted(&of_other_sign(galilean), |points, first| Issue::DepthsOfOtherSign {
+            points,
+            first,
+            galilean,
+        })
+    }));
+    Ok(found)
+}
+
+/// Checks whether micro-lenses are of the array of a camera, and pixels in their micro-images. Pixels count from 1.
+///
+/// An error if the camera is not valid.
+pub fn check_places(
+    camera: &PlenopticCamera,
+    pixels: impl IntoIterator<Item = MicroPixel>,
+) -> Result<Vec<Finding>> {
+    let (lattice, pitch_px) = (&camera.lattice, camera.micro_image_pitch_px());
+    let is_inside =
+        |at: &MicroPixel| (0..lattice.columns).contains(&at.k) && (0..lattice.rows).contains(&at.l);
+    let (inside, outside): (Vec<(usize, MicroPixel)>, Vec<(usize, MicroPixel)>) =
+        (1..).zip(pixels).partition(|(_, at)| is_inside(at));
+    let centers = solver::project_centers(camera, inside.iter().map(|(_, at)| (at.k, at.l)))?;
+    let far: Vec<usize> = inside
+        .iter()
+        .zip(centers)
+        .filter(|((_, at), [u, v])| (at.u_px - u).hypot(at.v_px - v) > pitch_px)
+        .map(|((number, _), _)| *number)
+        .collect();
     let outside: Vec<usize> = outside.into_iter().map(|(number, _)| number).collect();
     let found = [
         counted(&outside, |points, first| Issue::OutsideArray { points, first }),
         counted(&far, |points, first| Issue::FarFromMicroImage { points, first, pitch_px }),
-        galilean.and_then(|galilean| {
-            counted(&of_other_sign(galilean), |points, first| Issue::DepthsOfOtherSign {
-                points,
-                first,
-                galilean,
-            })
-        }),
     ];
     Ok(found.into_iter().flatten().collect())
 }

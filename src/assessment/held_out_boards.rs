@@ -67,7 +67,7 @@ fn blur_in_std_devs(calibration: &Calibration) -> Option<f64> {
 
 /// Step of the scale of the squares, and how often it is looked for anew.
 const STEP: f64 = 0.01;
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 6;
 
 /// By which factor the squares of the board would have to be larger for the boards to fit the fixed camera of their poses
 /// best. Parallax between micro-images tells the distance of a board in mm, its image that over the size of the squares;
@@ -84,13 +84,15 @@ fn square_scale(calibration: &Calibration) -> Option<Estimate> {
         if curvature <= 0.0 {
             return None;
         }
-        let step = (STEP * (below - above) / (2.0 * curvature)).clamp(-2.0 * STEP, 2.0 * STEP);
-        scale *= 1.0 + step;
+        let step = STEP * (below - above) / (2.0 * curvature);
         if step.abs() < STEP / 2.0 {
+            let scale = scale * (1.0 + step);
             return Some(Estimate::new(scale, dispersion * STEP / curvature.sqrt()));
         }
+        // Far from the minimum a robust loss makes the cost no parabola.
+        scale *= 1.0 + step.clamp(-STEP, STEP);
     }
-    Some(Estimate::new(scale, STEP))
+    None
 }
 
 /// The least cost of the same boards with squares of another size.

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 use nalgebra::Vector2;
-use plenocal::assessment::{check_corners, check_virtual_points};
+use plenocal::assessment::{check_corners, check_places, check_virtual_points};
 use plenocal::io::{self, DepthMap, OutputFolder, PlyColumn, VirtualDepths};
 use plenocal::model::PlenopticCamera;
 use plenocal::solver::{
@@ -133,7 +133,9 @@ fn cloud(arguments: &Arguments, camera: &PlenopticCamera) -> Result<Cloud> {
 fn of_features(path: &Path, camera: &PlenopticCamera) -> Result<Cloud> {
     let features = io::read_features(path, false)?.features;
     let found = corners(camera, &features)?;
-    let findings = check_corners(&found, &features).into_iter().collect();
+    let at = features.iter().map(|f| MicroPixel { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px });
+    let mut findings = check_places(camera, at)?;
+    findings.extend(check_corners(&found, &features));
     let frames = found.labels.iter().map(|(frame, _)| i32::try_from(*frame).unwrap_or(i32::MAX));
     let numbers = found.labels.iter().map(|(_, corner)| *corner);
     let labels = [("frame", frames.collect()), ("corner", numbers.collect())];

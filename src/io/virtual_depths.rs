@@ -49,11 +49,15 @@ pub fn read_virtual_depths(
         return depths_of_npy(&bytes).map(VirtualDepths::Map).map_err(|e| e.in_file(path));
     }
     let first_line = bytes.split(|b| *b == b'\n').next().unwrap_or_default();
-    let is_csv = std::str::from_utf8(first_line)
-        .is_ok_and(|line| line.split(',').any(|name| name.trim() == "k"));
-    if is_csv {
-        let line = String::from_utf8_lossy(first_line);
-        if line.split(',').any(|name| name.trim() == "nu") {
+    // Columns that are separated otherwise are refused by the reader of CSV, which says how.
+    let names: Vec<&str> = std::str::from_utf8(first_line)
+        .unwrap_or_default()
+        .trim_start_matches('\u{feff}')
+        .split([',', ';', '\t'])
+        .map(str::trim)
+        .collect();
+    if names.contains(&"k") {
+        if names.contains(&"nu") {
             return read_virtual_rows(path, &bytes, std_dev).map(VirtualDepths::Points);
         }
         return Ok(VirtualDepths::Features);

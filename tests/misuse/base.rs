@@ -73,6 +73,13 @@ impl Base {
         self.set.join(format!("results/boards-{subset}/features.csv"))
     }
 
+    /// Whether a file is a table of these virtual depths, changed or not.
+    pub fn has_depths_of(&self, input: &str) -> bool {
+        let lines = |text: &str| text.lines().count();
+        fs::read_to_string(input)
+            .is_ok_and(|text| text.contains("nu") && lines(&text).abs_diff(lines(&self.depths)) < 5)
+    }
+
     /// Virtual depths at the features of the evaluation, by their blur: CSV k,l,u,v,nu,std_nu.
     fn virtual_depths(&self) -> String {
         let features = fs::read_to_string(self.features("evaluation")).expect("there are features");

@@ -108,12 +108,17 @@ fn is_right(arguments: &[String], document: &Value, out: &Path) -> bool {
                 all.iter().map(|p| number(&p["camera_from_board"]["translation_mm"][2])).collect()
             };
             let found = poses(&out.join("poses.json"));
-            let subset = arguments.iter().position(|a| a == "--subset").map(|i| &arguments[i + 1]);
-            let subset = subset.map_or("evaluation", String::as_str);
+            let named = |subset: &&&str| {
+                let of_boards = format!("boards-{subset}");
+                arguments.iter().any(|a| a == **subset || a.contains(&of_boards))
+            };
+            let subset = ["calibration", "translation"].iter().find(named).unwrap_or(&"evaluation");
             let right = poses(&BASE.set.join("truth").join(subset).join("poses.json"));
             // Frames that are left out shift the rest: then the nearest true distance counts.
             !found.is_empty() && found.iter().all(|z| right.iter().any(|right| close(*z, *right)))
         }
+        // Corners and maps have distances of their own.
+        "points" if !BASE.has_depths_of(&arguments[2]) => true,
         "points" => {
             let distance = &document["distance_mm"];
             ["near", "median", "far"]
