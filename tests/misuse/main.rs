@@ -40,6 +40,8 @@ pub enum Expected {
     Told(&'static [&'static str]),
     /// No answer, and a message that contains one of these pieces of text.
     Refused(&'static [&'static str]),
+    /// Something told or no answer, as a command reads camera and images in one order or another.
+    ToldOrRefused(&'static [&'static str]),
 }
 
 impl Expected {
@@ -52,6 +54,10 @@ impl Expected {
                 matches!(outcome.kind, Kind::RightTold | Kind::Told) && named(pieces)
             }
             Self::Refused(pieces) => outcome.kind == Kind::Refused && named(pieces),
+            Self::ToldOrRefused(pieces) => {
+                let kinds = [Kind::RightTold, Kind::Told, Kind::Refused];
+                kinds.contains(&outcome.kind) && named(pieces)
+            }
         }
     }
 }
