@@ -78,7 +78,7 @@ SLOW = monte_carlo bias a_frame_that_moved_is_named boards_are_seen_above_black 
 test-slow: cpp
 	cargo test --release --test it -- --ignored --nocapture $(SLOW)
 
-# MISTAKES="part of a name" runs some of them.
+# MISUSE="part of a name" and MISTAKES="part of a name" run some of them.
 test-misuse: deps
 	cargo test --release --test misuse -- $(if $(MISUSE),"$(MISUSE)")
 

@@ -250,14 +250,14 @@ issues! {
     LossyCompression "lossy-compression" { images: usize, first: String } =>
         format!("{images} image(s) are JPEG (the first is {first}): compression moves and widens edges, and biases d, fᵢ and m by some per cent"),
         "take images without loss (PNG, TIFF)";
-    /// Image files say of themselves that their samples are not linear in light.
+    /// Image files declare samples that are not linear in light.
     ImageProfile "image-profile-not-linear" { images: usize, first: String, profile: String } =>
-        format!("{images} image(s) say of themselves that their samples are not linear in light (the first is {first}: {profile}); the samples are used as they are"),
+        format!("{images} image file(s) declare samples that are not linear in light (the first is {first}: {profile}); the samples are used unchanged"),
         "export them without gamma and sRGB; if the samples are linear nevertheless, leave the profile out of the files";
-    /// Image files say of themselves that they are to be turned or mirrored.
+    /// Image files declare that they are to be turned or mirrored.
     ImageOrientation "image-orientation" { images: usize, first: String, orientation: u64 } =>
-        format!("{images} image(s) say of themselves that they are to be turned or mirrored (the first is {first}: orientation {orientation}); the pixels are used as they are stored"),
-        "see that all images, white images and boards, are stored as the sensor delivers them, and that none was turned by other software";
+        format!("{images} image file(s) declare that they are to be turned or mirrored (the first is {first}: orientation {orientation}); the pixels are used as stored"),
+        "store all images, white images and boards, as the sensor delivers them, and turn none by other software";
     /// TIFF files have several pages.
     SeveralPages "several-pages" { images: usize, first: String, pages: usize } =>
         format!("{images} TIFF file(s) have several pages (the first is {first}, with {pages}): only the first page is read"),
@@ -545,7 +545,7 @@ issues! {
         "check the size of the squares (square_mm), and that the lens is focused as in the calibration of the camera";
     /// Rays or points lie far off the boards that a camera was calibrated with.
     BeyondBoards "beyond-boards" { beyond: usize, all: usize, near_mm: f64, far_mm: f64 } =>
-        format!("{beyond} of {all} distances are far nearer or further than the boards of the calibration ({near_mm:.0} to {far_mm:.0} mm): the errors of the camera grow there"),
+        format!("{} far nearer or further than the boards of the calibration ({near_mm:.0} to {far_mm:.0} mm): the errors of the camera grow there", if *all == 1 { "the distance is".to_owned() } else { format!("{beyond} of {all} distances are") }),
         "see the σ by distance in the report of the calibration; boards at such distances would help";
     /// Virtual points name a micro-lens outside the array.
     OutsideArray "outside-array" { points: usize, first: usize } =>
@@ -561,12 +561,12 @@ issues! {
         "check the sign: virtual depths count from the array, and are positive behind it";
     /// The σ of points is not known, since no σ of virtual depths is stated.
     PointsWithoutSigma "points-without-sigma" =>
-        "no σ of virtual depths is stated, so that no σ of points is known, and none is written",
-        "state it, in a column std_nu or for all";
+        "the input states no σ of virtual depths: the points have no σ",
+        "give it in a column std_nu, or one for all points";
     /// The sightings of corners contradict each other.
     CornersScatter "corners-scatter" { ratio: f64 } =>
         format!("the features of a corner scatter {ratio:.1} times as much about its point as their σ predicts"),
-        "check that the camera is of these features; their indices count from 0 as in centers.csv";
+        "check that the features are of this camera, and that their indices count from 0 as in centers.csv";
     /// The arrays of two cameras are counted in different ways.
     CountedOtherwise "counted-otherwise" { first: String, second: String } =>
         format!("the micro-lenses of the first camera are counted on {first}, those of the second on {second}: the cameras are compared by place, but features and centres of one do not belong to the other"),
@@ -687,7 +687,7 @@ fn lens_types_text(white_px: &[f64], camera_px: &[f64], permuted: Option<&[usize
         |radii: &[f64]| radii.iter().map(|r| format!("{r:.2}")).collect::<Vec<_>>().join(", ");
     let order = permuted.map_or(String::new(), |order| {
         let order: Vec<String> = order.iter().map(ToString::to_string).collect();
-        format!(": its types {} are types 1, 2 … of the white images", order.join(", "))
+        format!(": its types {} correspond to types 1, 2 … of the white images", order.join(", "))
     });
     format!(
         "the blur radii of the lens types in the white images are {} px, those of the camera {} px{order}",

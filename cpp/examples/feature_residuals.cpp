@@ -1,6 +1,6 @@
-// An own ceres::Problem of the library's residuals, on an exported problem: features, centres and
-// priors with their parameter blocks, and what is fixed. It ends where plenocal::refine does, and
-// is what to start from where a cost is to have other terms or other blocks.
+// A ceres::Problem built from the library's residuals for an exported problem: features, centres,
+// priors and fixed parameters. Its minimum is that of plenocal::refine. It is a starting point for
+// costs with other terms or other blocks.
 //
 //   feature_residuals PROBLEM OUT
 #include <ceres/ceres.h>
@@ -19,7 +19,7 @@ namespace {
 
 using namespace plenocal;
 
-// What is known of a parameter: the residual of its place in a block.
+// Residual of a prior on one parameter of a block.
 struct ParameterPrior {
   int index;
   double value, weight;

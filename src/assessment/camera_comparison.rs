@@ -18,7 +18,7 @@ use crate::solver::{
 const GRID: [u32; 2] = [32, 24];
 /// Fewest points that a motion is fitted to.
 const FEWEST: usize = 12;
-/// At each distance there are [`GRID`] points.
+/// Largest number of distances, each of which has [`GRID`] points in memory.
 const MOST_DISTANCES: usize = 100;
 
 /// A parameter of both cameras.

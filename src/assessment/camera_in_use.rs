@@ -1,8 +1,9 @@
-//! A calibrated camera in use: whether white images, virtual depths and features are of the same camera in the same state.
+//! Checks of a calibrated camera in use: whether white images, virtual depths and features belong to the same camera in the same
+//! state.
 
 use nalgebra::Vector2;
 
-use crate::checks::camera as checks;
+use crate::checks::{calibration as fit_checks, camera as checks};
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
 use crate::model::{
@@ -14,7 +15,7 @@ use crate::solver::{self, Corners, MicroPixel, VirtualPoint};
 /// Checks a calibrated camera against a pre-calibration, `grid` and `internal`, and against what is stated of the camera of the
 /// images: centres, blur radii of the lens types, m, and the f-number.
 ///
-/// An error if sensor, lattice or number of lens types are others: then indices and pixels of one mean nothing to the other.
+/// An error if sensor, lattice or number of lens types differ: indices and pixels then belong to different cameras.
 pub fn check_camera(
     camera: &PlenopticCamera,
     sheet: &Datasheet,
@@ -23,19 +24,15 @@ pub fn check_camera(
 ) -> Result<Vec<Finding>> {
     refuse_other(camera, sheet, grid, internal)?;
     let (rms_px, shift_px) = centers_against(camera, grid)?;
-    let found = checks::centers(rms_px, shift_px.into(), grid.pitch_px);
-    // What else differs is told of one camera only.
-    if found.is_some() {
-        return Ok(found.into_iter().collect());
-    }
     let own = optics::internal_parameters(camera);
     let [white_images_px, camera_px] =
         [internal, &own].map(|of| blur_radii_px(of, grid.pitch_px, sheet.sensor.pixel_size_mm));
     let f_numbers = camera.main_lens.setting.map(|setting| [setting.f_number, sheet.f_number]);
     let slope = 1.0 - own.m_mm.abs() / internal.m_mm.abs();
-    Ok(checks::lens_types(&white_images_px, &camera_px)
+    Ok(checks::centers(rms_px, shift_px.into(), grid.pitch_px)
         .into_iter()
-        .chain(crate::checks::calibration::slope(slope))
+        .chain(checks::lens_types(&white_images_px, &camera_px))
+        .chain(fit_checks::slope(slope))
         .chain(f_numbers.and_then(|[camera, boards]| checks::f_number(camera, boards)))
         .collect())
 }
@@ -83,7 +80,7 @@ fn centers_against(
     Ok((mean_square.sqrt(), off.iter().sum::<Vector2<f64>>() / count))
 }
 
-/// φ(q'ᵢ − Δc/2) by lens type, px: the blur that white images show.
+/// Blur radius φqᵢ = φ(q'ᵢ − Δc/2) of each lens type, px, which white images show (Eq. (radiusfinal)).
 fn blur_radii_px(internal: &InternalParameters, pitch_px: f64, pixel_size_mm: f64) -> Vec<f64> {
     let blur = |q: &f64| internal.aperture_ratio() * (q / pixel_size_mm - pitch_px / 2.0);
     internal.q_prime_mm.iter().map(blur).collect()
@@ -141,8 +138,8 @@ pub fn check_places(
     let (lattice, pitch_px) = (&camera.lattice, camera.micro_image_pitch_px());
     let is_inside =
         |at: &MicroPixel| (0..lattice.columns).contains(&at.k) && (0..lattice.rows).contains(&at.l);
-    let (inside, outside): (Vec<(usize, MicroPixel)>, Vec<(usize, MicroPixel)>) =
-        (1..).zip(pixels).partition(|(_, at)| is_inside(at));
+    let numbered: Vec<(usize, MicroPixel)> = (1..).zip(pixels).collect();
+    let (inside, outside): (Vec<&_>, Vec<&_>) = numbered.iter().partition(|(_, at)| is_inside(at));
     let centers = solver::project_centers(camera, inside.iter().map(|(_, at)| (at.k, at.l)))?;
     let far: Vec<usize> = inside
         .iter()
@@ -150,7 +147,7 @@ pub fn check_places(
         .filter(|((_, at), [u, v])| (at.u_px - u).hypot(at.v_px - v) > pitch_px)
         .map(|((number, _), _)| *number)
         .collect();
-    let outside: Vec<usize> = outside.into_iter().map(|(number, _)| number).collect();
+    let outside: Vec<usize> = outside.into_iter().map(|(number, _)| *number).collect();
     let found = [
         counted(&outside, |points, first| Issue::OutsideArray { points, first }),
         counted(&far, |points, first| Issue::FarFromMicroImage { points, first, pitch_px }),

@@ -1,4 +1,4 @@
-//! Boards that were not used in a calibration: their poses with the camera fixed, and what they say of the camera.
+//! Boards that were not used in a calibration: their poses with the camera fixed, and checks of the camera by them.
 
 use nalgebra::Isometry3;
 
@@ -7,7 +7,8 @@ use crate::checks::{calibration as fit_checks, camera as checks};
 use crate::error::Result;
 use crate::finding::Finding;
 use crate::model::{
-    BapFeature, BentBoard, Board, FramePose, Observations, PlenopticCamera, Reprojection,
+    BapFeature, BentBoard, Board, FeatureResidual, FramePose, Observations, PlenopticCamera,
+    Reprojection,
 };
 use crate::quantity::Estimate;
 
@@ -22,7 +23,7 @@ pub struct Posed {
     pub left_out: Vec<LeftOut>,
     /// Whether the poses are at a minimum.
     pub converged: bool,
-    /// What the boards say against the camera: residuals, blur radii, and the size of the squares that fits best.
+    /// Contradictions between boards and camera: residuals, blur radii, and the size of the squares that fits best.
     pub findings: Vec<Finding>,
 }
 
@@ -42,38 +43,43 @@ pub fn pose_boards(
     Ok(Posed { poses, reprojection, left_out, converged, findings })
 }
 
-/// What boards say against the fixed camera of their poses, besides residuals that noise cannot explain.
+/// Contradictions between boards and the fixed camera of their poses, apart from [`fit_checks::fit`].
 pub(super) fn of_fixed_camera(calibration: &Calibration) -> Vec<Finding> {
-    let residuals = &calibration.reprojection.features;
-    let stated = residuals.iter().any(|r| r.feature.std_dev_px.is_some());
-    let scatter = stated.then_some(calibration.uncertainty.std_dev_factors[0]);
     let squares = square_scale(calibration);
-    scatter
-        .and_then(fit_checks::scatter)
+    scatter(calibration)
         .into_iter()
         .chain(blur_in_std_devs(calibration).and_then(checks::blur))
         .chain(squares.and_then(|s| checks::squares(&s, calibration.board.bent.board.square_mm)))
         .collect()
 }
 
+/// Scatter of the residuals over the σ of the detection, where features state σ.
+pub(super) fn scatter(calibration: &Calibration) -> Option<Finding> {
+    let features = &calibration.reprojection.features;
+    let stated = features.iter().any(|r| r.feature.std_dev_px.is_some());
+    stated.then_some(calibration.uncertainty.std_dev_factors[0]).and_then(fit_checks::scatter)
+}
+
 /// Root mean square of the differences of blur radii from those of the camera, over their σ; `None` where no σ is stated.
 fn blur_in_std_devs(calibration: &Calibration) -> Option<f64> {
-    let of = |r: &crate::model::FeatureResidual| {
+    let of = |r: &FeatureResidual| {
         Some((r.drho_px? / r.feature.rho_std_dev_px?).powi(2)).filter(|square| square.is_finite())
     };
     let squares: Vec<f64> = calibration.reprojection.features.iter().filter_map(of).collect();
     (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
-/// Step of the scale of the squares, and how often it is looked for anew.
+/// Step of the scale of the squares, and the largest number of parabolas.
 const STEP: f64 = 0.01;
 const ROUNDS: usize = 6;
 
-/// By which factor the squares of the board would have to be larger for the boards to fit the fixed camera of their poses
-/// best. Parallax between micro-images tells the distance of a board in mm, its image that over the size of the squares;
-/// so the two contradict each other if squares or focus are others than in the calibration. The minimum of the parabola
-/// through the costs at three sizes, by the dispersion of the residuals; `None` where a board of another size has no poses or the
-/// costs no minimum.
+/// Factor on the size of the squares with which the boards fit the fixed camera best.
+///
+/// Parallax between micro-images gives the distance of a board in mm, its image the distance in squares. The two
+/// contradict each other if the squares or the focus differ from those of the calibration. The factor h is the vertex of
+/// the parabola through the costs C₋, C₀, C₊ at sizes h(1 − ε), h, h(1 + ε), and σ = s ε/√(C₋ + C₊ − 2C₀) with the
+/// dispersion s of the residuals, since C is half of χ². `None` where a board of another size has no poses, or no minimum is
+/// within some per cent.
 fn square_scale(calibration: &Calibration) -> Option<Estimate> {
     let dispersion = calibration.uncertainty.std_dev_factors[0];
     let mut scale = 1.0;
@@ -97,7 +103,7 @@ fn square_scale(calibration: &Calibration) -> Option<Estimate> {
 
 /// The least cost of the same boards with squares of another size.
 fn cost_with_squares(calibration: &Calibration, scale: f64) -> Option<f64> {
-    if scale == 1.0 {
+    if (scale - 1.0).abs() < f64::EPSILON {
         return Some(calibration.refinement.cost);
     }
     let board = calibration.board.bent.board;

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::held_out_boards::of_fixed_camera;
+use super::held_out_boards::{of_fixed_camera, scatter};
 use super::outliers::OutlyingFrame;
 use super::{Outliers, Patterns};
 use crate::calibration::{Calibration, Mode, SLOPE};
@@ -79,10 +79,7 @@ fn of_white_images(calibration: &Calibration) -> Option<Finding> {
 }
 
 fn of_residuals(calibration: &Calibration, patterns: &Patterns) -> Vec<Finding> {
-    let stated = calibration.reprojection.features.iter().any(|r| r.feature.std_dev_px.is_some());
-    let scatter = stated.then_some(calibration.uncertainty.std_dev_factors[0]);
-    scatter
-        .and_then(checks::scatter)
+    scatter(calibration)
         .into_iter()
         .chain(checks::image_pattern(patterns.image))
         .chain(checks::micro_image_pattern(patterns.micro_image))

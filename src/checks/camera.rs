@@ -1,25 +1,27 @@
 //! Checks of a camera in use: whether it is the camera of the white images and boards that it is used with.
 
-use crate::finding::{Finding, Issue};
+use super::calibration::severity_above;
+use crate::finding::{Finding, Issue, Severity};
 use crate::quantity::Estimate;
 
-/// Centres of calibrated cameras are within 0.1 px of those of their own white images; an array that has moved by half a pixel
-/// moves u₀ and v₀ by as much.
+/// An array that has moved by half a pixel moves u₀ and v₀ by as much. Cameras of the presets are within 0.02 px RMS of their white
+/// images, that of R12-A within 0.3 px.
 const CENTERS_PX: f64 = 0.5;
 /// Beyond this part of a pitch, it is another array or another sensor.
 const CENTERS_WRONG: f64 = 0.1;
-/// Blur radii of white images and camera differ by less than this part of the largest: the prior of f-numbers is worth 2 %.
+/// Blur radii of white images and camera agree within this part of the largest. Two sets of white images of one simulated camera
+/// agree to 0.1 %; f-numbers of real lenses are worth 2 %.
 const BLUR: f64 = 0.05;
 const BLUR_WRONG: f64 = 0.2;
 /// A permutation explains white images if what it leaves is this part of what the stated order leaves.
 const PERMUTED: f64 = 0.3;
 /// Engraved f-numbers are this exact, relative; half a stop is 19 %.
 const F_NUMBER: f64 = 0.1;
-/// Blur radii of boards are within 1.4 σ RMS of a camera that is right.
+/// Blur radii of boards are within 1.4 σ RMS of a camera that is right (docs/use.md).
 const BLUR_STD_DEVS: f64 = 3.0;
 const BLUR_STD_DEVS_WRONG: f64 = 8.0;
-/// The scale of the squares is within 0.03 % of 1 for cameras that are right, through real lenses too; distances are off by as
-/// much.
+/// The scale of the squares is within 0.04 % of 1 for calibrated cameras, through real lenses too (docs/use.md); distances are off by
+/// as much as the squares.
 const SCALE: f64 = 0.003;
 const SCALE_WRONG: f64 = 0.01;
 /// A scale counts where it is so many σ from 1.
@@ -29,7 +31,7 @@ const SURE: f64 = 5.0;
 pub(crate) fn centers(rms_px: f64, shift_px: [f64; 2], pitch_px: f64) -> Option<Finding> {
     (rms_px > CENTERS_PX).then(|| {
         let issue = Issue::CentersContradicted { rms_px, shift_px, pitch_px };
-        let severity = super::calibration::severity_above(rms_px, CENTERS_WRONG * pitch_px);
+        let severity = severity_above(rms_px, CENTERS_WRONG * pitch_px);
         Finding::new(severity, issue).weighing(50.0)
     })
 }
@@ -51,8 +53,8 @@ pub(crate) fn lens_types(white_images_px: &[f64], camera_px: &[f64]) -> Option<F
     let permuted = (off(best) < PERMUTED * off(&stated))
         .then(|| best.iter().map(|i| i + 1).collect::<Vec<usize>>());
     let severity = match permuted {
-        Some(_) => crate::finding::Severity::Unusable,
-        None => super::calibration::severity_above(part, BLUR_WRONG),
+        Some(_) => Severity::Unusable,
+        None => severity_above(part, BLUR_WRONG),
     };
     let (white_images_px, camera_px) = (white_images_px.to_vec(), camera_px.to_vec());
     let issue = Issue::LensTypesContradicted { white_images_px, camera_px, permuted };
@@ -83,7 +85,7 @@ pub(crate) fn f_number(camera: f64, boards: f64) -> Option<Finding> {
 /// Blur radii of boards against a fixed camera: root mean square of the differences over their σ.
 pub(crate) fn blur(rms_std_devs: f64) -> Option<Finding> {
     (rms_std_devs > BLUR_STD_DEVS).then(|| {
-        let severity = super::calibration::severity_above(rms_std_devs, BLUR_STD_DEVS_WRONG);
+        let severity = severity_above(rms_std_devs, BLUR_STD_DEVS_WRONG);
         Finding::new(severity, Issue::BlurContradicted { rms_std_devs })
             .weighing(5.0 * rms_std_devs / BLUR_STD_DEVS)
     })
@@ -94,7 +96,7 @@ pub(crate) fn squares(scale: &Estimate, square_mm: f64) -> Option<Finding> {
     let off = (scale.value - 1.0).abs();
     (off > SCALE && off > SURE * scale.std_dev).then(|| {
         let issue = Issue::SquaresContradicted { fitted_mm: scale.scaled(square_mm), square_mm };
-        let severity = super::calibration::severity_above(off, SCALE_WRONG);
+        let severity = severity_above(off, SCALE_WRONG);
         Finding::new(severity, issue).weighing(20.0 * off / SCALE)
     })
 }
@@ -110,14 +112,14 @@ pub(crate) fn distances([near_mm, far_mm]: [f64; 2], distances_mm: &[f64]) -> Op
     (beyond > 0).then(|| Finding::caution(Issue::BeyondBoards { beyond, all, near_mm, far_mm }))
 }
 
-/// Scatter of the features of corners about their points, over their σ: 1 to 1.3 where the camera is right.
+/// Scatter of the features of corners about their points, over their σ: 1.1 to 1.2 on simulated boards.
 const CORNERS: f64 = 2.0;
 const CORNERS_WRONG: f64 = 5.0;
 
 /// The scatter of the features of corners about their points, over their σ.
 pub(crate) fn corners(ratio: f64) -> Option<Finding> {
     (ratio > CORNERS).then(|| {
-        let severity = super::calibration::severity_above(ratio, CORNERS_WRONG);
+        let severity = severity_above(ratio, CORNERS_WRONG);
         Finding::new(severity, Issue::CornersScatter { ratio }).weighing(5.0 * ratio / CORNERS)
     })
 }
@@ -125,7 +127,6 @@ pub(crate) fn corners(ratio: f64) -> Option<Finding> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::finding::Severity;
 
     #[test]
     fn a_permutation_of_lens_types_is_named() {

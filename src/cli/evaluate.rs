@@ -119,7 +119,10 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         let found = check_camera(&candidate.camera, &shoot.sheet, &micro_images.grid, &internal)
             .map_err(|e| e.in_file(path))?;
         let about = |finding: Finding| finding.about(Subject::File(path.clone()));
-        of_cameras.extend(found.into_iter().map(about));
+        let found: Vec<Finding> = found.into_iter().map(about).collect();
+        tell(&found);
+        of_cameras.extend(found);
+        // Told when the camera was read.
         of_cameras.extend(camera_findings(path)?);
     }
     let folds = match (arguments.folds, &arguments.features) {
@@ -178,7 +181,6 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         folds,
     };
     let mut evaluation = evaluated(&candidates, &input, arguments.json);
-    evaluation.findings.splice(0..0, of_cameras);
     let tables = report::evaluation_tables(&evaluation, &candidates);
     if tables.is_empty() {
         let failed: Vec<String> = evaluation.findings.iter().map(ToString::to_string).collect();
@@ -192,6 +194,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         return Err(Error::invalid(reason).in_file(path));
     }
     tell(&evaluation.findings);
+    evaluation.findings.splice(0..0, of_cameras);
     let document = io::evaluation_document(&evaluation);
     output.stage_json("evaluation.json", &document)?;
     let paths = output.commit()?;

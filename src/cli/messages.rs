@@ -53,8 +53,12 @@ pub fn verdict_status(findings: &[Finding]) -> Option<ExitCode> {
         return None;
     }
     let unusable = findings.iter().filter(|finding| finding.severity == Severity::Unusable);
-    let mut reasons: Vec<&str> = unusable.map(Finding::code).collect();
-    reasons.dedup();
+    let mut reasons: Vec<&str> = Vec::new();
+    for code in unusable.map(Finding::code) {
+        if !reasons.contains(&code) {
+            reasons.push(code);
+        }
+    }
     say(&format!("error: the verdict is \"do not use\" ({})", reasons.join(", ")));
     Some(ExitCode::from(4))
 }

@@ -85,7 +85,7 @@ struct Cloud {
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut output = OutputFolder::new(&arguments.out)?;
     let camera = calibrated(&arguments.camera)?;
-    let cloud = cloud(arguments, &camera).map_err(|e| e.in_file(&arguments.input))?;
+    let mut cloud = cloud(arguments, &camera).map_err(|e| e.in_file(&arguments.input))?;
     let found = cloud.points.iter().flatten().count();
     if found == 0 {
         return Err(Error::invalid(no_point(&cloud.findings)).in_file(&arguments.input));
@@ -96,11 +96,11 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     if arguments.csv {
         output.stage("points.csv", |out| write_csv(out, &cloud))?;
     }
-    let document = document(arguments, &cloud);
     let depths: Vec<f64> = cloud.points.iter().flatten().map(|p| p.point_mm[2]).collect();
-    let doubt = beyond_boards(&arguments.camera, &depths)?;
+    cloud.findings.extend(beyond_boards(&arguments.camera, &depths)?);
+    let document = document(arguments, &cloud);
     let paths = output.commit()?;
-    tell(cloud.findings.iter().chain(&doubt));
+    tell(&cloud.findings);
     print_result(arguments.json, &document, &text(&document), &paths)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -433,7 +433,12 @@ impl<'a> Run<'a> {
         let mut tables = vec![report::cameras_table(&initial, &candidates)];
         tables.extend(report::evaluation_tables(&found, &candidates));
         tell(&found.findings);
-        self.findings.extend(found.findings.iter().cloned());
+        // The verdict is on the first camera.
+        let of_second = |finding: &Finding| {
+            let second = candidates.get(1).map(|candidate| format!("{},", candidate.name));
+            matches!((&finding.subject, second), (Subject::Part(part), Some(second)) if part.starts_with(&second))
+        };
+        self.findings.extend(found.findings.iter().filter(|f| !of_second(f)).cloned());
         let warnings = found.findings.iter().map(Finding::to_string).collect();
         let section = Section { warnings, ..report::evaluation_section(tables) };
         self.sections.push((EVALUATION, section));
@@ -468,6 +473,14 @@ impl<'a> Run<'a> {
         let report = self.report(verdict, time_s);
         self.output.stage(REPORT, |out| out.write_all(report.to_html().as_bytes()))?;
         self.output.stage_json(VERDICT, &document)?;
+        // In place of the one whose verdict knows of the calibration alone.
+        let judged = Assessment {
+            verdict: of_findings,
+            findings: self.findings.clone(),
+            ..assessment.clone()
+        };
+        let camera = io::calibrated_camera_document(calibration, &judged);
+        self.output.stage_json(Path::new(CALIBRATION).join("camera.json"), &camera)?;
         self.output.stage_json(MANIFEST, &self.manifest)?;
         let out = &self.arguments.out;
         let before = Manifest::read(out);

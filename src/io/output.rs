@@ -106,7 +106,7 @@ impl OutputFolder {
         Ok(Self { folder: folder.to_owned(), staged: Vec::new(), created: Vec::new() })
     }
 
-    /// Stages a file of the folder, written by a function.
+    /// Stages a file of the folder, written by a function, in place of one that was staged under this name.
     pub fn stage(
         &mut self,
         name: impl AsRef<Path>,
@@ -123,6 +123,7 @@ impl OutputFolder {
         });
         match staged {
             Ok(file) => {
+                self.staged.retain(|(_, earlier)| *earlier != path);
                 self.staged.push((file, path));
                 Ok(())
             }

@@ -216,6 +216,11 @@ fn the_verdict_of_a_run_has_codes_and_values() {
         assert!(plenocal::Issue::CODES.contains(&code) && reason["values"].is_object(), "{reason}");
         assert!(PREPARED.stdout.contains(reason["text"].as_str().unwrap()), "{reason}");
     }
+    let of_camera = run.json("results/calibration/camera.json")["verdict"].clone();
+    assert_eq!(of_camera["verdict"], verdict["verdict"]);
+    let codes: Vec<&Value> =
+        verdict["reasons"].as_array().unwrap().iter().map(|reason| &reason["code"]).collect();
+    assert_eq!(of_camera["reasons"], serde_json::json!(codes));
 }
 
 #[test]

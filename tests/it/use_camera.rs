@@ -5,14 +5,20 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Matrix3, Point3, Vector3};
+use plenocal::Issue;
+use plenocal::assessment::{check_camera, pose_boards};
 use plenocal::io::write_features;
+use plenocal::model::{Board, Noise, PlenopticCamera, optics};
+use plenocal::precalibration::fit_grid;
 use plenocal::solver::{MicroPixel, VirtualPoint, metric_points, object_rays};
+use predicates::prelude::PredicateBooleanExt as _;
 use predicates::str::contains;
 use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::support::{
-    board, plenocal, shipped_observations, synthetic_folder, true_camera, true_poses,
+    board, codes, drawn, plenocal, project, shipped_observations, synthetic_folder, true_camera,
+    true_poses,
 };
 
 /// Noise of u and v in the shipped set, px.
@@ -255,4 +261,108 @@ fn a_calibration_is_compared_with_the_truth() {
     fs::write(path("other.json"), other.to_string()).unwrap();
     let other = compare(&path("other.json"));
     assert!(other["rms_px"].as_f64().unwrap() > 0.2, "{other}");
+}
+
+/// Finds squares that are 2 % too large, with the factor that the boards show, and nothing with the right ones.
+#[test]
+fn boards_show_the_size_of_their_squares() {
+    let features = shipped_observations().features;
+    let posed = |scale: f64| {
+        let board = Board { square_mm: scale * board().square_mm, ..board() };
+        pose_boards(&true_camera(), &board.into(), &features).unwrap().findings
+    };
+    assert_eq!(codes(&posed(1.0)), Vec::<&str>::new());
+    for scale in [1.02, 0.98] {
+        let findings = posed(scale);
+        let fitted = findings.iter().find_map(|finding| match &finding.issue {
+            Issue::SquaresContradicted { fitted_mm, .. } => Some(*fitted_mm),
+            _ => None,
+        });
+        let fitted = fitted.unwrap_or_else(|| panic!("{:?}", codes(&findings)));
+        let off = fitted.value - board().square_mm;
+        assert!(off.abs() < 5.0 * fitted.std_dev && fitted.std_dev < 0.01, "{fitted}");
+    }
+}
+
+/// Checks the true camera, and cameras that differ in one thing, against white images of the true one.
+#[test]
+fn white_images_show_another_camera() {
+    let (truth, sheet) = (true_camera(), project().datasheet().unwrap().unwrap());
+    let (columns, rows) = (truth.lattice.columns, truth.lattice.rows);
+    let seen = drawn(&truth, &Noise::default(), 1);
+    let grid = fit_grid(&seen.centers, truth.lattice.kind(), columns, rows).unwrap();
+    let internal = optics::internal_parameters(&truth);
+    let checked = |change: &dyn Fn(&mut PlenopticCamera)| {
+        let mut camera = truth.clone();
+        change(&mut camera);
+        check_camera(&camera, &sheet, &grid, &internal)
+    };
+    let found = |change: &dyn Fn(&mut PlenopticCamera)| codes(&checked(change).unwrap());
+    assert_eq!(found(&|_| {}), Vec::<&str>::new());
+    assert_eq!(found(&|c| c.mla.focal_lengths_mm.swap(0, 2)), ["lens-types-contradicted"]);
+    assert_eq!(found(&|c| c.mla.offset_mm.x += 0.02), ["centers-contradicted"]);
+    assert_eq!(found(&|c| c.main_lens.focal_length_mm *= 1.03), ["slope-contradicted"]);
+    // What is wrong with the centres does not hide the order of the lens types.
+    let both = found(&|c| {
+        c.mla.offset_mm.x += 0.02;
+        c.mla.focal_lengths_mm.swap(0, 2);
+    });
+    assert_eq!(both, ["centers-contradicted", "lens-types-contradicted"]);
+    for refused in [
+        checked(&|c| c.lattice.columns += 1),
+        checked(&|c| c.sensor.width_px += 1),
+        checked(&|c| c.mla.focal_lengths_mm.truncate(1)),
+    ] {
+        let error = refused.unwrap_err().to_string();
+        assert!(error.contains("belong to different cameras"), "{error}");
+    }
+}
+
+#[test]
+fn points_without_a_sigma_of_depths_have_none_and_impossible_ones_are_told() {
+    let folder = TempDir::new().unwrap();
+    let input = folder.path().join("depths.csv");
+    let points = |rows: &str| {
+        fs::write(&input, format!("k,l,u,v,nu\n{rows}")).unwrap();
+        let mut command = plenocal();
+        command.arg("points").arg(camera_file()).arg(&input).args(["--csv", "--out"]);
+        command.arg(folder.path().join("points")).assert()
+    };
+    let center = center_of(20, 18);
+    let good = format!("20,18,{},{},3\n", center[0], center[1]);
+    points(&good).success().stderr(contains("[points-without-sigma]"));
+    let csv = fs::read_to_string(folder.path().join("points/points.csv")).unwrap();
+    assert!(csv.starts_with("k,l,x_mm,y_mm,z_mm\n"), "{csv}");
+    let outside = format!("{good}-1,18,{0},{1},3\n", center[0], center[1]);
+    points(&outside).success().stderr(contains("[outside-array]").and(contains("point 2")));
+    let far = format!("{good}20,18,9,9,3\n");
+    points(&far).success().stderr(contains("[far-from-micro-image]"));
+    let sign = format!("{good}20,18,{0},{1},-3\n", center[0], center[1]);
+    points(&sign).success().stderr(contains("[depths-of-other-sign]"));
+    points("-1,18,9,9,3\n").code(1).stderr(contains("outside the array"));
+    fs::write(&input, "k;l;u;v;nu\n").unwrap();
+    let mut command = plenocal();
+    command.arg("points").arg(camera_file()).arg(&input).arg("--out").arg(folder.path());
+    command.assert().code(1).stderr(contains("separate the columns by commas"));
+}
+
+/// Centre of a micro-image of the true camera, px.
+fn center_of(k: i32, l: i32) -> [f64; 2] {
+    let seen = drawn(&true_camera(), &Noise::default(), 1);
+    let center = seen.centers.iter().find(|c| (c.k, c.l) == (k, l)).unwrap();
+    [center.u_px, center.v_px]
+}
+
+#[test]
+fn cameras_with_other_micro_lenses_blur_differently() {
+    let folder = TempDir::new().unwrap();
+    let text = fs::read_to_string(camera_file()).unwrap();
+    let mut other: Value = serde_json::from_str(&text).unwrap();
+    other["micro_lens_array"]["focal_lengths_mm"].as_array_mut().unwrap().swap(0, 2);
+    let path = folder.path().join("other.json");
+    fs::write(&path, other.to_string()).unwrap();
+    let mut command = plenocal();
+    command.arg("compare").arg(camera_file()).arg(&path).assert().success().stdout(contains(
+        "The two cameras see the same points, but blur them differently: pixels are 0.000 px RMS apart",
+    ));
 }

@@ -22,8 +22,8 @@ class PLENOCAL_API FileError : public std::runtime_error {
 /// The verdict on a calibration: the heaviest of what speaks against it.
 enum class Verdict { kGood, kUsableWithCare, kDoNotUse };
 
-/// What this library needs of camera.json. The file has more: at which distances boards were,
-/// aperture ratio and point spread, and how depths by blur are off.
+/// The content of camera.json, without the distances of the boards, the aperture ratio and the
+/// point spread.
 struct CameraFile {
   Camera camera;
   /// Setting of the main lens: N of the images of boards, which a camera that is written has to
@@ -44,9 +44,9 @@ struct CameraFile {
   /// Covariance of the parameters with a sigma, in their order; empty if it is not known.
   Matrix covariance;
 
-  /// What speaks against using the camera, a sentence for each: that its calibration has not
-  /// converged, has not determined some parameters, or ended in the verdict "do not use". The
-  /// command line warns of the same. Empty if nothing does, or nothing is known of a calibration.
+  /// Reasons against using the camera, one sentence each: its calibration has not converged, has
+  /// not determined some parameters, or ended in the verdict "do not use". The command line prints
+  /// the same warnings. Empty if there is no reason, or if nothing is known of a calibration.
   PLENOCAL_API std::vector<std::string> objections() const;
 };
 

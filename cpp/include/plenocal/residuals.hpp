@@ -59,7 +59,7 @@ class FeatureResiduals {
  public:
   static constexpr int kResiduals = I == 0 ? 2 : 3;
 
-  /// Of the board, only its size is used. Throws std::invalid_argument without features, for a lens
+  /// Uses only the size of the board. Throws std::invalid_argument without features, for a lens
   /// type that there is not, and for a weight, pixel size or scale of the loss that is not positive
   /// and finite.
   FeatureResiduals(std::vector<WeightedFeature> features, double pixel_size, Loss loss,

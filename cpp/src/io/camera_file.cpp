@@ -105,7 +105,7 @@ Camera camera_from(const Field& root) {
   return camera;
 }
 
-constexpr double kRounding = 1e-9;  // of correlations
+constexpr double kRounding = 1e-9;  // tolerance of correlations
 
 // sigma of all parameters, and the covariance of those that have one.
 void read_uncertainty(const Field& uncertainty, CameraFile* file) {

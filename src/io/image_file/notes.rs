@@ -1,4 +1,4 @@
-//! What image files say about their samples that a calibration does not follow: tone curves, orientation, pages.
+//! Declarations of image files that are reported but not applied: tone curves, orientation, pages.
 
 use std::io::{self, BufReader, Cursor, Read, Seek};
 use std::path::Path;
@@ -36,9 +36,9 @@ struct Notes {
     pages: usize,
 }
 
-/// Findings about image files that say of themselves that their samples are not linear in light, that they are to be
-/// turned, or that they have several pages. Nothing of this is followed: samples and pixels are used as they are
-/// stored. Files that cannot be read give none: they are reported when their turn comes.
+/// Findings about image files that declare samples that are not linear in light, an orientation, or several pages. None of
+/// this is applied: samples and pixels are used as stored. Files that cannot be read give no finding here: reading them
+/// reports why.
 #[must_use]
 pub fn image_findings<P: AsRef<Path> + Sync>(images: &[P]) -> Vec<Finding> {
     let notes: Vec<(String, Notes)> = images
