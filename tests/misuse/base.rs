@@ -1,5 +1,6 @@
 //! A set, its calibrated camera, and files of them to be misused.
 
+use std::fmt::{Display, Write as _};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -16,7 +17,7 @@ pub struct Base {
     folder: TempDir,
     /// The folder of the set.
     pub set: PathBuf,
-    /// The true virtual depths of a plane, as CSV.
+    /// Virtual depths, as CSV.
     pub depths: String,
     /// Near, median and far distance of their points, mm.
     pub points_mm: [f64; 3],
@@ -80,7 +81,7 @@ impl Base {
             .is_ok_and(|text| text.contains("nu") && lines(&text).abs_diff(lines(&self.depths)) < 5)
     }
 
-    /// Virtual depths at the features of the evaluation, by their blur: CSV k,l,u,v,nu,std_nu.
+    /// Virtual depths at the features of the evaluation, all near 3: CSV `k,l,u,v,nu,std_nu`.
     fn virtual_depths(&self) -> String {
         let features = fs::read_to_string(self.features("evaluation")).expect("there are features");
         let mut lines = features.lines();
@@ -92,7 +93,7 @@ impl Base {
             let fields: Vec<&str> = line.split(',').collect();
             let nu = 3.0 + 0.001 * f64::from(u32::try_from(number % 500).unwrap_or(0));
             let place = at.map(|i| fields[i]).join(",");
-            csv += &format!("{place},{nu},0.01\n");
+            let _ = writeln!(csv, "{place},{nu},0.01");
         }
         csv
     }
@@ -161,7 +162,7 @@ impl Row<'_> {
         self.fields[self.column(name)].parse().unwrap_or(f64::NAN)
     }
 
-    pub fn set(&mut self, name: &str, value: impl ToString) {
+    pub fn set(&mut self, name: &str, value: impl Display) {
         let column = self.column(name);
         self.fields[column] = value.to_string();
     }

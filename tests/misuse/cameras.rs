@@ -17,6 +17,7 @@ fn add(value: &mut Value, more: f64) {
 }
 
 /// What is wrong with a camera, how it is made, and what has to come of boards in images, and of features without images.
+#[allow(clippy::too_many_lines)] // a table
 fn changes() -> Vec<(&'static str, Change, Expected, Expected)> {
     const ARRAY: &str = "micro_lens_array";
     let told = Told(&[
@@ -123,9 +124,9 @@ fn changes() -> Vec<(&'static str, Change, Expected, Expected)> {
         (
             "no distortion",
             |c| {
-                ["q1_per_mm2", "q2_per_mm4", "q3_per_mm6"]
-                    .iter()
-                    .for_each(|q| c["main_lens"][*q] = json!(0.0))
+                for q in ["q1_per_mm2", "q2_per_mm4", "q3_per_mm6"] {
+                    c["main_lens"][q] = json!(0.0);
+                }
             },
             Told(&["[scatter]", "[squares-contradicted]"]),
             Told(&["[scatter]", "[squares-contradicted]"]),

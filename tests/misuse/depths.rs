@@ -1,15 +1,20 @@
 //! Virtual depths of something else, or damaged: `points`.
 
-use crate::base::{BASE, Row, Scratch, arguments, own_camera};
+use crate::base::{BASE, Row, arguments, own_camera};
 use crate::{Case, Expected, case};
 use Expected::{Clean, Refused, Right, Told};
 
-fn points(scratch: &Scratch, input: &str, more: &[&str]) -> Vec<String> {
-    let _ = scratch;
+/// A change of a row, by its number.
+type Change = fn(usize, &mut Row);
+/// A change of the text of a file.
+type Damage = fn(&str) -> String;
+
+fn points(input: &str, more: &[&str]) -> Vec<String> {
     arguments(&[["points", &own_camera(), input].as_slice(), more].concat())
 }
 
-fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected)> {
+#[allow(clippy::too_many_lines)] // a table
+fn changes() -> Vec<(&'static str, Change, Expected)> {
     let sign = Told(&["[depths-of-other-sign]"]);
     let far = Told(&["[far-from-micro-image]"]);
     let outside = Told(&["[outside-array]"]);
@@ -27,7 +32,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected)> {
             "one nu of 0",
             |i, r| {
                 if i == 4 {
-                    r.set("nu", 0)
+                    r.set("nu", 0);
                 }
             },
             sign,
@@ -36,7 +41,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected)> {
             "one nu of -3",
             |i, r| {
                 if i == 4 {
-                    r.set("nu", -3)
+                    r.set("nu", -3);
                 }
             },
             sign,
@@ -69,7 +74,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected)> {
             "nu not a number",
             |i, r| {
                 if i == 4 {
-                    r.set("nu", "nan")
+                    r.set("nu", "nan");
                 }
             },
             Refused(&["line 6"]),
@@ -78,7 +83,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected)> {
             "nu infinite",
             |i, r| {
                 if i == 4 {
-                    r.set("nu", "inf")
+                    r.set("nu", "inf");
                 }
             },
             Refused(&["line 6"]),
@@ -87,7 +92,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected)> {
             "nu empty",
             |i, r| {
                 if i == 4 {
-                    r.set("nu", "")
+                    r.set("nu", "");
                 }
             },
             Refused(&["line 6"]),
@@ -96,7 +101,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected)> {
             "one k of -1",
             |i, r| {
                 if i == 4 {
-                    r.set("k", -1)
+                    r.set("k", -1);
                 }
             },
             outside,
@@ -105,7 +110,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected)> {
             "one k of 5000",
             |i, r| {
                 if i == 4 {
-                    r.set("k", 5000)
+                    r.set("k", 5000);
                 }
             },
             outside,
@@ -119,7 +124,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected)> {
             "one u of 9e9",
             |i, r| {
                 if i == 4 {
-                    r.set("u", 9e9)
+                    r.set("u", 9e9);
                 }
             },
             far,
@@ -157,7 +162,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected)> {
     ]
 }
 
-fn texts() -> Vec<(&'static str, fn(&str) -> String, Expected)> {
+fn texts() -> Vec<(&'static str, Damage, Expected)> {
     vec![
         ("an empty file", |_| String::new(), Refused(&["table.csv"])),
         (
@@ -293,19 +298,19 @@ pub fn cases() -> Vec<Case> {
     for (name, change, expected) in changes() {
         all.push(case(format!("points: {name}"), expected, move |s| {
             let input = s.table(&BASE.depths, change);
-            points(s, &input, &[])
+            points(&input, &[])
         }));
     }
     for (name, change, expected) in texts() {
         all.push(case(format!("points: {name}"), expected, move |s| {
             let input = s.write("table.csv", change(&BASE.depths));
-            points(s, &input, &[])
+            points(&input, &[])
         }));
     }
     for (name, bytes, more, expected) in maps() {
         all.push(case(format!("points: a map {name}"), expected, move |s| {
             let input = s.write("map.npy", &bytes);
-            points(s, &input, more)
+            points(&input, more)
         }));
     }
     all

@@ -6,6 +6,9 @@ use crate::base::{BASE, Row, Scratch, arguments, own_camera, own_features, poses
 use crate::{Case, Expected, case};
 use Expected::{Refused, Right, Told};
 
+/// A change of a row, by its number.
+type Change = fn(usize, &mut Row);
+
 fn changed(scratch: &Scratch, change: impl Fn(usize, &mut Row)) -> String {
     let content = fs::read_to_string(BASE.features("evaluation")).expect("there are features");
     scratch.table(&content, change)
@@ -17,7 +20,8 @@ fn more(row: &mut Row, name: &str, by: f64) {
 }
 
 /// What is wrong with features, how they are made, and what has to come of poses and of points.
-fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected, Expected)> {
+#[allow(clippy::too_many_lines)] // a table
+fn changes() -> Vec<(&'static str, Change, Expected, Expected)> {
     let indices = Refused(&["do not belong together", "outside", "array"]);
     let scatter = Told(&["[scatter]", "[bad-fit]", "[squares-contradicted]", "[corners-scatter]"]);
     vec![
@@ -86,7 +90,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected, Expected)> {
             "every tenth u off by 5 px",
             |i, r| {
                 if i % 10 == 0 {
-                    more(r, "u", 5.0)
+                    more(r, "u", 5.0);
                 }
             },
             Told(&["[outlying-features]", "[scatter]"]),
@@ -124,7 +128,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected, Expected)> {
             "a corner number of 1000",
             |i, r| {
                 if i == 3 {
-                    r.set("cluster", 1000)
+                    r.set("cluster", 1000);
                 }
             },
             Refused(&["1000"]),
@@ -147,7 +151,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected, Expected)> {
             "u not a number",
             |i, r| {
                 if i == 5 {
-                    r.set("u", "NaN")
+                    r.set("u", "NaN");
                 }
             },
             Refused(&["line 7", "u"]),
@@ -157,7 +161,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected, Expected)> {
             "u infinite",
             |i, r| {
                 if i == 5 {
-                    r.set("u", "inf")
+                    r.set("u", "inf");
                 }
             },
             Refused(&["line 7", "u"]),
@@ -167,7 +171,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected, Expected)> {
             "u a word",
             |i, r| {
                 if i == 5 {
-                    r.set("u", "left")
+                    r.set("u", "left");
                 }
             },
             Refused(&["line 7", "u"]),
@@ -177,7 +181,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected, Expected)> {
             "k = -1",
             |i, r| {
                 if i == 5 {
-                    r.set("k", -1)
+                    r.set("k", -1);
                 }
             },
             Refused(&["k"]),
@@ -187,7 +191,7 @@ fn changes() -> Vec<(&'static str, fn(usize, &mut Row), Expected, Expected)> {
             "k = 2000000000",
             |i, r| {
                 if i == 5 {
-                    r.set("k", 2_000_000_000)
+                    r.set("k", 2_000_000_000);
                 }
             },
             Refused(&["k", "2000000000"]),

@@ -19,12 +19,15 @@ use std::time::Instant;
 use base::Scratch;
 use outcome::{Kind, Outcome};
 
+/// Makes the files of a use and returns the arguments of the program.
+type Make = Box<dyn Fn(&Scratch) -> Vec<String>>;
+
 /// A use of a camera, and what has to come of it.
 pub struct Case {
     /// What it is called.
     pub name: String,
     /// Makes the files in a folder of its own and returns the arguments of the program.
-    pub make: Box<dyn Fn(&Scratch) -> Vec<String>>,
+    pub make: Make,
     /// What has to come of it.
     pub expected: Expected,
 }
@@ -81,7 +84,9 @@ fn main() -> ExitCode {
             .collect();
     cases.retain(|case| parts.is_empty() || parts.iter().any(|part| case.name.contains(*part)));
     if options.iter().any(|option| *option == "--list") {
-        cases.iter().for_each(|case| println!("{}", case.name));
+        for case in &cases {
+            println!("{}", case.name);
+        }
         return ExitCode::SUCCESS;
     }
     let (mut counts, mut failed) = ([0; Kind::ALL.len()], Vec::new());
@@ -100,6 +105,8 @@ fn main() -> ExitCode {
     }
     println!("\n{} uses of cameras", cases.len());
     Kind::ALL.into_iter().zip(counts).for_each(|(kind, count)| println!("{count:>5}  {kind}"));
-    failed.iter().for_each(|line| println!("NOT AS EXPECTED: {line}"));
+    for line in &failed {
+        println!("NOT AS EXPECTED: {line}");
+    }
     if failed.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

@@ -89,8 +89,8 @@ fn told(stderr: &str) -> String {
 /// Codes of the reasons of a verdict.
 fn reasons(document: &Value) -> String {
     let all = document["verdict"]["reasons"].as_array().into_iter().flatten();
-    all.map(|reason| format!("verdict: [{}]\n", reason["code"].as_str().unwrap_or_default()))
-        .collect()
+    let code = |reason: &Value| reason["code"].as_str().unwrap_or_default().to_owned();
+    all.flat_map(|reason| ["verdict: [".to_owned(), code(reason), "]\n".to_owned()]).collect()
 }
 
 /// Whether the distances of an answer are those of the clean use.
