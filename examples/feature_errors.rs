@@ -1,6 +1,6 @@
 //! Writes a table of the errors of detected features: simulated boards against their truth.
 //!
-//!     cargo run --release --example feature_errors [PART OF A NAME]
+//!     cargo run --release --example feature_errors [PART OF A NAME [SEED]]
 
 use plenocal::Result;
 use plenocal::assessment::DetectionScore;
@@ -38,11 +38,13 @@ fn main() -> Result<()> {
     );
     println!("|---|---|---|---|---|---|---|---|---|");
     let wanted = std::env::args().nth(1).unwrap_or_default();
+    let seed = std::env::args().nth(2);
     for (name, preset, replaced, frames) in SETS {
         if !name.contains(&wanted) {
             continue;
         }
-        let replaced: Vec<String> = replaced.iter().map(ToString::to_string).collect();
+        let seed = seed.as_ref().map(|seed| format!("seed={seed}"));
+        let replaced: Vec<String> = replaced.iter().map(ToString::to_string).chain(seed).collect();
         let settings = Settings::preset(preset, &replaced)?;
         let score = DetectionScore::of_simulation(&settings, frames, DepthEstimator::Line)?;
         println!(

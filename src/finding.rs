@@ -360,10 +360,6 @@ issues! {
     BoardNeverWhole "board-never-whole" { columns: i32, rows: i32 } =>
         "no frame shows the board from its first to its last row and column",
         format!("check that it has {columns} x {rows} inner corners");
-    /// Corners were fitted with another aperture ratio than all frames give.
-    ApertureRatioOfFirstFrames "aperture-ratio-of-first-frames" { fitted_with: f64, estimated: Estimate } =>
-        format!("the aperture ratio estimated from the first frames ({fitted_with:.4}) differs from the one of all frames ({estimated})"),
-        format!("exclude blurred first frames, or state the aperture ratio {:.4} in the project", estimated.value);
     /// These boards give another aperture ratio than the boards of the calibration.
     ApertureRatioOfOtherBoards "aperture-ratio-of-other-boards" { fitted_with: f64, estimated: Estimate } =>
         format!("the aperture ratio estimated from the boards of the calibration ({fitted_with:.4}) differs from the one of these boards ({estimated})"),

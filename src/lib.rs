@@ -144,8 +144,8 @@ pub mod solver;
 
 mod checks;
 mod numerics;
+mod optics;
 mod table;
-mod vignetting;
 
 pub use error::{Error, Result};
 pub use finding::{Finding, Issue, Severity, Subject};

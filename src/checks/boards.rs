@@ -46,28 +46,18 @@ pub(crate) fn exposure(unusable: &UnusableParts) -> Result<(), Issue> {
     Ok(())
 }
 
-/// Whether an aperture ratio is another one than the ratio that corners were fitted with, by so many σ.
-pub(crate) fn ratio_differs(found: &Estimate, fitted_with: f64, std_devs: f64) -> bool {
-    let change = (found.value - fitted_with).abs();
-    change > SAME_RATIO * found.value && change > std_devs * found.std_dev
-}
-
-/// Corners that were fitted with another aperture ratio than all frames show: the ratio of other boards with its σ, or that
-/// of the first frames.
+/// Boards whose edges show another aperture ratio than those of the calibration, with which their corners were fitted, and
+/// its σ.
 pub(crate) fn aperture_ratio(
     fitted_with: f64,
-    of_other_boards: Option<f64>,
+    std_dev: f64,
     estimated: Estimate,
 ) -> Option<Finding> {
-    let (taken, issue) = match of_other_boards {
-        // What is taken of those boards is at most 1.
-        Some(std_dev) => (
-            Estimate { std_dev: estimated.std_dev.hypot(std_dev), ..at_most_full(&estimated) },
-            Issue::ApertureRatioOfOtherBoards { fitted_with, estimated },
-        ),
-        None => (estimated, Issue::ApertureRatioOfFirstFrames { fitted_with, estimated }),
-    };
-    ratio_differs(&taken, fitted_with, RATIO_STD_DEVS).then(|| Finding::caution(issue))
+    // What is taken of those boards is at most 1.
+    let change = (at_most_full(&estimated).value - fitted_with).abs();
+    let std_dev = estimated.std_dev.hypot(std_dev);
+    let differs = change > SAME_RATIO * estimated.value && change > RATIO_STD_DEVS * std_dev;
+    differs.then(|| Finding::caution(Issue::ApertureRatioOfOtherBoards { fitted_with, estimated }))
 }
 
 /// Images whose samples were rounded to few levels: the frames with their number of levels.

@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, RowVector4, Vector1, Vector3};
 
+use super::Aberration;
 use super::CornerLine;
-use super::aberration::Aberration;
 use super::corner_measurement::CornerMeasurement;
 use crate::numerics::NormalEquations;
 
@@ -73,7 +73,8 @@ mod tests {
 
     use super::super::CornerObservation;
     use super::super::corner::Corner;
-    use super::super::corner_sensitivity::Sensitivities;
+    use super::super::corner_fit::Sensitivities;
+    use super::super::edge_width::EdgeWidth;
     use super::*;
 
     const PUPIL_PX: f64 = 6.0;
@@ -126,7 +127,7 @@ mod tests {
                                 by_taken: SMatrix::zeros(),
                                 by_aberration: bend.terms(&w) * (slope - 1.0),
                             },
-                            width: None,
+                            width: EdgeWidth::new(Matrix2::zeros(), Vector2::zeros()),
                         }
                     })
                     .collect()

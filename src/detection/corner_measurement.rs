@@ -3,13 +3,12 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::corner::Corner;
-use super::corner_sensitivity::Sensitivities;
+use super::corner_fit::Sensitivities;
 use super::edge_width::EdgeWidth;
-use super::micro_images::STEPS;
 use super::{CornerObservation, MicroOptics};
 
 /// An observation of a corner, made with the slope and the aberration that were known before. Places are
-/// straightened, see [`super::aberration`].
+/// straightened, see [`super::Aberration`].
 pub(super) struct CornerMeasurement {
     pub observation: CornerObservation,
     pub corner: Corner,
@@ -18,7 +17,7 @@ pub(super) struct CornerMeasurement {
     /// By how much the observation moves with that slope and the aberration.
     pub sensitivities: Sensitivities,
     /// What its edges say of the blur.
-    pub width: Option<EdgeWidth>,
+    pub width: EdgeWidth,
 }
 
 impl CornerMeasurement {
@@ -33,10 +32,10 @@ impl CornerMeasurement {
         }
     }
 
-    /// [`CornerMeasurement::on_line`] if one of what is taken from white images is larger by its part of [`STEPS`].
-    pub fn on_line_with(&self, taken: usize) -> CornerObservation {
+    /// The observation on its line if one of what is taken from white images is larger by `step`.
+    pub fn on_line_with(&self, taken: usize, step: f64) -> CornerObservation {
         let on_line = self.on_line();
-        let moved = self.sensitivities.by_taken.column(taken) * STEPS[taken];
+        let moved = self.sensitivities.by_taken.column(taken) * step;
         CornerObservation { position: on_line.position + moved, ..on_line }
     }
 
@@ -58,7 +57,7 @@ impl CornerMeasurement {
         self.moved(&(self.sensitivities.by_slope * (slope - self.slope_before)));
         let wider_px = optics.blur_radius_px(slope) - optics.blur_radius_px(self.slope_before);
         let log_ratio = wider_px / optics.blur_by_ratio_px(self.slope_before);
-        self.width = self.width.map(|width| width.about(&Vector2::new(-log_ratio, 0.0)));
+        self.width = self.width.about(&Vector2::new(-log_ratio, 0.0));
         self.slope_before = slope;
     }
 
@@ -72,8 +71,7 @@ impl CornerMeasurement {
 mod tests {
     use nalgebra::{Matrix2, Matrix2x3};
 
-    use super::super::corner_sensitivity::ByTaken;
-    use super::super::corner_sensitivity::tests::corner;
+    use super::super::corner_fit::ByTaken;
     use super::super::micro_images::tests::micro_images;
     use super::*;
 
@@ -82,7 +80,7 @@ mod tests {
     fn edges_say_the_same_of_the_blur_radius_after_another_slope() {
         let optics = micro_images(23.0).optics(1, 1);
         let width =
-            EdgeWidth::with(Matrix2::new(900.0, 100.0, 100.0, 400.0), Vector2::new(9.0, 2.0));
+            EdgeWidth::new(Matrix2::new(900.0, 100.0, 100.0, 400.0), Vector2::new(9.0, 2.0));
         let mut seen = CornerMeasurement {
             observation: CornerObservation {
                 k: 1,
@@ -92,17 +90,25 @@ mod tests {
                 covariance: Matrix2::identity(),
                 squares: Matrix2::identity(),
             },
-            corner: corner(Vector2::zeros()),
+            corner: Corner {
+                place: Vector2::zeros(),
+                angles: [0.2, 1.6],
+                level: 0.5,
+                contrast: 0.4,
+                width: 1.0,
+                covariance: Matrix2::identity(),
+                explained: 1.0,
+            },
             slope_before: 0.5,
             sensitivities: Sensitivities {
                 by_slope: Vector2::new(0.3, -0.2),
                 by_aberration: Matrix2x3::zeros(),
                 by_taken: ByTaken::zeros(),
             },
-            width: Some(width),
+            width,
         };
         let radius_px = |seen: &CornerMeasurement| {
-            let change = seen.width.unwrap().of_ratio(&Vector2::zeros()).unwrap().0;
+            let change = seen.width.of_ratio(&Vector2::zeros()).unwrap().0;
             optics.blur_radius_px(seen.slope_before) + change * optics.blur_by_ratio_px(0.5)
         };
         let before = radius_px(&seen);

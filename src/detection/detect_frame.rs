@@ -8,7 +8,7 @@ use tracing::{debug, info, trace};
 use super::CornerObservation;
 use super::board::{LabelledBoard, LatticePoint};
 use super::exposure::{contrast, count_unusable};
-use super::features::{DetectedCorner, Detection, detection};
+use super::features::{Detection, detection};
 use super::first_pass::{FirstPass, groups};
 use super::frame::{Frame, FrameCounts, MARGIN, Search};
 use super::grouping::Group;
@@ -51,23 +51,6 @@ pub fn detect_frame(
     }
     debug!("frame {frame}: {counts:?}");
     (result, counts)
-}
-
-/// The board of a detection once more, with other micro-images, where it is known to be; `None` if it hardly shows there.
-pub(super) fn detect_again(
-    frame: u32,
-    image: &Grey,
-    white: &Grey,
-    search: &Search,
-    (before, mut counts): (&Detection, FrameCounts),
-) -> Option<(Detection, FrameCounts)> {
-    let frame = Frame { frame, image, white, search };
-    let labelled = LabelledBoard { homography: before.homography, corners: Vec::new() };
-    let of_corner = |found: &DetectedCorner| BoardCorner::expected(found.corner, found.line);
-    let corners = before.corners.iter().map(of_corner).collect();
-    let passed = second_pass(&frame, corners, &labelled, before.contrast, &mut counts);
-    let enough = passed.corners.len() >= MIN_CORNERS;
-    enough.then(|| (detection(&frame, &passed, labelled.homography), counts))
 }
 
 fn detect(frame: &Frame, counts: &mut FrameCounts) -> Result<Detection, Issue> {
@@ -123,7 +106,7 @@ fn of_board(
     let in_view = (0..frame.search.board.corners()).filter(in_view).count();
     let is_sure = counts.off_board as f64 <= OFF_BOARD * counts.corners as f64
         && corners.len() as f64 >= FOUND * in_view as f64;
-    Ok((detection(frame, &passed, labelled.homography), is_sure))
+    Ok((detection(frame, passed, labelled.homography), is_sure))
 }
 
 /// The board that the pinhole images of groups show.

@@ -5,19 +5,11 @@
 //! Openings that do not fill the distance between micro-lenses, φ < 1, blur less; a point spread, printed edges that are not
 //! sharp and boards that move make all edges wider by the same variance v.
 
-use nalgebra::{Matrix1x3, Matrix1x4, Matrix2, Matrix3, Matrix4, RowVector3, Vector2, Vector4};
+use nalgebra::{Matrix2, Vector2};
 
-use super::corner::Corner;
-use super::corner_sensitivity::place_by_few;
-use super::patch::Patch;
-use super::rays::Rays;
-use super::summed::SummedShape;
 use crate::model::APERTURE_RATIO_MODEL;
-use crate::numerics::{NormalEquations, median};
+use crate::numerics::median;
 use crate::quantity::Estimate;
-
-/// Pixels that are used up by place, levels, aperture ratio and width.
-const USED: f64 = 6.0;
 
 /// What the light of a corner says about ln φ and v, near those that it was fitted with, while its place and levels are free:
 /// its information, and that times the change.
@@ -47,60 +39,14 @@ pub(super) struct OfFrames {
 }
 
 impl EdgeWidth {
-    /// Of a corner that was fitted with `rays`, and by how much its place is off because of these, px: `summed` is how pixels
-    /// see it, and its blur radius grows by `by_ratio_px` with ln φ. `None` if the light does not determine it.
-    ///
-    /// The pixels may be too few for a place: `inverse` is that of the normal matrix of all that were fitted, of which these
-    /// are the part `share`, by weight.
-    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
-    pub fn of(
-        corner: &Corner,
-        patch: &Patch,
-        rays: &Rays,
-        summed: &[SummedShape],
-        by_ratio_px: f64,
-        (inverse, share): (&Matrix4<f64>, f64),
-    ) -> Option<(Self, Vector2<f64>)> {
-        let pixels = patch.x.len();
-        let (level, contrast) = (corner.level as f32, corner.contrast as f32);
-        let by_few = corner.shape(rays);
-        let radius_by_ratio = by_ratio_px as f32;
-        let mut equations = NormalEquations::<f32, 4, 4>::new();
-        let mut products = Matrix3::<f64>::zeros();
-        for (i, seen) in summed.iter().enumerate().filter(|(_, seen)| seen.shape.is_finite()) {
-            let [along_u, along_v] = seen.by_place.map(|by| by * contrast);
-            let row = Vector4::new(along_u, along_v, 1.0, seen.shape);
-            let residual = patch.light[i] - level - contrast * seen.shape;
-            let by_ratio = contrast * radius_by_ratio * seen.by_radius;
-            let by_width = contrast * seen.by_width;
-            let of_pixel = Matrix1x3::new(residual, by_ratio, by_width);
-            let approximation = contrast * (by_few[i] - seen.shape);
-            let all = Matrix1x4::new(residual, by_ratio, by_width, approximation);
-            equations.add(&row, &all, patch.weight[i]);
-            let of_pixel: RowVector3<f64> = of_pixel.map(f64::from);
-            products += of_pixel.transpose() * of_pixel * f64::from(patch.weight[i]);
-        }
-        let equations = equations.in_double();
-        let approximation = equations.right().column(3).into_owned();
-        let off = place_by_few(&equations.normal(), &approximation, inverse, share);
-        let left = products - equations.explained()?.fixed_view::<3, 3>(0, 0);
-        let variance = left[(0, 0)] / (pixels as f64 - USED).max(1.0);
-        let information = left.fixed_view::<2, 2>(1, 1) / variance;
-        let right = left.fixed_view::<2, 1>(1, 0) / variance;
-        let finite = information.iter().chain(&right).chain(&off).all(|x| x.is_finite());
-        (variance > 0.0 && finite).then_some((Self { information, right }, off))
-    }
-
-    /// With this information of ln φ and v, and that times the change.
-    #[cfg(test)]
-    pub fn with(information: Matrix2<f64>, right: Vector2<f64>) -> Self {
+    /// Of this information of ln φ and v, and that times the change.
+    pub fn new(information: Matrix2<f64>, right: Vector2<f64>) -> Self {
         Self { information, right }
     }
 
-    /// Its information of ln φ and v, and that times the change.
-    #[cfg(test)]
-    pub fn equations(&self) -> (Matrix2<f64>, Vector2<f64>) {
-        (self.information, self.right)
+    /// Whether all of it is a number.
+    pub fn is_finite(&self) -> bool {
+        self.information.iter().chain(&self.right).all(|x| x.is_finite())
     }
 
     /// Of ln φ and v themselves, if it is of their changes from these.
@@ -159,6 +105,11 @@ const ROUNDS: usize = 5;
 const OF_POINT_SPREAD: f64 = 0.05;
 
 impl WidthChange {
+    /// The change of ln φ with its σ.
+    pub fn log_ratio(&self) -> (f64, f64) {
+        (self.change.x, self.covariance[(0, 0)].sqrt())
+    }
+
     /// Whether edges are wider or narrower than they were taken to be, by what matters and is no chance: print that is not
     /// sharp, motion, a point spread that white images show otherwise.
     pub fn edges_differ(&self) -> bool {

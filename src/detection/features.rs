@@ -5,8 +5,9 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use super::edge_width::{EdgeWidth, WidthChange};
 use super::frame::Frame;
 use super::line::median_inverse_virtual_depth;
-use super::second_pass::{Found, SecondPassed};
-use super::{Aberration, CornerLine, CornerObservation, DepthEstimator};
+use super::second_pass::{BoardCorner, Found, SecondPassed};
+use super::{Aberration, CornerLine, CornerObservation, DepthEstimator, MicroImages, MicroOptics};
+use crate::model::taken::APERTURE_RATIO;
 use crate::model::{BapFeature, MeasuredBlur};
 use crate::quantity::Estimate;
 
@@ -36,10 +37,20 @@ pub struct Detection {
     pub aberration: Aberration,
     /// How sharp its edges are, where they show it.
     pub edges: Option<Edges>,
-    /// By how much the measured blur of each feature grows with the variance of edges, px⁻¹.
-    blur_by_width: Vec<f64>,
-    /// That of the frame, for a search with other micro-images.
-    pub(super) contrast: f64,
+    /// What it was made of.
+    measured: Measured,
+}
+
+/// What the second pass has measured in a frame, about the aperture ratio that its corners were fitted with.
+#[derive(Debug, Clone, PartialEq)]
+struct Measured {
+    frame: u32,
+    estimator: DepthEstimator,
+    corners: Vec<BoardCorner>,
+    width: Option<WidthChange>,
+    aperture_ratio: f64,
+    /// Variance along an axis by which edges are wider than those of white images, px².
+    wider_px2: f64,
 }
 
 /// What the widths of edges in a frame say.
@@ -52,21 +63,13 @@ pub struct Edges {
     pub spread_px2: Estimate,
     /// What its corners say of ln φ and of by how much edges are wider than those of white images.
     pub(super) corners: EdgeWidth,
-    /// That, px².
-    wider_px2: f64,
 }
 
 impl Detection {
-    /// Measures blur with edges that are as wide as those of other frames, by this variance with its σ, px², over white
-    /// images.
-    pub(super) fn take_width(&mut self, wider_px2: Estimate) {
-        let Some(edges) = &self.edges else { return };
-        for (feature, by) in self.features.iter_mut().zip(&self.blur_by_width) {
-            if let Some(blur) = &mut feature.blur {
-                blur.radius_px += by * (wider_px2.value - edges.wider_px2);
-                blur.shared_px = by * wider_px2.std_dev;
-            }
-        }
+    /// Moves its features to where they are with the aperture ratio of some micro-images, and measures their blur with edges
+    /// that are wider than those of white images by a variance, px², if that of other frames is known better than their own.
+    pub(super) fn settle(&mut self, micro_images: &MicroImages, wider_px2: Option<Estimate>) {
+        (self.features, self.corners) = self.measured.features(micro_images, wider_px2);
     }
 
     /// Pinhole image of a place on the board in columns and rows, px.
@@ -77,79 +80,110 @@ impl Detection {
     }
 }
 
-/// The features of the corners that were found.
+/// The features of the corners that were found, with the aperture ratio that was searched with.
 pub(super) fn detection(
     frame: &Frame,
-    passed: &SecondPassed,
+    passed: SecondPassed<'_>,
     homography: Matrix3<f64>,
 ) -> Detection {
-    let micro_images = frame.search.micro_images;
-    let change = passed.width.map(|width| width.change);
-    let half_pitch = micro_images.grid.pitch_px / 2.0;
-    let (mut features, mut corners) = (Vec::new(), Vec::new());
-    let mut blur_by_width = Vec::new();
-    for found in &passed.corners {
-        let observations: Vec<CornerObservation> =
-            found.observations.iter().map(|found| found.observation).collect();
-        // There are at least two.
-        let median = median_inverse_virtual_depth(&observations).unwrap_or(f64::NAN);
-        corners.push(DetectedCorner {
-            corner: found.corner,
-            line: found.line,
-            median_inverse_virtual_depth: median,
-            features: observations.len(),
-        });
-        for Found { observation, corner, by_taken, width } in &found.observations {
-            let optics = micro_images.optics(observation.k, observation.l);
-            let rho_px = match frame.search.estimator {
-                DepthEstimator::Median => optics.rho_of_depth_px(median),
-                DepthEstimator::Line => optics.rho_px(found.line.slope),
-            };
-            let per = optics.blur_by_ratio_px(found.line.slope);
-            let blur = change.zip(*width).and_then(|(change, width)| {
-                let (by, variance) = width.of_ratio(&Vector2::new(0.0, change.y))?;
-                Some(MeasuredBlur {
-                    radius_px: optics.blur_radius_px(found.line.slope) + by * per,
-                    std_dev_px: variance.sqrt() * per.abs(),
-                    shared_px: 0.0,
-                    aperture_ratio: optics.aperture_ratio,
-                })
-            });
-            let std_devs = [0, 1].map(|i| corner.covariance[(i, i)].sqrt());
-            blur_by_width.push(width.map_or(0.0, |width| width.ratio_by_width() * per));
-            features.push(BapFeature {
-                frame: frame.frame,
-                corner: found.corner,
-                k: observation.k,
-                l: observation.l,
-                u_px: observation.position.x,
-                v_px: observation.position.y,
-                rho_px: Some(rho_px),
-                std_dev_px: Some(std_devs),
-                correlation: corner.covariance[(0, 1)] / (std_devs[0] * std_devs[1]),
-                // By that of the slope of the corner's line, also where ρ is from the median
-                // over pairs. The uncertainty of q'ᵢ, which all features of a lens type share,
-                // is not in it.
-                rho_std_dev_px: Some(half_pitch * found.line.slope_std_dev),
-                sensitivities_px: Some((*by_taken).into()),
-                blur,
-            });
-        }
-    }
-    let edges = passed.width.map(|width| edges(frame, &width, passed.wider_px2));
-    Detection {
-        features,
+    let SecondPassed { micro_images, corners, aberration, wider_px2, width } = passed;
+    let edges = width.map(|width| edges(&micro_images, &width, wider_px2));
+    let measured = Measured {
+        frame: frame.frame,
+        estimator: frame.search.estimator,
         corners,
-        homography,
-        aberration: passed.aberration,
-        edges,
-        blur_by_width,
-        contrast: passed.contrast,
+        width,
+        aperture_ratio: micro_images.aperture_ratio(),
+        wider_px2,
+    };
+    let (features, corners) = measured.features(frame.search.micro_images, None);
+    Detection { features, corners, homography, aberration, edges, measured }
+}
+
+impl Measured {
+    /// The features with the aperture ratio of some micro-images, corner by corner, and the corners. Places and lines move by
+    /// their derivatives; ρ also by q'ᵢ, since white images show φqᵢ. The measured blur does not depend on it.
+    fn features(
+        &self,
+        micro_images: &MicroImages,
+        wider_px2: Option<Estimate>,
+    ) -> (Vec<BapFeature>, Vec<DetectedCorner>) {
+        let half_pitch = micro_images.grid.pitch_px / 2.0;
+        let ratio = micro_images.aperture_ratio();
+        let log_change = (ratio / self.aperture_ratio).ln();
+        let fitted_with = micro_images.with_aperture_ratio(self.aperture_ratio);
+        let (mut features, mut corners) = (Vec::new(), Vec::new());
+        for found in &self.corners {
+            let line = found.line.moved(&found.line_by_ratio, log_change);
+            let moved = |found: &Found| {
+                let by_ratio = found.by_taken.column(APERTURE_RATIO);
+                let position = found.observation.position + by_ratio * log_change;
+                CornerObservation { position, ..found.observation }
+            };
+            let observations: Vec<CornerObservation> =
+                found.observations.iter().map(moved).collect();
+            // There are at least two.
+            let median = median_inverse_virtual_depth(&observations).unwrap_or(f64::NAN);
+            corners.push(DetectedCorner {
+                corner: found.corner,
+                line,
+                median_inverse_virtual_depth: median,
+                features: observations.len(),
+            });
+            for (found_in, observation) in found.observations.iter().zip(observations) {
+                let Found { corner, by_taken, width, .. } = found_in;
+                let (k, l) = (observation.k, observation.l);
+                let optics = micro_images.optics(k, l);
+                let rho_px = match self.estimator {
+                    DepthEstimator::Median => optics.rho_of_depth_px(median),
+                    DepthEstimator::Line => optics.rho_px(line.slope),
+                };
+                let blur = self.blur(width, &fitted_with.optics(k, l), found.line.slope, wider_px2);
+                let std_devs = [0, 1].map(|i| corner.covariance[(i, i)].sqrt());
+                features.push(BapFeature {
+                    frame: self.frame,
+                    corner: found.corner,
+                    k,
+                    l,
+                    u_px: observation.position.x,
+                    v_px: observation.position.y,
+                    rho_px: Some(rho_px),
+                    std_dev_px: Some(std_devs),
+                    correlation: corner.covariance[(0, 1)] / (std_devs[0] * std_devs[1]),
+                    // By that of the slope of the corner's line, also where ρ is from the median
+                    // over pairs. The uncertainty of q'ᵢ, which all features of a lens type share,
+                    // is not in it.
+                    rho_std_dev_px: Some(half_pitch * line.slope_std_dev),
+                    sensitivities_px: Some((*by_taken).into()),
+                    blur: blur.map(|blur| MeasuredBlur { aperture_ratio: ratio, ..blur }),
+                });
+            }
+        }
+        (features, corners)
+    }
+
+    /// The measured blur of a feature whose line has a slope.
+    fn blur(
+        &self,
+        width: &EdgeWidth,
+        optics: &MicroOptics,
+        slope: f64,
+        wider_px2: Option<Estimate>,
+    ) -> Option<MeasuredBlur> {
+        let per = optics.blur_by_ratio_px(slope);
+        let own = self.width?.change.y;
+        let change = wider_px2.map_or(own, |wider| wider.value - self.wider_px2);
+        let (by, variance) = width.of_ratio(&Vector2::new(0.0, change))?;
+        Some(MeasuredBlur {
+            radius_px: optics.blur_radius_px(slope) + by * per,
+            std_dev_px: variance.sqrt() * per.abs(),
+            shared_px: wider_px2.map_or(0.0, |wider| width.ratio_by_width() * per * wider.std_dev),
+            aperture_ratio: optics.aperture_ratio,
+        })
     }
 }
 
-fn edges(frame: &Frame, width: &WidthChange, wider_px2: f64) -> Edges {
-    let micro_images = frame.search.micro_images;
+fn edges(micro_images: &MicroImages, width: &WidthChange, wider_px2: f64) -> Edges {
     let std_dev = |i: usize| width.covariance[(i, i)].sqrt();
     let value = micro_images.aperture_ratio() * width.change.x.exp();
     let about = Vector2::new(micro_images.aperture_ratio().ln(), wider_px2);
@@ -158,6 +192,5 @@ fn edges(frame: &Frame, width: &WidthChange, wider_px2: f64) -> Edges {
         aperture_ratio: Estimate { value, std_dev: value * std_dev(0) },
         spread_px2: Estimate::new(micro_images.point_spread_px2() + wider_px2, std_dev(1)),
         corners: width.corners.about(&about),
-        wider_px2,
     }
 }

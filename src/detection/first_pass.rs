@@ -3,12 +3,11 @@
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use super::corner::{Corner, FitRoom, Free};
+use super::corner::{Corner, FitRoom};
 use super::dbscan::dbscan;
 use super::frame::{Frame, FrameCounts};
 use super::grouping::{Group, LineSearch, groups_on_lines, is_texture};
 use super::patch::{Patch, Room};
-use super::rays::Rays;
 use super::saddle::saddles;
 use super::{CornerObservation, MicroOptics};
 use crate::model::{Configuration, LatticeKind};
@@ -221,20 +220,19 @@ fn corner_alone(
     room: &mut FitRoom,
 ) -> Option<Corner> {
     let reach = optics.outer_radius_px() - EDGE_PX;
-    let rays = Rays::sharp(patch);
     let clear = |corner: &Corner| {
         corner.place.norm() < reach
             && corner.explained > EXPLAINED
             && (LEAST_CONTRAST..MOST_CONTRAST).contains(&(corner.contrast.abs() / contrast))
             && corner.opening() > OPENING
             && corner.std_dev_px() < UNCERTAIN_PX
-            && corner.imbalance(patch, &rays).is_some_and(|part| part < IMBALANCE)
+            && corner.imbalance(patch).is_some_and(|part| part < IMBALANCE)
     };
     saddles(patch, LEAST_CONTRAST * contrast)
         .iter()
         .filter(|corner| corner.place.norm() < reach)
         .take(STARTS)
-        .filter_map(|corner| corner.fitted(patch, &rays, Free::All, room))
+        .filter_map(|corner| corner.fitted(patch, room))
         .find(clear)
 }
 

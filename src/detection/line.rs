@@ -72,6 +72,17 @@ impl CornerLine {
         Self::exact(pinhole * (1.0 - slope), slope)
     }
 
+    /// By how much another line starts and rises otherwise, as a line.
+    pub(super) fn difference(&self, other: &Self) -> Self {
+        Self::exact(other.start - self.start, other.slope - self.slope)
+    }
+
+    /// The line moved along a derivative.
+    pub(super) fn moved(&self, by: &Self, change: f64) -> Self {
+        let (start, slope) = (self.start + by.start * change, self.slope + by.slope * change);
+        Self { start, slope, ..*self }
+    }
+
     /// The line with these parameters.
     pub(super) fn exact(start: Vector2<f64>, slope: f64) -> Self {
         Self { start, slope, slope_std_dev: 0.0, rms_px: 0.0 }

@@ -1,19 +1,17 @@
 //! Every micro-image as the pre-calibration describes it.
 
 use nalgebra::Vector2;
-use rayon::prelude::*;
 
 use super::MicroOptics;
 use crate::error::{Error, Result};
-use crate::model::taken::{APERTURE_RATIO, FALL_OFF, INTERCEPT, POINT_SPREAD, PUPIL};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, MicroImageCenter,
-    ROW_DISTANCE, SampleLevels, Sensor, TAKEN, TiltGradient, check_array_size, check_centers,
+    ROW_DISTANCE, SampleLevels, Sensor, TiltGradient, check_array_size, check_centers,
     growth_per_px, optics,
 };
+use crate::optics::Obliquity;
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::quantity::Estimate;
-use crate::vignetting::{Obliquity, Pixel, Vignetting};
 
 /// Where micro-images are, and how points are blurred in them.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,21 +46,10 @@ pub struct MicroImages {
     lens_to_sensor: f64,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
-    /// Vignetting by lens type and by growth of d: as it is, with another pupil, another q'ᵢ, and another point spread.
-    vignetting: [Vec<Vec<Vignetting>>; 4],
-    /// First step of that growth.
-    first_step: i32,
 }
 
 /// Discs of light and blur are smaller than this many pitches.
 const MOST_PITCHES: f64 = 10.0;
-/// Step of the growth of d at which the vignetting is tabulated: the blur changes by 0.02 px.
-const GROWTH_STEP: f64 = 0.005;
-/// By which part of itself what is taken from white images is changed to see what depends on it.
-const OTHERWISE: f64 = 0.01;
-/// By how much what is taken from white images is changed, by its index: the part [`OTHERWISE`] of it, and the variance of the
-/// point spread, which may be 0, by px².
-pub(super) const STEPS: [f64; TAKEN] = [OTHERWISE, OTHERWISE, OTHERWISE, OTHERWISE, 0.02];
 /// d/f of an unfocused camera is within this of 1; that of focused ones differs by a tenth and more.
 const UNFOCUSED: f64 = 0.03;
 /// d changes less than this across an array that was meant to be parallel to the sensor.
@@ -142,8 +129,6 @@ impl MicroImages {
             configuration: sheet.configuration,
             centers: grid.all_centers(centers),
             pupil_px,
-            vignetting: Default::default(),
-            first_step: 0,
             q_prime_px: internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect(),
             aperture_ratio,
             settled: None,
@@ -156,7 +141,7 @@ impl MicroImages {
             lens_to_sensor: lens_to_sensor_px / mla_to_sensor_px,
             growth_per_px: Vector2::zeros(),
         };
-        let most = micro_images.tabulate();
+        let most = micro_images.find_growth();
         if most.is_nan() || most > MOST_GROWTH {
             return Err(Error::invalid(format!(
                 "the micro-images lie in such a perspective that the array would be {:.0} % further from the sensor \
@@ -168,36 +153,12 @@ impl MicroImages {
         Ok(micro_images)
     }
 
-    /// Finds how d grows over the image, and the vignetting; how much it grows at most.
-    fn tabulate(&mut self) -> f64 {
+    /// Finds how d grows over the image; how much it grows at most.
+    fn find_growth(&mut self) -> f64 {
         let perspective_per_px = &self.grid.perspective_per_px;
         self.growth_per_px =
             growth_per_px(self.tilt_gradient.as_ref(), perspective_per_px, self.lens_to_sensor);
-        let most = self.growth_per_px.abs().dot(&self.middle);
-        #[allow(clippy::cast_possible_truncation)] // a small number
-        let last_step = (most.min(MOST_GROWTH) / GROWTH_STEP).ceil() as i32;
-        self.first_step = -last_step;
-        self.vignetting = self.tables();
-        most
-    }
-
-    /// The vignetting by what is otherwise, by lens type and by growth of d.
-    fn tables(&self) -> [Vec<Vec<Vignetting>>; 4] {
-        let half_pitch = self.grid.pitch_px / 2.0;
-        let (other, wider) = (1.0 + OTHERWISE, STEPS[POINT_SPREAD]);
-        let changes = [[1.0, 1.0, 0.0], [other, 1.0, 0.0], [1.0, other, 0.0], [1.0, 1.0, wider]];
-        changes.map(|[pupil, intercept, wider]| {
-            let pixel = Pixel::new(self.point_spread_px2 + wider);
-            let of_type = |q_prime: &f64| {
-                let of_step = |step: i32| {
-                    let scale = 1.0 + f64::from(step) * GROWTH_STEP;
-                    let q = self.aperture_ratio * (q_prime * intercept * scale - half_pitch);
-                    Vignetting::new(self.pupil_px * pupil * scale, q, &pixel)
-                };
-                (self.first_step..=-self.first_step).into_par_iter().map(of_step).collect()
-            };
-            self.q_prime_px.iter().map(of_type).collect()
-        })
+        self.growth_per_px.abs().dot(&self.middle)
     }
 
     /// Centre of a micro-image, px.
@@ -243,7 +204,7 @@ impl MicroImages {
             self.tilt_gradient.map(|tilt_gradient| tilt_gradient.with_aperture_ratio(-change.ln()));
         let mut other =
             Self { q_prime_px, aperture_ratio, in_the_middle, tilt_gradient, ..self.clone() };
-        other.tabulate();
+        other.find_growth();
         other
     }
 
@@ -314,40 +275,6 @@ impl MicroImages {
             },
             growth,
         }
-    }
-
-    pub(super) fn vignetting(&self, optics: &MicroOptics) -> &Vignetting {
-        self.vignetting_with(0, optics)
-    }
-
-    /// The optics and the vignetting if one of [`TAKEN_FROM_WHITES`](crate::model::TAKEN_FROM_WHITES), by its
-    /// index, is larger by [`STEPS`].
-    pub(super) fn otherwise(
-        &self,
-        optics: &MicroOptics,
-        taken: usize,
-    ) -> (MicroOptics, &Vignetting) {
-        let (mut other, factor) = (*optics, 1.0 + OTHERWISE);
-        match taken {
-            PUPIL => other.pupil_px *= factor,
-            INTERCEPT => other.q_prime_px *= factor,
-            FALL_OFF => other.obliquity.within_per_px2 *= factor,
-            APERTURE_RATIO => {
-                other.q_prime_px =
-                    other.half_pitch_px + optics.q_px() / optics.aperture_ratio / factor;
-                other.aperture_ratio *= factor;
-            }
-            _ => {}
-        }
-        let table = [PUPIL, INTERCEPT, POINT_SPREAD].iter().position(|i| *i == taken);
-        (other, self.vignetting_with(table.map_or(0, |i| i + 1), optics))
-    }
-
-    fn vignetting_with(&self, which: usize, optics: &MicroOptics) -> &Vignetting {
-        let vignetting = &self.vignetting[which][optics.lens_type];
-        #[allow(clippy::cast_possible_truncation)] // bounded by the constructor
-        let step = (optics.growth / GROWTH_STEP).round() as i32 - self.first_step;
-        &vignetting[usize::try_from(step).unwrap_or(0).min(vignetting.len() - 1)]
     }
 
     /// Whether a place is in micro-images on the sensor, at least `margin_px` within the border of both: the

@@ -1,6 +1,6 @@
 //! How a micro-lens blurs.
 
-use crate::vignetting::Obliquity;
+use crate::optics::Obliquity;
 
 /// How one micro-lens blurs.
 #[derive(Debug, Clone, Copy, PartialEq)]

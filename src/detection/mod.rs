@@ -5,22 +5,17 @@
 //! a line, and the pinhole images of all lines on the lattice of the board, which labels them. In the
 //! second pass every corner of the board is searched for in the micro-images that should show it.
 
-mod aberration;
 mod aberration_fit;
-mod blur;
 mod board;
 mod board_images;
 mod cells;
 mod corner;
+mod corner_fit;
 mod corner_measurement;
-mod corner_sensitivity;
-mod cut_normal;
 mod dbscan;
 mod detect_frame;
 mod distortion;
 mod edge_width;
-#[cfg(test)]
-mod exact_light;
 mod exposure;
 mod features;
 mod findings;
@@ -33,17 +28,13 @@ mod micro_images;
 mod micro_optics;
 mod observation;
 mod patch;
-mod rays;
 mod saddle;
 mod second_pass;
-mod simd;
 mod slope_field;
 mod stage;
-mod summed;
 #[cfg(test)]
 mod tests;
 
-pub use aberration::Aberration;
 pub use board::check_board_size;
 pub use board_images::{BoardImage, DetectedBoards, DetectedFrame};
 pub use detect_frame::detect_frame;
@@ -55,3 +46,5 @@ pub use micro_optics::MicroOptics;
 pub(crate) use observation::CornerObservation;
 pub use observation::DepthEstimator;
 pub use stage::detect;
+
+pub use crate::optics::Aberration;

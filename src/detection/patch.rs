@@ -6,8 +6,8 @@
 use nalgebra::Vector2;
 use pulp::{Arch, NullaryFnOnce, Simd, WithSimd};
 
-use super::simd::{dot, largest, sum, weighted_squares};
 use crate::image::Grey;
+use crate::numerics::simd::{dot, largest, sum, weighted_squares};
 
 /// Pixels of a micro-image: offsets from its centre (px), light relative to the white image, and
 /// weights, 1 where the white image is brightest.

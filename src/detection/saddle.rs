@@ -8,7 +8,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::corner::Corner;
 use super::patch::Patch;
-use super::simd::{dot, sum};
+use crate::numerics::simd::{dot, sum};
 
 /// Least saddle that may be a corner: its flatter curvature over the steeper.
 const SADDLE: f64 = 0.12;

@@ -1,51 +1,55 @@
 //! The second pass: every corner of the board where its line, or that of its neighbours, expects it, in all micro-images that
 //! should show it.
 
-use nalgebra::{Matrix2, Matrix4, Vector2, Vector3};
+use std::borrow::Cow;
+
+use nalgebra::{Matrix2, Vector2, Vector3};
 use rayon::prelude::*;
 
-use super::aberration::Aberration;
 use super::aberration_fit::aberration_change;
-use super::blur::Blur;
 use super::board::LabelledBoard;
-use super::corner::{Corner, FitRoom, Free};
+use super::corner::Corner;
+use super::corner_fit::{ByTaken, FitRoom, FittedCorner, Held};
 use super::corner_measurement::CornerMeasurement;
-use super::corner_sensitivity::{ByTaken, OnEdges, Sensitivities, sensitivities};
 use super::distortion::Distortion;
 use super::edge_width::{EdgeWidth, WidthChange};
 use super::first_pass::LEAST_CONTRAST;
 use super::frame::{Frame, FrameCounts, MARGIN};
 use super::line::{CornerLine, possible_slope};
-use super::micro_images::STEPS;
 use super::patch::{self, Patch};
-use super::rays::Rays;
 use super::slope_field::SlopeField;
-use super::summed::summed;
-use super::{CornerObservation, MicroOptics};
+use super::{Aberration, CornerObservation, MicroImages, MicroOptics};
 #[cfg(doc)]
 use crate::model::BapFeature;
 use crate::model::TAKEN;
+use crate::model::taken::APERTURE_RATIO;
 use crate::numerics::median;
 
-/// Rounds in which every corner is searched for; in the second one its line is that of the first.
-const ROUNDS: usize = 2;
+/// Rounds in which every corner is searched for: in each its line, aberrations and the width of edges are those of the round
+/// before. There are at least two, and more while the aperture ratio changes.
+const ROUNDS: std::ops::RangeInclusive<usize> = 2..=4;
+/// The aperture ratio of a round has settled if it changes by less than this part, or by less than so many of its σ; it is
+/// determined where σ is below the third number.
+const SETTLED: f64 = 0.02;
+const SETTLED_STD_DEVS: f64 = 0.5;
+const DETERMINED: f64 = 0.05;
+/// Aperture ratios that edges of one frame are taken to have: noise may exceed what is possible a little.
+const RATIOS: std::ops::RangeInclusive<f64> = 0.2..=1.15;
 /// Boards with edges that are wider than this, px², are not sharp enough to be found.
 const MOST_WIDER_PX2: f64 = 9.0;
 
 /// How far from where it is expected a corner is found, px.
 const EXPECTED_PX: f64 = 1.2;
-/// The first round looks at one pixel of so many, and for the widths of edges at one observation of so many: it tells how all
-/// corners of the frame are blurred.
+/// The first round looks at one pixel of so many.
 const ROUGH_PIXELS: usize = 3;
-const ROUGH_WIDTHS: i32 = 4;
-/// One pixel of so many shows how a corner depends on what is taken from white images: that is summed over all corners.
-const FEW: usize = 5;
+/// Steps by which derivatives of lines by what is taken from white images are measured.
+const TAKEN_STEP: f64 = 0.01;
 /// Least part of the light of its micro-image that a corner explains.
 const EXPLAINED: f64 = 0.4;
 /// Largest median imbalance of its observations, see [`Corner::imbalance`].
 const IMBALANCE: f64 = 0.5;
 /// So many of them are enough for that.
-const ENOUGH: usize = 16;
+const ENOUGH: usize = 12;
 /// Largest standard deviation of an observation, px.
 const UNCERTAIN_PX: f64 = 0.35;
 /// Corners are not searched for nearer than this, px, to where none of their light arrives.
@@ -56,32 +60,34 @@ const OUTLIER: f64 = 4.0;
 const LEAST_RMS_PX: f64 = 0.08;
 
 /// A corner of the board with its line and, once it was searched for, its observations.
-#[derive(Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct BoardCorner {
     pub corner: i32,
     pub line: CornerLine,
+    /// The derivative of the line by ln φ, once it was searched for.
+    pub line_by_ratio: CornerLine,
     pub observations: Vec<Found>,
 }
 
 /// What was found of it in a micro-image.
-#[derive(Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Found {
     pub observation: CornerObservation,
     pub corner: Corner,
     /// How the place changes with what is taken from white images, px: see [`BapFeature::sensitivities_px`].
     pub by_taken: ByTaken,
     /// What its edges say of the blur.
-    pub width: Option<EdgeWidth>,
+    pub width: EdgeWidth,
 }
 
 /// What the second pass finds in a frame.
-pub(super) struct SecondPassed {
+pub(super) struct SecondPassed<'a> {
+    /// The micro-images, with the aperture ratio that the corners were fitted with.
+    pub micro_images: Cow<'a, MicroImages>,
     /// The corners of the board with all their observations.
     pub corners: Vec<BoardCorner>,
     /// The aberrations that were taken out of them.
     pub aberration: Aberration,
-    /// That of the frame.
-    pub contrast: f64,
     /// Variance along an axis by which edges are wider than blur and pixels make them, px².
     pub wider_px2: f64,
     /// What is left of the aperture ratio and of that, by the edges of all corners, if these determine it.
@@ -91,24 +97,28 @@ pub(super) struct SecondPassed {
 impl BoardCorner {
     /// One that is expected on a line, before it was searched for.
     pub fn expected(corner: i32, line: CornerLine) -> Self {
-        Self { corner, line, observations: Vec::new() }
+        let line_by_ratio = CornerLine::exact(Vector2::zeros(), 0.0);
+        Self { corner, line, line_by_ratio, observations: Vec::new() }
     }
 }
 
 /// Searches for all corners of the board: those with a line where it expects them, and the others where the lines of their
 /// neighbours do.
-pub(super) fn second_pass(
-    frame: &Frame,
+pub(super) fn second_pass<'a>(
+    frame: &Frame<'a>,
     mut corners: Vec<BoardCorner>,
     labelled: &LabelledBoard,
     contrast: f64,
     counts: &mut FrameCounts,
-) -> SecondPassed {
+) -> SecondPassed<'a> {
     let at_first: Vec<i32> = corners.iter().map(|c| c.corner).collect();
-    let (middle, pupil) = (frame.search.sensor.center_px(), frame.search.micro_images.pupil_px());
+    let mut micro_images = Cow::Borrowed(frame.search.micro_images);
+    let (middle, pupil) = (frame.search.sensor.center_px(), micro_images.pupil_px());
     let mut aberration = Aberration::none(middle, pupil);
     let (mut wider_px2, mut width) = (0.0, None);
-    for round in 1..=ROUNDS {
+    // What other boards have shown is not asked of this one.
+    let free = micro_images.settled().is_none();
+    for round in 1..=*ROUNDS.end() {
         let lines: Vec<CornerLine> = corners.iter().map(|c| c.line).collect();
         let Some(field) = SlopeField::fit(&lines) else { break };
         let pinholes =
@@ -116,16 +126,17 @@ pub(super) fn second_pass(
         let pinholes: Vec<_> = corners.iter().map(pinholes).collect();
         let distortion = &Distortion::fit(&pinholes, middle);
         corners.extend(missing(frame, &corners, labelled, &field));
-        let (field, last) = (&field, round == ROUNDS);
+        let (field, rough) = (&field, round == 1);
         let pass = CornerSearch {
             frame,
+            micro_images: &micro_images,
             labelled,
             field,
             distortion,
             contrast,
             aberration,
             wider_px2,
-            last,
+            rough,
         };
         let outcomes: Vec<Outcome> = corners.par_iter().map(|c| pass.search(c)).collect();
         // Those of the last round count.
@@ -146,10 +157,22 @@ pub(super) fn second_pass(
             }
         }
         let observations = corners.iter().flat_map(|c| &c.observations);
-        let widths: Vec<EdgeWidth> = observations.filter_map(|found| found.width).collect();
+        let widths: Vec<EdgeWidth> = observations.map(|found| found.width).collect();
         width = WidthChange::fit(&widths, wider_px2);
-        if let Some(width) = width.filter(|width| !last && width.edges_differ()) {
-            let least = -frame.search.micro_images.point_spread_px2();
+        let change = width.filter(|_| free).map(|width| width.log_ratio());
+        let change = change.filter(|(_, std_dev)| *std_dev < DETERMINED);
+        let moves =
+            change.is_some_and(|(by, std_dev)| by.abs() > SETTLED.max(SETTLED_STD_DEVS * std_dev));
+        if round == *ROUNDS.end() || (round >= *ROUNDS.start() && !moves) {
+            break;
+        }
+        if let Some((by, _)) = change {
+            let ratio = micro_images.aperture_ratio() * by.exp();
+            let ratio = ratio.clamp(*RATIOS.start(), *RATIOS.end());
+            micro_images = Cow::Owned(micro_images.with_aperture_ratio(ratio));
+        }
+        if let Some(width) = width.filter(WidthChange::edges_differ) {
+            let least = -micro_images.point_spread_px2();
             wider_px2 = (wider_px2 + width.change.y).clamp(least, MOST_WIDER_PX2);
         }
     }
@@ -158,7 +181,7 @@ pub(super) fn second_pass(
     let is_lost = |corner: &&i32| corners.iter().all(|c| c.corner != **corner);
     counts.lost += at_first.iter().filter(is_lost).count();
     counts.board_corners = corners.len();
-    SecondPassed { corners, aberration, contrast, wider_px2, width }
+    SecondPassed { micro_images, corners, aberration, wider_px2, width }
 }
 
 /// Corners in view that are not among some, on the lines that these lead to expect.
@@ -194,6 +217,8 @@ struct Outcome {
 /// The search for corners of the board in a frame, in one round.
 struct CornerSearch<'a> {
     pub frame: &'a Frame<'a>,
+    /// With the aperture ratio that is known so far.
+    pub micro_images: &'a MicroImages,
     pub labelled: &'a LabelledBoard,
     pub field: &'a SlopeField,
     pub distortion: &'a Distortion,
@@ -203,8 +228,8 @@ struct CornerSearch<'a> {
     pub aberration: Aberration,
     /// Variance along an axis by which edges are wider than blur and pixels make them, px².
     pub wider_px2: f64,
-    /// Whether this is the last round.
-    pub last: bool,
+    /// Whether some of the pixels are enough.
+    pub rough: bool,
 }
 
 /// Room for one micro-image after the other.
@@ -212,20 +237,13 @@ struct CornerSearch<'a> {
 struct Room {
     patch: Patch,
     reading: patch::Room,
-    rays: Rays,
     fit: FitRoom,
-    /// Some of the pixels, and their rays.
-    few: Patch,
-    few_rays: Rays,
-    /// Those of them that see edges, and their rays if something taken from white images were otherwise.
-    on_edges: OnEdges,
-    others: [Rays; TAKEN],
 }
 
 impl CornerSearch<'_> {
     /// Searches for a corner in every micro-image that should show it.
     pub fn search(&self, sought: &BoardCorner) -> Outcome {
-        let micro_images = self.frame.search.micro_images;
+        let micro_images = self.micro_images;
         let (pinhole, slope) = (sought.line.pinhole(), sought.line.slope);
         let lit = |optics: MicroOptics| optics.lit_px(optics.blur_radius_px(slope));
         let largest = micro_images.all_optics_at(&pinhole).map(lit).fold(0.0, f64::max);
@@ -233,7 +251,7 @@ impl CornerSearch<'_> {
         let (mut observations, mut imbalances, mut unclear) = (Vec::new(), Vec::new(), 0);
         let mut room = Room::default();
         let step = nodes.len().div_ceil(ENOUGH).max(1);
-        let mut next = 0;
+        let (mut next, is_new) = (0, sought.observations.is_empty());
         for (i, node) in nodes.into_iter().enumerate() {
             let center = micro_images.center(node.0, node.1);
             let optics = micro_images.optics(node.0, node.1);
@@ -242,18 +260,19 @@ impl CornerSearch<'_> {
             if expected.norm() > optics.lit_px(rho) - EDGE_PX {
                 continue;
             }
-            let Some(seen) = self.seen(sought, node, &mut room) else {
+            let Some((seen, imbalance)) = self.seen(sought, node, is_new && i >= next, &mut room)
+            else {
                 unclear += 1;
                 continue;
             };
-            if i >= next {
-                imbalances.extend(seen.corner.imbalance(&room.patch, &room.rays));
+            if is_new && i >= next {
+                imbalances.extend(imbalance);
                 next = i + step;
             }
             observations.push(seen);
         }
         // The outer corners of the board look like corners in some micro-images, but not in most.
-        let is_corner = median(imbalances).is_some_and(|median| median < IMBALANCE);
+        let is_corner = !is_new || median(imbalances).is_some_and(|median| median < IMBALANCE);
         let all = observations.len();
         let found = if is_corner { Sought::near_line(sought, observations) } else { None };
         let kept = found.as_ref().map_or(0, |found| found.seen.len());
@@ -261,70 +280,50 @@ impl CornerSearch<'_> {
         Outcome { found, unclear, misplaced, given_up }
     }
 
-    /// What is seen of a corner in a micro-image; `None` if it does not clearly show.
+    /// What is seen of a corner in a micro-image, and its imbalance if that is asked for; `None` if it does not clearly show.
     fn seen(
         &self,
         sought: &BoardCorner,
         node: (i32, i32),
+        with_imbalance: bool,
         room: &mut Room,
-    ) -> Option<CornerMeasurement> {
-        let micro_images = self.frame.search.micro_images;
-        let (center, slope) = (micro_images.center(node.0, node.1), sought.line.slope);
-        let optics = micro_images.optics(node.0, node.1);
-        let vignetting = micro_images.vignetting(&optics);
-        let bend = self.aberration.bend(&center, slope);
-        let blur = Blur::new(&optics, slope, bend, vignetting).wider(self.wider_px2);
+    ) -> Option<(CornerMeasurement, Option<f64>)> {
+        let micro_images = self.micro_images;
+        let center = micro_images.center(node.0, node.1);
+        let slope = sought.line.slope;
+        let held = Held {
+            optics: &micro_images.optics(node.0, node.1),
+            slope,
+            aberration: &self.aberration,
+            center,
+            point_spread_px2: micro_images.point_spread_px2(),
+            wider_px2: self.wider_px2,
+        };
         self.frame.read(node, &mut room.patch, &mut room.reading).ok()?;
-        if !self.last {
+        if self.rough {
             room.patch = room.patch.thinned(ROUGH_PIXELS);
         }
-        let start = self.expected_corner(sought, &center, room.patch.mean());
-        blur.trace(&room.patch, &mut room.rays);
-        let mut corner = self.fitted(&start, room)?;
-        let (mut sensitivities, inverse) =
-            sensitivities(&corner, &room.patch, &room.rays, slope, &bend)?;
-        let has_width = self.last || (node.0 + node.1).rem_euclid(ROUGH_WIDTHS) == 0;
-        let mut width = None;
-        if has_width {
-            let step = if self.last { FEW } else { FEW.div_ceil(ROUGH_PIXELS) };
-            room.few = room.patch.thinned(step);
-            room.rays.thin(step, &mut room.few_rays);
-            let blurred = (&optics, &blur, slope);
-            let (found, off) =
-                self.by_few(&corner, blurred, (&mut sensitivities, &inverse), room)?;
-            corner.place += off;
-            width = Some(found);
-        }
-        if (corner.place - start.place).norm() > EXPECTED_PX {
+        let expected = self.expected_corner(sought, &center, room.patch.mean());
+        let fitted = held.fit(&expected, self.rough, &room.patch, &mut room.fit)?;
+        let FittedCorner { corner, sensitivities, width } = fitted;
+        let clear = (corner.place - expected.place).norm() < EXPECTED_PX
+            && corner.explained > EXPLAINED
+            && (corner.contrast > 0.0) == (expected.contrast > 0.0)
+            && corner.contrast.abs() > LEAST_CONTRAST * self.contrast
+            && corner.std_dev_px() < UNCERTAIN_PX;
+        if !clear {
             return None;
         }
-        let observation = self.frame.observation(node, &corner);
-        Some(CornerMeasurement { observation, slope_before: slope, sensitivities, width, corner })
-    }
-
-    /// What a few pixels of a corner say of the width of its edges, and by how much its place is off, px; and, in the last
-    /// round, its sensitivities by what is taken from white images.
-    fn by_few(
-        &self,
-        corner: &Corner,
-        (optics, blur, slope): (&MicroOptics, &Blur, f64),
-        (sensitivities, inverse): (&mut Sensitivities, &Matrix4<f64>),
-        room: &mut Room,
-    ) -> Option<(EdgeWidth, Vector2<f64>)> {
-        let Room { patch, few, few_rays, on_edges, others, .. } = room;
-        let share = few.sum_of_weights() / patch.sum_of_weights();
-        if self.last {
-            on_edges.find(corner, few, few_rays);
-            for (taken, rays) in others.iter_mut().enumerate() {
-                let (optics, vignetting) = self.frame.search.micro_images.otherwise(optics, taken);
-                let blur = Blur::new(&optics, slope, blur.bend, vignetting);
-                blur.wider(self.wider_px2).trace(&on_edges.patch, rays);
-            }
-            sensitivities.by_taken = on_edges.by_taken(corner, others, inverse, share);
-        }
-        let summed = summed(blur, corner, few);
-        let by_ratio_px = optics.blur_by_ratio_px(slope);
-        EdgeWidth::of(corner, few, few_rays, &summed, by_ratio_px, (inverse, share))
+        let imbalance =
+            with_imbalance.then(|| held.imbalance(&corner, &room.patch, &mut room.fit)).flatten();
+        let measurement = CornerMeasurement {
+            observation: self.frame.observation(node, &corner),
+            slope_before: slope,
+            sensitivities,
+            width,
+            corner,
+        };
+        Some((measurement, imbalance))
     }
 
     /// A corner as it should show in the micro-image about `center`, whose mean light is `level`.
@@ -356,18 +355,6 @@ impl CornerSearch<'_> {
         (corner / columns + corner % columns) % 2 == 0
     }
 
-    /// The corner where it is expected; `None` if it does not clearly show there.
-    fn fitted(&self, expected: &Corner, room: &mut Room) -> Option<Corner> {
-        let Room { patch, rays, fit, .. } = room;
-        expected.fitted(patch, rays, Free::Place, fit).filter(|corner| {
-            (corner.place - expected.place).norm() < EXPECTED_PX
-                && corner.explained > EXPLAINED
-                && (corner.contrast > 0.0) == (expected.contrast > 0.0)
-                && corner.contrast.abs() > LEAST_CONTRAST * self.contrast
-                && corner.std_dev_px() < UNCERTAIN_PX
-        })
-    }
-
     /// A corner with its line, once the aberrations are known better.
     pub fn on_line(&self, found: Sought, change: &Vector3<f64>) -> Option<BoardCorner> {
         let Sought { corner, mut seen } = found;
@@ -375,19 +362,25 @@ impl CornerSearch<'_> {
             seen.change_aberration(change);
         }
         let line = CornerLine::fit(seen.iter().map(CornerMeasurement::on_line))?;
-        if self.last {
+        let none = CornerLine::exact(Vector2::zeros(), 0.0);
+        let mut line_by_ratio = none;
+        if !self.rough {
             // With other places the line has another slope, and that blurs otherwise.
-            for (taken, step) in STEPS.into_iter().enumerate() {
-                let other = CornerLine::fit(seen.iter().map(|seen| seen.on_line_with(taken)))?;
-                let slope = (other.slope - line.slope) / step;
+            for taken in 0..TAKEN {
+                let others = seen.iter().map(|seen| seen.on_line_with(taken, TAKEN_STEP));
+                let difference = line.difference(&CornerLine::fit(others)?);
+                let by_taken = none.moved(&difference, TAKEN_STEP.recip());
+                if taken == APERTURE_RATIO {
+                    line_by_ratio = by_taken;
+                }
                 for seen in &mut seen {
-                    seen.take_slope(taken, slope);
+                    seen.take_slope(taken, by_taken.slope);
                 }
             }
         }
         for seen in &mut seen {
             let CornerObservation { k, l, .. } = seen.observation;
-            seen.change_slope(line.slope, &self.frame.search.micro_images.optics(k, l));
+            seen.change_slope(line.slope, &self.micro_images.optics(k, l));
         }
         let observations = seen
             .into_iter()
@@ -399,7 +392,7 @@ impl CornerSearch<'_> {
             })
             .collect();
         let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);
-        possible.then_some(BoardCorner { corner, line, observations })
+        possible.then_some(BoardCorner { corner, line, line_by_ratio, observations })
     }
 }
 

@@ -5,7 +5,7 @@ use nalgebra::{RealField, SMatrix, SVector};
 /// The normal equations of P unknowns with Q right-hand sides, summed row by row. The design matrix
 /// is never stored, so sums over millions of pixels take no memory.
 ///
-/// Sums are kept and solved in the precision T of the data, see [`Self::in_double`].
+/// Sums are kept and solved in the precision T of the data.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NormalEquations<T, const P: usize, const Q: usize> {
     normal: SMatrix<T, P, P>,
@@ -37,28 +37,9 @@ impl<T: RealField + Copy, const P: usize, const Q: usize> NormalEquations<T, P, 
         SMatrix::from_fn(|i, j| self.normal[(i.max(j), i.min(j))])
     }
 
-    /// The products AᵀWb with the measurements.
-    pub fn right(&self) -> &SMatrix<T, P, Q> {
-        &self.right
-    }
-
     /// The unknowns; `None` if the rows do not determine them.
     pub fn solve(&self) -> Option<SMatrix<T, P, Q>> {
         Some(self.normal.cholesky()?.solve(&self.right))
-    }
-
-    /// What the unknowns explain of the weighted products of the measurements with each other; `None` if the rows do not
-    /// determine them.
-    pub fn explained(&self) -> Option<SMatrix<T, Q, Q>> {
-        Some(self.right.transpose() * self.solve()?)
-    }
-
-    /// The sums for a solution in double precision.
-    pub fn in_double(&self) -> NormalEquations<f64, P, Q>
-    where
-        T: Into<f64>,
-    {
-        NormalEquations { normal: self.normal.map(Into::into), right: self.right.map(Into::into) }
     }
 }
 

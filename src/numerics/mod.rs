@@ -3,6 +3,7 @@
 mod levenberg_marquardt;
 mod linear;
 mod robust;
+pub(crate) mod simd;
 mod statistics;
 
 pub(crate) use levenberg_marquardt::{Descent, LeastSquares};

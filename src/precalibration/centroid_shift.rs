@@ -25,7 +25,7 @@ use super::disc_geometry::{DiscGeometry, GROWTH};
 use super::rings::{Alike, Ring};
 use crate::error::Result;
 use crate::model::FallOff;
-use crate::vignetting::Obliquity;
+use crate::optics::Obliquity;
 
 /// X (px²) of micro-images with these rings, in a window by distance.
 fn shift_moment(

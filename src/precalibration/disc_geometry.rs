@@ -6,7 +6,7 @@ use nalgebra::Vector2;
 use super::grid::MicroImageArray;
 use super::options::PrecalibrationOptions;
 use crate::model::{InternalParameters, TiltGradient, growth_per_px};
-use crate::vignetting::{Obliquity, Pixel};
+use crate::optics::{Obliquity, Pixel};
 
 /// Slices that a part of a micro-lens is summed over, and places in them: Gauss and Legendre, one of both sides.
 const SLICES: u32 = 24;

@@ -19,8 +19,8 @@ use rayon::prelude::*;
 
 use super::pixel_response::{Angles, PixelResponse};
 use super::profile::{Profile, own_light_px};
+use crate::optics::{Obliquity, Pixel};
 use crate::quantity::Estimate;
-use crate::vignetting::{Obliquity, Pixel};
 
 /// Pupils further from their law, relative, are not those of the light: noise that is clipped bends it.
 const MOST_F_NUMBER_ERROR: f64 = 0.06;

@@ -21,8 +21,8 @@ use crate::finding::Finding;
 use crate::image::Grey;
 use crate::model::{FallOff, InternalParameters, TiltGradient};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
+use crate::optics::Obliquity;
 use crate::quantity::Estimate;
-use crate::vignetting::Obliquity;
 
 /// g follows from light up to this distance from the centre, in pitches: beyond, neighbours may begin.
 const REACH: f64 = 0.46;

@@ -23,7 +23,7 @@ use crate::error::Result;
 use crate::finding::Finding;
 use crate::image::Grey;
 use crate::model::{FallOff, InternalParameters, SampleLevels, full_scale};
-use crate::vignetting::Obliquity;
+use crate::optics::Obliquity;
 
 /// The measurement, and the discs if the light shows them.
 pub(super) fn measured(

@@ -6,7 +6,7 @@
 
 use rayon::prelude::*;
 
-use crate::vignetting::{Obliquity, Overlap, Pixel, overlap, overlap_area};
+use crate::optics::{Obliquity, Overlap, Pixel, overlap, overlap_area};
 
 /// Steps of the distances from the middle that light is seen at, and of those that it comes from, px.
 const SEEN_PX: f64 = 0.0625;

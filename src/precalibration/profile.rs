@@ -9,7 +9,7 @@ use nalgebra::{Matrix2, Vector1, Vector2};
 
 use super::pixel_response::{Angles, Oblique, PixelResponse};
 use crate::numerics::{Descent, LeastSquares, NormalEquations};
-use crate::vignetting::{Obliquity, Pixel};
+use crate::optics::{Obliquity, Pixel};
 
 /// Mean light at distances from the middle of micro-images of one type.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -11,7 +11,7 @@ use super::pixel_response::{Oblique, PixelResponse};
 use super::profile::{Edge, Profile, RadialHistogram};
 use crate::image::Image;
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight, median};
-use crate::vignetting::{Obliquity, Pixel};
+use crate::optics::{Obliquity, Pixel};
 
 /// How the radius of a micro-image is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ValueEnum)]

@@ -15,7 +15,7 @@ use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
 use crate::error::{Error, Result};
 use crate::image::{Grey, Image};
 use crate::model::{InternalParameters, LatticeKind, SampleLevels};
-use crate::vignetting::{Obliquity, Pixel};
+use crate::optics::{Obliquity, Pixel};
 
 /// Patterns of one camera at two f-numbers agree in pitch within this part, and in place within so
 /// many pitches: oblique light changes both by less.

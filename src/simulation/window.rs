@@ -58,7 +58,7 @@ mod tests {
     use super::super::sampling::{BLOCK, Points, RaySets};
     use super::super::spread::Footprint;
     use super::*;
-    use crate::vignetting::overlap_area;
+    use crate::optics::overlap_area;
 
     /// The area that another disc covers, from the rays that lie in it, with and without a window.
     #[test]

@@ -14,7 +14,7 @@ const ROOMS: [&str; 18] = [
     "model",
     "numerics",
     "image",
-    "vignetting",
+    "optics",
     "solver",
     "simulation",
     "checks",

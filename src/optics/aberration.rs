@@ -19,7 +19,7 @@
 //! Each ray of the blur is moved by E at its own place in the pupil. A blur that is the same for all hides three
 //! quarters of the aberration, and turns them into errors of the places.
 
-use nalgebra::{Matrix2x3, RealField, Scalar, Vector2, Vector3};
+use nalgebra::{Scalar, Vector2, Vector3};
 
 /// Aberrations of the third order, on the scale of micro-images.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,26 +34,26 @@ pub struct Aberration {
 
 /// E(w)/A: how far the aberrations bend the line of a corner in one micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Bend<T: Scalar = f64> {
+pub(crate) struct Bend<T: Scalar = f64> {
     /// h, px.
     pub field: Vector2<T>,
     /// z², px².
     pub zone2: T,
     /// S, C and T over A, px⁻².
-    coefficients: Vector3<T>,
+    pub coefficients: Vector3<T>,
 }
 
 /// z² over the square of the pupil's radius.
 const ZONE: f64 = 2.0 / 3.0;
 impl Aberration {
     /// None, about the middle of the image, for a pupil of this radius.
-    pub(super) fn none(middle_px: Vector2<f64>, pupil_px: f64) -> Self {
+    pub(crate) fn none(middle_px: Vector2<f64>, pupil_px: f64) -> Self {
         let zone_px2 = ZONE * pupil_px.powi(2);
         Self { middle_px, zone_px2, coefficients_per_px2: Vector3::zeros() }
     }
 
     /// What it does in the micro-image about `center` to a corner whose line has a slope.
-    pub(super) fn bend(&self, center: &Vector2<f64>, slope: f64) -> Bend {
+    pub(crate) fn bend(&self, center: &Vector2<f64>, slope: f64) -> Bend {
         Bend {
             field: center - self.middle_px,
             zone2: self.zone_px2,
@@ -62,41 +62,15 @@ impl Aberration {
     }
 
     /// With S, C and T changed.
-    pub(super) fn changed(self, change: &Vector3<f64>) -> Self {
+    pub(crate) fn changed(self, change: &Vector3<f64>) -> Self {
         Self { coefficients_per_px2: self.coefficients_per_px2 + change, ..self }
-    }
-}
-
-impl<T: RealField + Copy> Bend<T> {
-    /// What one unit of S/A, C/A and T/A does at a place w of the pupil, px³.
-    #[inline]
-    pub fn terms(&self, pupil: &Vector2<T>) -> Matrix2x3<T> {
-        let square = pupil.norm_squared();
-        let along = self.field.dot(pupil);
-        Matrix2x3::from_columns(&[
-            pupil * (square - self.zone2),
-            pupil * (along + along) + self.field * square,
-            self.field * along,
-        ])
-    }
-
-    /// E(w)/A, px.
-    #[inline]
-    pub fn at(&self, pupil: &Vector2<T>) -> Vector2<T> {
-        self.terms(pupil) * self.coefficients
     }
 }
 
 impl Bend {
     /// An ideal main lens.
-    #[cfg(test)]
     pub fn none() -> Self {
         Self { field: Vector2::zeros(), zone2: 0.0, coefficients: Vector3::zeros() }
-    }
-
-    /// Whether there is any aberration.
-    pub fn bends(&self) -> bool {
-        self.coefficients != Vector3::zeros()
     }
 
     /// In single precision, as the light.
@@ -110,8 +84,40 @@ impl Bend {
     }
 }
 
+impl Bend<f32> {
+    /// A bound of |E(w)/A| in a pupil of this radius, px.
+    pub fn largest(&self, pupil: f32) -> f32 {
+        let [spherical, coma, astigmatism] = self.coefficients.map(f32::abs).into();
+        let (square, field) = (pupil * pupil, self.field.norm());
+        spherical * pupil * square.max(self.zone2)
+            + coma * 3.0 * field * square
+            + astigmatism * field * field * pupil
+    }
+}
+
+#[cfg(test)]
+impl Bend {
+    /// What one unit of S/A, C/A and T/A does at a place w of the pupil, px³.
+    pub fn terms(&self, pupil: &Vector2<f64>) -> nalgebra::Matrix2x3<f64> {
+        let square = pupil.norm_squared();
+        let along = self.field.dot(pupil);
+        nalgebra::Matrix2x3::from_columns(&[
+            pupil * (square - self.zone2),
+            pupil * (along + along) + self.field * square,
+            self.field * along,
+        ])
+    }
+
+    /// E(w)/A, px.
+    pub fn at(&self, pupil: &Vector2<f64>) -> Vector2<f64> {
+        self.terms(pupil) * self.coefficients
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use nalgebra::Matrix2x3;
+
     use super::*;
 
     /// By hand: with h = (100, 0) and w = (3, 4), |w|² is 25 and h·w is 300.

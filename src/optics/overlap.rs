@@ -35,11 +35,6 @@ pub(crate) struct Overlap {
     pub area: f64,
 }
 
-impl Overlap {
-    /// The whole unit disc.
-    pub const WHOLE: Self = Self { mean: 0.0, along: 1.0, across: 1.0, area: std::f64::consts::PI };
-}
-
 /// Strips that the integrals are summed over.
 const STRIPS: u32 = 200;
 /// An overlap of less than this fraction of the disc is too small for moments.

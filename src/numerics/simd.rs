@@ -1,6 +1,4 @@
 //! Numbers of single precision side by side, as registers hold them.
-//!
-//! Compilers seldom see that sums over the points of the micro-lens can be done so; these are.
 
 // Only what is inlined into a dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
@@ -11,7 +9,7 @@ use pulp::Simd;
 
 /// As many numbers as a register holds.
 #[derive(Clone, Copy)]
-pub(super) struct Lanes<S: Simd> {
+pub(crate) struct Lanes<S: Simd> {
     simd: S,
     x: S::f32s,
 }
@@ -41,6 +39,12 @@ impl<S: Simd> Lanes<S> {
         Self::of(self.simd, self.simd.mul_add_e_f32s(self.x, by.x, and.x))
     }
 
+    /// This times a number, and another.
+    #[inline(always)]
+    pub fn mul_add_scalar(self, by: f32, and: Self) -> Self {
+        self.mul_add(Self::splat(self.simd, by), and)
+    }
+
     /// A third less this times another.
     #[inline(always)]
     pub fn mul_from(self, by: Self, from: Self) -> Self {
@@ -56,6 +60,42 @@ impl<S: Simd> Lanes<S> {
     #[inline(always)]
     pub fn max(self, other: Self) -> Self {
         Self::of(self.simd, self.simd.max_f32s(self.x, other.x))
+    }
+
+    /// Square roots; of numbers below 0 they are not numbers.
+    #[inline(always)]
+    pub fn sqrt(self) -> Self {
+        Self::of(self.simd, self.simd.sqrt_f32s(self.x))
+    }
+
+    /// One over each.
+    #[inline(always)]
+    pub fn recip(self) -> Self {
+        Self::of(self.simd, self.simd.div_f32s(self.simd.splat_f32s(1.0), self.x))
+    }
+
+    #[inline(always)]
+    pub fn abs(self) -> Self {
+        Self::of(self.simd, self.simd.abs_f32s(self.x))
+    }
+
+    #[inline(always)]
+    pub fn min(self, other: Self) -> Self {
+        Self::of(self.simd, self.simd.min_f32s(self.x, other.x))
+    }
+
+    /// `yes` where this is below a number, and `no` elsewhere.
+    #[inline(always)]
+    pub fn where_below(self, limit: f32, yes: Self, no: Self) -> Self {
+        let simd = self.simd;
+        let below = simd.less_than_f32s(self.x, simd.splat_f32s(limit));
+        Self::of(simd, simd.select_f32s(below, yes.x, no.x))
+    }
+
+    /// The largest of all.
+    #[inline(always)]
+    pub fn largest(self) -> f32 {
+        self.simd.reduce_max_f32s(self.x)
     }
 
     /// The sum of all.
@@ -101,9 +141,36 @@ impl<S: Simd> Neg for Lanes<S> {
     }
 }
 
+impl<S: Simd> Add<f32> for Lanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: f32) -> Self {
+        self + Self::splat(self.simd, other)
+    }
+}
+
+impl<S: Simd> Sub<f32> for Lanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(self, other: f32) -> Self {
+        self - Self::splat(self.simd, other)
+    }
+}
+
+impl<S: Simd> Mul<f32> for Lanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, other: f32) -> Self {
+        self * Self::splat(self.simd, other)
+    }
+}
+
 /// The sum of products.
 #[inline(always)]
-pub(super) fn dot<S: Simd>(simd: S, a: &[f32], b: &[f32]) -> f32 {
+pub(crate) fn dot<S: Simd>(simd: S, a: &[f32], b: &[f32]) -> f32 {
     let n = a.len().min(b.len());
     let ((a, a_rest), (b, b_rest)) = (S::as_simd_f32s(&a[..n]), S::as_simd_f32s(&b[..n]));
     let zero = Lanes::splat(simd, 0.0);
@@ -126,7 +193,7 @@ pub(super) fn dot<S: Simd>(simd: S, a: &[f32], b: &[f32]) -> f32 {
 
 /// The sum of numbers.
 #[inline(always)]
-pub(super) fn sum<S: Simd>(simd: S, a: &[f32]) -> f32 {
+pub(crate) fn sum<S: Simd>(simd: S, a: &[f32]) -> f32 {
     let (a, a_rest) = S::as_simd_f32s(a);
     let mut all = Lanes::splat(simd, 0.0);
     for a in a {
@@ -141,7 +208,7 @@ pub(super) fn sum<S: Simd>(simd: S, a: &[f32]) -> f32 {
 
 /// The weighted sum of squares.
 #[inline(always)]
-pub(super) fn weighted_squares<S: Simd>(simd: S, weight: &[f32], a: &[f32]) -> f32 {
+pub(crate) fn weighted_squares<S: Simd>(simd: S, weight: &[f32], a: &[f32]) -> f32 {
     let n = a.len().min(weight.len());
     let ((w, w_rest), (a, a_rest)) = (S::as_simd_f32s(&weight[..n]), S::as_simd_f32s(&a[..n]));
     let mut all = Lanes::splat(simd, 0.0);
@@ -158,7 +225,7 @@ pub(super) fn weighted_squares<S: Simd>(simd: S, weight: &[f32], a: &[f32]) -> f
 
 /// The largest of numbers that are not negative; 0 without any.
 #[inline(always)]
-pub(super) fn largest<S: Simd>(simd: S, a: &[f32]) -> f32 {
+pub(crate) fn largest<S: Simd>(simd: S, a: &[f32]) -> f32 {
     let (a, a_rest) = S::as_simd_f32s(a);
     let mut most = Lanes::splat(simd, 0.0);
     for a in a {
@@ -174,7 +241,7 @@ pub(super) fn largest<S: Simd>(simd: S, a: &[f32]) -> f32 {
 /// Weighted products of rows with each other, in the lower triangle, and with numbers on their right. `weighted` is room for a
 /// row.
 #[inline(always)]
-pub(super) fn products<S: Simd, const P: usize, const Q: usize>(
+pub(crate) fn products<S: Simd, const P: usize, const Q: usize>(
     simd: S,
     rows: [&[f32]; P],
     right: [&[f32]; Q],

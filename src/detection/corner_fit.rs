@@ -1,0 +1,349 @@
+//! The fit of a board corner in a micro-image whose blur is known, and how its place depends on all that the fit holds.
+//!
+//! Unknowns are the place of the corner and two levels. Everything else is held: the slope of the corner's line, from which
+//! its blur radius follows, the aberrations of the main lens, the sharpness of edges, and what was measured in white images.
+//! All derivatives come from the same normal equations: with N, m and n the blocks of unknowns, of unknowns with held
+//! quantities, and of these, the unknowns change by −N⁻¹ m with the held ones, and n − mᵀ N⁻¹ m is the information that the light
+//! has of these by itself.
+
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
+use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
+use pulp::{Arch, Simd, WithSimd};
+
+use super::corner::{Corner, imbalance};
+use super::edge_width::EdgeWidth;
+use super::patch::Patch;
+use super::{Aberration, MicroOptics};
+use crate::model::TAKEN;
+use crate::model::taken::{APERTURE_RATIO, FALL_OFF, INTERCEPT, POINT_SPREAD, PUPIL};
+use crate::numerics::simd::{dot, products};
+use crate::optics::{Bundle, Column, CornerEdges, CornerLight};
+
+/// Derivatives of a place by what is taken from white images, px: see [`crate::model::TAKEN_FROM_WHITES`].
+pub(super) type ByTaken = SMatrix<f64, 2, TAKEN>;
+
+/// A corner that was fitted.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FittedCorner {
+    pub corner: Corner,
+    /// How its place changes with what was held.
+    pub sensitivities: Sensitivities,
+    /// What its light says of the width of edges.
+    pub width: EdgeWidth,
+}
+
+/// Derivatives of the place of a corner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Sensitivities {
+    /// By the slope, px.
+    pub by_slope: Vector2<f64>,
+    /// By S, C and T, px³.
+    pub by_aberration: SMatrix<f64, 2, 3>,
+    /// By what is taken from white images.
+    pub by_taken: ByTaken,
+}
+
+/// What is held.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Held<'a> {
+    pub optics: &'a MicroOptics,
+    /// The slope of the line of the corner.
+    pub slope: f64,
+    /// The aberrations of the main lens, and the centre of the micro-image, px.
+    pub aberration: &'a Aberration,
+    pub center: Vector2<f64>,
+    /// Variance of the point spread along an axis, and by which edges are wider than that, px².
+    pub point_spread_px2: f64,
+    pub wider_px2: f64,
+}
+
+/// Room for a fit, which others may have used before.
+#[derive(Default)]
+pub(super) struct FitRoom {
+    light: CornerLight,
+    residual: Vec<f32>,
+    ones: Vec<f32>,
+    weighted: Vec<f32>,
+}
+
+/// Unknowns: place (u, v), level, contrast.
+const UNKNOWNS: usize = 4;
+/// The columns of what is held.
+const OF_HELD: [Column; 9] = [
+    Column::BlurRadius,
+    Column::EdgeVariance,
+    Column::PupilBlurRadius,
+    Column::Pupil,
+    Column::PointSpread,
+    Column::FallOff,
+    Column::Spherical,
+    Column::Coma,
+    Column::Astigmatism,
+];
+const HELD: usize = OF_HELD.len();
+
+/// Evaluations of the light at most. Corners start within a pixel, of which one step leaves a few hundredths.
+const EVALUATIONS: usize = 5;
+/// A step of so many px leaves some thousandths of a pixel at most.
+const LAST_STEP_PX: f64 = 0.05;
+/// Longest step, px: beyond, the linear model no longer describes the light.
+const LONGEST_STEP_PX: f64 = 1.0;
+/// Further than all light of a micro-image, px.
+const FAR_PX: f64 = 1e3;
+/// A corner further from where it was expected, px, is another.
+const FURTHEST_PX: f64 = 3.0;
+
+impl Held<'_> {
+    fn bundle(&self) -> Bundle {
+        let Self { optics, slope, .. } = *self;
+        let (rho, q) = (optics.blur_radius_px(slope), optics.q_px());
+        Bundle::new(rho, q, optics.pupil_px, self.point_spread_px2)
+            .oblique(&optics.obliquity)
+            .aberrated(&self.aberration.bend(&self.center, slope))
+            .wider(self.wider_px2)
+    }
+
+    /// How far a corner is from a corner of four quarters, see [`imbalance`].
+    pub fn imbalance(&self, corner: &Corner, patch: &Patch, room: &mut FitRoom) -> Option<f64> {
+        let bundle = self.bundle();
+        let mut steps = [const { Vec::new() }; 3];
+        // Far along one edge the other one no longer shows.
+        let moved = [Some(corner.angles[0]), Some(corner.angles[1]), None];
+        for (step, along) in steps.iter_mut().zip(moved) {
+            let far = along.map_or_else(Vector2::zeros, |angle| {
+                Vector2::new(angle.cos(), angle.sin()) * FAR_PX
+            });
+            let edges = CornerEdges { place: corner.place + far, angles: corner.angles };
+            bundle.corner_shape(&edges, &patch.x, &patch.y, &mut room.light);
+            step.extend_from_slice(room.light.column(Column::Shape));
+        }
+        imbalance(steps.each_ref().map(Vec::as_slice), patch)
+    }
+
+    /// Fits the place and levels of a corner; `None` if that leads nowhere.
+    /// `far` is whether it is expected to move by more than a step.
+    pub fn fit(
+        &self,
+        start: &Corner,
+        far: bool,
+        patch: &Patch,
+        room: &mut FitRoom,
+    ) -> Option<FittedCorner> {
+        let bundle = self.bundle();
+        let mut corner = *start;
+        for evaluation in 1..=EVALUATIONS {
+            let edges = CornerEdges { place: corner.place, angles: corner.angles };
+            // What is only a step on the way needs no other derivatives.
+            let on_the_way = far && evaluation == 1;
+            if on_the_way {
+                bundle.corner_shape(&edges, &patch.x, &patch.y, &mut room.light);
+            } else {
+                bundle.corner_light(&edges, &patch.x, &patch.y, &mut room.light);
+            }
+            let step = room.step(&corner, patch)?;
+            corner.level += step.levels.x;
+            corner.contrast += step.levels.y;
+            let length = step.place.norm();
+            if !on_the_way && (length < LAST_STEP_PX || evaluation == EVALUATIONS) {
+                corner.place += step.place;
+                return self.fitted(corner, &step, patch, room);
+            }
+            corner.place += step.place * (LONGEST_STEP_PX / length).min(1.0);
+            if (corner.place - start.place).norm() > FURTHEST_PX {
+                return None;
+            }
+        }
+        None
+    }
+
+    /// The corner after its last step.
+    fn fitted(
+        &self,
+        mut corner: Corner,
+        step: &Step,
+        patch: &Patch,
+        room: &mut FitRoom,
+    ) -> Option<FittedCorner> {
+        let pixels = patch.x.len() as f64;
+        let contrast = corner.contrast;
+        corner.explained = 1.0 - step.cost / patch.sum_of_squares();
+        let variance = step.cost / (pixels - UNKNOWNS as f64).max(1.0);
+        let place = step.inverse.fixed_view::<2, 2>(0, 0);
+        corner.covariance = place * (variance / contrast.powi(2));
+        let (mixed, own, right) = room.held(patch);
+        let follow = step.inverse * mixed;
+        let by_held = -follow.fixed_rows::<2>(0).into_owned();
+        let sensitivities = self.sensitivities(&by_held);
+        // What the light says by itself of the blur radius and of the width of edges.
+        let of_two = mixed.fixed_columns::<2>(0).into_owned();
+        let left = own - of_two.transpose() * follow.fixed_columns::<2>(0);
+        let change = right - of_two.transpose() * step.unknowns;
+        let by_ratio =
+            Matrix2::from_diagonal(&Vector2::new(self.optics.blur_by_ratio_px(self.slope), 1.0));
+        let scale = contrast / (step.cost / (pixels - UNKNOWNS as f64 - 2.0).max(1.0));
+        let width = EdgeWidth::new(
+            by_ratio * left * by_ratio * (contrast * scale),
+            by_ratio * change * scale,
+        );
+        let finite = corner.place.iter().chain(&by_held).all(|x| x.is_finite());
+        (finite && width.is_finite()).then_some(FittedCorner { corner, sensitivities, width })
+    }
+
+    /// Derivatives by what is held, from those by the columns.
+    fn sensitivities(&self, by: &SMatrix<f64, 2, HELD>) -> Sensitivities {
+        let of = |column: Column| -> Vector2<f64> {
+            let i = OF_HELD.iter().position(|c| *c == column).expect("a column of what is held");
+            by.column(i).into_owned()
+        };
+        let Self { optics, slope, .. } = self;
+        let by_radius = of(Column::BlurRadius);
+        let of_aberration = [Column::Spherical, Column::Coma, Column::Astigmatism].map(of);
+        // 1/A = γ − 1 times S, C and T.
+        let mut by_slope = -by_radius * (optics.aperture_ratio * optics.half_pitch_px);
+        for (by, coefficient) in of_aberration.iter().zip(&self.aberration.coefficients_per_px2) {
+            by_slope += by * *coefficient;
+        }
+        let mut by_taken = ByTaken::zeros();
+        let columns = [
+            (PUPIL, of(Column::Pupil) * optics.pupil_px),
+            (
+                INTERCEPT,
+                (by_radius + of(Column::PupilBlurRadius))
+                    * (optics.aperture_ratio * optics.q_prime_px),
+            ),
+            (FALL_OFF, of(Column::FallOff) * optics.obliquity.within_per_px2),
+            (APERTURE_RATIO, by_radius * optics.blur_by_ratio_px(*slope)),
+            (POINT_SPREAD, of(Column::PointSpread)),
+        ];
+        for (taken, column) in columns {
+            by_taken.set_column(taken, &column);
+        }
+        let by_aberration = SMatrix::from_columns(&of_aberration) * (slope - 1.0);
+        Sensitivities { by_slope, by_aberration, by_taken }
+    }
+}
+
+/// One step of Gauss and Newton.
+struct Step {
+    place: Vector2<f64>,
+    /// Changes of level and contrast.
+    levels: Vector2<f64>,
+    /// The unknowns: the place times the contrast, and the levels.
+    unknowns: Vector4<f64>,
+    /// Inverse of their normal matrix, for a contrast of 1.
+    inverse: Matrix4<f64>,
+    /// The weighted sum of squares that is left.
+    cost: f64,
+}
+
+impl FitRoom {
+    /// The step from a corner whose light was evaluated; `None` if the light does not determine it.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn step(&mut self, corner: &Corner, patch: &Patch) -> Option<Step> {
+        let n = patch.x.len();
+        self.ones.resize(n, 1.0);
+        self.weighted.resize(n, 0.0);
+        self.residual.resize(n, 0.0);
+        let (level, contrast) = (corner.level as f32, corner.contrast as f32);
+        let shape = self.light.column(Column::Shape);
+        for ((residual, light), shape) in self.residual.iter_mut().zip(&patch.light).zip(shape) {
+            *residual = light - level - contrast * shape;
+        }
+        let Self { light, residual, ones, weighted } = self;
+        let rows = [light.column(Column::U), light.column(Column::V), ones, shape_of(light)];
+        let sums = OfUnknowns { rows, residual, weight: &patch.weight, weighted };
+        let (normal, right, squares) = Arch::new().dispatch(sums);
+        let normal = Matrix4::from_fn(|a, b| f64::from(normal[a.max(b)][a.min(b)]));
+        let right = Vector4::from_fn(|a, _| f64::from(right[a][0]));
+        let inverse = normal.cholesky()?.inverse();
+        let unknowns = inverse * right;
+        let contrast = corner.contrast + unknowns.w;
+        let place = unknowns.xy() / contrast;
+        let cost = (f64::from(squares) - unknowns.dot(&right)).max(0.0);
+        let finite = unknowns.iter().chain(&place).all(|x| x.is_finite());
+        finite.then(|| Step {
+            place,
+            levels: Vector2::new(unknowns.z, unknowns.w),
+            unknowns,
+            inverse,
+            cost,
+        })
+    }
+
+    /// The blocks of the normal equations with what is held: with the unknowns, and of the blur radius and the width of edges
+    /// by themselves, with their right side.
+    fn held(
+        &mut self,
+        patch: &Patch,
+    ) -> (SMatrix<f64, UNKNOWNS, HELD>, Matrix2<f64>, SVector<f64, 2>) {
+        let Self { light, residual, ones, weighted } = self;
+        let unknowns = [light.column(Column::U), light.column(Column::V), ones, shape_of(light)];
+        let held = OF_HELD.map(|column| light.column(column));
+        let sums = OfHeld { unknowns, held, residual, weight: &patch.weight, weighted };
+        let (mixed, own, right) = Arch::new().dispatch(sums);
+        (
+            SMatrix::from_fn(|a, b| f64::from(mixed[a][b])),
+            Matrix2::from_fn(|a, b| f64::from(own[a.max(b)][a.min(b)])),
+            Vector2::from_fn(|a, _| f64::from(right[a])),
+        )
+    }
+}
+
+fn shape_of(light: &CornerLight) -> &[f32] {
+    light.column(Column::Shape)
+}
+
+/// The normal equations of the unknowns, and the weighted sum of squares.
+struct OfUnknowns<'a> {
+    rows: [&'a [f32]; UNKNOWNS],
+    residual: &'a [f32],
+    weight: &'a [f32],
+    /// Room for a row times the weights.
+    weighted: &'a mut [f32],
+}
+
+impl WithSimd for OfUnknowns<'_> {
+    type Output = ([[f32; UNKNOWNS]; UNKNOWNS], [[f32; 1]; UNKNOWNS], f32);
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Self { rows, residual, weight, weighted } = self;
+        let (normal, right) = products(simd, rows, [residual], weight, weighted);
+        for (weighted, (weight, residual)) in weighted.iter_mut().zip(weight.iter().zip(residual)) {
+            *weighted = weight * residual;
+        }
+        (normal, right, dot(simd, weighted, residual))
+    }
+}
+
+/// See [`FitRoom::held`].
+struct OfHeld<'a> {
+    unknowns: [&'a [f32]; UNKNOWNS],
+    held: [&'a [f32]; HELD],
+    residual: &'a [f32],
+    weight: &'a [f32],
+    /// Room for a row times the weights.
+    weighted: &'a mut [f32],
+}
+
+impl WithSimd for OfHeld<'_> {
+    type Output = ([[f32; HELD]; UNKNOWNS], [[f32; 2]; 2], [f32; 2]);
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Self { unknowns, held, residual, weight, weighted } = self;
+        let mut mixed = [[0.0; HELD]; UNKNOWNS];
+        for (mixed, unknown) in mixed.iter_mut().zip(unknowns) {
+            for (weighted, (weight, row)) in weighted.iter_mut().zip(weight.iter().zip(unknown)) {
+                *weighted = weight * row;
+            }
+            for (mixed, held) in mixed.iter_mut().zip(held) {
+                *mixed = dot(simd, weighted, held);
+            }
+        }
+        let (own, right) = products(simd, [held[0], held[1]], [residual], weight, weighted);
+        (mixed, own, right.map(|[right]| right))
+    }
+}

@@ -1,0 +1,645 @@
+//! The rays that reach the pixels of a micro-image, as a sum over nodes of the opening.
+//!
+//! A node is a normal distribution about a place w of the opening, with the variance c along an axis
+//! ([`super::quadrature`]). A pixel collects the light about its place p with the variance s², that of its square and of the
+//! point spread. Over both, the places y = p − q w in the pupil and o = p − ρ w in the sharp image are normally distributed,
+//! with the variances s² + q² c and s² + ρ² c and the covariance s² + ρ q c. The rim of the pupil cuts y off ([`Rim`]): what
+//! is left has the part ⟨Φ⟩ of the light, a mean further inwards, less variance, and a third moment, and o follows by its
+//! covariance with y. Edges of the board that are not sharp add their own variance v to that of o.
+//!
+//! A corner of a checkerboard is the product of two steps from −1 to 1. Its mean over a node is that of two edges seen through
+//! a normal distribution of two dimensions, with the terms of Edgeworth's series for the third moments and for the fourth
+//! cumulants of a square pixel (across an edge at θ: −(sin⁴ θ + cos⁴ θ)/120). Derivatives leave the third and fourth moments
+//! out.
+
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
+use nalgebra::Vector2;
+use pulp::{Arch, Simd, WithSimd};
+
+use super::aberration::Bend;
+use super::quadrature::Quadrature;
+use super::response::{Obliquity, Response};
+use super::rim::{Cut, Rim, Step};
+use crate::numerics::simd::Lanes;
+
+/// What the light of a micro-image depends on, and what all of its rays have in common.
+#[derive(Debug, Clone)]
+pub(crate) struct Bundle {
+    /// ρ, px.
+    rho: f32,
+    /// q, px.
+    q: f32,
+    /// a, px.
+    pupil: f32,
+    /// Variance of a pixel with its point spread along an axis, px².
+    pixel: f32,
+    /// Variance along an axis by which edges are wider than that, px².
+    wider: f32,
+    /// Half the micro-image pitch, px: places w of the opening in px.
+    half_pitch: f32,
+    response: Response,
+    bend: Bend<f32>,
+    quadrature: &'static Quadrature,
+}
+
+/// A corner of a checkerboard in the sharp image.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CornerEdges {
+    /// Its place, px.
+    pub place: Vector2<f64>,
+    /// Directions of both edges, rad.
+    pub angles: [f64; 2],
+}
+
+/// Quantities that the light of a corner depends on, in the order of the columns of [`CornerLight`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Column {
+    /// Not a derivative: the mean of the product of both steps.
+    Shape,
+    /// Place of the corner along u and v, per px.
+    U,
+    V,
+    /// ρ, per px.
+    BlurRadius,
+    /// v, per px².
+    EdgeVariance,
+    /// q with ρ held, per px.
+    PupilBlurRadius,
+    /// a, per px.
+    Pupil,
+    /// Variance of the point spread, per px².
+    PointSpread,
+    /// H, per px⁻².
+    FallOff,
+    /// Coefficients of spherical aberration, coma and astigmatism over A, px³.
+    Spherical,
+    Coma,
+    Astigmatism,
+}
+
+/// Number of columns, and of those up to the derivatives by the place.
+const COLUMNS: usize = 12;
+const PLACE_COLUMNS: usize = 3;
+/// Derivatives that change which light counts: q, a, the point spread and H.
+const OF_LIGHT: [Column; 4] =
+    [Column::PupilBlurRadius, Column::Pupil, Column::PointSpread, Column::FallOff];
+
+/// The light of a corner, pixel by pixel, relative to white light, with its derivatives.
+#[derive(Debug, Default)]
+pub(crate) struct CornerLight {
+    columns: [Vec<f32>; COLUMNS],
+    /// White light of each pixel, over that of a micro-lens that the pupil does not cut.
+    pub white: Vec<f32>,
+    /// Pixels that see an edge.
+    on_edges: Vec<u32>,
+}
+
+impl CornerLight {
+    /// A column, by pixel.
+    pub fn column(&self, column: Column) -> &[f32] {
+        &self.columns[column as usize]
+    }
+
+    fn clear(&mut self, pixels: usize) {
+        for column in self.columns.iter_mut().chain([&mut self.white]) {
+            column.clear();
+            column.resize(pixels, 0.0);
+        }
+        self.on_edges.clear();
+    }
+}
+
+/// Whether all derivatives are computed, or those by the place alone.
+const ALL: bool = true;
+const OF_PLACE: bool = false;
+/// Edges that are so many standard deviations beyond the blur of a pixel do not show in it.
+const FAR: f32 = 3.0;
+/// So many standard deviations inside the rim of the pupil it cuts nothing off.
+const WHOLE: f32 = 4.0;
+/// Pixels with less than this part of the light have none.
+const DARK: f32 = 1e-6;
+
+impl Bundle {
+    /// Of a point with the blur radius ρ behind a pupil of radius a whose own blur radius is q, px, with this variance of the
+    /// point spread along an axis, px².
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn new(rho_px: f64, q_px: f64, pupil_px: f64, point_spread_px2: f64) -> Self {
+        Self {
+            rho: rho_px as f32,
+            q: q_px as f32,
+            pupil: pupil_px as f32,
+            pixel: (1.0 / 12.0 + point_spread_px2) as f32,
+            wider: 0.0,
+            half_pitch: 0.0,
+            response: Response::new(&Obliquity::default()),
+            bend: Bend::none().in_single(),
+            quadrature: Quadrature::of_blur(rho_px),
+        }
+    }
+
+    /// With an angular response.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn oblique(self, law: &Obliquity) -> Self {
+        Self { half_pitch: law.half_pitch_px as f32, response: Response::new(law), ..self }
+    }
+
+    /// Behind a main lens with aberrations.
+    pub fn aberrated(self, bend: &Bend) -> Self {
+        Self { bend: bend.in_single(), ..self }
+    }
+
+    /// With edges of the board that are wider by a variance along an axis, px².
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn wider(self, px2: f64) -> Self {
+        Self { wider: px2 as f32, ..self }
+    }
+
+    /// The light of a corner at the places (x, y) of pixels, put in the place of another.
+    pub fn corner_light(&self, edges: &CornerEdges, x: &[f32], y: &[f32], light: &mut CornerLight) {
+        light.clear(x.len());
+        let edges = &Edges::new(edges);
+        Arch::new().dispatch(OfCorner::<ALL> { bundle: self, edges, x, y, light });
+    }
+
+    /// The same with derivatives by the place alone; all others are 0.
+    pub fn corner_shape(&self, edges: &CornerEdges, x: &[f32], y: &[f32], light: &mut CornerLight) {
+        light.clear(x.len());
+        let edges = &Edges::new(edges);
+        Arch::new().dispatch(OfCorner::<OF_PLACE> { bundle: self, edges, x, y, light });
+    }
+}
+
+/// The two edges of a corner.
+struct Edges {
+    place: [f32; 2],
+    /// Sines and cosines of their directions.
+    directions: [[f32; 2]; 2],
+    /// Cosine of the angle between them.
+    cosine: f32,
+    /// Fourth cumulants of places in a pixel across both edges, px⁴: of the first four, three, two, one and no times. Along
+    /// either axis of the pixel it is −1/120, and the axes are independent.
+    fourths: [f32; 5],
+}
+
+impl Edges {
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn new(corner: &CornerEdges) -> Self {
+        let directions = corner.angles.map(|angle| [angle.sin() as f32, angle.cos() as f32]);
+        let [[s1, c1], [s2, c2]] = directions;
+        let fourth = |first: i32, second: i32| {
+            -(s1.powi(first) * s2.powi(second) + c1.powi(first) * c2.powi(second)) / 120.0
+        };
+        Self {
+            place: [corner.place.x as f32, corner.place.y as f32],
+            directions,
+            cosine: c1 * c2 + s1 * s2,
+            fourths: [fourth(4, 0), fourth(3, 1), fourth(2, 2), fourth(1, 3), fourth(0, 4)],
+        }
+    }
+
+    /// Distances of a place from both.
+    fn distances(&self, x: f32, y: f32) -> [f32; 2] {
+        let (x, y) = (x - self.place[0], y - self.place[1]);
+        self.directions.map(|[s, c]| c * y - s * x)
+    }
+}
+
+/// What the second moments of a node depend on, with its covariances in standard deviations of the place in the pupil.
+struct Moments {
+    rim: Rim,
+    /// By how much o follows y: cov(o, y)/σ, and its derivatives by ρ, q and s².
+    follows: f32,
+    follows_by_rho: f32,
+    follows_by_q: f32,
+    follows_by_spread: f32,
+    /// Variance of o along an axis.
+    origin: f32,
+    /// 1/σ, and how σ² changes with q.
+    per_spread: f32,
+    variance_by_q: f32,
+    /// Square of the distance from the middle of the pupil up to which its rim leaves all light, px²; less than 0 if there is
+    /// none.
+    whole: f32,
+}
+
+impl Moments {
+    fn new(bundle: &Bundle) -> Self {
+        let Bundle { rho, q, pixel, wider, .. } = *bundle;
+        let cell = bundle.quadrature.variance;
+        let variance = pixel + q * q * cell;
+        let per_spread = variance.sqrt().recip();
+        let follows = (pixel + rho * q * cell) * per_spread;
+        let by_variance = -0.5 * follows * per_spread * per_spread;
+        let variance_by_q = 2.0 * q * cell;
+        let inside = bundle.pupil - WHOLE * variance.sqrt();
+        Self {
+            rim: Rim::new(bundle.pupil, variance),
+            follows,
+            follows_by_rho: q * cell * per_spread,
+            follows_by_q: rho * cell * per_spread + by_variance * variance_by_q,
+            follows_by_spread: per_spread + by_variance,
+            origin: pixel + wider + rho * rho * cell,
+            per_spread,
+            variance_by_q,
+            whole: inside * inside.abs(),
+        }
+    }
+}
+
+struct OfCorner<'a, const WHICH: bool> {
+    bundle: &'a Bundle,
+    edges: &'a Edges,
+    x: &'a [f32],
+    y: &'a [f32],
+    light: &'a mut CornerLight,
+}
+
+impl<const WHICH: bool> WithSimd for OfCorner<'_, WHICH> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { bundle, edges, x, y, light } = self;
+        let moments = Moments::new(bundle);
+        // Beyond this distance from an edge no ray of a pixel comes from its other side.
+        let spread = moments.origin.sqrt() + moments.follows.abs();
+        let reach = bundle.rho.abs() + FAR * spread + bundle.bend.largest(bundle.pupil);
+        let shape = &mut light.columns[Column::Shape as usize];
+        for (i, (&x, &y)) in x.iter().zip(y).enumerate() {
+            let [first, second] = edges.distances(x, y);
+            if first.abs().min(second.abs()) > reach {
+                shape[i] = first.signum() * second.signum();
+                light.white[i] = 1.0;
+            } else {
+                #[allow(clippy::cast_possible_truncation)] // a few hundred
+                light.on_edges.push(i as u32);
+            }
+        }
+        let mut places = [[0.0_f32; 16]; 2];
+        let mut found = [0.0_f32; 16];
+        for some in light.on_edges.chunks(S::F32_LANES) {
+            for (j, i) in some.iter().enumerate() {
+                (places[0][j], places[1][j]) = (x[*i as usize], y[*i as usize]);
+            }
+            let [x, y] = &places;
+            let x = Lanes::of(simd, simd.partial_load_f32s(&x[..S::F32_LANES]));
+            let y = Lanes::of(simd, simd.partial_load_f32s(&y[..S::F32_LANES]));
+            let (white, columns) = of_corner::<S, WHICH>(simd, bundle, &moments, edges, [x, y]);
+            let used = if WHICH == ALL { COLUMNS } else { PLACE_COLUMNS };
+            for k in (0..used).chain([COLUMNS]) {
+                let (values, column) = match columns.get(k) {
+                    Some(values) => (values, &mut light.columns[k]),
+                    None => (&white, &mut light.white),
+                };
+                simd.partial_store_f32s(&mut found[..S::F32_LANES], values.register());
+                for (value, i) in found.iter().zip(some) {
+                    column[*i as usize] = *value;
+                }
+            }
+        }
+    }
+}
+
+/// White light and columns of some pixels.
+#[inline(always)]
+fn of_corner<S: Simd, const WHICH: bool>(
+    simd: S,
+    bundle: &Bundle,
+    moments: &Moments,
+    edges: &Edges,
+    [x, y]: [Lanes<S>; 2],
+) -> (Lanes<S>, [Lanes<S>; COLUMNS]) {
+    let Bundle { rho, q, pixel, half_pitch, .. } = *bundle;
+    let cell = bundle.quadrature.variance;
+    let [[s1, c1], [s2, c2]] = edges.directions;
+    let [f40, f31, f22, f13, f04] = edges.fourths;
+    let Moments { follows, .. } = *moments;
+    let (squared, cubed) = (follows * follows, follows * follows * follows);
+    let field = [bundle.bend.field.x, bundle.bend.field.y];
+    let [spherical, coma, astigmatism] = bundle.bend.coefficients.into();
+    let mut white = Lanes::splat(simd, 0.0);
+    let mut columns = [Lanes::splat(simd, 0.0); COLUMNS];
+    // How white light changes with those of OF_LIGHT.
+    let mut white_by = [Lanes::splat(simd, 0.0); OF_LIGHT.len()];
+    for node in &bundle.quadrature.nodes {
+        let ray = bundle.response.light(simd, [x + node.x * half_pitch, y + node.y * half_pitch]);
+        // More light comes from the brighter side of the pixel and of the node.
+        let [by_x, by_y] = ray.gradient;
+        let (p_x, p_y) = (by_x.mul_add_scalar(pixel, x), by_y.mul_add_scalar(pixel, y));
+        let in_cell = cell * half_pitch;
+        let (w_x, w_y) = (by_x * in_cell + node.x, by_y * in_cell + node.y);
+        let (y_x, y_y) = (p_x - w_x * q, p_y - w_y * q);
+        let square = y_x.mul_add(y_x, y_y * y_y);
+        // Most places are so far inside the pupil that its rim leaves them as they are.
+        let (cut, [out_x, out_y]) = if square.largest() < moments.whole {
+            (Cut::none(simd), [Lanes::splat(simd, 0.0); 2])
+        } else {
+            let from_middle = square.max(Lanes::splat(simd, 1e-6)).sqrt();
+            let inverse = from_middle.recip();
+            (moments.rim.cut(simd, from_middle), [y_x * inverse, y_y * inverse])
+        };
+        let light = ray.light * cut.visible * node.weight;
+
+        // Where in the pupil the light comes through, and what the aberrations add.
+        let inwards = cut.mean * moments.per_spread.recip();
+        let (c_x, c_y) = (y_x - inwards * out_x, y_y - inwards * out_y);
+        let square = c_x.mul_add(c_x, c_y * c_y);
+        let along = c_x * field[0] + c_y * field[1];
+        let of_zone = square - bundle.bend.zone2;
+        let by_spherical = [c_x * of_zone, c_y * of_zone];
+        let twice = along + along;
+        let by_coma =
+            [c_x.mul_add(twice, square * field[0]), c_y.mul_add(twice, square * field[1])];
+        let by_astigmatism = [along * field[0], along * field[1]];
+        let mut aberration = by_spherical;
+        for i in 0..2 {
+            aberration[i] =
+                by_spherical[i] * spherical + by_coma[i] * coma + by_astigmatism[i] * astigmatism;
+        }
+
+        let inwards = cut.mean * follows;
+        let o_x = p_x - w_x * rho - inwards * out_x + aberration[0] - edges.place[0];
+        let o_y = p_y - w_y * rho - inwards * out_y + aberration[1] - edges.place[1];
+        let (n1, n2) = (out_y * c1 - out_x * s1, out_y * c2 - out_x * s2);
+        let (t1, t2) = (out_x * c1 + out_y * s1, out_x * c2 + out_y * s2);
+        let origin = Lanes::splat(simd, moments.origin) - cut.sideways * squared;
+        let narrower = cut.narrower * squared;
+        let (n11, n22, n12) = (n1 * n1, n2 * n2, n1 * n2);
+        let a = Step::new(simd, o_y * c1 - o_x * s1, origin - narrower * n11);
+        let b = Step::new(simd, o_y * c2 - o_x * s2, origin - narrower * n22);
+        let both = origin * edges.cosine - narrower * n12;
+        let [third_1, third_2, mixed_1, mixed_2] = cut.thirds(cubed, [n1, t1], [n2, t2]);
+        let shape = a.of_cumulants(third_1, f40) * b.of_cumulants(third_2, f04)
+            + both * a.first * b.first
+            + (both * both * 0.5 + 0.25 * f22) * a.second * b.second
+            + (mixed_1 * a.second * b.first + mixed_2 * a.first * b.second) * 0.5
+            + (a.third * b.first * f31 + a.first * b.third * f13) * (1.0 / 6.0);
+
+        // Derivatives by the distances from both edges.
+        let by_1 = a.first * b.value + both * a.second * b.first;
+        let by_2 = a.value * b.first + both * a.first * b.second;
+        let by_u = by_1 * s1 + by_2 * s2;
+        let by_v = -(by_1 * c1 + by_2 * c2);
+        white = white + light;
+        columns[0] = light.mul_add(shape, columns[0]);
+        columns[1] = light.mul_add(by_u, columns[1]);
+        columns[2] = light.mul_add(by_v, columns[2]);
+        if WHICH == OF_PLACE {
+            continue;
+        }
+        let by_place = [by_u, by_v];
+        let outwards = by_origin(by_place, [out_x, out_y]);
+        // By the variances of the distances from both edges and their covariance: in all directions, and by what the rim
+        // leaves out of them.
+        let by_11 = (a.second * b.value + both * a.third * b.first) * 0.5;
+        let by_22 = (a.value * b.second + both * a.first * b.third) * 0.5;
+        let by_12 = a.first * b.first + both * a.second * b.second;
+        let by_width = by_11 + by_22 + by_12 * edges.cosine;
+        let by_cut =
+            cut.sideways * by_width + cut.narrower * (by_11 * n11 + by_22 * n22 + by_12 * n12);
+        // By how much o follows y.
+        let by_follows = -(outwards * cut.mean) - by_cut * (2.0 * follows);
+        let by_distance = outwards * cut.mean_by_distance() * (-follows);
+
+        let by_rho = by_origin(by_place, [-w_x, -w_y])
+            + by_follows * moments.follows_by_rho
+            + by_width * (2.0 * rho * cell);
+        // z, by q, a and the point spread.
+        let (z_by_pupil, z_by_variance) = moments.rim.derivatives(cut.distance);
+        let z_by_q = (w_x * out_x + w_y * out_y) * moments.per_spread
+            + z_by_variance * moments.variance_by_q;
+        // λ is the derivative of ln ⟨Φ⟩.
+        let light_by =
+            [cut.mean * z_by_q, cut.mean * z_by_pupil, cut.mean * z_by_variance, ray.by_within];
+        let shape_by = [
+            by_follows * moments.follows_by_q + by_distance * z_by_q,
+            by_distance * z_by_pupil,
+            by_follows * moments.follows_by_spread + by_distance * z_by_variance + by_width,
+            by_origin(by_place, ray.gradient_by_within) * (pixel - rho * cell * half_pitch),
+        ];
+        let mut of_light = shape_by;
+        for i in 0..OF_LIGHT.len() {
+            of_light[i] = light_by[i].mul_add(shape, shape_by[i]);
+        }
+        let [by_q, by_pupil, by_spread, by_within] = of_light;
+        let values = [
+            by_rho,
+            by_width,
+            by_q,
+            by_pupil,
+            by_spread,
+            by_within,
+            by_origin(by_place, by_spherical),
+            by_origin(by_place, by_coma),
+            by_origin(by_place, by_astigmatism),
+        ];
+        for k in PLACE_COLUMNS..COLUMNS {
+            columns[k] = light.mul_add(values[k - PLACE_COLUMNS], columns[k]);
+        }
+        for k in 0..OF_LIGHT.len() {
+            white_by[k] = light.mul_add(light_by[k], white_by[k]);
+        }
+    }
+    let per_white = white.max(Lanes::splat(simd, DARK)).recip();
+    for column in &mut columns {
+        *column = *column * per_white;
+    }
+    let shape = columns[Column::Shape as usize];
+    for k in 0..OF_LIGHT.len() {
+        let column = &mut columns[OF_LIGHT[k] as usize];
+        *column = (white_by[k] * per_white).mul_from(shape, *column);
+    }
+    (white, columns)
+}
+
+/// How the light changes as the place o moves, from how it does with the place of the corner.
+#[inline(always)]
+fn by_origin<S: Simd>(by_place: [Lanes<S>; 2], moved: [Lanes<S>; 2]) -> Lanes<S> {
+    -by_place[0].mul_add(moved[0], by_place[1] * moved[1])
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix2, Matrix4, Vector4};
+
+    use super::super::Aberration;
+    use super::super::oracle::{Oracle, corners_at};
+    use super::*;
+
+    fn edges() -> CornerEdges {
+        CornerEdges { place: Vector2::new(3.1, -2.4), angles: [0.35, 1.8] }
+    }
+
+    fn places(oracle: &Oracle) -> [Vec<f32>; 2] {
+        #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+        [0, 1].map(|i| oracle.pixels().iter().map(|p| p[i] as f32).collect())
+    }
+
+    fn light(bundle: &Bundle, edges: &CornerEdges, [x, y]: &[Vec<f32>; 2]) -> CornerLight {
+        let mut light = CornerLight::default();
+        bundle.corner_light(edges, x, y, &mut light);
+        light
+    }
+
+    /// By how much corners of exact light seem further outwards, px, and ln |ρ| and v where places and levels are free: alone
+    /// and together, in the mean of several directions.
+    fn errors(oracle: &Oracle, distance: f64) -> [f64; 4] {
+        let (pixels, corners, places) = (oracle.pixels(), corners_at(distance), places(oracle));
+        let exact: Vec<(f64, Vec<f64>)> =
+            pixels.iter().map(|p| oracle.of_pixel(*p, &corners)).collect();
+        let brightest = exact.iter().map(|(white, _)| *white).fold(0.0, f64::max);
+        let (mut outwards, mut information, mut right) = (0.0, Matrix2::zeros(), Vector2::zeros());
+        for (c, corner) in corners.iter().enumerate() {
+            let light = light(&oracle.bundle(), corner, &places);
+            let column = |column: Column, i: usize| f64::from(light.column(column)[i]);
+            let (mut normal, mut first) = (Matrix4::zeros(), Vector4::zeros());
+            let (mut mixed, mut own) = (nalgebra::Matrix4x2::zeros(), Matrix2::zeros());
+            let mut second = Vector2::zeros();
+            for (i, (white, sums)) in exact.iter().enumerate() {
+                // As the detection weights pixels.
+                let part = white / brightest;
+                if part < 0.06 {
+                    continue;
+                }
+                let weight = part * part / (0.25 + part);
+                let shape = column(Column::Shape, i);
+                let row = Vector4::new(column(Column::U, i), column(Column::V, i), 1.0, shape);
+                let wide =
+                    Vector2::new(column(Column::BlurRadius, i), column(Column::EdgeVariance, i));
+                let residual = sums[c] / white - shape;
+                normal += row * row.transpose() * weight;
+                first += row * residual * weight;
+                mixed += row * wide.transpose() * weight;
+                own += wide * wide.transpose() * weight;
+                second += wide * residual * weight;
+            }
+            let inverse = normal.try_inverse().unwrap();
+            let moved = inverse * first;
+            outwards += moved.xy().dot(&corner.place) / distance / corners.len() as f64;
+            information += own - mixed.transpose() * inverse * mixed;
+            right += second - mixed.transpose() * moved;
+        }
+        let both = information.try_inverse().unwrap() * right;
+        [outwards, right.x / information[(0, 0)] / oracle.rho, both.x / oracle.rho, both.y]
+    }
+
+    /// Corners and blur radii are found where they are, for lenses that the pupil cuts and those that it does not, up to blur
+    /// radii of 4 px.
+    #[test]
+    fn exact_light_has_the_place_and_the_blur_radius_that_it_has() {
+        for (rho, q, pupil, of_pixels_per_px2) in [
+            (-3.4, -4.19, 20.0, 0.0),
+            (-4.2, -5.1, 6.48, 0.0),
+            (-2.1, -4.2, 6.48, 0.0),
+            (3.0, 4.0, 6.5, 0.0),
+            (4.2, 5.1, 20.0, 1.5e-3),
+            (1.0, 2.0, 7.5, 0.0),
+        ] {
+            for distance in [1.0, 3.0, 5.0] {
+                let oracle = Oracle { rho, q, pupil, of_pixels_per_px2, ..Oracle::default() };
+                let [outwards, known, free, wider] = errors(&oracle, distance);
+                println!("{rho} {distance}: {outwards:.4} px, {known:.4} {free:.4} {wider:.4} px²");
+                assert!(outwards.abs() < 0.004, "{outwards} px at {distance} for {rho}");
+                assert!(known.abs() < 0.003, "{known} at {distance} for {rho}");
+                assert!(wider.abs() < 0.03, "{wider} px² at {distance} for {rho}");
+            }
+        }
+    }
+
+    #[test]
+    fn light_with_a_point_spread_too() {
+        for (rho, q, pupil, point_spread_px2, limit) in [
+            (-4.2, -5.1, 6.48, 0.09, 0.004),
+            (-4.2, -5.1, 6.48, 0.25, 0.005),
+            (-3.4, -4.19, 20.0, 1.0, 0.004),
+            (-3.4, -4.19, 6.48, 1.0, 0.007),
+            (2.0, 1.5, 9.0, 1.0, 0.004),
+        ] {
+            let of_pixel = if point_spread_px2 > 0.5 { 18 } else { 12 };
+            let rings = 12;
+            let oracle =
+                Oracle { rho, q, pupil, point_spread_px2, of_pixel, rings, ..Oracle::default() };
+            for distance in [1.0, 5.0] {
+                let [outwards, known, free, wider] = errors(&oracle, distance);
+                println!(
+                    "{rho} {point_spread_px2} {distance}: {outwards:.4} px, {known:.4} {free:.4} {wider:.4} px²"
+                );
+                assert!(outwards.abs() < limit, "{outwards} px at {distance} for {rho}");
+                assert!(known.abs() < 0.003, "{known} at {distance} for {rho}");
+                assert!(wider.abs() < 0.06, "{wider} px² at {distance} for {rho}");
+            }
+        }
+    }
+
+    /// Derivatives are those of the light, but for third and fourth moments: by differences, in the root mean square over all
+    /// pixels.
+    #[test]
+    fn derivatives_are_those_of_the_light() {
+        let oracle = Oracle { point_spread_px2: 0.1, ..Oracle::default() };
+        let places = places(&oracle);
+        let (field, middle) = (Vector2::new(400.0, -300.0), Vector2::zeros());
+        let bend = |coefficients: [f64; 3]| {
+            Aberration::none(middle, oracle.pupil).changed(&coefficients.into()).bend(&field, 0.75)
+        };
+        // Over A: −1/4 of these.
+        let known = [2e-4, 1e-6, -2e-7];
+        let all = |rho: f64, q: f64, pupil: f64, spread: f64, within: f64, wider: f64| {
+            let law = Obliquity { within_per_px2: within, ..oracle.law() };
+            Bundle::new(rho, q, pupil, spread).oblique(&law).aberrated(&bend(known)).wider(wider)
+        };
+        let Oracle { rho, q, pupil, .. } = oracle;
+        let within = oracle.law().within_per_px2;
+        let with = |by: [f64; 6]| {
+            let [of_rho, of_q, of_pupil, of_spread, of_within, of_wider] = by;
+            all(
+                rho + of_rho,
+                q + of_q,
+                pupil + of_pupil,
+                0.1 + of_spread,
+                within + of_within,
+                0.05 + of_wider,
+            )
+        };
+        let aberrated = |i: usize, by: f64| {
+            let mut coefficients = known;
+            coefficients[i] -= 4.0 * by;
+            with([0.0; 6]).aberrated(&bend(coefficients))
+        };
+        let still = with([0.0; 6]);
+        let found = light(&still, &edges(), &places);
+        let moved = |by: Vector2<f64>| CornerEdges { place: edges().place + by, ..edges() };
+        let one = |i: usize, step: f64| {
+            let mut by = [0.0; 6];
+            by[i] = step;
+            with(by)
+        };
+        let changes: [(Column, f64, &dyn Fn(f64) -> CornerLight, f64); 11] = [
+            (Column::U, 0.02, &|s| light(&still, &moved(Vector2::x() * s), &places), 0.03),
+            (Column::V, 0.02, &|s| light(&still, &moved(Vector2::y() * s), &places), 0.03),
+            (Column::BlurRadius, 0.02, &|s| light(&one(0, s), &edges(), &places), 0.05),
+            (Column::PupilBlurRadius, 0.02, &|s| light(&one(1, s), &edges(), &places), 0.1),
+            (Column::Pupil, 0.02, &|s| light(&one(2, s), &edges(), &places), 0.1),
+            (Column::PointSpread, 0.01, &|s| light(&one(3, s), &edges(), &places), 0.1),
+            (Column::FallOff, 2e-4, &|s| light(&one(4, s), &edges(), &places), 0.1),
+            (Column::EdgeVariance, 0.01, &|s| light(&one(5, s), &edges(), &places), 0.1),
+            (Column::Spherical, 1e-5, &|s| light(&aberrated(0, s), &edges(), &places), 0.05),
+            (Column::Coma, 1e-7, &|s| light(&aberrated(1, s), &edges(), &places), 0.05),
+            (Column::Astigmatism, 1e-8, &|s| light(&aberrated(2, s), &edges(), &places), 0.05),
+        ];
+        for (column, step, changed, limit) in changes {
+            let (more, less) = (changed(step), changed(-step));
+            let (mut squares, mut errors) = (0.0, 0.0);
+            for i in 0..places[0].len() {
+                let shape = |light: &CornerLight| f64::from(light.column(Column::Shape)[i]);
+                let expected = (shape(&more) - shape(&less)) / (2.0 * step);
+                squares += expected * expected;
+                errors += (f64::from(found.column(column)[i]) - expected).powi(2);
+            }
+            let part = (errors / squares).sqrt();
+            println!("{column:?}: {part:.4}");
+            assert!(part < limit, "{column:?}: {part} of its size");
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! The light of a micro-image as a sum over very many rays, in double precision: the reference of [`super::Bundle`] in tests.
+
+use nalgebra::Vector2;
+
+use super::{Bundle, CornerEdges, Obliquity};
+
+/// How far the places reach over which a point spread is summed, in its standard deviations.
+const REACH: f64 = 4.5;
+
+/// A micro-image behind an ideal main lens, with cos⁴.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Oracle {
+    /// ρ, px.
+    pub rho: f64,
+    /// q, px.
+    pub q: f64,
+    /// a, px.
+    pub pupil: f64,
+    /// Variance of the point spread along an axis, px².
+    pub point_spread_px2: f64,
+    /// What pixels add to cos⁴, px⁻².
+    pub of_pixels_per_px2: f64,
+    /// Number of places in a pixel along an axis.
+    pub of_pixel: i32,
+    /// Its square times three is the number of points of the micro-lens.
+    pub rings: i32,
+}
+
+pub(crate) const HALF_PITCH: f64 = 11.65;
+const WITHIN: f64 = 4.0 / (59.0 * 59.0);
+
+impl Default for Oracle {
+    /// The lens of an R12 whose micro-images are most vignetted.
+    fn default() -> Self {
+        Self {
+            rho: -3.4,
+            q: -4.19,
+            pupil: 6.48,
+            point_spread_px2: 0.0,
+            of_pixels_per_px2: 0.0,
+            of_pixel: 8,
+            rings: 11,
+        }
+    }
+}
+
+impl Oracle {
+    /// How light falls off.
+    pub fn law(&self) -> Obliquity {
+        Obliquity {
+            within_per_px2: WITHIN + self.of_pixels_per_px2,
+            of_pixels_per_px2: self.of_pixels_per_px2,
+            half_pitch_px: HALF_PITCH,
+            ..Obliquity::default()
+        }
+    }
+
+    /// The bundle that stands for it.
+    pub fn bundle(&self) -> Bundle {
+        Bundle::new(self.rho, self.q, self.pupil, self.point_spread_px2).oblique(&self.law())
+    }
+
+    /// Radius of the micro-image, px.
+    pub fn outer_px(&self) -> f64 {
+        (self.pupil + self.q.abs()).min(HALF_PITCH)
+    }
+
+    /// Places from the middle of a pixel along an axis, px, and their weights.
+    fn along(&self) -> Vec<(f64, f64)> {
+        let spread = self.point_spread_px2.sqrt();
+        let reach = 0.5 + REACH * spread;
+        let below = |x: f64| {
+            if spread > 0.0 { libm::erf(x / spread / std::f64::consts::SQRT_2) } else { x.signum() }
+        };
+        let all = (0..self.of_pixel)
+            .map(|i| reach * ((2.0 * f64::from(i) + 1.0) / f64::from(self.of_pixel) - 1.0));
+        all.map(|x| (x, below(x + 0.5) - below(x - 0.5))).collect()
+    }
+
+    /// White light of the pixel at (x, y), and for each corner the sum of its rays times the product of both steps.
+    pub fn of_pixel(&self, [x, y]: [f64; 2], corners: &[CornerEdges]) -> (f64, Vec<f64>) {
+        let count = 3 * self.rings * self.rings;
+        let on_lens = |i: i32| {
+            let radius = ((f64::from(i) + 0.5) / f64::from(count)).sqrt();
+            // By the golden angle no two points are side by side.
+            let (sin, cos) = (f64::from(i) * 2.399_963_229_728_653).sin_cos();
+            Vector2::new(cos, sin) * radius
+        };
+        let lens: Vec<Vector2<f64>> = (0..count).map(on_lens).collect();
+        let normals: Vec<[Vector2<f64>; 2]> = corners
+            .iter()
+            .map(|corner| corner.angles.map(|angle| Vector2::new(-angle.sin(), angle.cos())))
+            .collect();
+        let (along, law) = (self.along(), self.law());
+        let (mut white, mut sums) = (0.0, vec![0.0; corners.len()]);
+        for ((i, of_i), (j, of_j)) in along.iter().flat_map(|a| along.iter().map(move |b| (a, b))) {
+            let p = Vector2::new(x + i, y + j);
+            for w in lens.iter().filter(|w| (p - *w * self.q).norm() < self.pupil) {
+                let light = of_i * of_j * law.light((p + w * HALF_PITCH).norm_squared());
+                white += light;
+                let origin = p - w * self.rho;
+                for ((sum, corner), [a, b]) in sums.iter_mut().zip(corners).zip(&normals) {
+                    let from = origin - corner.place;
+                    *sum += light * (a.dot(&from) * b.dot(&from)).signum();
+                }
+            }
+        }
+        (white, sums)
+    }
+
+    /// The pixels of its micro-image.
+    pub fn pixels(&self) -> Vec<[f64; 2]> {
+        let all = (0..25 * 25).map(|i| [f64::from(i % 25) - 11.79, f64::from(i / 25) - 12.37]);
+        all.filter(|[x, y]| x.hypot(*y) < self.outer_px()).collect()
+    }
+}
+
+/// Corners at a distance from the centre, px, in several directions.
+pub(crate) fn corners_at(distance: f64) -> [CornerEdges; 6] {
+    std::array::from_fn(|direction| {
+        let turn = direction as f64 * std::f64::consts::TAU / 6.0 + 0.1;
+        let place = Vector2::new(turn.cos(), turn.sin()) * distance;
+        CornerEdges { place, angles: [0.3 + 1.7 * turn, 1.8 + 1.7 * turn] }
+    })
+}

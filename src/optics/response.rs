@@ -1,0 +1,170 @@
+//! How obliquely light reaches a micro-image, and the effect: natural vignetting, and what pixels add.
+
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
+use nalgebra::Vector2;
+use pulp::Simd;
+
+use crate::numerics::simd::Lanes;
+
+/// The fall-off of light inside a micro-image. Light from the point M of the micro-lens to the point y, both
+/// from their middles, changes by exp(−g·(y − M) − H |y − M|²/2).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Obliquity {
+    /// g, px⁻¹: the micro-image lies off the axis.
+    pub gradient_per_px: Vector2<f64>,
+    /// H, px⁻²: light is more oblique off the middle of the micro-image, n/d² for a law cosⁿ.
+    pub within_per_px2: f64,
+    /// The part of H that pixels add to cos⁴, px⁻²: their light is exponential in |y − M|². From 0 to H.
+    pub of_pixels_per_px2: f64,
+    /// Δc/2, half the micro-image pitch, px. It stands for the radius ΔC/2 of the micro-lens, which is
+    /// smaller by the factor D/(D + d).
+    pub half_pitch_px: f64,
+}
+
+impl Obliquity {
+    /// In the middle of the image, with H where the array is so far from the sensor: what H is above that of cos⁴
+    /// is due to the pixels.
+    pub fn in_the_middle(within_per_px2: f64, mla_to_sensor_px: f64, half_pitch_px: f64) -> Self {
+        let natural = 4.0 / mla_to_sensor_px.powi(2);
+        let of_pixels_per_px2 = (within_per_px2 - natural).max(0.0);
+        let gradient_per_px = Vector2::zeros();
+        Self { gradient_per_px, within_per_px2, of_pixels_per_px2, half_pitch_px }
+    }
+
+    /// Light over that at normal incidence, in the middle of the image, from the mean square of the vectors from
+    /// the part of the micro-lens that it comes through to the pixel, px².
+    pub(crate) fn light(&self, square: f64) -> f64 {
+        // To the fourth order of the angle, in which the two laws differ.
+        let natural = self.within_per_px2 - self.of_pixels_per_px2;
+        (1.0 + (natural * square / 4.0).max(-0.5)).powi(-2)
+            * (-self.of_pixels_per_px2 * square / 2.0).exp()
+    }
+
+    /// The mean of [`Obliquity::light`] where squares have a variance, px⁴.
+    pub(crate) fn mean_light(&self, square: f64, variance: f64) -> f64 {
+        let pixels = self.of_pixels_per_px2;
+        let natural = self.within_per_px2 - pixels;
+        let natural = natural / (1.0 + (natural * square / 4.0).max(-0.5));
+        // Of the logarithm: −(natural + pixels)/2, and again natural²/8.
+        let second = (natural + pixels).powi(2) / 4.0 + natural * natural / 8.0;
+        self.light(square) * (1.0 + second * variance / 2.0)
+    }
+
+    /// The same, and how fast it falls with the mean square, over how fast it does at normal incidence.
+    pub(crate) fn light_and_slope(&self, square: f64) -> (f64, f64) {
+        let (within, pixels) = (self.within_per_px2, self.of_pixels_per_px2);
+        let (natural, light) = (within - pixels, self.light(square));
+        let oblique = 1.0 + (natural * square / 4.0).max(-0.5);
+        // Without any fall-off there is none to compare with: all is as at normal incidence.
+        let slope = if within == 0.0 { 1.0 } else { (natural / oblique + pixels) / within };
+        (light, light * slope)
+    }
+}
+
+/// [`Obliquity::light`] in single precision.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Response {
+    gradient: [f32; 2],
+    /// n/(4d²) of a law cosⁿ, px⁻².
+    natural: f32,
+    /// Half the part of pixels, px⁻².
+    of_pixels: f32,
+}
+
+/// The light of a ray over that at normal incidence in the middle of the image.
+pub(super) struct RayLight<S: Simd> {
+    pub light: Lanes<S>,
+    /// Gradient of its logarithm with the place of the pixel, px⁻¹.
+    pub gradient: [Lanes<S>; 2],
+    /// How its logarithm changes with H, px², and how the gradient of that does, px.
+    pub by_within: Lanes<S>,
+    pub gradient_by_within: [Lanes<S>; 2],
+}
+
+impl Response {
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn new(law: &Obliquity) -> Self {
+        Self {
+            gradient: law.gradient_per_px.map(|x| x as f32).into(),
+            natural: ((law.within_per_px2 - law.of_pixels_per_px2) / 4.0) as f32,
+            of_pixels: (law.of_pixels_per_px2 / 2.0) as f32,
+        }
+    }
+
+    /// Of rays by the vectors from the point of the micro-lens to the pixel, px.
+    #[inline(always)]
+    pub fn light<S: Simd>(&self, simd: S, [x, y]: [Lanes<S>; 2]) -> RayLight<S> {
+        let square = x.mul_add(x, y * y);
+        let natural = ((square * self.natural).max(Lanes::splat(simd, -0.5)) + 1.0).recip();
+        // exp(−z) as a power that is not below 0; z is below 0.5 on sensors.
+        let z = x * self.gradient[0] + y * self.gradient[1] + square * self.of_pixels;
+        let root = z
+            .mul_add((z * (1.0 / 512.0)) - 1.0 / 16.0, Lanes::splat(simd, 1.0))
+            .max(Lanes::splat(simd, 0.0));
+        let second = root * root;
+        let fourth = second * second;
+        let eighth = fourth * fourth;
+        let light = natural * natural * eighth * eighth;
+        let by_px = natural * (-4.0 * self.natural) - 2.0 * self.of_pixels;
+        RayLight {
+            light,
+            gradient: [by_px * x - self.gradient[0], by_px * y - self.gradient[1]],
+            by_within: -(square * natural * 0.5),
+            gradient_by_within: [-(natural * natural * x), -(natural * natural * y)],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use pulp::Scalar;
+
+    use super::*;
+
+    /// f′(s²)/f′(0), by differences, for cos⁴, a pixel's law and none.
+    #[test]
+    fn light_falls_as_fast_as_its_slope_says() {
+        for within in [4.0 / 3600.0, 10.4 / 3600.0, 0.0] {
+            let law = Obliquity::in_the_middle(within, 60.0, 11.5);
+            let fall = |square: f64| (law.light(square) - law.light(square + 1e-3)) / 1e-3;
+            for square in [0.0, 40.0, 150.0] {
+                let (light, slope) = law.light_and_slope(square);
+                assert!((light - law.light(square)).abs() < 1e-12);
+                let expected = if within > 0.0 { fall(square) / fall(0.0) } else { 1.0 };
+                assert!((slope - expected).abs() < 1e-4, "{slope} for {expected}");
+            }
+        }
+    }
+
+    /// In single precision the light is the same, and its derivatives are those of its logarithm.
+    #[test]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn single_precision_is_enough() {
+        let law = |within: f64| Obliquity {
+            gradient_per_px: Vector2::new(3e-3, -2e-3),
+            within_per_px2: within,
+            of_pixels_per_px2: 1e-3,
+            half_pitch_px: 11.5,
+        };
+        let exact = |law: &Obliquity, s: &Vector2<f64>| {
+            law.light(s.norm_squared()) * (-law.gradient_per_px.dot(s)).exp()
+        };
+        let (law, more, simd) = (law(2e-3), law(2.001e-3), Scalar::new());
+        for place in [Vector2::new(0.5, 0.0), Vector2::new(9.0, -6.0), Vector2::new(-14.0, 3.0)] {
+            let single = [place.x, place.y].map(|x| Lanes::splat(simd, x as f32));
+            let found = Response::new(&law).light(simd, single);
+            let light = exact(&law, &place);
+            assert!((f64::from(found.light.sum()) / light - 1.0).abs() < 1e-4);
+            for (i, step) in [Vector2::x(), Vector2::y()].into_iter().enumerate() {
+                let by = (exact(&law, &(place + step * 1e-4)) / light).ln() / 1e-4;
+                let found = f64::from(found.gradient[i].sum());
+                assert!((found - by).abs() < 1e-4, "{found} for {by}");
+            }
+            let by = (exact(&more, &place) / light).ln() / 1e-6;
+            let found = f64::from(found.by_within.sum());
+            assert!((found - by).abs() < 0.01 * by.abs(), "{found} for {by}");
+        }
+    }
+}

@@ -1,0 +1,269 @@
+//! Normal distributions that the rim of the pupil cuts off, and steps seen through normal distributions.
+
+// Only what is inlined into a dispatched function is compiled for its registers.
+#![allow(clippy::inline_always)]
+
+use pulp::Simd;
+
+use crate::numerics::simd::Lanes;
+
+/// Smaller parts of the light are none: of their tails the series say nothing.
+const LEAST: f32 = 1e-3;
+/// Variances along a normal are not below this, px².
+const LEAST_PX2: f32 = 1e-3;
+
+/// The rim of the pupil, which cuts off the places that a pixel sees.
+#[derive(Clone, Copy)]
+pub(super) struct Rim {
+    /// a, px.
+    pupil: f32,
+    /// 1/σ, px⁻¹.
+    per_spread: f32,
+    /// σ/a.
+    per_pupil: f32,
+}
+
+/// What the rim leaves of the light about a place, in powers of σ. Places at t along the rim are t²/2a nearer to it than
+/// those at 0, so the distance z of the rim in σ has the variance σ²/2a²; angle brackets are means over that, to its first
+/// order. λ = ⟨φ(z)⟩/⟨Φ(z)⟩ and κ = λσ/a. What is said of the direction along the rim is an
+/// interpolation: right to the first order of σ/a near it, and in the limit far outside, where the variance is 1/(1 + κ).
+pub(super) struct Cut<S: Simd> {
+    /// Its part, ⟨Φ⟩.
+    pub visible: Lanes<S>,
+    /// z.
+    pub distance: Lanes<S>,
+    /// How far what is left is inwards on average: λ.
+    pub mean: Lanes<S>,
+    /// By how much its variance is less along the rim: κ (1 + (z + λ) σ/a)/(1 + κ).
+    pub sideways: Lanes<S>,
+    /// By how much more it is less across the rim: ⟨zφ⟩/⟨Φ⟩ + λ², less that.
+    pub narrower: Lanes<S>,
+    /// Third central moment across the rim: −⟨(z² + 2) φ⟩/⟨Φ⟩ + 3λ (1 − ⟨zφ⟩/⟨Φ⟩) − 2λ³.
+    skew: Lanes<S>,
+    /// Third moment once across and twice along it: −(⟨zφ⟩/⟨Φ⟩ + λ²) σ/a (1 + κ)⁻².
+    skew_sideways: Lanes<S>,
+}
+
+impl Rim {
+    /// Of a pupil of radius a, px, for places with a variance along an axis, px².
+    #[inline(always)]
+    pub fn new(pupil: f32, variance: f32) -> Self {
+        let spread = variance.sqrt();
+        Self { pupil, per_spread: spread.recip(), per_pupil: spread / pupil }
+    }
+
+    /// About a place at a distance from the middle of the pupil, px.
+    #[inline(always)]
+    pub fn cut<S: Simd>(&self, simd: S, from_middle: Lanes<S>) -> Cut<S> {
+        let pupil = Lanes::splat(simd, self.pupil);
+        let one = Lanes::splat(simd, 1.0);
+        let z = (pupil - from_middle) * self.per_spread - 0.5 * self.per_pupil;
+        let (below, density) = normal(simd, z);
+        let (squared, half_variance) = (z * z, 0.25 * self.per_pupil * self.per_pupil);
+        let zero = Lanes::splat(simd, 0.0);
+        let visible = (below - z * density * half_variance).max(zero);
+        let visible = visible.where_below(LEAST, zero, visible);
+        let density = visible.where_below(
+            LEAST,
+            zero,
+            density * visible.max(Lanes::splat(simd, LEAST)).recip(),
+        );
+        let lambda = density * ((squared - 1.0) * half_variance + 1.0);
+        let first = density * z * ((squared - 3.0) * half_variance + 1.0);
+        let second = density * (squared + (squared * (squared - 5.0) + 2.0) * half_variance);
+        let lost = lambda.mul_add(lambda, first);
+        let kappa = lambda * self.per_pupil;
+        let per_kappa = (kappa + 1.0).recip();
+        let sideways = kappa * ((z + lambda) * self.per_pupil + 1.0) * per_kappa;
+        Cut {
+            visible,
+            distance: z,
+            mean: lambda,
+            sideways,
+            narrower: lost - sideways,
+            skew: lambda * ((one - first) * 3.0 - (lambda * lambda + 1.0) * 2.0) - second,
+            skew_sideways: -(lost * per_kappa * per_kappa * self.per_pupil),
+        }
+    }
+
+    /// How z changes with a, px⁻¹, and with the variance of the places, px⁻², at a z.
+    #[inline(always)]
+    pub fn derivatives<S: Simd>(&self, z: Lanes<S>) -> (f32, Lanes<S>) {
+        let by_pupil = self.per_spread * (1.0 + 0.5 * self.per_pupil * self.per_pupil);
+        // z = (a − r)/σ − σ/2a, where σ changes by 1/2σ.
+        let by_variance = (z + self.per_pupil) * (-0.5 * self.per_spread * self.per_spread);
+        (by_pupil, by_variance)
+    }
+}
+
+impl<S: Simd> Cut<S> {
+    /// Far inside the rim.
+    #[inline(always)]
+    pub fn none(simd: S) -> Self {
+        let none = Lanes::splat(simd, 0.0);
+        Self {
+            visible: Lanes::splat(simd, 1.0),
+            distance: none,
+            mean: none,
+            sideways: none,
+            narrower: none,
+            skew: none,
+            skew_sideways: none,
+        }
+    }
+
+    /// How λ changes with z.
+    #[inline(always)]
+    pub fn mean_by_distance(&self) -> Lanes<S> {
+        -(self.mean * (self.distance + self.mean))
+    }
+
+    /// Third moments of the distances of places from two edges, and the mixed ones with the first or the second squared,
+    /// times a scale: their normals have these parts across the rim and along it.
+    #[inline(always)]
+    pub fn thirds(
+        &self,
+        scale: f32,
+        [n1, t1]: [Lanes<S>; 2],
+        [n2, t2]: [Lanes<S>; 2],
+    ) -> [Lanes<S>; 4] {
+        let (across, along) = (self.skew * scale, self.skew_sideways * scale);
+        let thrice = along * 3.0;
+        let mixed = across * n1 * n2 + (along + along) * t1 * t2;
+        [
+            n1 * (across * n1 * n1 + thrice * t1 * t1),
+            n2 * (across * n2 * n2 + thrice * t2 * t2),
+            n1 * mixed + along * t1 * t1 * n2,
+            n2 * mixed + along * t2 * t2 * n1,
+        ]
+    }
+}
+
+/// A step from −1 to 1 seen through a normal spread, and its derivatives, px⁻¹ to px⁻⁴.
+pub(super) struct Step<S: Simd> {
+    pub value: Lanes<S>,
+    pub first: Lanes<S>,
+    pub second: Lanes<S>,
+    pub third: Lanes<S>,
+    fourth: Lanes<S>,
+}
+
+impl<S: Simd> Step<S> {
+    /// At a distance from it, px, with a variance, px².
+    #[inline(always)]
+    pub fn new(simd: S, distance: Lanes<S>, variance: Lanes<S>) -> Self {
+        let inverse = variance.max(Lanes::splat(simd, LEAST_PX2)).sqrt().recip();
+        let distance = distance * inverse;
+        let (below, density) = normal(simd, distance);
+        let first = (density + density) * inverse;
+        let slope = first * inverse;
+        let (squared, curvature) = (distance * distance, slope * inverse);
+        Self {
+            value: below + below - 1.0,
+            first,
+            second: -(distance * slope),
+            third: (squared - 1.0) * curvature,
+            fourth: distance * (Lanes::splat(simd, 3.0) - squared) * curvature * inverse,
+        }
+    }
+
+    /// The step seen through a spread with a third and a fourth cumulant, px³ and px⁴.
+    #[inline(always)]
+    pub fn of_cumulants(&self, third: Lanes<S>, fourth: f32) -> Lanes<S> {
+        (third * (1.0 / 6.0))
+            .mul_add(self.third, self.fourth.mul_add_scalar(fourth / 24.0, self.value))
+    }
+}
+
+/// The normal distribution below x, to 2e-7, and its density there: Abramowitz and Stegun (1964), Eq. 7.1.28, and its
+/// derivative.
+#[inline(always)]
+fn normal<S: Simd>(simd: S, x: Lanes<S>) -> (Lanes<S>, Lanes<S>) {
+    const A: [f32; 6] = [
+        0.070_523_08,
+        0.042_282_01,
+        0.009_270_527,
+        0.000_152_014_3,
+        0.000_276_567_2,
+        0.000_043_063_8,
+    ];
+    const SCALE: f32 = std::f32::consts::FRAC_1_SQRT_2;
+    let z = (x.abs() * SCALE).min(Lanes::splat(simd, 4.0));
+    // Horner's scheme, for the series and its derivative.
+    let (mut series, mut slope) = (Lanes::splat(simd, A[5]), Lanes::splat(simd, 0.0));
+    let mut power = A.len();
+    while power > 0 {
+        power -= 1;
+        slope = slope.mul_add(z, series);
+        let a = if power > 0 { A[power - 1] } else { 1.0 };
+        series = series.mul_add(z, Lanes::splat(simd, a));
+    }
+    let inverse = series.recip();
+    let squared = inverse * inverse;
+    let fourth = squared * squared;
+    let eighth = fourth * fourth;
+    let tail = eighth * eighth * 0.5;
+    let density = tail * inverse * slope * (16.0 * SCALE);
+    (x.where_below(0.0, tail, Lanes::splat(simd, 1.0) - tail), density)
+}
+
+#[cfg(test)]
+mod tests {
+    use pulp::Scalar;
+
+    use super::*;
+
+    /// Against sums over the places of a normal distribution that lie in the pupil.
+    #[test]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn a_cut_normal_distribution_has_the_moments_of_its_places() {
+        let (pupil, spread, from_middle) = (6.5, 1.1_f64, 6.9);
+        let [mut all, mut sum, mut s1, mut s2, mut s3, mut t2, mut st2] = [0.0_f64; 7];
+        for i in -150..=150 {
+            for j in -150..=150 {
+                let [s, t] = [i, j].map(|k| f64::from(k) * 0.03 * spread);
+                let weight = (-(s * s + t * t) / (2.0 * spread * spread)).exp();
+                all += weight;
+                if (from_middle + s).hypot(t) < pupil {
+                    sum += weight;
+                    s1 += weight * s;
+                    s2 += weight * s * s;
+                    t2 += weight * t * t;
+                    s3 += weight * s * s * s;
+                    st2 += weight * s * t * t;
+                }
+            }
+        }
+        let [mean, square, cube, along, mixed] = [s1, s2, s3, t2, st2].map(|x| x / sum);
+        let rim = Rim::new(pupil as f32, (spread * spread) as f32);
+        let simd = Scalar::new();
+        let cut = rim.cut(simd, Lanes::splat(simd, from_middle as f32));
+        let found = |value: Lanes<Scalar>, moment: f64, power: i32, limit: f64| {
+            let expected = moment / spread.powi(power);
+            let value = value.sum();
+            assert!((f64::from(value) - expected).abs() < limit, "{value} for {expected}");
+        };
+        let variance = square - mean * mean;
+        found(cut.visible, sum / all, 0, 1.5e-3);
+        found(-cut.mean, mean, 1, 3e-3);
+        found(-(cut.sideways - 1.0), along, 2, 3e-3);
+        found(-(cut.narrower + cut.sideways - 1.0), variance, 2, 3e-3);
+        found(cut.skew, cube - mean * (3.0 * variance + mean * mean), 3, 4e-3);
+        found(cut.skew_sideways, mixed - mean * along, 3, 4e-3);
+    }
+
+    #[test]
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    fn normal_distribution() {
+        for i in -60..=60_i16 {
+            let x = f64::from(i) / 15.0;
+            let simd = Scalar::new();
+            let (below, density) = normal(simd, Lanes::splat(simd, x as f32));
+            let (below, density) = (below.sum(), density.sum());
+            let expected = 0.5 * libm::erfc(-x * std::f64::consts::FRAC_1_SQRT_2);
+            assert!((f64::from(below) - expected).abs() < 1e-6, "{x}: {below} for {expected}");
+            let expected = (-x * x / 2.0).exp() / std::f64::consts::TAU.sqrt();
+            assert!((f64::from(density) - expected).abs() < 1e-5, "{x}: {density} for {expected}");
+        }
+    }
+}
