@@ -7,7 +7,7 @@ use std::time::Instant;
 use clap::{Args, ValueEnum};
 use plenocal::assessment::{Assessment, ModelComparison, assess, compare_models, comparison_steps};
 use plenocal::calibration::{
-    Calibration, CalibrationOptions, Method, Mode, Priors, Solution, calibrate, termination_text,
+    Calibration, CalibrationOptions, Method, Mode, Priors, calibrate, termination_text,
 };
 use plenocal::io::{self, OutputFolder, Project, compote};
 use plenocal::model::{Board, Parameter};
@@ -15,7 +15,6 @@ use plenocal::solver::Termination;
 use plenocal::{Error, Finding, Result, report};
 
 use super::cost;
-use super::evaluate::calibrated;
 use super::given::Given;
 use super::input::{Files, Input, camera_findings};
 use super::messages::{print_result, say, tell, verdict_status, warn};
@@ -31,10 +30,9 @@ use super::progress;
 #[command(after_help = EXAMPLES, allow_negative_numbers = true)]
 pub struct Arguments {
     /// Project file (TOML) with the camera, the board, the paths of the observations, and options.
-    project: Option<PathBuf>,
+    pub(super) project: Option<PathBuf>,
 
-    /// Folder for the results: camera.json, calibration.json, poses.json, residuals.csv, solver.txt.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("camera.json, calibration.json, poses.json, residuals.csv, solver.txt"))]
     out: PathBuf,
 
     /// Camera: datasheet values (COMPOTE's camera.js, a project file), or a calibrated camera to
@@ -43,36 +41,36 @@ pub struct Arguments {
     camera: Option<PathBuf>,
     /// Internal parameters m and q' from white images (precalibration.json, COMPOTE's params.js, a project file).
     #[arg(long, value_name = "FILE", help_heading = "Input")]
-    params: Option<PathBuf>,
+    pub(super) params: Option<PathBuf>,
     /// Board (COMPOTE's scene.js, a project file).
     #[arg(long, value_name = "FILE", help_heading = "Input")]
-    scene: Option<PathBuf>,
+    pub(super) scene: Option<PathBuf>,
     /// Micro-image centres: CSV k,l,u,v.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
-    centers: Option<PathBuf>,
+    pub(super) centers: Option<PathBuf>,
     /// BAP features: CSV k,l,u,v,rho,cluster,frame, or COMPOTE's .bin.gz, which contains the
     /// centres too.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
-    features: Option<PathBuf>,
+    pub(super) features: Option<PathBuf>,
     /// Poses of the boards to start from (poses.json, COMPOTE's poses.js); those of other frames are found.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     poses: Option<PathBuf>,
     /// Replace a value of the project, e.g. calibration.extrapolate=false; may be repeated.
     #[arg(long, value_name = "KEY=VALUE", help_heading = "Input")]
-    set: Vec<String>,
+    pub(super) set: Vec<String>,
 
     /// Set of options to begin with; options beside it take precedence [default: full].
     #[arg(long, help_heading = "Estimation")]
-    method: Option<Method>,
+    pub(super) method: Option<Method>,
     #[command(flatten, next_help_heading = "Estimation")]
-    options: Given<CalibrationOptions>,
+    pub(super) options: Given<CalibrationOptions>,
     /// The board has the shape that a calibration has found: its calibration.json. With --mode poses-only, that
     /// beside the camera counts by itself if the board is the same.
     #[arg(long, value_name = "FILE", conflicts_with = "board", help_heading = "Estimation")]
-    board_shape: Option<PathBuf>,
+    pub(super) board_shape: Option<PathBuf>,
     /// What is known of the camera before any board is seen [default: default].
     #[arg(long, alias = "anchors", help_heading = "Estimation")]
-    priors: Option<DefaultPriors>,
+    pub(super) priors: Option<DefaultPriors>,
     /// What you know of a parameter or of m, in the units of camera.json: F=50:0.5 for 50 mm to 0.5 mm, or
     /// F=50:1%. Takes the place of a default prior; F=none removes it.
     #[arg(
@@ -85,9 +83,14 @@ pub struct Arguments {
     prior: Vec<String>,
 
     /// Do not refine: say how large cost, gradient and residuals are at the --camera and the --poses that you have
-    /// from elsewhere, and what one more step would gain. The cost is that of the project, priors included.
+    /// from elsewhere, and what one more step would gain. The cost is that of --problem; without it, that of the project and
+    /// the options given here, priors included.
     #[arg(long, requires_all = ["camera", "poses"], conflicts_with_all = ["compare_models", "compote"], help_heading = "Estimation")]
     evaluate_only: bool,
+    /// Folder written by --export-problem: observations, board and cost of the evaluation are those of this problem, and
+    /// no project is needed.
+    #[arg(long, value_name = "DIR", requires = "evaluate_only", help_heading = "Estimation")]
+    pub(super) problem: Option<PathBuf>,
 
     /// Also write the problem that was solved to this folder: observations with board coordinates and standard deviations, start,
     /// priors, loss, fixed parameters; for a Ceres program of your own.
@@ -107,7 +110,7 @@ pub struct Arguments {
 
 /// Whether there are default priors.
 #[derive(Clone, Copy, ValueEnum)]
-enum DefaultPriors {
+pub(super) enum DefaultPriors {
     /// The focal length of the datasheet to 3 %, m of the white images to 2 %, the axis in the middle of the sensor to
     /// 0.5 mm.
     Default,
@@ -125,7 +128,7 @@ Examples:
   plenocal calibrate project.toml --prior F=51.6:0.2,u0=none --out results
   plenocal calibrate project.toml --method paper --out paper
   plenocal calibrate project.toml --export-problem problem --out results
-  plenocal calibrate project.toml --evaluate-only --camera mine/camera.json \\
+  plenocal calibrate --evaluate-only --problem problem --camera mine/camera.json \\
       --poses mine/poses.json --out mine/cost
   plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
@@ -144,15 +147,14 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         ));
     }
     let export = arguments.export_problem.as_deref().map(OutputFolder::new).transpose()?;
-    let project = arguments.project()?;
-    let options = arguments.options(&project)?;
-    let mut input = Input::read(&arguments.files(), &project, options)?;
-    let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
-    if let (true, Some(camera), Some(poses)) = (arguments.evaluate_only, &arguments.camera, &poses)
+    if let (true, Some(camera), Some(poses)) =
+        (arguments.evaluate_only, &arguments.camera, &arguments.poses)
     {
-        let solution = Solution { camera: calibrated(camera)?, poses: poses.clone() };
-        return cost::run(&solution, &input, (output, export), json);
+        let output = cost::Output { results: output, export, json };
+        return arguments.evaluate((camera, poses), output);
     }
+    let mut input = arguments.input()?;
+    let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
     input.options.poses = poses.unwrap_or_default();
 
     let bar = progress::spinner(json, "refining");
@@ -293,9 +295,30 @@ impl Arguments {
         }
     }
 
-    /// The options of a project, overridden by the flags.
-    fn options(&self, project: &Project) -> Result<CalibrationOptions> {
-        let mut options = project.calibration.clone();
+    /// All that a calibration takes, by the project and the flags.
+    fn input(&self) -> Result<Input> {
+        let project = self.project()?;
+        let options = self.options_over(project.calibration.clone())?;
+        Input::read(&self.files(), &project, options)
+    }
+
+    /// Evaluates the cost at the camera and the poses in these files.
+    fn evaluate(&self, (camera, poses): (&Path, &Path), output: cost::Output) -> Result<ExitCode> {
+        if let Some(problem) = &self.problem {
+            return cost::of_problem(&cost::solution(camera, poses)?, problem, self, output);
+        }
+        let input = self.input()?;
+        let folders = [camera, poses].map(|path| path.parent().unwrap_or(Path::new("")));
+        cost::of_project(&cost::solution(camera, poses)?, &folders, &input, output)
+    }
+
+    /// The options that the flags alone state.
+    pub(super) fn options_beside(&self) -> Result<CalibrationOptions> {
+        self.options_over(CalibrationOptions::default())
+    }
+
+    /// Options, overridden by the flags.
+    fn options_over(&self, mut options: CalibrationOptions) -> Result<CalibrationOptions> {
         self.options.apply(&mut options)?;
         match self.priors {
             Some(DefaultPriors::None) => {

@@ -29,8 +29,7 @@ use super::progress;
 pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images].
     project: PathBuf,
-    /// Folder for the results: evaluation.json, and the features of each subset in its own folder.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("evaluation.json, and the features of each subset in its own folder"))]
     out: PathBuf,
     /// Calibrated camera (camera.json, COMPOTE's intrinsics.js); give several to compare them.
     #[arg(long, value_name = "FILE", required = true)]
@@ -80,8 +79,11 @@ pub fn read_candidate(
     Ok(Candidate { name: name.to_owned(), camera, std_devs, board_shape, shape_std_devs })
 }
 
-/// Reads a calibrated camera.
+/// Reads a calibrated camera; of a folder, an error with the cameras in it.
 pub fn calibrated(path: &Path) -> Result<PlenopticCamera> {
+    if path.is_dir() {
+        return Err(is_folder(path, &io::cameras_in(path)));
+    }
     match camera_source(path)? {
         CameraSource::Camera(camera) => Ok(*camera),
         CameraSource::Datasheet(_) => Err(Error::invalid(
@@ -90,6 +92,16 @@ pub fn calibrated(path: &Path) -> Result<PlenopticCamera> {
         )
         .in_file(path)),
     }
+}
+
+fn is_folder(path: &Path, cameras: &[PathBuf]) -> Error {
+    let cameras: Vec<String> = cameras.iter().map(|path| path.display().to_string()).collect();
+    let instead = if cameras.is_empty() {
+        "give a calibrated camera (camera.json or intrinsics.js); there is none in it".to_owned()
+    } else {
+        format!("give a camera: {}", cameras.join(" or "))
+    };
+    Error::invalid(format!("it is a folder: {instead}")).in_file(path)
 }
 
 /// A finding about points at some distances, or about rays at one, that lie far off the boards that a camera was calibrated with.

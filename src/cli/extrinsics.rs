@@ -27,8 +27,7 @@ use super::messages::{print_result, tell};
 pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images].
     project: PathBuf,
-    /// Folder for the results: poses.json, residuals.csv, features.csv, detection.json.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("poses.json, residuals.csv, features.csv, detection.json"))]
     out: PathBuf,
     /// Calibrated camera (camera.json, COMPOTE's intrinsics.js).
     #[arg(long, value_name = "FILE")]

@@ -55,16 +55,20 @@ impl Input {
 
     /// Names the file of an observation that is impossible, and its line.
     pub fn located(&self, error: Error) -> Error {
-        let Error::Observation { observation, .. } = &error else { return error };
-        let [features, centers] = &self.sources;
-        let path = match observation {
-            Observed::Feature { .. } => features,
-            Observed::Center { .. } => centers,
-        };
-        match io::line_of(path, *observation) {
-            Some(line) => Error::invalid(format!("line {line}: {error}")).in_file(path),
-            None => error.in_file(path),
-        }
+        located(error, &self.sources)
+    }
+}
+
+/// Names the file of an observation that is impossible, and its line; the files are those of features and centres.
+pub fn located(error: Error, [features, centers]: &[PathBuf; 2]) -> Error {
+    let Error::Observation { observation, .. } = &error else { return error };
+    let path = match observation {
+        Observed::Feature { .. } => features,
+        Observed::Center { .. } => centers,
+    };
+    match io::line_of(path, *observation) {
+        Some(line) => Error::invalid(format!("line {line}: {error}")).in_file(path),
+        None => error.in_file(path),
     }
 }
 

@@ -41,6 +41,7 @@ fn option(issue: &Issue) -> Option<String> {
         Issue::OutlyingCenters { .. } | Issue::OutlyingUnweighted { .. } => Some("--loss".into()),
         Issue::Undetermined { .. } => Some("--fix".into()),
         Issue::PriorContradicted { .. } => Some("--prior".into()),
+        Issue::OtherCost { problem, .. } => Some(format!("--problem {problem}")),
         Issue::OutlyingFrame { frame, .. } => Some(format!("--exclude {frame}")),
         _ => None,
     }

@@ -33,8 +33,7 @@ pub struct Arguments {
     /// Virtual depths: CSV k,l,u,v,nu; a map of them as .npy (height x width) or as an image; or features.csv, whose corners
     /// are triangulated.
     input: PathBuf,
-    /// Folder for the results: points.ply, and with --csv points.csv.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("points.ply, and with --csv points.csv"))]
     out: PathBuf,
     /// How the pixels of a map lie.
     #[arg(long, default_value = "raw")]

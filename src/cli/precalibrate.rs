@@ -33,10 +33,8 @@ pub struct Arguments {
     /// Size of the images that a Raytrix calibration belongs to, e.g. 2048x2048.
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(u16, u16)>,
-    /// Folder for the results: precalibration.json and centers.csv; from images also
-    /// micro-images.svg; from a project also radii.svg and COMPOTE's camera.js and params.js. Files of earlier results are
-    /// replaced.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("precalibration.json and centers.csv; from images also \
+micro-images.svg; from a project also radii.svg and COMPOTE's camera.js and params.js"))]
     out: PathBuf,
     /// How radii are measured: the edge of a fitted profile, or the paper's second moments, which
     /// are right only for some over-exposures; for a project [default: profile].

@@ -9,6 +9,7 @@ use clap::Args;
 use nalgebra::{Point3, Vector2};
 use plenocal::io::{NpyHeader, OutputFolder};
 use plenocal::model::PlenopticCamera;
+use plenocal::quantity::significant;
 use plenocal::solver::{Ray, micro_images_at, pixel_rays};
 use plenocal::{Error, Result};
 use serde_json::{Value, json};
@@ -27,8 +28,7 @@ use super::progress;
 pub struct Arguments {
     /// Calibrated camera (camera.json, COMPOTE's intrinsics.js).
     camera: PathBuf,
-    /// Folder for the results: rays.npy, rays.json, and with --micro-images micro-images.npy.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("rays.npy, rays.json, and with --micro-images micro-images.npy"))]
     out: PathBuf,
     /// Distance from the main lens at which rays have their origins, mm [default: where the lens is focused, or 100
     /// focal lengths if that is infinity]. Distortion bends rays a little: they are exact here.
@@ -196,8 +196,10 @@ impl Bend {
 
     fn text(&self) -> String {
         format!(
-            "At {:.0} mm they are {:.2e} mm RMS off what the camera sees there, at most {:.2e} mm.",
-            self.at_mm, self.rms_mm, self.largest_mm
+            "At {:.0} mm they are {} mm RMS off what the camera sees there, at most {} mm.",
+            self.at_mm,
+            significant(self.rms_mm, 3),
+            significant(self.largest_mm, 3)
         )
     }
 }

@@ -38,9 +38,7 @@ pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images]; `plenocal init` writes one.
     pub project: PathBuf,
 
-    /// Folder for the results: report.html, verdict.json, manifest.json, and a folder for each stage. Files of earlier
-    /// results are replaced.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("report.html, verdict.json, manifest.json, and a folder for each stage"))]
     pub out: PathBuf,
     /// How the virtual depth of a corner is estimated from the micro-images that show it.
     #[arg(long, default_value = "line")]
@@ -378,7 +376,9 @@ impl<'a> Run<'a> {
         let Arguments { folds, json, .. } = *self.arguments;
         let comparison = match compared(calibration, &self.shoot.board, folds, json) {
             Ok(comparison) => comparison,
-            Err(error) => return Ok((Value::Null, vec![Part::Text(format!("{error}."))])),
+            Err(error) => {
+                return Ok((Value::Null, vec![Part::Text(report::sentence(&error.to_string()))]));
+            }
         };
         let figures = report::model_figures(calibration, &comparison);
         stage_figures(output, &figures.concat())?;

@@ -3,7 +3,8 @@
 //! The unit of every number is in its name. The meaning of the numbers is documented at
 //! [`PlenopticCamera`]. A reader has to check `format` and `version` first.
 
-use std::path::Path;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -91,6 +92,29 @@ pub(super) fn errors_text(uncertainty: &Uncertainty) -> &'static str {
         (true, false) => "shared by frames",
         (false, false) => "independent",
     }
+}
+
+/// Name of the file, as commands write it.
+const NAME: &str = "camera.json";
+/// Cameras are looked for in folders so deep, as `results/calibration` in the folder of a project.
+const DEPTH: usize = 2;
+/// More cameras are not worth naming.
+const MOST_CAMERAS: usize = 4;
+
+/// The camera files in a folder and in those that it contains, by their names; those of fewer folders first.
+#[must_use]
+pub fn cameras_in(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    for _ in 0..=DEPTH {
+        folders.sort();
+        found.extend(folders.iter().map(|folder| folder.join(NAME)).filter(|file| file.is_file()));
+        let inside = folders.iter().filter_map(|folder| fs::read_dir(folder).ok());
+        let inside = inside.flat_map(|entries| entries.flatten().map(|entry| entry.path()));
+        folders = inside.filter(|path| path.is_dir() && !path.is_symlink()).collect();
+    }
+    found.truncate(MOST_CAMERAS);
+    found
 }
 
 /// Reads the camera of a `camera.json`.

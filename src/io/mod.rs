@@ -41,8 +41,8 @@ pub use calibration_file::{
     calibrated_camera_document, calibration_document, cost_document, models_document,
 };
 pub use camera_file::{
-    CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_findings, read_board_distances,
-    read_camera, read_camera_findings, read_std_devs,
+    CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_findings, cameras_in,
+    read_board_distances, read_camera, read_camera_findings, read_std_devs,
 };
 pub use comparison_file::comparison_document;
 pub use data_set_folder::{image_name, is_data_set, remove_older_data, stage_data_set};
@@ -68,7 +68,7 @@ pub use precalibration_file::{
     PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION, array_document, precalibration_document,
     write_measured_centers,
 };
-pub use problem_folder::{PROBLEM_FORMAT, PROBLEM_VERSION, stage_problem};
+pub use problem_folder::{PROBLEM, PROBLEM_FORMAT, PROBLEM_VERSION, read_problem, stage_problem};
 pub use project_draft::{DraftText, ProjectDraft};
 pub use project_file::{ImagesSection, Project, TranslationImages, TruthSection, WhiteImage};
 pub use raytrix::{RaytrixCalibration, read_raytrix};

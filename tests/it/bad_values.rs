@@ -13,6 +13,7 @@ use plenocal::io::{
 use plenocal::model::Noise;
 use plenocal::simulation::Settings;
 use plenocal::solver::{distortion_mm, synthesize};
+use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use tempfile::TempDir;
 
@@ -286,6 +287,62 @@ fn a_folder_names_the_file_in_it() {
     refused(&["it is a folder: give a file"]);
     fs::write(folder.path().join("project.toml"), documents::PROJECT).unwrap();
     refused(&["it is a folder: give", "project.toml"]);
+}
+
+/// Where a camera is meant, the cameras in a folder are named, and not its project.
+#[test]
+fn a_folder_names_the_cameras_in_it() {
+    let folder = TempDir::new().unwrap();
+    let compared = || {
+        let camera = synthetic_folder().join("truth/camera.json");
+        plenocal().arg("compare").arg(camera).arg(folder.path()).assert().failure()
+    };
+    fs::write(folder.path().join("project.toml"), documents::PROJECT).unwrap();
+    compared().stderr(contains("it is a folder").and(contains("there is none in it")));
+    let results = folder.path().join("results/calibration");
+    fs::create_dir_all(&results).unwrap();
+    let camera = results.join("camera.json");
+    fs::write(&camera, "{}").unwrap();
+    let named = camera.display().to_string();
+    compared().stderr(contains(named).and(contains("project.toml").not()));
+}
+
+#[test]
+fn a_prior_far_from_the_start_is_named() {
+    let folder = TempDir::new().unwrap();
+    let mut command = plenocal();
+    command.arg("calibrate").arg(synthetic_folder().join("project.toml"));
+    command.args(["--prior", "F=1000:0.1", "--out"]).arg(folder.path()).assert().failure().stderr(
+        contains("the prior F = 1000.00 ± 0.10 mm is far from the start")
+            .and(contains("check its value and its unit")),
+    );
+}
+
+#[test]
+fn corners_numbered_by_columns_are_refused() {
+    let folder = TempDir::new().unwrap();
+    let features = fs::read_to_string(synthetic_folder().join("features.csv")).unwrap();
+    let mut lines = features.lines();
+    let header = lines.next().unwrap();
+    let column = header.split(',').position(|name| name == "cluster").unwrap();
+    let renumbered = lines.map(|line| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        let corner: i32 = cells[column].parse().unwrap();
+        cells[column] = (corner % 9 * 5 + corner / 9).to_string();
+        cells.join(",")
+    });
+    let lines: Vec<String> = std::iter::once(header.to_owned()).chain(renumbered).collect();
+    let file = folder.path().join("features.csv");
+    fs::write(&file, lines.join("\n")).unwrap();
+    let mut command = plenocal();
+    command.arg("calibrate").arg(synthetic_folder().join("project.toml")).arg("--features");
+    command
+        .arg(&file)
+        .arg("--out")
+        .arg(folder.path().join("out"))
+        .assert()
+        .failure()
+        .stderr(contains("column by column").and(contains("corner = row · columns + column")));
 }
 
 #[test]
