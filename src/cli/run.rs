@@ -178,8 +178,8 @@ impl<'a> Run<'a> {
             }
         };
         let of_calibration = Subset::Calibration;
-        let found =
-            self.stage(boards_stage(of_calibration), boards(of_calibration, &micro_images))?;
+        let found = self.stage(boards_stage(of_calibration), boards(of_calibration, &micro_images));
+        let found = found.map_err(|error| because_of_white_image(error, &self.findings))?;
         self.findings.extend(found.findings.iter().cloned());
         // The other boards were taken by the same camera.
         let settled = match &found.aperture_ratio {
@@ -545,6 +545,19 @@ impl<'a> Run<'a> {
             self.manifest.inputs.len()
         );
         Section::new("Overview", vec![Part::Table(table), Part::Text(text)])
+    }
+}
+
+/// An error of the boards, after what is wrong with a white image: beside an image that is not white, no board is found.
+fn because_of_white_image(error: Error, findings: &[Finding]) -> Error {
+    let not_white = |finding: &&Finding| {
+        matches!(finding.issue, Issue::NotWhite { .. } | Issue::IrregularArray { .. })
+    };
+    match (findings.iter().find(not_white), &error) {
+        (_, Error::Write { .. }) | (None, _) => error,
+        (Some(finding), _) => {
+            Error::invalid(format!("{finding}. With this white image there is no result: {error}"))
+        }
     }
 }
 

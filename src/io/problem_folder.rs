@@ -71,10 +71,8 @@ struct BoardFile {
 pub fn read_problem(folder: &Path) -> Result<SolvedProblem> {
     let path = folder.join(PROBLEM);
     let value = read_json(&path)?;
-    let file = check_version(&value, PROBLEM_FORMAT, PROBLEM_VERSION)
-        .and_then(|()| document_of::<ProblemFile>(value, PROBLEM_FORMAT));
     let ProblemFile { rho, loss, fixed, priors, prior_weight, board, cost_of_plenocal } =
-        file.map_err(|e| e.in_file(&path))?;
+        problem_from(value).map_err(|e| e.in_file(&path))?;
     let BoardFile { columns, rows, square_mm, sag_x_mm, sag_y_mm, twist_mm, aspect } = board;
     let board = BentBoard {
         board: Board { columns, rows, square_mm },
@@ -110,6 +108,17 @@ pub fn read_problem(folder: &Path) -> Result<SolvedProblem> {
         },
         minimum: cost_of_plenocal,
     })
+}
+
+fn problem_from(value: Value) -> Result<ProblemFile> {
+    if value["format"] != PROBLEM_FORMAT {
+        return Err(Error::invalid(format!(
+            "its format is {}, and not \"{PROBLEM_FORMAT}\": give a problem that a calibration has exported",
+            value["format"]
+        )));
+    }
+    check_version(&value, PROBLEM_FORMAT, PROBLEM_VERSION)?;
+    document_of(value, PROBLEM_FORMAT)
 }
 
 /// The centres of a problem; none where only poses are estimated.

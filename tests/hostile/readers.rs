@@ -8,8 +8,8 @@ use flate2::write::GzEncoder;
 use plenocal::io::{
     self, CameraSource, Manifest, Project, VirtualDepths, read_board, read_board_shape,
     read_camera_source, read_centers, read_features, read_image, read_internal_parameters,
-    read_point_cloud_distance, read_poses, read_raytrix, read_std_devs, read_true_board,
-    read_virtual_depths,
+    read_point_cloud_distance, read_poses, read_problem, read_raytrix, read_std_devs,
+    read_true_board, read_virtual_depths,
 };
 use plenocal::simulation::{Prescription, Settings};
 use plenocal::{Error, Result};
@@ -29,7 +29,7 @@ pub struct Target {
 }
 
 /// All readers.
-pub const TARGETS: [Target; 19] = [
+pub const TARGETS: [Target; 20] = [
     Target {
         name: "project",
         file: "project.toml",
@@ -78,6 +78,24 @@ pub const TARGETS: [Target; 19] = [
         file: "calibration.json",
         seeds: corpus::board_shapes,
         read: |path| Ok(format!("{:?}", read_board_shape(path, &corpus::BOARD)?)),
+    },
+    Target {
+        name: "problem",
+        file: "problem.json",
+        seeds: corpus::problems,
+        read: |path| {
+            let folder = path.parent().unwrap_or(Path::new("."));
+            corpus::complete_problem(folder);
+            // Another board is found out by the features.
+            let read = read_problem(folder).map_err(|error| {
+                if error.to_string().contains("features.csv") {
+                    Error::invalid(format!("{}: {error}", path.display()))
+                } else {
+                    error
+                }
+            })?;
+            Ok(format!("{:?} {:?} {}", read.cost, read.board, read.minimum))
+        },
     },
     Target {
         name: "true board",
