@@ -147,7 +147,8 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
   if (solver_options.threads < 1) throw std::invalid_argument("threads has to be at least 1");
   LeastSquares calibration(camera, poses, observations, cost_options);
   AllAtOnce all_at_once(solver_options.threads);
-  const std::unique_ptr<ceres::Problem> problem = calibration.compressed(&all_at_once);
+  const std::unique_ptr<ceres::Problem> problem =
+      calibration.compressed(solver_options.threads > 1 ? &all_at_once : nullptr);
   Refinement result;
 
   ceres::Solver::Options options;
