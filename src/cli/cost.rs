@@ -10,8 +10,8 @@ use plenocal::calibration::{
     Calibration, Refit, Solution, SolvedProblem, cost_at, cost_of_problem_at,
 };
 use plenocal::io::{self, OutputFolder};
-use plenocal::model::Board;
-use plenocal::{Finding, Issue, Result, report};
+use plenocal::model::{Board, Parameter};
+use plenocal::{Error, Finding, Issue, Result, report};
 
 use super::calibrate::Arguments;
 use super::evaluate::calibrated;
@@ -62,6 +62,12 @@ pub(super) fn of_problem(
     refuse_other_cost(arguments, &problem, folder)?;
     let board = problem.board.board;
     let stated = board_shape(arguments.board_shape.as_deref(), None, &board)?;
+    if stated.is_none() && !Parameter::SHAPE.into_iter().all(|p| problem.holds(p)) {
+        return Err(Error::invalid(
+            "the problem leaves the shape of the board free, and camera.json does not have it: give that of the solution \
+             (--board-shape, a file with the board_shape of calibration.json)",
+        ));
+    }
     let shape = stated.map_or(problem.board.shape, |(shape, _)| shape);
     let threads = arguments.options_beside()?.threads;
     let evaluated = cost_of_problem_at(&problem, solution, shape, threads);

@@ -106,7 +106,11 @@ fn evaluated(folder: &Path, options: &[&str]) -> assert_cmd::assert::Assert {
 /// The cost of a problem needs neither a project nor the options that it was made with.
 #[test]
 fn a_solution_is_evaluated_by_the_cost_of_a_problem() {
-    for options in [&["--method", "paper"][..], &["--loss", "cauchy", "--loss-scale", "3"]] {
+    for options in [
+        &["--method", "paper"][..],
+        &["--loss", "cauchy", "--loss-scale", "3"],
+        &["--mode", "corners-only", "--priors", "none"],
+    ] {
         let folder = exported(options);
         let problem = ["--problem", "problem"];
         evaluated(folder.path(), &problem).success().stdout(contains("This is a minimum."));
@@ -130,6 +134,18 @@ fn a_solution_is_evaluated_by_the_cost_of_a_problem() {
         }
         assert_eq!(read.differences(&read), []);
     }
+}
+
+/// A shape that is free is a part of the solution.
+#[test]
+fn a_bent_board_is_evaluated_with_its_shape() {
+    let folder = exported(&["--board", "bent"]);
+    let problem = ["--problem", "problem"];
+    evaluated(folder.path(), &problem).failure().stderr(contains("--board-shape"));
+    let with_shape = [&problem[..], &["--board-shape", "results/calibration.json"]].concat();
+    evaluated(folder.path(), &with_shape).success().stdout(contains("This is a minimum."));
+    let cost = json(&folder.path().join("cost/cost.json"));
+    assert!(cost["evaluation"]["next_step"]["sag_x"].is_f64());
 }
 
 /// Where options are forgotten, these are told, and not that the solution is wrong.
