@@ -179,8 +179,8 @@ mod tests {
         assert_eq!(significant(44.576, 4), "44.58");
         assert_eq!(significant(0.001_234, 2), "0.0012");
         assert_eq!(significant(1.234e-5, 2), "1.2e-5");
-        assert_eq!(significant(4321.0, 2), "4.3e3");
-        assert_eq!(significant(321.0, 2), "321");
+        assert_eq!(significant(43210.0, 2), "4.3e4");
+        assert_eq!(significant(4321.0, 2), "4321");
         assert_eq!(significant(0.0, 2), "0.0");
         assert_eq!(significant(-0.0, 3), "0.00");
     }
