@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use clap::ValueEnum;
 use nalgebra::Point3;
 
 use crate::calibration::frames::{ALIKE_RAD, solver_features};
@@ -170,11 +169,9 @@ impl SolvedProblem {
     }
 
     fn loss_words(&self) -> String {
-        let name = self.cost.loss.kind.to_possible_value();
-        let name = name.as_ref().map_or("none", |name| name.get_name());
         match self.cost.loss.kind {
             LossKind::None => "loss none".to_owned(),
-            _ => format!("loss {name} {}", self.cost.loss.scale),
+            kind => format!("loss {} {}", kind.name(), self.cost.loss.scale),
         }
     }
 

@@ -18,6 +18,7 @@ use super::cost;
 use super::given::Given;
 use super::input::{Files, Input, camera_findings};
 use super::messages::{print_result, say, tell, verdict_status, warn};
+use super::problem_options::Beside;
 use super::progress;
 
 /// Calibrate a camera from micro-image centres and BAP features.
@@ -30,7 +31,7 @@ use super::progress;
 #[command(after_help = EXAMPLES, allow_negative_numbers = true)]
 pub struct Arguments {
     /// Project file (TOML) with the camera, the board, the paths of the observations, and options.
-    pub(super) project: Option<PathBuf>,
+    project: Option<PathBuf>,
 
     #[arg(long, value_name = "DIR", help = results_help!("camera.json, calibration.json, poses.json, residuals.csv, solver.txt"))]
     out: PathBuf,
@@ -41,36 +42,36 @@ pub struct Arguments {
     camera: Option<PathBuf>,
     /// Internal parameters m and q' from white images (precalibration.json, COMPOTE's params.js, a project file).
     #[arg(long, value_name = "FILE", help_heading = "Input")]
-    pub(super) params: Option<PathBuf>,
+    params: Option<PathBuf>,
     /// Board (COMPOTE's scene.js, a project file).
     #[arg(long, value_name = "FILE", help_heading = "Input")]
-    pub(super) scene: Option<PathBuf>,
+    scene: Option<PathBuf>,
     /// Micro-image centres: CSV k,l,u,v.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
-    pub(super) centers: Option<PathBuf>,
+    centers: Option<PathBuf>,
     /// BAP features: CSV k,l,u,v,rho,cluster,frame, or COMPOTE's .bin.gz, which contains the
     /// centres too.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
-    pub(super) features: Option<PathBuf>,
+    features: Option<PathBuf>,
     /// Poses of the boards to start from (poses.json, COMPOTE's poses.js); those of other frames are found.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     poses: Option<PathBuf>,
     /// Replace a value of the project, e.g. calibration.extrapolate=false; may be repeated.
     #[arg(long, value_name = "KEY=VALUE", help_heading = "Input")]
-    pub(super) set: Vec<String>,
+    set: Vec<String>,
 
     /// Set of options to begin with; options beside it take precedence [default: full].
     #[arg(long, help_heading = "Estimation")]
-    pub(super) method: Option<Method>,
+    method: Option<Method>,
     #[command(flatten, next_help_heading = "Estimation")]
-    pub(super) options: Given<CalibrationOptions>,
+    options: Given<CalibrationOptions>,
     /// The board has the shape that a calibration has found: its calibration.json. With --mode poses-only, that
     /// beside the camera counts by itself if the board is the same.
     #[arg(long, value_name = "FILE", conflicts_with = "board", help_heading = "Estimation")]
-    pub(super) board_shape: Option<PathBuf>,
+    board_shape: Option<PathBuf>,
     /// What is known of the camera before any board is seen [default: default].
     #[arg(long, alias = "anchors", help_heading = "Estimation")]
-    pub(super) priors: Option<DefaultPriors>,
+    priors: Option<DefaultPriors>,
     /// What you know of a parameter or of m, in the units of camera.json: F=50:0.5 for 50 mm to 0.5 mm, or
     /// F=50:1%. Takes the place of a default prior; F=none removes it.
     #[arg(
@@ -90,7 +91,7 @@ pub struct Arguments {
     /// Folder written by --export-problem: observations, board and cost of the evaluation are those of this problem, and
     /// no project is needed.
     #[arg(long, value_name = "DIR", requires = "evaluate_only", help_heading = "Estimation")]
-    pub(super) problem: Option<PathBuf>,
+    problem: Option<PathBuf>,
 
     /// Also write the problem that was solved to this folder: observations with board coordinates and standard deviations, start,
     /// priors, loss, fixed parameters; for a Ceres program of your own.
@@ -110,7 +111,7 @@ pub struct Arguments {
 
 /// Whether there are default priors.
 #[derive(Clone, Copy, ValueEnum)]
-pub(super) enum DefaultPriors {
+enum DefaultPriors {
     /// The focal length of the datasheet to 3 %, m of the white images to 2 %, the axis in the middle of the sensor to
     /// 0.5 mm.
     Default,
@@ -305,16 +306,32 @@ impl Arguments {
     /// Evaluates the cost at the camera and the poses in these files.
     fn evaluate(&self, (camera, poses): (&Path, &Path), output: cost::Output) -> Result<ExitCode> {
         if let Some(problem) = &self.problem {
-            return cost::of_problem(&cost::solution(camera, poses)?, problem, self, output);
+            let beside = Beside {
+                input: self.beside_problem(),
+                options: self.options_over(CalibrationOptions::default())?,
+                is_given: &|field| self.options.is_given(field),
+                default_priors: self.priors.map(|priors| matches!(priors, DefaultPriors::Default)),
+                board_shape: self.board_shape.as_deref(),
+            };
+            return cost::of_problem(&cost::solution(camera, poses)?, problem, &beside, output);
         }
         let input = self.input()?;
         let folders = [camera, poses].map(|path| path.parent().unwrap_or(Path::new("")));
         cost::of_project(&cost::solution(camera, poses)?, &folders, &input, output)
     }
 
-    /// The options that the flags alone state.
-    pub(super) fn options_beside(&self) -> Result<CalibrationOptions> {
-        self.options_over(CalibrationOptions::default())
+    /// The first of the files and sets of options that are given beside a problem, which has them.
+    fn beside_problem(&self) -> Option<String> {
+        let flags = [
+            ("--params", self.params.is_some()),
+            ("--scene", self.scene.is_some()),
+            ("--centers", self.centers.is_some()),
+            ("--features", self.features.is_some()),
+            ("--method", self.method.is_some()),
+        ];
+        let flag = flags.iter().find(|(_, given)| *given).map(|(flag, _)| (*flag).to_owned());
+        let project = self.project.as_ref().map(|path| path.display().to_string());
+        project.or(flag).or_else(|| self.set.first().map(|set| format!("--set {set}")))
     }
 
     /// Options, overridden by the flags.

@@ -13,11 +13,10 @@ use plenocal::io::{self, OutputFolder};
 use plenocal::model::{Board, Parameter};
 use plenocal::{Error, Finding, Issue, Result, report};
 
-use super::calibrate::Arguments;
 use super::evaluate::calibrated;
 use super::input::{Input, board_shape, located};
 use super::messages::{print_result, tell};
-use super::problem_options::{refuse_input, refuse_other_cost};
+use super::problem_options::{Beside, refuse_other_cost};
 
 /// Where the results of an evaluation go.
 pub(super) struct Output {
@@ -53,15 +52,14 @@ pub(super) fn of_project(
 pub(super) fn of_problem(
     solution: &Solution,
     folder: &Path,
-    arguments: &Arguments,
+    beside: &Beside,
     output: Output,
 ) -> Result<ExitCode> {
     let begun = Instant::now();
-    refuse_input(arguments)?;
     let problem = io::read_problem(folder)?;
-    refuse_other_cost(arguments, &problem, folder)?;
+    refuse_other_cost(beside, &problem, folder)?;
     let board = problem.board.board;
-    let stated = board_shape(arguments.board_shape.as_deref(), None, &board)?;
+    let stated = board_shape(beside.board_shape, None, &board)?;
     if stated.is_none() && !Parameter::SHAPE.into_iter().all(|p| problem.holds(p)) {
         return Err(Error::invalid(
             "the problem leaves the shape of the board free, and camera.json does not have it: give that of the solution \
@@ -69,8 +67,7 @@ pub(super) fn of_problem(
         ));
     }
     let shape = stated.map_or(problem.board.shape, |(shape, _)| shape);
-    let threads = arguments.options_beside()?.threads;
-    let evaluated = cost_of_problem_at(&problem, solution, shape, threads);
+    let evaluated = cost_of_problem_at(&problem, solution, shape, beside.options.threads);
     let sources = ["features.csv", "centers.csv"].map(|name| folder.join(name));
     let evaluated = evaluated.map_err(|error| located(error, &sources))?;
     write(&evaluated, &board, output, begun)

@@ -10,7 +10,6 @@ use plenocal::model::{BoardShape, Parameter};
 use plenocal::solver::Prior;
 use plenocal::{Error, Result};
 
-use super::calibrate::{Arguments, DefaultPriors};
 use super::input::board_shape;
 
 /// Files of a problem beside problem.json.
@@ -28,38 +27,37 @@ struct Term {
     agrees: bool,
 }
 
-/// An error if files or sets of options are given beside a problem, which has them all.
-pub(super) fn refuse_input(arguments: &Arguments) -> Result<()> {
-    let project = arguments.project.as_ref().map(|path| path.display().to_string());
-    let set = arguments.set.first().map(|set| format!("--set {set}"));
-    let files = [
-        ("--params", arguments.params.is_some()),
-        ("--scene", arguments.scene.is_some()),
-        ("--centers", arguments.centers.is_some()),
-        ("--features", arguments.features.is_some()),
-        ("--method", arguments.method.is_some()),
-    ];
-    let flag = files.iter().find(|(_, given)| *given).map(|(flag, _)| (*flag).to_owned());
-    match project.or(flag).or(set) {
-        Some(given) => Err(Error::invalid(format!(
-            "--problem has the observations, the board and the cost: leave {given} out"
-        ))),
-        None => Ok(()),
-    }
+/// What is given on the command line beside a problem.
+pub(super) struct Beside<'a> {
+    /// Files or sets of options, which a problem has.
+    pub input: Option<String>,
+    /// The options by flags alone.
+    pub options: CalibrationOptions,
+    /// Whether the flag of a field of the options was given.
+    pub is_given: &'a dyn Fn(&str) -> bool,
+    /// Whether there are to be default priors, if that is said.
+    pub default_priors: Option<bool>,
+    /// File with the shape of the board.
+    pub board_shape: Option<&'a Path>,
 }
 
-/// An error if a flag asks for another cost than that of the problem.
+/// An error if input is given that the problem has, or if a flag asks for another cost than that of the problem.
 pub(super) fn refuse_other_cost(
-    arguments: &Arguments,
+    beside: &Beside,
     problem: &SolvedProblem,
     folder: &Path,
 ) -> Result<()> {
-    let options = arguments.options_beside()?;
-    let terms = of_cost(&options, problem).into_iter().chain(of_free_parameters(&options, problem));
-    let given = terms.filter(|term| arguments.options.is_given(term.field));
+    if let Some(given) = &beside.input {
+        return Err(Error::invalid(format!(
+            "--problem has the observations, the board and the cost: leave {given} out"
+        )));
+    }
+    let options = &beside.options;
+    let terms = of_cost(options, problem).into_iter().chain(of_free_parameters(options, problem));
+    let given = terms.filter(|term| (beside.is_given)(term.field));
     let of_priors = [
-        ("--priors", agree_on_defaults(arguments.priors, problem)),
-        ("--prior", agree_on_stated(&options, problem)),
+        ("--priors", agree_on_defaults(beside.default_priors, problem)),
+        ("--prior", agree_on_stated(options, problem)),
     ];
     let of_priors = of_priors.map(|(flag, agrees)| Term {
         field: "priors",
@@ -73,7 +71,7 @@ pub(super) fn refuse_other_cost(
         flag: "--board-shape",
         file: io::PROBLEM,
         key: "board",
-        agrees: agree_on_shape(arguments.board_shape.as_deref(), problem)?,
+        agrees: agree_on_shape(beside.board_shape, problem)?,
     };
     match given.chain(of_priors).chain([of_shape]).find(|term| !term.agrees) {
         Some(Term { flag, file, key, .. }) => Err(Error::invalid(format!(
@@ -160,14 +158,10 @@ fn of_free_parameters(options: &CalibrationOptions, problem: &SolvedProblem) -> 
 }
 
 /// Whether the default priors are wanted where the problem has some of them, and not where it has none.
-fn agree_on_defaults(wanted: Option<DefaultPriors>, problem: &SolvedProblem) -> bool {
+fn agree_on_defaults(wanted: Option<bool>, problem: &SolvedProblem) -> bool {
     let is_default = |prior: &Prior| ["F", "m", "u0", "v0"].contains(&prior.quantity.as_str());
     let has_some = problem.cost.priors.iter().any(is_default);
-    match wanted {
-        None => true,
-        Some(DefaultPriors::Default) => has_some,
-        Some(DefaultPriors::None) => !has_some,
-    }
+    wanted.is_none_or(|wanted| wanted == has_some)
 }
 
 /// Whether the problem has all priors that are stated, and none that is taken away.
