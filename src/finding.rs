@@ -696,9 +696,15 @@ fn lens_types_text(white_px: &[f64], camera_px: &[f64], permuted: Option<&[usize
     )
 }
 
-/// Numbers in a row.
-fn list(numbers: &[u32]) -> String {
-    numbers.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+/// Numbers of more frames say no more than how many they are.
+const MOST_LISTED: usize = 20;
+
+/// Numbers of frames in a row, the first ones of many.
+pub(crate) fn list(numbers: &[u32]) -> String {
+    let first: Vec<String> = numbers.iter().take(MOST_LISTED).map(u32::to_string).collect();
+    let more = numbers.len() - first.len();
+    let and_more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    first.join(", ") + &and_more
 }
 
 fn prior_text(

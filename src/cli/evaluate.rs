@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use plenocal::assessment::{
-    Candidate, Evaluation, EvaluationInput, Folds, check_camera, check_distances, evaluate,
+    Candidate, DistanceCheck, Evaluation, EvaluationInput, Folds, check_camera, evaluate,
     foldable_frames,
 };
 use plenocal::detection::DepthEstimator;
@@ -92,10 +92,9 @@ pub fn calibrated(path: &Path) -> Result<PlenopticCamera> {
     }
 }
 
-/// A finding about points at some distances, or about rays at one, that lie far off the boards that a camera was calibrated with.
-pub fn beyond_boards(camera: &Path, distances_mm: &[f64]) -> Result<Option<Finding>> {
-    let boards_mm = io::read_board_distances(camera)?;
-    Ok(boards_mm.and_then(|boards_mm| check_distances(boards_mm, distances_mm)))
+/// Counts points or rays that lie far off the boards that a camera was calibrated with; `None` if these are not known.
+pub fn distance_check(camera: &Path) -> Result<Option<DistanceCheck>> {
+    Ok(io::read_board_distances(camera)?.map(DistanceCheck::new))
 }
 
 /// Distances of the point clouds of a project, by frame.

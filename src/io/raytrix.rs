@@ -12,7 +12,7 @@ use roxmltree::{Document, Node};
 use super::read_text;
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
-use crate::model::{LatticeKind, MicroImageCenter, check_lens_types};
+use crate::model::{LatticeKind, MOST_PIXELS, MicroImageCenter, check_lens_types};
 use crate::precalibration::{lattice_centers, lattice_orientation};
 
 /// A micro-image array from a `RayCalibData` file.
@@ -181,8 +181,17 @@ impl RaytrixCalibration {
         issue.into_iter().map(Finding::caution).collect()
     }
 
-    /// All centres in an image of this size, px.
+    /// About how many centres an image of this size, px, has.
+    #[must_use]
+    pub fn centers_in(&self, width: u16, height: u16) -> f64 {
+        f64::from(width) * f64::from(height) / self.steps_px.determinant().abs()
+    }
+
+    /// All centres in an image of this size, px. An error if it has more pixels than any sensor.
     pub fn centers(&self, width: u16, height: u16) -> Result<Vec<MicroImageCenter>> {
+        if u64::from(width) * u64::from(height) > MOST_PIXELS {
+            return Err(Error::invalid(format!("no sensor has more than {MOST_PIXELS} pixels")));
+        }
         let origin = Self::middle(width, height) + self.offset_px;
         lattice_centers((width, height), &origin, &self.steps_px)
     }
