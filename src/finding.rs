@@ -805,6 +805,14 @@ mod tests {
     use super::*;
 
     #[test]
+    fn of_very_many_frames_the_first_are_listed() {
+        assert_eq!(list(&[3, 7, 11]), "3, 7, 11");
+        let all: Vec<u32> = (0..100_000).collect();
+        let text = list(&all);
+        assert!(text.starts_with("0, 1, 2, ") && text.ends_with(", 19 and 99980 more"), "{text}");
+    }
+
+    #[test]
     fn codes_are_unique_and_kebab_case() {
         let unique: HashSet<&&str> = Issue::CODES.iter().collect();
         assert_eq!(unique.len(), Issue::CODES.len());

@@ -74,8 +74,7 @@ pub fn read_candidate(
     shape: Option<&Path>,
 ) -> Result<Candidate> {
     let camera = calibrated(path)?;
-    // COMPOTE's files have none.
-    let std_devs = io::read_std_devs(path, camera.lens_types()).unwrap_or_default();
+    let std_devs = io::read_std_devs(path, camera.lens_types())?;
     let (board_shape, shape_std_devs) = board_shape(shape, Some(path), board)?.unwrap_or_default();
     Ok(Candidate { name: name.to_owned(), camera, std_devs, board_shape, shape_std_devs })
 }

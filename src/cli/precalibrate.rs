@@ -162,10 +162,8 @@ fn of_raytrix(
         Error::invalid(format!("in an image of {width} x {height} px: {e}; check --size"))
             .in_file(path)
     };
-    announce_memory(
-        "an array of so many micro-lenses",
-        maker.centers_in(width, height) * CENTER_BYTES,
-    );
+    let about = maker.number_of_centers(width, height).map_err(of_this_size)?;
+    announce_memory(&format!("an array of some {about:.0} micro-lenses"), about * CENTER_BYTES);
     let centers = maker.centers(width, height).map_err(of_this_size)?;
     let count =
         |index: fn(&MicroImageCenter) -> i32| centers.iter().map(index).max().unwrap_or(-1) + 1;

@@ -117,7 +117,9 @@ pub fn valid() -> ExitCode {
     for set in &SETS {
         let path = folder.path().join(set.target.file);
         for case in set.valid() {
-            println!("{}: {:?}", set.target.name, judge(&set.target, &path, &case));
+            let ends = judge(&set.target, &path, &case);
+            let reason = (set.target.read)(&path).err().map(|e| e.to_string());
+            println!("{}: {ends:?} {}", set.target.name, reason.unwrap_or_default());
         }
     }
     for line in Prepared::new(folder.path()).baseline() {

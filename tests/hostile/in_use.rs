@@ -13,8 +13,8 @@ use plenocal::assessment::{
 use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::detection::MicroImages;
 use plenocal::io::{
-    VirtualDepths, read_board, read_board_shape, read_camera, read_centers, read_features,
-    read_internal_parameters, read_point_cloud_distance, read_poses, read_std_devs,
+    CameraSource, VirtualDepths, read_board, read_board_shape, read_camera_source, read_centers,
+    read_features, read_internal_parameters, read_point_cloud_distance, read_poses, read_std_devs,
     read_true_board, read_virtual_depths, write_centers, write_features,
 };
 use plenocal::model::{Board, Observations, PlenopticCamera};
@@ -118,7 +118,15 @@ impl Folder {
     }
 
     fn camera(&self) -> Result<PlenopticCamera> {
-        read_camera(&self.one_of(&CAMERAS))
+        calibrated(&self.one_of(&CAMERAS))
+    }
+}
+
+/// Reads a camera as the commands do.
+fn calibrated(path: &Path) -> Result<PlenopticCamera> {
+    match read_camera_source(path)? {
+        CameraSource::Camera(camera) => Ok(*camera),
+        CameraSource::Datasheet(_) => Err(Error::invalid("a datasheet").in_file(path)),
     }
 }
 
@@ -155,13 +163,13 @@ fn rays(folder: &Folder) -> Result<String> {
     for (k, l) in found.iter().flatten() {
         assert!((0..lattice.columns).contains(k) && (0..lattice.rows).contains(l), "{k}, {l}");
     }
-    let mut text = String::new();
+    let mut all = Vec::new();
     for at_mm in distances(&camera) {
         let rays = pixel_rays(&camera, &pixels, at_mm)?;
         rays.iter().flatten().for_each(check_ray);
-        text += &format!("{rays:?}");
+        all.extend(rays);
     }
-    Ok(text)
+    Ok(format!("{all:?}"))
 }
 
 /// What is read as single-precision numbers has to be a ray too.
@@ -252,7 +260,7 @@ static COMPARE: Files = LazyLock::new(with_truth);
 
 fn compare(folder: &Folder) -> Result<String> {
     let path = folder.one_of(&CAMERAS);
-    let (camera, truth) = (read_camera(&path)?, read_camera(&folder.file(TRUTH))?);
+    let (camera, truth) = (calibrated(&path)?, calibrated(&folder.file(TRUTH))?);
     let std_devs = read_std_devs(&path, camera.lens_types())?;
     let at = distances(&truth);
     let there = compare_cameras((&truth, &[]), (&camera, &std_devs), &at)?;
@@ -331,8 +339,8 @@ static EVALUATE: Files = LazyLock::new(|| {
 
 fn evaluation(folder: &Folder) -> Result<String> {
     let path = folder.one_of(&CAMERAS);
-    let camera = read_camera(&path)?;
-    let std_devs = read_std_devs(&path, camera.lens_types()).unwrap_or_default();
+    let camera = calibrated(&path)?;
+    let std_devs = read_std_devs(&path, camera.lens_types())?;
     let board = board(folder)?;
     let shape = read_board_shape(&folder.file("calibration.json"), &board)?;
     let (board_shape, shape_std_devs) = shape.unwrap_or_default();
@@ -344,7 +352,7 @@ fn evaluation(folder: &Folder) -> Result<String> {
         evaluation: features.clone(),
         translation: Some((features, 5.0)),
         clouds_mm: vec![(0, cloud_mm), (1, 4.0)],
-        truth: Some(read_camera(&folder.file(TRUTH))?),
+        truth: Some(calibrated(&folder.file(TRUTH))?),
         true_board: Some(read_true_board(&folder.file("board.toml"))?),
         evaluation_poses: Some(read_poses(&folder.file("poses.json"))?),
         ..EvaluationInput::new(board)

@@ -8,10 +8,10 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use plenocal::io::{
     Project, read_camera, read_camera_source, read_centers, read_features,
-    read_internal_parameters, read_poses, read_true_board,
+    read_internal_parameters, read_poses, read_std_devs, read_true_board,
 };
-use plenocal::model::Noise;
-use plenocal::simulation::Settings;
+use plenocal::model::{FramePose, Noise};
+use plenocal::simulation::{DataSet, Settings};
 use plenocal::solver::{distortion_mm, synthesize};
 use predicates::str::contains;
 use tempfile::TempDir;
@@ -332,4 +332,29 @@ fn a_data_set_is_replaced_only_when_asked_for() {
     simulate(folder.path(), "boards.calibration=0", &["--force"]).success();
     assert!(!at("observed").exists() && !at("truth/calibration").exists());
     assert!(at("calibration/mine.png").exists());
+}
+
+#[test]
+fn a_simulation_has_no_more_given_poses_than_images() {
+    let settings = Settings::preset("mini", &[]).unwrap();
+    let pose = |frame| FramePose { frame, ..true_poses()[0] };
+    let plan = |count: u32| DataSet::plan(&settings, Some((0..count).map(pose).collect()));
+    assert!(plan(1000).is_ok());
+    assert_refused(plan(1001), &["1001 images of one kind", "the limit is 1000"]);
+}
+
+#[test]
+fn standard_deviations_of_a_camera_are_possible() {
+    let of = |value: &str| {
+        let mut camera = documents::CALIBRATED[0].clone();
+        let value: serde_json::Value = serde_json::from_str(value).unwrap();
+        camera["uncertainty"]["standard_deviations"]["F"]["value"] = value;
+        file("camera.json", camera.to_string())
+    };
+    assert!(read_std_devs(&of("0.01").path, 3).unwrap()[0].is_some());
+    assert_eq!(read_std_devs(&of("null").path, 3).unwrap()[0], None);
+    for value in ["0", "-0.01", "5e-324", "1e300"] {
+        let words = ["camera.json", "standard_deviations.F is ", "null"];
+        assert_refused(read_std_devs(&of(value).path, 3), &words);
+    }
 }

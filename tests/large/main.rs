@@ -23,7 +23,9 @@ fn main() -> ExitCode {
     let mut cases = cases();
     cases.retain(|case| parts.is_empty() || parts.iter().any(|part| case.name.contains(*part)));
     if options.iter().any(|option| *option == "--list") {
-        cases.iter().for_each(|case| println!("{}", case.name));
+        for case in &cases {
+            println!("{}", case.name);
+        }
         return ExitCode::SUCCESS;
     }
     let inputs = Inputs::new();
@@ -49,6 +51,8 @@ fn main() -> ExitCode {
         }
         inputs.clear();
     }
-    failed.iter().for_each(|name| println!("NOT AS EXPECTED: {name}"));
+    for name in &failed {
+        println!("NOT AS EXPECTED: {name}");
+    }
     if failed.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

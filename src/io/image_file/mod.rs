@@ -183,6 +183,16 @@ fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
             "this image of {width} x {height} px is empty: save it again"
         )));
     }
+    // A header may contradict itself, and a decoder follow one part of it where another is read here.
+    let count = match &samples {
+        Samples::Bits8(samples) => samples.len(),
+        Samples::Bits16(samples) => samples.len(),
+    };
+    if width.checked_mul(height).and_then(|pixels| pixels.checked_mul(stored.samples()))
+        != Some(count)
+    {
+        return Err(damaged("image"));
+    }
     let color = match (color, stored) {
         (None, stored) => stored,
         // A grey picture may be stored in three channels.
