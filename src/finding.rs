@@ -751,9 +751,15 @@ fn other_cost_text(problem: &str, differences: &[CostDifference]) -> String {
     format!("the cost is not that of the problem in {problem}: {}", all.join("; "))
 }
 
-/// Numbers in a row.
-fn list(numbers: &[u32]) -> String {
-    numbers.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+/// Numbers of more frames say no more than how many they are.
+const MOST_LISTED: usize = 20;
+
+/// Numbers of frames in a row, the first ones of many.
+pub(crate) fn list(numbers: &[u32]) -> String {
+    let first: Vec<String> = numbers.iter().take(MOST_LISTED).map(u32::to_string).collect();
+    let more = numbers.len() - first.len();
+    let and_more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    first.join(", ") + &and_more
 }
 
 fn prior_text(
@@ -852,6 +858,14 @@ mod tests {
     use std::collections::HashSet;
 
     use super::*;
+
+    #[test]
+    fn of_very_many_frames_the_first_are_listed() {
+        assert_eq!(list(&[3, 7, 11]), "3, 7, 11");
+        let all: Vec<u32> = (0..100_000).collect();
+        let text = list(&all);
+        assert!(text.starts_with("0, 1, 2, ") && text.ends_with(", 19 and 99980 more"), "{text}");
+    }
 
     #[test]
     fn codes_are_unique_and_kebab_case() {

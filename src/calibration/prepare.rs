@@ -12,7 +12,7 @@ use crate::calibration::{
     Weights, initial_camera,
 };
 use crate::error::{Error, Result};
-use crate::finding::{Finding, Issue};
+use crate::finding::{Finding, Issue, list};
 use crate::model::{BentBoard, Board, FramePose, Observations, PlenopticCamera};
 use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
 use crate::solver::CostOptions;
@@ -209,13 +209,12 @@ fn no_frame(left_out: &[LeftOut]) -> String {
                 the size of the squares (square_mm) and of a pixel (pixel_size_mm), and the focal length (focal_length_mm)"
             .to_owned();
     }
-    let mut by_reason: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    let mut by_reason: BTreeMap<String, Vec<u32>> = BTreeMap::new();
     for LeftOut { frame, reason, .. } in left_out {
-        by_reason.entry(reason.to_string()).or_default().push(frame.to_string());
+        by_reason.entry(reason.to_string()).or_default().push(*frame);
     }
     let reasons = by_reason.iter();
-    let reasons: Vec<String> = reasons
-        .map(|(reason, frames)| format!("{reason} (frames {})", frames.join(", ")))
-        .collect();
+    let reasons: Vec<String> =
+        reasons.map(|(reason, frames)| format!("{reason} (frames {})", list(frames))).collect();
     format!("no frame could be used: {}", reasons.join("; "))
 }

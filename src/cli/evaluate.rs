@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use plenocal::assessment::{
-    Candidate, Evaluation, EvaluationInput, Folds, check_camera, check_distances, evaluate,
+    Candidate, DistanceCheck, Evaluation, EvaluationInput, Folds, check_camera, evaluate,
     foldable_frames,
 };
 use plenocal::detection::DepthEstimator;
@@ -73,8 +73,7 @@ pub fn read_candidate(
     shape: Option<&Path>,
 ) -> Result<Candidate> {
     let camera = calibrated(path)?;
-    // COMPOTE's files have none.
-    let std_devs = io::read_std_devs(path, camera.lens_types()).unwrap_or_default();
+    let std_devs = io::read_std_devs(path, camera.lens_types())?;
     let (board_shape, shape_std_devs) = board_shape(shape, Some(path), board)?.unwrap_or_default();
     Ok(Candidate { name: name.to_owned(), camera, std_devs, board_shape, shape_std_devs })
 }
@@ -104,10 +103,9 @@ fn is_folder(path: &Path, cameras: &[PathBuf]) -> Error {
     Error::invalid(format!("it is a folder: {instead}")).in_file(path)
 }
 
-/// A finding about points at some distances, or about rays at one, that lie far off the boards that a camera was calibrated with.
-pub fn beyond_boards(camera: &Path, distances_mm: &[f64]) -> Result<Option<Finding>> {
-    let boards_mm = io::read_board_distances(camera)?;
-    Ok(boards_mm.and_then(|boards_mm| check_distances(boards_mm, distances_mm)))
+/// Counts points or rays that lie far off the boards that a camera was calibrated with; `None` if these are not known.
+pub fn distance_check(camera: &Path) -> Result<Option<DistanceCheck>> {
+    Ok(io::read_board_distances(camera)?.map(DistanceCheck::new))
 }
 
 /// Distances of the point clouds of a project, by frame.

@@ -8,7 +8,7 @@ use plenocal::io::{self, CameraSource, Project};
 use plenocal::model::{Board, BoardShape, Datasheet, Observations, SHAPE};
 use plenocal::{Error, Finding, Result};
 
-use super::messages::tell;
+use super::messages::{announce_calibration, tell};
 
 /// The files named on the command line.
 pub struct Files<'a> {
@@ -50,6 +50,7 @@ impl Input {
         }
         let rho = options.has_rho() && options.mode != Mode::CornersOnly && start.lens_types() > 0;
         let (observations, sources) = observations(files, project, rho)?;
+        announce_calibration(&observations.features);
         Ok(Self { start, board, observations, options, sources })
     }
 

@@ -26,7 +26,7 @@ use serde_json::{Value, json};
 use super::boards::{self, Options, Shoot, images_of};
 use super::calibrate::{compared, stage_results, status, with_method};
 use super::evaluate::{calibrated, clouds, evaluated};
-use super::messages::{print_result, say, tell};
+use super::messages::{announce_calibration, print_result, say, tell};
 use super::precalibrate;
 
 /// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
@@ -324,6 +324,7 @@ impl<'a> Run<'a> {
         let begun = Instant::now();
         let board = &self.shoot.board;
         let Observed { start, observations } = observed;
+        announce_calibration(&observations.features);
         let result = calibrate(start, board, observations, options, &mut |_| true)?;
         let assessment = assess(&result, board)?;
         tell(&result.findings);

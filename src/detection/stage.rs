@@ -18,8 +18,8 @@ use crate::image::{Grey, RawImage};
 use crate::model::{SampleLevels, Sensor, Subset};
 use crate::quantity::Estimate;
 
-/// Frames that are in memory at once.
-const AT_ONCE: usize = 4;
+/// Number of frames that [`detect`] has in memory at once.
+pub const AT_ONCE: usize = 4;
 
 /// The first frames with a board are searched so many times, until the aperture ratio that their edges show is that which
 /// corners are fitted with.

@@ -50,7 +50,7 @@ pub use detection_file::detection_document;
 pub use evaluation_file::evaluation_document;
 pub use first_look::{doubtful_files, first_look, repeated};
 pub use folder_lock::FolderLock;
-pub use image_file::{image_findings, read_image, write_jpeg, write_png};
+pub use image_file::{image_bytes, image_findings, read_image, write_jpeg, write_png};
 pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{
     CameraSource, read_array_size, read_board, read_camera_source, read_internal_parameters,
@@ -60,8 +60,8 @@ pub use json_file::read_json;
 pub use manifest::{MANIFEST, Manifest, StageRecord};
 pub use npy_file::NpyHeader;
 pub use observations_file::{line_of, read_centers, read_features, write_centers, write_features};
-pub use output::{OutputFolder, abandon_output};
-pub use ply_file::{PlyColumn, write_ply};
+pub use output::{OutputFolder, StagedFile, abandon_output};
+pub use ply_file::{PlyColumn, PlyWriter};
 pub use point_cloud::read_point_cloud_distance;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
 pub use precalibration_file::{

@@ -112,7 +112,7 @@ pub fn precalibration() -> Value {
             "standard_deviations": { "m_mm": 1e-4, "q_prime_mm": [1e-5, 2e-5, 3e-5] },
             "pupil_growth": 0.01,
             "aperture_ratio": { "value": 0.92, "std_dev": 0.005 },
-            "levels": { "black_level": 16.0, "saturation_level": 255.0 },
+            "levels": { "bits": 8, "black_level": 16.0, "saturation_level": 255.0 },
             "rms_px": 0.02,
         },
     })

@@ -6,18 +6,20 @@ use std::path::{Path, PathBuf};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use nalgebra::Vector2;
+use plenocal::image::Samples;
 use plenocal::io::{
-    Project, read_camera, read_camera_source, read_centers, read_features,
-    read_internal_parameters, read_poses, read_true_board,
+    Project, read_camera, read_camera_source, read_centers, read_features, read_image,
+    read_internal_parameters, read_poses, read_std_devs, read_true_board,
 };
-use plenocal::model::Noise;
-use plenocal::simulation::Settings;
-use plenocal::solver::{distortion_mm, synthesize};
+use plenocal::model::{FramePose, Noise};
+use plenocal::simulation::{DataSet, Settings};
+use plenocal::solver::{distortion_mm, pixel_rays, synthesize};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use tempfile::TempDir;
 
-use crate::hostile::documents;
+use crate::hostile::{corpus, documents};
 use crate::support::{NO_NOISE, board, plenocal, synthetic_folder, true_camera, true_poses};
 
 /// A file with this content.
@@ -389,4 +391,59 @@ fn a_data_set_is_replaced_only_when_asked_for() {
     simulate(folder.path(), "boards.calibration=0", &["--force"]).success();
     assert!(!at("observed").exists() && !at("truth/calibration").exists());
     assert!(at("calibration/mine.png").exists());
+}
+
+#[test]
+fn a_simulation_has_no_more_given_poses_than_images() {
+    let settings = Settings::preset("mini", &[]).unwrap();
+    let pose = |frame| FramePose { frame, ..true_poses()[0] };
+    let plan = |count: u32| DataSet::plan(&settings, Some((0..count).map(pose).collect()));
+    assert!(plan(1000).is_ok());
+    assert_refused(plan(1001), &["1001 images of one kind", "the limit is 1000"]);
+}
+
+#[test]
+fn standard_deviations_of_a_camera_are_possible() {
+    let of = |value: &str| {
+        let mut camera = documents::CALIBRATED[0].clone();
+        let value: serde_json::Value = serde_json::from_str(value).unwrap();
+        camera["uncertainty"]["standard_deviations"]["F"]["value"] = value;
+        file("camera.json", camera.to_string())
+    };
+    assert!(read_std_devs(&of("0.01").path, 3).unwrap()[0].is_some());
+    assert_eq!(read_std_devs(&of("null").path, 3).unwrap()[0], None);
+    for value in ["0", "-0.01", "5e-324", "1e300"] {
+        let words = ["camera.json", "standard_deviations.F is ", "null"];
+        assert_refused(read_std_devs(&of(value).path, 3), &words);
+    }
+}
+
+/// Squares of its lengths are 0, and rays of it have no direction.
+#[test]
+fn a_camera_of_a_tiny_focal_length_has_no_rays() {
+    let mut camera = true_camera();
+    camera.main_lens.focal_length_mm = 1e-308;
+    let pixels = [Vector2::new(500.0, 400.0)];
+    assert_eq!(pixel_rays(&camera, &pixels, 1.01e-308).unwrap(), [None]);
+    assert!(pixel_rays(&true_camera(), &pixels, 90.0).unwrap()[0].is_some());
+}
+
+/// Of a damaged file the decoder takes fewer samples than the image has pixels.
+#[test]
+fn images_have_as_many_samples_as_pixels() {
+    let tiff = corpus::images().swap_remove(1);
+    // The tag of the channels is lost, and a strip is said to have 41667 rows.
+    let mut damaged = tiff.clone();
+    let place = |entry: &[u8]| tiff.windows(entry.len()).rposition(|part| part == entry).unwrap();
+    damaged[place(&[0x15, 1, 3, 0])] = 0;
+    damaged[place(&[0x15, 1, 3, 0]) + 1] = 0;
+    let rows = place(&[0x16, 1, 4, 0]) + 8;
+    damaged[rows..rows + 3].copy_from_slice(&[0xc3, 0xa2, 0]);
+    for bytes in [tiff, damaged] {
+        let file = file("image.tif", bytes);
+        if let Ok(image) = read_image(&file.path, None) {
+            let Samples::Bits8(samples) = image.samples else { panic!("of 8 bits") };
+            assert_eq!(samples.len(), image.width * image.height);
+        }
+    }
 }
