@@ -100,8 +100,8 @@ pub fn cases() -> Vec<Case> {
             let features = inputs.results("boards-calibration/features.csv");
             inputs.poses_only(&inputs.large_board(), &features, &[])
         }),
-        case("extrinsics: 500 images", true, |inputs| {
-            inputs.with_camera("extrinsics", &inputs.many_frames(500))
+        case("extrinsics: 200 images", true, |inputs| {
+            inputs.with_camera("extrinsics", &inputs.many_frames(200))
         }),
         case("evaluate: a cloud of three million points", true, |inputs| {
             inputs.with_camera("evaluate", &inputs.with_clouds())
