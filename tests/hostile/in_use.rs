@@ -325,8 +325,10 @@ fn extrinsics(folder: &Folder) -> Result<String> {
         .of_poses_only(shape.unwrap_or_default().0);
     let result = calibrate(&Start::Camera(camera), &board, &observations, &options, &mut |_| true)?;
     let assessment = assess(&result, &board)?;
-    let uncertainty = &result.uncertainty;
-    Ok(format!("{findings:?} {:?} {uncertainty:?} {:?}", result.poses, assessment.findings))
+    let poses = &result.poses;
+    let of_pose = |i| result.uncertainty.pose_std_devs(i);
+    let std_devs: Vec<[f64; 6]> = (0..poses.len()).map(of_pose).collect();
+    Ok(format!("{findings:?} {poses:?} {std_devs:?} {:?}", assessment.findings))
 }
 
 static EVALUATE: Files = LazyLock::new(|| {

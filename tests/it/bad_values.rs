@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use nalgebra::Vector2;
+use plenocal::assessment::compare_cameras;
 use plenocal::image::Samples;
 use plenocal::io::{
     Project, read_camera, read_camera_source, read_centers, read_features, read_image,
@@ -418,14 +419,19 @@ fn standard_deviations_of_a_camera_are_possible() {
     }
 }
 
-/// Squares of its lengths are 0, and rays of it have no direction.
+/// Squares of such lengths are 0: rays had no direction, and blur radii were infinite.
 #[test]
-fn a_camera_of_a_tiny_focal_length_has_no_rays() {
-    let mut camera = true_camera();
-    camera.main_lens.focal_length_mm = 1e-308;
+fn lengths_of_a_camera_are_not_tiny() {
+    let camera = true_camera();
     let pixels = [Vector2::new(500.0, 400.0)];
-    assert_eq!(pixel_rays(&camera, &pixels, 1.01e-308).unwrap(), [None]);
-    assert!(pixel_rays(&true_camera(), &pixels, 90.0).unwrap()[0].is_some());
+    assert!(pixel_rays(&camera, &pixels, 90.0).unwrap()[0].is_some());
+    let mut short = camera.clone();
+    short.main_lens.focal_length_mm = 1e-308;
+    assert_refused(pixel_rays(&short, &pixels, 1.01e-308), &["1e-308", "correct it"]);
+    let mut strong = camera.clone();
+    strong.mla.focal_lengths_mm[1] = 5e-324;
+    let compared = compare_cameras((&camera, &[]), (&strong, &[]), &[80.0]);
+    assert_refused(compared, &["5e-324", "correct it"]);
 }
 
 /// Of a damaged file the decoder takes fewer samples than the image has pixels.

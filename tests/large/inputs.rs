@@ -83,13 +83,13 @@ pub fn cases() -> Vec<Case> {
         case("run: images of 16384 x 16384 px", false, |inputs| {
             vec!["run".to_owned(), inputs.large_project()]
         }),
-        case("calibrate: 300 000 features", true, |inputs| {
-            let mut all = inputs.calibrate(&inputs.many_features(300_000));
+        case("calibrate: 200 000 features", true, |inputs| {
+            let mut all = inputs.calibrate(&inputs.many_features(200_000));
             all.extend(["--max-iterations".to_owned(), "2".to_owned()]);
             all
         }),
-        case("calibrate: poses of 300 000 features", true, |inputs| {
-            let features = inputs.many_features(300_000);
+        case("calibrate: poses of 100 000 features", true, |inputs| {
+            let features = inputs.many_features(100_000);
             inputs.poses_only(&inputs.project(), &features, &[])
         }),
         case("calibrate: poses of 100 000 frames", true, |inputs| {
@@ -100,8 +100,8 @@ pub fn cases() -> Vec<Case> {
             let features = inputs.results("boards-calibration/features.csv");
             inputs.poses_only(&inputs.large_board(), &features, &[])
         }),
-        case("extrinsics: 500 images", true, |inputs| {
-            inputs.with_camera("extrinsics", &inputs.many_frames(500))
+        case("extrinsics: 200 images", true, |inputs| {
+            inputs.with_camera("extrinsics", &inputs.many_frames(200))
         }),
         case("evaluate: a cloud of three million points", true, |inputs| {
             inputs.with_camera("evaluate", &inputs.with_clouds())

@@ -41,18 +41,23 @@ impl Measured {
             String::from_utf8_lossy(&said).into_owned()
         });
         let mut peak_bytes = 0;
+        let mut is_too_long = false;
         let status = loop {
             peak_bytes = peak_bytes.max(high_water(&child).unwrap_or(0));
             if let Some(status) = child.try_wait().expect("a child can be waited for") {
                 break status;
             }
             if begun.elapsed() > PATIENCE {
+                is_too_long = true;
                 let _ = child.kill();
             }
             thread::sleep(INTERVAL);
         };
         let seconds = begun.elapsed().as_secs_f64();
-        let said = listener.join().expect("the listener does not panic");
+        let mut said = listener.join().expect("the listener does not panic");
+        if is_too_long {
+            said.insert_str(0, "ended: it takes too long\n");
+        }
         Self { status: status.code(), peak_bytes, seconds, said }
     }
 }
