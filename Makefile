@@ -12,7 +12,7 @@ MAKEFLAGS += --no-print-directory
 # The C++ programs of the tests and benchmarks.
 export PLENOCAL_EXAMPLES = $(CURDIR)/$(BUILD)/examples
 
-.PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-misuse test-faults fuzz \
+.PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-misuse test-faults test-large fuzz \
         test-cpp test-rust lint bench sanitizers doc doc-cpp data figures format clean
 
 help:
@@ -23,7 +23,8 @@ help:
 	@echo "make test-misuse    what becomes of 308 uses of a calibrated camera, wrong and right ones (some minutes)"
 	@echo "make test-mistakes  what becomes of 470 users' mistakes and 100 clean sets (an hour)"
 	@echo "make test-faults  kills, full and broken disks, pipes and links (some minutes)"
-	@echo "make fuzz       a million damaged files, solves and runs (ten minutes); FUZZ=\"--cases N\" or a target"
+	@echo "make test-large   memory of every command on the largest input that it accepts (an hour; 20 GB of disk)"
+	@echo "make fuzz       a million damaged files, solves, cameras in use and runs (half an hour); FUZZ=\"--cases N\" or a target"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program, and how it grows (a quarter of an hour)"
 	@echo "make sanitizers the C++ tests with address, undefined-behaviour and thread sanitizers, and shared"
@@ -88,6 +89,10 @@ test-mistakes: deps
 test-faults: deps
 	cargo test --release --test faults
 
+# LARGE="part of a name" runs some of them.
+test-large: deps
+	cargo test --release --test large -- $(if $(LARGE),"$(LARGE)")
+
 # FUZZ="--cases N", "--from N", names of targets; "--show TARGET CASE" prints a case.
 fuzz: deps
 	cargo test --release --test fuzz -- $(FUZZ)
@@ -101,7 +106,7 @@ lint: deps
 	  --log-level=WARNING
 	cmake --build build/lint --parallel $(JOBS)
 	cargo clippy --release --all-targets -- -D warnings
-	cargo clippy --release --test mistakes --test misuse --test faults --test fuzz -- -D warnings
+	cargo clippy --release --test mistakes --test misuse --test faults --test fuzz --test large -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps --document-private-items
 
 bench: cpp

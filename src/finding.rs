@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
 
-use crate::quantity::{Estimate, display_unit};
+use crate::quantity::{Estimate, display_unit, fixed, fixed_signed};
 
 /// The consequence of a finding for the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -47,6 +47,46 @@ pub enum Subject {
     },
     /// A part of the work, such as `point clouds` or the name of a camera that is evaluated.
     Part(String),
+}
+
+/// An order in which the corners of a board may be numbered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CornerNumbering {
+    /// row · columns + column, from 0: that of features.
+    RowByRow,
+    /// column · rows + row, from 0.
+    ColumnByColumn,
+    /// Row by row, from 1.
+    FromOne,
+    /// Row by row, from -1.
+    FromMinusOne,
+}
+
+impl CornerNumbering {
+    /// All of them.
+    pub const ALL: [Self; 4] =
+        [Self::RowByRow, Self::ColumnByColumn, Self::FromOne, Self::FromMinusOne];
+
+    fn words(self) -> &'static str {
+        match self {
+            Self::RowByRow => "row by row",
+            Self::ColumnByColumn => "column by column (column · rows + row)",
+            Self::FromOne => "from 1 on",
+            Self::FromMinusOne => "from -1 on",
+        }
+    }
+}
+
+/// A term of the cost in which an evaluation differs from a problem.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct CostDifference {
+    /// The option of a calibration that decides on it, as in `[calibration]` of a project file.
+    pub option: &'static str,
+    /// The term in the problem, in words.
+    pub problem: String,
+    /// The term in the evaluation, in words.
+    pub here: String,
 }
 
 /// Something to tell about an input or a result.
@@ -390,7 +430,7 @@ issues! {
         NOTHING_MOVED;
     /// Boards are shifted against the white image.
     OtherOrigin "other-origin" { shift_px: [f64; 2] } =>
-        format!("micro-images are shifted by ({:.2}, {:.2}) px against the white image: something has moved in the camera, or one of the images was cropped", shift_px[0], shift_px[1]),
+        format!("micro-images are shifted by ({}, {}) px against the white image: something has moved in the camera, or one of the images was cropped", fixed(shift_px[0], 2), fixed(shift_px[1], 2)),
         "take white images with the camera in the state of the boards";
 
     // A frame without a board.
@@ -489,6 +529,14 @@ issues! {
 
     // Calibrations.
 
+    /// The corners of features are numbered in another order.
+    NumberedOtherwise "numbered-otherwise" { numbering: CornerNumbering, misfit: f64, row_by_row: f64, columns: i32, rows: i32 } =>
+        format!("the corners of the features seem to be numbered {}: so numbered, the features lie where a board of {columns} x {rows} corners has them, to {:.0} % of their spread, but as row · columns + column only to {:.0} %", numbering.words(), 100.0 * misfit, 100.0 * row_by_row),
+        format!("number corners row by row from 0: corner = row · columns + column, with {columns} columns (cluster in the file of the features); or correct columns and rows of the board");
+    /// A solution that is no minimum was evaluated by another cost than that of the problem beside it.
+    OtherCost "other-cost" { problem: String, differences: Vec<CostDifference> } =>
+        other_cost_text(problem, differences),
+        "evaluate the solution with the cost of the problem";
     /// The calibration is not at a minimum.
     NotConverged "not-converged" =>
         "it has not converged", NONE;
@@ -521,7 +569,7 @@ issues! {
         "see its report, and calibrate it again";
     /// The micro-image centres of a camera in use are not those of the white images.
     CentersContradicted "centers-contradicted" { rms_px: f64, shift_px: [f64; 2], pitch_px: f64 } =>
-        format!("the micro-image centres of the camera are {rms_px:.2} px RMS off those of the white images, of which ({:+.2}, {:+.2}) px are a shift", shift_px[0], shift_px[1]),
+        format!("the micro-image centres of the camera are {rms_px:.2} px RMS off those of the white images, of which ({}, {}) px are a shift", fixed_signed(shift_px[0], 2), fixed_signed(shift_px[1], 2)),
         "use the camera with images of the same camera, neither cropped, turned nor resized since its calibration; if array or sensor have moved, calibrate it again";
     /// The blur radii of the lens types of a camera in use are not those of the white images.
     LensTypesContradicted "lens-types-contradicted" { white_images_px: Vec<f64>, camera_px: Vec<f64>, permuted: Option<Vec<usize>> } =>
@@ -692,9 +740,22 @@ fn lens_types_text(white_px: &[f64], camera_px: &[f64], permuted: Option<&[usize
     )
 }
 
-/// Numbers in a row.
-fn list(numbers: &[u32]) -> String {
-    numbers.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+fn other_cost_text(problem: &str, differences: &[CostDifference]) -> String {
+    let of =
+        |d: &CostDifference| format!("the problem has {}, this evaluation {}", d.problem, d.here);
+    let all: Vec<String> = differences.iter().map(of).collect();
+    format!("the cost is not that of the problem in {problem}: {}", all.join("; "))
+}
+
+/// Numbers of more frames say no more than how many they are.
+const MOST_LISTED: usize = 20;
+
+/// Numbers of frames in a row, the first ones of many.
+pub(crate) fn list(numbers: &[u32]) -> String {
+    let first: Vec<String> = numbers.iter().take(MOST_LISTED).map(u32::to_string).collect();
+    let more = numbers.len() - first.len();
+    let and_more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    first.join(", ") + &and_more
 }
 
 fn prior_text(
@@ -793,6 +854,14 @@ mod tests {
     use std::collections::HashSet;
 
     use super::*;
+
+    #[test]
+    fn of_very_many_frames_the_first_are_listed() {
+        assert_eq!(list(&[3, 7, 11]), "3, 7, 11");
+        let all: Vec<u32> = (0..100_000).collect();
+        let text = list(&all);
+        assert!(text.starts_with("0, 1, 2, ") && text.ends_with(", 19 and 99980 more"), "{text}");
+    }
 
     #[test]
     fn codes_are_unique_and_kebab_case() {

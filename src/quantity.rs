@@ -76,14 +76,40 @@ pub(crate) fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64
     }
 }
 
+/// A number with so many decimals. A value that rounds to 0 has no sign.
+#[must_use]
+pub fn fixed(value: f64, decimals: usize) -> String {
+    plain_zero(format!("{value:.decimals$}"))
+}
+
+/// The same with the sign of positive values too.
+pub(crate) fn fixed_signed(value: f64, decimals: usize) -> String {
+    plain_zero(format!("{value:+.decimals$}"))
+}
+
+/// A number with so many significant digits; with a power of ten where it is below 0.001, or too large for these digits and
+/// two more.
+#[must_use]
+pub fn significant(value: f64, digits: usize) -> String {
+    let most = i32::try_from(digits.max(1)).unwrap_or(i32::MAX - 2);
+    match decade(value) {
+        decade if (-3..most + 2).contains(&decade) => {
+            fixed(value, usize::try_from(most - 1 - decade).unwrap_or(0))
+        }
+        _ => format!("{value:.precision$e}", precision = digits.max(1) - 1),
+    }
+}
+
 /// A signed value with three significant digits.
 pub(crate) fn signed(value: f64) -> String {
-    match decade(value) {
-        d if (-3..3).contains(&d) => {
-            format!("{value:+.precision$}", precision = usize::try_from(2 - d).unwrap_or(0))
-        }
-        _ => format!("{value:+.2e}"),
-    }
+    let text = significant(value, 3);
+    if value > 0.0 { format!("+{text}") } else { text }
+}
+
+/// The text of a number, without a sign if it is 0.
+fn plain_zero(text: String) -> String {
+    let is_zero = text.contains('0') && !text.contains(|c| ('1'..='9').contains(&c));
+    if is_zero { text.trim_start_matches(['-', '+']).to_owned() } else { text }
 }
 
 /// A positive value with two significant digits; `-` for any other.
@@ -108,11 +134,11 @@ pub(crate) fn with_std_dev(value: f64, std_dev: Option<f64>) -> (String, String)
         }
         Some(s) => {
             let precision = digits(s, 2);
-            (format!("{value:.precision$}"), format!("{s:.precision$}"))
+            (fixed(value, precision), fixed(s, precision))
         }
         None if value == 0.0 => ("0".to_owned(), String::new()),
         None if decade(value) < -3 => (format!("{value:.5e}"), String::new()),
-        None => (format!("{value:.precision$}", precision = digits(value, 6)), String::new()),
+        None => (fixed(value, digits(value, 6)), String::new()),
     }
 }
 
@@ -135,6 +161,28 @@ mod tests {
         assert_eq!(text(-3.3352e-8, Some(6.9e-8)), ("-3.3e-8".into(), "6.9e-8".into()));
         assert_eq!(text(0.0, None), ("0".into(), String::new()));
         assert_eq!(text(318.632_4, None), ("318.632".into(), String::new()));
+    }
+
+    #[test]
+    fn zeros_have_no_sign() {
+        assert_eq!(fixed(-0.000_04, 3), "0.000");
+        assert_eq!(fixed(-0.0, 0), "0");
+        assert_eq!(fixed(-0.04, 2), "-0.04");
+        assert_eq!(fixed_signed(-0.000_04, 3), "0.000");
+        assert_eq!(fixed_signed(0.04, 2), "+0.04");
+        assert_eq!(with_std_dev(-1e-5, Some(0.1)).0, "0.00");
+    }
+
+    #[test]
+    fn powers_of_ten_are_for_what_is_very_small_or_large() {
+        assert_eq!(significant(7.9, 2), "7.9");
+        assert_eq!(significant(44.576, 4), "44.58");
+        assert_eq!(significant(0.001_234, 2), "0.0012");
+        assert_eq!(significant(1.234e-5, 2), "1.2e-5");
+        assert_eq!(significant(43210.0, 2), "4.3e4");
+        assert_eq!(significant(4321.0, 2), "4321");
+        assert_eq!(significant(0.0, 2), "0.0");
+        assert_eq!(significant(-0.0, 3), "0.00");
     }
 
     #[test]

@@ -123,7 +123,7 @@ Iteration from_core(const plenocal::Iteration& i) {
 
 }  // namespace
 
-void silence_log() { FLAGS_minloglevel = google::GLOG_ERROR; }
+void silence_log() { FLAGS_minloglevel = google::GLOG_FATAL; }
 
 rust::Vec<NamedParameter> parameters(const CameraParts& parts, const BoardParts& board) {
   const Camera camera = to_core(parts);

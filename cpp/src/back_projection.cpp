@@ -31,6 +31,12 @@ bool is_finite(const Vector3<double>& v) {
   return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
 }
 
+/// Whether a ray has an origin and a direction: squares of lengths such as 1e-200 mm are 0.
+bool is_ray(const Ray<double>& ray) {
+  constexpr double rounding = 1e-6;
+  return is_finite(ray.origin) && std::abs(dot(ray.direction, ray.direction) - 1.0) < rounding;
+}
+
 bool is_finite(const Pixel<double>& p) { return std::isfinite(p.u) && std::isfinite(p.v); }
 
 Vector3<Jet> constant(const Vector3<double>& v) { return {Jet(v.x), Jet(v.y), Jet(v.z)}; }
@@ -239,14 +245,14 @@ std::optional<Ray<double>> BackProjection::ray_behind(const MicroPixel& at,
   const auto lens = micro_lens(at.k, at.l);
   if (!lens || !is_finite(at.pixel)) return std::nullopt;
   const Ray<double> ray = plenocal::ray_behind(optics_, *lens, at.pixel, aperture);
-  return is_finite(ray.direction) && is_finite(ray.origin) ? std::optional(ray) : std::nullopt;
+  return is_ray(ray) ? std::optional(ray) : std::nullopt;
 }
 
 std::optional<Ray<double>> BackProjection::object_ray(const MicroPixel& at, double z) const {
   const auto lens = micro_lens(at.k, at.l);
   if (!lens || !is_finite(at.pixel) || !std::isfinite(z)) return std::nullopt;
   const auto ray = plenocal::object_ray(optics_, *lens, at.pixel, z);
-  return ray && is_finite(ray->direction) && is_finite(ray->origin) ? ray : std::nullopt;
+  return ray && is_ray(*ray) ? ray : std::nullopt;
 }
 
 std::optional<MetricPoint> BackProjection::point(const VirtualPoint& seen) const {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "gram.hpp"
+#include "parallel.hpp"
 
 namespace plenocal {
 namespace {
@@ -18,9 +19,9 @@ void pack(const double* from, int rows, int size, int width, double* to) {
   }
 }
 
-class Compressed : public ceres::CostFunction {
+class CompressedCost : public Compressed {
  public:
-  explicit Compressed(const ceres::CostFunction& of) : of_(of) {
+  explicit CompressedCost(const ceres::CostFunction& of) : of_(of) {
     *mutable_parameter_block_sizes() = of.parameter_block_sizes();
     for (int size : of.parameter_block_sizes()) parameters_ += size;
     set_num_residuals(parameters_ + 1);
@@ -28,6 +29,37 @@ class Compressed : public ceres::CostFunction {
 
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override {
+    if (!is_prepared_) return evaluate(parameters, residuals, jacobians);
+    if (!is_defined_) return false;
+    std::copy(residuals_.begin(), residuals_.end(), residuals);
+    if (jacobians == nullptr) return true;
+    const double* from = jacobian_.data();
+    for (std::size_t k = 0; k < parameter_block_sizes().size(); ++k) {
+      const std::size_t size =
+          static_cast<std::size_t>(num_residuals()) * parameter_block_sizes()[k];
+      if (jacobians[k] != nullptr) std::copy_n(from, size, jacobians[k]);
+      from += size;
+    }
+    return true;
+  }
+
+  void prepare(double const* const* parameters, const std::vector<bool>& constant,
+               bool with_jacobian) override {
+    const auto& sizes = parameter_block_sizes();
+    residuals_.resize(num_residuals());
+    jacobian_.resize(static_cast<std::size_t>(num_residuals()) * parameters_);
+    std::vector<double*> parts;
+    double* next = jacobian_.data();
+    for (std::size_t k = 0; k < sizes.size(); ++k) {
+      parts.push_back(constant[k] ? nullptr : next);
+      next += static_cast<std::size_t>(num_residuals()) * sizes[k];
+    }
+    is_defined_ = evaluate(parameters, residuals_.data(), with_jacobian ? parts.data() : nullptr);
+    is_prepared_ = true;
+  }
+
+ private:
+  bool evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
     const int n = of_.num_residuals(), rows = num_residuals();
     thread_local std::vector<double> values, packed;
     values.resize(static_cast<std::size_t>(n) * (parameters_ + 1));
@@ -65,7 +97,6 @@ class Compressed : public ceres::CostFunction {
     return true;
   }
 
- private:
   // B with B'B = (J, r)'(J, r), from residuals and the parts of J; not finite if these are not.
   Eigen::MatrixXd factor(const double* residuals, const std::vector<double*>& parts, int width,
                          std::vector<double>* packed) const {
@@ -107,12 +138,27 @@ class Compressed : public ceres::CostFunction {
 
   const ceres::CostFunction& of_;
   int parameters_ = 0;
+  // What `prepare` has found.
+  bool is_prepared_ = false, is_defined_ = false;
+  std::vector<double> residuals_, jacobian_;
 };
 
 }  // namespace
 
-std::unique_ptr<ceres::CostFunction> compressed(const ceres::CostFunction& of) {
-  return std::make_unique<Compressed>(of);
+std::unique_ptr<Compressed> compressed(const ceres::CostFunction& of) {
+  return std::make_unique<CompressedCost>(of);
+}
+
+void AllAtOnce::add(Compressed* cost, const std::vector<double*>& parameters,
+                    const std::vector<bool>& constant) {
+  blocks_.push_back({cost, parameters, constant});
+}
+
+void AllAtOnce::PrepareForEvaluation(bool with_jacobians, bool) {
+  in_parallel(static_cast<int>(blocks_.size()), threads_, [&](int i) {
+    const Block& block = blocks_[i];
+    block.cost->prepare(block.parameters.data(), block.constant, with_jacobians);
+  });
 }
 
 }  // namespace plenocal

@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "compressed.hpp"
 #include "plenocal/problem.hpp"
 #include "plenocal/residuals.hpp"
 
@@ -59,7 +60,8 @@ class LeastSquares {
   std::vector<Pose> poses() const;
   Pose camera_from_first() const { return pose_from_block(camera_from_first_); }
 
-  std::unique_ptr<ceres::Problem> compressed() const;
+  /// With a callback, which has to live as long, blocks are evaluated by its threads.
+  std::unique_ptr<ceres::Problem> compressed(AllAtOnce* all_at_once = nullptr) const;
   Evaluation evaluate() const;
   Eigen::VectorXd state() const;
   void set_state(const Eigen::VectorXd& state);

@@ -86,12 +86,6 @@ fn blur_radii_px(internal: &InternalParameters, pitch_px: f64, pixel_size_mm: f6
     internal.q_prime_mm.iter().map(blur).collect()
 }
 
-/// Checks the distances (mm) of points or rays against those of the nearest and furthest board of the calibration.
-#[must_use]
-pub fn check_distances(boards_mm: [f64; 2], distances_mm: &[f64]) -> Option<Finding> {
-    checks::distances(boards_mm, distances_mm)
-}
-
 /// Checks the points of corners against each other, where their features state σ.
 #[must_use]
 pub fn check_corners(corners: &Corners, features: &[BapFeature]) -> Option<Finding> {

@@ -22,12 +22,11 @@ mod translation;
 mod truth;
 mod verdict;
 
+pub use crate::checks::camera::DistanceCheck;
 pub use camera_comparison::{
     CameraComparison, DistanceDifference, ParameterPair, WithStdDevs, compare_cameras,
 };
-pub use camera_in_use::{
-    check_camera, check_corners, check_distances, check_places, check_virtual_points,
-};
+pub use camera_in_use::{check_camera, check_corners, check_places, check_virtual_points};
 pub use cross_validation::{CrossValidation, Fold, cross_validate, foldable_frames};
 pub use detection_score::{DetectionScore, INSIDE_PX, SMALL_RHO_PX, TRUE_PX};
 pub use evaluation::{

@@ -191,14 +191,15 @@ impl Settings<'_> {
         Ok(Settled { trial: tried(failed), ..settled })
     }
 
-    /// The cost where a problem is, with the shape that the board has there.
+    /// The cost where a problem is, with the shape that the board has there, which it may have to keep.
     pub fn evaluated(
         &self,
         problem: &Problem,
         cost: &CostOptions,
         priors: &[(Prior, PriorSource)],
+        keeps_shape: bool,
     ) -> Result<Settled> {
-        let refined = self.evaluate(problem, with_fixed(cost, |_| true))?;
+        let refined = self.evaluate(problem, with_fixed(cost, |_| keeps_shape))?;
         let (trial, aside) = (Trial::NotTried, Effort::default());
         Ok(Settled { refined, priors: priors.to_vec(), trial, aside })
     }

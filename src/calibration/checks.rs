@@ -1,5 +1,6 @@
 //! Errors before and after the refinement: whether camera and observations belong together.
 
+use crate::calibration::numbering::check_numbering;
 use crate::calibration::{CalibrationOptions, LeftOut, Mode, Start};
 use crate::error::{Error, Observed, Result};
 use crate::finding::Issue;
@@ -42,6 +43,7 @@ pub(super) fn check_observations(
     let (_, size) = start.array(&observations.centers);
     let needs_rho = options.has_rho() && start.lens_types() > 0;
     observations.validate(start.sensor(), size, board, needs_rho)?;
+    check_numbering(&observations.features, board)?;
     if observations.features.is_empty() {
         return Err(Error::invalid(if options.exclude_frames.is_empty() {
             "there are no features"

@@ -326,8 +326,7 @@ pub struct CalibrationOptions {
     /// Maximum number of iterations [default: 200].
     #[arg(long, value_name = "N")]
     pub max_iterations: usize,
-    /// Threads of the solver; with 1 results repeat to the last bit, with more they differ by rounding [default: all
-    /// cores].
+    /// Threads of the solver; results are the same to the last bit with any number [default: all cores].
     #[arg(long, value_name = "N")]
     pub threads: usize,
     /// Whether to jump to the extrapolated limit of the steps when they converge slowly; if false, Ceres does all the

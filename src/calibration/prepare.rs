@@ -8,13 +8,14 @@ use crate::calibration::focus::refocused;
 use crate::calibration::frames::{Frames, given_frames, initial_frames};
 use crate::calibration::priors::check_priors;
 use crate::calibration::{
-    BlurMeasurement, CalibrationOptions, FieldCurvature, LeftOut, Mode, Start, Weights,
-    initial_camera,
+    BlurMeasurement, CalibrationOptions, FieldCurvature, LeftOut, Mode, SolvedProblem, Start,
+    Weights, initial_camera,
 };
 use crate::error::{Error, Result};
-use crate::finding::{Finding, Issue};
+use crate::finding::{Finding, Issue, list};
 use crate::model::{BentBoard, Board, FramePose, Observations, PlenopticCamera};
 use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
+use crate::solver::CostOptions;
 
 /// Where a cost is to be evaluated.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,6 +35,8 @@ pub(super) struct Prepared {
     pub misfocused: Option<Finding>,
     pub observations: Observations,
     pub excluded: Vec<LeftOut>,
+    /// The cost, where it is that of a problem; else the options make it.
+    pub cost: Option<CostOptions>,
 }
 
 /// The start of a calibration by everything that is known without poses; errors if the input is inconsistent.
@@ -63,10 +66,31 @@ pub(super) fn prepared(
     let (start, misfocused) = refocused.unwrap_or((start, None));
     let initial = start_camera(&start, grid.as_ref(), options)?;
     observations.features = with_that_of_start(observations.features, &start, &initial.lattice);
-    Ok(Prepared { start, initial, grid, blur, misfocused, observations, excluded })
+    Ok(Prepared { start, initial, grid, blur, misfocused, observations, excluded, cost: None })
 }
 
 impl Prepared {
+    /// A problem that was exported: its observations and its cost as they are. An error if its numbers are impossible.
+    pub fn of_problem(problem: &SolvedProblem, options: &CalibrationOptions) -> Result<Self> {
+        let start = Start::Camera(problem.camera.clone());
+        start.validate()?;
+        options.check_numbers()?;
+        check_priors(options, start.lens_types())?;
+        let observations = problem.observations();
+        check_observations(&start, &problem.board.board, &observations, options)?;
+        let grid = fitted_grid(&start, &observations)?;
+        Ok(Self {
+            initial: problem.camera.clone(),
+            start,
+            grid,
+            blur: None,
+            misfocused: None,
+            observations,
+            excluded: Vec::new(),
+            cost: Some(problem.cost.clone()),
+        })
+    }
+
     /// Where camera and boards are to begin with, or where they are to be evaluated. An error with the reasons if no frame has
     /// a pose.
     pub fn placed(
@@ -77,6 +101,7 @@ impl Prepared {
     ) -> Result<(PlenopticCamera, Frames)> {
         let Self { initial, grid, observations, .. } = self;
         let (initial, mut frames) = if let Some(at) = at {
+            check_same_array(&at.camera, initial)?;
             check_indices(&at.camera, grid.as_ref(), observations)?;
             (&at.camera, given_frames(observations, &at.poses))
         } else {
@@ -160,6 +185,23 @@ fn start_camera(
     Ok(camera)
 }
 
+/// An error unless a solution is of a camera with this array.
+fn check_same_array(solution: &PlenopticCamera, camera: &PlenopticCamera) -> Result<()> {
+    let is_same = solution.lattice.packing == camera.lattice.packing
+        && solution.lens_types() == camera.lens_types();
+    if is_same {
+        return Ok(());
+    }
+    let of = |camera: &PlenopticCamera| {
+        format!("{} type(s) of micro-lenses on {}", camera.lens_types(), camera.lattice)
+    };
+    Err(Error::invalid(format!(
+        "the camera of the solution has {}, but that of the observations {}: give a solution with the array of these",
+        of(solution),
+        of(camera)
+    )))
+}
+
 /// Why no frame could be used.
 fn no_frame(left_out: &[LeftOut]) -> String {
     if left_out.iter().all(|frame| frame.reason == Issue::PoseBehindFocalPlane) {
@@ -167,13 +209,12 @@ fn no_frame(left_out: &[LeftOut]) -> String {
                 the size of the squares (square_mm) and of a pixel (pixel_size_mm), and the focal length (focal_length_mm)"
             .to_owned();
     }
-    let mut by_reason: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    let mut by_reason: BTreeMap<String, Vec<u32>> = BTreeMap::new();
     for LeftOut { frame, reason, .. } in left_out {
-        by_reason.entry(reason.to_string()).or_default().push(frame.to_string());
+        by_reason.entry(reason.to_string()).or_default().push(*frame);
     }
     let reasons = by_reason.iter();
-    let reasons: Vec<String> = reasons
-        .map(|(reason, frames)| format!("{reason} (frames {})", frames.join(", ")))
-        .collect();
+    let reasons: Vec<String> =
+        reasons.map(|(reason, frames)| format!("{reason} (frames {})", list(frames))).collect();
     format!("no frame could be used: {}", reasons.join("; "))
 }

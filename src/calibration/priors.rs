@@ -14,8 +14,8 @@ use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
 use crate::finding::Finding;
 use crate::model::{BoardShape, MAX_LENS_TYPES, Parameter, PlenopticCamera, optics};
-use crate::quantity::Estimate;
-use crate::solver::Prior;
+use crate::quantity::{Estimate, display_unit};
+use crate::solver::{Prior, Problem};
 
 /// Name of |m| among the quantities of priors.
 pub const SLOPE: &str = "m";
@@ -230,6 +230,35 @@ pub(super) fn contradicted(results: &[PriorResult]) -> impl Iterator<Item = Find
         let prior = Estimate { value: *value, std_dev: *std_dev };
         checks::prior((quantity, r.unit()), prior, r.result, &r.source.to_string())
     })
+}
+
+/// A stated prior that is further from the start than this part of the value there may be a mistake.
+const FAR_PART: f64 = 0.5;
+
+/// An error of a refinement, with the stated prior that is furthest from where it started, if one is far.
+pub(super) fn with_far_prior(
+    error: Error,
+    priors: &[(Prior, PriorSource)],
+    start: &Problem,
+) -> Error {
+    let stated = priors.iter().filter(|(_, source)| *source == PriorSource::Stated);
+    let at_start = results(stated.cloned().collect(), start.camera, &start.board.shape);
+    let is_far = |of: &&PriorResult| {
+        (of.prior.value - of.result).abs() > FAR_PART * of.result.abs().max(of.prior.std_dev)
+    };
+    let farthest = at_start
+        .iter()
+        .filter(is_far)
+        .max_by(|a, b| a.normalised_residual().abs().total_cmp(&b.normalised_residual().abs()));
+    let Some(of) = farthest else { return error };
+    let (unit, factor) = display_unit(&of.prior.quantity, of.unit());
+    let prior = Estimate { value: of.prior.value, std_dev: of.prior.std_dev }.scaled(factor);
+    let (at_start, _) = Estimate::new(of.result * factor, prior.std_dev).text();
+    Error::invalid(format!(
+        "the prior {} = {prior} {unit} is far from the start, {at_start} {unit}, and no camera was found with it: check its \
+         value and its unit, or leave it out ({error})",
+        of.prior.quantity
+    ))
 }
 
 /// What became of the priors in the refined camera and board.

@@ -7,19 +7,19 @@ use crate::calibration::board::{Settled, findings_of};
 use crate::calibration::frames::{Frames, feature_residuals, solver_centers, solver_features};
 use crate::calibration::outlying::{LOSS_SCALE, loss_by_residuals};
 use crate::calibration::prepare::{Prepared, Solution, prepared};
-use crate::calibration::priors::{contradicted, priors, results};
+use crate::calibration::priors::{contradicted, priors, results, with_far_prior};
 use crate::calibration::refine::{Refined, Settings, at_end};
 use crate::calibration::systematic_errors::systematic_errors;
 use crate::calibration::{
     BlurMeasurement, BoardResult, Calibration, CalibrationOptions, LeftOut, Mode, PriorSource,
-    Start,
+    SolvedProblem, Start,
 };
 use crate::checks::calibration as checks;
 use crate::error::Result;
 use crate::finding::Finding;
 use crate::model::{
-    BentBoard, Board, CenterResidual, FramePose, MicroImageCenter, Observations, Parameter,
-    PlenopticCamera, Reprojection,
+    BentBoard, Board, BoardShape, CenterResidual, FramePose, MicroImageCenter, Observations,
+    Parameter, PlenopticCamera, Reprojection,
 };
 use crate::solver::{
     self, CostOptions, Iteration, LossKind, Prior, Problem, Refinement, Termination, Uncertainty,
@@ -44,7 +44,9 @@ pub fn calibrate(
     options: &CalibrationOptions,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Calibration> {
-    completed(prepared(start, board, observations, options)?, board, options, None, progress)
+    let prepared = prepared(start, board, observations, options)?;
+    let board = BentBoard { board: *board, shape: options.known_shape() };
+    completed(prepared, board, options, None, progress)
 }
 
 /// The cost that [`calibrate`] minimises, evaluated at a solution that may come from elsewhere: the result of a
@@ -59,40 +61,56 @@ pub fn cost_at(
     observations: &Observations,
     options: &CalibrationOptions,
 ) -> Result<Calibration> {
-    completed(
-        prepared(start, board, observations, options)?,
-        board,
-        options,
-        Some(solution),
-        &mut |_| true,
-    )
+    let prepared = prepared(start, board, observations, options)?;
+    let board = BentBoard { board: *board, shape: options.known_shape() };
+    completed(prepared, board, options, Some(solution), &mut |_| true)
+}
+
+/// The cost of a problem, evaluated at a solution as by [`cost_at`]: observations, weights, loss, priors and free parameters are
+/// those of the problem. `shape` is that of the board at the solution.
+///
+/// An error if the numbers of the problem are impossible, or if it and the solution do not belong together.
+pub fn cost_of_problem_at(
+    problem: &SolvedProblem,
+    solution: &Solution,
+    shape: BoardShape,
+    threads: usize,
+) -> Result<Calibration> {
+    let options = CalibrationOptions { threads, ..problem.options(shape) };
+    let prepared = Prepared::of_problem(problem, &options)?;
+    let board = BentBoard { shape, ..problem.board };
+    completed(prepared, board, &options, Some(solution), &mut |_| true)
 }
 
 /// A calibration from its start, or the cost at a solution.
 fn completed(
     prepared: Prepared,
-    board: &Board,
+    board: BentBoard,
     options: &CalibrationOptions,
     at: Option<&Solution>,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Calibration> {
     let _span = tracing::info_span!("calibration").entered();
-    let board = BentBoard { board: *board, shape: options.known_shape() };
     let (initial, frames) = prepared.placed(&board, options, at)?;
-    let Prepared { start, grid, blur, misfocused, observations, .. } = prepared;
+    let Prepared { start, grid, blur, misfocused, observations, cost: known, .. } = prepared;
     let features = solver_features(&frames.features, &frames.poses, &board.board);
     let centers = solver_centers(&observations.centers);
     let poses: Vec<Isometry3<f64>> = frames.poses.iter().map(|p| p.camera_from_board).collect();
     let problem =
         Problem { camera: &initial, board, poses: &poses, features: &features, centers: &centers };
-    let priors = priors(&start, options);
-    let mut cost = cost_for(options, &initial, &observations, &priors);
+    let of_problem = known.is_some();
+    let priors = match &known {
+        Some(cost) => cost.priors.iter().map(|p| (p.clone(), PriorSource::Stated)).collect(),
+        None => priors(&start, options),
+    };
+    let mut cost = known.unwrap_or_else(|| cost_for(options, &initial, &observations, &priors));
     let all = (frames.features.as_slice(), observations.centers.as_slice());
     let systematic = systematic_errors(&start, &initial, all, &cost, options)?;
     let settings = Settings { frames: &frames, options, systematic, known_weight: None };
     let (settled, outlying) = match at {
-        Some(_) => (settings.evaluated(&problem, &cost, &priors)?, None),
-        None => withstanding(&settings, &problem, &mut cost, &priors, progress)?,
+        Some(_) => (settings.evaluated(&problem, &cost, &priors, !of_problem)?, None),
+        None => withstanding(&settings, &problem, &mut cost, &priors, progress)
+            .map_err(|error| with_far_prior(error, &priors, &problem))?,
     };
     let Settled { refined, priors, trial, aside } = settled;
     let Refined { refinement, uncertainty, cost } = refined;

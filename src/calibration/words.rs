@@ -1,7 +1,7 @@
 //! A calibration as sentences: how it ended, and its weakest directions.
 
 use crate::calibration::Calibration;
-use crate::quantity::{display_unit, signed};
+use crate::quantity::{display_unit, signed, significant};
 use crate::solver::{Termination, WeakDirection};
 
 /// A direction names the distance of the boards if it explains this share of its variance.
@@ -10,20 +10,20 @@ const BOARDS_NAMED_SHARE: f64 = 0.5;
 /// A sentence that says how the refinement ended.
 #[must_use]
 pub fn termination_text(calibration: &Calibration) -> String {
-    let decrease = calibration.uncertainty.expected_decrease;
+    let decrease = significant(calibration.uncertainty.expected_decrease, 2);
     let refinement = &calibration.refinement;
     match (refinement.termination, calibration.converged) {
-        (_, true) => format!(
-            "Converged: a further Gauss-Newton step would lower the cost by {decrease:.1e}."
-        ),
+        (_, true) => {
+            format!("Converged: a further Gauss-Newton step would lower the cost by {decrease}.")
+        }
         (Termination::Converged, false) => format!(
             "The solver stopped ({}), but a further step would still lower the cost by \
-             {decrease:.1e}.",
+             {decrease}.",
             refinement.message
         ),
         (Termination::IterationLimit, _) => format!(
             "Stopped at the limit of iterations; a further step would still lower the cost by \
-             {decrease:.1e}."
+             {decrease}."
         ),
         (Termination::Stopped, _) => "Stopped by the caller.".to_owned(),
         _ => format!("The solver failed: {}", refinement.message),

@@ -104,12 +104,35 @@ pub(crate) fn squares(scale: &Estimate, square_mm: f64) -> Option<Finding> {
 /// How far beyond the boards of a calibration its camera is trusted, as a part of their distance.
 const BEYOND: f64 = 0.2;
 
-/// Distances of points or rays against the nearest and furthest board of the calibration, mm.
-pub(crate) fn distances([near_mm, far_mm]: [f64; 2], distances_mm: &[f64]) -> Option<Finding> {
-    let trusted = near_mm * (1.0 - BEYOND)..=far_mm * (1.0 + BEYOND);
-    let (all, beyond) =
-        (distances_mm.len(), distances_mm.iter().filter(|z| !trusted.contains(z)).count());
-    (beyond > 0).then(|| Finding::caution(Issue::BeyondBoards { beyond, all, near_mm, far_mm }))
+/// Distances of points or rays against the nearest and furthest board of a calibration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DistanceCheck {
+    near_mm: f64,
+    far_mm: f64,
+    all: usize,
+    beyond: usize,
+}
+
+impl DistanceCheck {
+    /// Begins with the distances of the nearest and the furthest board, mm.
+    #[must_use]
+    pub fn new([near_mm, far_mm]: [f64; 2]) -> Self {
+        Self { near_mm, far_mm, all: 0, beyond: 0 }
+    }
+
+    /// Counts a distance, mm.
+    pub fn count(&mut self, distance_mm: f64) {
+        let trusted = self.near_mm * (1.0 - BEYOND)..=self.far_mm * (1.0 + BEYOND);
+        self.all += 1;
+        self.beyond += usize::from(!trusted.contains(&distance_mm));
+    }
+
+    /// The finding if some of the distances lie far off the boards.
+    #[must_use]
+    pub fn finding(&self) -> Option<Finding> {
+        let Self { near_mm, far_mm, all, beyond } = *self;
+        (beyond > 0).then(|| Finding::caution(Issue::BeyondBoards { beyond, all, near_mm, far_mm }))
+    }
 }
 
 /// Scatter of the features of corners about their points, over their σ: 1.1 to 1.2 on simulated boards.

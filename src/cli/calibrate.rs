@@ -7,7 +7,7 @@ use std::time::Instant;
 use clap::{Args, ValueEnum};
 use plenocal::assessment::{Assessment, ModelComparison, assess, compare_models, comparison_steps};
 use plenocal::calibration::{
-    Calibration, CalibrationOptions, Method, Mode, Priors, Solution, calibrate, termination_text,
+    Calibration, CalibrationOptions, Method, Mode, Priors, calibrate, termination_text,
 };
 use plenocal::io::{self, OutputFolder, Project, compote};
 use plenocal::model::{Board, Parameter};
@@ -15,10 +15,10 @@ use plenocal::solver::Termination;
 use plenocal::{Error, Finding, Result, report};
 
 use super::cost;
-use super::evaluate::calibrated;
 use super::given::Given;
 use super::input::{Files, Input, camera_findings};
 use super::messages::{print_result, say, tell, verdict_status, warn};
+use super::problem_options::Beside;
 use super::progress;
 
 /// Calibrate a camera from micro-image centres and BAP features.
@@ -33,8 +33,7 @@ pub struct Arguments {
     /// Project file (TOML) with the camera, the board, the paths of the observations, and options.
     project: Option<PathBuf>,
 
-    /// Folder for the results: camera.json, calibration.json, poses.json, residuals.csv, solver.txt.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("camera.json, calibration.json, poses.json, residuals.csv, solver.txt"))]
     out: PathBuf,
 
     /// Camera: datasheet values (COMPOTE's camera.js, a project file), or a calibrated camera to
@@ -85,9 +84,14 @@ pub struct Arguments {
     prior: Vec<String>,
 
     /// Do not refine: say how large cost, gradient and residuals are at the --camera and the --poses that you have
-    /// from elsewhere, and what one more step would gain. The cost is that of the project, priors included.
+    /// from elsewhere, and what one more step would gain. The cost is that of --problem; without it, that of the project and
+    /// the options given here, priors included.
     #[arg(long, requires_all = ["camera", "poses"], conflicts_with_all = ["compare_models", "compote"], help_heading = "Estimation")]
     evaluate_only: bool,
+    /// Folder written by --export-problem: observations, board and cost of the evaluation are those of this problem, and
+    /// no project is needed.
+    #[arg(long, value_name = "DIR", requires = "evaluate_only", help_heading = "Estimation")]
+    problem: Option<PathBuf>,
 
     /// Also write the problem that was solved to this folder: observations with board coordinates and standard deviations, start,
     /// priors, loss, fixed parameters; for a Ceres program of your own.
@@ -125,7 +129,7 @@ Examples:
   plenocal calibrate project.toml --prior F=51.6:0.2,u0=none --out results
   plenocal calibrate project.toml --method paper --out paper
   plenocal calibrate project.toml --export-problem problem --out results
-  plenocal calibrate project.toml --evaluate-only --camera mine/camera.json \\
+  plenocal calibrate --evaluate-only --problem problem --camera mine/camera.json \\
       --poses mine/poses.json --out mine/cost
   plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
@@ -144,15 +148,14 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         ));
     }
     let export = arguments.export_problem.as_deref().map(OutputFolder::new).transpose()?;
-    let project = arguments.project()?;
-    let options = arguments.options(&project)?;
-    let mut input = Input::read(&arguments.files(), &project, options)?;
-    let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
-    if let (true, Some(camera), Some(poses)) = (arguments.evaluate_only, &arguments.camera, &poses)
+    if let (true, Some(camera), Some(poses)) =
+        (arguments.evaluate_only, &arguments.camera, &arguments.poses)
     {
-        let solution = Solution { camera: calibrated(camera)?, poses: poses.clone() };
-        return cost::run(&solution, &input, (output, export), json);
+        let output = cost::Output { results: output, export, json };
+        return arguments.evaluate((camera, poses), output);
     }
+    let mut input = arguments.input()?;
+    let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
     input.options.poses = poses.unwrap_or_default();
 
     let bar = progress::spinner(json, "refining");
@@ -293,9 +296,46 @@ impl Arguments {
         }
     }
 
-    /// The options of a project, overridden by the flags.
-    fn options(&self, project: &Project) -> Result<CalibrationOptions> {
-        let mut options = project.calibration.clone();
+    /// All that a calibration takes, by the project and the flags.
+    fn input(&self) -> Result<Input> {
+        let project = self.project()?;
+        let options = self.options_over(project.calibration.clone())?;
+        Input::read(&self.files(), &project, options)
+    }
+
+    /// Evaluates the cost at the camera and the poses in these files.
+    fn evaluate(&self, (camera, poses): (&Path, &Path), output: cost::Output) -> Result<ExitCode> {
+        if let Some(problem) = &self.problem {
+            let beside = Beside {
+                input: self.beside_problem(),
+                options: self.options_over(CalibrationOptions::default())?,
+                is_given: &|field| self.options.is_given(field),
+                default_priors: self.priors.map(|priors| matches!(priors, DefaultPriors::Default)),
+                board_shape: self.board_shape.as_deref(),
+            };
+            return cost::of_problem(&cost::solution(camera, poses)?, problem, &beside, output);
+        }
+        let input = self.input()?;
+        let folders = [camera, poses].map(|path| path.parent().unwrap_or(Path::new("")));
+        cost::of_project(&cost::solution(camera, poses)?, &folders, &input, output)
+    }
+
+    /// The first of the files and sets of options that are given beside a problem, which has them.
+    fn beside_problem(&self) -> Option<String> {
+        let flags = [
+            ("--params", self.params.is_some()),
+            ("--scene", self.scene.is_some()),
+            ("--centers", self.centers.is_some()),
+            ("--features", self.features.is_some()),
+            ("--method", self.method.is_some()),
+        ];
+        let flag = flags.iter().find(|(_, given)| *given).map(|(flag, _)| (*flag).to_owned());
+        let project = self.project.as_ref().map(|path| path.display().to_string());
+        project.or(flag).or_else(|| self.set.first().map(|set| format!("--set {set}")))
+    }
+
+    /// Options, overridden by the flags.
+    fn options_over(&self, mut options: CalibrationOptions) -> Result<CalibrationOptions> {
         self.options.apply(&mut options)?;
         match self.priors {
             Some(DefaultPriors::None) => {

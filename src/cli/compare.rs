@@ -25,8 +25,7 @@ pub struct Arguments {
     first: PathBuf,
     /// Second camera, likewise.
     second: PathBuf,
-    /// Folder for the results: comparison.json and a picture for each distance. Without it they are only printed.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("comparison.json and a picture for each distance, which otherwise are only printed"))]
     out: Option<PathBuf>,
     /// Distances from the main lens of the first camera, mm [default: 0.75, 1 and 1.5 times that to which it is focused].
     #[arg(long, value_name = "MM", value_delimiter = ',')]

@@ -1,40 +1,97 @@
 //! `plenocal calibrate --evaluate-only`: the cost at a solution from elsewhere.
 
-use std::path::PathBuf;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
 use plenocal::assessment::assess;
-use plenocal::calibration::{Calibration, Refit, Solution, SolvedProblem, cost_at};
+use plenocal::calibration::{
+    Calibration, Refit, Solution, SolvedProblem, cost_at, cost_of_problem_at,
+};
 use plenocal::io::{self, OutputFolder};
-use plenocal::model::Board;
-use plenocal::{Result, report};
+use plenocal::model::{Board, Parameter};
+use plenocal::{Error, Finding, Issue, Result, report};
 
-use super::input::Input;
+use super::evaluate::calibrated;
+use super::input::{Input, board_shape, located};
 use super::messages::{print_result, tell};
+use super::problem_options::{Beside, refuse_other_cost};
 
-/// Evaluates, and writes cost.json and residuals.csv, and the problem if it is wanted.
-pub(super) fn run(
+/// Where the results of an evaluation go.
+pub(super) struct Output {
+    /// Folder of cost.json and residuals.csv.
+    pub results: OutputFolder,
+    /// Folder of the problem, if it is wanted.
+    pub export: Option<OutputFolder>,
+    /// Whether one JSON object is printed instead of tables.
+    pub json: bool,
+}
+
+/// Evaluates the cost of a project at a solution. Where it is no minimum and another cost was exported beside the solution, the
+/// terms in which the two differ are told.
+pub(super) fn of_project(
     solution: &Solution,
+    folders: &[&Path],
     input: &Input,
-    (mut output, export): (OutputFolder, Option<OutputFolder>),
-    json: bool,
+    output: Output,
 ) -> Result<ExitCode> {
     let begun = Instant::now();
     let evaluated =
         cost_at(solution, &input.start, &input.board, &input.observations, &input.options);
-    let evaluated = evaluated.map_err(|error| input.located(error))?;
-    let parts = Refit::new(&evaluated, &input.board).minimum().cost_parts;
-    let assessment = assess(&evaluated, &input.board)?;
+    let mut evaluated = evaluated.map_err(|error| input.located(error))?;
+    if !evaluated.converged {
+        let beside = folders.iter().find_map(|folder| problem_beside(folder));
+        let other = beside.and_then(|problem| other_cost(&evaluated, &input.board, &problem));
+        evaluated.findings.splice(0..0, other);
+    }
+    write(&evaluated, &input.board, output, begun)
+}
+
+/// Evaluates the cost of a problem at a solution.
+pub(super) fn of_problem(
+    solution: &Solution,
+    folder: &Path,
+    beside: &Beside,
+    output: Output,
+) -> Result<ExitCode> {
+    let begun = Instant::now();
+    let problem = io::read_problem(folder)?;
+    refuse_other_cost(beside, &problem, folder)?;
+    let board = problem.board.board;
+    let stated = board_shape(beside.board_shape, None, &board)?;
+    if stated.is_none() && !Parameter::SHAPE.into_iter().all(|p| problem.holds(p)) {
+        return Err(Error::invalid(
+            "the problem leaves the shape of the board free, and camera.json does not have it: give that of the solution \
+             (--board-shape, a file with the board_shape of calibration.json)",
+        ));
+    }
+    let shape = stated.map_or(problem.board.shape, |(shape, _)| shape);
+    let evaluated = cost_of_problem_at(&problem, solution, shape, beside.options.threads);
+    let sources = ["features.csv", "centers.csv"].map(|name| folder.join(name));
+    let evaluated = evaluated.map_err(|error| located(error, &sources))?;
+    write(&evaluated, &board, output, begun)
+}
+
+/// Writes cost.json and residuals.csv, and the problem if it is wanted.
+fn write(
+    evaluated: &Calibration,
+    board: &Board,
+    output: Output,
+    begun: Instant,
+) -> Result<ExitCode> {
+    let Output { mut results, export, json } = output;
+    let parts = Refit::new(evaluated, board).minimum().cost_parts;
+    let assessment = assess(evaluated, board)?;
     let mut document =
-        io::calibration_document(&evaluated, &assessment, begun.elapsed().as_secs_f64());
-    document["evaluation"] = io::cost_document(&evaluated, parts);
-    output.stage_json("cost.json", &document)?;
-    output.stage("residuals.csv", |out| io::write_residuals(out, &evaluated.reprojection))?;
-    let mut paths = output.commit()?;
-    paths.extend(exported(export, &evaluated, &input.board)?);
+        io::calibration_document(evaluated, &assessment, begun.elapsed().as_secs_f64());
+    document["evaluation"] = io::cost_document(evaluated, parts);
+    results.stage_json("cost.json", &document)?;
+    results.stage("residuals.csv", |out| io::write_residuals(out, &evaluated.reprojection))?;
+    let mut paths = results.commit()?;
+    paths.extend(exported(export, evaluated, board)?);
     tell(&evaluated.findings);
-    print_result(json, &document, &report::cost_section(&evaluated, parts).to_text(), &paths)?;
+    print_result(json, &document, &report::cost_section(evaluated, parts).to_text(), &paths)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -47,4 +104,34 @@ pub(super) fn exported(
     let Some(mut output) = to else { return Ok(Vec::new()) };
     io::stage_problem(&mut output, &SolvedProblem::of(calibration, board))?;
     output.commit()
+}
+
+/// The folder of a problem in the folder of a solution, beside it, or above it; the only one, where several lie beside it.
+fn problem_beside(solution: &Path) -> Option<PathBuf> {
+    let is_problem = |folder: &Path| folder.join(io::PROBLEM).is_file();
+    let own = if solution.as_os_str().is_empty() { Path::new(".") } else { solution };
+    let above = own.join("..");
+    if let Some(folder) = [own, &above].into_iter().find(|folder| is_problem(folder)) {
+        return Some(folder.to_owned());
+    }
+    let beside = fs::read_dir(&above).ok()?.flatten().map(|entry| entry.path());
+    let mut beside = beside.filter(|folder| is_problem(folder));
+    beside.next().filter(|_| beside.next().is_none())
+}
+
+/// A finding with the terms in which the cost of an evaluation is not that of a problem; none if it is, or if the problem cannot
+/// be read: nobody has named it.
+fn other_cost(evaluated: &Calibration, board: &Board, folder: &Path) -> Option<Finding> {
+    let differences =
+        io::read_problem(folder).ok()?.differences(&SolvedProblem::of(evaluated, board));
+    let folder = fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+    let here = std::env::current_dir().unwrap_or_default();
+    let problem = folder.strip_prefix(here).unwrap_or(&folder).display().to_string();
+    (!differences.is_empty())
+        .then(|| Finding::caution(Issue::OtherCost { problem, differences }).weighing(100.0))
+}
+
+/// The solution that is named on the command line.
+pub(super) fn solution(camera: &Path, poses: &Path) -> Result<Solution> {
+    Ok(Solution { camera: calibrated(camera)?, poses: io::read_poses(poses)? })
 }

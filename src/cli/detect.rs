@@ -23,9 +23,7 @@ use super::precalibrate::{measure, stage_centers};
 pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images].
     project: PathBuf,
-    /// Folder for the results: features.csv, detection.json and a picture of every frame; and, without
-    /// --precalibration, centers.csv and precalibration.json. Files of earlier results are replaced.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("features.csv, detection.json and a picture of every frame; without --precalibration also centers.csv and precalibration.json"))]
     out: PathBuf,
     /// Folder written by `plenocal precalibrate`; without it the white images of the project are
     /// measured first.

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use plenocal::assessment::{
-    Candidate, Evaluation, EvaluationInput, Folds, check_camera, check_distances, evaluate,
+    Candidate, DistanceCheck, Evaluation, EvaluationInput, Folds, check_camera, evaluate,
     foldable_frames,
 };
 use plenocal::detection::DepthEstimator;
@@ -29,8 +29,7 @@ use super::progress;
 pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images].
     project: PathBuf,
-    /// Folder for the results: evaluation.json, and the features of each subset in its own folder.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("evaluation.json, and the features of each subset in its own folder"))]
     out: PathBuf,
     /// Calibrated camera (camera.json, COMPOTE's intrinsics.js); give several to compare them.
     #[arg(long, value_name = "FILE", required = true)]
@@ -74,14 +73,16 @@ pub fn read_candidate(
     shape: Option<&Path>,
 ) -> Result<Candidate> {
     let camera = calibrated(path)?;
-    // COMPOTE's files have none.
-    let std_devs = io::read_std_devs(path, camera.lens_types()).unwrap_or_default();
+    let std_devs = io::read_std_devs(path, camera.lens_types())?;
     let (board_shape, shape_std_devs) = board_shape(shape, Some(path), board)?.unwrap_or_default();
     Ok(Candidate { name: name.to_owned(), camera, std_devs, board_shape, shape_std_devs })
 }
 
-/// Reads a calibrated camera.
+/// Reads a calibrated camera; of a folder, an error with the cameras in it.
 pub fn calibrated(path: &Path) -> Result<PlenopticCamera> {
+    if path.is_dir() {
+        return Err(is_folder(path, &io::cameras_in(path)));
+    }
     match camera_source(path)? {
         CameraSource::Camera(camera) => Ok(*camera),
         CameraSource::Datasheet(_) => Err(Error::invalid(
@@ -92,10 +93,19 @@ pub fn calibrated(path: &Path) -> Result<PlenopticCamera> {
     }
 }
 
-/// A finding about points at some distances, or about rays at one, that lie far off the boards that a camera was calibrated with.
-pub fn beyond_boards(camera: &Path, distances_mm: &[f64]) -> Result<Option<Finding>> {
-    let boards_mm = io::read_board_distances(camera)?;
-    Ok(boards_mm.and_then(|boards_mm| check_distances(boards_mm, distances_mm)))
+fn is_folder(path: &Path, cameras: &[PathBuf]) -> Error {
+    let cameras: Vec<String> = cameras.iter().map(|path| path.display().to_string()).collect();
+    let instead = if cameras.is_empty() {
+        "give a calibrated camera (camera.json or intrinsics.js); there is none in it".to_owned()
+    } else {
+        format!("give a camera: {}", cameras.join(" or "))
+    };
+    Error::invalid(format!("it is a folder: {instead}")).in_file(path)
+}
+
+/// Counts points or rays that lie far off the boards that a camera was calibrated with; `None` if these are not known.
+pub fn distance_check(camera: &Path) -> Result<Option<DistanceCheck>> {
+    Ok(io::read_board_distances(camera)?.map(DistanceCheck::new))
 }
 
 /// Distances of the point clouds of a project, by frame.

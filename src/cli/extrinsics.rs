@@ -15,7 +15,7 @@ use super::boards::{self, Options, Shoot};
 use super::calibrate::{stage_results, status};
 use super::evaluate::calibrated;
 use super::input::{board_shape, camera_findings};
-use super::messages::{print_result, tell};
+use super::messages::{announce_calibration, print_result, tell};
 
 /// Find the poses of boards in raw images with a calibrated camera.
 ///
@@ -27,8 +27,7 @@ use super::messages::{print_result, tell};
 pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images].
     project: PathBuf,
-    /// Folder for the results: poses.json, residuals.csv, features.csv, detection.json.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("poses.json, residuals.csv, features.csv, detection.json"))]
     out: PathBuf,
     /// Calibrated camera (camera.json, COMPOTE's intrinsics.js).
     #[arg(long, value_name = "FILE")]
@@ -82,6 +81,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     };
     let (found, _) = boards::detect_subset(path, &shoot, &micro_images, search, &mut output)?;
     let observations = Observations { centers: Vec::new(), features: found.features() };
+    announce_calibration(&observations.features);
     let options = CalibrationOptions::default().of_poses_only(shape);
     let result =
         calibrate(&Start::Camera(camera), &shoot.board, &observations, &options, &mut |_| true)?;

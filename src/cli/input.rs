@@ -8,7 +8,7 @@ use plenocal::io::{self, CameraSource, Project};
 use plenocal::model::{Board, BoardShape, Datasheet, Observations, SHAPE};
 use plenocal::{Error, Finding, Result};
 
-use super::messages::tell;
+use super::messages::{announce_calibration, tell};
 
 /// The files named on the command line.
 pub struct Files<'a> {
@@ -50,21 +50,26 @@ impl Input {
         }
         let rho = options.has_rho() && options.mode != Mode::CornersOnly && start.lens_types() > 0;
         let (observations, sources) = observations(files, project, rho)?;
+        announce_calibration(&observations.features);
         Ok(Self { start, board, observations, options, sources })
     }
 
     /// Names the file of an observation that is impossible, and its line.
     pub fn located(&self, error: Error) -> Error {
-        let Error::Observation { observation, .. } = &error else { return error };
-        let [features, centers] = &self.sources;
-        let path = match observation {
-            Observed::Feature { .. } => features,
-            Observed::Center { .. } => centers,
-        };
-        match io::line_of(path, *observation) {
-            Some(line) => Error::invalid(format!("line {line}: {error}")).in_file(path),
-            None => error.in_file(path),
-        }
+        located(error, &self.sources)
+    }
+}
+
+/// Names the file of an observation that is impossible, and its line; the files are those of features and centres.
+pub fn located(error: Error, [features, centers]: &[PathBuf; 2]) -> Error {
+    let Error::Observation { observation, .. } = &error else { return error };
+    let path = match observation {
+        Observed::Feature { .. } => features,
+        Observed::Center { .. } => centers,
+    };
+    match io::line_of(path, *observation) {
+        Some(line) => Error::invalid(format!("line {line}: {error}")).in_file(path),
+        None => error.in_file(path),
     }
 }
 

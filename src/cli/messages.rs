@@ -1,5 +1,6 @@
 //! What the program says: results on stdout, everything else on stderr.
 
+use std::collections::BTreeSet;
 use std::fmt::Display;
 use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
@@ -7,12 +8,45 @@ use std::process::ExitCode;
 
 use plenocal::assessment::Verdict;
 use plenocal::error::Input;
+use plenocal::model::BapFeature;
 use plenocal::{Error, Finding, Issue, Result, Severity};
 use serde::Serialize;
 
 /// Writes a line to stderr. It is not an error if nobody reads it.
 pub fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// What takes more than this of memory, or on disk, is announced beforehand.
+const ANNOUNCED_BYTES: f64 = 1e9;
+
+/// Says that a file of so many bytes is going to be written, if it is large.
+pub fn announce_file(name: &str, bytes: f64) {
+    if bytes > ANNOUNCED_BYTES {
+        say(&format!("writing {name} of {:.1} GB", bytes / 1e9));
+    }
+}
+
+/// Says that work is going to take so many bytes of memory, if they are many. Where they are not there, the system ends the
+/// program without a word.
+pub fn announce_memory(work: &str, bytes: f64) {
+    if bytes > ANNOUNCED_BYTES {
+        say(&format!("{work} takes some {:.1} GB of memory", bytes / 1e9));
+    }
+}
+
+/// What a calibration takes for each feature, and for each pair of frames (the covariance of all poses, and what it is made of),
+/// bytes: 0.57 GB were measured with 100 000 features in 213 frames, 3.1 GB with 300 000 in 634.
+const FEATURE_BYTES: f64 = 3000.0;
+const FRAME_PAIR_BYTES: f64 = 5500.0;
+
+/// Announces how much memory a calibration with these features takes.
+pub fn announce_calibration(features: &[BapFeature]) {
+    let frames: BTreeSet<u32> = features.iter().map(|feature| feature.frame).collect();
+    announce_memory(
+        &format!("calibrating with {} features in {} frames", features.len(), frames.len()),
+        features.len() as f64 * FEATURE_BYTES + (frames.len() as f64).powi(2) * FRAME_PAIR_BYTES,
+    );
 }
 
 /// Prints warnings.
@@ -41,6 +75,7 @@ fn option(issue: &Issue) -> Option<String> {
         Issue::OutlyingCenters { .. } | Issue::OutlyingUnweighted { .. } => Some("--loss".into()),
         Issue::Undetermined { .. } => Some("--fix".into()),
         Issue::PriorContradicted { .. } => Some("--prior".into()),
+        Issue::OtherCost { problem, .. } => Some(format!("--problem {problem}")),
         Issue::OutlyingFrame { frame, .. } => Some(format!("--exclude {frame}")),
         _ => None,
     }

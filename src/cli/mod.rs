@@ -1,5 +1,12 @@
 //! Commands; one file for each.
 
+/// Help of `--out` for the files that a command writes there: what becomes of those of the same name is the same everywhere.
+macro_rules! results_help {
+    ($files:literal) => {
+        concat!("Folder for the results: ", $files, ". Files of earlier results are replaced")
+    };
+}
+
 mod boards;
 mod calibrate;
 mod compare;
@@ -18,6 +25,7 @@ mod man;
 mod messages;
 mod points;
 mod precalibrate;
+mod problem_options;
 mod progress;
 mod rays;
 mod run;

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 use nalgebra::Vector2;
-use plenocal::assessment::{check_corners, check_places, check_virtual_points};
-use plenocal::io::{self, DepthMap, OutputFolder, PlyColumn, VirtualDepths};
+use plenocal::assessment::{DistanceCheck, check_corners, check_places, check_virtual_points};
+use plenocal::io::{self, DepthMap, OutputFolder, PlyColumn, PlyWriter, VirtualDepths};
 use plenocal::model::PlenopticCamera;
 use plenocal::solver::{
     MetricPoint, MicroPixel, VirtualPoint, corners, focused_points, metric_points, micro_images_at,
@@ -15,8 +15,8 @@ use plenocal::solver::{
 use plenocal::{Error, Finding, Issue, Result, Severity};
 use serde_json::{Value, json};
 
-use super::evaluate::{beyond_boards, calibrated};
-use super::messages::{print_result, tell};
+use super::evaluate::{calibrated, distance_check};
+use super::messages::{announce_memory, print_result, tell};
 
 /// Make metric points of virtual depths, by a calibrated camera.
 ///
@@ -33,8 +33,7 @@ pub struct Arguments {
     /// Virtual depths: CSV k,l,u,v,nu; a map of them as .npy (height x width) or as an image; or features.csv, whose corners
     /// are triangulated.
     input: PathBuf,
-    /// Folder for the results: points.ply, and with --csv points.csv.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("points.ply, and with --csv points.csv"))]
     out: PathBuf,
     /// How the pixels of a map lie.
     #[arg(long, default_value = "raw")]
@@ -72,13 +71,36 @@ Examples:
   plenocal points camera.json depths.tiff --map focused --depth-scale 0,0.001 --out points
   plenocal points camera.json boards/features.csv --out corners";
 
-/// Points with what they are called in the files.
-struct Cloud {
-    points: Vec<Option<MetricPoint>>,
-    labels: [(&'static str, Vec<i32>); 2],
+/// Pixels of a map whose points are in memory at once.
+const AT_ONCE: usize = 1 << 16;
+
+/// An image is in memory as a file and as samples.
+const IMAGE_COPIES: f64 = 2.0;
+/// What a row of a CSV file takes, bytes: 450 were measured with a million of them.
+const ROW_BYTES: f64 = 450.0;
+
+/// Points with what they are called in the files, piece by piece.
+struct Cloud<'a> {
+    pieces: Pieces<'a>,
+    names: [&'static str; 2],
     /// Whether the σ of points are known.
     has_std_devs: bool,
     findings: Vec<Finding>,
+}
+
+type Pieces<'a> = Box<dyn Iterator<Item = Result<Piece>> + 'a>;
+
+/// Some of the points, and their labels.
+struct Piece {
+    points: Vec<Option<MetricPoint>>,
+    labels: [Vec<i32>; 2],
+}
+
+impl Piece {
+    /// The only piece of a cloud.
+    fn alone(self) -> Pieces<'static> {
+        Box::new(std::iter::once(Ok(self)))
+    }
 }
 
 /// Runs the command.
@@ -86,68 +108,104 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut output = OutputFolder::new(&arguments.out)?;
     let camera = calibrated(&arguments.camera)?;
     let mut cloud = cloud(arguments, &camera).map_err(|e| e.in_file(&arguments.input))?;
-    let found = cloud.points.iter().flatten().count();
-    if found == 0 {
+    let mut summary = Summary::new(distance_check(&arguments.camera)?);
+    stage(&mut output, &mut cloud, arguments.csv, &mut summary)
+        .map_err(|e| e.in_file(&arguments.input))?;
+    if summary.points == 0 {
         return Err(Error::invalid(no_point(&cloud.findings)).in_file(&arguments.input));
     }
-    output.stage("points.ply", |out| {
-        io::write_ply(out, "plenocal points, mm, camera frame", &columns(&cloud))
-    })?;
-    if arguments.csv {
-        output.stage("points.csv", |out| write_csv(out, &cloud))?;
-    }
-    let depths: Vec<f64> = cloud.points.iter().flatten().map(|p| p.point_mm[2]).collect();
-    cloud.findings.extend(beyond_boards(&arguments.camera, &depths)?);
-    let document = document(arguments, &cloud);
+    cloud.findings.extend(summary.distances.and_then(|check| check.finding()));
+    let document = document(arguments, &cloud, summary);
     let paths = output.commit()?;
     tell(&cloud.findings);
     print_result(arguments.json, &document, &text(&document), &paths)?;
     Ok(ExitCode::SUCCESS)
 }
 
-fn cloud(arguments: &Arguments, camera: &PlenopticCamera) -> Result<Cloud> {
+/// Writes all points, and summarizes them.
+fn stage(
+    output: &mut OutputFolder,
+    cloud: &mut Cloud,
+    with_csv: bool,
+    summary: &mut Summary,
+) -> Result<()> {
+    let (names, has_std_devs) = (cloud.names, cloud.has_std_devs);
+    let mut ply = PlyWriter::new(output.begin("points.ply")?, "plenocal points, mm, camera frame");
+    let mut csv = if with_csv { Some(output.begin("points.csv")?) } else { None };
+    if let Some(file) = &mut csv {
+        let [first, second] = names;
+        let std_devs = if has_std_devs { ",sigma_x_mm,sigma_y_mm,sigma_z_mm" } else { "" };
+        writeln!(file, "{first},{second},x_mm,y_mm,z_mm{std_devs}").map_err(|e| file.error(e))?;
+    }
+    for piece in &mut cloud.pieces {
+        let piece = piece?;
+        piece.points.iter().for_each(|point| summary.add(point.as_ref()));
+        let columns = columns(&piece, names, has_std_devs);
+        ply.write(&columns).map_err(|e| ply.get_ref().error(e))?;
+        if let Some(file) = &mut csv {
+            write_csv(file, &piece, has_std_devs).map_err(|e| file.error(e))?;
+        }
+    }
+    output.finish(ply.finish().map_err(|(file, e)| file.error(e))?)?;
+    csv.map_or(Ok(()), |csv| output.finish(csv))
+}
+
+fn cloud<'a>(arguments: &'a Arguments, camera: &'a PlenopticCamera) -> Result<Cloud<'a>> {
     let std_dev = [arguments.uv_std_dev, arguments.uv_std_dev, arguments.depth_std_dev];
     let scale = match arguments.depth_scale.as_deref() {
         None => None,
         Some(&[offset, factor]) => Some([offset, factor]),
         Some(_) => return Err(Error::invalid("--depth-scale takes two numbers, A,B")),
     };
+    // A pipe can be read only once, and has no size.
+    if arguments.input.is_file()
+        && let Ok(bytes) = io::image_bytes(&arguments.input)
+    {
+        announce_memory("reading an image of this size", bytes as f64 * IMAGE_COPIES);
+    }
     match io::read_virtual_depths(&arguments.input, scale, std_dev)? {
         VirtualDepths::Points(seen) => {
-            let labels = [
-                ("k", seen.iter().map(|s| s.at.k).collect()),
-                ("l", seen.iter().map(|s| s.at.l).collect()),
-            ];
+            let labels =
+                [seen.iter().map(|s| s.at.k).collect(), seen.iter().map(|s| s.at.l).collect()];
+            announce_points(seen.len());
             let mut findings = check_virtual_points(camera, &seen)?;
             // The depth decides on the distance of a point.
             let has_std_devs = seen.iter().all(|point| point.std_dev[2] > 0.0);
             findings.extend(without_std_devs(has_std_devs));
-            Ok(Cloud { points: metric_points(camera, &seen)?, labels, has_std_devs, findings })
+            let pieces = Piece { points: metric_points(camera, &seen)?, labels }.alone();
+            Ok(Cloud { pieces, names: ["k", "l"], has_std_devs, findings })
         }
-        VirtualDepths::Map(map) => of_map(&map, arguments.map, std_dev, camera),
+        VirtualDepths::Map(map) => of_map(map, arguments.map, std_dev, camera),
         VirtualDepths::Features => of_features(&arguments.input, camera),
     }
 }
 
+/// Announces how much memory points of a CSV file take.
+fn announce_points(rows: usize) {
+    announce_memory(&format!("computing with {rows} rows"), rows as f64 * ROW_BYTES);
+}
+
 /// Corners of boards, each by all its features in a frame.
-fn of_features(path: &Path, camera: &PlenopticCamera) -> Result<Cloud> {
+fn of_features(path: &Path, camera: &PlenopticCamera) -> Result<Cloud<'static>> {
     let features = io::read_features(path, false)?.features;
+    announce_points(features.len());
     let found = corners(camera, &features)?;
     let at = features.iter().map(|f| MicroPixel { k: f.k, l: f.l, u_px: f.u_px, v_px: f.v_px });
     let mut findings = check_places(camera, at)?;
     findings.extend(check_corners(&found, &features));
     let frames = found.labels.iter().map(|(frame, _)| i32::try_from(*frame).unwrap_or(i32::MAX));
     let numbers = found.labels.iter().map(|(_, corner)| *corner);
-    let labels = [("frame", frames.collect()), ("corner", numbers.collect())];
-    Ok(Cloud { points: found.points, labels, has_std_devs: true, findings })
+    let labels = [frames.collect(), numbers.collect()];
+    let pieces = Piece { points: found.points, labels }.alone();
+    Ok(Cloud { pieces, names: ["frame", "corner"], has_std_devs: true, findings })
 }
 
 fn of_map(
-    map: &DepthMap,
+    mut map: DepthMap,
     kind: MapKind,
     std_dev: [f64; 3],
     camera: &PlenopticCamera,
-) -> Result<Cloud> {
+) -> Result<Cloud<'_>> {
     let sensor = &camera.sensor;
     let (width, height) = (f64::from(sensor.width_px), f64::from(sensor.height_px));
     let scale = Vector2::new(width / map.width as f64, height / map.height as f64);
@@ -158,23 +216,53 @@ fn of_map(
             map.width, map.height
         )));
     }
-    let mut places = Vec::new();
-    let mut depths = Vec::new();
-    for (i, depth) in map.depths.iter().enumerate().filter(|(_, depth)| depth.is_finite()) {
-        // Pixel (0, 0) is the middle of the first one, in the map as in the raw image.
-        let pixel = Vector2::new((i % map.width) as f64 + 0.5, (i / map.width) as f64 + 0.5);
-        places.push(pixel.component_mul(&scale) - Vector2::new(0.5, 0.5));
-        depths.push(*depth);
-    }
+    let mut first = 0;
+    let next = move || -> Result<Option<Piece>> {
+        let depths = map.next(AT_ONCE)?;
+        if depths.is_empty() {
+            return Ok(None);
+        }
+        let with_depth = (first..).zip(&depths).filter(|(_, depth)| depth.is_finite());
+        let place = |i: usize| {
+            // Pixel (0, 0) is the middle of the first one, in the map as in the raw image.
+            let pixel = Vector2::new((i % map.width) as f64 + 0.5, (i / map.width) as f64 + 0.5);
+            pixel.component_mul(&scale) - Vector2::new(0.5, 0.5)
+        };
+        let seen: Vec<(Vector2<f64>, f64)> =
+            with_depth.map(|(i, depth)| (place(i), *depth)).collect();
+        first += depths.len();
+        piece_of_map(&seen, kind, std_dev, camera).map(Some)
+    };
+    let mut next = Some(next);
+    // Nothing follows an error.
+    let pieces = std::iter::from_fn(move || {
+        let found = next.as_mut()?().transpose();
+        if !matches!(found, Some(Ok(_))) {
+            next = None;
+        }
+        found
+    });
+    let has_std_devs = std_dev[2] > 0.0;
+    let findings = without_std_devs(has_std_devs).into_iter().collect();
+    Ok(Cloud { pieces: Box::new(pieces), names: ["u", "v"], has_std_devs, findings })
+}
+
+/// Points of pixels that have a virtual depth.
+fn piece_of_map(
+    pixels: &[(Vector2<f64>, f64)],
+    kind: MapKind,
+    std_dev: [f64; 3],
+    camera: &PlenopticCamera,
+) -> Result<Piece> {
+    let places: Vec<Vector2<f64>> = pixels.iter().map(|(place, _)| *place).collect();
     let at = match kind {
         MapKind::Raw => micro_images_at(camera, &places)?,
         MapKind::Focused => vec![None; places.len()],
     };
-    let seen: Vec<VirtualPoint> = places
+    let seen: Vec<VirtualPoint> = pixels
         .iter()
         .zip(at)
-        .zip(depths)
-        .map(|((place, at), virtual_depth)| {
+        .map(|(&(place, virtual_depth), at)| {
             let (k, l) = at.unwrap_or((-1, -1));
             VirtualPoint {
                 at: MicroPixel { k, l, u_px: place.x, v_px: place.y },
@@ -190,10 +278,7 @@ fn of_map(
     #[allow(clippy::cast_possible_truncation)] // within an image
     let whole =
         |of: fn(&Vector2<f64>) -> f64| places.iter().map(|p| of(p).round() as i32).collect();
-    let labels = [("u", whole(|p| p.x)), ("v", whole(|p| p.y))];
-    let has_std_devs = std_dev[2] > 0.0;
-    let findings = without_std_devs(has_std_devs).into_iter().collect();
-    Ok(Cloud { points, labels, has_std_devs, findings })
+    Ok(Piece { points, labels: [whole(|p| p.x), whole(|p| p.y)] })
 }
 
 /// A note that no σ of points is known.
@@ -217,8 +302,8 @@ fn no_point(findings: &[Finding]) -> String {
     }
 }
 
-fn columns(cloud: &Cloud) -> Vec<PlyColumn<'static>> {
-    let points = || cloud.points.iter().flatten();
+fn columns(piece: &Piece, names: [&'static str; 2], has_std_devs: bool) -> Vec<PlyColumn<'static>> {
+    let points = || piece.points.iter().flatten();
     let coordinate = |axis: usize| points().map(|p| p.point_mm[axis]).collect();
     let std_dev = |axis: usize| points().map(|p| p.std_devs_mm()[axis]).collect();
     let mut columns = vec![
@@ -226,26 +311,24 @@ fn columns(cloud: &Cloud) -> Vec<PlyColumn<'static>> {
         PlyColumn::Float("y", coordinate(1)),
         PlyColumn::Float("z", coordinate(2)),
     ];
-    if cloud.has_std_devs {
+    if has_std_devs {
         let names = ["sigma_x", "sigma_y", "sigma_z"];
         columns.extend((0..).zip(names).map(|(axis, name)| PlyColumn::Float(name, std_dev(axis))));
     }
-    for (name, labels) in &cloud.labels {
-        let kept = labels.iter().zip(&cloud.points).filter(|(_, point)| point.is_some());
+    for (name, labels) in names.into_iter().zip(&piece.labels) {
+        let kept = labels.iter().zip(&piece.points).filter(|(_, point)| point.is_some());
         columns.push(PlyColumn::Int(name, kept.map(|(label, _)| *label).collect()));
     }
     columns
 }
 
-fn write_csv(out: &mut dyn Write, cloud: &Cloud) -> std::io::Result<()> {
-    let [(first, firsts), (second, seconds)] = &cloud.labels;
-    let names = if cloud.has_std_devs { ",sigma_x_mm,sigma_y_mm,sigma_z_mm" } else { "" };
-    writeln!(out, "{first},{second},x_mm,y_mm,z_mm{names}")?;
-    for ((point, a), b) in cloud.points.iter().zip(firsts).zip(seconds) {
+fn write_csv(out: &mut dyn Write, piece: &Piece, has_std_devs: bool) -> std::io::Result<()> {
+    let [firsts, seconds] = &piece.labels;
+    for ((point, a), b) in piece.points.iter().zip(firsts).zip(seconds) {
         let Some(point) = point else { continue };
         let ([x, y, z], [sx, sy, sz]) = (point.point_mm, point.std_devs_mm());
         write!(out, "{a},{b},{x:.6},{y:.6},{z:.6}")?;
-        if cloud.has_std_devs {
+        if has_std_devs {
             write!(out, ",{sx:.6},{sy:.6},{sz:.6}")?;
         }
         writeln!(out)?;
@@ -253,30 +336,99 @@ fn write_csv(out: &mut dyn Write, cloud: &Cloud) -> std::io::Result<()> {
     Ok(())
 }
 
-fn document(arguments: &Arguments, cloud: &Cloud) -> Value {
-    let points = || cloud.points.iter().flatten();
-    let depths = || points().map(|p| p.point_mm[2]).collect::<Vec<f64>>();
-    let median = |axis: usize| {
-        let known = cloud.has_std_devs;
-        known.then(|| quantile(points().map(|p| p.std_devs_mm()[axis]).collect(), 0.5))
-    };
+/// What is told of all points.
+struct Summary {
+    points: u64,
+    without_point: u64,
+    distances_mm: Sample,
+    std_devs_mm: [Sample; 3],
+    distances: Option<DistanceCheck>,
+}
+
+impl Summary {
+    fn new(distances: Option<DistanceCheck>) -> Self {
+        Self {
+            points: 0,
+            without_point: 0,
+            distances_mm: Sample::default(),
+            std_devs_mm: Default::default(),
+            distances,
+        }
+    }
+
+    fn add(&mut self, point: Option<&MetricPoint>) {
+        let Some(point) = point else {
+            self.without_point += 1;
+            return;
+        };
+        self.points += 1;
+        let z_mm = point.point_mm[2];
+        self.distances_mm.add(z_mm);
+        for (sample, std_dev) in self.std_devs_mm.iter_mut().zip(point.std_devs_mm()) {
+            sample.add(std_dev);
+        }
+        if let Some(check) = &mut self.distances {
+            check.count(z_mm);
+        }
+    }
+}
+
+/// Values for quantiles: all of them, or of very many every so many-th one, from all over.
+struct Sample {
+    values: Vec<f64>,
+    every: usize,
+    count: usize,
+}
+
+/// The median of so many is known to a thousandth of their spread.
+const MOST_VALUES: usize = 1 << 20;
+
+impl Default for Sample {
+    fn default() -> Self {
+        Self { values: Vec::new(), every: 1, count: 0 }
+    }
+}
+
+impl Sample {
+    fn add(&mut self, value: f64) {
+        if self.count.is_multiple_of(self.every) {
+            if self.values.len() == MOST_VALUES {
+                self.every *= 2;
+                let mut index = 0_usize;
+                self.values.retain(|_| {
+                    index += 1;
+                    index % 2 == 1
+                });
+            }
+            if self.count.is_multiple_of(self.every) {
+                self.values.push(value);
+            }
+        }
+        self.count += 1;
+    }
+
+    /// The value that a part of all values are below; NaN without any.
+    fn quantile(&mut self, part: f64) -> f64 {
+        self.values.sort_by(f64::total_cmp);
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within the values
+        let index = (part * self.values.len().saturating_sub(1) as f64).round() as usize;
+        self.values.get(index).copied().unwrap_or(f64::NAN)
+    }
+}
+
+fn document(arguments: &Arguments, cloud: &Cloud, mut summary: Summary) -> Value {
+    let [near, median, far] = [0.05, 0.5, 0.95].map(|part| summary.distances_mm.quantile(part));
+    let known = cloud.has_std_devs;
+    let [x, y, z] = summary.std_devs_mm.map(|mut sample| known.then(|| sample.quantile(0.5)));
     json!({
         "input": arguments.input.display().to_string(),
         "camera": arguments.camera.display().to_string(),
-        "points": points().count(),
-        "without_point": cloud.points.iter().filter(|point| point.is_none()).count(),
-        "distance_mm": { "near": quantile(depths(), 0.05), "median": quantile(depths(), 0.5), "far": quantile(depths(), 0.95) },
+        "points": summary.points,
+        "without_point": summary.without_point,
+        "distance_mm": { "near": near, "median": median, "far": far },
         "findings": cloud.findings,
-        "median_sigma_mm": { "x": median(0), "y": median(1), "z": median(2) },
+        "median_sigma_mm": { "x": x, "y": y, "z": z },
     })
-}
-
-/// The value that a part of all values are below; NaN without any.
-fn quantile(mut values: Vec<f64>, part: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within the values
-    let index = (part * values.len().saturating_sub(1) as f64).round() as usize;
-    values.get(index).copied().unwrap_or(f64::NAN)
 }
 
 fn text(document: &Value) -> String {

@@ -17,7 +17,7 @@ use plenocal::{Error, Finding, Result, Subject};
 use rayon::prelude::*;
 
 use super::boards::{camera_of, listed_images};
-use super::messages::{print_result, tell};
+use super::messages::{announce_memory, print_result, tell};
 use super::progress;
 
 /// Measure the micro-image array and the internal parameters on white images.
@@ -33,10 +33,8 @@ pub struct Arguments {
     /// Size of the images that a Raytrix calibration belongs to, e.g. 2048x2048.
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(u16, u16)>,
-    /// Folder for the results: precalibration.json and centers.csv; from images also
-    /// micro-images.svg; from a project also radii.svg and COMPOTE's camera.js and params.js. Files of earlier results are
-    /// replaced.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("precalibration.json and centers.csv; from images also \
+micro-images.svg; from a project also radii.svg and COMPOTE's camera.js and params.js"))]
     out: PathBuf,
     /// How radii are measured: the edge of a fitted profile, or the paper's second moments, which
     /// are right only for some over-exposures; for a project [default: profile].
@@ -126,6 +124,8 @@ fn of_image(
     output: &mut OutputFolder,
 ) -> Result<(String, serde_json::Value)> {
     let path = &arguments.input;
+    let bytes = io::image_bytes(path)? as f64;
+    announce_memory("measuring an image of this size", bytes * (1.0 + WORK_BYTES_ALONE));
     let image = io::read_image(path, arguments.color)?;
     let array = measure_array(&image, None).map_err(|e| e.in_file(path))?;
     tell(&io::image_findings(&[path]));
@@ -160,6 +160,8 @@ fn of_raytrix(
         Error::invalid(format!("in an image of {width} x {height} px: {e}; check --size"))
             .in_file(path)
     };
+    let about = maker.number_of_centers(width, height).map_err(of_this_size)?;
+    announce_memory(&format!("an array of some {about:.0} micro-lenses"), about * CENTER_BYTES);
     let centers = maker.centers(width, height).map_err(of_this_size)?;
     let count =
         |index: fn(&MicroImageCenter) -> i32| centers.iter().map(index).max().unwrap_or(-1) + 1;
@@ -213,6 +215,7 @@ pub(super) fn measure(
     options: &PrecalibrationOptions,
     quiet: bool,
 ) -> Result<(Precalibration, Vec<White>)> {
+    announce(images)?;
     let (whites, reference) = read_whites(images, sheet).map_err(|e| e.in_file(path))?;
     let bar = progress::steps(quiet, whites.len(), "measuring white images");
     let result = precalibrate(&whites, reference.as_ref(), options, &|| bar.inc(1));
@@ -248,6 +251,26 @@ pub(super) fn stage_centers(output: &mut OutputFolder, result: &Precalibration) 
     let types = result.lens_types.types;
     let lens_type = |c: &MicroImageCenter| result.array.grid.lattice.lens_type(c.k, c.l, types);
     output.stage("centers.csv", |out| io::write_measured_centers(out, &result.array, lens_type))
+}
+
+/// What the measurement takes for each pixel beside the images, bytes: 9 were measured on images of 12.5 MP, 5 with a single
+/// image.
+const WORK_BYTES: f64 = 9.0;
+const WORK_BYTES_ALONE: f64 = 5.0;
+
+/// What a centre of a maker's calibration takes, bytes: 180 were measured with 16 million of them.
+const CENTER_BYTES: f64 = 180.0;
+
+/// Announces how much memory the white images of a project take, all of which are measured together.
+fn announce(images: &ImagesSection) -> Result<()> {
+    let files = images.whites.iter().map(|white| &white.image).chain(&images.devignetting);
+    let bytes: Vec<u64> = files.map(|path| io::image_bytes(path)).collect::<Result<_>>()?;
+    let all: f64 = bytes.iter().map(|bytes| *bytes as f64).sum();
+    // A sample takes a byte or two, or a pixel three or six.
+    let largest = bytes.iter().max().map_or(0.0, |bytes| *bytes as f64);
+    let work = format!("measuring {} white images together", bytes.len());
+    announce_memory(&work, all + WORK_BYTES * largest);
+    Ok(())
 }
 
 /// Reads the white images of a project, and its devignetting image.

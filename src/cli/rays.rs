@@ -1,7 +1,6 @@
 //! `plenocal rays`: the ray of every pixel.
 
 use std::io::{self as std_io, Write};
-use std::ops::Range;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -9,12 +8,13 @@ use clap::Args;
 use nalgebra::{Point3, Vector2};
 use plenocal::io::{NpyHeader, OutputFolder};
 use plenocal::model::PlenopticCamera;
+use plenocal::quantity::significant;
 use plenocal::solver::{Ray, micro_images_at, pixel_rays};
 use plenocal::{Error, Result};
 use serde_json::{Value, json};
 
-use super::evaluate::{beyond_boards, calibrated};
-use super::messages::{print_result, say, tell};
+use super::evaluate::{calibrated, distance_check};
+use super::messages::{announce_file, print_result, tell};
 use super::progress;
 
 /// Compute the ray in space of every pixel of a calibrated camera.
@@ -27,8 +27,7 @@ use super::progress;
 pub struct Arguments {
     /// Calibrated camera (camera.json, COMPOTE's intrinsics.js).
     camera: PathBuf,
-    /// Folder for the results: rays.npy, rays.json, and with --micro-images micro-images.npy.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("rays.npy, rays.json, and with --micro-images micro-images.npy"))]
     out: PathBuf,
     /// Distance from the main lens at which rays have their origins, mm [default: where the lens is focused, or 100
     /// focal lengths if that is infinity]. Distortion bends rays a little: they are exact here.
@@ -54,15 +53,15 @@ In Python:
   rays = numpy.load('rays/rays.npy')       # height x width x 6, mm; NaN where there is none
   origin, direction = rays[v, u, :3], rays[v, u, 3:]";
 
-/// Files of more than this size are announced before they are written.
-const ANNOUNCED_GB: f64 = 1.0;
-/// Rays are computed so many rows at a time.
-const ROWS: u32 = 32;
+/// Rays are computed so many pixels at a time: all of a large sensor would take tens of gigabytes.
+const AT_ONCE: u64 = 1 << 16;
 /// A lens focused at infinity has its rays begin so many focal lengths away.
 const FAR: f64 = 100.0;
-/// How much rays bend is measured at these multiples of the distance, on every so many-th pixel along u and v.
+/// How much rays bend is measured at these multiples of the distance, on every so many-th pixel along u and v, but on not
+/// more of them than this along either.
 const MULTIPLES: [f64; 2] = [0.7, 1.5];
 const SPARSE: u32 = 37;
+const MOST_ALONG: u32 = 500;
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
@@ -71,24 +70,19 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let at_mm = arguments.at.unwrap_or_else(|| default_distance(&camera));
     let bend = bend(&camera, at_mm)?;
     let (width, height) = (camera.sensor.width_px, camera.sensor.height_px);
-    let bar = progress::share(u64::from(height));
+    let bar = progress::share(camera.sensor.pixels());
     let mut count = 0;
     let shape = [height as usize, width as usize, 6];
-    let gigabytes =
-        shape.iter().product::<usize>() as f64 * if arguments.double { 8e-9 } else { 4e-9 };
-    if gigabytes > ANNOUNCED_GB {
-        say(&format!("writing rays.npy of {gigabytes:.1} GB"));
-    }
+    let size = if arguments.double { 8.0 } else { 4.0 };
+    announce_file("rays.npy", camera.sensor.pixels() as f64 * 6.0 * size);
     let header = NpyHeader::floats(arguments.double, &shape);
     let staged = output.stage("rays.npy", |out| {
         header.write(out)?;
-        for first in (0..height).step_by(ROWS as usize) {
-            let rows = first..height.min(first + ROWS);
-            let pixels = pixels_of(&camera, rows.clone());
+        for pixels in pieces(&camera) {
             let rays = pixel_rays(&camera, &pixels, at_mm).map_err(std_io::Error::other)?;
             count += rays.iter().flatten().count();
             write_rays(out, &rays, arguments.double)?;
-            bar.inc(u64::from(rows.end - rows.start));
+            bar.inc(pixels.len() as u64);
         }
         Ok(())
     });
@@ -97,7 +91,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     if arguments.micro_images {
         stage_micro_images(&mut output, &camera)?;
     }
-    let pixels = u64::from(width) * u64::from(height);
+    let pixels = camera.sensor.pixels();
     let document = json!({
         "format": "plenocal-rays",
         "version": 1,
@@ -111,7 +105,10 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         "bend": bend.iter().map(Bend::document).collect::<Vec<Value>>(),
     });
     output.stage_json("rays.json", &document)?;
-    let doubt = beyond_boards(&arguments.camera, &[at_mm])?;
+    let doubt = distance_check(&arguments.camera)?.and_then(|mut check| {
+        check.count(at_mm);
+        check.finding()
+    });
     let paths = output.commit()?;
     tell(&doubt);
     let bends: Vec<String> = bend.iter().map(Bend::text).collect();
@@ -137,10 +134,15 @@ pub(super) fn default_distance(camera: &PlenopticCamera) -> f64 {
     }
 }
 
-/// The pixels of some rows.
-fn pixels_of(camera: &PlenopticCamera, rows: Range<u32>) -> Vec<Vector2<f64>> {
-    let width = camera.sensor.width_px;
-    rows.flat_map(|v| (0..width).map(move |u| Vector2::new(f64::from(u), f64::from(v)))).collect()
+/// All pixels, row by row, a piece at a time.
+fn pieces(camera: &PlenopticCamera) -> impl Iterator<Item = Vec<Vector2<f64>>> {
+    let width = u64::from(camera.sensor.width_px);
+    let count = camera.sensor.pixels();
+    let pixel = move |i: u64| Vector2::new((i % width) as f64, (i / width) as f64);
+    let step = usize::try_from(AT_ONCE).unwrap_or(usize::MAX);
+    (0..count)
+        .step_by(step)
+        .map(move |first| (first..count.min(first + AT_ONCE)).map(pixel).collect())
 }
 
 fn write_rays(out: &mut dyn Write, rays: &[Option<Ray>], double: bool) -> std_io::Result<()> {
@@ -165,11 +167,11 @@ fn write_rays(out: &mut dyn Write, rays: &[Option<Ray>], double: bool) -> std_io
 fn stage_micro_images(output: &mut OutputFolder, camera: &PlenopticCamera) -> Result<()> {
     let (width, height) = (camera.sensor.width_px, camera.sensor.height_px);
     let header = NpyHeader::integers(&[height as usize, width as usize, 2]);
+    announce_file("micro-images.npy", camera.sensor.pixels() as f64 * 8.0);
     output.stage("micro-images.npy", |out| {
         header.write(out)?;
-        for first in (0..height).step_by(ROWS as usize) {
-            let rows = first..height.min(first + ROWS);
-            let found = micro_images_at(camera, &pixels_of(camera, rows));
+        for pixels in pieces(camera) {
+            let found = micro_images_at(camera, &pixels);
             let found = found.map_err(std_io::Error::other)?;
             let indices = found.into_iter().map(|at| at.unwrap_or((-1, -1)));
             let bytes: Vec<u8> =
@@ -196,14 +198,21 @@ impl Bend {
 
     fn text(&self) -> String {
         format!(
-            "At {:.0} mm they are {:.2e} mm RMS off what the camera sees there, at most {:.2e} mm.",
-            self.at_mm, self.rms_mm, self.largest_mm
+            "At {:.0} mm they are {} mm RMS off what the camera sees there, at most {} mm.",
+            self.at_mm,
+            significant(self.rms_mm, 3),
+            significant(self.largest_mm, 3)
         )
     }
 }
 
 fn bend(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<Bend>> {
-    let along = |size: u32| (SPARSE / 2..size.max(SPARSE)).step_by(SPARSE as usize);
+    let along = |size: u32| {
+        let step = SPARSE.max(size.div_ceil(MOST_ALONG));
+        // Sensors of fewer pixels are measured at their middle.
+        let first = if size > step / 2 { step / 2 } else { size / 2 };
+        (first..size).step_by(step as usize)
+    };
     let places: Vec<Vector2<f64>> = along(camera.sensor.height_px)
         .flat_map(|v| {
             along(camera.sensor.width_px).map(move |u| Vector2::new(f64::from(u), f64::from(v)))

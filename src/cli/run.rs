@@ -26,7 +26,7 @@ use serde_json::{Value, json};
 use super::boards::{self, Options, Shoot, images_of};
 use super::calibrate::{compared, stage_results, status, with_method};
 use super::evaluate::{calibrated, clouds, evaluated};
-use super::messages::{print_result, say, tell};
+use super::messages::{announce_calibration, print_result, say, tell};
 use super::precalibrate;
 
 /// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
@@ -38,9 +38,7 @@ pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images]; `plenocal init` writes one.
     pub project: PathBuf,
 
-    /// Folder for the results: report.html, verdict.json, manifest.json, and a folder for each stage. Files of earlier
-    /// results are replaced.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = results_help!("report.html, verdict.json, manifest.json, and a folder for each stage"))]
     pub out: PathBuf,
     /// How the virtual depth of a corner is estimated from the micro-images that show it.
     #[arg(long, default_value = "line")]
@@ -180,8 +178,8 @@ impl<'a> Run<'a> {
             }
         };
         let of_calibration = Subset::Calibration;
-        let found =
-            self.stage(boards_stage(of_calibration), boards(of_calibration, &micro_images))?;
+        let found = self.stage(boards_stage(of_calibration), boards(of_calibration, &micro_images));
+        let found = found.map_err(|error| because_of_white_image(error, &self.findings))?;
         self.findings.extend(found.findings.iter().cloned());
         // The other boards were taken by the same camera.
         let settled = match &found.aperture_ratio {
@@ -326,6 +324,7 @@ impl<'a> Run<'a> {
         let begun = Instant::now();
         let board = &self.shoot.board;
         let Observed { start, observations } = observed;
+        announce_calibration(&observations.features);
         let result = calibrate(start, board, observations, options, &mut |_| true)?;
         let assessment = assess(&result, board)?;
         tell(&result.findings);
@@ -378,7 +377,9 @@ impl<'a> Run<'a> {
         let Arguments { folds, json, .. } = *self.arguments;
         let comparison = match compared(calibration, &self.shoot.board, folds, json) {
             Ok(comparison) => comparison,
-            Err(error) => return Ok((Value::Null, vec![Part::Text(format!("{error}."))])),
+            Err(error) => {
+                return Ok((Value::Null, vec![Part::Text(report::sentence(&error.to_string()))]));
+            }
         };
         let figures = report::model_figures(calibration, &comparison);
         stage_figures(output, &figures.concat())?;
@@ -545,6 +546,19 @@ impl<'a> Run<'a> {
             self.manifest.inputs.len()
         );
         Section::new("Overview", vec![Part::Table(table), Part::Text(text)])
+    }
+}
+
+/// An error of the boards, after what is wrong with a white image: beside an image that is not white, no board is found.
+fn because_of_white_image(error: Error, findings: &[Finding]) -> Error {
+    let not_white = |finding: &&Finding| {
+        matches!(finding.issue, Issue::NotWhite { .. } | Issue::IrregularArray { .. })
+    };
+    match (findings.iter().find(not_white), &error) {
+        (_, Error::Write { .. }) | (None, _) => error,
+        (Some(finding), _) => {
+            Error::invalid(format!("{finding}. With this white image there is no result: {error}"))
+        }
     }
 }
 

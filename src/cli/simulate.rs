@@ -13,6 +13,7 @@ use plenocal::model::Subset;
 use plenocal::simulation::{Content, DataSet, PRESETS, Progress, Settings};
 use plenocal::{Error, Result};
 
+use super::messages::announce_memory;
 use super::progress;
 
 /// Simulate a plenoptic camera: raw images by ray tracing, with the truth.
@@ -113,12 +114,31 @@ pub fn simulate(arguments: &Arguments) -> Result<String> {
         .in_file(out));
     }
     let poses = arguments.poses.as_deref().map(io::read_poses).transpose()?;
-    let progress = Bar::new(&settings, &DataSet::plan(&settings, poses.clone())?);
+    let plan = DataSet::plan(&settings, poses.clone())?;
+    announce(&settings, &plan);
+    let progress = Bar::new(&settings, &plan);
     let simulated = io::stage_data_set(&mut output, &settings, poses, &progress)?;
     progress.0.finish_and_clear();
     let written = output.commit()?;
     io::remove_older_data(out, &written);
     Ok(summary(&simulated.data_set, &out.display().to_string(), begun.elapsed()))
+}
+
+/// What an image takes while it is taken, bytes for each pixel and for each of its samples: 7 were measured on grey images.
+const PIXEL_BYTES: f64 = 4.0;
+const SAMPLE_BYTES: f64 = 3.0;
+/// What the true features of a corner take, bytes: 3080 were measured.
+const CORNER_BYTES: f64 = 3e3;
+
+/// Announces how much memory large images and boards of very many corners take.
+fn announce(settings: &Settings, plan: &DataSet) {
+    let pixels = settings.camera.sensor.pixels() as f64;
+    let samples = settings.imaging.color.samples() as f64;
+    announce_memory("an image of this size", pixels * (PIXEL_BYTES + SAMPLE_BYTES * samples));
+    let boards: usize = plan.subsets.iter().map(Vec::len).sum();
+    let board = settings.target.board();
+    let corners = f64::from(board.columns) * f64::from(board.rows) * boards as f64;
+    announce_memory("finding the true features of all corners", corners * CORNER_BYTES);
 }
 
 fn settings(arguments: &Arguments) -> Result<Settings> {

@@ -45,6 +45,6 @@ pub use micro_images::{MicroImages, check_configuration};
 pub use micro_optics::MicroOptics;
 pub(crate) use observation::CornerObservation;
 pub use observation::DepthEstimator;
-pub use stage::detect;
+pub use stage::{AT_ONCE, detect};
 
 pub use crate::optics::Aberration;

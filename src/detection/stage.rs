@@ -14,8 +14,8 @@ use crate::image::{Grey, RawImage};
 use crate::model::{SampleLevels, Sensor, Subset};
 use rayon::prelude::*;
 
-/// Frames that are in memory at once.
-const AT_ONCE: usize = 4;
+/// Number of frames that [`detect`] has in memory at once.
+pub const AT_ONCE: usize = 4;
 
 /// Detects the board in a set of images. `white` is the white image in their light and at their
 /// f-number.

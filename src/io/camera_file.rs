@@ -3,7 +3,9 @@
 //! The unit of every number is in its name. The meaning of the numbers is documented at
 //! [`PlenopticCamera`]. A reader has to check `format` and `version` first.
 
-use std::path::Path;
+use std::fs;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -93,6 +95,29 @@ pub(super) fn errors_text(uncertainty: &Uncertainty) -> &'static str {
     }
 }
 
+/// Name of the file, as commands write it.
+const NAME: &str = "camera.json";
+/// Cameras are looked for in folders so deep, as `results/calibration` in the folder of a project.
+const DEPTH: usize = 2;
+/// More cameras are not worth naming.
+const MOST_CAMERAS: usize = 4;
+
+/// The camera files in a folder and in those that it contains, by their names; those of fewer folders first.
+#[must_use]
+pub fn cameras_in(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    for _ in 0..=DEPTH {
+        folders.sort();
+        found.extend(folders.iter().map(|folder| folder.join(NAME)).filter(|file| file.is_file()));
+        let inside = folders.iter().filter_map(|folder| fs::read_dir(folder).ok());
+        let inside = inside.flat_map(|entries| entries.flatten().map(|entry| entry.path()));
+        folders = inside.filter(|path| path.is_dir() && !path.is_symlink()).collect();
+    }
+    found.truncate(MOST_CAMERAS);
+    found
+}
+
 /// Reads the camera of a `camera.json`.
 pub fn read_camera(path: &Path) -> Result<PlenopticCamera> {
     let value = read_json(path)?;
@@ -142,12 +167,30 @@ pub fn read_board_distances(path: &Path) -> Result<Option<[f64; 2]>> {
 /// Reads the standard deviations in a `camera.json`, in the order of
 /// [`PlenopticCamera::intrinsics`]; `None` for parameters that were fixed or not determined, and
 /// where the file has none.
+///
+/// An error names one that is no standard deviation.
 pub fn read_std_devs(path: &Path, lens_types: usize) -> Result<Vec<Option<f64>>> {
     let value = read_json(path)?;
     let std_devs = &value["uncertainty"]["standard_deviations"];
-    let of_parameter = |p: &Parameter| std_devs[p.name()]["value"].as_f64();
-    Ok(Parameter::intrinsic(lens_types).iter().map(of_parameter).collect())
+    let of_parameter = |p: &Parameter| match std_devs[p.name()]["value"].as_f64() {
+        Some(std_dev) if !POSSIBLE_STD_DEVS.contains(&std_dev) => Err(Error::content(
+            path,
+            format!(
+                "uncertainty.standard_deviations.{} is {std_dev:e}, but a standard deviation is from {:e} to {:e}: write null \
+                 where none is known",
+                p.name(),
+                POSSIBLE_STD_DEVS.start(),
+                POSSIBLE_STD_DEVS.end()
+            ),
+        )),
+        std_dev => Ok(std_dev),
+    };
+    Parameter::intrinsic(lens_types).iter().map(of_parameter).collect()
 }
+
+/// Differences over a smaller one, and squares of a larger one, are not finite; in the units of the parameters, those of cameras
+/// are from 1e-12 to 1e3.
+const POSSIBLE_STD_DEVS: RangeInclusive<f64> = 1e-30..=1e30;
 
 /// Keys of the file beside those of the camera, and whether a reader looks into them.
 const BESIDE: [&str; 7] =

@@ -41,8 +41,8 @@ pub use calibration_file::{
     calibrated_camera_document, calibration_document, cost_document, models_document,
 };
 pub use camera_file::{
-    CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_findings, read_board_distances,
-    read_camera, read_camera_findings, read_std_devs,
+    CAMERA_FORMAT, CAMERA_VERSION, camera_document, camera_findings, cameras_in,
+    read_board_distances, read_camera, read_camera_findings, read_std_devs,
 };
 pub use comparison_file::comparison_document;
 pub use data_set_folder::{image_name, is_data_set, remove_older_data, stage_data_set};
@@ -50,7 +50,7 @@ pub use detection_file::detection_document;
 pub use evaluation_file::evaluation_document;
 pub use first_look::{doubtful_files, first_look, repeated};
 pub use folder_lock::FolderLock;
-pub use image_file::{image_findings, read_image, write_jpeg, write_png};
+pub use image_file::{image_bytes, image_findings, read_image, write_jpeg, write_png};
 pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{
     CameraSource, read_array_size, read_board, read_camera_source, read_internal_parameters,
@@ -60,15 +60,15 @@ pub use json_file::read_json;
 pub use manifest::{MANIFEST, Manifest, StageRecord};
 pub use npy_file::NpyHeader;
 pub use observations_file::{line_of, read_centers, read_features, write_centers, write_features};
-pub use output::{OutputFolder, abandon_output};
-pub use ply_file::{PlyColumn, write_ply};
+pub use output::{OutputFolder, StagedFile, abandon_output};
+pub use ply_file::{PlyColumn, PlyWriter};
 pub use point_cloud::read_point_cloud_distance;
 pub use poses_file::{POSES_FORMAT, POSES_VERSION, poses_document};
 pub use precalibration_file::{
     PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION, array_document, precalibration_document,
     write_measured_centers,
 };
-pub use problem_folder::{PROBLEM_FORMAT, PROBLEM_VERSION, stage_problem};
+pub use problem_folder::{PROBLEM, PROBLEM_FORMAT, PROBLEM_VERSION, read_problem, stage_problem};
 pub use project_draft::{DraftText, ProjectDraft};
 pub use project_file::{ImagesSection, Project, TranslationImages, TruthSection, WhiteImage};
 pub use raytrix::{RaytrixCalibration, read_raytrix};

@@ -8,12 +8,14 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use csv::{ReaderBuilder, StringRecord, Trim};
+use nalgebra::Point3;
 
 use super::spelling::meant;
 use super::{compote, not_utf8, read_bytes};
+use crate::calibration::ProblemFeature;
 use crate::error::{Error, Observed, Result};
 use crate::model::{
-    BapFeature, MeasuredBlur, MicroImageCenter, Observations, TAKEN, check_aperture_ratio,
+    BapFeature, Board, MeasuredBlur, MicroImageCenter, Observations, TAKEN, check_aperture_ratio,
 };
 use crate::quantity::Estimate;
 use crate::solver::{MicroPixel, VirtualPoint};
@@ -45,33 +47,65 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
     }
     let mut required = vec!["k", "l", "u", "v", "cluster", "frame"];
     required.extend(rho.then_some("rho"));
-    let optional: Vec<&str> = ["rho", "std_u", "std_v", "std_rho", CORRELATION]
+    let optional = optional_of_features();
+    let features = rows(path, &bytes, &required, &optional, feature)?;
+    Ok(Observations { centers: Vec::new(), features })
+}
+
+fn optional_of_features() -> Vec<&'static str> {
+    ["rho", "std_u", "std_v", "std_rho", CORRELATION]
         .into_iter()
         .chain(BLUR)
         .chain(SENSITIVITIES.into_iter().flatten())
-        .collect();
-    let features = rows(path, &bytes, &required, &optional, |row| {
-        Ok(BapFeature {
-            k: row.integer("k")?,
-            l: row.integer("l")?,
-            u_px: row.number("u")?,
-            v_px: row.number("v")?,
-            corner: row.integer("cluster")?,
-            frame: row.integer("frame")?,
-            rho_px: row.measured("rho")?,
-            std_dev_px: match (row.std_dev("std_u")?, row.std_dev("std_v")?) {
-                (Some(u), Some(v)) => Some([u, v]),
-                (None, None) => None,
-                _ => return Err(row.error("std_u and std_v go together, but one is missing")),
-            },
-            correlation: row.correlation()?,
-            rho_std_dev_px: row.std_dev("std_rho")?,
-            sensitivities_px: row.sensitivities()?,
-            blur: row.blur()?,
-        })
-    })?;
-    Ok(Observations { centers: Vec::new(), features })
+        .collect()
 }
+
+fn feature(row: &Row) -> Result<BapFeature> {
+    Ok(BapFeature {
+        k: row.integer("k")?,
+        l: row.integer("l")?,
+        u_px: row.number("u")?,
+        v_px: row.number("v")?,
+        corner: row.integer("cluster")?,
+        frame: row.integer("frame")?,
+        rho_px: row.measured("rho")?,
+        std_dev_px: match (row.std_dev("std_u")?, row.std_dev("std_v")?) {
+            (Some(u), Some(v)) => Some([u, v]),
+            (None, None) => None,
+            _ => return Err(row.error("std_u and std_v go together, but one is missing")),
+        },
+        correlation: row.correlation()?,
+        rho_std_dev_px: row.std_dev("std_rho")?,
+        sensitivities_px: row.sensitivities()?,
+        blur: row.blur()?,
+    })
+}
+
+/// Reads the features of a problem with the places of their corners, mm, which have to be those of its board.
+pub(super) fn read_problem_features(path: &Path, board: &Board) -> Result<Vec<ProblemFeature>> {
+    let bytes = read_bytes(path)?;
+    let required = ["frame", "x", "y", "z", "k", "l", "u", "v", "cluster"];
+    rows(path, &bytes, &required, &optional_of_features(), |row| {
+        let feature = feature(row)?;
+        let place = [row.number("x")?, row.number("y")?, row.number("z")?];
+        let board_point_mm = board.point_mm(feature.corner);
+        let off_mm = (Point3::from(place) - board_point_mm).norm();
+        let on_board = (0..board.corners()).contains(&feature.corner);
+        if !on_board || off_mm > SAME_CORNER * board.square_mm {
+            return Err(row.error(&format!(
+                "corner {} is at ({}, {}, {}) mm, which is not its place on the board in problem.json: problems with other \
+                 corners are not evaluated",
+                feature.corner, place[0], place[1], place[2]
+            )));
+        }
+        let [u, v] = feature.std_dev_px.unwrap_or([1.0; 2]);
+        let std_dev_px = [u, v, feature.rho_std_dev_px.unwrap_or(1.0)];
+        Ok(ProblemFeature { feature, board_point_mm, std_dev_px })
+    })
+}
+
+/// Corners that differ by less than this part of a square are the same.
+const SAME_CORNER: f64 = 1e-6;
 
 /// Reads points that are seen at virtual depths: CSV with the columns k, l, u, v and nu, and, where known, std_u, std_v
 /// and std_nu, which are `std_dev` otherwise.
@@ -95,6 +129,8 @@ pub(super) fn read_virtual_rows(
         })
     })
 }
+
+// Numbers have all their digits: what is calibrated from files is what a run calibrates from its values.
 
 /// Writes micro-image centres as CSV, with their standard deviations if they have any.
 pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::Result<()> {
@@ -148,13 +184,12 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
             write!(out, ",{u},{v},{}", std_dev_text(f.rho_std_dev_px))?;
         }
         if correlated {
-            write!(out, ",{:.4}", f.correlation)?;
+            write!(out, ",{}", f.correlation)?;
         }
         if with_blur {
             match &f.blur {
                 Some(MeasuredBlur { radius_px, std_dev_px, shared_px, aperture_ratio }) => {
-                    let std_dev = std_dev_text(Some(*std_dev_px));
-                    write!(out, ",{radius_px:.4},{std_dev},{shared_px:.5},{aperture_ratio:.6}")?;
+                    write!(out, ",{radius_px},{std_dev_px},{shared_px},{aperture_ratio}")?;
                 }
                 None => write!(out, ",,,,")?,
             }
@@ -166,18 +201,16 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
             .iter()
             .filter(|_| with_sensitivities)
         {
-            let text = f.sensitivities_px.map(|_| format!("{sensitivity:.4}")).unwrap_or_default();
+            let text = f.sensitivities_px.map(|_| sensitivity.to_string()).unwrap_or_default();
             write!(out, ",{text}")?;
         }
         writeln!(out)
     })
 }
 
-/// A standard deviation with four significant digits, so that none becomes 0.
+/// A standard deviation; nothing where none was measured.
 pub(super) fn std_dev_text(std_dev: Option<f64>) -> String {
-    std_dev
-        .map(|s| if s < 1e-3 { format!("{s:.3e}") } else { format!("{s:.6}") })
-        .unwrap_or_default()
+    std_dev.map(|s| s.to_string()).unwrap_or_default()
 }
 
 struct Row<'a> {

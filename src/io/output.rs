@@ -1,7 +1,7 @@
 //! A folder of results that appear all together or not at all.
 
 use std::fs;
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
 use std::mem;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -24,6 +24,57 @@ pub struct OutputFolder {
     staged: Vec<(NamedTempFile, PathBuf)>,
     /// Folders that were not there before.
     created: Vec<PathBuf>,
+}
+
+/// A file of an [`OutputFolder`] that is being written. Dropped, it leaves nothing behind.
+#[derive(Debug)]
+pub struct StagedFile {
+    file: io::BufWriter<Unnamed>,
+    path: PathBuf,
+}
+
+/// A temporary file whose errors do not have its name, which would only mislead.
+#[derive(Debug)]
+struct Unnamed(NamedTempFile);
+
+impl Write for Unnamed {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.as_file_mut().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.as_file_mut().flush()
+    }
+}
+
+impl Seek for Unnamed {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.0.as_file_mut().seek(to)
+    }
+}
+
+impl StagedFile {
+    /// An error of writing, with the name that the file is to get.
+    #[must_use]
+    pub fn error(&self, source: io::Error) -> Error {
+        Error::Write { path: self.path.clone(), source }
+    }
+}
+
+impl Write for StagedFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Seek for StagedFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
+    }
 }
 
 /// What all output folders of the process have on disk but not committed.
@@ -112,22 +163,31 @@ impl OutputFolder {
         name: impl AsRef<Path>,
         write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
     ) -> Result<()> {
+        let mut file = self.begin(name)?;
+        write(&mut file).map_err(|source| file.error(source))?;
+        self.finish(file)
+    }
+
+    /// Begins a file of the folder that is written piece by piece, and staged once it is finished.
+    pub fn begin(&mut self, name: impl AsRef<Path>) -> Result<StagedFile> {
         let path = self.folder.join(name);
         let folder = path.parent().map_or_else(|| self.folder.clone(), Path::to_owned);
-        let staged = self.open(&folder).and_then(|mut file| {
-            let mut buffer = io::BufWriter::new(file.as_file_mut());
-            write(&mut buffer)?;
-            buffer.flush()?;
-            drop(buffer);
-            Ok(file)
-        });
-        match staged {
-            Ok(file) => {
+        match self.open(&folder) {
+            Ok(file) => Ok(StagedFile { file: io::BufWriter::new(Unnamed(file)), path }),
+            Err(source) => Err(Error::Write { path, source }),
+        }
+    }
+
+    /// Stages a file that was begun here and is written whole, in place of one that was staged under its name.
+    pub fn finish(&mut self, file: StagedFile) -> Result<()> {
+        let StagedFile { file, path } = file;
+        match file.into_inner() {
+            Ok(Unnamed(file)) => {
                 self.staged.retain(|(_, earlier)| *earlier != path);
                 self.staged.push((file, path));
                 Ok(())
             }
-            Err(source) => Err(Error::Write { path, source }),
+            Err(error) => Err(Error::Write { path, source: error.into_error() }),
         }
     }
 

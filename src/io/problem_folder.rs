@@ -1,23 +1,139 @@
 //! A whole least-squares problem in a folder: what `plenocal::io::read_problem` in C++ reads.
 
+use std::collections::BTreeSet;
 use std::io::{self, Write};
+use std::path::Path;
 
+use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::{OutputFolder, camera_document, poses_document};
+use super::json_file::{check_version, document_of, read_json};
+use super::observations_file::read_problem_features;
+use super::{
+    OutputFolder, camera_document, poses_document, read_camera, read_centers, read_poses, read_text,
+};
 use crate::calibration::{ProblemFeature, SolvedProblem};
-use crate::error::Result;
-use crate::model::{MicroImageCenter, Parameter};
+use crate::error::{Error, Result};
+use crate::model::{BentBoard, Board, BoardShape, MicroImageCenter, Parameter};
+use crate::solver::{CostOptions, Loss, LossKind, Prior};
 
 /// `format` of `problem.json`.
 pub const PROBLEM_FORMAT: &str = "plenocal-problem";
 /// `version` of `problem.json`.
 pub const PROBLEM_VERSION: u64 = 1;
+/// File of a problem with its cost and its board.
+pub const PROBLEM: &str = "problem.json";
+
+/// What is read of `problem.json`.
+#[derive(Deserialize)]
+struct ProblemFile {
+    rho: bool,
+    loss: LossFile,
+    fixed: Vec<Parameter>,
+    // Problems exported before 0.1.0 call priors anchors.
+    #[serde(alias = "anchors")]
+    priors: Vec<PriorFile>,
+    #[serde(alias = "anchor_weight")]
+    prior_weight: f64,
+    board: BoardFile,
+    cost_of_plenocal: f64,
+}
+
+#[derive(Deserialize)]
+struct LossFile {
+    kind: LossKind,
+    scale: f64,
+}
+
+#[derive(Deserialize)]
+struct PriorFile {
+    quantity: String,
+    value: f64,
+    std_dev: f64,
+}
+
+/// Size and shape of the board; its half width and height follow from the size.
+#[derive(Deserialize)]
+struct BoardFile {
+    columns: i32,
+    rows: i32,
+    square_mm: f64,
+    sag_x_mm: f64,
+    sag_y_mm: f64,
+    twist_mm: f64,
+    aspect: f64,
+}
+
+/// Reads a problem that was exported.
+///
+/// An error that names the file, if one is missing, or if the features have frames without a pose or corners that are not
+/// those of the board.
+pub fn read_problem(folder: &Path) -> Result<SolvedProblem> {
+    let path = folder.join(PROBLEM);
+    let value = read_json(&path)?;
+    let ProblemFile { rho, loss, fixed, priors, prior_weight, board, cost_of_plenocal } =
+        problem_from(value).map_err(|e| e.in_file(&path))?;
+    let BoardFile { columns, rows, square_mm, sag_x_mm, sag_y_mm, twist_mm, aspect } = board;
+    let board = BentBoard {
+        board: Board { columns, rows, square_mm },
+        shape: BoardShape { sag_x_mm, sag_y_mm, twist_mm, aspect },
+    };
+    board.board.validate().map_err(|e| e.in_file(&path))?;
+    let features_path = folder.join("features.csv");
+    let features = read_problem_features(&features_path, &board.board)?;
+    let poses = read_poses(&folder.join("poses.json"))?;
+    let known: BTreeSet<u32> = poses.iter().map(|pose| pose.frame).collect();
+    if let Some(of) = features.iter().find(|of| !known.contains(&of.feature.frame)) {
+        let message = format!("frame {} has no pose in poses.json", of.feature.frame);
+        return Err(Error::content(&features_path, message));
+    }
+    let prior = |PriorFile { quantity, value, std_dev }: PriorFile| Prior {
+        quantity: quantity.replace("lean_", "tilt_"),
+        value,
+        std_dev,
+    };
+    Ok(SolvedProblem {
+        camera: read_camera(&folder.join("camera.json"))?,
+        poses,
+        board,
+        features,
+        centers: read_problem_centers(&folder.join("centers.csv"))?,
+        cost: CostOptions {
+            rho,
+            loss: Loss { kind: loss.kind, scale: loss.scale },
+            fixed: fixed.iter().map(ToString::to_string).collect(),
+            priors: priors.into_iter().map(prior).collect(),
+            prior_weight,
+            ..CostOptions::default()
+        },
+        minimum: cost_of_plenocal,
+    })
+}
+
+fn problem_from(value: Value) -> Result<ProblemFile> {
+    if value["format"] != PROBLEM_FORMAT {
+        return Err(Error::invalid(format!(
+            "its format is {}, and not \"{PROBLEM_FORMAT}\": give a problem that a calibration has exported",
+            value["format"]
+        )));
+    }
+    check_version(&value, PROBLEM_FORMAT, PROBLEM_VERSION)?;
+    document_of(value, PROBLEM_FORMAT)
+}
+
+/// The centres of a problem; none where only poses are estimated.
+fn read_problem_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
+    if read_text(path)?.trim_end().lines().count() == 1 {
+        Ok(Vec::new())
+    } else {
+        read_centers(path)
+    }
+}
 
 /// Stages `problem.json` (the cost and the board), `camera.json` and `poses.json` (the start), `features.csv` and
 /// `centers.csv` (the observations).
 pub fn stage_problem(output: &mut OutputFolder, problem: &SolvedProblem) -> Result<()> {
-    output.stage_json("problem.json", &problem_document(problem))?;
+    output.stage_json(PROBLEM, &problem_document(problem))?;
     output.stage_json("camera.json", &camera_document(&problem.camera, None))?;
     output.stage_json("poses.json", &poses_document(&problem.poses, None))?;
     output.stage("features.csv", |out| write_problem_features(out, &problem.features))?;

@@ -12,7 +12,7 @@ use roxmltree::{Document, Node};
 use super::read_text;
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
-use crate::model::{LatticeKind, MicroImageCenter, check_lens_types};
+use crate::model::{LatticeKind, MOST_PIXELS, MicroImageCenter, check_lens_types};
 use crate::precalibration::{lattice_centers, lattice_orientation};
 
 /// A micro-image array from a `RayCalibData` file.
@@ -181,8 +181,17 @@ impl RaytrixCalibration {
         issue.into_iter().map(Finding::caution).collect()
     }
 
-    /// All centres in an image of this size, px.
+    /// About how many centres an image of this size, px, has. An error if it has more pixels than any sensor.
+    pub fn number_of_centers(&self, width: u16, height: u16) -> Result<f64> {
+        if u64::from(width) * u64::from(height) > MOST_PIXELS {
+            return Err(Error::invalid(format!("no sensor has more than {MOST_PIXELS} pixels")));
+        }
+        Ok(f64::from(width) * f64::from(height) / self.steps_px.determinant().abs())
+    }
+
+    /// All centres in an image of this size, px. Errors are those of [`Self::number_of_centers`].
     pub fn centers(&self, width: u16, height: u16) -> Result<Vec<MicroImageCenter>> {
+        self.number_of_centers(width, height)?;
         let origin = Self::middle(width, height) + self.offset_px;
         lattice_centers((width, height), &origin, &self.steps_px)
     }
@@ -300,6 +309,16 @@ mod tests {
             let of = |c: &MicroImageCenter| maker.lens_type(600, 500, Vector2::new(c.u_px, c.v_px));
             assert!(centers.iter().all(|c| of(c) == 0));
         }
+    }
+
+    #[test]
+    fn images_are_not_larger_than_sensors() {
+        let maker = read(&file(0.0, 60.0, &[0.0, 1.0, 2.0])).unwrap();
+        let error = maker.centers(65_535, 65_535).unwrap_err().to_string();
+        assert!(error.contains("268435456 pixels"), "{error}");
+        let (about, count) =
+            (maker.number_of_centers(600, 500).unwrap(), maker.centers(600, 500).unwrap().len());
+        assert!((about / count as f64 - 1.0).abs() < 0.1, "{about} {count}");
     }
 
     #[test]

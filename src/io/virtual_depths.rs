@@ -1,26 +1,75 @@
 //! Virtual depths by other software: CSV of single points, and maps.
 
-use std::path::Path;
+use std::fmt;
+use std::fs::File;
+use std::io::{self, BufReader, Chain, Cursor, ErrorKind, Read};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
+use tracing::info;
+
+use super::image_file::image_of;
 use super::observations_file::read_virtual_rows;
-use super::read_bytes;
+use super::{open, record_read};
 use crate::error::{Error, Result};
 use crate::image::{Color, RawImage, Samples};
 use crate::solver::VirtualPoint;
 
-/// A map of virtual depths, row by row; NaN where there is none.
-#[derive(Debug, Clone, PartialEq)]
+/// A map of virtual depths. It is read piece by piece: all of it, with a point for each pixel of a large sensor, would take
+/// tens of gigabytes.
+#[derive(Debug)]
 pub struct DepthMap {
     /// Columns, px.
     pub width: usize,
     /// Rows, px.
     pub height: usize,
-    /// ν of each pixel.
-    pub depths: Vec<f64>,
+    path: PathBuf,
+    depths: Depths,
+    /// How many pixels were read.
+    read: usize,
+}
+
+enum Depths {
+    /// Numbers of this size, bytes, in a file.
+    Numbers(NpyFile, usize),
+    /// Grey levels, and what they mean.
+    Levels(RawImage, [f64; 2]),
+}
+
+/// The file from its beginning, whose first bytes were looked at.
+type NpyFile = BufReader<Chain<Cursor<Vec<u8>>, File>>;
+
+impl fmt::Debug for Depths {
+    fn fmt(&self, out: &mut fmt::Formatter) -> fmt::Result {
+        out.write_str(match self {
+            Self::Numbers(..) => "numbers",
+            Self::Levels(..) => "levels",
+        })
+    }
+}
+
+impl DepthMap {
+    /// Reads the ν of the next pixels, row by row and at most so many; NaN where there is none. No pixels follow the last one.
+    ///
+    /// An error if the file has other than as many numbers as its shape says.
+    pub fn next(&mut self, most: usize) -> Result<Vec<f64>> {
+        // A product beyond all memory was refused when the header was read.
+        let left = self.width * self.height - self.read;
+        let count = most.min(left);
+        let begin = self.read;
+        self.read += count;
+        match &mut self.depths {
+            Depths::Numbers(file, size) => {
+                let depths = next_numbers(file, *size, count, count == left);
+                depths.map_err(|e| e.of_file(&self.path))
+            }
+            Depths::Levels(image, scale) => Ok(depths_of_levels(image, *scale, begin, count)),
+        }
+    }
 }
 
 /// What a file of virtual depths has.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug)]
 pub enum VirtualDepths {
     /// One point in each line of a CSV file.
     Points(Vec<VirtualPoint>),
@@ -34,6 +83,8 @@ pub enum VirtualDepths {
 const NPY: &[u8] = b"\x93NUMPY";
 /// What an image lacks.
 const LEVELS: &str = "what its grey levels mean is not known: give A and B if the virtual depth is A + B times the level";
+/// What an image has too many of.
+const CHANNELS: &str = "this image has three channels, but a virtual depth is one number: save the map with one channel, not in colours";
 
 /// Reads virtual depths. In an image, the depth is `scale[0]` + `scale[1]` times the grey level of the file, and level 0
 /// stands for no depth. σ of points in CSV files is `std_dev` (u, v and ν) where they state none.
@@ -44,10 +95,17 @@ pub fn read_virtual_depths(
     scale: Option<[f64; 2]>,
     std_dev: [f64; 3],
 ) -> Result<VirtualDepths> {
-    let bytes = read_bytes(path)?;
+    let begun = Instant::now();
+    let unreadable = |source| Error::Read { path: path.to_owned(), source };
+    let mut file = open(path).map_err(unreadable)?;
+    let mut bytes = Vec::new();
+    (&mut file).take(NPY.len() as u64).read_to_end(&mut bytes).map_err(unreadable)?;
     if bytes.starts_with(NPY) {
-        return depths_of_npy(&bytes).map(VirtualDepths::Map).map_err(|e| e.in_file(path));
+        let file = BufReader::new(Cursor::new(bytes).chain(file));
+        return npy_map(path, file).map(VirtualDepths::Map).map_err(|e| e.of_file(path));
     }
+    file.read_to_end(&mut bytes).map_err(unreadable)?;
+    record_read(path, bytes.len() as u64, begun);
     let first_line = bytes.split(|b| *b == b'\n').next().unwrap_or_default();
     // Columns that are separated otherwise are refused by the reader of CSV, which says how.
     let names: Vec<&str> = std::str::from_utf8(first_line)
@@ -62,62 +120,135 @@ pub fn read_virtual_depths(
         }
         return Ok(VirtualDepths::Features);
     }
-    let image = super::read_image(path, Some(Color::Grey))?;
+    let image = image_of(&bytes, Some(Color::Grey)).map_err(|e| e.in_file(path))?;
+    if image.color != Color::Grey {
+        return Err(Error::content(path, CHANNELS));
+    }
     let scale = scale.ok_or_else(|| Error::content(path, LEVELS))?;
-    Ok(VirtualDepths::Map(depths_of_image(&image, scale)))
+    Ok(VirtualDepths::Map(DepthMap {
+        width: image.width,
+        height: image.height,
+        path: path.to_owned(),
+        depths: Depths::Levels(image, scale),
+        read: 0,
+    }))
 }
 
-fn depths_of_image(image: &RawImage, [offset, factor]: [f64; 2]) -> DepthMap {
+fn depths_of_levels(
+    image: &RawImage,
+    [offset, factor]: [f64; 2],
+    begin: usize,
+    count: usize,
+) -> Vec<f64> {
     let depth = |level: f64| if level > 0.0 { offset + factor * level } else { f64::NAN };
-    let depths = match &image.samples {
-        Samples::Bits8(levels) => levels.iter().map(|level| depth(f64::from(*level))).collect(),
-        Samples::Bits16(levels) => levels.iter().map(|level| depth(f64::from(*level))).collect(),
-    };
-    DepthMap { width: image.width, height: image.height, depths }
+    let pixels = begin..begin + count;
+    match &image.samples {
+        Samples::Bits8(levels) => levels[pixels].iter().map(|l| depth(f64::from(*l))).collect(),
+        Samples::Bits16(levels) => levels[pixels].iter().map(|l| depth(f64::from(*l))).collect(),
+    }
 }
 
-/// The numbers of a `.npy` file with two dimensions, `<f4` or `<f8`, in C order.
-fn depths_of_npy(bytes: &[u8]) -> Result<DepthMap> {
-    let wrong = |what: &str| Error::invalid(format!("this .npy file {what}"));
-    let version = *bytes.get(6).ok_or_else(|| wrong("is cut off"))?;
-    let (begin, length) = match version {
-        1 => (10, bytes.get(8..10).map(|b| usize::from(u16::from_le_bytes([b[0], b[1]])))),
-        2 | 3 => {
-            let length = bytes.get(8..12).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-            (12, length.and_then(|length| usize::try_from(length).ok()))
+/// Why a `.npy` file cannot be used.
+enum NpyError {
+    Read(io::Error),
+    Content(&'static str),
+}
+
+impl NpyError {
+    fn of_file(self, path: &Path) -> Error {
+        match self {
+            Self::Read(source) => Error::Read { path: path.to_owned(), source },
+            Self::Content(what) => Error::content(path, format!("this .npy file {what}")),
         }
-        _ => return Err(wrong("is of a version that is not known")),
-    };
-    let end = length.and_then(|length| length.checked_add(begin)).unwrap_or(usize::MAX);
-    let header = bytes.get(begin..end).ok_or_else(|| wrong("is cut off"))?;
-    let header = std::str::from_utf8(header).map_err(|_| wrong("has a header that is no text"))?;
+    }
+}
+
+impl From<io::Error> for NpyError {
+    fn from(error: io::Error) -> Self {
+        match error.kind() {
+            ErrorKind::UnexpectedEof => Self::Content("is cut off: copy or save it again"),
+            _ => Self::Read(error),
+        }
+    }
+}
+
+/// More bytes are no header of an array of numbers.
+const LONGEST_HEADER: usize = 1 << 16;
+
+/// The map in a `.npy` file with two dimensions, `<f4` or `<f8`, in C order.
+fn npy_map(path: &Path, mut file: NpyFile) -> std::result::Result<DepthMap, NpyError> {
+    let wrong = |what: &'static str| NpyError::Content(what);
+    let mut begin = [0; 8];
+    file.read_exact(&mut begin)?;
+    let mut length = [0; 4];
+    match begin[6] {
+        1 => file.read_exact(&mut length[..2])?,
+        2 | 3 => file.read_exact(&mut length)?,
+        _ => return Err(wrong("is of a version that is not known: save it with numpy.save")),
+    }
+    let length = u32::from_le_bytes(length) as usize;
+    if length > LONGEST_HEADER {
+        return Err(wrong("has a header that is too long: save the array alone, with numpy.save"));
+    }
+    let mut header = vec![0; length];
+    file.read_exact(&mut header)?;
+    let header = std::str::from_utf8(&header)
+        .map_err(|_| wrong("has a header that is no text: save it again with numpy.save"))?;
     let value = |key: &str| {
         let at = header.find(&format!("'{key}':"))? + key.len() + 3;
         Some(header[at..].trim_start())
     };
-    let kind = value("descr").unwrap_or_default();
-    let size = match kind {
+    let size = match value("descr").unwrap_or_default() {
         kind if kind.starts_with("'<f4'") => 4,
         kind if kind.starts_with("'<f8'") => 8,
-        _ => return Err(wrong("does not have floating-point numbers, '<f4' or '<f8'")),
+        _ => {
+            return Err(wrong(
+                "does not have floating-point numbers, '<f4' or '<f8': save depths.astype('<f4')",
+            ));
+        }
     };
     if !value("fortran_order").is_some_and(|order| order.starts_with("False")) {
         return Err(wrong("is in Fortran's order: save numpy.ascontiguousarray of the array"));
     }
-    let shape = value("shape").and_then(|shape| shape.strip_prefix('(')?.split(')').next());
-    let sizes: Vec<usize> =
-        shape.unwrap_or_default().split(',').filter_map(|n| n.trim().parse().ok()).collect();
-    let [height, width] = sizes[..] else {
-        return Err(wrong("does not have two dimensions, height and width"));
+    let shape = value("shape").and_then(|shape| shape.strip_prefix('(')?.split_once(')'));
+    let (shape, _) = shape.unwrap_or_default();
+    // A comma may end the list.
+    let sizes = shape.trim_end_matches([',', ' ']).split(',').map(|n| n.trim().parse().ok());
+    let sizes: Option<Vec<usize>> = sizes.collect();
+    let Some([height, width]) = sizes.as_deref() else {
+        return Err(wrong(
+            "does not have two dimensions, height and width: save the map alone, depths[0] of a stack",
+        ));
     };
-    let count = width.checked_mul(height).and_then(|count| count.checked_mul(size));
-    let data = &bytes[end..];
-    if count != Some(data.len()) {
-        return Err(wrong("does not have as many numbers as its shape says"));
+    let bytes = width.checked_mul(*height).and_then(|count| count.checked_mul(size));
+    match bytes {
+        Some(1..) => {}
+        Some(0) => return Err(wrong("is empty: save a map with pixels")),
+        None => return Err(wrong(OTHER_SHAPE)),
     }
-    let depths = data.chunks_exact(size).map(|number| match number {
+    info!("{} is read piece by piece: {width} x {height} numbers of {size} bytes", path.display());
+    let depths = Depths::Numbers(file, size);
+    Ok(DepthMap { width: *width, height: *height, path: path.to_owned(), depths, read: 0 })
+}
+
+const OTHER_SHAPE: &str =
+    "does not have as many numbers as its shape says: copy it again, or save it with numpy.save";
+
+/// The next numbers of a file; nothing follows the last ones.
+fn next_numbers(
+    file: &mut NpyFile,
+    size: usize,
+    count: usize,
+    are_last: bool,
+) -> std::result::Result<Vec<f64>, NpyError> {
+    let mut bytes = Vec::new();
+    file.by_ref().take((count * size) as u64).read_to_end(&mut bytes)?;
+    if bytes.len() != count * size || (are_last && file.read(&mut [0])? > 0) {
+        return Err(NpyError::Content(OTHER_SHAPE));
+    }
+    let number = |number: &[u8]| match number {
         [a, b, c, d] => f64::from(f32::from_le_bytes([*a, *b, *c, *d])),
         number => f64::from_le_bytes(number.try_into().unwrap_or_default()),
-    });
-    Ok(DepthMap { width, height, depths: depths.collect() })
+    };
+    Ok(bytes.chunks_exact(size).map(number).collect())
 }

@@ -8,6 +8,9 @@ use super::lattice::{check_array_size, check_lens_types};
 use super::parameters::Parameter;
 use crate::error::{Error, Result};
 
+/// No value of a camera is larger, and no positive one smaller than its reciprocal, in whatever unit.
+const LARGEST: f64 = 1e100;
+
 impl PlenopticCamera {
     /// Checks all values; an error names the one that is not possible.
     pub fn validate(&self) -> Result<()> {
@@ -31,8 +34,9 @@ impl PlenopticCamera {
             if parameter.is_positive() {
                 positive(value, &format!("the camera's {parameter}{unit}"))?;
             }
-            // Squares of values far beyond this overflow.
-            if !value.is_finite() || value.abs() > 1e100 {
+            // Squares of values far beyond these overflow, or are 0.
+            let is_tiny = parameter.is_positive() && value < 1.0 / LARGEST;
+            if !value.is_finite() || value.abs() > LARGEST || is_tiny {
                 return Err(Error::invalid(format!(
                     "the camera's {parameter}{unit} is {value}, which is that of no camera: correct it, or calibrate again"
                 )));

@@ -44,6 +44,7 @@ pub use observations::{
 };
 pub use parameters::{MAX_LENS_TYPES, Parameter, SHAPE};
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
+pub(crate) use sensor::MOST_PIXELS;
 pub use sensor::Sensor;
 pub use tilt_gradient::TiltGradient;
 pub(crate) use tilt_gradient::growth_per_px;

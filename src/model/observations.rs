@@ -175,8 +175,10 @@ fn check_feature(
     check_std_devs(std_devs.chain(of_blur), &what)?;
     if !(0..board.corners()).contains(&f.corner) {
         return Err(Error::invalid(format!(
-            "{what} is not on the board of {} x {} inner corners",
-            board.columns, board.rows
+            "{what} is not on the board of {} x {} inner corners: they count from 0 to {}, as row · columns + column",
+            board.columns,
+            board.rows,
+            board.corners() - 1
         )));
     }
     Ok(())

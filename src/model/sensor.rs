@@ -35,6 +35,12 @@ impl fmt::Display for Sensor {
 }
 
 impl Sensor {
+    /// Number of pixels.
+    #[must_use]
+    pub fn pixels(&self) -> u64 {
+        u64::from(self.width_px) * u64::from(self.height_px)
+    }
+
     /// Middle of the image, px; pixel (0, 0) is the centre of the top-left pixel.
     #[must_use]
     pub fn center_px(&self) -> Vector2<f64> {
@@ -56,7 +62,7 @@ impl Sensor {
                 self.width_px, self.height_px
             )));
         }
-        let pixels = u64::from(self.width_px) * u64::from(self.height_px);
+        let pixels = self.pixels();
         if pixels > MOST_PIXELS {
             return Err(Error::invalid(format!(
                 "a sensor of {} x {} pixels has {pixels}, and the limit is {MOST_PIXELS}: give width_px and height_px of \

@@ -1,6 +1,6 @@
 //! The verdict on a calibration, outlying features, and the σ of points.
 
-use super::tree::{Cell, Column, Part, Section, Table};
+use super::tree::{Cell, Column, Part, Section, Table, sentence};
 use crate::assessment::{Assessment, NextBoard, ObjectSpace, Verdict};
 use crate::calibration::OutlyingFeature;
 use crate::finding::{Finding, Severity};
@@ -16,7 +16,8 @@ pub(super) fn verdict_lines(findings: &[Finding], next: Option<&NextBoard>) -> V
         verdict => format!("Verdict: {verdict}, because"),
     }];
     let reasons = findings.iter().filter(|f| f.severity > Severity::Note).enumerate();
-    lines.extend(reasons.map(|(i, reason)| format!("{}. {reason}.", i + 1)));
+    lines
+        .extend(reasons.map(|(i, reason)| format!("{}. {}", i + 1, sentence(&reason.to_string()))));
     lines.extend(next.map(next_text));
     lines
 }

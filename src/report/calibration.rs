@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::assessment::{object_space_table, outliers_text, verdict_lines};
-use super::tree::{Cell, Column, Figure, Part, Section, Table};
+use super::tree::{Cell, Column, Figure, Part, Section, Table, sentence};
 use crate::assessment::Assessment;
 use crate::calibration::{
     BoardModel, Calibration, Effort, Mode, Trial, termination_text, weakest_directions_text,
@@ -394,9 +394,9 @@ fn board_text(calibration: &Calibration) -> String {
         (Trial::TooFewFrames, _) => {
             "The board is taken to be flat: so few frames do not show whether it is.".to_owned()
         }
-        (Trial::Failed(reason), _) => format!(
-            "The board is taken to be flat, since whether it is could not be found out: {reason}."
-        ),
+        (Trial::Failed(reason), _) => sentence(&format!(
+            "The board is taken to be flat, since whether it is could not be found out: {reason}"
+        )),
         (Trial::Tried { std_devs_from_zero, .. }, _) => format!(
             "The board is {}flat: {found}. {}",
             if flat { "" } else { "not " },

@@ -2,7 +2,7 @@
 
 use super::tree::{Cell, Column, Part, Section, Table};
 use crate::assessment::{CameraComparison, ParameterPair};
-use crate::quantity::display_unit;
+use crate::quantity::{display_unit, fixed_signed};
 
 /// Beyond so many σ a parameter is named as different.
 const DIFFERENT: f64 = 3.0;
@@ -47,11 +47,11 @@ pub fn comparison_section(comparison: &CameraComparison) -> Section {
     };
     let blur = blur_px.map_or(String::new(), |blur| format!(" and blur radii {blur:.3} px"));
     let seen = format!(
-        "{verdict}: pixels are {rms_px:.3} px RMS apart{blur}, after their frames were brought together by ({:+.3}, {:+.3}, {:+.3}) mm \
-         and {:.3} mrad; {:.3} px without that.",
-        shift.x,
-        shift.y,
-        shift.z,
+        "{verdict}: pixels are {rms_px:.3} px RMS apart{blur}, after their frames were brought together by ({}, {}, {}) mm and {:.3} mrad; {:.3} px \
+         without that.",
+        fixed_signed(shift.x, 3),
+        fixed_signed(shift.y, 3),
+        fixed_signed(shift.z, 3),
         1e3 * motion.rotation.angle(),
         comparison.raw_rms_px,
     );

@@ -3,8 +3,9 @@
 use super::calibration::errors_table;
 use super::tree::{Cell, Column, Part, Section, Table};
 use crate::calibration::Calibration;
+use crate::finding::{Finding, Issue};
 use crate::model::Parameter;
-use crate::quantity::display_unit;
+use crate::quantity::{display_unit, fixed, significant};
 
 /// How far from the minimum a camera may be, in σ of independent errors along the way there, to be as good.
 const NEGLIGIBLE: f64 = 0.01;
@@ -20,14 +21,14 @@ pub fn cost_section(evaluated: &Calibration, [features, centers, priors]: [f64; 
     } else {
         format!(", weight {:.6}", evaluated.cost.prior_weight)
     };
+    let [features, centers, priors] = [features, centers, priors].map(|part| fixed(part, 6));
     let cost = format!(
-        "Cost {:.9}: {features:.6} of {counted} features, {centers:.6} of {centred} centres, {priors:.6} of {} \
-         priors{weight}.",
-        evaluated.refinement.cost,
+        "Cost {}: {features} of {counted} features, {centers} of {centred} centres, {priors} of {} priors{weight}.",
+        fixed(evaluated.refinement.cost, 9),
         evaluated.priors.len()
     );
     let parts = vec![
-        Part::Text(verdict(evaluated)),
+        Part::Text(other_cost(evaluated) + &verdict(evaluated)),
         Part::Text(cost),
         Part::Table(steps_table(evaluated)),
         Part::Table(errors_table(evaluated)),
@@ -35,26 +36,39 @@ pub fn cost_section(evaluated: &Calibration, [features, centers, priors]: [f64; 
     Section::new("Cost", parts)
 }
 
+/// In what the cost is not that of a problem; it comes before the verdict, which would be read as one on the solution.
+fn other_cost(evaluated: &Calibration) -> String {
+    let of_problem = |finding: &&Finding| matches!(finding.issue, Issue::OtherCost { .. });
+    let found = evaluated.findings.iter().find(of_problem);
+    found.map_or(String::new(), |finding| {
+        let message = finding.message();
+        let mut letters = message.chars();
+        let first = letters.next().map(|letter| letter.to_uppercase().to_string());
+        format!("{}{}. ", first.unwrap_or_default(), letters.as_str())
+    })
+}
+
 /// Whether this is a minimum.
 fn verdict(evaluated: &Calibration) -> String {
     let uncertainty = &evaluated.uncertainty;
     let (gain, cost) = (uncertainty.expected_decrease, evaluated.refinement.cost);
     let gain = format!(
-        "One more Gauss-Newton step would lower the cost by {gain:.3e} ({:.1e} of it)",
-        gain / cost
+        "One more Gauss-Newton step would lower the cost by {} ({} of it)",
+        significant(gain, 4),
+        significant(gain / cost, 2)
     );
     let farthest =
         steps(evaluated).into_iter().max_by(|a, b| a.std_devs().total_cmp(&b.std_devs()));
     let moves = farthest.map_or(String::new(), |step| {
-        format!(", and move {} most, by {:.1e} of its σ", step.name, step.std_devs())
+        format!(", and move {} most, by {} σ of it", step.name, significant(step.std_devs(), 2))
     });
     let away = std_devs_from_minimum(evaluated);
     let verdict = match (evaluated.converged, away < NEGLIGIBLE) {
         (true, _) => "This is a minimum.".to_owned(),
         (false, true) => "This is a minimum for all practical purposes.".to_owned(),
         (false, false) => format!(
-            "This is no minimum of this cost: the next one is about {away:.1e} σ of independent errors away, along the \
-             way there."
+            "This is no minimum of this cost: the next one is about {} σ of independent errors away, along the way there.",
+            significant(away, 2)
         ),
     };
     format!("{verdict} {gain}{moves}.")
@@ -122,9 +136,9 @@ fn steps_table(evaluated: &Calibration) -> Table {
             unit.into(),
             value,
             std_dev,
-            Cell::exponential(step.gradient * step.std_dev, 1),
-            Cell::exponential(step.change * factor, 2),
-            Cell::exponential(step.change / step.std_dev, 1),
+            Cell::significant(step.gradient * step.std_dev, 2),
+            Cell::significant(step.change * factor, 3),
+            Cell::significant(step.change / step.std_dev, 2),
         ]);
     }
     table

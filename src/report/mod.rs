@@ -26,4 +26,4 @@ pub use figures::{
 };
 pub use models::{MODELS, models_parts};
 pub use precalibration::{array_text, precalibration_section, types_text};
-pub use tree::{Cell, Column, Figure, Part, Report, Section, Table};
+pub use tree::{Cell, Column, Figure, Part, Report, Section, Table, sentence};

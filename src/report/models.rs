@@ -1,6 +1,6 @@
 //! What groups of parameters are worth.
 
-use super::tree::{Cell, Column, Figure, Part, Table};
+use super::tree::{Cell, Column, Figure, Part, Table, sentence};
 use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
 
@@ -83,7 +83,9 @@ fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Str
     )];
     let unasked = comparison.groups.iter().filter(|without| without.moves_unasked());
     sentences.extend(unasked.map(|without| unasked_text(calibration, without)));
-    sentences.extend(comparison.findings.iter().map(|finding| format!("Not compared: {finding}.")));
+    sentences.extend(
+        comparison.findings.iter().map(|finding| sentence(&format!("Not compared: {finding}"))),
+    );
     sentences
 }
 

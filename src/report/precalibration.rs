@@ -3,14 +3,15 @@
 use super::tree::{Cell, Column, Figure, Part, Section, Table};
 use crate::model::full_scale;
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
+use crate::quantity::{fixed_signed, significant};
 
 /// Array, lens types, radii, internal parameters, and figures.
 #[must_use]
 pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> Section {
     let mut parts: Vec<Part> = Part::paragraphs(&array_text(&result.array)).collect();
     parts.push(Part::Text(format!(
-        "The pitch is corrected for vignetting, which had changed it by {:.1e}.",
-        -result.pitch_correction
+        "The pitch is corrected for vignetting, which had changed it by {}.",
+        significant(-result.pitch_correction, 2)
     )));
     parts.push(Part::Text(types_text(&result.lens_types)));
     parts.extend(levels_text(result).map(Part::Text));
@@ -72,13 +73,13 @@ pub fn array_text(array: &ArrayMeasurement) -> String {
         format!(" (left out: {})", left_out.join(", "))
     };
     format!(
-        "Lattice {}, {} x {}, pitch {:.5} px, rotation {:+.4} mrad, middle at ({:.2}, {:.2}) px.\n{} \
+        "Lattice {}, {} x {}, pitch {:.5} px, rotation {} mrad, middle at ({:.2}, {:.2}) px.\n{} \
          centres, {:.3} px RMS from a regular grid{left_out}.",
         grid.lattice.kind().name(),
         grid.lattice.columns,
         grid.lattice.rows,
         grid.pitch_px,
-        grid.rotation_rad * 1e3,
+        fixed_signed(grid.rotation_rad * 1e3, 4),
         grid.center_px.x,
         grid.center_px.y,
         array.centers.len(),

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 
 use serde::{Deserialize, Serialize};
 
-use crate::quantity::{signed, two_digits, with_std_dev};
+use crate::quantity::{fixed, fixed_signed, signed, significant, two_digits, with_std_dev};
 
 /// A report.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
@@ -141,6 +141,12 @@ impl Section {
     }
 }
 
+/// A text as a sentence: with a full stop, unless it ends as a sentence already.
+#[must_use]
+pub fn sentence(text: &str) -> String {
+    if text.ends_with(['.', '?', '!']) { text.to_owned() } else { format!("{text}.") }
+}
+
 impl Part {
     /// Lines as paragraphs.
     pub(super) fn paragraphs(text: &str) -> impl Iterator<Item = Self> {
@@ -208,13 +214,13 @@ impl Cell {
     /// A number with so many decimals.
     #[must_use]
     pub fn fixed(value: f64, decimals: usize) -> Self {
-        Self::shown(value, |x| format!("{x:.decimals$}"))
+        Self::shown(value, |x| fixed(x, decimals))
     }
 
     /// A number with its sign and so many decimals.
     #[must_use]
     pub fn signed(value: f64, decimals: usize) -> Self {
-        Self::shown(value, |x| format!("{x:+.decimals$}"))
+        Self::shown(value, |x| fixed_signed(x, decimals))
     }
 
     /// A number with its sign and three significant digits.
@@ -223,10 +229,10 @@ impl Cell {
         Self::shown(value, signed)
     }
 
-    /// A number with so many decimals and a power of ten.
+    /// A number with so many significant digits, and a power of ten where it is very small or large.
     #[must_use]
-    pub fn exponential(value: f64, decimals: usize) -> Self {
-        Self::shown(value, |x| format!("{x:.decimals$e}"))
+    pub fn significant(value: f64, digits: usize) -> Self {
+        Self::shown(value, |x| significant(x, digits))
     }
 
     /// A number with two significant digits; missing if it is not positive.

@@ -13,7 +13,7 @@ use tracing::debug;
 use super::imaging::Imaging;
 use super::sampling::hash;
 use super::scene::Scene;
-use super::settings::Settings;
+use super::settings::{Settings, check_images};
 use crate::error::{Error, Result};
 use crate::image::{Image, RawImage};
 use crate::model::{FramePose, Subset};
@@ -117,6 +117,7 @@ impl DataSet {
     pub fn plan(settings: &Settings, poses: Option<Vec<FramePose>>) -> Result<Self> {
         settings.validate()?;
         let boards = &settings.boards;
+        check_images(poses.as_ref().map_or(0, Vec::len))?;
         let calibration = match poses {
             Some(poses) => distinct(poses)?,
             None => random_poses(settings, boards.calibration, Subset::Calibration)?,

@@ -110,6 +110,20 @@ const MAX_STOP_ERROR: f64 = 0.3;
 /// A board that moves further is not seen.
 const MAX_MOTION_PX: f64 = 1000.0;
 
+/// An error if there are more images of one kind than can be simulated.
+pub(super) fn check_images(count: usize) -> Result<()> {
+    check_count("images of one kind", count as u64, MAX_IMAGES)
+}
+
+fn check_count(what: &str, count: u64, limit: u64) -> Result<()> {
+    if count <= limit {
+        return Ok(());
+    }
+    Err(Error::invalid(format!(
+        "{count} {what} are more than can be simulated; the limit is {limit}: give fewer"
+    )))
+}
+
 impl Settings {
     /// An error that names the impossible setting.
     pub fn validate(&self) -> Result<()> {
@@ -154,16 +168,8 @@ impl Settings {
     fn check_size(&self) -> Result<()> {
         let images = self.boards.calibration.max(self.boards.evaluation);
         let images = images.max(self.translation.images).max(self.white_images.f_numbers.len());
-        for (what, count, limit) in [
-            ("micro-lenses", self.camera.lattice.nodes() as u64, MAX_MICRO_LENSES),
-            ("images of one kind", images as u64, MAX_IMAGES),
-        ] {
-            if count > limit {
-                return Err(Error::invalid(format!(
-                    "{count} {what} are more than can be simulated; the limit is {limit}"
-                )));
-            }
-        }
+        check_count("micro-lenses", self.camera.lattice.nodes() as u64, MAX_MICRO_LENSES)?;
+        check_images(images)?;
         let sensor = &self.camera.sensor;
         let pixels = u64::from(sensor.width_px) * u64::from(sensor.height_px);
         if self.imaging.hot_pixels as u64 > pixels {

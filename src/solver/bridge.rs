@@ -531,8 +531,8 @@ impl ProgressSink<'_> {
     }
 }
 
-/// Keeps warnings of Ceres off stderr, for the whole process. It warns of steps that leave the domain
-/// of the model, which are normal.
+/// Keeps warnings and errors of Ceres off stderr, for the whole process. It warns of steps that leave the domain
+/// of the model, which are normal; its errors come back as [`Result`]s.
 ///
 /// For programs to call once, before they start threads. A library leaves the log alone.
 pub fn silence_log() {

@@ -8,6 +8,18 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::bridge::ffi::{CostOptions, Loss, LossKind, SolverOptions};
 use crate::model::Parameter;
 
+impl LossKind {
+    /// Its name in files and options.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Huber => "huber",
+            Self::Cauchy => "cauchy",
+            _ => "none",
+        }
+    }
+}
+
 // A type of the bridge cannot derive these.
 impl ValueEnum for LossKind {
     fn value_variants<'a>() -> &'a [Self] {
@@ -15,18 +27,18 @@ impl ValueEnum for LossKind {
     }
 
     fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(match *self {
-            Self::Huber => PossibleValue::new("huber").help("Linear beyond the scale"),
-            Self::Cauchy => PossibleValue::new("cauchy").help("Logarithmic beyond the scale"),
-            _ => PossibleValue::new("none").help("Least squares (the paper)"),
-        })
+        let help = match *self {
+            Self::Huber => "Linear beyond the scale",
+            Self::Cauchy => "Logarithmic beyond the scale",
+            _ => "Least squares (the paper)",
+        };
+        Some(PossibleValue::new(self.name()).help(help))
     }
 }
 
 impl Serialize for LossKind {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let name = self.to_possible_value();
-        serializer.serialize_str(name.as_ref().map_or("none", PossibleValue::get_name))
+        serializer.serialize_str(self.name())
     }
 }
 

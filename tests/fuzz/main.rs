@@ -1,8 +1,9 @@
 //! A million damaged files: `make fuzz`.
 //!
-//! Workers read damaged files with every reader, solve damaged sets, and run the program on damaged folders. A worker
-//! has 1 GB of memory, and 10 s for a case; one that ends, or does not, is a finding. So is a panic, an error that
-//! names no file, a number that is not finite, an exit status beyond 3, and a file left behind.
+//! Workers read damaged files with every reader, solve damaged sets, use damaged cameras as `rays`, `points`, `compare`,
+//! `extrinsics` and `evaluate` do, and run every command on damaged folders. A worker has 1 GB of memory, and 10 s for a case; one
+//! that ends, or does not, is a finding. So is a panic, an error that names no file, a number that is not finite, in results
+//! or in the files of a command, an exit status beyond 4, and a file left behind or outside the folder for results.
 //!
 //! Arguments: `--cases N` of the readers (a million); names of targets, to run only those; `--from N`, where the
 //! numbers of cases begin; `--show TARGET CASE` prints a case, `--valid` what comes of commands on valid files. The same number gives the same case.
@@ -11,6 +12,7 @@
 mod hostile;
 
 mod commands;
+mod outputs;
 mod supervisor;
 mod worker;
 

@@ -8,15 +8,17 @@ use rand::SeedableRng;
 use rand::rngs::StdRng;
 use tempfile::TempDir;
 
-use crate::commands;
+use crate::commands::{PROGRAMS, Prepared};
+use crate::hostile::in_use::SETS;
 use crate::hostile::mutation::damaged;
 use crate::hostile::readers::{TARGETS, Target};
 use crate::hostile::solving::{self, SOLVING};
 use crate::hostile::verdict::judge;
 
-/// One solve, and one run of the program, for so many damaged files.
+/// One solve, one use of a camera, and one run of each command, for so many damaged files.
 const SOLVED_PER: u64 = 50;
-const RUN_PER: u64 = 200;
+const USED_PER: u64 = 20;
+const RUN_PER: u64 = 500;
 
 static READERS: [Target; TARGETS.len()] = TARGETS;
 static SOLVES: Target = SOLVING;
@@ -25,7 +27,11 @@ static SOLVES: Target = SOLVING;
 pub fn shares(cases: u64) -> Vec<(&'static str, u64)> {
     let each = cases.div_ceil(TARGETS.len() as u64);
     let readers = TARGETS.iter().map(|target| (target.name, each));
-    readers.chain([(SOLVING.name, cases / SOLVED_PER), (commands::NAME, cases / RUN_PER)]).collect()
+    readers
+        .chain([(SOLVING.name, cases / SOLVED_PER)])
+        .chain(SETS.iter().map(|set| (set.target.name, cases / USED_PER)))
+        .chain(PROGRAMS.iter().map(|program| (program.name, cases / RUN_PER)))
+        .collect()
 }
 
 /// Whether a case was accepted, or what is wrong with what came of it.
@@ -39,11 +45,11 @@ struct Trial {
 
 fn trial(name: &str, folder: &Path) -> Trial {
     let folder = folder.to_owned();
-    if name == commands::NAME {
-        let prepared = commands::Prepared::new();
+    if let Some(program) = PROGRAMS.iter().find(|program| program.name == name) {
+        let mut prepared = Prepared::new(&folder);
         return Trial {
             case: Box::new(|number| number.to_le_bytes().to_vec()),
-            judge: Box::new(move |case| prepared.judge(case, &folder)),
+            judge: Box::new(move |case| prepared.judge(program, case)),
         };
     }
     let of_target = |target: &'static Target| {
@@ -54,6 +60,14 @@ fn trial(name: &str, folder: &Path) -> Trial {
         return Trial {
             case: Box::new(|number| solving::case(&mut StdRng::seed_from_u64(number))),
             judge: of_target(&SOLVES),
+        };
+    }
+    if let Some(set) = SETS.iter().find(|set| set.target.name == name) {
+        // The valid files, which take longer than a case, are made once.
+        drop(set.valid());
+        return Trial {
+            case: Box::new(|number| set.case(&mut StdRng::seed_from_u64(number))),
+            judge: of_target(&set.target),
         };
     }
     let target = READERS.iter().find(|target| target.name == name);
@@ -99,10 +113,18 @@ fn say(line: &str) {
     writeln!(stdout, "{line}").and_then(|()| stdout.flush()).expect("somebody listens");
 }
 
-/// Prints how commands end on valid files.
+/// Prints how uses of a camera and commands end on valid files.
 pub fn valid() -> ExitCode {
     let folder = place();
-    for line in commands::Prepared::new().baseline(folder.path()) {
+    for set in &SETS {
+        let path = folder.path().join(set.target.file);
+        for case in set.valid() {
+            let ends = judge(&set.target, &path, &case);
+            let reason = (set.target.read)(&path).err().map(|e| e.to_string());
+            println!("{}: {ends:?} {}", set.target.name, reason.unwrap_or_default());
+        }
+    }
+    for line in Prepared::new(folder.path()).baseline() {
         println!("{line}");
     }
     ExitCode::SUCCESS

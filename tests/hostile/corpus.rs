@@ -140,6 +140,20 @@ pub fn board_shapes() -> Vec<Vec<u8>> {
     vec![pretty(calibration)]
 }
 
+pub fn problems() -> Vec<Vec<u8>> {
+    documents::PROBLEM.iter().take(1).map(|(_, bytes)| bytes.clone()).collect()
+}
+
+/// Writes the other files of a problem into its folder, unless they are there.
+pub fn complete_problem(folder: &Path) {
+    for (name, bytes) in documents::PROBLEM.iter().skip(1) {
+        let path = folder.join(name);
+        if !path.exists() {
+            fs::write(&path, bytes).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        }
+    }
+}
+
 pub fn true_boards() -> Vec<Vec<u8>> {
     vec![documents::BOARD_SHAPE.into()]
 }

@@ -5,10 +5,10 @@ use std::sync::LazyLock;
 
 use nalgebra::Vector2;
 use plenocal::assessment::assess;
-use plenocal::calibration::{CalibrationOptions, Start, calibrate};
+use plenocal::calibration::{CalibrationOptions, SolvedProblem, Start, calibrate};
 use plenocal::io::{
-    Manifest, StageRecord, calibrated_camera_document, calibration_document, compote,
-    poses_document, write_features,
+    Manifest, OutputFolder, StageRecord, calibrated_camera_document, calibration_document, compote,
+    poses_document, stage_problem, write_features,
 };
 use plenocal::model::{
     BapFeature, FramePose, InternalParameters, MeasuredBlur, PlenopticCamera, TAKEN,
@@ -112,7 +112,7 @@ pub fn precalibration() -> Value {
             "standard_deviations": { "m_mm": 1e-4, "q_prime_mm": [1e-5, 2e-5, 3e-5] },
             "pupil_growth": 0.01,
             "aperture_ratio": { "value": 0.92, "std_dev": 0.005 },
-            "levels": { "black_level": 16.0, "saturation_level": 255.0 },
+            "levels": { "bits": 8, "black_level": 16.0, "saturation_level": 255.0 },
             "rms_px": 0.02,
         },
     })
@@ -243,6 +243,28 @@ pub static CALIBRATED: LazyLock<[Value; 3]> = LazyLock::new(|| {
         poses_document(&poses, None),
         few_fields(calibration_document(&result, &assessment, 1.0)),
     ]
+});
+
+/// The files of a problem with few observations, by their names; problem.json is the first.
+pub static PROBLEM: LazyLock<Vec<(String, Vec<u8>)>> = LazyLock::new(|| {
+    let options = CalibrationOptions { threads: 1, ..CalibrationOptions::default() };
+    let start = Start::Camera(true_camera());
+    let result = calibrate(&start, &BOARD, &observations(), &options, &mut |_| true)
+        .expect("the shipped observations are good");
+    let mut problem = SolvedProblem::of(&result, &BOARD);
+    problem.features.truncate(FEW);
+    problem.centers.truncate(FEW);
+    let folder = tempfile::tempdir().expect("a folder is made");
+    let mut output = OutputFolder::new(folder.path()).expect("it can be written");
+    stage_problem(&mut output, &problem).expect("it can be written");
+    let files = output.commit().expect("it can be written");
+    let read = |path: PathBuf| {
+        let name = path.file_name().expect("a file").to_string_lossy().into_owned();
+        (name, std::fs::read(&path).expect("it was written"))
+    };
+    let mut files: Vec<(String, Vec<u8>)> = files.into_iter().map(read).collect();
+    files.sort_by_key(|(name, _)| name != "problem.json");
+    files
 });
 
 /// Presets, prescriptions and other simulation files below a folder of `data`.

@@ -4,6 +4,7 @@
 
 pub mod corpus;
 pub mod documents;
+pub mod in_use;
 pub mod mutation;
 pub mod readers;
 pub mod solving;

@@ -8,8 +8,8 @@ use flate2::write::GzEncoder;
 use plenocal::io::{
     self, CameraSource, Manifest, Project, VirtualDepths, read_board, read_board_shape,
     read_camera_source, read_centers, read_features, read_image, read_internal_parameters,
-    read_point_cloud_distance, read_poses, read_raytrix, read_std_devs, read_true_board,
-    read_virtual_depths,
+    read_point_cloud_distance, read_poses, read_problem, read_raytrix, read_std_devs,
+    read_true_board, read_virtual_depths,
 };
 use plenocal::simulation::{Prescription, Settings};
 use plenocal::{Error, Result};
@@ -28,8 +28,11 @@ pub struct Target {
     pub read: fn(&Path) -> Result<String>,
 }
 
+/// Pixels of a map that are read at once.
+const PIECE: usize = 10_000;
+
 /// All readers.
-pub const TARGETS: [Target; 19] = [
+pub const TARGETS: [Target; 20] = [
     Target {
         name: "project",
         file: "project.toml",
@@ -80,6 +83,24 @@ pub const TARGETS: [Target; 19] = [
         read: |path| Ok(format!("{:?}", read_board_shape(path, &corpus::BOARD)?)),
     },
     Target {
+        name: "problem",
+        file: "problem.json",
+        seeds: corpus::problems,
+        read: |path| {
+            let folder = path.parent().unwrap_or(Path::new("."));
+            corpus::complete_problem(folder);
+            // Another board is found out by the features.
+            let read = read_problem(folder).map_err(|error| {
+                if error.to_string().contains("features.csv") {
+                    Error::invalid(format!("{}: {error}", path.display()))
+                } else {
+                    error
+                }
+            })?;
+            Ok(format!("{:?} {:?} {}", read.cost, read.board, read.minimum))
+        },
+    },
+    Target {
         name: "true board",
         file: "board.toml",
         seeds: corpus::true_boards,
@@ -101,13 +122,16 @@ pub const TARGETS: [Target; 19] = [
         seeds: corpus::virtual_depths,
         read: |path| {
             let read = read_virtual_depths(path, Some([0.0, 0.01]), [0.1, 0.1, 0.02])?;
+            let VirtualDepths::Map(mut map) = read else { return Ok(format!("{read:?}")) };
             // In a map, NaN stands for none.
-            Ok(match read {
-                VirtualDepths::Map(map) => {
-                    format!("{} {} {}", map.width, map.height, map.depths.len())
+            let mut count = 0;
+            loop {
+                let depths = map.next(PIECE)?;
+                if depths.is_empty() {
+                    return Ok(format!("{} {} {count}", map.width, map.height));
                 }
-                other => format!("{other:?}"),
-            })
+                count += depths.len();
+            }
         },
     },
     Target {

@@ -6,17 +6,21 @@ use std::path::{Path, PathBuf};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use nalgebra::Vector2;
+use plenocal::assessment::compare_cameras;
+use plenocal::image::Samples;
 use plenocal::io::{
-    Project, read_camera, read_camera_source, read_centers, read_features,
-    read_internal_parameters, read_poses, read_true_board,
+    Project, read_camera, read_camera_source, read_centers, read_features, read_image,
+    read_internal_parameters, read_poses, read_std_devs, read_true_board,
 };
-use plenocal::model::Noise;
-use plenocal::simulation::Settings;
-use plenocal::solver::{distortion_mm, synthesize};
+use plenocal::model::{FramePose, Noise};
+use plenocal::simulation::{DataSet, Settings};
+use plenocal::solver::{distortion_mm, pixel_rays, synthesize};
+use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use tempfile::TempDir;
 
-use crate::hostile::documents;
+use crate::hostile::{corpus, documents};
 use crate::support::{NO_NOISE, board, plenocal, synthetic_folder, true_camera, true_poses};
 
 /// A file with this content.
@@ -288,6 +292,62 @@ fn a_folder_names_the_file_in_it() {
     refused(&["it is a folder: give", "project.toml"]);
 }
 
+/// Where a camera is meant, the cameras in a folder are named, and not its project.
+#[test]
+fn a_folder_names_the_cameras_in_it() {
+    let folder = TempDir::new().unwrap();
+    let compared = || {
+        let camera = synthetic_folder().join("truth/camera.json");
+        plenocal().arg("compare").arg(camera).arg(folder.path()).assert().failure()
+    };
+    fs::write(folder.path().join("project.toml"), documents::PROJECT).unwrap();
+    compared().stderr(contains("it is a folder").and(contains("there is none in it")));
+    let results = folder.path().join("results/calibration");
+    fs::create_dir_all(&results).unwrap();
+    let camera = results.join("camera.json");
+    fs::write(&camera, "{}").unwrap();
+    let named = camera.display().to_string();
+    compared().stderr(contains(named).and(contains("project.toml").not()));
+}
+
+#[test]
+fn a_prior_far_from_the_start_is_named() {
+    let folder = TempDir::new().unwrap();
+    let mut command = plenocal();
+    command.arg("calibrate").arg(synthetic_folder().join("project.toml"));
+    command.args(["--prior", "F=1000:0.1", "--out"]).arg(folder.path()).assert().failure().stderr(
+        contains("the prior F = 1000.00 ± 0.10 mm is far from the start")
+            .and(contains("check its value and its unit")),
+    );
+}
+
+#[test]
+fn corners_numbered_by_columns_are_refused() {
+    let folder = TempDir::new().unwrap();
+    let features = fs::read_to_string(synthetic_folder().join("features.csv")).unwrap();
+    let mut lines = features.lines();
+    let header = lines.next().unwrap();
+    let column = header.split(',').position(|name| name == "cluster").unwrap();
+    let renumbered = lines.map(|line| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        let corner: i32 = cells[column].parse().unwrap();
+        cells[column] = (corner % 9 * 5 + corner / 9).to_string();
+        cells.join(",")
+    });
+    let lines: Vec<String> = std::iter::once(header.to_owned()).chain(renumbered).collect();
+    let file = folder.path().join("features.csv");
+    fs::write(&file, lines.join("\n")).unwrap();
+    let mut command = plenocal();
+    command.arg("calibrate").arg(synthetic_folder().join("project.toml")).arg("--features");
+    command
+        .arg(&file)
+        .arg("--out")
+        .arg(folder.path().join("out"))
+        .assert()
+        .failure()
+        .stderr(contains("column by column").and(contains("corner = row · columns + column")));
+}
+
 #[test]
 fn range_errors_of_a_project_name_its_key() {
     for (from, to, words) in [
@@ -332,4 +392,64 @@ fn a_data_set_is_replaced_only_when_asked_for() {
     simulate(folder.path(), "boards.calibration=0", &["--force"]).success();
     assert!(!at("observed").exists() && !at("truth/calibration").exists());
     assert!(at("calibration/mine.png").exists());
+}
+
+#[test]
+fn a_simulation_has_no_more_given_poses_than_images() {
+    let settings = Settings::preset("mini", &[]).unwrap();
+    let pose = |frame| FramePose { frame, ..true_poses()[0] };
+    let plan = |count: u32| DataSet::plan(&settings, Some((0..count).map(pose).collect()));
+    assert!(plan(1000).is_ok());
+    assert_refused(plan(1001), &["1001 images of one kind", "the limit is 1000"]);
+}
+
+#[test]
+fn standard_deviations_of_a_camera_are_possible() {
+    let of = |value: &str| {
+        let mut camera = documents::CALIBRATED[0].clone();
+        let value: serde_json::Value = serde_json::from_str(value).unwrap();
+        camera["uncertainty"]["standard_deviations"]["F"]["value"] = value;
+        file("camera.json", camera.to_string())
+    };
+    assert!(read_std_devs(&of("0.01").path, 3).unwrap()[0].is_some());
+    assert_eq!(read_std_devs(&of("null").path, 3).unwrap()[0], None);
+    for value in ["0", "-0.01", "5e-324", "1e300"] {
+        let words = ["camera.json", "standard_deviations.F is ", "null"];
+        assert_refused(read_std_devs(&of(value).path, 3), &words);
+    }
+}
+
+/// Squares of such lengths are 0: rays had no direction, and blur radii were infinite.
+#[test]
+fn lengths_of_a_camera_are_not_tiny() {
+    let camera = true_camera();
+    let pixels = [Vector2::new(500.0, 400.0)];
+    assert!(pixel_rays(&camera, &pixels, 90.0).unwrap()[0].is_some());
+    let mut short = camera.clone();
+    short.main_lens.focal_length_mm = 1e-308;
+    assert_refused(pixel_rays(&short, &pixels, 1.01e-308), &["1e-308", "correct it"]);
+    let mut strong = camera.clone();
+    strong.mla.focal_lengths_mm[1] = 5e-324;
+    let compared = compare_cameras((&camera, &[]), (&strong, &[]), &[80.0]);
+    assert_refused(compared, &["5e-324", "correct it"]);
+}
+
+/// Of a damaged file the decoder takes fewer samples than the image has pixels.
+#[test]
+fn images_have_as_many_samples_as_pixels() {
+    let tiff = corpus::images().swap_remove(1);
+    // The tag of the channels is lost, and a strip is said to have 41667 rows.
+    let mut damaged = tiff.clone();
+    let place = |entry: &[u8]| tiff.windows(entry.len()).rposition(|part| part == entry).unwrap();
+    damaged[place(&[0x15, 1, 3, 0])] = 0;
+    damaged[place(&[0x15, 1, 3, 0]) + 1] = 0;
+    let rows = place(&[0x16, 1, 4, 0]) + 8;
+    damaged[rows..rows + 3].copy_from_slice(&[0xc3, 0xa2, 0]);
+    for bytes in [tiff, damaged] {
+        let file = file("image.tif", bytes);
+        if let Ok(image) = read_image(&file.path, None) {
+            let Samples::Bits8(samples) = image.samples else { panic!("of 8 bits") };
+            assert_eq!(samples.len(), image.width * image.height);
+        }
+    }
 }

@@ -289,3 +289,23 @@ fn a_camera_of_pinholes_needs_no_blur_radii() {
     // The camera is fixed, so none is written.
     assert!(second.join("poses.json").exists() && !second.join("camera.json").exists());
 }
+
+#[test]
+fn the_help_says_what_becomes_of_files_that_exist() {
+    for command in [
+        "precalibrate",
+        "detect",
+        "calibrate",
+        "extrinsics",
+        "evaluate",
+        "compare",
+        "rays",
+        "points",
+        "run",
+    ] {
+        let help = plenocal().args([command, "--help"]).output().unwrap();
+        let help = String::from_utf8(help.stdout).unwrap();
+        let words: Vec<&str> = help.split_whitespace().collect();
+        assert!(words.join(" ").contains("Files of earlier results are replaced"), "{command}");
+    }
+}

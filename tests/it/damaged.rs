@@ -4,6 +4,7 @@
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 
+use crate::hostile::in_use::SETS;
 use crate::hostile::mutation::damaged;
 use crate::hostile::readers::{TARGETS, Target};
 use crate::hostile::solving;
@@ -11,6 +12,8 @@ use crate::hostile::verdict::judge;
 
 /// Damaged files of each reader.
 const CASES: u64 = 1_000;
+/// Damaged cameras of each use.
+const USED: u64 = 200;
 /// Damaged sets that are solved.
 const SOLVED: u64 = 100;
 
@@ -52,6 +55,26 @@ fn damaged_sets_are_solved_or_refused() {
         if let Err(finding) = judge(&solving::SOLVING, &path, &bytes) {
             let shown: String = String::from_utf8_lossy(&bytes).chars().take(2_000).collect();
             panic!("case {case}: {finding}\n{shown}");
+        }
+    }
+}
+
+/// Valid cameras are used, and damaged ones are used or refused.
+#[test]
+fn damaged_cameras_are_used_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for set in &SETS {
+        let path = folder.path().join(set.target.file);
+        // Some are of another camera, or of a kind that is refused.
+        let valid = set.valid();
+        let accepted = valid.iter().filter(|case| judge(&set.target, &path, case) == Ok(true));
+        assert!(2 * accepted.count() > valid.len(), "{}: valid files are refused", set.target.name);
+        for case in 0..USED {
+            let bytes = set.case(&mut StdRng::seed_from_u64(case));
+            if let Err(finding) = judge(&set.target, &path, &bytes) {
+                let shown: String = String::from_utf8_lossy(&bytes).chars().take(2_000).collect();
+                panic!("{}, case {case}: {finding}\n{shown}", set.target.name);
+            }
         }
     }
 }

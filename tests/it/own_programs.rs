@@ -6,7 +6,7 @@ use plenocal::Issue;
 use plenocal::calibration::{
     BoardModel, CalibrationOptions, Solution, SolvedProblem, Start, cost_at,
 };
-use plenocal::io::read_poses;
+use plenocal::io::{OutputFolder, read_poses, read_problem, stage_problem};
 use plenocal::model::Noise;
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
@@ -83,6 +83,177 @@ fn a_solution_from_elsewhere_is_evaluated() {
     let mut command = plenocal();
     command.arg("calibrate").arg(project()).arg("--evaluate-only").arg("--out").arg(at("none"));
     command.assert().failure().stderr(contains("--camera").and(contains("--poses")));
+}
+
+/// Calibrates the shipped observations into `results`, and exports the problem to `problem`; both in a folder.
+fn exported(options: &[&str]) -> TempDir {
+    let folder = TempDir::new().unwrap();
+    let mut command = plenocal();
+    command.arg("calibrate").arg(project()).args(options);
+    command.arg("--export-problem").arg(folder.path().join("problem"));
+    command.arg("--out").arg(folder.path().join("results")).assert().success();
+    folder
+}
+
+/// Evaluates the solution in `results`.
+fn evaluated(folder: &Path, options: &[&str]) -> assert_cmd::assert::Assert {
+    let mut command = plenocal();
+    command.current_dir(folder).args(["calibrate", "--evaluate-only", "--out", "cost"]);
+    command.args(["--camera", "results/camera.json", "--poses", "results/poses.json"]);
+    command.args(options).assert()
+}
+
+/// The cost of a problem needs neither a project nor the options that it was made with.
+#[test]
+fn a_solution_is_evaluated_by_the_cost_of_a_problem() {
+    for options in [
+        &["--method", "paper"][..],
+        &["--loss", "cauchy", "--loss-scale", "3"],
+        &["--mode", "corners-only", "--priors", "none"],
+    ] {
+        let folder = exported(options);
+        let problem = ["--problem", "problem"];
+        evaluated(folder.path(), &problem).success().stdout(contains("This is a minimum."));
+        let cost = json(&folder.path().join("cost/cost.json"));
+        let result = json(&folder.path().join("results/calibration.json"));
+        let [at, ended] =
+            [&cost["evaluation"]["cost"], &result["cost"]].map(|v| v.as_f64().unwrap());
+        assert!((at / ended - 1.0).abs() < 1e-9, "{options:?}: {at} {ended}");
+        assert_eq!(cost["counts"], result["counts"], "{options:?}");
+        assert_eq!(cost["priors"]["weight"], result["priors"]["weight"], "{options:?}");
+
+        // A problem is read as it was written.
+        let read = read_problem(&folder.path().join("problem")).unwrap();
+        let mut output = OutputFolder::new(&folder.path().join("again")).unwrap();
+        stage_problem(&mut output, &read).unwrap();
+        output.commit().unwrap();
+        for name in ["problem.json", "camera.json", "features.csv", "centers.csv"] {
+            let text =
+                |of: &str| std::fs::read_to_string(folder.path().join(of).join(name)).unwrap();
+            assert!(text("problem") == text("again"), "{name} of {options:?}");
+        }
+        assert_eq!(read.differences(&read), []);
+    }
+}
+
+/// A shape that is free is a part of the solution.
+#[test]
+fn a_bent_board_is_evaluated_with_its_shape() {
+    let folder = exported(&["--board", "bent"]);
+    let problem = ["--problem", "problem"];
+    evaluated(folder.path(), &problem).failure().stderr(contains("--board-shape"));
+    let with_shape = [&problem[..], &["--board-shape", "results/calibration.json"]].concat();
+    evaluated(folder.path(), &with_shape).success().stdout(contains("This is a minimum."));
+    let cost = json(&folder.path().join("cost/cost.json"));
+    assert!(cost["evaluation"]["next_step"]["sag_x"].is_f64());
+}
+
+/// Where options are forgotten, these are told, and not that the solution is wrong.
+#[test]
+fn an_evaluation_by_another_cost_says_in_what_it_differs() {
+    let options = [
+        "--method",
+        "paper",
+        "--fix",
+        "Q3",
+        "--loss",
+        "cauchy",
+        "--loss-scale",
+        "3",
+        "--uv-std-dev",
+        "0.5",
+    ];
+    let folder = exported(&options);
+    let project = project();
+    let forgotten = evaluated(folder.path(), &[project.to_str().unwrap()]).success();
+    let output = String::from_utf8(forgotten.get_output().stdout.clone()).unwrap();
+    let told = output.find("The cost is not that of the problem in problem").expect(&output);
+    assert!(told < output.find("This is no minimum of this cost").unwrap(), "{output}");
+    for term in [
+        "the problem has loss cauchy 3, this evaluation loss none",
+        "ρ in the cost, this evaluation no ρ",
+        "Q3, kappa, kappa_m, e_z held, this evaluation Q3, kappa, kappa_m, e_z free",
+        "no priors on F, m",
+        "a σ of (u, v) of 0.5000 px in the mean, this evaluation a σ of (u, v) of 1.0000 px",
+    ] {
+        assert!(output.contains(term), "{term}: {output}");
+    }
+    forgotten.stderr(contains("--problem problem").and(contains("[other-cost]")));
+    let found = json(&folder.path().join("cost/cost.json"));
+    assert_eq!(found["findings"][0]["code"], "other-cost");
+    assert_eq!(found["findings"][0]["values"]["differences"][0]["option"], "loss");
+
+    // With the same cost there is nothing to tell.
+    let same = [&[project.to_str().unwrap()][..], &options].concat();
+    evaluated(folder.path(), &same)
+        .success()
+        .stdout(contains("This is a minimum.").and(contains("not that of the problem").not()));
+}
+
+#[test]
+fn options_do_not_contradict_a_problem() {
+    let folder = exported(&["--method", "paper"]);
+    let project = project();
+    let with = |options: &[&str]| {
+        evaluated(folder.path(), &[&["--problem", "problem"][..], options].concat())
+    };
+    for (options, words) in [
+        (
+            &["--loss", "cauchy"][..],
+            ["--loss asks for another cost", "loss.kind in problem/problem.json"],
+        ),
+        (&["--blur", "white-images"], ["--blur", "rho in problem/problem.json"]),
+        (&["--fix", "F"], ["--fix", "fixed in problem/problem.json"]),
+        (&["--exit-pupil", "estimated"], ["--exit-pupil", "fixed in"]),
+        (&["--field-curvature", "constant"], ["--field-curvature", "fixed in"]),
+        (&["--board", "bent"], ["--board", "fixed in"]),
+        (&["--prior", "F=16:1"], ["--prior", "priors in"]),
+        (&["--priors", "default"], ["--priors", "priors in"]),
+        (&["--weights", "own"], ["--weights", "std_u in problem/features.csv"]),
+        (&["--exclude", "3"], ["--exclude", "frame in problem/features.csv"]),
+        (&["--method", "paper"], ["leave --method out", "--problem has"]),
+        (
+            &["--set", "calibration.threads=1"],
+            ["leave --set calibration.threads=1 out", "--problem has"],
+        ),
+        (&[project.to_str().unwrap()], ["project.toml out", "--problem has"]),
+    ] {
+        with(options).failure().stderr(contains(words[0]).and(contains(words[1])));
+        assert!(!folder.path().join("cost").exists(), "{options:?}");
+    }
+    with(&["--loss", "none", "--blur", "features", "--exit-pupil", "at-lens", "--threads", "1"])
+        .success();
+    let mut command = plenocal();
+    command.args(["calibrate", "--problem", "problem", "--out", "cost"]);
+    command.assert().failure().stderr(contains("--evaluate-only"));
+}
+
+#[test]
+fn a_damaged_problem_is_named() {
+    let folder = exported(&["--method", "paper"]);
+    let path = |name: &str| folder.path().join("problem").join(name);
+    let spoil = |name: &str, edit: &dyn Fn(&str) -> String, words: &str| {
+        let text = std::fs::read_to_string(path(name)).unwrap();
+        let edited = edit(&text);
+        assert_ne!(text, edited, "{words}");
+        std::fs::write(path(name), edited).unwrap();
+        let problem = ["--problem", "problem"];
+        evaluated(folder.path(), &problem).failure().stderr(contains(name).and(contains(words)));
+        std::fs::write(path(name), text).unwrap();
+    };
+    let replaced =
+        |from: &'static str, to: &'static str| move |text: &str| text.replacen(from, to, 1);
+    spoil("problem.json", &replaced("\"none\"", "\"tukey\""), "loss.kind");
+    spoil("problem.json", &replaced("\"kappa\"", "\"kapa\""), "kapa");
+    spoil("problem.json", &replaced("plenocal-problem", "plenocal-camera"), "plenocal-camera");
+    spoil("problem.json", &replaced("\"scale\"", "\"scales\""), "scale");
+    spoil("poses.json", &replaced("\"frame\": 0", "\"frame\": 90"), "frame 0 has no pose");
+    let moved = |text: &str| text.replacen("\n0,", "\n0,7", 1);
+    spoil("features.csv", &moved, "which is not its place on the board");
+    std::fs::remove_file(path("problem.json")).unwrap();
+    evaluated(folder.path(), &["--problem", "problem"])
+        .failure()
+        .stderr(contains("problem/problem.json"));
 }
 
 #[test]

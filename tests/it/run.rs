@@ -287,9 +287,41 @@ fn a_calibration_does_not_need_the_boards_of_the_evaluation() {
     run.spoil_evaluation();
     run.again(&["--folds", "0", "--json"])
         .success()
-        .stderr(contains("warning: boards for evaluation: no frame shows the board"))
+        .stderr(contains("warning: boards for evaluation: no image could be read"))
         .stdout(contains("\"evaluation\":null"));
-    assert!(run.report().contains("boards for evaluation: no frame shows the board"));
+    assert!(run.report().contains("boards for evaluation: no image could be read"));
+}
+
+/// The message names what is wrong, and not what may be wrong with a board.
+#[test]
+fn images_of_the_calibration_evaluate_nothing() {
+    let run = Run::copy();
+    for frame in ["00", "01"] {
+        let image = run.path(&format!("set/calibration/calibration-{frame}.png"));
+        fs::copy(image, run.path(&format!("set/evaluation/evaluation-{frame}.png"))).unwrap();
+    }
+    run.single("extrinsics", &[])
+        .code(1)
+        .stderr(contains("the images for evaluation are those of the calibration"))
+        .stderr(contains("no frame shows the board").not());
+}
+
+/// Files have all digits of the values of a run, and threads do not change a result.
+#[test]
+fn files_of_a_run_give_its_camera_again() {
+    let run = Run::copy();
+    let of_run = run.json("results/calibration/camera.json");
+    for threads in ["1", "3"] {
+        let mut program = plenocal();
+        program.arg("calibrate").arg(run.path("set/project.toml")).args(["--threads", threads]);
+        program.arg("--params").arg(run.path("results/precalibration/precalibration.json"));
+        program.arg("--centers").arg(run.path("results/precalibration/centers.csv"));
+        program.arg("--features").arg(run.path("results/boards-calibration/features.csv"));
+        program.arg("--out").arg(run.path("again")).assert().success();
+        let again = run.json("again/camera.json");
+        assert_eq!(again["main_lens"], of_run["main_lens"], "{threads} threads");
+        assert_eq!(again["uncertainty"], of_run["uncertainty"], "{threads} threads");
+    }
 }
 
 #[test]
@@ -297,7 +329,7 @@ fn single_commands_without_a_board_are_errors() {
     let run = Run::copy();
     run.spoil_evaluation();
     for command in ["extrinsics", "evaluate"] {
-        run.single(command, &[]).code(1).stderr(contains("no frame shows the board"));
+        run.single(command, &[]).code(1).stderr(contains("no image could be read"));
     }
 }
 

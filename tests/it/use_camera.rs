@@ -4,13 +4,13 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 use plenocal::Issue;
 use plenocal::assessment::{check_camera, pose_boards};
 use plenocal::io::write_features;
 use plenocal::model::{Board, Noise, PlenopticCamera, optics};
 use plenocal::precalibration::fit_grid;
-use plenocal::solver::{MicroPixel, VirtualPoint, metric_points, object_rays};
+use plenocal::solver::{MicroPixel, VirtualPoint, metric_points, micro_images_at, object_rays};
 use predicates::prelude::PredicateBooleanExt as _;
 use predicates::str::contains;
 use serde_json::Value;
@@ -179,6 +179,63 @@ fn virtual_depths_become_points() {
     assert!((of_focused[4] - of_csv[4]).abs() < 0.01 * of_csv[4], "{of_focused:?} {of_csv:?}");
 }
 
+/// Points of a map are computed and written in several pieces, as many as its header says in the end.
+#[test]
+fn points_of_a_map_are_those_of_its_pixels() {
+    const SPARSE: usize = 5;
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let camera = true_camera();
+    let (width, height) = (camera.sensor.width_px as usize, camera.sensor.height_px as usize);
+    let nu = |i: usize| 2.5 + (i % width) as f64 / 1e3;
+    let depth = |i: usize| if i.is_multiple_of(SPARSE) { nu(i) } else { f64::NAN };
+    let map: Vec<f64> = (0..width * height).map(depth).collect();
+    write_npy(&path("map.npy"), width, height, &map);
+    let mut command = plenocal();
+    command.arg("points").arg(camera_file()).arg(path("map.npy")).args(["--csv", "--json"]);
+    let output = command.arg("--out").arg(path("out")).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let pixels: Vec<usize> = (0..width * height).step_by(SPARSE).collect();
+    let places: Vec<Vector2<f64>> =
+        pixels.iter().map(|i| Vector2::new((i % width) as f64, (i / width) as f64)).collect();
+    let at = micro_images_at(&camera, &places).unwrap();
+    let seen: Vec<VirtualPoint> = pixels
+        .iter()
+        .zip(&places)
+        .zip(at)
+        .map(|((i, place), at)| {
+            let (k, l) = at.unwrap_or((-1, -1));
+            let at = MicroPixel { k, l, u_px: place.x, v_px: place.y };
+            VirtualPoint { at, virtual_depth: map[*i], std_dev: [0.0; 3] }
+        })
+        .collect();
+    let expected = metric_points(&camera, &seen).unwrap();
+    let with_point =
+        places.iter().zip(&expected).filter_map(|(place, point)| Some((place, (*point)?)));
+    let csv = fs::read_to_string(path("out/points.csv")).unwrap();
+    let mut lines = csv.lines().skip(1);
+    let mut count = 0_usize;
+    for (place, point) in with_point {
+        let [x, y, z] = point.point_mm;
+        let line = format!("{},{},{x:.6},{y:.6},{z:.6}", place.x, place.y);
+        assert_eq!(lines.next(), Some(line.as_str()));
+        count += 1;
+    }
+    assert_eq!(lines.next(), None);
+    assert!(count > 100_000, "{count}");
+    assert_eq!(document["points"], count);
+    assert_eq!(document["without_point"], places.len() - count);
+    let ply = fs::read(path("out/points.ply")).unwrap();
+    let header = String::from_utf8_lossy(&ply[..300]).into_owned();
+    assert!(header.contains(&format!("\nelement vertex {count}\n")), "{header}");
+    let begin = header.find("end_header\n").unwrap() + "end_header\n".len();
+    assert_eq!(ply.len() - begin, count * 20);
+    let mut depths: Vec<f64> = expected.iter().flatten().map(|point| point.point_mm[2]).collect();
+    depths.sort_by(f64::total_cmp);
+    assert_eq!(document["distance_mm"]["median"], depths[(count - 1).div_ceil(2)]);
+}
+
 #[test]
 fn what_cannot_be_used_is_named() {
     let folder = TempDir::new().unwrap();
@@ -205,7 +262,12 @@ fn what_cannot_be_used_is_named() {
     fails(&["points", camera, small.to_str().unwrap()], "--map focused");
     let bytes = fs::read(&small).unwrap();
     fs::write(path("cut.npy"), &bytes[..bytes.len() - 8]).unwrap();
-    fails(&["points", camera, path("cut.npy").to_str().unwrap()], "as its shape says");
+    let more = [&bytes[..], &[0; 8]].concat();
+    fs::write(path("long.npy"), more).unwrap();
+    for (name, kind) in [("cut.npy", "focused"), ("long.npy", "focused")] {
+        let input = path(name);
+        fails(&["points", camera, input.to_str().unwrap(), "--map", kind], "as its shape says");
+    }
     fs::write(path("short.npy"), &bytes[..9]).unwrap();
     fails(&["points", camera, path("short.npy").to_str().unwrap()], "cut off");
     fs::write(path("nu.csv"), "k,l,u,v,nu\n20,18,500,400,-10000\n").unwrap();
@@ -215,6 +277,10 @@ fn what_cannot_be_used_is_named() {
     fails(&["points", camera, path("nu.csv").to_str().unwrap(), "--uv-std-dev", "-1"], "deviation");
     image::GrayImage::new(4, 4).save(path("map.png")).unwrap();
     fails(&["points", camera, path("map.png").to_str().unwrap()], "grey levels");
+    image::RgbImage::new(4, 4).save(path("colors.png")).unwrap();
+    let colors = path("colors.png");
+    let colors = ["points", camera, colors.to_str().unwrap(), "--depth-scale", "0,0.1"];
+    fails(&[&colors[..], &["--map", "focused"]].concat(), "three channels");
     fails(&["points", camera, path("none.npy").to_str().unwrap()], "none.npy");
 }
 

@@ -51,30 +51,53 @@ struct Decoded {
 /// with three channels cannot be a colour mosaic, and one with a single channel cannot be RGB.
 pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
     // Read whole before it is decoded: a failure of the disk is one of reading, not of the image.
-    let bytes = read_bytes(path)?;
-    let image = decode(&bytes).and_then(|decoded| interpreted(decoded, color));
-    image.map_err(|e| e.in_file(path))
+    image_of(&read_bytes(path)?, color).map_err(|e| e.in_file(path))
+}
+
+/// The image in the bytes of a file.
+pub(super) fn image_of(bytes: &[u8], color: Option<Color>) -> Result<RawImage> {
+    decode(bytes).and_then(|decoded| interpreted(decoded, color))
 }
 
 /// Width and height, px, and grey or RGB, from the header of an image file.
 pub(super) fn format_of(path: &Path) -> Result<(u32, u32, Color)> {
-    let read = |source| Error::Read { path: path.to_owned(), source };
-    let file = open(path).map_err(read)?;
-    let of_tiff = tags::Tags::of(BufReader::new(&file)).map(|mut tags| tiff::format(&mut tags));
-    let format = match of_tiff {
-        Some(format) => format.ok_or_else(|| cut_off("TIFF")),
-        None => File::try_clone(&file).map_err(read).and_then(format_of_others),
-    };
-    format.map_err(|e| e.in_file(path))
+    header_of(path).map(|(format, _)| format)
 }
 
-fn format_of_others(mut file: File) -> Result<(u32, u32, Color)> {
+/// Number of bytes that the samples of an image file take in memory, by its header.
+pub fn image_bytes(path: &Path) -> Result<u64> {
+    let ((width, height, color), sample_bytes) = header_of(path)?;
+    // A header may state any size.
+    let pixels = u64::from(width) * u64::from(height);
+    Ok(pixels.saturating_mul(color.samples() as u64 * sample_bytes))
+}
+
+/// Width, height and colour, and bytes of a sample.
+type Header = ((u32, u32, Color), u64);
+
+fn header_of(path: &Path) -> Result<Header> {
+    let read = |source| Error::Read { path: path.to_owned(), source };
+    let file = open(path).map_err(read)?;
+    let of_tiff = tags::Tags::of(BufReader::new(&file)).map(|mut tags| {
+        let format = tiff::format(&mut tags);
+        format.map(|format| (format, tiff::sample_bytes(&mut tags)))
+    });
+    let header = match of_tiff {
+        Some(header) => header.ok_or_else(|| cut_off("TIFF")),
+        None => File::try_clone(&file).map_err(read).and_then(header_of_others),
+    };
+    header.map_err(|e| e.in_file(path))
+}
+
+fn header_of_others(mut file: File) -> Result<Header> {
     io::Seek::rewind(&mut file).map_err(|e| unreadable("image", &e))?;
     let (reader, name) = reader_of(BufReader::new(file))?;
     let decoder = reader.into_decoder().map_err(|e| refused(name, &e))?;
     let (width, height) = decoder.dimensions();
-    let color = if decoder.color_type().has_color() { Color::Rgb } else { Color::Grey };
-    Ok((width, height, color))
+    let kind = decoder.color_type();
+    let color = if kind.has_color() { Color::Rgb } else { Color::Grey };
+    let sample_bytes = u64::from(kind.bytes_per_pixel()) / u64::from(kind.channel_count());
+    Ok(((width, height, color), sample_bytes))
 }
 
 fn decode(bytes: &[u8]) -> Result<Decoded> {
@@ -159,6 +182,16 @@ fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
         return Err(Error::invalid(format!(
             "this image of {width} x {height} px is empty: save it again"
         )));
+    }
+    // A header may contradict itself, and a decoder follow one part of it where another is read here.
+    let count = match &samples {
+        Samples::Bits8(samples) => samples.len(),
+        Samples::Bits16(samples) => samples.len(),
+    };
+    if width.checked_mul(height).and_then(|pixels| pixels.checked_mul(stored.samples()))
+        != Some(count)
+    {
+        return Err(damaged("image"));
     }
     let color = match (color, stored) {
         (None, stored) => stored,

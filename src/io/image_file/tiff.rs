@@ -93,6 +93,13 @@ pub fn format(tags: &mut Tags<impl std::io::Read + std::io::Seek>) -> Option<(u3
     Some((width, height, color))
 }
 
+/// Bytes of a sample once it is read.
+pub fn sample_bytes(tags: &mut Tags<impl std::io::Read + std::io::Seek>) -> u64 {
+    let page = tags.first();
+    let bits = page.and_then(|page| page.entry(tag::BITS).and_then(|entry| tags.value(entry)));
+    if bits.unwrap_or(1) > 8 { 2 } else { 1 }
+}
+
 fn palette_of(
     tags: &mut Tags<impl std::io::Read + std::io::Seek>,
     page: &Page,

@@ -5,6 +5,7 @@ use nalgebra::Vector2;
 use super::super::drawing::{Area, Axis, BLUE, Drawing, FITTED, quantile};
 use super::super::tree::Figure;
 use crate::calibration::Calibration;
+use crate::quantity::{fixed, significant};
 use crate::solver::LossKind;
 
 const BINS: usize = 40;
@@ -114,5 +115,5 @@ fn histogram(chart: &Area, panel: &Panel, drawing: &mut Drawing) {
 
 /// A standard deviation in px with its significant digits.
 fn short(value: f64) -> String {
-    if value >= 1e-3 { format!("{value:.4}") } else { format!("{value:.1e}") }
+    if value >= 1e-3 { fixed(value, 4) } else { significant(value, 2) }
 }
