@@ -30,7 +30,7 @@ pub(super) struct FittedCorner {
     pub corner: Corner,
     /// How its place changes with what was held.
     pub sensitivities: Sensitivities,
-    /// What its light says of the width of edges.
+    /// What its light tells about its blur radius and the variance of its edges.
     pub width: EdgeWidth,
 }
 
@@ -180,13 +180,8 @@ impl Held<'_> {
         let of_two = mixed.fixed_columns::<2>(0).into_owned();
         let left = own - of_two.transpose() * follow.fixed_columns::<2>(0);
         let change = right - of_two.transpose() * step.unknowns;
-        let by_ratio =
-            Matrix2::from_diagonal(&Vector2::new(self.optics.blur_by_ratio_px(self.slope), 1.0));
         let scale = contrast / (step.cost / (pixels - UNKNOWNS as f64 - 2.0).max(1.0));
-        let width = EdgeWidth::new(
-            by_ratio * left * by_ratio * (contrast * scale),
-            by_ratio * change * scale,
-        );
+        let width = EdgeWidth::new(left * (contrast * scale), change * scale);
         let finite = corner.place.iter().chain(&by_held).all(|x| x.is_finite());
         (finite && width.is_finite()).then_some(FittedCorner { corner, sensitivities, width })
     }
@@ -201,7 +196,7 @@ impl Held<'_> {
         let by_radius = of(Column::BlurRadius);
         let of_aberration = [Column::Spherical, Column::Coma, Column::Astigmatism].map(of);
         // 1/A = γ − 1 times S, C and T.
-        let mut by_slope = -by_radius * (optics.aperture_ratio * optics.half_pitch_px);
+        let mut by_slope = by_radius * optics.blur_by_slope_px();
         for (by, coefficient) in of_aberration.iter().zip(&self.aberration.coefficients_per_px2) {
             by_slope += by * *coefficient;
         }

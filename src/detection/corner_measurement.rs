@@ -1,11 +1,12 @@
 //! A corner as it was seen in a micro-image, and how that depends on what was taken for granted.
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{SMatrix, Vector2, Vector3};
 
 use super::corner::Corner;
 use super::corner_fit::Sensitivities;
 use super::edge_width::EdgeWidth;
 use super::{CornerObservation, MicroOptics};
+use crate::model::TAKEN;
 
 /// An observation of a corner, made with the slope and the aberration that were known before. Places are
 /// straightened, see [`super::Aberration`].
@@ -16,7 +17,7 @@ pub(super) struct CornerMeasurement {
     pub slope_before: f64,
     /// By how much the observation moves with that slope and the aberration.
     pub sensitivities: Sensitivities,
-    /// What its edges say of the blur.
+    /// What its light tells about its blur radius and the variance of its edges.
     pub width: EdgeWidth,
 }
 
@@ -32,18 +33,9 @@ impl CornerMeasurement {
         }
     }
 
-    /// The observation on its line if one of what is taken from white images is larger by `step`.
-    pub fn on_line_with(&self, taken: usize, step: f64) -> CornerObservation {
-        let on_line = self.on_line();
-        let moved = self.sensitivities.by_taken.column(taken) * step;
-        CornerObservation { position: on_line.position + moved, ..on_line }
-    }
-
-    /// Adds to a sensitivity what follows from how the slope of the line changes with it.
-    pub fn take_slope(&mut self, taken: usize, slope: f64) {
-        let by_slope = self.sensitivities.by_slope * slope;
-        let mut sensitivity = self.sensitivities.by_taken.column_mut(taken);
-        sensitivity += by_slope;
+    /// Adds to the sensitivities by what is taken from white images what follows from how the slope of the line changes with it.
+    pub fn take_slope(&mut self, slope_by_taken: &SMatrix<f64, 1, TAKEN>) {
+        self.sensitivities.by_taken += self.sensitivities.by_slope * slope_by_taken;
     }
 
     /// Moves the observation to where another aberration puts it.
@@ -51,14 +43,18 @@ impl CornerMeasurement {
         self.moved(&(self.sensitivities.by_aberration * change));
     }
 
-    /// Moves the observation to where the blur radius of another slope puts it. What its edges say of the aperture ratio is then
-    /// over that radius.
+    /// Moves the observation to where the blur radius of another slope puts it. The change of the blur radius is then from the
+    /// one of that slope.
     pub fn change_slope(&mut self, slope: f64, optics: &MicroOptics) {
         self.moved(&(self.sensitivities.by_slope * (slope - self.slope_before)));
-        let wider_px = optics.blur_radius_px(slope) - optics.blur_radius_px(self.slope_before);
-        let log_ratio = wider_px / optics.blur_by_ratio_px(self.slope_before);
-        self.width = self.width.about(&Vector2::new(-log_ratio, 0.0));
+        self.width = self.width_at(slope, optics);
         self.slope_before = slope;
+    }
+
+    /// What its light tells about the change of the blur radius from the one of a slope, and about the variance of its edges.
+    pub fn width_at(&self, slope: f64, optics: &MicroOptics) -> EdgeWidth {
+        let wider_px = optics.blur_radius_px(slope) - optics.blur_radius_px(self.slope_before);
+        self.width.about(&Vector2::new(-wider_px, 0.0))
     }
 
     fn moved(&mut self, by: &Vector2<f64>) {
@@ -75,9 +71,9 @@ mod tests {
     use super::super::micro_images::tests::micro_images;
     use super::*;
 
-    /// What edges say of the aperture ratio is about the blur radius that they have, whatever slope they were looked at with.
+    /// The measured blur radius does not depend on the slope that the corner was fitted with.
     #[test]
-    fn edges_say_the_same_of_the_blur_radius_after_another_slope() {
+    fn the_measured_blur_radius_stays_with_another_slope() {
         let optics = micro_images(23.0).optics(1, 1);
         let width =
             EdgeWidth::new(Matrix2::new(900.0, 100.0, 100.0, 400.0), Vector2::new(9.0, 2.0));
@@ -108,8 +104,8 @@ mod tests {
             width,
         };
         let radius_px = |seen: &CornerMeasurement| {
-            let change = seen.width.of_ratio(&Vector2::zeros()).unwrap().0;
-            optics.blur_radius_px(seen.slope_before) + change * optics.blur_by_ratio_px(0.5)
+            let change = seen.width.of_first(&Vector2::zeros()).unwrap().0;
+            optics.blur_radius_px(seen.slope_before) + change
         };
         let before = radius_px(&seen);
         seen.change_slope(0.52, &optics);

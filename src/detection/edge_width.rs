@@ -11,8 +11,8 @@ use crate::model::APERTURE_RATIO_MODEL;
 use crate::numerics::median;
 use crate::quantity::Estimate;
 
-/// What the light of a corner says about ln φ and v, near those that it was fitted with, while its place and levels are free:
-/// its information, and that times the change.
+/// Information about a blur radius, or about ln φ, and v, near those that corners were fitted with, while their places and
+/// levels are free; and that times the change.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct EdgeWidth {
     information: Matrix2<f64>,
@@ -39,7 +39,7 @@ pub(super) struct OfFrames {
 }
 
 impl EdgeWidth {
-    /// Of this information of ln φ and v, and that times the change.
+    /// With this information, and that times the change.
     pub fn new(information: Matrix2<f64>, right: Vector2<f64>) -> Self {
         Self { information, right }
     }
@@ -49,24 +49,31 @@ impl EdgeWidth {
         self.information.iter().chain(&self.right).all(|x| x.is_finite())
     }
 
-    /// Of ln φ and v themselves, if it is of their changes from these.
+    /// The information about ln φ instead of a blur radius that grows with it by so much, px.
+    pub fn of_log_ratio(self, radius_by_ratio_px: f64) -> Self {
+        let by = Vector2::new(radius_by_ratio_px, 1.0);
+        let scale = Matrix2::from_diagonal(&by);
+        Self { information: scale * self.information * scale, right: self.right.component_mul(&by) }
+    }
+
+    /// The information about the quantities themselves, if it is about their changes from these values.
     pub fn about(self, at: &Vector2<f64>) -> Self {
         Self { right: self.right + self.information * at, ..self }
     }
 
-    /// By how much ln φ of this corner alone changes with v, px⁻².
-    pub fn ratio_by_width(&self) -> f64 {
+    /// By how much the first quantity, found from this corner alone, changes with v.
+    pub fn first_by_width(&self) -> f64 {
         -self.information[(0, 1)] / self.information[(0, 0)]
     }
 
-    /// v with its variance, if ln φ is known; `None` if it shows none.
+    /// v with its variance if ln φ is known; `None` without information.
     fn of_width(&self, log_ratio: f64) -> Option<(f64, f64)> {
         let information = self.information[(1, 1)];
         let left = self.right.y - self.information[(0, 1)] * log_ratio;
         (information > 0.0).then(|| (left / information, 1.0 / information))
     }
 
-    /// What it says of ln φ if nothing is known of v.
+    /// The information about ln φ if nothing is known about v.
     fn of_ratio_alone(&self) -> Self {
         let Self { information: n, right } = *self;
         let share = if n[(1, 1)] > 0.0 { n[(0, 1)] / n[(1, 1)] } else { 0.0 };
@@ -76,8 +83,9 @@ impl EdgeWidth {
         }
     }
 
-    /// The change of ln φ by this corner alone, with its variance, after `change` of all; `None` if it shows none.
-    pub fn of_ratio(&self, change: &Vector2<f64>) -> Option<(f64, f64)> {
+    /// The change of the first quantity by this corner alone, with its variance, after `change` of both; `None` without
+    /// information.
+    pub fn of_first(&self, change: &Vector2<f64>) -> Option<(f64, f64)> {
         let information = self.information[(0, 0)];
         let left = self.right - self.information * change;
         (information > 0.0).then(|| (left.x / information, 1.0 / information))
@@ -97,6 +105,8 @@ const SIGNIFICANT: f64 = 3.0;
 /// standard deviations.
 pub(super) const MOVED_PX2: f64 = 0.05;
 pub(super) const MOVED: f64 = 5.0;
+/// Edges determine ln φ where its σ is below this.
+const DETERMINED: f64 = 0.05;
 /// Rounds in which they are left out.
 const ROUNDS: usize = 5;
 /// How well the model of a corner tells v, as a part of the variance of the point spread: light at the rim of the pupil is
@@ -105,9 +115,10 @@ const ROUNDS: usize = 5;
 const OF_POINT_SPREAD: f64 = 0.05;
 
 impl WidthChange {
-    /// The change of ln φ with its σ.
-    pub fn log_ratio(&self) -> (f64, f64) {
-        (self.change.x, self.covariance[(0, 0)].sqrt())
+    /// The change of ln φ with its σ, if edges determine it.
+    pub fn log_ratio(&self) -> Option<(f64, f64)> {
+        let std_dev = self.covariance[(0, 0)].sqrt();
+        (std_dev < DETERMINED).then_some((self.change.x, std_dev))
     }
 
     /// Whether edges are wider or narrower than they were taken to be, by what matters and is no chance: print that is not
@@ -138,7 +149,7 @@ impl WidthChange {
             let change = covariance * right;
             // In the standard deviations that each corner claims.
             let far = |one: &EdgeWidth| {
-                one.of_ratio(&change).map_or(0.0, |(by, variance)| by.abs() / variance.sqrt())
+                one.of_first(&change).map_or(0.0, |(by, variance)| by.abs() / variance.sqrt())
             };
             let distances: Vec<f64> = all.iter().map(far).collect();
             // The median of |x| for a normal distribution.
@@ -189,7 +200,7 @@ impl OfFrames {
         let (at, covariance, ratio_by_width) = found?;
         let scatter = |(frame, alike): (&EdgeWidth, &bool)| {
             let own = if *alike { *frame } else { frame.of_ratio_alone() };
-            let (from, variance) = own.of_ratio(&at)?;
+            let (from, variance) = own.of_first(&at)?;
             Some(from * from / variance)
         };
         let scatter: f64 = frames.iter().zip(&alike).filter_map(scatter).sum();

@@ -170,14 +170,13 @@ impl Measured {
         slope: f64,
         wider_px2: Option<Estimate>,
     ) -> Option<MeasuredBlur> {
-        let per = optics.blur_by_ratio_px(slope);
         let own = self.width?.change.y;
         let change = wider_px2.map_or(own, |wider| wider.value - self.wider_px2);
-        let (by, variance) = width.of_ratio(&Vector2::new(0.0, change))?;
+        let (by, variance) = width.of_first(&Vector2::new(0.0, change))?;
         Some(MeasuredBlur {
-            radius_px: optics.blur_radius_px(slope) + by * per,
-            std_dev_px: variance.sqrt() * per.abs(),
-            shared_px: wider_px2.map_or(0.0, |wider| width.ratio_by_width() * per * wider.std_dev),
+            radius_px: optics.blur_radius_px(slope) + by,
+            std_dev_px: variance.sqrt(),
+            shared_px: wider_px2.map_or(0.0, |wider| width.first_by_width() * wider.std_dev),
             aperture_ratio: optics.aperture_ratio,
         })
     }

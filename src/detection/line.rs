@@ -4,7 +4,7 @@
 //! in all micro-images, γ = λ (1 − 1/ν) with λ = D/(D + d). Where i = c the point is seen through the
 //! middle of the main lens: its pinhole image.
 
-use nalgebra::{Matrix2x3, Matrix3, Vector1, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, SMatrix, Vector1, Vector2, Vector3};
 
 use super::CornerObservation;
 use crate::model::Configuration;
@@ -72,11 +72,6 @@ impl CornerLine {
         Self::exact(pinhole * (1.0 - slope), slope)
     }
 
-    /// By how much another line starts and rises otherwise, as a line.
-    pub(super) fn difference(&self, other: &Self) -> Self {
-        Self::exact(other.start - self.start, other.slope - self.slope)
-    }
-
     /// The line moved along a derivative.
     pub(super) fn moved(&self, by: &Self, change: f64) -> Self {
         let (start, slope) = (self.start + by.start * change, self.slope + by.slope * change);
@@ -90,6 +85,20 @@ impl CornerLine {
 
     /// Fits the line robustly; `None` if the observations are of a single micro-image.
     pub(crate) fn fit(observations: impl Iterator<Item = CornerObservation>) -> Option<Self> {
+        FittedLine::fit(observations).map(|fitted| fitted.line)
+    }
+}
+
+/// A line with what it was fitted to.
+pub(super) struct FittedLine {
+    pub line: CornerLine,
+    observed: Observed,
+    weights: Vec<f64>,
+}
+
+impl FittedLine {
+    /// Fits the line robustly; `None` if the observations are of a single micro-image.
+    pub fn fit(observations: impl Iterator<Item = CornerObservation>) -> Option<Self> {
         let observations: Vec<CornerObservation> = observations.collect();
         let count = observations.len() as f64;
         let middle = observations.iter().map(|o| o.center).sum::<Vector2<f64>>() / count;
@@ -110,12 +119,36 @@ impl CornerLine {
             .sum();
         // A few observations may agree by chance, which makes them no better than they are.
         let factor = (weighted / freedom).max(1.0);
-        let line = Self {
+        let line = CornerLine {
             slope_std_dev: (inverse[(2, 2)] * factor).max(0.0).sqrt(),
             rms_px: (square / count.max(1.0)).sqrt(),
             ..line
         };
-        (line.slope.is_finite() && line.start.iter().all(|x| x.is_finite())).then_some(line)
+        let finite = line.slope.is_finite() && line.start.iter().all(|x| x.is_finite());
+        finite.then_some(Self { line, observed, weights: fitted.weights })
+    }
+
+    /// Derivatives of β and γ by quantities, from those of the places of its observations, with the weights of the fit.
+    pub fn derivatives<const Q: usize>(
+        &self,
+        places: impl Iterator<Item = SMatrix<f64, 2, Q>>,
+    ) -> Option<SMatrix<f64, 3, Q>> {
+        let Observed { observations, middle } = &self.observed;
+        let mut equations = NormalEquations::<f64, 3, Q>::new();
+        for ((observation, weight), place) in observations.iter().zip(&self.weights).zip(places) {
+            let rows = observation.whitened(&CornerLine::design(&(observation.center - middle)));
+            let measured = observation.whitened(&place);
+            for i in 0..2 {
+                equations.add(&rows.row(i).transpose(), &measured.row(i).into_owned(), *weight);
+            }
+        }
+        let mut line = equations.solve()?;
+        let slope = line.row(2).into_owned();
+        for i in 0..2 {
+            let start = line.row(i) - slope * middle[i];
+            line.set_row(i, &start);
+        }
+        Some(line)
     }
 }
 

@@ -48,6 +48,12 @@ impl MicroOptics {
         self.aperture_ratio * self.half_pitch_px * (1.0 - slope)
     }
 
+    /// How much the blur radius of a point grows with its slope, px.
+    #[must_use]
+    pub fn blur_by_slope_px(&self) -> f64 {
+        -self.aperture_ratio * self.half_pitch_px
+    }
+
     /// φqᵢ, px: the blur radius of the pupil itself, which has the slope 1.
     #[must_use]
     pub fn q_px(&self) -> f64 {

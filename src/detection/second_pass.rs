@@ -6,8 +6,8 @@ use std::borrow::Cow;
 use nalgebra::{Matrix2, Vector2, Vector3};
 use rayon::prelude::*;
 
-use super::aberration_fit::aberration_change;
 use super::board::LabelledBoard;
+use super::common_change::aberration_change;
 use super::corner::Corner;
 use super::corner_fit::{ByTaken, FitRoom, FittedCorner, Held};
 use super::corner_measurement::CornerMeasurement;
@@ -15,24 +15,21 @@ use super::distortion::Distortion;
 use super::edge_width::{EdgeWidth, WidthChange};
 use super::first_pass::LEAST_CONTRAST;
 use super::frame::{Frame, FrameCounts, MARGIN};
-use super::line::{CornerLine, possible_slope};
+use super::line::{CornerLine, FittedLine, possible_slope};
 use super::patch::{self, Patch};
 use super::slope_field::SlopeField;
 use super::{Aberration, CornerObservation, MicroImages, MicroOptics};
 #[cfg(doc)]
 use crate::model::BapFeature;
-use crate::model::TAKEN;
 use crate::model::taken::APERTURE_RATIO;
 use crate::numerics::median;
 
 /// Rounds in which every corner is searched for: in each its line, aberrations and the width of edges are those of the round
 /// before. There are at least two, and more while the aperture ratio changes.
 const ROUNDS: std::ops::RangeInclusive<usize> = 2..=4;
-/// The aperture ratio of a round has settled if it changes by less than this part, or by less than so many of its σ; it is
-/// determined where σ is below the third number.
+/// The aperture ratio of a round has settled if it changes by less than this part, or by less than so many of its σ.
 const SETTLED: f64 = 0.02;
 const SETTLED_STD_DEVS: f64 = 0.5;
-const DETERMINED: f64 = 0.05;
 /// Aperture ratios that edges of one frame are taken to have: noise may exceed what is possible a little.
 const RATIOS: std::ops::RangeInclusive<f64> = 0.2..=1.15;
 /// Boards with edges that are wider than this, px², are not sharp enough to be found.
@@ -42,8 +39,6 @@ const MOST_WIDER_PX2: f64 = 9.0;
 const EXPECTED_PX: f64 = 1.2;
 /// The first round looks at one pixel of so many.
 const ROUGH_PIXELS: usize = 3;
-/// Steps by which derivatives of lines by what is taken from white images are measured.
-const TAKEN_STEP: f64 = 0.01;
 /// Least part of the light of its micro-image that a corner explains.
 const EXPLAINED: f64 = 0.4;
 /// Largest median imbalance of its observations, see [`Corner::imbalance`].
@@ -64,7 +59,7 @@ const LEAST_RMS_PX: f64 = 0.08;
 pub(super) struct BoardCorner {
     pub corner: i32,
     pub line: CornerLine,
-    /// The derivative of the line by ln φ, once it was searched for.
+    /// The derivative of the line by ln φ.
     pub line_by_ratio: CornerLine,
     pub observations: Vec<Found>,
 }
@@ -76,8 +71,10 @@ pub(super) struct Found {
     pub corner: Corner,
     /// How the place changes with what is taken from white images, px: see [`BapFeature::sensitivities_px`].
     pub by_taken: ByTaken,
-    /// What its edges say of the blur.
+    /// What its light tells about its blur radius and the variance of its edges, and by how much that radius grows with ln φ, px,
+    /// together with the slope of the line.
     pub width: EdgeWidth,
+    pub radius_by_ratio_px: f64,
 }
 
 /// What the second pass finds in a frame.
@@ -146,7 +143,7 @@ pub(super) fn second_pass<'a>(
         let mut found: Vec<Sought> = outcomes.into_iter().filter_map(|o| o.found).collect();
         found.sort_by_key(|c| c.corner);
         let all = found.iter().map(|sought| sought.seen.as_slice());
-        let change = aberration_change(&aberration, all).unwrap_or_default();
+        let change = aberration_change(&aberration, &micro_images, (free, wider_px2), all);
         aberration = aberration.changed(&change);
         corners.clear();
         for sought in found {
@@ -157,10 +154,10 @@ pub(super) fn second_pass<'a>(
             }
         }
         let observations = corners.iter().flat_map(|c| &c.observations);
-        let widths: Vec<EdgeWidth> = observations.map(|found| found.width).collect();
+        let widths: Vec<EdgeWidth> =
+            observations.map(|found| found.width.of_log_ratio(found.radius_by_ratio_px)).collect();
         width = WidthChange::fit(&widths, wider_px2);
-        let change = width.filter(|_| free).map(|width| width.log_ratio());
-        let change = change.filter(|(_, std_dev)| *std_dev < DETERMINED);
+        let change = width.filter(|_| free).and_then(|width| width.log_ratio());
         let moves =
             change.is_some_and(|(by, std_dev)| by.abs() > SETTLED.max(SETTLED_STD_DEVS * std_dev));
         if round == *ROUNDS.end() || (round >= *ROUNDS.start() && !moves) {
@@ -361,36 +358,26 @@ impl CornerSearch<'_> {
         for seen in &mut seen {
             seen.change_aberration(change);
         }
-        let line = CornerLine::fit(seen.iter().map(CornerMeasurement::on_line))?;
-        let none = CornerLine::exact(Vector2::zeros(), 0.0);
-        let mut line_by_ratio = none;
-        if !self.rough {
+        let fitted = FittedLine::fit(seen.iter().map(CornerMeasurement::on_line))?;
+        let line = fitted.line;
+        let by_taken = fitted.derivatives(seen.iter().map(|seen| seen.sensitivities.by_taken))?;
+        let by_ratio = by_taken.column(APERTURE_RATIO);
+        let line_by_ratio = CornerLine::exact(by_ratio.xy(), by_ratio.z);
+        let found = |mut seen: CornerMeasurement| {
+            let optics = self.micro_images.optics(seen.observation.k, seen.observation.l);
             // With other places the line has another slope, and that blurs otherwise.
-            for taken in 0..TAKEN {
-                let others = seen.iter().map(|seen| seen.on_line_with(taken, TAKEN_STEP));
-                let difference = line.difference(&CornerLine::fit(others)?);
-                let by_taken = none.moved(&difference, TAKEN_STEP.recip());
-                if taken == APERTURE_RATIO {
-                    line_by_ratio = by_taken;
-                }
-                for seen in &mut seen {
-                    seen.take_slope(taken, by_taken.slope);
-                }
-            }
-        }
-        for seen in &mut seen {
-            let CornerObservation { k, l, .. } = seen.observation;
-            seen.change_slope(line.slope, &self.micro_images.optics(k, l));
-        }
-        let observations = seen
-            .into_iter()
-            .map(|seen| Found {
+            seen.take_slope(&by_taken.row(2).into_owned());
+            seen.change_slope(line.slope, &optics);
+            Found {
                 observation: seen.observation,
                 corner: seen.corner,
                 by_taken: seen.sensitivities.by_taken,
                 width: seen.width,
-            })
-            .collect();
+                radius_by_ratio_px: optics.blur_by_ratio_px(line.slope)
+                    + optics.blur_by_slope_px() * line_by_ratio.slope,
+            }
+        };
+        let observations = seen.into_iter().map(found).collect();
         let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);
         possible.then_some(BoardCorner { corner, line, line_by_ratio, observations })
     }

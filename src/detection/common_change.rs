@@ -1,10 +1,16 @@
-//! The aberrations of the main lens, estimated from how they bend the lines of corners.
+//! What all corners of a frame have in common: the aberrations of the main lens, estimated from how they bend the lines of
+//! corners.
+//!
+//! Where the blur radius is wrong, the rim of the pupil seems to bend lines as spherical aberration does: an aperture ratio that
+//! is 8 % too large, as the lens of a double Gauss. So the aperture ratio comes first, from the widths of edges, and the
+//! aberrations from places that have moved with it.
 
-use nalgebra::{Matrix3, RowVector4, Vector1, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector1, Vector3};
 
-use super::Aberration;
-use super::CornerLine;
 use super::corner_measurement::CornerMeasurement;
+use super::edge_width::{EdgeWidth, WidthChange};
+use super::{Aberration, CornerLine, MicroImages};
+use crate::model::taken::APERTURE_RATIO;
 use crate::numerics::NormalEquations;
 
 /// Before a frame was looked at, its aberrations move nothing by more than about this, px. It holds them down
@@ -13,58 +19,92 @@ const MOST_PX: f64 = 1.0;
 /// Aberrations show from so many σ on.
 const SHOWS: f64 = 4.0;
 
-/// By how much S, C and T have to change for the observations of every corner to lie on a line. Aberrations
-/// that do not show in the frame are none: they would only add noise.
+/// A place and its derivatives: columns of the equations of an observation.
+const COLUMNS: usize = 5;
+const PLACE: usize = 0;
+const BY_RATIO: usize = 1;
+const BY_ABERRATION: usize = 2;
+
+/// By how much S, C and T have to change for the observations of every corner to lie on a line, once ln φ is that of the
+/// widths of edges, if it is free; these are taken to be wider by a variance, px², already. Aberrations that do not show in the
+/// frame are none: they would only add noise.
 pub(super) fn aberration_change<'a>(
     aberration: &Aberration,
+    micro_images: &MicroImages,
+    (free, wider_px2): (bool, f64),
     corners: impl Iterator<Item = &'a [CornerMeasurement]>,
-) -> Option<Vector3<f64>> {
-    let mut equations = NormalEquations::<f64, 3, 1>::new();
+) -> Vector3<f64> {
+    let mut widths = Vec::new();
+    // What no line explains of the places must be explained by what no line explains of the sensitivities (Frisch, Waugh and
+    // Lovell).
+    let mut all_left = Vec::new();
     let mut largest = Vector3::<f64>::zeros();
-    let (mut squares, mut freedom) = (0.0, 0.0);
+    let mut freedom = 0.0;
     for corner in corners {
         let rows: Vec<_> = corner.iter().flat_map(rows).collect();
-        let mut line = NormalEquations::<f64, 3, 4>::new();
+        let mut line = NormalEquations::<f64, 3, COLUMNS>::new();
         for (row, measured) in &rows {
             line.add(row, measured, 1.0);
         }
-        // What no line explains of the places must be explained by what no line explains of the sensitivities (Frisch,
-        // Waugh and Lovell).
         let Some(explained) = line.solve() else { continue };
-        for (row, measured) in &rows {
-            let left = (measured - row.transpose() * explained).transpose();
-            equations.add(&-left.xyz(), &Vector1::new(left.w), 1.0);
-            squares += left.w * left.w;
-        }
+        all_left.extend(rows.iter().map(|(row, measured)| measured - row.transpose() * explained));
+        widths.extend(corner.iter().map(|seen| {
+            width_by_ratio(seen, micro_images, explained[(2, PLACE)], explained[(2, BY_RATIO)])
+        }));
         for seen in corner {
             let by = seen.sensitivities.by_aberration.abs();
             largest = largest.sup(&by.row(0).sup(&by.row(1)).transpose());
         }
         freedom += rows.len() as f64 - 3.0;
     }
+    let log_ratio = WidthChange::fit(&widths, wider_px2)
+        .filter(|_| free)
+        .and_then(|width| width.log_ratio())
+        .map_or(0.0, |(change, _)| change);
+    let mut equations = NormalEquations::<f64, 3, 1>::new();
+    let mut squares = 0.0;
+    for left in all_left {
+        let place = left[PLACE] + left[BY_RATIO] * log_ratio;
+        let by_aberration = left.fixed_columns::<3>(BY_ABERRATION).transpose();
+        equations.add(&-by_aberration, &Vector1::new(place), 1.0);
+        squares += place * place;
+    }
     for (i, unit) in Matrix3::identity().column_iter().enumerate() {
         equations.add(&(unit * largest[i]), &Vector1::zeros(), MOST_PX.powi(-2));
     }
-    let change = equations.solve()?;
+    let Some(change) = equations.solve() else { return Vector3::zeros() };
     let normal = equations.normal();
     let left = squares - change.dot(&(normal * change));
     let variance = (left / (freedom - 3.0)).max(1.0);
     let whole = aberration.coefficients_per_px2 + change;
     let shows = whole.dot(&(normal * whole)) > SHOWS.powi(2) * variance;
-    Some(if shows { change } else { -aberration.coefficients_per_px2 })
+    if shows { change } else { -aberration.coefficients_per_px2 }
 }
 
-/// The two equations of an observation: of the line in its β and γ, with the sensitivities of S, C and T and the straightened
-/// place on their right.
-fn rows(seen: &CornerMeasurement) -> [(Vector3<f64>, RowVector4<f64>); 2] {
+/// What a corner tells about ln φ, if its line has a slope that changes by `slope_by_ratio` with it.
+fn width_by_ratio(
+    seen: &CornerMeasurement,
+    micro_images: &MicroImages,
+    slope: f64,
+    slope_by_ratio: f64,
+) -> EdgeWidth {
+    let optics = micro_images.optics(seen.observation.k, seen.observation.l);
+    let by_ratio_px = optics.blur_by_ratio_px(slope) + optics.blur_by_slope_px() * slope_by_ratio;
+    seen.width_at(slope, &optics).of_log_ratio(by_ratio_px)
+}
+
+/// The two equations of an observation: of the line in its β and γ, with the straightened place and its sensitivities to ln φ, S,
+/// C and T on their right.
+fn rows(seen: &CornerMeasurement) -> [(Vector3<f64>, SMatrix<f64, 1, COLUMNS>); 2] {
     let observation = seen.on_line();
     let design = observation.whitened(&CornerLine::design(&observation.center));
-    let by = observation.whitened(&seen.sensitivities.by_aberration);
-    let place = observation.whitened(&observation.position);
-    [0, 1].map(|i| {
-        let measured = RowVector4::new(by[(i, 0)], by[(i, 1)], by[(i, 2)], place[i]);
-        (design.row(i).transpose(), measured)
-    })
+    let by_ratio = seen.sensitivities.by_taken.column(APERTURE_RATIO);
+    let mut columns = SMatrix::<f64, 2, COLUMNS>::zeros();
+    columns.set_column(PLACE, &observation.position);
+    columns.set_column(BY_RATIO, &by_ratio);
+    columns.fixed_columns_mut::<3>(BY_ABERRATION).copy_from(&seen.sensitivities.by_aberration);
+    let columns = observation.whitened(&columns);
+    [0, 1].map(|i| (design.row(i).transpose(), columns.row(i).into_owned()))
 }
 
 #[cfg(test)]
@@ -74,7 +114,7 @@ mod tests {
     use super::super::CornerObservation;
     use super::super::corner::Corner;
     use super::super::corner_fit::Sensitivities;
-    use super::super::edge_width::EdgeWidth;
+    use super::super::micro_images::tests::micro_images;
     use super::*;
 
     const PUPIL_PX: f64 = 6.0;
@@ -137,7 +177,7 @@ mod tests {
 
     fn found(seen: &[Vec<CornerMeasurement>]) -> Vector3<f64> {
         let none = Aberration::none(Vector2::new(500.0, 400.0), PUPIL_PX);
-        aberration_change(&none, seen.iter().map(Vec::as_slice)).unwrap()
+        aberration_change(&none, &micro_images(23.0), (true, 0.0), seen.iter().map(Vec::as_slice))
     }
 
     #[test]
