@@ -41,6 +41,8 @@ pub(super) struct Quadrature {
     pub nodes: Vec<Node>,
     /// Variance of a node along an axis.
     pub variance: f32,
+    /// Radius of the outermost ring.
+    pub radius: f32,
 }
 
 impl Quadrature {
@@ -65,7 +67,8 @@ impl Quadrature {
                 nodes.push(Node { x: radius * cos, y: radius * sin, weight });
             }
         }
-        Self { nodes, variance: variance as f32 }
+        let radius = rings.iter().map(|(_, radius, _)| *radius).fold(0.0, f64::max);
+        Self { nodes, variance: variance as f32, radius: radius as f32 }
     }
 }
 

@@ -27,6 +27,7 @@ pub(super) struct Rim {
 /// those at 0, so the distance z of the rim in σ has the variance σ²/2a²; angle brackets are means over that, to its first
 /// order. λ = ⟨φ(z)⟩/⟨Φ(z)⟩ and κ = λσ/a. What is said of the direction along the rim is an
 /// interpolation: right to the first order of σ/a near it, and in the limit far outside, where the variance is 1/(1 + κ).
+#[derive(Clone, Copy)]
 pub(super) struct Cut<S: Simd> {
     /// Its part, ⟨Φ⟩.
     pub visible: Lanes<S>,
@@ -118,6 +119,13 @@ impl<S: Simd> Cut<S> {
         -(self.mean * (self.distance + self.mean))
     }
 
+    /// The third moment of the distances of places from an edge, times a scale: its normal has these parts across the rim and along
+    /// it.
+    #[inline(always)]
+    pub fn third(&self, scale: f32, [n, t]: [Lanes<S>; 2]) -> Lanes<S> {
+        n * (self.skew * scale * n * n + self.skew_sideways * (3.0 * scale) * t * t)
+    }
+
     /// Third moments of the distances of places from two edges, and the mixed ones with the first or the second squared,
     /// times a scale: their normals have these parts across the rim and along it.
     #[inline(always)]
@@ -128,11 +136,10 @@ impl<S: Simd> Cut<S> {
         [n2, t2]: [Lanes<S>; 2],
     ) -> [Lanes<S>; 4] {
         let (across, along) = (self.skew * scale, self.skew_sideways * scale);
-        let thrice = along * 3.0;
         let mixed = across * n1 * n2 + (along + along) * t1 * t2;
         [
-            n1 * (across * n1 * n1 + thrice * t1 * t1),
-            n2 * (across * n2 * n2 + thrice * t2 * t2),
+            self.third(scale, [n1, t1]),
+            self.third(scale, [n2, t2]),
             n1 * mixed + along * t1 * t1 * n2,
             n2 * mixed + along * t2 * t2 * n1,
         ]
