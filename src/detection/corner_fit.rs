@@ -86,8 +86,8 @@ const HELD: usize = OF_HELD.len();
 
 /// Evaluations of the light at most. Corners start within a pixel, of which one step leaves a few hundredths.
 const EVALUATIONS: usize = 5;
-/// A step of so many px leaves some thousandths of a pixel at most.
-const LAST_STEP_PX: f64 = 0.05;
+/// A step of so many px leaves a few thousandths of a pixel at most, and has the size of the noise.
+const LAST_STEP_PX: f64 = 0.1;
 /// Longest step, px: beyond, the linear model no longer describes the light.
 const LONGEST_STEP_PX: f64 = 1.0;
 /// Further than all light of a micro-image, px.

@@ -663,23 +663,6 @@ mod tests {
     }
 
     #[test]
-    fn zz_time() {
-        for (rho, q, pupil) in [(-1.5, -4.2, 6.0), (-2.5, -4.2, 6.5), (-3.4, -4.19, 6.48), (4.2, 5.1, 20.0)] {
-            let oracle = Oracle { rho, q, pupil, ..Oracle::default() };
-            let places = places(&oracle);
-            let bundle = oracle.bundle();
-            let mut room = CornerLight::default();
-            for all in [true, false] {
-                let begun = std::time::Instant::now();
-                for _ in 0..2000 {
-                    if all { bundle.corner_light(&edges(), &places[0], &places[1], &mut room); } else { bundle.corner_shape(&edges(), &places[0], &places[1], &mut room); }
-                }
-                println!("TIME {rho} {all} {} px: {:.2} us", places[0].len(), begun.elapsed().as_secs_f64() / 2000.0 * 1e6);
-            }
-        }
-    }
-
-    #[test]
     fn light_with_a_point_spread_too() {
         for (rho, q, pupil, point_spread_px2, limit) in [
             (-4.2, -5.1, 6.48, 0.09, 0.004),
