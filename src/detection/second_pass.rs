@@ -28,7 +28,7 @@ use crate::numerics::median;
 /// before. There are at least two, and more while the aperture ratio changes.
 const ROUNDS: std::ops::RangeInclusive<usize> = 2..=4;
 /// The aperture ratio of a round has settled if it changes by less than this part, or by less than so many of its σ.
-const SETTLED: f64 = 0.02;
+const SETTLED: f64 = 0.005;
 const SETTLED_STD_DEVS: f64 = 0.5;
 /// Aperture ratios that edges of one frame are taken to have: noise may exceed what is possible a little.
 const RATIOS: std::ops::RangeInclusive<f64> = 0.2..=1.15;
