@@ -531,9 +531,9 @@ issues! {
 
     /// The corners of features are numbered in another order.
     NumberedOtherwise "numbered-otherwise" { numbering: CornerNumbering, misfit: f64, row_by_row: f64, columns: i32, rows: i32 } =>
-        format!("the corners of the features seem to be numbered {}: so numbered, the features lie where a board of {columns} x {rows} corners has them, to {:.0} % of their spread, but as row · columns + column only to {:.0} %", numbering.words(), 100.0 * misfit, 100.0 * row_by_row),
+        format!("the corners of the features seem to be numbered {}: with that numbering a board of {columns} x {rows} corners fits them to {:.0} % of their spread, with row · columns + column only to {:.0} %", numbering.words(), 100.0 * misfit, 100.0 * row_by_row),
         format!("number corners row by row from 0: corner = row · columns + column, with {columns} columns (cluster in the file of the features); or correct columns and rows of the board");
-    /// A solution that is no minimum was evaluated by another cost than that of the problem beside it.
+    /// A solution was evaluated with a cost that differs from the problem beside it.
     OtherCost "other-cost" { problem: String, differences: Vec<CostDifference> } =>
         other_cost_text(problem, differences),
         "evaluate the solution with the cost of the problem";
@@ -741,16 +741,15 @@ fn lens_types_text(white_px: &[f64], camera_px: &[f64], permuted: Option<&[usize
 }
 
 fn other_cost_text(problem: &str, differences: &[CostDifference]) -> String {
-    let of =
-        |d: &CostDifference| format!("the problem has {}, this evaluation {}", d.problem, d.here);
+    let of = |d: &CostDifference| format!("{} in the problem, {} here", d.problem, d.here);
     let all: Vec<String> = differences.iter().map(of).collect();
-    format!("the cost is not that of the problem in {problem}: {}", all.join("; "))
+    format!("the cost differs from that of the problem in {problem}: {}", all.join("; "))
 }
 
-/// Numbers of more frames say no more than how many they are.
+/// Of more frames the others are counted.
 const MOST_LISTED: usize = 20;
 
-/// Numbers of frames in a row, the first ones of many.
+/// Lists the numbers of frames, of many the first ones.
 pub(crate) fn list(numbers: &[u32]) -> String {
     let first: Vec<String> = numbers.iter().take(MOST_LISTED).map(u32::to_string).collect();
     let more = numbers.len() - first.len();

@@ -138,7 +138,7 @@ class CompressedCost : public Compressed {
 
   const ceres::CostFunction& of_;
   int parameters_ = 0;
-  // What `prepare` has found.
+  // Result of `prepare`.
   bool is_prepared_ = false, is_defined_ = false;
   std::vector<double> residuals_, jacobian_;
 };
@@ -149,12 +149,12 @@ std::unique_ptr<Compressed> compressed(const ceres::CostFunction& of) {
   return std::make_unique<CompressedCost>(of);
 }
 
-void AllAtOnce::add(Compressed* cost, const std::vector<double*>& parameters,
-                    const std::vector<bool>& constant) {
+void ParallelEvaluation::add(Compressed* cost, const std::vector<double*>& parameters,
+                             const std::vector<bool>& constant) {
   blocks_.push_back({cost, parameters, constant});
 }
 
-void AllAtOnce::PrepareForEvaluation(bool with_jacobians, bool) {
+void ParallelEvaluation::PrepareForEvaluation(bool with_jacobians, bool) {
   in_parallel(static_cast<int>(blocks_.size()), threads_, [&](int i) {
     const Block& block = blocks_[i];
     block.cost->prepare(block.parameters.data(), block.constant, with_jacobians);

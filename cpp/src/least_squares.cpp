@@ -57,21 +57,21 @@ std::vector<std::pair<double*, int>> LeastSquares::shared_blocks() {
   return blocks;
 }
 
-std::unique_ptr<ceres::Problem> LeastSquares::compressed(AllAtOnce* all_at_once) const {
+std::unique_ptr<ceres::Problem> LeastSquares::compressed(ParallelEvaluation* parallel) const {
   if (in_rig_ || !blocks_of_others_.empty()) reject("of a rig there is no problem with few rows");
   ceres::Problem::Options options;
   options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-  options.evaluation_callback = all_at_once;
+  options.evaluation_callback = parallel;
   auto result = std::make_unique<ceres::Problem>(options);
   for (const Block& block : blocks_) {
     Compressed* cost = plenocal::compressed(*block.cost).release();
     result->AddResidualBlock(cost, nullptr, block.parameters);
-    if (all_at_once == nullptr) continue;
+    if (parallel == nullptr) continue;
     std::vector<bool> constant;
     for (double* parameters : block.parameters) {
       constant.push_back(problem_->IsParameterBlockConstant(parameters));
     }
-    all_at_once->add(cost, block.parameters, constant);
+    parallel->add(cost, block.parameters, constant);
   }
   std::vector<double*> parameters;
   problem_->GetParameterBlocks(&parameters);

@@ -60,8 +60,9 @@ class LeastSquares {
   std::vector<Pose> poses() const;
   Pose camera_from_first() const { return pose_from_block(camera_from_first_); }
 
-  /// With a callback, which has to live as long, blocks are evaluated by its threads.
-  std::unique_ptr<ceres::Problem> compressed(AllAtOnce* all_at_once = nullptr) const;
+  /// The same problem with few rows. Its blocks are evaluated by `parallel`, which has to outlive
+  /// it, or by Ceres if that is null.
+  std::unique_ptr<ceres::Problem> compressed(ParallelEvaluation* parallel = nullptr) const;
   Evaluation evaluate() const;
   Eigen::VectorXd state() const;
   void set_state(const Eigen::VectorXd& state);

@@ -144,11 +144,13 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
                   const Observations& observations, const CostOptions& cost_options,
                   const SolverOptions& solver_options, const Progress& progress) {
   const auto start = std::chrono::steady_clock::now();
-  if (solver_options.threads < 1) throw std::invalid_argument("threads has to be at least 1");
+  if (solver_options.threads < 1)
+    throw std::invalid_argument("threads has to be at least 1, it is " +
+                                std::to_string(solver_options.threads));
   LeastSquares calibration(camera, poses, observations, cost_options);
-  AllAtOnce all_at_once(solver_options.threads);
+  ParallelEvaluation parallel(solver_options.threads);
   const std::unique_ptr<ceres::Problem> problem =
-      calibration.compressed(solver_options.threads > 1 ? &all_at_once : nullptr);
+      calibration.compressed(solver_options.threads > 1 ? &parallel : nullptr);
   Refinement result;
 
   ceres::Solver::Options options;
@@ -158,7 +160,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
   options.parameter_tolerance = solver_options.parameter_tolerance;
   options.initial_trust_region_radius = solver_options.initial_trust_region_radius;
   options.max_num_iterations = solver_options.max_iterations;
-  options.num_threads = 1;  // all_at_once has the others
+  options.num_threads = 1;  // The others belong to `parallel`.
   options.logging_type = ceres::SILENT;
   options.update_state_every_iteration = true;
   Watch watch(calibration, progress, solver_options.extrapolate, &result.iterations);

@@ -256,7 +256,7 @@ TEST(InvalidInput, SolverOptionsAreNamed) {
   };
   SolverOptions threads;
   threads.threads = 0;
-  expect_names(refused(threads), "num_threads");
+  expect_names(refused(threads), "threads");
   SolverOptions iterations;
   iterations.max_iterations = -1;
   expect_names(refused(iterations), "max_num_iterations");

@@ -191,7 +191,7 @@ impl Settings<'_> {
         Ok(Settled { trial: tried(failed), ..settled })
     }
 
-    /// The cost where a problem is, with the shape that the board has there, which it may have to keep.
+    /// Evaluates the cost at a problem, with the shape that its board has. With `keeps_shape` the shape is no free parameter.
     pub fn evaluated(
         &self,
         problem: &Problem,

@@ -1,4 +1,4 @@
-//! In which order corners are numbered, by where features see them.
+//! The order in which the corners of features are numbered.
 
 use std::collections::BTreeMap;
 
@@ -55,8 +55,7 @@ fn place(corner: i32, board: &Board, numbering: CornerNumbering) -> Vector2<f64>
     Vector2::new(f64::from(column), f64::from(row))
 }
 
-/// How far corners lie from affine images of their places on the board, frame by frame: as a part of how far they lie from
-/// their mean.
+/// Root mean square distance of corners from the affine image of the board that fits each frame best, over that from their mean.
 fn misfit(frames: &[Vec<Shown>], place: impl Fn(i32) -> Vector2<f64>) -> f64 {
     let (mut left, mut all) = (0.0, 0.0);
     for corners in frames {
@@ -120,7 +119,7 @@ mod tests {
         assert!(numbered(|c| c - 1).contains("from -1"), "{}", numbered(|c| c - 1));
     }
 
-    /// Of a few corners, or in no order at all, no numbering fits better.
+    /// No numbering fits better if there are few corners, or if their numbers have no order.
     #[test]
     fn numbers_without_an_order_are_left_alone() {
         let few: Vec<BapFeature> = features().into_iter().filter(|f| f.corner < 4).collect();

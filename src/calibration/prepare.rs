@@ -35,7 +35,7 @@ pub(super) struct Prepared {
     pub misfocused: Option<Finding>,
     pub observations: Observations,
     pub excluded: Vec<LeftOut>,
-    /// The cost, where it is that of a problem; else the options make it.
+    /// The cost of an exported problem; `None` if the options determine it.
     pub cost: Option<CostOptions>,
 }
 
@@ -70,7 +70,7 @@ pub(super) fn prepared(
 }
 
 impl Prepared {
-    /// A problem that was exported: its observations and its cost as they are. An error if its numbers are impossible.
+    /// Takes observations and cost from an exported problem. An error if its numbers are impossible.
     pub fn of_problem(problem: &SolvedProblem, options: &CalibrationOptions) -> Result<Self> {
         let start = Start::Camera(problem.camera.clone());
         start.validate()?;

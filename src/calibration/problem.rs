@@ -155,7 +155,7 @@ impl SolvedProblem {
         let terms = [
             differing("loss", &Self::loss_words),
             differing("blur", &|of| {
-                if of.cost.rho { "ρ in the cost" } else { "no ρ in the cost" }.to_owned()
+                if of.cost.rho { "residuals of ρ" } else { "no residuals of ρ" }.to_owned()
             }),
             differing("board", &Self::board_words),
         ];
@@ -295,8 +295,7 @@ impl SolvedProblem {
                 |i: usize| pairs().any(|(a, b)| !is_same(a.std_dev_px[i], b.std_dev_px[i]));
             let first = components.start;
             if counts && components.into_iter().any(differ) {
-                let words =
-                    |of: &Self| format!("a σ of {name} of {:.4} px in the mean", mean(of, first));
+                let words = |of: &Self| format!("mean σ of {name} {:.4} px", mean(of, first));
                 all.extend(difference("weights", [words(self), words(here)]));
             }
         }
@@ -307,8 +306,7 @@ impl SolvedProblem {
                 sum / of.centers.len().max(1) as f64
             };
             if !is_same(std_dev(self), std_dev(here)) {
-                let words =
-                    |of: &Self| format!("a σ of centres of {:.4} px in the mean", std_dev(of));
+                let words = |of: &Self| format!("mean σ of centres {:.4} px", std_dev(of));
                 all.extend(difference("weights", [words(self), words(here)]));
             }
         } else {

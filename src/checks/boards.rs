@@ -24,8 +24,8 @@ const NUMBERED_OTHERWISE: f64 = 0.3;
 /// The right numbering fits better by more than this factor; by chance none does.
 const FITS_BETTER: f64 = 0.33;
 
-/// The numbering of corners, by how far features are off affine images of them with each; the reason if another one than row
-/// by row is theirs.
+/// Checks the numbering of corners by the misfit of the board to the features with each numbering; the reason if another one than
+/// row by row fits.
 pub(crate) fn numbering(misfits: &[(CornerNumbering, f64)], board: &Board) -> Result<(), Issue> {
     let stated = misfits.iter().find(|(numbering, _)| *numbering == CornerNumbering::RowByRow);
     let best = misfits.iter().min_by(|a, b| a.1.total_cmp(&b.1));

@@ -18,7 +18,6 @@ use super::cost;
 use super::given::Given;
 use super::input::{Files, Input, camera_findings};
 use super::messages::{print_result, say, tell, verdict_status, warn};
-use super::problem_options::Beside;
 use super::progress;
 
 /// Calibrate a camera from micro-image centres and BAP features.
@@ -88,9 +87,9 @@ pub struct Arguments {
     /// the options given here, priors included.
     #[arg(long, requires_all = ["camera", "poses"], conflicts_with_all = ["compare_models", "compote"], help_heading = "Estimation")]
     evaluate_only: bool,
-    /// Folder written by --export-problem: observations, board and cost of the evaluation are those of this problem, and
-    /// no project is needed.
-    #[arg(long, value_name = "DIR", requires = "evaluate_only", help_heading = "Estimation")]
+    /// Folder written by --export-problem. It has the observations, the board and the cost of the evaluation, so that neither
+    /// a project nor an option of the cost can be given beside it.
+    #[arg(long, value_name = "DIR", requires = "evaluate_only", conflicts_with_all = IN_PROBLEM, help_heading = "Estimation")]
     problem: Option<PathBuf>,
 
     /// Also write the problem that was solved to this folder: observations with board coordinates and standard deviations, start,
@@ -108,6 +107,34 @@ pub struct Arguments {
     #[arg(long, help_heading = "Output")]
     compote: bool,
 }
+
+/// Arguments for what an exported problem has.
+const IN_PROBLEM: [&str; 24] = [
+    "project",
+    "params",
+    "scene",
+    "centers",
+    "features",
+    "set",
+    "method",
+    "priors",
+    "prior",
+    "exclude_frames",
+    "mode",
+    "pitches",
+    "exit_pupil",
+    "field_curvature",
+    "board",
+    "fix",
+    "prior_weight",
+    "weights",
+    "blur",
+    "uv_std_dev_px",
+    "rho_std_dev_px",
+    "centers_std_dev_px",
+    "loss",
+    "loss_scale",
+];
 
 /// Whether there are default priors.
 #[derive(Clone, Copy, ValueEnum)]
@@ -305,33 +332,20 @@ impl Arguments {
 
     /// Evaluates the cost at the camera and the poses in these files.
     fn evaluate(&self, (camera, poses): (&Path, &Path), output: cost::Output) -> Result<ExitCode> {
+        let solution = cost::solution(camera, poses)?;
         if let Some(problem) = &self.problem {
-            let beside = Beside {
-                input: self.beside_problem(),
-                options: self.options_over(CalibrationOptions::default())?,
-                is_given: &|field| self.options.is_given(field),
-                default_priors: self.priors.map(|priors| matches!(priors, DefaultPriors::Default)),
-                board_shape: self.board_shape.as_deref(),
-            };
-            return cost::of_problem(&cost::solution(camera, poses)?, problem, &beside, output);
+            let threads = self.options_over(CalibrationOptions::default())?.threads;
+            return cost::of_problem(
+                &solution,
+                problem,
+                self.board_shape.as_deref(),
+                threads,
+                output,
+            );
         }
         let input = self.input()?;
         let folders = [camera, poses].map(|path| path.parent().unwrap_or(Path::new("")));
-        cost::of_project(&cost::solution(camera, poses)?, &folders, &input, output)
-    }
-
-    /// The first of the files and sets of options that are given beside a problem, which has them.
-    fn beside_problem(&self) -> Option<String> {
-        let flags = [
-            ("--params", self.params.is_some()),
-            ("--scene", self.scene.is_some()),
-            ("--centers", self.centers.is_some()),
-            ("--features", self.features.is_some()),
-            ("--method", self.method.is_some()),
-        ];
-        let flag = flags.iter().find(|(_, given)| *given).map(|(flag, _)| (*flag).to_owned());
-        let project = self.project.as_ref().map(|path| path.display().to_string());
-        project.or(flag).or_else(|| self.set.first().map(|set| format!("--set {set}")))
+        cost::of_project(&solution, &folders, &input, output)
     }
 
     /// Options, overridden by the flags.

@@ -14,9 +14,8 @@ use plenocal::model::{Board, Parameter};
 use plenocal::{Error, Finding, Issue, Result, report};
 
 use super::evaluate::calibrated;
-use super::input::{Input, board_shape, located};
+use super::input::{Input, located};
 use super::messages::{print_result, tell};
-use super::problem_options::{Beside, refuse_other_cost};
 
 /// Where the results of an evaluation go.
 pub(super) struct Output {
@@ -28,8 +27,8 @@ pub(super) struct Output {
     pub json: bool,
 }
 
-/// Evaluates the cost of a project at a solution. Where it is no minimum and another cost was exported beside the solution, the
-/// terms in which the two differ are told.
+/// Evaluates the cost of a project at a solution. If that is no minimum and a problem lies beside the solution, the differences
+/// between both costs are reported.
 pub(super) fn of_project(
     solution: &Solution,
     folders: &[&Path],
@@ -48,26 +47,35 @@ pub(super) fn of_project(
     write(&evaluated, &input.board, output, begun)
 }
 
-/// Evaluates the cost of a problem at a solution.
+/// Evaluates the cost of a problem at a solution, whose board has the shape in the file `board_shape` if the problem leaves it
+/// free.
 pub(super) fn of_problem(
     solution: &Solution,
     folder: &Path,
-    beside: &Beside,
+    board_shape: Option<&Path>,
+    threads: usize,
     output: Output,
 ) -> Result<ExitCode> {
     let begun = Instant::now();
     let problem = io::read_problem(folder)?;
-    refuse_other_cost(beside, &problem, folder)?;
     let board = problem.board.board;
-    let stated = board_shape(beside.board_shape, None, &board)?;
-    if stated.is_none() && !Parameter::SHAPE.into_iter().all(|p| problem.holds(p)) {
-        return Err(Error::invalid(
-            "the problem leaves the shape of the board free, and camera.json does not have it: give that of the solution \
-             (--board-shape, a file with the board_shape of calibration.json)",
-        ));
-    }
-    let shape = stated.map_or(problem.board.shape, |(shape, _)| shape);
-    let evaluated = cost_of_problem_at(&problem, solution, shape, beside.options.threads);
+    let stated = super::input::board_shape(board_shape, None, &board)?.map(|(shape, _)| shape);
+    let shape = match (Parameter::SHAPE.into_iter().all(|p| problem.holds(p)), stated) {
+        (false, None) => {
+            return Err(Error::invalid(
+                "the problem leaves the shape of the board free, and camera.json does not have it: give that of the \
+                 solution (--board-shape, a file with the board_shape of calibration.json)",
+            ));
+        }
+        (true, Some(shape)) if shape != problem.board.shape => {
+            return Err(Error::invalid(
+                "the problem holds the board in another shape: leave --board-shape out",
+            )
+            .in_file(&folder.join(io::PROBLEM)));
+        }
+        (_, stated) => stated.unwrap_or(problem.board.shape),
+    };
+    let evaluated = cost_of_problem_at(&problem, solution, shape, threads);
     let sources = ["features.csv", "centers.csv"].map(|name| folder.join(name));
     let evaluated = evaluated.map_err(|error| located(error, &sources))?;
     write(&evaluated, &board, output, begun)
@@ -106,7 +114,7 @@ pub(super) fn exported(
     output.commit()
 }
 
-/// The folder of a problem in the folder of a solution, beside it, or above it; the only one, where several lie beside it.
+/// The folder of a problem: that of the solution itself, the one above it, or one beside it if that is the only one.
 fn problem_beside(solution: &Path) -> Option<PathBuf> {
     let is_problem = |folder: &Path| folder.join(io::PROBLEM).is_file();
     let own = if solution.as_os_str().is_empty() { Path::new(".") } else { solution };
@@ -119,8 +127,8 @@ fn problem_beside(solution: &Path) -> Option<PathBuf> {
     beside.next().filter(|_| beside.next().is_none())
 }
 
-/// A finding with the terms in which the cost of an evaluation is not that of a problem; none if it is, or if the problem cannot
-/// be read: nobody has named it.
+/// A finding with the differences between the cost of an evaluation and a problem. A problem that cannot be read is passed over,
+/// since nobody asked for it.
 fn other_cost(evaluated: &Calibration, board: &Board, folder: &Path) -> Option<Finding> {
     let differences =
         io::read_problem(folder).ok()?.differences(&SolvedProblem::of(evaluated, board));

@@ -2,7 +2,6 @@
 
 use std::marker::PhantomData;
 
-use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, Command, FromArgMatches};
 use plenocal::{Error, Result};
 
@@ -17,11 +16,6 @@ impl<T: Args> Given<T> {
     /// Overrides the options whose flags were given.
     pub fn apply(&self, options: &mut T) -> Result<()> {
         options.update_from_arg_matches(&self.matches).map_err(|e| Error::invalid(e.to_string()))
-    }
-
-    /// Whether the flag of a field was given.
-    pub fn is_given(&self, field: &str) -> bool {
-        self.matches.value_source(field) == Some(ValueSource::CommandLine)
     }
 }
 

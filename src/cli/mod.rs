@@ -25,7 +25,6 @@ mod man;
 mod messages;
 mod points;
 mod precalibrate;
-mod problem_options;
 mod progress;
 mod rays;
 mod run;

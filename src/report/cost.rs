@@ -36,7 +36,7 @@ pub fn cost_section(evaluated: &Calibration, [features, centers, priors]: [f64; 
     Section::new("Cost", parts)
 }
 
-/// In what the cost is not that of a problem; it comes before the verdict, which would be read as one on the solution.
+/// Differences from the cost of a problem. They come before the verdict, which would otherwise be read as one on the solution.
 fn other_cost(evaluated: &Calibration) -> String {
     let of_problem = |finding: &&Finding| matches!(finding.issue, Issue::OtherCost { .. });
     let found = evaluated.findings.iter().find(of_problem);
