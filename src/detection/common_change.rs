@@ -109,20 +109,29 @@ fn rows(seen: &CornerMeasurement) -> [(Vector3<f64>, SMatrix<f64, 1, COLUMNS>); 
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Matrix2, SMatrix, Vector2};
+    use nalgebra::{Matrix2, Vector2};
 
     use super::super::CornerObservation;
     use super::super::corner::Corner;
-    use super::super::corner_fit::Sensitivities;
+    use super::super::corner_fit::{ByTaken, Sensitivities};
     use super::super::micro_images::tests::micro_images;
     use super::*;
 
     const PUPIL_PX: f64 = 6.0;
     const STD_DEV_PX: f64 = 0.05;
 
+    /// How places seem bent where ln φ is wrong, per |w|² of spherical aberration.
+    const BENT_BY_RATIO: f64 = -0.02;
+
     /// Corners all over an image of 1000 x 800 px, each in 25 micro-images, as sharp images show them: every
-    /// observation has one ray. Errors of the given size follow no pattern.
-    fn seen(aberration: &Aberration, error_px: f64) -> Vec<Vec<CornerMeasurement>> {
+    /// observation has one ray. Errors of the given size follow no pattern. ln φ is another one than it was taken to be by
+    /// `log_ratio`.
+    fn seen_with(
+        aberration: &Aberration,
+        error_px: f64,
+        log_ratio: f64,
+    ) -> Vec<Vec<CornerMeasurement>> {
+        let optics = micro_images(23.0).optics(0, 0);
         let mut noise = 1_u32;
         let mut error = || {
             noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -142,7 +151,12 @@ mod tests {
                         let straight = (center - pinhole) * (slope - 1.0);
                         let bend = aberration.bend(&center, slope);
                         let w = (0..20).fold(straight, |w, _| straight - bend.at(&w));
-                        let position = center + w + Vector2::new(error(), error());
+                        let by_ratio = bend.terms(&w).column(0) * BENT_BY_RATIO;
+                        let moved = by_ratio * log_ratio;
+                        let position = center + w - moved + Vector2::new(error(), error());
+                        let mut by_taken = ByTaken::zeros();
+                        by_taken.set_column(APERTURE_RATIO, &by_ratio);
+                        let wider_px = optics.blur_by_ratio_px(slope) * log_ratio;
                         CornerMeasurement {
                             observation: CornerObservation {
                                 k: 0,
@@ -164,15 +178,22 @@ mod tests {
                             slope_before: slope,
                             sensitivities: Sensitivities {
                                 by_slope: Vector2::zeros(),
-                                by_taken: SMatrix::zeros(),
+                                by_taken,
                                 by_aberration: bend.terms(&w) * (slope - 1.0),
                             },
-                            width: EdgeWidth::new(Matrix2::zeros(), Vector2::zeros()),
+                            width: EdgeWidth::new(
+                                Matrix2::identity() * 400.0,
+                                Vector2::new(400.0 * wider_px, 0.0),
+                            ),
                         }
                     })
                     .collect()
             })
             .collect()
+    }
+
+    fn seen(aberration: &Aberration, error_px: f64) -> Vec<Vec<CornerMeasurement>> {
+        seen_with(aberration, error_px, 0.0)
     }
 
     fn found(seen: &[Vec<CornerMeasurement>]) -> Vector3<f64> {
@@ -189,6 +210,17 @@ mod tests {
         assert!((exact - truth).component_div(&truth).amax() < 1e-3, "{exact}");
         let noisy = found(&seen(&none.changed(&truth), STD_DEV_PX));
         assert!((noisy - truth).component_div(&truth).amax() < 0.2, "{noisy}");
+    }
+
+    /// Light of openings that are smaller than they were taken to be.
+    #[test]
+    fn an_aperture_ratio_is_no_aberration() {
+        let none = Aberration::none(Vector2::new(500.0, 400.0), PUPIL_PX);
+        let seen = seen_with(&none, STD_DEV_PX, -0.08);
+        assert_eq!(found(&seen), Vector3::zeros());
+        let all = seen.iter().map(Vec::as_slice);
+        let ratio_known = aberration_change(&none, &micro_images(23.0), (false, 0.0), all);
+        assert!(ratio_known.x.abs() > 1e-3, "{ratio_known}");
     }
 
     #[test]
