@@ -110,7 +110,7 @@ const DETERMINED: f64 = 0.05;
 /// Rounds in which they are left out.
 const ROUNDS: usize = 5;
 /// How well the model of a corner tells v, as a part of the variance of the point spread: light at the rim of the pupil is
-/// summed to the first order of the point spread over the radius of the pupil ([`super::cut_normal`]). At 1 px², corners of
+/// summed to the first order of the point spread over the radius of the pupil (`optics/rim.rs`). At 1 px², corners of
 /// exact light are off by up to 0.03 px², and aperture ratios of simulated images by 0 to 5 %.
 const OF_POINT_SPREAD: f64 = 0.05;
 
