@@ -622,7 +622,7 @@ issues! {
     /// The camera does not explain the blur radii.
     UnexplainedBlur "unexplained-blur" { rms_px: f64, spread_px: f64 } =>
         format!("the residuals of the blur radii are {rms_px:.3} px RMS, though the radii themselves spread by only {spread_px:.3} px: the camera does not explain them"),
-        "check the sign of rho and the order of q'";
+        "check the sign of rho, the order of q', and that both belong to the same aperture ratio";
     /// The observations contradict a prior.
     PriorContradicted "prior-contradicted" { quantity: String, unit: &'static str, prior: Estimate, result: f64, source: String } =>
         prior_text(quantity, unit, prior, *result, source),

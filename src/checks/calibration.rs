@@ -22,8 +22,9 @@ const SCATTER_WRONG: f64 = 6.0;
 /// A reprojection error above this fraction of the micro-image pitch is not noise of a detector. On
 /// the R12 the limit is 2.3 px; real data have 0.9 px.
 const BAD_FIT: f64 = 0.1;
-/// A model that explains the blur radii leaves residuals below this fraction of their spread.
-const UNEXPLAINED_RHO: f64 = 0.5;
+/// A model that explains the blur radii leaves residuals below this fraction of their spread: R12-A leaves 0.08 of it, radii
+/// and q' for aperture ratios that are 8 % apart half of it.
+const UNEXPLAINED_RHO: f64 = 0.3;
 /// An array may be larger than the image by this factor.
 const ARRAY_OVER_IMAGE: f64 = 1.5;
 /// Single outliers do nothing, as the loss weights them down; more than this part means that more is wrong.
