@@ -449,7 +449,6 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
     let cell = bundle.quadrature.variance;
     let Moments { follows, .. } = *moments;
     let (squared, cubed) = (follows * follows, follows * follows * follows);
-    let field = [bundle.bend.field.x, bundle.bend.field.y];
     let [spherical, coma, astigmatism] = bundle.bend.coefficients.into();
     let mut white = Lanes::splat(simd, 0.0);
     let mut columns = [Lanes::splat(simd, 0.0); COLUMNS];
@@ -476,15 +475,8 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
 
         // Where in the pupil the light comes through, and what the aberrations add.
         let inwards = cut.mean * moments.per_spread.recip();
-        let (c_x, c_y) = (y_x - inwards * out_x, y_y - inwards * out_y);
-        let square = c_x.mul_add(c_x, c_y * c_y);
-        let along = c_x * field[0] + c_y * field[1];
-        let of_zone = square - bundle.bend.zone2;
-        let by_spherical = [c_x * of_zone, c_y * of_zone];
-        let twice = along + along;
-        let by_coma =
-            [c_x.mul_add(twice, square * field[0]), c_y.mul_add(twice, square * field[1])];
-        let by_astigmatism = [along * field[0], along * field[1]];
+        let terms = seidel_terms(&bundle.bend, [y_x - inwards * out_x, y_y - inwards * out_y]);
+        let [by_spherical, by_coma, by_astigmatism] = terms;
         let mut aberration = by_spherical;
         for i in 0..2 {
             aberration[i] =
@@ -555,8 +547,18 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
             white_by[k] = light.mul_add(light_by[k], white_by[k]);
         }
     }
-    let per_white = white.max(Lanes::splat(simd, DARK)).recip();
-    for column in &mut columns {
+    relative_to_white(&mut columns, white.max(Lanes::splat(simd, DARK)).recip(), &white_by);
+    (white, columns)
+}
+
+/// Divides sums of light by white light, which changes itself with the quantities of [`OF_LIGHT`].
+#[inline(always)]
+fn relative_to_white<S: Simd>(
+    columns: &mut [Lanes<S>; COLUMNS],
+    per_white: Lanes<S>,
+    white_by: &[Lanes<S>; OF_LIGHT.len()],
+) {
+    for column in columns.iter_mut() {
         *column = *column * per_white;
     }
     let shape = columns[Column::Shape as usize];
@@ -564,7 +566,21 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
         let column = &mut columns[OF_LIGHT[k] as usize];
         *column = (white_by[k] * per_white).mul_from(shape, *column);
     }
-    (white, columns)
+}
+
+/// What one unit of spherical aberration, coma and astigmatism over A does at a place of the pupil, px³: see
+/// [`super::Aberration`].
+#[inline(always)]
+fn seidel_terms<S: Simd>(bend: &Bend<f32>, [x, y]: [Lanes<S>; 2]) -> [[Lanes<S>; 2]; 3] {
+    let square = x.mul_add(x, y * y);
+    let along = x * bend.field.x + y * bend.field.y;
+    let of_zone = square - bend.zone2;
+    let twice = along + along;
+    [
+        [x * of_zone, y * of_zone],
+        [x.mul_add(twice, square * bend.field.x), y.mul_add(twice, square * bend.field.y)],
+        [along * bend.field.x, along * bend.field.y],
+    ]
 }
 
 /// How the light changes as the place o moves, from how it does with the place of the corner.
@@ -687,6 +703,9 @@ mod tests {
         }
     }
 
+    /// A column, a step of what it is by, the light with that changed, and the largest error of the column.
+    type Change<'a> = (Column, f64, &'a dyn Fn(f64) -> CornerLight, f64);
+
     /// Derivatives are those of the light, but for third and fourth moments: by differences, in the root mean square over all
     /// pixels.
     #[test]
@@ -729,7 +748,7 @@ mod tests {
             by[i] = step;
             with(by)
         };
-        let changes: [(Column, f64, &dyn Fn(f64) -> CornerLight, f64); 11] = [
+        let changes: [Change; 11] = [
             (Column::U, 0.02, &|s| light(&still, &moved(Vector2::x() * s), &places), 0.03),
             (Column::V, 0.02, &|s| light(&still, &moved(Vector2::y() * s), &places), 0.03),
             (Column::BlurRadius, 0.02, &|s| light(&one(0, s), &edges(), &places), 0.05),
