@@ -490,7 +490,7 @@ issues! {
     /// A side of the board is in view, but none of its corners was found.
     SideMissing "side-missing" { side: &'static str, columns: i32, rows: i32 } =>
         format!("no corner of the {side} shows, though it is in view"),
-        format!("check that the board has {columns} x {rows} inner corners and is not hidden there");
+        format!("check that the board has {columns} x {rows} inner corners and is not hidden there, and that it is as sharp as the white images");
     /// Many labelled corners were not found at the positions that their labels predict.
     LabelsLost "labels-lost" { lost: usize, labelled: usize } =>
         format!("{lost} of the {labelled} labelled corners were not found at the positions that their labels predict, so the labels are probably wrong"),
