@@ -172,10 +172,11 @@ pub static PROGRAMS: [Program; 10] = [
     },
     Program {
         name: "plenocal evaluate",
+        // Without boards for evaluation, which would take seconds to find.
         cases: &[case(
             &[
                 "evaluate",
-                "images.toml",
+                "evaluated.toml",
                 "--camera",
                 "camera.json",
                 "--precalibration",
@@ -185,7 +186,7 @@ pub static PROGRAMS: [Program; 10] = [
                 "--folds",
                 "2",
             ],
-            &["images.toml", "camera.json", "features.csv", "white/centers.csv", "board.toml"],
+            &["evaluated.toml", "camera.json", "features.csv", "white/centers.csv", "board.toml"],
         )],
     },
     Program {
@@ -330,7 +331,10 @@ impl Prepared {
         put("calib.xml", documents::raytrix().into_bytes());
         put("simulation.toml", SMALL.into());
         put("white/precalibration.json", text(&documents::precalibration()));
-        put("white/centers.csv", corpus::centers().swap_remove(0));
+        put(
+            "white/centers.csv",
+            fs::read(corpus::data("synthetic/centers.csv")).expect("it is shipped"),
+        );
         let image = corpus::images().swap_remove(0);
         for name in ["white-f4", "white-f8", "board-0"] {
             put(&format!("images/{name}.png"), image.clone());
@@ -338,7 +342,10 @@ impl Prepared {
         let shipped = corpus::projects().swap_remove(0);
         let shipped = String::from_utf8(shipped).expect("a text");
         let (camera, _) = shipped.split_once("[observations]").expect("the table is there");
-        put("images.toml", format!("{camera}{IMAGES}").into_bytes());
+        let images = format!("{camera}{IMAGES}");
+        let evaluated = images.replace("evaluation = [\"images/board-0.png\"]\n", "");
+        put("images.toml", images.into_bytes());
+        put("evaluated.toml", evaluated.into_bytes());
         Self { files, place: place.to_owned(), folder: None }
     }
 
