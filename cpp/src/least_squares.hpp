@@ -60,8 +60,8 @@ class LeastSquares {
   std::vector<Pose> poses() const;
   Pose camera_from_first() const { return pose_from_block(camera_from_first_); }
 
-  /// The same problem with few rows. Its blocks are evaluated by `parallel`, which has to outlive
-  /// it, or by Ceres if that is null.
+  /// The same problem with few rows. `parallel` evaluates its blocks and has to outlive it; without
+  /// it Ceres evaluates them.
   std::unique_ptr<ceres::Problem> compressed(ParallelEvaluation* parallel = nullptr) const;
   Evaluation evaluate() const;
   Eigen::VectorXd state() const;

@@ -209,7 +209,7 @@ impl Held<'_> {
                     * (optics.aperture_ratio * optics.q_prime_px),
             ),
             (FALL_OFF, of(Column::FallOff) * optics.obliquity.within_per_px2),
-            (APERTURE_RATIO, by_radius * optics.blur_by_ratio_px(*slope)),
+            (APERTURE_RATIO, by_radius * optics.blur_by_ratio_px(*slope, 0.0)),
             (POINT_SPREAD, of(Column::PointSpread)),
         ];
         for (taken, column) in columns {

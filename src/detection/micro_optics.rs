@@ -41,14 +41,14 @@ impl MicroOptics {
         self.aperture_ratio * self.rho_px(slope)
     }
 
-    /// How much the blur radius of a point with slope γ grows with ln φ, px, while that of the pupil stays as white images
-    /// show it.
+    /// Derivative of the blur radius by ln φ, px, of a point whose slope γ has the derivative `slope_by_ratio`. The blur radius of
+    /// the pupil is held, since white images show it.
     #[must_use]
-    pub fn blur_by_ratio_px(&self, slope: f64) -> f64 {
-        self.aperture_ratio * self.half_pitch_px * (1.0 - slope)
+    pub fn blur_by_ratio_px(&self, slope: f64, slope_by_ratio: f64) -> f64 {
+        -self.blur_by_slope_px() * (1.0 - slope - slope_by_ratio)
     }
 
-    /// How much the blur radius of a point grows with its slope, px.
+    /// Derivative of the blur radius by the slope, px.
     #[must_use]
     pub fn blur_by_slope_px(&self) -> f64 {
         -self.aperture_ratio * self.half_pitch_px

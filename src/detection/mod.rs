@@ -5,10 +5,10 @@
 //! a line, and the pinhole images of all lines on the lattice of the board, which labels them. In the
 //! second pass every corner of the board is searched for in the micro-images that should show it.
 
+mod aberration_fit;
 mod board;
 mod board_images;
 mod cells;
-mod common_change;
 mod corner;
 mod corner_fit;
 mod corner_measurement;

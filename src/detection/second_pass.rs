@@ -6,8 +6,8 @@ use std::borrow::Cow;
 use nalgebra::{Matrix2, Vector2, Vector3};
 use rayon::prelude::*;
 
+use super::aberration_fit::aberration_change;
 use super::board::LabelledBoard;
-use super::common_change::aberration_change;
 use super::corner::Corner;
 use super::corner_fit::{ByTaken, FitRoom, FittedCorner, Held};
 use super::corner_measurement::CornerMeasurement;
@@ -373,8 +373,7 @@ impl CornerSearch<'_> {
                 corner: seen.corner,
                 by_taken: seen.sensitivities.by_taken,
                 width: seen.width,
-                radius_by_ratio_px: optics.blur_by_ratio_px(line.slope)
-                    + optics.blur_by_slope_px() * line_by_ratio.slope,
+                radius_by_ratio_px: optics.blur_by_ratio_px(line.slope, by_ratio.z),
             }
         };
         let observations = seen.into_iter().map(found).collect();

@@ -90,8 +90,6 @@ const OF_LIGHT: [Column; 4] =
 #[derive(Debug, Default)]
 pub(crate) struct CornerLight {
     columns: [Vec<f32>; COLUMNS],
-    /// White light of each pixel, over that of a micro-lens that the pupil does not cut.
-    pub white: Vec<f32>,
     /// Pixels that see the first edge alone, the second alone, and both, with the sign of the step that they do not see.
     on_edges: [Vec<(u32, f32)>; 3],
 }
@@ -103,7 +101,7 @@ impl CornerLight {
     }
 
     fn clear(&mut self, pixels: usize) {
-        for column in self.columns.iter_mut().chain([&mut self.white]) {
+        for column in &mut self.columns {
             column.clear();
             column.resize(pixels, 0.0);
         }
@@ -294,10 +292,7 @@ impl<const WHICH: bool> WithSimd for OfCorner<'_, WHICH> {
             #[allow(clippy::cast_possible_truncation)] // a few hundred
             let pixel = i as u32;
             match [first.abs() > reach, second.abs() > reach] {
-                [true, true] => {
-                    shape[i] = first.signum() * second.signum();
-                    light.white[i] = 1.0;
-                }
+                [true, true] => shape[i] = first.signum() * second.signum(),
                 [false, true] => light.on_edges[FIRST].push((pixel, second.signum())),
                 [true, false] => light.on_edges[SECOND].push((pixel, first.signum())),
                 [false, false] => light.on_edges[BOTH].push((pixel, 1.0)),
@@ -313,7 +308,7 @@ impl<const WHICH: bool> WithSimd for OfCorner<'_, WHICH> {
                     }
                     Lanes::of(simd, simd.partial_load_f32s(&room[..S::F32_LANES]))
                 };
-                let (white, columns) = if which == BOTH {
+                let columns = if which == BOTH {
                     of_corner::<S, WHICH, _>(simd, bundle, &moments, [at(x), at(y)], edges)
                 } else {
                     let edge = &OneEdge { edge: edges.each[which], place: edges.place };
@@ -321,16 +316,12 @@ impl<const WHICH: bool> WithSimd for OfCorner<'_, WHICH> {
                 };
                 let used = if WHICH == ALL { COLUMNS } else { PLACE_COLUMNS };
                 let mut room = [0.0_f32; MOST_LANES];
-                let mut store = |values: Lanes<S>, column: &mut [f32], signed: bool| {
+                for (values, column) in columns.into_iter().zip(&mut light.columns).take(used) {
                     simd.partial_store_f32s(&mut room[..S::F32_LANES], values.register());
                     for (value, (i, sign)) in room.iter().zip(some) {
-                        column[*i as usize] = if signed { value * sign } else { *value };
+                        column[*i as usize] = value * sign;
                     }
-                };
-                for (values, column) in columns.into_iter().zip(&mut light.columns).take(used) {
-                    store(values, column, true);
                 }
-                store(white, &mut light.white, false);
             }
             light.on_edges[which] = pixels;
         }
@@ -436,7 +427,7 @@ impl Steps for Edges {
     }
 }
 
-/// White light and columns of some pixels.
+/// The columns of some pixels.
 #[inline(always)]
 fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
     simd: S,
@@ -444,7 +435,7 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
     moments: &Moments,
     [x, y]: [Lanes<S>; 2],
     edges: &E,
-) -> (Lanes<S>, [Lanes<S>; COLUMNS]) {
+) -> [Lanes<S>; COLUMNS] {
     let Bundle { rho, q, pixel, half_pitch, .. } = *bundle;
     let cell = bundle.quadrature.variance;
     let Moments { follows, .. } = *moments;
@@ -548,7 +539,7 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
         }
     }
     relative_to_white(&mut columns, white.max(Lanes::splat(simd, DARK)).recip(), &white_by);
-    (white, columns)
+    columns
 }
 
 /// Divides sums of light by white light, which changes itself with the quantities of [`OF_LIGHT`].

@@ -1,9 +1,8 @@
-//! What all corners of a frame have in common: the aberrations of the main lens, estimated from how they bend the lines of
-//! corners.
+//! The aberrations of the main lens, estimated from how they bend the lines of corners.
 //!
-//! Where the blur radius is wrong, the rim of the pupil seems to bend lines as spherical aberration does: an aperture ratio that
-//! is 8 % too large, as the lens of a double Gauss. So the aperture ratio comes first, from the widths of edges, and the
-//! aberrations from places that have moved with it.
+//! A wrong blur radius bends lines as well, since the rim of the pupil then moves places as spherical aberration does: an
+//! aperture ratio that is 8 % too large has the effect of a double Gauss lens. So the aperture ratio is estimated first, from the
+//! widths of edges, and the aberrations from places that have moved with it.
 
 use nalgebra::{Matrix3, SMatrix, Vector1, Vector3};
 
@@ -25,9 +24,9 @@ const PLACE: usize = 0;
 const BY_RATIO: usize = 1;
 const BY_ABERRATION: usize = 2;
 
-/// By how much S, C and T have to change for the observations of every corner to lie on a line, once ln φ is that of the
-/// widths of edges, if it is free; these are taken to be wider by a variance, px², already. Aberrations that do not show in the
-/// frame are none: they would only add noise.
+/// Changes of S, C and T with which the observations of every corner lie on a line, px⁻². If ln φ is free, the widths of edges
+/// determine it before; `wider_px2` is the variance by which they are taken to be wider already. Aberrations that are not
+/// significant in the frame are set to 0, since they would only add noise.
 pub(super) fn aberration_change<'a>(
     aberration: &Aberration,
     micro_images: &MicroImages,
@@ -81,7 +80,7 @@ pub(super) fn aberration_change<'a>(
     if shows { change } else { -aberration.coefficients_per_px2 }
 }
 
-/// What a corner tells about ln φ, if its line has a slope that changes by `slope_by_ratio` with it.
+/// The information of a corner about ln φ, if the slope of its line has the derivative `slope_by_ratio`.
 fn width_by_ratio(
     seen: &CornerMeasurement,
     micro_images: &MicroImages,
@@ -89,8 +88,7 @@ fn width_by_ratio(
     slope_by_ratio: f64,
 ) -> EdgeWidth {
     let optics = micro_images.optics(seen.observation.k, seen.observation.l);
-    let by_ratio_px = optics.blur_by_ratio_px(slope) + optics.blur_by_slope_px() * slope_by_ratio;
-    seen.width_at(slope, &optics).of_log_ratio(by_ratio_px)
+    seen.width_at(slope, &optics).of_log_ratio(optics.blur_by_ratio_px(slope, slope_by_ratio))
 }
 
 /// The two equations of an observation: of the line in its β and γ, with the straightened place and its sensitivities to ln φ, S,
@@ -156,7 +154,7 @@ mod tests {
                         let position = center + w - moved + Vector2::new(error(), error());
                         let mut by_taken = ByTaken::zeros();
                         by_taken.set_column(APERTURE_RATIO, &by_ratio);
-                        let wider_px = optics.blur_by_ratio_px(slope) * log_ratio;
+                        let wider_px = optics.blur_by_ratio_px(slope, 0.0) * log_ratio;
                         CornerMeasurement {
                             observation: CornerObservation {
                                 k: 0,
