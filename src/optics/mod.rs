@@ -19,14 +19,12 @@ mod aberration;
 mod bundle;
 #[cfg(test)]
 mod oracle;
-mod overlap;
-mod pixel;
 mod quadrature;
 mod response;
 mod rim;
+mod white;
 
 pub use aberration::Aberration;
 pub(crate) use bundle::{Bundle, Column, CornerEdges, CornerLight};
-pub(crate) use overlap::{Overlap, overlap, overlap_area};
-pub(crate) use pixel::Pixel;
 pub(crate) use response::Obliquity;
+pub(crate) use white::{RadialPixels, Seen, WhiteDiscs};

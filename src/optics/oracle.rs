@@ -60,6 +60,12 @@ impl Oracle {
         Bundle::new(self.rho, self.q, self.pupil, self.point_spread_px2).oblique(&self.law())
     }
 
+    /// The white light of a pixel that sees the whole opening at normal incidence.
+    pub fn whole_disc(&self) -> f64 {
+        let along: f64 = self.along().iter().map(|(_, weight)| weight).sum();
+        f64::from(3 * self.rings * self.rings) * along * along
+    }
+
     /// Radius of the micro-image, px.
     pub fn outer_px(&self) -> f64 {
         (self.pupil + self.q.abs()).min(HALF_PITCH)

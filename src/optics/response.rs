@@ -51,16 +51,6 @@ impl Obliquity {
         let second = (natural + pixels).powi(2) / 4.0 + natural * natural / 8.0;
         self.light(square) * (1.0 + second * variance / 2.0)
     }
-
-    /// The same, and how fast it falls with the mean square, over how fast it does at normal incidence.
-    pub(crate) fn light_and_slope(&self, square: f64) -> (f64, f64) {
-        let (within, pixels) = (self.within_per_px2, self.of_pixels_per_px2);
-        let (natural, light) = (within - pixels, self.light(square));
-        let oblique = 1.0 + (natural * square / 4.0).max(-0.5);
-        // Without any fall-off there is none to compare with: all is as at normal incidence.
-        let slope = if within == 0.0 { 1.0 } else { (natural / oblique + pixels) / within };
-        (light, light * slope)
-    }
 }
 
 /// [`Obliquity::light`] in single precision.
@@ -122,21 +112,6 @@ mod tests {
     use pulp::Scalar;
 
     use super::*;
-
-    /// f′(s²)/f′(0), by differences, for cos⁴, a pixel's law and none.
-    #[test]
-    fn light_falls_as_fast_as_its_slope_says() {
-        for within in [4.0 / 3600.0, 10.4 / 3600.0, 0.0] {
-            let law = Obliquity::in_the_middle(within, 60.0, 11.5);
-            let fall = |square: f64| (law.light(square) - law.light(square + 1e-3)) / 1e-3;
-            for square in [0.0, 40.0, 150.0] {
-                let (light, slope) = law.light_and_slope(square);
-                assert!((light - law.light(square)).abs() < 1e-12);
-                let expected = if within > 0.0 { fall(square) / fall(0.0) } else { 1.0 };
-                assert!((slope - expected).abs() < 1e-4, "{slope} for {expected}");
-            }
-        }
-    }
 
     /// In single precision the light is the same, and its derivatives are those of its logarithm.
     #[test]

@@ -3,7 +3,7 @@
 //! Light falls off with its angle of incidence, by cos⁴ and by what the pixels add. Away from the
 //! optical axis a micro-image is therefore brighter on one side, and its centroid is shifted in
 //! proportion to its distance from the axis: all centres together seem to have another pitch. How far
-//! depends on the micro-image: its light Ī(r) changes by −g·L Ī, with the sensitivity L(r) of [`DiscGeometry::sensitivity`], and
+//! depends on the micro-image: its light Ī(r) changes by −g·L Ī, with the sensitivity L(r) of [`DiscLight::sensitivity`], and
 //! a centroid that is off by ε sees its window with −ε Ī′ more light on that side. In a window w(r) the two
 //! balance at ε = −g X with
 //!
@@ -14,7 +14,7 @@
 //! over the rings of the mean micro-image as the image shows it. Light that is clipped changes nothing, and a
 //! window that cuts some of it is taken into account.
 //!
-//! [`DiscGeometry::sensitivity`]: super::disc_geometry::DiscGeometry::sensitivity
+//! [`DiscLight::sensitivity`]: super::disc_geometry::DiscLight::sensitivity
 
 use nalgebra::Vector2;
 
@@ -53,9 +53,6 @@ pub(super) struct Moment {
     growth: f64,
 }
 
-/// Step of the slope of light, px.
-const STEP_PX: f64 = 0.1;
-
 /// The moments by lens type. `light` is that of each type where the centroids were measured, `law` how
 /// it falls off inside a micro-image.
 pub(super) fn shift_moments(
@@ -72,18 +69,20 @@ pub(super) fn shift_moments(
         let sum = |light: fn(&Ring) -> f64| rings.iter().map(|r| r.radius * light(r)).sum::<f64>();
         let unclipped = sum(|ring| ring.unclipped) / sum(|ring| ring.light).max(1e-9);
         // As the discs have it where d is larger: there g is smaller.
+        let reach = rings.iter().map(|ring| ring.radius).fold(0.0, f64::max);
+        let discs = |growth: f64| geometry.light(lens_type, growth, law, reach);
         let of_discs = |growth: f64| {
-            let at = |r: f64| geometry.light_and_sensitivity(lens_type, r, growth, law);
+            let discs = discs(growth);
             let ring = |ring: &Ring| {
-                let (light, _) = at(ring.radius);
-                let slope = at(ring.radius + STEP_PX).0 - at(ring.radius - STEP_PX).0;
-                Ring { light, unclipped: light, slope: slope / (2.0 * STEP_PX), ..*ring }
+                let (light, slope) = discs.with_slope(ring.radius);
+                Ring { light, unclipped: light, slope, ..*ring }
             };
             let rings: Vec<Ring> = rings.iter().map(ring).collect();
-            shift_moment(&rings, window, |r| at(r).1) / (1.0 + growth)
+            shift_moment(&rings, window, |r| discs.sensitivity(r)) / (1.0 + growth)
         };
+        let as_measured = discs(0.0);
         Moment {
-            x: shift_moment(rings, window, |r| geometry.sensitivity(lens_type, r, law)),
+            x: shift_moment(rings, window, |r| as_measured.sensitivity(r)),
             // Light that is clipped shifts nothing.
             growth: (of_discs(GROWTH) - of_discs(-GROWTH)) / (2.0 * GROWTH) * unclipped,
         }

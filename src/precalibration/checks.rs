@@ -123,7 +123,7 @@ pub(super) fn different_aperture(
     let (middle, pattern) = samples.middle_of(grey, pattern);
     let profile = profile_at((&middle, grey.floor()), &pattern, samples.nodes.first()?);
     let (a, b) = geometry.radii(0);
-    let radius = profile.fit(REACH * pattern.pitch(), geometry.pixel())?.outer;
+    let radius = profile.fit(REACH * pattern.pitch(), geometry.point_spread_px2(), None)?.outer;
     let looks_like = reference.f_number * a / (radius - b);
     checks::aperture(reference.f_number, radius, a + b, looks_like)
         .map(|finding| finding.about_image(&reference.name))

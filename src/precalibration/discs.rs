@@ -17,9 +17,8 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::pixel_response::{Angles, PixelResponse};
 use super::profile::{Profile, own_light_px};
-use crate::optics::{Obliquity, Pixel};
+use crate::optics::{Obliquity, RadialPixels, Seen, WhiteDiscs};
 use crate::quantity::Estimate;
 
 /// Pupils further from their law, relative, are not those of the light: noise that is clipped bends it.
@@ -47,8 +46,8 @@ const BLUR_MODEL: f64 = 0.003;
 const ROUNDS: usize = 16;
 /// It is at its end where a round changes the sum of squares, and the error of the f-numbers relatively, by less.
 const SETTLED: f64 = 1e-3;
-/// Steps of the numerical derivatives, px and px²; of H, relative.
-const STEP: f64 = 1e-4;
+/// Step of the derivative by the point spread, px².
+const STEP_PX2: f64 = 1e-4;
 /// Where all blurs are smaller, edges are as pixels make them, px.
 const RESOLVED_PX: f64 = 1.0;
 /// Weight of what is held, larger than that of any light.
@@ -58,8 +57,6 @@ const LEAST_PX: f64 = 0.05;
 
 /// What a profile depends on: both radii, H and the point spread.
 const OF_LIGHT: usize = 4;
-/// The same without the point spread, which is in what pixels see.
-const BESIDE_SEEN: usize = OF_LIGHT - 1;
 /// How well H follows from G by the law of the angle, relative: the pupil may be off the lens, and pixels see the two
 /// angles differently.
 pub(super) const WITHIN: f64 = 0.25;
@@ -147,13 +144,14 @@ struct Light {
     profile: Profile,
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+/// Weighted residuals of a profile, and their derivatives.
+struct Rows {
+    residuals: Vec<f64>,
+    columns: Vec<Vec<f64>>,
 }
 
-/// A derivative by a [`STEP`].
-fn by_step(moved: &[f64], residuals: &[f64]) -> Vec<f64> {
-    moved.iter().zip(residuals).map(|(moved, residual)| (moved - residual) / STEP).collect()
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 impl<'a> Fit<'a> {
@@ -181,11 +179,10 @@ impl<'a> Fit<'a> {
             })
         });
         self.lights = lights.collect();
-        self.light_at_angles();
-        let seen = self.seen(0.0);
+        let pixels = self.pixels(0.0);
         let middle = |light: &Light| {
-            let (discs, law) = self.discs_of(light, [0.0; BESIDE_SEEN]);
-            light.profile.light_in_the_middle(discs, &law, &seen)
+            let seen = self.light(light, &pixels);
+            light.profile.residuals(&seen).map_or(0.0, |(linear, _)| linear.x * seen.at(0.0))
         };
         let middles: Vec<f64> = self.lights.iter().map(middle).collect();
         let lights = self.lights.iter_mut().zip(middles);
@@ -203,7 +200,6 @@ impl<'a> Fit<'a> {
             self.at = self.bounded(&before + step);
             if let Some(moved) = self.cost().filter(|moved| *moved <= cost) {
                 damping = (damping / 10.0_f64).max(1e-9);
-                self.light_at_angles();
                 system = self.system()?;
                 self.f_number_error = self.expected_error(&system.0)?;
                 system = self.system()?;
@@ -260,73 +256,60 @@ impl<'a> Fit<'a> {
         self.of_all().map(|i| i + 2)
     }
 
-    /// Sets the angles of the light, which change little with the radii.
-    fn light_at_angles(&mut self) {
-        let (whites, at, known) = (self.whites(), &self.at, self.known);
-        self.lights.par_iter_mut().for_each(|light| {
-            let (a, b) = (at[light.white], at[whites + light.lens_type]);
-            let q = b * known.q_px[light.lens_type].signum();
-            light.profile.angles = Angles::new(a, q, known.pitch_px / 2.0);
-        });
-    }
-
     /// Indices of what one profile depends on: its radii, H and the point spread.
     fn places(&self, light: &Light) -> [usize; OF_LIGHT] {
         let [within, spread] = self.of_all();
         [light.white, self.whites() + light.lens_type, within, spread]
     }
 
-    /// What pixels see with the point spread, changed a little.
-    fn seen(&self, by: f64) -> PixelResponse {
+    /// Pixels with the point spread, changed a little, px².
+    fn pixels(&self, by: f64) -> RadialPixels {
         let [_, spread] = self.of_all();
         let furthest = self.lights.iter().map(|light| light.profile.furthest_px());
-        PixelResponse::new(&Pixel::new(self.at[spread] + by), furthest.fold(0.0, f64::max))
+        RadialPixels::new(self.at[spread] + by, furthest.fold(0.0, f64::max))
     }
 
-    /// Weighted residuals of one profile.
-    fn residuals(&self, light: &Light, seen: &PixelResponse) -> Option<Vec<f64>> {
-        self.residuals_of(light, &light.profile, [0.0; BESIDE_SEEN], seen)
+    /// The discs of one profile.
+    fn discs_of(&self, light: &Light) -> WhiteDiscs {
+        let [pupil_px, blur, within, _] = self.places(light).map(|i| self.at[i]);
+        let Known { mla_to_sensor_px, pitch_px, .. } = *self.known;
+        let (within, opening_px) = (within * self.known.cos4_per_px2(), pitch_px / 2.0);
+        let law = Obliquity::in_the_middle(within, mla_to_sensor_px, opening_px);
+        let q_px = blur * self.known.q_px[light.lens_type].signum();
+        WhiteDiscs { pupil_px, q_px, opening_px, law }
     }
 
-    /// Derivatives of weighted residuals by what one profile depends on. `seen` is what pixels see, and with a point spread
-    /// that is larger by [`STEP`].
-    fn derivatives(
+    /// The light of one profile by its discs.
+    fn light(&self, light: &Light, pixels: &RadialPixels) -> Seen {
+        let discs = self.discs_of(light);
+        let [seen] = pixels.see(|t| [discs.light(t)]);
+        seen
+    }
+
+    /// Weighted residuals of one profile with their derivatives by what it depends on, and by the power of the samples if
+    /// that is asked for. The second pixels have a point spread that is larger by [`STEP_PX2`].
+    fn rows(
         &self,
         light: &Light,
-        residuals: &[f64],
-        seen: [&PixelResponse; 2],
-    ) -> Option<[Vec<f64>; OF_LIGHT]> {
-        let mut columns: [Vec<f64>; OF_LIGHT] = Default::default();
-        for (i, column) in columns.iter_mut().enumerate() {
-            let mut by = [0.0; BESIDE_SEEN];
-            by.iter_mut().skip(i).take(1).for_each(|by| *by = STEP);
-            let seen = seen[usize::from(i == BESIDE_SEEN)];
-            let moved = self.residuals_of(light, &light.profile, by, seen)?;
-            *column = by_step(&moved, residuals);
+        [pixels, wider]: [&RadialPixels; 2],
+        power: bool,
+    ) -> Option<Rows> {
+        let (discs, cos4) = (self.discs_of(light), self.known.cos4_per_px2());
+        let [seen, by_pupil, by_blur, by_within] = pixels.see(|t| {
+            let (point, [by_pupil, by_blur]) = (discs.point(t), discs.by_radii(t));
+            [point.light, by_pupil, by_blur, point.by_within * cos4]
+        });
+        let by_spread = self.light(light, wider).change(&seen, STEP_PX2);
+        let (_, residuals) = light.profile.residuals(&seen)?;
+        let column = |by: &Seen| light.profile.derivative(&seen, &residuals, by);
+        let mut columns = Vec::new();
+        for by in [&by_pupil, &by_blur, &by_within, &by_spread] {
+            columns.push(column(by)?);
         }
-        Some(columns)
-    }
-
-    /// The same of another profile in its place, with radii and H changed a little.
-    fn residuals_of(
-        &self,
-        light: &Light,
-        profile: &Profile,
-        by: [f64; BESIDE_SEEN],
-        seen: &PixelResponse,
-    ) -> Option<Vec<f64>> {
-        let (discs, law) = self.discs_of(light, by);
-        profile.residuals_of_discs(discs, &law, seen)
-    }
-
-    /// Both radii of one profile and the law of its light, changed a little.
-    fn discs_of(&self, light: &Light, by: [f64; BESIDE_SEEN]) -> ([f64; 2], Obliquity) {
-        let places = self.places(light);
-        let [a, b, within] = std::array::from_fn(|i| self.at[places[i]] + by[i]);
-        let Known { mla_to_sensor_px, pitch_px, .. } = self.known;
-        let within = within * self.known.cos4_per_px2();
-        let law = Obliquity::in_the_middle(within, *mla_to_sensor_px, pitch_px / 2.0);
-        ([a, b], law)
+        if power {
+            columns.push(light.profile.derivative_by_exponent(&seen)?);
+        }
+        Some(Rows { residuals, columns })
     }
 
     /// a by the law, and its derivatives by |m| and c.
@@ -367,54 +350,38 @@ impl<'a> Fit<'a> {
         if blurs.max() < RESOLVED_PX {
             return None;
         }
-        let (normal, right) = self.system()?;
-        let size = self.at.len();
-        let (mut normal, mut right) =
-            (normal.resize(size + 1, size + 1, 0.0), right.resize_vertically(size + 1, 0.0));
-        let (mut squares, mut count) = (0.0, 0.0);
-        let seen = [&self.seen(0.0), &self.seen(STEP)];
-        for light in &self.lights {
-            let residuals = self.residuals(light, seen[0])?;
-            let raised = light.profile.to_the_power(1.0 + STEP);
-            let raised = self.residuals_of(light, &raised, [0.0; BESIDE_SEEN], seen[0])?;
-            let own = by_step(&raised, &residuals);
-            let others = self.derivatives(light, &residuals, seen)?;
-            for (place, other) in self.places(light).into_iter().zip(&others) {
-                normal[(place, size)] += dot(&own, other);
-                normal[(size, place)] = normal[(place, size)];
-            }
-            normal[(size, size)] += dot(&own, &own);
-            right[size] -= dot(&own, &residuals);
-            squares += dot(&residuals, &residuals);
-            count += residuals.len() as f64;
-        }
+        let (mut normal, mut right) = self.system_with(true)?;
+        let power = right.len() - 1;
         let [_, spread] = self.of_all();
         if self.at[spread] <= 0.0 {
             // It stays at its end.
             normal[(spread, spread)] += HELD;
             right[spread] = 0.0;
         }
+        let (squares, count) = self.squares()?;
         let covariance = normal.cholesky()?.inverse();
         let excess = (squares / count).max(1.0);
-        Some(((&covariance * right)[size], (excess * covariance[(size, size)]).sqrt()))
+        Some(((&covariance * right)[power], (excess * covariance[(power, power)]).sqrt()))
     }
 
     /// Half the gradient's opposite, and the normal matrix.
     fn system(&self) -> Option<(DMatrix<f64>, DVector<f64>)> {
-        let size = self.at.len();
-        let seen = [&self.seen(0.0), &self.seen(STEP)];
-        let of_light = |light: &Light| {
-            let residuals = self.residuals(light, seen[0])?;
-            let columns = self.derivatives(light, &residuals, seen)?;
-            Some((self.places(light), columns, residuals))
-        };
+        self.system_with(false)
+    }
+
+    /// The same, with the power of the samples as the last quantity if that is asked for.
+    fn system_with(&self, power: bool) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        let size = self.at.len() + usize::from(power);
+        let pixels = [&self.pixels(0.0), &self.pixels(STEP_PX2)];
+        let of_light = |light: &Light| Some((self.places(light), self.rows(light, pixels, power)?));
         let parts = self.lights.par_iter().map(of_light).collect::<Option<Vec<_>>>()?;
         let (mut normal, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
-        for (places, columns, residuals) in &parts {
-            for (i, own) in places.iter().zip(columns) {
-                right[*i] -= dot(own, residuals);
-                for (j, other) in places.iter().zip(columns) {
-                    normal[(*i, *j)] += dot(own, other);
+        for (places, Rows { residuals, columns }) in &parts {
+            let places = || places.iter().copied().chain([size - 1]);
+            for (i, own) in places().zip(columns) {
+                right[i] -= dot(own, residuals);
+                for (j, other) in places().zip(columns) {
+                    normal[(i, j)] += dot(own, other);
                 }
             }
         }
@@ -429,12 +396,19 @@ impl<'a> Fit<'a> {
         Some((normal, right))
     }
 
+    /// The sum of squares of all light, and the number of its bins.
+    fn squares(&self) -> Option<(f64, f64)> {
+        let pixels = self.pixels(0.0);
+        let of_light = |light: &Light| {
+            let (_, residuals) = light.profile.residuals(&self.light(light, &pixels))?;
+            Some((dot(&residuals, &residuals), residuals.len() as f64))
+        };
+        let all = self.lights.par_iter().map(of_light).collect::<Option<Vec<_>>>()?;
+        Some(all.iter().fold((0.0, 0.0), |sum, one| (sum.0 + one.0, sum.1 + one.1)))
+    }
+
     fn cost(&self) -> Option<f64> {
-        let seen = self.seen(0.0);
-        let of_light =
-            |light: &Light| Some(self.residuals(light, &seen)?.iter().map(|r| r * r).sum::<f64>());
-        let light: f64 =
-            self.lights.par_iter().map(of_light).collect::<Option<Vec<_>>>()?.iter().sum();
+        let (light, _) = self.squares()?;
         Some(light + self.expectations().iter().map(|(r, _)| r * r).sum::<f64>())
     }
 
@@ -502,9 +476,8 @@ mod tests {
             |i: u32| Bin { radius: 0.125 * (f64::from(i) + 0.5), std_dev: 1e-4, ..Bin::default() };
         let mut profile = Profile { bins: (0..96).map(bin).collect(), ..Profile::default() };
         let law = Obliquity::in_the_middle(WITHIN, D_PX, PITCH_PX / 2.0);
-        let oblique = Angles::new(a, -b, PITCH_PX / 2.0).oblique(&law);
-        let seen = PixelResponse::new(&Pixel::new(spread), profile.furthest_px());
-        let seen = seen.discs(a + b, (a - b).abs(), &oblique);
+        let discs = WhiteDiscs { pupil_px: a, q_px: -b, opening_px: PITCH_PX / 2.0, law };
+        let [seen] = RadialPixels::new(spread, profile.furthest_px()).see(|t| [discs.light(t)]);
         for bin in &mut profile.bins {
             bin.light = 0.02 + 0.8 * seen.at(bin.radius);
         }

@@ -192,9 +192,7 @@ impl Light {
         let of_image = |(f_number, types): &(f64, Vec<Alike>)| {
             let geometry = DiscGeometry::new(internal, *f_number, self.seen_pitch_px, options);
             let of_type = |(lens_type, alike): (usize, &Alike)| {
-                let sensitivity = |r| geometry.sensitivity(lens_type, r, law);
-                let light = |r| geometry.light_and_growth(lens_type, r, law);
-                alike.gradients(self.reach_px, sensitivity, light)
+                alike.gradients(self.reach_px, &geometry.light(lens_type, 0.0, law, self.reach_px))
             };
             types.iter().enumerate().map(of_type).collect::<Vec<_>>()
         };

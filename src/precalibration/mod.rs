@@ -23,7 +23,6 @@ mod micro_image_status;
 mod nodes;
 mod options;
 mod pattern;
-mod pixel_response;
 mod profile;
 mod radii;
 mod result;

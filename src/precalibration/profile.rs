@@ -7,9 +7,8 @@
 
 use nalgebra::{Matrix2, Vector1, Vector2};
 
-use super::pixel_response::{Angles, Oblique, PixelResponse};
 use crate::numerics::{Descent, LeastSquares, NormalEquations};
-use crate::optics::{Obliquity, Pixel};
+use crate::optics::{RadialPixels, Seen, WhiteDiscs};
 
 /// Mean light at distances from the middle of micro-images of one type.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -18,10 +17,6 @@ pub(super) struct Profile {
     pub bins: Vec<Bin>,
     /// The brighter rest, where it is not clipped.
     pub bright: Vec<Bin>,
-    /// The angles at which light arrives, where they are known.
-    pub angles: Angles,
-    /// How it falls off with them, where that is known.
-    pub oblique: Oblique,
     /// Light in the middle, clipped or not, where it is known; 0 otherwise.
     pub middle: f64,
 }
@@ -63,9 +58,9 @@ const COARSE: usize = 4;
 /// of the damping.
 const DESCENT: Descent =
     Descent { steps: 60, settled: 1e-6, unseen: 0.0, factor: 5.0, damping: (1e-9, 1e6) };
-/// Step of the numerical derivatives, px: the light is smooth over a pixel, and rounding errors of its
-/// sums are 1e-12 of it.
-const STEP_PX: f64 = 1e-4;
+/// Step of the numerical derivatives, px, px² or relative: light is smooth over a pixel, and rounding errors of its sums are
+/// 1e-12 of it.
+const STEP: f64 = 1e-4;
 /// Starts that are followed down.
 const DESCENTS: usize = 2;
 
@@ -80,25 +75,35 @@ pub(super) fn own_light_px(pitch_px: f64, outer_px: f64, spread_px: f64) -> f64 
     pitch_px - outer_px + NEIGHBOUR_PX - NEIGHBOUR_SPREADS * spread_px
 }
 
+/// What a profile is compared with: two discs as pixels see them, with light that falls off with the distance from the middle
+/// as it does behind others of nearly their size.
+struct Model<'a> {
+    pixels: RadialPixels,
+    fall_off: Option<&'a WhiteDiscs>,
+}
+
+impl Model<'_> {
+    fn fall_off(&self, distance_px: f64) -> f64 {
+        self.fall_off.map_or(1.0, |discs| discs.fall_off(distance_px))
+    }
+
+    /// The light of discs with these sum and difference of radii, px.
+    fn light(&self, outer: f64, inner: f64) -> Seen {
+        let discs = WhiteDiscs::plain(f64::midpoint(outer, inner), (outer - inner) / 2.0);
+        let [light] = self.pixels.see(|t| [discs.light(t) * self.fall_off(t)]);
+        light
+    }
+}
+
 impl Profile {
     /// Whether an edge can be fitted to it.
     pub fn shows_an_edge(&self) -> bool {
-        self.fit(self.furthest_px(), &Pixel::default()).is_some()
+        self.fit(self.furthest_px(), 0.0, None).is_some()
     }
 
     /// Distance of the outermost light, px.
     pub fn furthest_px(&self) -> f64 {
         self.bins.last().map_or(0.0, |bin| bin.radius)
-    }
-
-    /// This profile with the fall-off of oblique light: through a micro-lens with the blur radius `q_px`
-    /// (with the sign that Eq. (radiusfinal) gives it), from a pupil of radius `pupil_px`.
-    ///
-    /// Where f < d the far side of the micro-lens lights the edge of the micro-image, at a steep angle;
-    /// where f > d the near side does.
-    pub fn oblique(&self, pupil_px: f64, q_px: f64, obliquity: &Obliquity) -> Self {
-        let angles = Angles::new(pupil_px, q_px, obliquity.half_pitch_px);
-        Self { oblique: angles.oblique(obliquity), angles, ..self.clone() }
     }
 
     /// All of the light that is not clipped, up to a distance from the centre, px, from there outwards.
@@ -109,46 +114,65 @@ impl Profile {
         Self { bins, bright: Vec::new(), ..self.clone() }
     }
 
-    /// This profile of light that is some power of what was taken for it.
-    pub fn to_the_power(&self, exponent: f64) -> Self {
-        let mut raised = self.clone();
-        let bins = || self.bins.iter().chain(&self.bright);
-        let brightest = bins().map(|bin| bin.light).fold(f64::MIN_POSITIVE, f64::max);
-        for bin in raised.bins.iter_mut().chain(&mut raised.bright) {
-            let part = bin.light / brightest;
-            bin.light = brightest * part.signum() * part.abs().powf(exponent);
+    /// The brightest light that is fitted.
+    fn brightest(&self) -> f64 {
+        self.bins.iter().map(|bin| bin.light).fold(0.0, f64::max)
+    }
+
+    /// Amplitude and background with which the light of discs comes nearest to a quantity of the bins, and the weighted
+    /// residuals of that; `None` if they are not determined.
+    pub fn left(
+        &self,
+        discs: &Seen,
+        quantity: impl Fn(&Bin) -> f64,
+    ) -> Option<(Vector2<f64>, Vec<f64>)> {
+        let of_model = (MODEL_ERROR * self.brightest()).hypot(OF_MIDDLE * self.middle);
+        let weight = |bin: &Bin| 1.0 / bin.std_dev.hypot(of_model);
+        let shape: Vec<f64> = self.bins.iter().map(|bin| discs.at(bin.radius)).collect();
+        let mut equations = NormalEquations::<f64, 2, 1>::new();
+        for (bin, &shape) in self.bins.iter().zip(&shape) {
+            let value = Vector1::new(quantity(bin));
+            equations.add(&Vector2::new(shape, 1.0), &value, weight(bin).powi(2));
         }
-        raised
+        let linear = equations.solve()?;
+        let residual = |(bin, shape): (&Bin, &f64)| {
+            (quantity(bin) - linear.x * shape - linear.y) * weight(bin)
+        };
+        Some((linear, self.bins.iter().zip(&shape).map(residual).collect()))
     }
 
-    /// Weighted residuals for discs of radii a and b, px, with a fall-off at the angles that were set.
-    pub fn residuals_of_discs(
+    /// The same of its light.
+    pub fn residuals(&self, discs: &Seen) -> Option<(Vector2<f64>, Vec<f64>)> {
+        self.left(discs, |bin| bin.light)
+    }
+
+    /// Derivatives of its residuals by a quantity that the light of discs has these derivatives by; amplitude and background
+    /// follow.
+    pub fn derivative(&self, discs: &Seen, residuals: &[f64], by: &Seen) -> Option<Vec<f64>> {
+        let (_, moved) = self.residuals(&discs.plus(by, STEP))?;
+        Some(by_step(&moved, residuals))
+    }
+
+    /// The same by the power of the samples that light is.
+    pub fn derivative_by_exponent(&self, discs: &Seen) -> Option<Vec<f64>> {
+        let brightest = self.brightest().max(f64::MIN_POSITIVE);
+        let raised = |bin: &Bin| {
+            let part = bin.light / brightest;
+            bin.light * part.abs().max(f64::MIN_POSITIVE).ln()
+        };
+        self.left(discs, raised).map(|(_, residuals)| residuals)
+    }
+
+    /// Fits the radii of two discs to the light that pixels with this point spread see, px², the outer one up to 1.4 times
+    /// `largest`, px; with the fall-off of others of nearly their size. `None` if the profile does not show an edge.
+    pub fn fit(
         &self,
-        [a, b]: [f64; 2],
-        law: &Obliquity,
-        seen: &PixelResponse,
-    ) -> Option<Vec<f64>> {
-        let oblique = self.angles.oblique(law);
-        let found = self.residuals_with(a + b, (a - b).abs(), seen, &oblique);
-        found.map(|(_, residuals)| residuals)
-    }
-
-    /// The light in the middle between discs of radii a and b, px; 0 if the profile does not determine it.
-    pub fn light_in_the_middle(
-        &self,
-        [a, b]: [f64; 2],
-        law: &Obliquity,
-        seen: &PixelResponse,
-    ) -> f64 {
-        let (outer, inner, oblique) = (a + b, (a - b).abs(), self.angles.oblique(law));
-        let fitted = self.residuals_with(outer, inner, seen, &oblique);
-        fitted.map_or(0.0, |(linear, _)| linear.x * seen.discs(outer, inner, &oblique).at(0.0))
-    }
-
-    /// Fits the radii of the discs, the outer one up to 1.4 times `largest`, px; `None` if the profile
-    /// does not show an edge.
-    pub fn fit(&self, largest: f64, pixel: &Pixel) -> Option<Edge> {
-        let seen = &PixelResponse::new(pixel, self.furthest_px());
+        largest: f64,
+        point_spread_px2: f64,
+        fall_off: Option<&WhiteDiscs>,
+    ) -> Option<Edge> {
+        let pixels = RadialPixels::new(point_spread_px2, self.furthest_px());
+        let model = &Model { pixels, fall_off };
         // Where much is clipped the sum of squares has several valleys: try starts all over first, on
         // some of the bins.
         let bins = self.bins.iter().step_by(COARSE).copied().collect();
@@ -157,7 +181,7 @@ impl Profile {
             .map(|i| f64::from(i) * 0.05 * largest)
             .flat_map(|outer| [0.05, 0.25, 0.5, 0.75].map(|inner| (outer, inner * outer)))
             .filter_map(|(outer, inner)| {
-                let (linear, residuals) = coarse.residuals(outer, inner, seen)?;
+                let (linear, residuals) = coarse.residuals(&model.light(outer, inner))?;
                 let sum = residuals.iter().map(|r| r * r).sum();
                 (linear.x > 0.0).then_some((sum, outer, inner))
             })
@@ -166,59 +190,20 @@ impl Profile {
         starts
             .into_iter()
             .take(DESCENTS)
-            .filter_map(|(_, outer, inner)| self.descend(outer, inner, largest, seen))
+            .filter_map(|(_, outer, inner)| self.descend(outer, inner, largest, model))
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .map(|(edge, _)| edge)
     }
 
-    /// Amplitude and background that fit best, and the weighted residuals.
-    fn residuals(
-        &self,
-        outer: f64,
-        inner: f64,
-        seen: &PixelResponse,
-    ) -> Option<(Vector2<f64>, Vec<f64>)> {
-        self.residuals_with(outer, inner, seen, &self.oblique)
-    }
-
-    fn residuals_with(
-        &self,
-        outer: f64,
-        inner: f64,
-        seen: &PixelResponse,
-        oblique: &Oblique,
-    ) -> Option<(Vector2<f64>, Vec<f64>)> {
-        let brightest = self.bins.iter().map(|b| b.light).fold(0.0, f64::max);
-        let of_model = (MODEL_ERROR * brightest).hypot(OF_MIDDLE * self.middle);
-        let weight = |bin: &Bin| 1.0 / bin.std_dev.hypot(of_model);
-        let discs = seen.discs(outer, inner, oblique);
-        let shape: Vec<f64> = self.bins.iter().map(|bin| discs.at(bin.radius)).collect();
-        let mut equations = NormalEquations::<f64, 2, 1>::new();
-        for (bin, &shape) in self.bins.iter().zip(&shape) {
-            equations.add(&Vector2::new(shape, 1.0), &Vector1::new(bin.light), weight(bin).powi(2));
-        }
-        let linear = equations.solve()?;
-        let residual =
-            |(bin, shape): (&Bin, &f64)| (bin.light - linear.x * shape - linear.y) * weight(bin);
-        Some((linear, self.bins.iter().zip(&shape).map(residual).collect()))
-    }
-
     /// The edge that a descent from one start ends at, and its sum of squares.
-    fn descend(
-        &self,
-        outer: f64,
-        inner: f64,
-        largest: f64,
-        seen: &PixelResponse,
-    ) -> Option<(Edge, f64)> {
-        let (trial, taken) = (Radii::default(), Radii::default());
-        let mut squares = Squares { profile: self, seen, largest, trial, taken };
+    fn descend(&self, outer: f64, inner: f64, largest: f64, model: &Model) -> Option<(Edge, f64)> {
+        let mut squares = Squares { profile: self, model, largest, trial: None, taken: None };
         let start = squares.moved(&Vector2::new(outer, inner), &Vector2::zeros());
         let (place, sum) = DESCENT.from(start, &mut squares)?;
         let (normal, _) = squares.normal_equations()?;
         let freedom = (self.bins.len() as f64 - 4.0).max(1.0);
         let variance = normal.try_inverse().map_or(f64::INFINITY, |inverse| inverse[(0, 0)]);
-        let linear = squares.taken.linear;
+        let linear = squares.taken?.linear;
         (linear.x > 0.0).then_some((
             Edge {
                 outer: place.x,
@@ -236,14 +221,18 @@ impl Profile {
 /// fit best.
 struct Squares<'a> {
     profile: &'a Profile,
-    seen: &'a PixelResponse,
+    model: &'a Model<'a>,
     largest: f64,
-    trial: Radii,
-    taken: Radii,
+    trial: Option<Radii>,
+    taken: Option<Radii>,
+}
+
+/// A derivative by a [`STEP`].
+fn by_step(moved: &[f64], at: &[f64]) -> Vec<f64> {
+    moved.iter().zip(at).map(|(moved, at)| (moved - at) / STEP).collect()
 }
 
 /// What belongs to two radii.
-#[derive(Default)]
 struct Radii {
     /// Outer and inner.
     place: Vector2<f64>,
@@ -257,9 +246,10 @@ impl LeastSquares<2> for Squares<'_> {
     type Point = Vector2<f64>;
 
     fn evaluate(&mut self, at: &Self::Point) -> Option<f64> {
-        let (linear, residuals) = self.profile.residuals(at.x, at.y, self.seen)?;
+        let light = self.model.light(at.x, at.y);
+        let (linear, residuals) = self.profile.residuals(&light)?;
         let sum = residuals.iter().map(|r| r * r).sum();
-        self.trial = Radii { place: *at, linear, residuals };
+        self.trial = Some(Radii { place: *at, linear, residuals });
         Some(sum)
     }
 
@@ -268,15 +258,13 @@ impl LeastSquares<2> for Squares<'_> {
     }
 
     fn normal_equations(&mut self) -> Option<(Matrix2<f64>, Vector2<f64>)> {
-        let Radii { place, residuals, .. } = &self.taken;
-        let derivative = |step: Vector2<f64>| {
-            let (x, y) = (place.x + step.x, place.y + step.y);
-            let (_, moved) = self.profile.residuals(x, y, self.seen)?;
-            let change = moved.iter().zip(residuals).map(|(m, r)| (m - r) / STEP_PX);
-            Some(change.collect::<Vec<f64>>())
+        let Radii { place, residuals, .. } = self.taken.as_ref()?;
+        // Forwards: radii of the same size are at the end of what is possible.
+        let column = |outer: f64, inner: f64| {
+            let moved = self.model.light(place.x + outer, place.y + inner);
+            Some(by_step(&self.profile.residuals(&moved)?.1, residuals))
         };
-        let columns =
-            [derivative(Vector2::new(STEP_PX, 0.0))?, derivative(Vector2::new(0.0, STEP_PX))?];
+        let columns = [column(STEP, 0.0)?, column(0.0, STEP)?];
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let mut normal = Matrix2::from_fn(|i, j| dot(&columns[i], &columns[j]));
         let mut right = -Vector2::from_fn(|i, _| dot(&columns[i], residuals));
@@ -403,7 +391,7 @@ mod tests {
     fn drawn(outer: f64, inner: f64, amplitude: f64) -> Profile {
         let mut histogram = RadialHistogram::new(14.0, 0.0);
         let seen =
-            PixelResponse::new(&Pixel::default(), 14.0).discs(outer, inner, &Oblique::default());
+            Model { pixels: RadialPixels::new(0.0, 14.0), fall_off: None }.light(outer, inner);
         for i in 0..4000_i32 {
             let radius = 14.0 * (f64::from(i) + 0.5) / 4000.0;
             let light = (0.02 + amplitude * seen.at(radius)).min(1.0);
@@ -421,10 +409,11 @@ mod tests {
         for bin in &mut profile.bins {
             bin.light -= 0.05 * bin.light * (1.0 - bin.light);
         }
-        let seen = PixelResponse::new(&Pixel::default(), profile.furthest_px());
+        let pixels = RadialPixels::new(0.0, profile.furthest_px());
+        let model = Model { pixels, fall_off: None };
         let ends: Vec<Edge> = [(6.2, 0.3), (6.2, 1.5), (7.4, 5.0), (7.8, 2.0)]
             .iter()
-            .filter_map(|&(outer, inner)| Some(profile.descend(outer, inner, 12.0, &seen)?.0))
+            .filter_map(|&(outer, inner)| Some(profile.descend(outer, inner, 12.0, &model)?.0))
             .collect();
         assert_eq!(ends.len(), 4);
         for end in &ends {
@@ -436,14 +425,16 @@ mod tests {
     #[test]
     fn light_of_neighbours_does_not_move_the_outer_radius() {
         const PITCH: f64 = 23.3;
-        let (outer, inner, pixel) = (11.6, 1.4, Pixel::new(1.0));
+        let (outer, inner, spread) = (11.6, 1.4, 1.0);
         let mut profile = drawn(outer, inner, 3.0);
-        let seen = PixelResponse::new(&pixel, PITCH).discs(outer, inner, &Oblique::default());
+        let pixels = RadialPixels::new(spread, PITCH);
+        let seen = Model { pixels, fall_off: None }.light(outer, inner);
         for bin in profile.bins.iter_mut().chain(&mut profile.bright) {
             bin.light = 0.02 + 3.0 * (seen.at(bin.radius) + seen.at(PITCH - bin.radius) / 3.0);
         }
-        let off =
-            |reach: f64| (profile.whole(reach).fit(12.0, &pixel).unwrap().outer - outer).abs();
+        let off = |reach: f64| {
+            (profile.whole(reach).fit(12.0, spread, None).unwrap().outer - outer).abs()
+        };
         let (own, all) = (off(own_light_px(PITCH, outer, 1.0)), off(f64::INFINITY));
         assert!(own < 0.05 && all > 0.2, "off by {own} px, and by {all} px with all light");
     }
@@ -452,7 +443,7 @@ mod tests {
     fn the_outer_radius_comes_back_at_any_exposure() {
         for amplitude in [0.3, 0.8, 1.5, 3.0, 6.0] {
             for (outer, inner) in [(11.66, 1.1), (8.4, 1.7), (6.8, 3.7), (10.0, 0.0)] {
-                let edge = drawn(outer, inner, amplitude).fit(12.0, &Pixel::default()).unwrap();
+                let edge = drawn(outer, inner, amplitude).fit(12.0, 0.0, None).unwrap();
                 let off = (edge.outer - outer).abs();
                 assert!(off < 0.02, "{outer}, {inner} px at {amplitude}: off by {off} px");
             }

@@ -7,11 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::array::FoundArray;
 use super::centroid::{Blob, darkest_neighbourhood, measure_blob, pixels_about};
 use super::pattern::Pattern;
-use super::pixel_response::{Oblique, PixelResponse};
 use super::profile::{Edge, Profile, RadialHistogram};
 use crate::image::Image;
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight, median};
-use crate::optics::{Obliquity, Pixel};
+use crate::optics::{RadialPixels, Seen, WhiteDiscs};
 
 /// How the radius of a micro-image is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ValueEnum)]
@@ -38,19 +37,13 @@ pub(super) struct TypeRadius {
 }
 
 impl TypeRadius {
-    /// The radius with oblique light taken into account, see [`Profile::oblique`], by light up to `reach_px` from the centre as
-    /// pixels see it; unchanged if that shows no edge.
-    pub fn oblique(
-        &self,
-        (pupil_px, q_px): (f64, f64),
-        reach_px: f64,
-        obliquity: &Obliquity,
-        pixel: &Pixel,
-    ) -> Self {
+    /// The radius with light that falls off with its angle as it does in `discs`, by light up to `reach_px` from the centre as
+    /// pixels with a point spread see it, px²; unchanged if that shows no edge.
+    pub fn oblique(&self, discs: &WhiteDiscs, reach_px: f64, point_spread_px2: f64) -> Self {
         let mut again = self.clone();
-        let largest = REACH * 2.0 * obliquity.half_pitch_px;
-        let whole = self.profile.whole(reach_px);
-        if let Some(edge) = whole.oblique(pupil_px, q_px, obliquity).fit(largest, pixel) {
+        let largest = REACH * 2.0 * discs.law.half_pitch_px;
+        if let Some(edge) = self.profile.whole(reach_px).fit(largest, point_spread_px2, Some(discs))
+        {
             let change = edge.outer - self.radius_px;
             again.radius_px += change;
             again.std_dev_px = edge.std_dev.hypot(self.of_lenses_px);
@@ -167,7 +160,7 @@ fn profile_radius(
     profile: Profile,
 ) -> Option<TypeRadius> {
     let reach = REACH * pattern.pitch();
-    let edge = profile.fit(reach, &Pixel::default())?;
+    let edge = profile.fit(reach, 0.0, None)?;
     let template = Template::new(&edge, reach);
     let single_px: Vec<f64> =
         blobs.iter().filter_map(|blob| template.single(image, blob)).collect();
@@ -197,35 +190,22 @@ fn mean_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
     Some((mean, variance.sqrt()))
 }
 
-/// The fitted light and its derivatives by distance, for one linear step for each micro-image.
+/// The fitted light and its derivative by the outer radius, for one linear step for each micro-image.
 struct Template {
     edge: Edge,
     reach: f64,
-    shape: Vec<f64>,
-    by_outer: Vec<f64>,
+    shape: Seen,
+    by_outer: Seen,
 }
-
-/// Resolution of the template, px.
-const TEMPLATE_PX: f64 = 0.05;
 
 impl Template {
     fn new(edge: &Edge, reach: f64) -> Self {
-        const STEP: f64 = 0.02;
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
-        let count = (reach / TEMPLATE_PX) as usize + 3;
-        let place = |i: usize| i as f64 * TEMPLATE_PX;
-        let seen = PixelResponse::new(&Pixel::default(), place(count));
-        let shape = |outer: f64| -> Vec<f64> {
-            let discs = seen.discs(outer, edge.inner, &Oblique::default());
-            (0..count).map(|i| discs.at(place(i))).collect()
-        };
-        let (more, less) = (shape(edge.outer + STEP), shape(edge.outer - STEP));
-        Self {
-            edge: *edge,
-            reach,
-            shape: shape(edge.outer),
-            by_outer: more.iter().zip(&less).map(|(m, l)| (m - l) / (2.0 * STEP)).collect(),
-        }
+        let (larger, smaller) =
+            (f64::midpoint(edge.outer, edge.inner), (edge.outer - edge.inner) / 2.0);
+        let discs = WhiteDiscs::plain(larger, smaller);
+        let [shape, by_outer] = RadialPixels::new(0.0, reach)
+            .see(|t| [discs.light(t), discs.by_radii(t).iter().sum::<f64>() / 2.0]);
+        Self { edge: *edge, reach, shape, by_outer }
     }
 
     /// Outer radius of one micro-image, by one step from what fits all of them.
@@ -236,19 +216,15 @@ impl Template {
                 return;
             }
             let r = offset.norm();
-            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within reach
-            let i = (r / TEMPLATE_PX) as usize;
-            let part = r / TEMPLATE_PX - i as f64;
-            let at = |table: &[f64]| table[i] * (1.0 - part) + table[i + 1] * part;
-            let slope = (self.shape[i + 1] - self.shape[i]) / TEMPLATE_PX;
+            let (shape, slope) = self.shape.with_slope(r);
             let outwards = offset / r.max(1e-9);
             let amplitude = self.edge.amplitude;
             let row = Vector5::new(
-                at(&self.shape),
+                shape,
                 1.0,
                 -amplitude * slope * outwards.x,
                 -amplitude * slope * outwards.y,
-                amplitude * at(&self.by_outer),
+                amplitude * self.by_outer.at(r),
             );
             equations.add(&row, &Vector1::new(value), 1.0);
         });

@@ -13,6 +13,7 @@ use nalgebra::{Matrix3, Matrix6, SMatrix, Vector2, Vector3, Vector6};
 use rayon::prelude::*;
 
 use super::centers::part_with;
+use super::disc_geometry::DiscLight;
 use super::tilt_gradient::Growth;
 use crate::image::Grey;
 
@@ -170,27 +171,25 @@ impl Alike {
         Self { images, mean }
     }
 
-    /// g and the growth of every micro-image that shows them, by its light up to a distance; see
-    /// [`DiscGeometry::sensitivity`] and [`DiscGeometry::light_and_growth`].
-    ///
-    /// [`DiscGeometry::sensitivity`]: super::disc_geometry::DiscGeometry::sensitivity
-    /// [`DiscGeometry::light_and_growth`]: super::disc_geometry::DiscGeometry::light_and_growth
-    pub fn gradients(
-        &self,
-        reach: f64,
-        sensitivity: impl Fn(f64) -> f64 + Sync,
-        light_and_growth: impl Fn(f64) -> (f64, f64) + Sync,
-    ) -> Vec<Gradient> {
+    /// g and the growth of every micro-image that shows them, by its light up to a distance, where their light is that of
+    /// these discs.
+    pub fn gradients(&self, reach: f64, discs: &DiscLight) -> Vec<Gradient> {
         let brightest = self.mean.iter().map(|ring| ring.light).fold(0.0, f64::max);
-        let of_rings: Vec<(&Ring, (f64, f64))> =
-            self.mean.par_iter().map(|ring| (ring, light_and_growth(ring.radius))).collect();
+        let within = |ring: &Ring| ring.whole && ring.radius < reach;
+        let of_rings: Vec<(&Ring, (f64, f64))> = self
+            .mean
+            .iter()
+            .map(|ring| {
+                (ring, if within(ring) { discs.with_growth(ring.radius) } else { (0.0, 0.0) })
+            })
+            .collect();
         // Where the middle is clipped, its light follows from the edge.
-        let whole = || of_rings.iter().filter(|(ring, _)| ring.whole && ring.radius < reach);
+        let whole = || of_rings.iter().filter(|(ring, _)| within(ring));
         let products = whole().map(|(ring, (light, _))| ring.light * light).sum::<f64>();
         let squares = whole().map(|(_, (light, _))| light * light).sum::<f64>();
         let middle = products / squares.max(f64::MIN_POSITIVE);
         let design = |(ring, (_, growth)): &(&Ring, (f64, f64))| {
-            let sensitivity = -ring.light * sensitivity(ring.radius);
+            let sensitivity = -ring.light * discs.sensitivity(ring.radius);
             let slope = -ring.slope;
             let weight = 1.0 / (ring.light + READ_NOISE * brightest);
             let growth = middle * growth;
@@ -204,9 +203,10 @@ impl Alike {
                 0.0, 0.0, slope,
                 growth, 0.0, 0.0,
             );
-            (ring.whole && ring.radius < reach).then_some((columns, weight))
+            (columns, weight)
         };
-        let design: Vec<Option<Design>> = of_rings.par_iter().map(design).collect();
+        let design: Vec<Option<Design>> =
+            of_rings.iter().map(|ring| within(ring.0).then(|| design(ring))).collect();
         self.images.par_iter().filter_map(|image| gradient(image, &design)).collect()
     }
 }

@@ -15,7 +15,7 @@ use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
 use crate::error::{Error, Result};
 use crate::image::{Grey, Image};
 use crate::model::{InternalParameters, LatticeKind, SampleLevels};
-use crate::optics::{Obliquity, Pixel};
+use crate::optics::{Obliquity, WhiteDiscs};
 
 /// Patterns of one camera at two f-numbers agree in pitch within this part, and in place within so
 /// many pitches: oblique light changes both by less.
@@ -106,15 +106,16 @@ impl<'a> Samples<'a> {
         let half_pitch_px = obliquity.half_pitch_px;
         let pixel_size_mm = self.options.pixel_size_mm;
         let spread_px2 = internal.point_spread_px2();
-        let pixel = Pixel::new(spread_px2);
         let of_types = internal.q_prime_mm.iter().map(|q| q / pixel_size_mm - half_pitch_px);
         let q_px: Vec<f64> = of_types.collect();
         let widest = q_px.iter().map(|q| q.abs()).fold(0.0, f64::max);
         let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
             let pupil_px = internal.pupil_radius_mm(white.f_number) / pixel_size_mm;
             let reach = own_light_px(2.0 * half_pitch_px, pupil_px + widest, spread_px2.sqrt());
-            let again = |(radius, q): (&TypeRadius, &f64)| {
-                radius.oblique((pupil_px, *q), reach, obliquity, &pixel)
+            let again = |(radius, q_px): (&TypeRadius, &f64)| {
+                let (q_px, opening_px, law) = (*q_px, half_pitch_px, *obliquity);
+                let discs = WhiteDiscs { pupil_px, q_px, opening_px, law };
+                radius.oblique(&discs, reach, spread_px2)
             };
             radii.iter().zip(&q_px).map(again).collect()
         };

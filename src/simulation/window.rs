@@ -58,7 +58,7 @@ mod tests {
     use super::super::sampling::{BLOCK, Points, RaySets};
     use super::super::spread::Footprint;
     use super::*;
-    use crate::optics::overlap_area;
+    use crate::optics::WhiteDiscs;
 
     /// The area that another disc covers, from the rays that lie in it, with and without a window.
     #[test]
@@ -77,7 +77,7 @@ mod tests {
             let all: usize = (0..set.blocks()).map(|i| in_block(set.block(i))).sum();
             let share = all as f64 / set.rays() as f64;
             let smaller = radius.min(1.0);
-            let expected = overlap_area(distance, 1.0 + radius, (1.0 - radius).abs())
+            let expected = WhiteDiscs::plain(radius, 1.0).light(distance)
                 * std::f64::consts::PI
                 * smaller
                 * smaller;

@@ -332,3 +332,33 @@ fn the_readme_speaks_rust() {
         assert!(compiled.any(|other| other == line), "not in examples/calibrate.rs: {line}");
     }
 }
+
+/// What an integral over an opening, a pixel or its point spread is made of.
+const OF_INTEGRALS: [&str; 6] = ["erf(", "erfc(", "cyl_bessel", "j1(", "quadrature", "overlap("];
+
+/// Light is integrated over the opening of a micro-lens in `optics`, and by the ray tracer, which is there to contradict it.
+#[test]
+fn there_is_one_model_of_light() {
+    let others: Vec<String> = sources(&["src"], &["rs"])
+        .into_iter()
+        .filter(|(path, _)| {
+            !["src/optics/", "src/simulation/"].iter().any(|own| path.starts_with(own))
+        })
+        .filter(|(_, text)| integrates_light(&code(text)))
+        .map(|(path, _)| path)
+        .collect();
+    assert!(others.is_empty(), "light is integrated outside of src/optics:\n{}", others.join("\n"));
+    assert!(
+        integrates_light("let part = libm::erfc(z);")
+            && integrates_light("Quadrature::of_blur(rho)")
+    );
+    // It is found where it is.
+    let own =
+        sources(&["src"], &["rs"]).into_iter().filter(|(_, text)| integrates_light(&code(text)));
+    assert!(own.count() > 3);
+}
+
+fn integrates_light(code: &str) -> bool {
+    let code = code.to_lowercase();
+    OF_INTEGRALS.iter().any(|word| code.contains(word))
+}
