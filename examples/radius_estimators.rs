@@ -1,5 +1,5 @@
 //! Compares the estimators of micro-image radii on simulated white images from dark to four times
-//! over-exposed: makes the table in docs/precalibration.md.
+//! over-exposed: makes the table in docs/accuracy.md.
 //!
 //!     cargo run --release --example radius_estimators
 

@@ -1,7 +1,7 @@
 //! At which distance the main lens is focused, as the boards show it: to start from, and to check what the project
 //! states.
 //!
-//! The virtual depth of a corner says where its image is, a = D − b before the array, by 1/ν = 1 + d/a. The pose of its
+//! The virtual depth of a corner says where its image is, a = D − b before the array, by the slope of its line, γ = 1 − 1/ν = 1 + d/a. The pose of its
 //! board, from the barycentres, says where the corner is, z, and with F where its image should be, b = Fz/(z − F). D and d
 //! follow from the focus distance h, F and m; the pose grows with D + d. So one number, h, has to make both agree.
 
@@ -28,9 +28,9 @@ const AS_WELL: f64 = 1.5;
 /// Fewer corners say nothing.
 const FEWEST: usize = 20;
 
-/// A corner: 1/ν, and its distance from the main lens over D + d.
+/// A corner: γ, and its distance from the main lens over D + d.
 struct Corner {
-    inverse_depth: f64,
+    slope: f64,
     distance: f64,
 }
 
@@ -93,7 +93,7 @@ impl Lens<'_> {
         possible.then_some((lens_to_mla, mla_to_sensor))
     }
 
-    /// The typical difference of 1/ν between what corners show and what their distances say.
+    /// The typical difference of γ between what corners show and what their distances say.
     fn mismatch(&self, focus_distance_mm: f64, corners: &[Corner]) -> Option<f64> {
         let (lens_to_mla, mla_to_sensor) = self.distances(focus_distance_mm)?;
         let focal_length = self.sheet.focal_length_mm;
@@ -105,8 +105,8 @@ impl Lens<'_> {
             } else {
                 f64::INFINITY
             };
-            let inverse_depth = 1.0 + mla_to_sensor / (lens_to_mla - image);
-            (inverse_depth - corner.inverse_depth).abs()
+            let slope = 1.0 + mla_to_sensor / (lens_to_mla - image);
+            (slope - corner.slope).abs()
         }))
     }
 }
@@ -137,13 +137,13 @@ fn corners(
             let lens_type = initial.lattice.lens_type(feature.k, feature.l, types);
             let q_prime = internal.q_prime_mm.get(lens_type);
             let (Some(q_prime), Some(rho)) = (q_prime, feature.rho_px) else { continue };
-            // ρ = q'ᵢ − Δc/2ν.
+            // ρ = q'ᵢ − γΔc/2.
             let (sum, count) = by_corner.entry(feature.corner).or_default();
             *sum += (q_prime / pixel_mm - rho) / half_pitch_px;
             *count += 1.0;
         }
         corners.extend(by_corner.into_iter().map(|(corner, (sum, count))| Corner {
-            inverse_depth: sum / count,
+            slope: sum / count,
             distance: (pose * board.point_mm(corner)).z
                 / (mla.lens_to_mla_mm + mla.mla_to_sensor_mm),
         }));

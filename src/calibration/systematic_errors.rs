@@ -16,7 +16,7 @@ use crate::solver::{self, CostOptions, Prior, SystematicError};
 
 /// How well the model of a blurred corner keeps its distance from the centre of the micro-image, relative: corners in
 /// simulated images are 0.1 % too far outwards through ideal lenses, and 0.3 % through traced ones
-/// (docs/detection.md).
+/// (docs/accuracy.md).
 const BLUR_MODEL: f64 = 2e-3;
 
 /// Name of the error of the aperture ratio.
@@ -70,7 +70,7 @@ pub(super) fn systematic_errors(
     for (lens_type, std_dev_mm) in internal.q_prime_std_dev_mm.iter().enumerate() {
         let name = intercept_name(lens_type);
         let relative = std_dev_mm / internal.q_prime_mm[lens_type];
-        // ρ = q'ᵢ − Δc/2ν.
+        // ρ = q'ᵢ − γΔc/2.
         let rho = if cost.rho { std_dev_mm / pixel_mm } else { 0.0 };
         add(&name, at_prior_on(&name), &|i, f| {
             let [u, v] = sensitivities(f)[taken::INTERCEPT];

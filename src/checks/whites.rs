@@ -22,7 +22,7 @@ const NARROW: f64 = 0.02;
 /// It counts where it is so many σ from none.
 const SURE: f64 = 5.0;
 /// How far off m and q' are by straight lines through the radii with f-numbers 2 % off at random, relative
-/// (docs/precalibration.md).
+/// (docs/accuracy.md).
 pub(crate) const BY_LINES: (f64, f64) = (0.06, 0.03);
 
 /// Where the darkest places have less than this part of the light of the micro-images, the black level does not matter.

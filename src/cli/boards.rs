@@ -224,11 +224,11 @@ pub fn detect_subset(
                 .unwrap_or_else(std::sync::PoisonError::into_inner)
                 .push((frame.frame, picture(frame, svg)));
         }
-        bar.inc(1);
+        bar.inc();
         Ok(())
     };
     let found = detect(&boards, &white, &search, options.subset, &draw);
-    bar.finish_and_clear();
+    bar.finish();
     let found = found.map_err(|e| e.in_file(path))?;
     let features = found.features();
     if features.is_empty() {

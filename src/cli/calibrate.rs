@@ -17,7 +17,7 @@ use plenocal::{Error, Finding, Result, report};
 use super::cost;
 use super::given::Given;
 use super::input::{Files, Input, camera_findings};
-use super::messages::{print_result, say, tell, verdict_status, warn};
+use super::messages::{print_result, say, shown, tell, verdict_status, warn};
 use super::progress;
 
 /// Calibrate a camera from micro-image centres and BAP features.
@@ -229,7 +229,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut paths = output.commit()?;
     paths.extend(cost::exported(export, &calibration, &input.board)?);
     tell(&calibration.findings);
-    print_result(json, &document, &section.to_text(), &paths)?;
+    print_result(json, &document, &shown(&section), &paths)?;
     Ok(status(&calibration, &assessment.findings))
 }
 
@@ -242,8 +242,8 @@ pub(super) fn compared(
 ) -> Result<ModelComparison> {
     let folds = folds.min(calibration.poses.len());
     let bar = progress::steps(quiet, comparison_steps(calibration, folds), "comparing models");
-    let comparison = compare_models(calibration, board, folds, &|| bar.inc(1));
-    bar.finish_and_clear();
+    let comparison = compare_models(calibration, board, folds, &|| bar.inc());
+    bar.finish();
     comparison
 }
 

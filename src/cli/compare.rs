@@ -10,7 +10,7 @@ use plenocal::model::PlenopticCamera;
 use plenocal::{Error, Result, report};
 
 use super::evaluate::calibrated;
-use super::messages::{print_result, tell};
+use super::messages::{print_result, shown, tell};
 
 /// Compare two calibrated cameras: parameters in standard deviations, and what they see.
 ///
@@ -72,7 +72,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     print_result(
         arguments.json,
         &document,
-        &report::comparison_section(&comparison).to_text(),
+        &shown(&report::comparison_section(&comparison)),
         &paths,
     )?;
     Ok(ExitCode::SUCCESS)

@@ -15,7 +15,7 @@ use plenocal::{Error, Finding, Issue, Result, report};
 
 use super::evaluate::calibrated;
 use super::input::{Input, located};
-use super::messages::{print_result, tell};
+use super::messages::{print_result, shown, tell};
 
 /// Where the results of an evaluation go.
 pub(super) struct Output {
@@ -99,7 +99,7 @@ fn write(
     let mut paths = results.commit()?;
     paths.extend(exported(export, evaluated, board)?);
     tell(&evaluated.findings);
-    print_result(json, &document, &report::cost_section(evaluated, parts).to_text(), &paths)?;
+    print_result(json, &document, &shown(&report::cost_section(evaluated, parts)), &paths)?;
     Ok(ExitCode::SUCCESS)
 }
 

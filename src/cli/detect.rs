@@ -11,7 +11,7 @@ use plenocal::precalibration::PrecalibrationOptions;
 use plenocal::{Result, report};
 
 use super::boards::{self, Options, Shoot};
-use super::messages::{print_result, tell};
+use super::messages::{print_result, shown, tell};
 use super::precalibrate::{measure, stage_centers};
 
 /// Detect the corners of a checkerboard in raw images automatically.
@@ -79,6 +79,6 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let paths = output.commit()?;
     let document = io::detection_document(&found, &shoot.board);
     let section = report::detection_section(arguments.subset.name(), &found, Vec::new());
-    print_result(arguments.json, &document, &section.to_text(), &paths)?;
+    print_result(arguments.json, &document, &shown(&section), &paths)?;
     Ok(ExitCode::SUCCESS)
 }

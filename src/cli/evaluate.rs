@@ -15,7 +15,7 @@ use plenocal::{Error, Finding, Result, Subject, report};
 
 use super::boards::{self, Options, Shoot, images_of};
 use super::input::{Files, Input, board_shape, camera_findings, camera_source};
-use super::messages::{print_result, tell, verdict_status};
+use super::messages::{print_result, shown, tell, verdict_status};
 use super::progress;
 
 /// Evaluate a camera: on boards not used in its calibration, on known displacements, against the truth,
@@ -31,7 +31,7 @@ pub struct Arguments {
     project: PathBuf,
     #[arg(long, value_name = "DIR", help = results_help!("evaluation.json, and the features of each subset in its own folder"))]
     out: PathBuf,
-    /// Calibrated camera (camera.json, COMPOTE's intrinsics.js); give several to compare them.
+    /// Calibrated camera (camera.json, COMPOTE's intrinsics.js); may be repeated, to compare cameras.
     #[arg(long, value_name = "FILE", required = true)]
     camera: Vec<PathBuf>,
     /// Folder written by `plenocal precalibrate`.
@@ -191,8 +191,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         folds,
     };
     let mut evaluation = evaluated(&candidates, &input, arguments.json);
-    let tables = report::evaluation_tables(&evaluation, &candidates);
-    if tables.is_empty() {
+    let section = report::evaluation_section(&evaluation, &candidates, Vec::new());
+    if section.parts.is_empty() {
         let failed: Vec<String> = evaluation.findings.iter().map(ToString::to_string).collect();
         let reason = if failed.is_empty() {
             "there is nothing to evaluate with: list boards under evaluation or [images.translation], give a true \
@@ -208,8 +208,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let document = io::evaluation_document(&evaluation);
     output.stage_json("evaluation.json", &document)?;
     let paths = output.commit()?;
-    let text: Vec<String> = tables.iter().map(ToString::to_string).collect();
-    print_result(arguments.json, &document, &text.join("\n\n"), &paths)?;
+    print_result(arguments.json, &document, &shown(&section), &paths)?;
     Ok(verdict_status(&evaluation.findings).unwrap_or(ExitCode::SUCCESS))
 }
 
@@ -217,8 +216,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
 pub fn evaluated(candidates: &[Candidate], input: &EvaluationInput, quiet: bool) -> Evaluation {
     let folds = input.folds.as_ref().map_or(0, |folds| folds.count);
     let bar = progress::steps(quiet || folds == 0, folds, "calibrating without some frames");
-    let evaluation = evaluate(candidates, input, &|| bar.inc(1));
-    bar.finish_and_clear();
+    let evaluation = evaluate(candidates, input, &|| bar.inc());
+    bar.finish();
     evaluation
 }
 

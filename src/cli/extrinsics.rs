@@ -15,7 +15,7 @@ use super::boards::{self, Options, Shoot};
 use super::calibrate::{stage_results, status};
 use super::evaluate::calibrated;
 use super::input::{board_shape, camera_findings};
-use super::messages::{announce_calibration, print_result, tell};
+use super::messages::{announce_calibration, print_result, shown, tell};
 
 /// Find the poses of boards in raw images with a calibrated camera.
 ///
@@ -95,6 +95,6 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     tell(&result.findings);
     let document = io::calibration_document(&result, &assessment, begun.elapsed().as_secs_f64());
     let section = report::calibration_section("Poses", &result, &assessment, Vec::new());
-    print_result(arguments.json, &document, &section.to_text(), &paths)?;
+    print_result(arguments.json, &document, &shown(&section), &paths)?;
     Ok(status(&result, &assessment.findings))
 }

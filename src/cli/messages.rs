@@ -5,16 +5,40 @@ use std::fmt::Display;
 use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use anstyle::{AnsiColor, Style};
 use plenocal::assessment::Verdict;
 use plenocal::error::Input;
 use plenocal::model::BapFeature;
+use plenocal::report::Section;
 use plenocal::{Error, Finding, Issue, Result, Severity};
 use serde::Serialize;
 
+use super::progress;
+
+// Colours are left out where the stream is not a terminal, or `NO_COLOR` is set.
+const GOOD: Style = AnsiColor::Green.on_default().bold();
+const CARE: Style = AnsiColor::Yellow.on_default().bold();
+const BAD: Style = AnsiColor::Red.on_default().bold();
+
 /// Writes a line to stderr. It is not an error if nobody reads it.
 pub fn say(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
+    progress::above(|| {
+        let _ = writeln!(anstream::stderr(), "{line}");
+    });
+}
+
+/// A result, with its verdict in colour if it begins with one.
+fn coloured(text: &str) -> String {
+    let (first, rest) = text.split_at(text.find('\n').unwrap_or(text.len()));
+    let style = match first.strip_prefix("Verdict: ") {
+        Some(verdict) if verdict.starts_with(&Verdict::Good.to_string()) => GOOD,
+        Some(verdict) if verdict.starts_with(&Verdict::DoNotUse.to_string()) => BAD,
+        Some(_) => CARE,
+        None => return text.to_owned(),
+    };
+    format!("{style}{first}{style:#}{rest}")
 }
 
 /// What takes more than this of memory, or on disk, is announced beforehand.
@@ -49,24 +73,69 @@ pub fn announce_calibration(features: &[BapFeature]) {
     );
 }
 
+fn warn_of(text: &str) {
+    say(&format!("{CARE}warning:{CARE:#} {text}"));
+}
+
+/// Prints an error.
+fn say_failure(text: &str) {
+    say(&format!("{BAD}error:{BAD:#} {text}"));
+}
+
 /// Prints warnings.
 pub fn warn(warnings: &[impl Display]) {
     for warning in warnings {
-        say(&format!("warning: {warning}"));
+        warn_of(&warning.to_string());
     }
 }
 
-/// Prints findings as warnings, each with its code and the option that helps.
+/// So many findings of a kind are printed as one.
+const MANY: usize = 10;
+
+/// Prints findings as warnings: a line with the code, and one with the remedy. Of many of a kind the first is printed, and the
+/// others are counted.
 pub fn tell<'a>(findings: impl IntoIterator<Item = &'a Finding>) {
-    for finding in findings {
-        say(&format!("warning: {}", told(finding)));
+    let findings: Vec<&Finding> = findings.into_iter().collect();
+    let of_kind = |code: &str| findings.iter().filter(|finding| finding.code() == code).count();
+    let mut counted = BTreeSet::new();
+    for finding in &findings {
+        let (code, count) = (finding.code(), of_kind(finding.code()));
+        if count < MANY || counted.insert(code) {
+            let others = if count < MANY { 0 } else { count - 1 };
+            warn_of(&told(finding, others));
+        }
     }
 }
 
-/// A finding as a warning: its text, the option that helps, and its code.
-pub fn told(finding: &Finding) -> String {
-    let option = option(&finding.issue).map_or(String::new(), |option| format!(" ({option})"));
-    format!("{finding}{option} [{}]", finding.code())
+/// A finding as a warning: its message, how many others are like it, its code, and on another line the remedy with the option
+/// that helps.
+pub fn told(finding: &Finding, others: usize) -> String {
+    let like_it = if others > 0 { format!(" (and {others} more like it)") } else { String::new() };
+    let remedy = finding.remedy();
+    let help = match option(&finding.issue) {
+        Some(option) if remedy.is_empty() => option,
+        Some(option) => format!("{remedy} ({option})"),
+        None => remedy,
+    };
+    let help = if help.is_empty() { help } else { format!("\n    {help}") };
+    format!("{}{like_it} [{}]{help}", finding.message(), finding.code())
+}
+
+static TABLES: AtomicBool = AtomicBool::new(false);
+
+/// From here on, results are printed with all their tables.
+pub fn show_tables() {
+    TABLES.store(true, Ordering::Relaxed);
+}
+
+/// Whether results are printed with all their tables.
+pub fn tables_are_shown() -> bool {
+    TABLES.load(Ordering::Relaxed)
+}
+
+/// A section as it is printed: in brief, unless all tables are asked for.
+pub fn shown(section: &Section) -> String {
+    if tables_are_shown() { section.to_text() } else { section.to_brief_text() }
 }
 
 /// The option that helps; the library does not know of options.
@@ -94,15 +163,16 @@ pub fn verdict_status(findings: &[Finding]) -> Option<ExitCode> {
             reasons.push(code);
         }
     }
-    say(&format!("error: the verdict is \"do not use\" ({})", reasons.join(", ")));
+    let reasons = reasons.join(", ");
+    say_failure(&format!("the verdict is \"do not use\" ({reasons})"));
     Some(ExitCode::from(4))
 }
 
 /// Says what went wrong, and what helps.
 pub fn say_error(error: &Error) {
     match remedy(error) {
-        Some(remedy) => say(&format!("error: {error}: {remedy}")),
-        None => say(&format!("error: {error}")),
+        Some(remedy) => say_failure(&format!("{error}: {remedy}")),
+        None => say_failure(&error.to_string()),
     }
 }
 
@@ -145,25 +215,44 @@ pub fn print_result(
     text: &str,
     paths: &[PathBuf],
 ) -> Result<()> {
-    let text = if json {
+    if json {
         let document = serde_json::to_string(document)
             .map_err(|e| Error::invalid(format!("the result is no JSON: {e}")))?;
-        format!("{document}\n")
-    } else {
-        let files: Vec<String> = paths.iter().map(|p| format!("  {}\n", p.display())).collect();
-        let written = if files.is_empty() {
-            String::new()
-        } else {
-            format!("\nWritten:\n{}", files.concat())
-        };
-        format!("{}\n{written}", text.trim_end())
-    };
-    print(text.as_bytes())
+        return print(format!("{document}\n").as_bytes());
+    }
+    let text = format!("{}\n{}", coloured(text.trim_end()), written(paths));
+    print_to(&mut anstream::stdout(), text.as_bytes())
+}
+
+/// So many files that were written are listed.
+const MOST_FILES: usize = 8;
+
+/// The files that were written, of many the first ones.
+fn written(paths: &[PathBuf]) -> String {
+    if paths.is_empty() {
+        return String::new();
+    }
+    if let [path] = paths {
+        return format!("Written: {}\n", path.display());
+    }
+    let most = if tables_are_shown() { paths.len() } else { MOST_FILES };
+    let listed = if paths.len() > most { most - 1 } else { paths.len() };
+    let mut text = "\nWritten:\n".to_owned();
+    for path in &paths[..listed] {
+        text += &format!("  {}\n", path.display());
+    }
+    if listed < paths.len() {
+        text += &format!("  and {} more\n", paths.len() - listed);
+    }
+    text
 }
 
 /// Prints the output of a command. A reader that has gone away is not an error.
 pub fn print(text: &[u8]) -> Result<()> {
-    let mut stdout = std::io::stdout();
+    print_to(&mut std::io::stdout(), text)
+}
+
+fn print_to(stdout: &mut impl Write, text: &[u8]) -> Result<()> {
     match stdout.write_all(text).and_then(|()| stdout.flush()) {
         Err(source) if source.kind() != ErrorKind::BrokenPipe => {
             Err(Error::Write { path: "standard output".into(), source })

@@ -48,6 +48,10 @@ struct Cli {
     /// also every white image. Progress lines are then hidden.
     #[arg(short, long, global = true, action = clap::ArgAction::Count, display_order = 999)]
     verbose: u8,
+
+    /// Print results with all their tables, and all files that were written.
+    #[arg(long, global = true, display_order = 998)]
+    tables: bool,
 }
 
 // In the order in which they are used.
@@ -92,6 +96,9 @@ Exit status:
 pub fn run() -> ExitCode {
     let arguments = Cli::parse();
     logging::begin(arguments.verbose);
+    if arguments.tables {
+        messages::show_tables();
+    }
     // Ceres warns of trial steps that leave the domain of the model; the solver handles them.
     plenocal::solver::silence_log();
     interrupt::handle();

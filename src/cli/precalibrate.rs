@@ -17,7 +17,7 @@ use plenocal::{Error, Finding, Result, Subject};
 use rayon::prelude::*;
 
 use super::boards::{camera_of, listed_images};
-use super::messages::{announce_memory, print_result, tell};
+use super::messages::{announce_memory, print_result, shown, tell};
 use super::progress;
 
 /// Measure the micro-image array and the internal parameters on white images.
@@ -198,7 +198,7 @@ fn of_project(
     tell(&result.findings);
     stage(output, &result, &sheet, &whites)?;
     let section = report::precalibration_section(&result, Vec::new());
-    Ok((section.to_text(), io::precalibration_document(&result)))
+    Ok((shown(&section), io::precalibration_document(&result)))
 }
 
 /// What is doubtful about the files of the white images.
@@ -218,8 +218,8 @@ pub(super) fn measure(
     announce(images)?;
     let (whites, reference) = read_whites(images, sheet).map_err(|e| e.in_file(path))?;
     let bar = progress::steps(quiet, whites.len(), "measuring white images");
-    let result = precalibrate(&whites, reference.as_ref(), options, &|| bar.inc(1));
-    bar.finish_and_clear();
+    let result = precalibrate(&whites, reference.as_ref(), options, &|| bar.inc());
+    bar.finish();
     Ok((result.map_err(|e| e.in_file(path))?, whites))
 }
 

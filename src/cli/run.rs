@@ -8,14 +8,15 @@ use std::time::Instant;
 
 use clap::Args;
 use plenocal::assessment::{
-    Assessment, Candidate, EvaluationInput, Folds, PosePairs, Verdict, assess,
+    Assessment, Candidate, Evaluation, EvaluationInput, Folds, Group, PosePairs, Verdict, assess,
 };
 use plenocal::calibration::{
     Calibration, CalibrationOptions, Method, Mode, Start, calibrate, frame_list, initial_from,
 };
 use plenocal::detection::{DepthEstimator, DetectedBoards, MicroImages};
 use plenocal::io::{
-    self, FolderLock, MANIFEST, Manifest, OutputFolder, Project, StageRecord, first_look,
+    self, FolderLock, ImagesSection, MANIFEST, Manifest, OutputFolder, Project, StageRecord,
+    first_look,
 };
 use plenocal::model::{Datasheet, Observations, Subset};
 use plenocal::precalibration::{Precalibration, PrecalibrationOptions};
@@ -26,8 +27,8 @@ use serde_json::{Value, json};
 use super::boards::{self, Options, Shoot, images_of};
 use super::calibrate::{compared, stage_results, status, with_method};
 use super::evaluate::{calibrated, clouds, evaluated};
-use super::messages::{announce_calibration, print_result, say, tell};
-use super::precalibrate;
+use super::messages::{announce_calibration, print_result, say, shown, tables_are_shown, tell};
+use super::{precalibrate, progress};
 
 /// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
 ///
@@ -113,9 +114,21 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     // Two runs at once would mix their files.
     let _held = FolderLock::hold(&arguments.out)?;
     let mut run = Run::new(arguments, &project, &shoot, options)?;
+    progress::begin(arguments.json, steps_of(&shoot.images, arguments.folds));
     tell(&of_images);
     run.findings.extend(of_images);
-    run.all_stages()
+    let outcome = run.all_stages();
+    progress::end();
+    outcome
+}
+
+/// The steps of a run that progress counts: images, and calibrations without some frames or parameters.
+fn steps_of(images: &ImagesSection, folds: usize) -> usize {
+    let subsets = [Subset::Calibration, Subset::Evaluation, Subset::Translation];
+    let boards: usize = subsets.iter().map(|subset| images_of(*subset, images).len()).sum();
+    // Groups of parameters are left out in all folds and once in all frames.
+    let models = if folds > 0 { Group::ALL.len() * (folds + 1) } else { 0 };
+    images.whites.len() + boards + models + folds
 }
 
 /// A run: its input, and what its stages have left so far.
@@ -211,7 +224,7 @@ impl<'a> Run<'a> {
         let result = self
             .stage(EVALUATION, |run, output| run.evaluation(&observed, &cameras, &others, output));
         let evaluation = self.tolerated(EVALUATION, result)?;
-        self.finish(&calibration, &assessment, evaluation.as_ref())
+        self.finish(&calibration, &assessment, evaluation)
     }
 
     /// Whether there is a calibration with blur, to which corners only can be compared.
@@ -226,6 +239,7 @@ impl<'a> Run<'a> {
         work: impl FnOnce(&mut Self, &mut OutputFolder) -> Result<T>,
     ) -> Result<T> {
         let begun = Instant::now();
+        progress::part(name);
         let folder = self.arguments.out.join(name);
         if folder.is_symlink() {
             return Err(Error::invalid(
@@ -239,7 +253,7 @@ impl<'a> Run<'a> {
         let files = output.names();
         self.manifest.stages.push(StageRecord { name: name.to_owned(), time_s, files });
         self.output.take(output);
-        if !self.arguments.json {
+        if !self.arguments.json && !progress::is_whole_shown() {
             say(&format!("{name}: {time_s:.1} s"));
         }
         Ok(result)
@@ -393,7 +407,7 @@ impl<'a> Run<'a> {
         calibrations: &[&Calibration],
         boards: &[(Subset, DetectedBoards)],
         output: &mut OutputFolder,
-    ) -> Result<Value> {
+    ) -> Result<(Value, Evaluation)> {
         let own = if self.has_blur() { BLUR_AWARE } else { CORNERS };
         let names = [own, CORNERS].into_iter();
         let candidates: Vec<Candidate> = names.zip(calibrations).map(candidate).collect();
@@ -431,8 +445,6 @@ impl<'a> Run<'a> {
         let found = evaluated(&candidates, &input, self.arguments.json);
         let document = json!(io::evaluation_document(&found));
         output.stage_json("evaluation.json", &document)?;
-        let mut tables = vec![report::cameras_table(&initial, &candidates)];
-        tables.extend(report::evaluation_tables(&found, &candidates));
         tell(&found.findings);
         // The verdict is on the first camera.
         let of_second = |finding: &Finding| {
@@ -440,10 +452,10 @@ impl<'a> Run<'a> {
             matches!((&finding.subject, second), (Subject::Part(part), Some(second)) if part.starts_with(&second))
         };
         self.findings.extend(found.findings.iter().filter(|f| !of_second(f)).cloned());
-        let warnings = found.findings.iter().map(Finding::to_string).collect();
-        let section = Section { warnings, ..report::evaluation_section(tables) };
+        let cameras = report::cameras_table(&initial, &candidates);
+        let section = report::evaluation_section(&found, &candidates, vec![cameras]);
         self.sections.push((EVALUATION, section));
-        Ok(document)
+        Ok((document, found))
     }
 
     /// Gives all files their names, prints the result, and returns the exit status.
@@ -451,7 +463,7 @@ impl<'a> Run<'a> {
         mut self,
         calibration: &Calibration,
         assessment: &Assessment,
-        evaluation: Option<&Value>,
+        evaluation: Option<(Value, Evaluation)>,
     ) -> Result<ExitCode> {
         let changed = self
             .manifest
@@ -462,7 +474,9 @@ impl<'a> Run<'a> {
         tell(&changed);
         self.findings.extend(changed);
         plenocal::finding::sort(&mut self.findings);
-        let verdict = report::verdict_section(&self.findings, assessment.next_board.as_ref());
+        let (document_of_evaluation, evaluation) = evaluation.unzip();
+        let verdict =
+            report::result_section(calibration, assessment, &self.findings, evaluation.as_ref());
         let of_findings = Verdict::of(&self.findings);
         let document = json!({
             "verdict": of_findings.to_string(),
@@ -489,29 +503,26 @@ impl<'a> Run<'a> {
         if let Some(before) = before {
             before.remove_stale(out, &written);
         }
+        progress::end();
         let path = out.join(REPORT);
         let result = json!({
             "report": path.display().to_string(),
             "verdict": document,
             "calibration": io::calibration_document(calibration, assessment, time_s),
-            "evaluation": evaluation,
+            "evaluation": document_of_evaluation,
         });
         print_result(self.arguments.json, &result, &text, &[path])?;
         Ok(status(calibration, &self.findings))
     }
 
-    /// The verdict, the parameters, what models are worth, and the evaluation, as printed.
-    fn printed(&self, verdict: &Section) -> String {
-        let tables = |of: &str| {
-            let section = self.sections.iter().find(|(stage, _)| *stage == of);
-            section.into_iter().flat_map(|(_, section)| section.tables())
+    /// The result as printed, with all tables of calibration and evaluation if they are asked for.
+    fn printed(&self, result: &Section) -> String {
+        let of_stage = |(stage, section): &(&str, Section)| {
+            (tables_are_shown() && [CALIBRATION, EVALUATION].contains(stage))
+                .then(|| section.to_text())
         };
-        let of_calibration = tables(CALIBRATION)
-            .enumerate()
-            .filter(|(i, table)| *i == 0 || table.caption == report::MODELS)
-            .map(|(_, table)| table);
-        let tables = of_calibration.chain(tables(EVALUATION)).map(ToString::to_string);
-        std::iter::once(verdict.to_text()).chain(tables).collect::<Vec<_>>().join("\n\n")
+        let tables = self.sections.iter().filter_map(of_stage);
+        std::iter::once(shown(result)).chain(tables).collect::<Vec<_>>().join("\n\n")
     }
 
     /// The report: the verdict, the results, then what they came from.

@@ -137,12 +137,13 @@ impl PlenopticCamera {
         self.mla.lens_to_mla_mm + self.main_lens.exit_pupil_mm.z
     }
 
-    /// Δc: distance between neighbouring micro-image centres, px, Eq. (mlinterdist) with distances from
-    /// the exit pupil: ΔC (D + e_z + d)/(D + e_z).
+    /// Δc: distance between neighbouring micro-image centres, px, the geometric mean of both axes: Eq. (mlinterdist) with
+    /// distances from the exit pupil, ΔC √(pitch ratio) (D + e_z + d)/(D + e_z).
     #[must_use]
     pub fn micro_image_pitch_px(&self) -> f64 {
         let (mla, to_pupil) = (&self.mla, self.pupil_to_mla_mm());
-        mla.pitch_mm * (to_pupil + mla.mla_to_sensor_mm) / (to_pupil * self.sensor.pixel_size_mm)
+        let pitch_mm = mla.pitch_mm * mla.pitch_ratio.sqrt();
+        pitch_mm * (to_pupil + mla.mla_to_sensor_mm) / (to_pupil * self.sensor.pixel_size_mm)
     }
 }
 

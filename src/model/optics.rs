@@ -148,6 +148,21 @@ mod tests {
         assert!((f_number_of_stop(6.3) - 2.0_f64.powf(16.0 / 3.0).sqrt()).abs() < EXACT);
     }
 
+    /// Eq. (radiusfinal) at the slope 1 with the pitch of the same micro-lenses: d ΔC/2 (1/f − 1/d − 1/(D + e_z)).
+    #[test]
+    fn pupils_are_blurred_as_by_the_lens_equation_also_with_two_pitches() {
+        let mut camera = crate::model::camera::small_camera();
+        camera.mla.pitch_ratio = 1.01;
+        let internal = internal_parameters(&camera);
+        let (mla, half) = (&camera.mla, internal.micro_image_pitch_mm.unwrap() / 2.0);
+        let radius = mla.pitch_mm * 1.01_f64.sqrt() / 2.0;
+        for (q_prime, f) in internal.q_prime_mm.iter().zip(&mla.focal_lengths_mm) {
+            let vergence = 1.0 / f - 1.0 / mla.mla_to_sensor_mm - 1.0 / camera.pupil_to_mla_mm();
+            let expected = radius * mla.mla_to_sensor_mm * vergence;
+            assert!((q_prime - half - expected).abs() < EXACT, "{q_prime} {half} {expected}");
+        }
+    }
+
     /// Table 1, column R12-A "Initial", to all printed digits.
     #[test]
     fn r12_a_starts_from_the_published_values() {

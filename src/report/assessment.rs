@@ -1,8 +1,9 @@
 //! The verdict on a calibration, outlying features, and the σ of points.
 
+use super::summary::summary_parts;
 use super::tree::{Cell, Column, Part, Section, Table, sentence};
-use crate::assessment::{Assessment, NextBoard, ObjectSpace, Verdict};
-use crate::calibration::OutlyingFeature;
+use crate::assessment::{Assessment, Evaluation, NextBoard, ObjectSpace, Verdict};
+use crate::calibration::{Calibration, OutlyingFeature};
 use crate::finding::{Finding, Severity};
 use crate::quantity::two_digits;
 
@@ -22,7 +23,7 @@ pub(super) fn verdict_lines(findings: &[Finding], next: Option<&NextBoard>) -> V
     lines
 }
 
-fn next_text(next: &NextBoard) -> String {
+pub(super) fn next_text(next: &NextBoard) -> String {
     let [x, y] = next.tilt_deg;
     let tilt = match (x == 0.0, y == 0.0) {
         (true, true) => "parallel to the sensor".to_owned(),
@@ -89,3 +90,27 @@ pub(super) fn object_space_table(space: &ObjectSpace) -> Table {
 pub fn verdict_section(findings: &[Finding], next: Option<&NextBoard>) -> Section {
     Section::new("Verdict", verdict_lines(findings, next).into_iter().map(Part::Text).collect())
 }
+
+/// The result of a calibration on one screen: the verdict on these findings, the main parameters, errors, σ in space, what an
+/// evaluation has found, and what to do next.
+#[must_use]
+pub fn result_section(
+    calibration: &Calibration,
+    assessment: &Assessment,
+    findings: &[Finding],
+    evaluation: Option<&Evaluation>,
+) -> Section {
+    let mut verdict = verdict_lines(findings, None);
+    let more = verdict.len().saturating_sub(1 + MOST_REASONS);
+    if more > 0 {
+        verdict.truncate(1 + MOST_REASONS);
+        verdict.push(format!("and {more} more, in the report and with --tables."));
+    }
+    let mut parts: Vec<Part> = verdict.into_iter().map(Part::Text).collect();
+    parts.extend(summary_parts(calibration, assessment, evaluation));
+    parts.extend(assessment.next_board.as_ref().map(next_text).map(Part::Text));
+    Section::new("Result", parts)
+}
+
+/// Reasons of a verdict that are listed on one screen.
+const MOST_REASONS: usize = 5;

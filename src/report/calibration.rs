@@ -2,7 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::assessment::{object_space_table, outliers_text, verdict_lines};
+use super::assessment::{next_text, object_space_table, outliers_text, verdict_lines};
+use super::summary::summary_parts;
 use super::tree::{Cell, Column, Figure, Part, Section, Table, sentence};
 use crate::assessment::Assessment;
 use crate::calibration::{
@@ -21,11 +22,14 @@ pub fn calibration_section(
     figures: Vec<Figure>,
 ) -> Section {
     let is_fixed = calibration.uncertainty.free_intrinsics.is_empty();
-    let mut parts: Vec<Part> = verdict_lines(&assessment.findings, assessment.next_board.as_ref())
+    let mut parts: Vec<Part> = verdict_lines(&assessment.findings, None)
         .into_iter()
         .chain(outliers_text(assessment))
         .map(Part::Text)
         .collect();
+    parts.extend(summary_parts(calibration, assessment, None));
+    parts.extend(assessment.next_board.as_ref().map(next_text).map(Part::Text));
+    parts.extend(figures.into_iter().map(Part::Figure));
     let main_table =
         if is_fixed { poses_table(calibration) } else { parameters_table(calibration) };
     let tables = [
@@ -35,11 +39,14 @@ pub fn calibration_section(
         assessment.object_space.as_ref().map(object_space_table),
         Some(errors_table(calibration)),
     ];
-    parts.extend(tables.into_iter().flatten().map(Part::Table));
-    parts.extend(Part::paragraphs(&summary(calibration)));
-    parts.extend(figures.into_iter().map(Part::Figure));
+    let mut all: Vec<Part> = tables.into_iter().flatten().map(Part::Table).collect();
+    all.extend(Part::paragraphs(&summary(calibration)));
+    let what = if is_fixed { "Poses, errors and convergence" } else { ALL_PARAMETERS };
+    parts.push(Part::details(what, all));
     Section::new(title, parts)
 }
+
+const ALL_PARAMETERS: &str = "All parameters, priors, errors and convergence";
 
 fn parameters_table(calibration: &Calibration) -> Table {
     let lens_types = calibration.camera.lens_types();

@@ -55,9 +55,11 @@ pub fn comparison_section(comparison: &CameraComparison) -> Section {
         1e3 * motion.rotation.angle(),
         comparison.raw_rms_px,
     );
-    let tables = [distances(comparison), parameter_table(&comparison.parameters)];
-    let texts = std::iter::once(seen).chain(parameters).map(Part::Text);
-    Section::new("Comparison", texts.chain(tables.map(Part::Table)).collect())
+    let mut parts: Vec<Part> = std::iter::once(seen).chain(parameters).map(Part::Text).collect();
+    parts.push(Part::Table(distances(comparison)));
+    let all = vec![Part::Table(parameter_table(&comparison.parameters))];
+    parts.push(Part::details("All parameters", all));
+    Section::new("Comparison", parts)
 }
 
 fn distances(comparison: &CameraComparison) -> Table {

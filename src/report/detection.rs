@@ -9,13 +9,18 @@ const FRAMES_SHOWN: usize = 1;
 /// The boards of a subset: what was found and what was dropped in each frame, and figures of frames.
 #[must_use]
 pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Figure>) -> Section {
-    let mut parts = vec![Part::Table(frames_table(&boards.frames))];
-    parts.extend(Part::paragraphs(&dropped_text(&boards.frames)));
+    let frames = &boards.frames;
+    let features: usize = frames.iter().map(DetectedFrame::features).sum();
+    let with_features = frames.iter().filter(|frame| frame.features() > 0).count();
+    let found = format!("{features} features in {with_features} of {} frames.", frames.len());
+    let mut of_frames = vec![Part::Table(frames_table(frames))];
+    of_frames.extend(Part::paragraphs(COLUMNS));
+    let mut parts = vec![Part::Text(found), Part::details("Frame by frame", of_frames)];
     let mut figures = figures.into_iter().map(Part::Figure);
     parts.extend(figures.by_ref().take(FRAMES_SHOWN));
     let others: Vec<Part> = figures.collect();
     if !others.is_empty() {
-        parts.push(Part::Details { summary: "The other frames".to_owned(), parts: others });
+        parts.push(Part::details("The other frames", others));
     }
     let section = Section::new(&format!("Boards: {subset}"), parts);
     Section { warnings: boards.findings.iter().map(ToString::to_string).collect(), ..section }
@@ -63,16 +68,9 @@ fn frames_table(frames: &[DetectedFrame]) -> Table {
     table
 }
 
-/// What the columns mean.
-fn dropped_text(frames: &[DetectedFrame]) -> String {
-    let features: usize = frames.iter().map(DetectedFrame::features).sum();
-    let with_features = frames.iter().filter(|frame| frame.features() > 0).count();
-    format!(
-        "{features} features in {with_features} of {} frames. Corners: corner observations found in \
-         single micro-images. Board: labelled corners.\nDropped: alone (in no cluster), off the line of \
-         their cluster, texture (a large cluster with hardly a line), off the board.\nSearched for again \
-         where they are expected: board corners lost; micro-images unclear, with the corner misplaced, \
-         or of a corner given up.",
-        frames.len()
-    )
-}
+/// The meaning of the columns.
+const COLUMNS: &str = "\
+Corners: corner observations found in single micro-images. Board: labelled corners.
+Dropped: alone (in no cluster), off the line of their cluster, texture (a large cluster with hardly a line), off the board.
+Searched for again where they are expected: board corners lost; micro-images unclear, with the corner misplaced, or of a corner \
+given up.";

@@ -1,27 +1,27 @@
 //! An evaluation.
 
+use super::summary::truth_text;
 use super::tree::{Cell, Column, Part, Section, Table};
 use crate::assessment::{
     Candidate, CrossValidation, Displacements, Evaluation, ParameterError, PoseErrors,
     Reconstruction,
 };
+use crate::finding::Finding;
 use crate::model::{Parameter, PlenopticCamera, Rmse};
 use crate::quantity::display_unit;
 
 /// What tables call the point clouds of other software.
 const CLOUDS: &str = "point clouds";
 
-/// The section of an evaluation.
+/// An evaluation: reprojection (Table 4), distances between corners, known displacements (Table 3), and the largest errors against
+/// the true camera; on demand these tables, single steps, all errors against the true camera and poses, and the cross-validation
+/// of the first candidate. Without parts if nothing was evaluated.
 #[must_use]
-pub fn evaluation_section(tables: Vec<Table>) -> Section {
-    Section::new("Evaluation", tables.into_iter().map(Part::Table).collect())
-}
-
-/// The tables of an evaluation: reprojection (Table 4), known displacements (Table 3), errors
-/// against the true camera and poses, and the cross-validation of the first candidate.
-#[must_use]
-pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> Vec<Table> {
-    let mut tables = Vec::new();
+pub fn evaluation_section(
+    evaluation: &Evaluation,
+    candidates: &[Candidate],
+    more: Vec<Table>,
+) -> Section {
     let mut reprojection = Table::new(
         "Boards not used in the calibration; poses refined with the camera fixed (paper, Table 4)",
         [
@@ -79,7 +79,13 @@ pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> V
         motion.push(displacement_row(CLOUDS, clouds));
     }
     let has_steps = !motion.rows.is_empty();
-    tables.extend([reprojection, space, motion].into_iter().filter(|table| !table.rows.is_empty()));
+    let tables = [reprojection, space, motion].into_iter().filter(|table| !table.rows.is_empty());
+    let mut parts: Vec<Part> = tables.map(Part::Table).collect();
+    for candidate in &evaluation.candidates {
+        let truth = candidate.truth.as_deref().and_then(truth_text);
+        parts.extend(truth.map(|text| Part::Text(format!("{}: {text}", candidate.name))));
+    }
+    let mut tables = more;
     tables.extend(has_steps.then(|| steps_table(evaluation)).flatten());
     for candidate in &evaluation.candidates {
         if let Some(errors) = &candidate.truth {
@@ -93,7 +99,12 @@ pub fn evaluation_tables(evaluation: &Evaluation, candidates: &[Candidate]) -> V
     if let (Some(folds), Some(candidate)) = (&evaluation.folds, candidates.first()) {
         tables.extend(folds_tables(folds, candidate));
     }
-    tables
+    let tables: Vec<Part> = tables.into_iter().map(Part::Table).collect();
+    if !tables.is_empty() {
+        parts.push(Part::details("Parameters, steps, truth and cross-validation", tables));
+    }
+    let warnings = evaluation.findings.iter().map(Finding::to_string).collect();
+    Section { warnings, ..Section::new("Evaluation", parts) }
 }
 
 fn number(value: f64) -> Cell {

@@ -11,15 +11,16 @@ mod figures;
 mod html;
 mod models;
 mod precalibration;
+mod summary;
 mod text;
 mod tree;
 
-pub use assessment::verdict_section;
+pub use assessment::{result_section, verdict_section};
 pub use calibration::calibration_section;
 pub use comparison::comparison_section;
 pub use cost::cost_section;
 pub use detection::detection_section;
-pub use evaluation::{cameras_table, evaluation_section, evaluation_tables, truth_table};
+pub use evaluation::{cameras_table, evaluation_section, truth_table};
 pub use figures::{
     array_residuals_figure, calibration_figures, comparison_figures, features_figure,
     micro_images_figure, model_figures, precalibration_figures, radii_figure,

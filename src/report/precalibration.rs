@@ -15,7 +15,8 @@ pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> 
     )));
     parts.push(Part::Text(types_text(&result.lens_types)));
     parts.extend(levels_text(result).map(Part::Text));
-    parts.extend([radii_table(result), internal_table(result)].map(Part::Table));
+    parts.push(Part::Table(internal_table(result)));
+    parts.push(Part::details("Radii by f-number", vec![Part::Table(radii_table(result))]));
     parts.extend(figures.into_iter().map(Part::Figure));
     Section {
         warnings: result.findings.iter().map(ToString::to_string).collect(),

@@ -11,11 +11,17 @@ impl Section {
     /// The content of the section as text: paragraphs and tables, without figures.
     #[must_use]
     pub fn to_text(&self) -> String {
-        text_of(&self.parts)
+        text_of(&self.parts, true)
+    }
+
+    /// The same without what is shown on demand.
+    #[must_use]
+    pub fn to_brief_text(&self) -> String {
+        text_of(&self.parts, false)
     }
 }
 
-fn text_of(parts: &[Part]) -> String {
+fn text_of(parts: &[Part], details: bool) -> String {
     let mut text = String::new();
     let mut after_text = false;
     for part in parts {
@@ -23,7 +29,8 @@ fn text_of(parts: &[Part]) -> String {
             Part::Text(words) => words.trim().to_owned(),
             Part::Table(table) => table.to_string(),
             Part::Figure(_) => continue,
-            Part::Details { summary, parts } => match text_of(parts) {
+            Part::Details { .. } if !details => continue,
+            Part::Details { summary, parts } => match text_of(parts, details) {
                 inner if inner.is_empty() => continue,
                 inner => format!("{summary}\n{inner}"),
             },
@@ -77,7 +84,11 @@ mod tests {
             details(vec![Part::Figure(Figure::default())]),
             details(vec![Part::Text("Three.".into())]),
         ];
-        let text = Section::new("T", parts).to_text();
+        let section = Section::new("T", parts);
+        assert!(
+            section.to_brief_text().ends_with("-") && !section.to_brief_text().contains("More")
+        );
+        let text = section.to_text();
         let lines: Vec<&str> = text.lines().map(str::trim_end).collect();
         assert_eq!(
             lines,

@@ -148,6 +148,11 @@ pub fn sentence(text: &str) -> String {
 }
 
 impl Part {
+    /// Parts that are shown on demand.
+    pub(super) fn details(summary: &str, parts: Vec<Self>) -> Self {
+        Self::Details { summary: summary.to_owned(), parts }
+    }
+
     /// Lines as paragraphs.
     pub(super) fn paragraphs(text: &str) -> impl Iterator<Item = Self> {
         let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());

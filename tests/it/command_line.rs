@@ -22,6 +22,7 @@ fn a_project_gives_tables_and_files() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("new/results");
     calibrate(&out)
+        .arg("--tables")
         .assert()
         .success()
         .stdout(predicate::str::contains("Converged"))
@@ -284,7 +285,7 @@ fn a_camera_of_pinholes_needs_no_blur_radii() {
         .success();
     let mut command = calibrate(&second);
     command.args(["--mode", "poses-only", "--camera"]).arg(first.join("camera.json"));
-    command.arg("--features").arg(&features);
+    command.arg("--features").arg(&features).arg("--tables");
     command.assert().success().stdout(predicate::str::contains("Rotation vector"));
     // The camera is fixed, so none is written.
     assert!(second.join("poses.json").exists() && !second.join("camera.json").exists());

@@ -19,7 +19,13 @@ use crate::support::plenocal;
 /// Runs a command on the project of a data set, with its results in another folder.
 fn on_project(command: &str, set: &Path, out: &Path) -> Assert {
     let mut program = plenocal();
-    program.arg(command).arg(set.join("project.toml")).arg("--out").arg(out).assert()
+    program
+        .arg(command)
+        .arg(set.join("project.toml"))
+        .arg("--tables")
+        .arg("--out")
+        .arg(out)
+        .assert()
 }
 
 /// The default data set in `set`, without evaluation and translation images. In `measured`, its

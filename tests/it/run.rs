@@ -41,7 +41,7 @@ static PREPARED: LazyLock<Prepared> = LazyLock::new(|| {
         .assert()
         .success();
     let run = Run { folder };
-    let assert = run.again(&["--folds", "3", "--corners-only"]).success();
+    let assert = run.again(&["--folds", "3", "--corners-only", "--tables"]).success();
     let text = |bytes: &[u8]| String::from_utf8(bytes.to_owned()).unwrap();
     let output = assert.get_output();
     let (stdout, stderr) = (text(&output.stdout), text(&output.stderr));
@@ -83,7 +83,7 @@ impl Run {
         program.arg(command).arg(self.path("set/project.toml"));
         program.arg("--precalibration").arg(self.path("results/precalibration"));
         program.arg("--camera").arg(self.path("results/calibration/camera.json"));
-        program.arg("--out").arg(self.path(command)).args(options).assert()
+        program.arg("--tables").arg("--out").arg(self.path(command)).args(options).assert()
     }
 
     /// Evaluates with the features of the calibration.
@@ -122,6 +122,31 @@ fn a_run_prints_the_tables_and_its_stages() {
         assert!(stdout.contains(words), "{words}: {stdout}");
     }
     assert!(stderr.contains("boards-calibration: "), "{stderr}");
+}
+
+/// What a user needs to know is on one screen.
+#[test]
+fn a_run_ends_within_a_screen() {
+    let run = Run::copy();
+    let output = run.again(&["--folds", "2", "--no-pictures"]).success().get_output().clone();
+    let stdout = String::from_utf8(output.stdout).unwrap();
+    assert!(stdout.lines().count() <= 26, "{stdout}");
+    for words in [
+        "Verdict: ",
+        "F ",
+        "f_3",
+        "e_z",
+        "Reprojection errors (RMS): (u, v) 0.0",
+        "held-out boards",
+        "± along",
+        "Known steps: ",
+        "Against the true camera: F ",
+        "Next: ",
+        "report.html",
+    ] {
+        assert!(stdout.contains(words), "{words}: {stdout}");
+    }
+    assert!(!stdout.contains('\u{1b}') && !stdout.contains("Cross-validation"), "{stdout}");
 }
 
 #[test]
@@ -252,7 +277,7 @@ fn folds_work_with_fixed_parameters_and_excluded_frames() {
     let options = "\n[calibration]\nfix = [\"f_1\"]\nexclude_frames = [5]\nexit_pupil = \"at-lens\"\n\
                    field_curvature = \"flat\"\n";
     run.edit("set/project.toml", |text| format!("{text}{options}"));
-    run.again(&[])
+    run.again(&["--tables"])
         .success()
         .stdout(contains("fold 5"))
         .stderr(contains("warning: frame 5 is left out"));
@@ -262,7 +287,7 @@ fn folds_work_with_fixed_parameters_and_excluded_frames() {
 fn the_truth_of_another_camera_gives_a_warning() {
     let run = Run::copy();
     run.edit("set/truth/camera.json", |text| text.replace("hexagonal-rows", "hexagonal-columns"));
-    run.again(&["--folds", "0"])
+    run.again(&["--folds", "0", "--tables"])
         .success()
         .stderr(contains("warning: blur aware, truth: the true camera has"))
         .stdout(contains("Table 3"));

@@ -1,0 +1,156 @@
+//! A calibration at a glance.
+
+use super::tree::{Cell, Column, Part, Table};
+use crate::assessment::{Assessment, Distance, Evaluation, ParameterError};
+use crate::calibration::Calibration;
+use crate::model::{Parameter, Rmse};
+use crate::quantity::{display_unit, fixed, fixed_signed};
+
+/// Parameters that are shown, in this order with the focal lengths of the lens types after the third.
+const SHOWN: [&str; 4] = ["F", "D", "d", "e_z"];
+const TILT: [&str; 2] = ["theta_x", "theta_y"];
+/// Number of distances at which σ in space is shown.
+const DISTANCES: usize = 3;
+
+/// The main parameters, the errors, σ in space, and what an evaluation has found.
+pub(super) fn summary_parts(
+    calibration: &Calibration,
+    assessment: &Assessment,
+    evaluation: Option<&Evaluation>,
+) -> Vec<Part> {
+    let first = evaluation.and_then(|evaluation| evaluation.candidates.first());
+    let of_calibration = rmse_text(&calibration.reprojection.rmse());
+    let frames = calibration.poses.len();
+    let mut parts: Vec<Part> = main_parameters(calibration).map(Part::Table).into_iter().collect();
+    parts.push(Part::Text(format!(
+        "Reprojection errors (RMS): {of_calibration} in {frames} frames."
+    )));
+    if let Some(posed) = first.and_then(|result| result.evaluation.as_ref()) {
+        let (held_out, frames) = (rmse_text(&posed.reprojection.rmse()), posed.poses.len());
+        parts.push(Part::Text(format!("Held-out boards: {held_out} in {frames} frames.")));
+    }
+    let space = assessment.object_space.as_ref();
+    parts.extend(space.map(|space| Part::Table(space_table(&space.distances))));
+    if let Some(displacements) = first.and_then(|result| result.translation.as_ref()) {
+        let relative = displacements.relative();
+        let std_dev =
+            relative.std_dev.map_or(String::new(), |s| format!(" ± {}", fixed(100.0 * s, 3)));
+        parts.push(Part::Text(format!(
+            "Known steps: the displacements are {}{std_dev} % off on average ({} steps).",
+            fixed(100.0 * relative.mean, 3),
+            displacements.steps.len()
+        )));
+    }
+    let truth = first.and_then(|result| result.truth.as_deref());
+    parts.extend(truth.and_then(truth_text).map(Part::Text));
+    parts
+}
+
+fn rmse_text(rmse: &Rmse) -> String {
+    let rho = rmse.rho_px.map_or(String::new(), |rho| format!(", ρ {} px", fixed(rho, 4)));
+    format!("(u, v) {} px{rho}; {} features", fixed(rmse.uv_px, 4), rmse.count)
+}
+
+/// The shown parameters with σ; `None` if all are fixed.
+fn main_parameters(calibration: &Calibration) -> Option<Table> {
+    if calibration.uncertainty.free_intrinsics.is_empty() {
+        return None;
+    }
+    let lens_types = calibration.camera.lens_types();
+    let std_devs = calibration.uncertainty.intrinsic_std_devs(lens_types);
+    let columns = [
+        Column::text("Parameter"),
+        Column::number("Value"),
+        Column::number("± σ"),
+        Column::text("Unit"),
+    ];
+    let mut table = Table::new("Main parameters", columns);
+    let parameters = Parameter::intrinsic(lens_types);
+    let values = calibration.camera.intrinsics().into_iter().zip(std_devs);
+    let mut rows: Vec<(usize, [Cell; 4])> = Vec::new();
+    for (parameter, (value, std_dev)) in parameters.iter().zip(values) {
+        let name = parameter.name();
+        // The focal lengths follow d.
+        let place = if name.starts_with("f_") { Some(3) } else { place_of(name) };
+        let Some(place) = place else { continue };
+        rows.push((place, row(name, parameter.unit(), value, std_dev)));
+    }
+    rows.sort_by_key(|(place, _)| *place);
+    for (_, row) in rows.into_iter().chain(tilt(calibration).map(|row| (0, row))) {
+        table.push(row);
+    }
+    Some(table)
+}
+
+fn place_of(name: &str) -> Option<usize> {
+    SHOWN.iter().position(|shown| *shown == name).map(|i| if i < 3 { i } else { i + 1 })
+}
+
+fn row(name: &str, unit: &'static str, value: f64, std_dev: Option<f64>) -> [Cell; 4] {
+    let (unit, factor) = display_unit(name, unit);
+    let scaled = std_dev.map(|s| s * factor);
+    let deviation = match std_dev {
+        None => "fixed".into(),
+        Some(s) if s.is_infinite() => "undetermined".into(),
+        Some(_) => Cell::std_dev(scaled),
+    };
+    [name.into(), Cell::value(value * factor, scaled), deviation, unit.into()]
+}
+
+/// The angle between array and sensor, √(θx² + θy²); `None` if it is held.
+fn tilt(calibration: &Calibration) -> Option<[Cell; 4]> {
+    let uncertainty = &calibration.uncertainty;
+    let parameters = Parameter::shared(calibration.camera.lens_types());
+    let free = &uncertainty.free_intrinsics;
+    let row_of = |name: &str| free.iter().position(|&i| parameters[i].name() == name);
+    let (x, y) = (row_of(TILT[0])?, row_of(TILT[1])?);
+    let angles = calibration.camera.mla.rotation_rad.xy();
+    let angle = angles.norm();
+    let by = angles / angle;
+    let covariance = |a: usize, b: usize| uncertainty.covariance[(a, b)];
+    let variance = by.x * by.x * covariance(x, x)
+        + 2.0 * by.x * by.y * covariance(x, y)
+        + by.y * by.y * covariance(y, y);
+    let mut row = row("theta", "rad", angle, Some(variance.max(0.0).sqrt()));
+    row[0] = "tilt".into();
+    Some(row)
+}
+
+/// σ of points at the nearest, a middle and the furthest distance of the boards.
+fn space_table(distances: &[Distance]) -> Table {
+    let within: Vec<&Distance> = distances.iter().filter(|d| d.within_boards).collect();
+    let mut table = Table::new(
+        "σ of a point in space, median over the image: by the calibration, and by the noise of one corner",
+        [
+            Column::of("Distance", "mm"),
+            Column::of("± across", "mm"),
+            Column::of("± along", "mm"),
+            Column::of("Noise across", "mm"),
+            Column::of("along", "mm"),
+        ],
+    );
+    let count = within.len().min(DISTANCES);
+    for i in 0..count {
+        let distance = within[i * (within.len() - 1) / (count - 1).max(1)];
+        let [[across, along], _] = distance.summary_mm();
+        let [noise_across, noise_along] = distance.noise_mm();
+        let numbers = [across, along, noise_across, noise_along];
+        let distance = Cell::fixed(distance.distance_mm, 1);
+        table.push([distance].into_iter().chain(numbers.map(Cell::two_digits)));
+    }
+    table
+}
+
+/// How far the parameters are from the true ones.
+pub(super) fn truth_text(errors: &[ParameterError]) -> Option<String> {
+    let of = |error: &&ParameterError| error.standardised().map(f64::abs);
+    let known = errors.iter().filter(|error| of(error).is_some());
+    let worst = known.max_by(|a, b| of(a).unwrap_or(0.0).total_cmp(&of(b).unwrap_or(0.0)))?;
+    let focal = errors.iter().find(|error| error.name == "F")?;
+    Some(format!(
+        "Against the true camera: F {} % off; the largest error is {} σ, of {}.",
+        fixed_signed(100.0 * focal.error() / focal.truth, 3),
+        fixed_signed(worst.standardised()?, 1),
+        worst.name
+    ))
+}
