@@ -15,7 +15,7 @@ use crate::finding::{self, Finding, Issue, Severity};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
-    /// Nothing speaks against it.
+    /// No finding speaks against it.
     Good,
     /// It may be right; the findings say what to look at.
     UsableWithCare,

@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Instant;
+use std::time::{Instant, SystemTime};
 
 use clap::Args;
 use plenocal::assessment::{
@@ -143,6 +143,8 @@ struct Run<'a> {
     output: OutputFolder,
     /// Sections of the report by stage, in the order of the stages.
     sections: Vec<(&'static str, Section)>,
+    /// The figures beside the result.
+    figures: Vec<Figure>,
     /// Findings that bear on the camera: about images, the boards of the calibration, and the evaluation.
     findings: Vec<Finding>,
 }
@@ -177,6 +179,7 @@ impl<'a> Run<'a> {
             manifest: Manifest::of(&arguments.project, command_line(), files),
             output: OutputFolder::new(&arguments.out)?,
             sections: Vec::new(),
+            figures: Vec::new(),
             findings: Vec::new(),
         })
     }
@@ -352,6 +355,10 @@ impl<'a> Run<'a> {
         output.stage_json("calibration.json", &document)?;
         let figures = report::calibration_figures(&result, &assessment, board)?;
         stage_figures(output, &figures)?;
+        let (of_result, figures) = figures
+            .into_iter()
+            .partition(|figure| report::OF_RESULT.contains(&figure.name.as_str()));
+        self.figures = of_result;
         let mut section = report::calibration_section("Calibration", &result, &assessment, figures);
         section.parts.extend(models);
         self.sections.push((CALIBRATION, section));
@@ -475,17 +482,22 @@ impl<'a> Run<'a> {
         self.findings.extend(changed);
         plenocal::finding::sort(&mut self.findings);
         let (document_of_evaluation, evaluation) = evaluation.unzip();
-        let verdict =
-            report::result_section(calibration, assessment, &self.findings, evaluation.as_ref());
+        let section = report::result_section(
+            calibration,
+            assessment,
+            &self.findings,
+            evaluation.as_ref(),
+            &self.figures,
+        );
         let of_findings = Verdict::of(&self.findings);
         let document = json!({
             "verdict": of_findings.to_string(),
             "reasons": self.findings.iter().filter(|f| f.severity > Severity::Note).collect::<Vec<_>>(),
             "notes": self.findings.iter().filter(|f| f.severity == Severity::Note).collect::<Vec<_>>(),
         });
-        let text = self.printed(&verdict);
+        let text = self.printed(&section);
         let time_s = self.begun.elapsed().as_secs_f64();
-        let report = self.report(verdict, time_s);
+        let report = self.report(section, time_s);
         self.output.stage(REPORT, |out| out.write_all(report.to_html().as_bytes()))?;
         self.output.stage_json(VERDICT, &document)?;
         // In place of the one whose verdict knows of the calibration alone.
@@ -525,8 +537,8 @@ impl<'a> Run<'a> {
         std::iter::once(shown(result)).chain(tables).collect::<Vec<_>>().join("\n\n")
     }
 
-    /// The report: the verdict, the results, then what they came from.
-    fn report(&self, verdict: Section, time_s: f64) -> Report {
+    /// The report: the result, then what it came from.
+    fn report(&self, result: Section, time_s: f64) -> Report {
         let is_result = |stage: &str| [CALIBRATION, EVALUATION].contains(&stage);
         let (results, rest): (Vec<_>, Vec<_>) =
             self.sections.iter().cloned().partition(|(stage, _)| is_result(stage));
@@ -539,9 +551,13 @@ impl<'a> Run<'a> {
             camera.to_string_lossy().into_owned()
         };
         Report {
-            title: "Calibration of a plenoptic camera".to_owned(),
-            subtitle: format!("{camera} · plenocal {}", self.manifest.plenocal),
-            sections: [verdict, self.overview(time_s)].into_iter().chain(stages).collect(),
+            title: format!("Calibration of {camera}"),
+            subtitle: format!(
+                "{} · plenocal {}",
+                httpdate::fmt_http_date(SystemTime::now()),
+                self.manifest.plenocal
+            ),
+            sections: [result].into_iter().chain(stages).chain([self.overview(time_s)]).collect(),
         }
     }
 

@@ -1,7 +1,8 @@
 //! The verdict on a calibration, outlying features, and the σ of points.
 
+use super::figures::OF_RESULT;
 use super::summary::summary_parts;
-use super::tree::{Cell, Column, Part, Section, Table, sentence};
+use super::tree::{Cell, Column, Figure, Part, Section, Table, sentence};
 use crate::assessment::{Assessment, Evaluation, NextBoard, ObjectSpace, Verdict};
 use crate::calibration::{Calibration, OutlyingFeature};
 use crate::finding::{Finding, Severity};
@@ -10,17 +11,24 @@ use crate::quantity::two_digits;
 /// Outlying features that are named one by one.
 const NAMED: usize = 5;
 
-/// The verdict with its reasons, and what to do next: a line each.
-pub(super) fn verdict_lines(findings: &[Finding], next: Option<&NextBoard>) -> Vec<String> {
-    let mut lines = vec![match Verdict::of(findings) {
-        Verdict::Good => "Verdict: good. Nothing speaks against this calibration.".to_owned(),
+/// The verdict with its reasons, of many the first ones: a line each.
+pub(super) fn verdict_parts(findings: &[Finding], most: usize) -> Vec<Part> {
+    let verdict = Verdict::of(findings);
+    let text = match verdict {
+        Verdict::Good => "Verdict: good. No finding speaks against this result.".to_owned(),
         verdict => format!("Verdict: {verdict}, because"),
-    }];
-    let reasons = findings.iter().filter(|f| f.severity > Severity::Note).enumerate();
-    lines
-        .extend(reasons.map(|(i, reason)| format!("{}. {}", i + 1, sentence(&reason.to_string()))));
-    lines.extend(next.map(next_text));
-    lines
+    };
+    let reasons: Vec<&Finding> = findings.iter().filter(|f| f.severity > Severity::Note).collect();
+    let line = |(i, reason): (usize, &&Finding)| {
+        Part::Text(format!("{}. {}", i + 1, sentence(&reason.to_string())))
+    };
+    let mut parts = vec![Part::Verdict { verdict, text }];
+    parts.extend(reasons.iter().enumerate().take(most).map(line));
+    if reasons.len() > most {
+        let more = reasons.len() - most;
+        parts.push(Part::Text(format!("and {more} more, in the report.")));
+    }
+    parts
 }
 
 pub(super) fn next_text(next: &NextBoard) -> String {
@@ -85,29 +93,20 @@ pub(super) fn object_space_table(space: &ObjectSpace) -> Table {
     table
 }
 
-/// The verdict that findings lead to, as a section of its own.
-#[must_use]
-pub fn verdict_section(findings: &[Finding], next: Option<&NextBoard>) -> Section {
-    Section::new("Verdict", verdict_lines(findings, next).into_iter().map(Part::Text).collect())
-}
-
 /// The result of a calibration on one screen: the verdict on these findings, the main parameters, errors, σ in space, what an
-/// evaluation has found, and what to do next.
+/// evaluation has found, and what to do next; with the figures of [`OF_RESULT`](super::OF_RESULT).
 #[must_use]
 pub fn result_section(
     calibration: &Calibration,
     assessment: &Assessment,
     findings: &[Finding],
     evaluation: Option<&Evaluation>,
+    figures: &[Figure],
 ) -> Section {
-    let mut verdict = verdict_lines(findings, None);
-    let more = verdict.len().saturating_sub(1 + MOST_REASONS);
-    if more > 0 {
-        verdict.truncate(1 + MOST_REASONS);
-        verdict.push(format!("and {more} more, in the report and with --tables."));
-    }
-    let mut parts: Vec<Part> = verdict.into_iter().map(Part::Text).collect();
-    parts.extend(summary_parts(calibration, assessment, evaluation));
+    let of_name = |name: &str| figures.iter().find(|figure| figure.name == name).cloned();
+    let beside = OF_RESULT.map(of_name);
+    let mut parts = verdict_parts(findings, MOST_REASONS);
+    parts.extend(summary_parts(calibration, assessment, evaluation, beside));
     parts.extend(assessment.next_board.as_ref().map(next_text).map(Part::Text));
     Section::new("Result", parts)
 }

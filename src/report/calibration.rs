@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::assessment::{next_text, object_space_table, outliers_text, verdict_lines};
+use super::assessment::{next_text, object_space_table, outliers_text, verdict_parts};
 use super::summary::summary_parts;
 use super::tree::{Cell, Column, Figure, Part, Section, Table, sentence};
 use crate::assessment::Assessment;
@@ -22,12 +22,9 @@ pub fn calibration_section(
     figures: Vec<Figure>,
 ) -> Section {
     let is_fixed = calibration.uncertainty.free_intrinsics.is_empty();
-    let mut parts: Vec<Part> = verdict_lines(&assessment.findings, None)
-        .into_iter()
-        .chain(outliers_text(assessment))
-        .map(Part::Text)
-        .collect();
-    parts.extend(summary_parts(calibration, assessment, None));
+    let mut parts = verdict_parts(&assessment.findings, usize::MAX);
+    parts.extend(outliers_text(assessment).into_iter().map(Part::Text));
+    parts.extend(summary_parts(calibration, assessment, None, [None, None]));
     parts.extend(assessment.next_board.as_ref().map(next_text).map(Part::Text));
     parts.extend(figures.into_iter().map(Part::Figure));
     let main_table =

@@ -81,6 +81,10 @@ impl Writer {
     fn parts(&mut self, parts: &[Part]) {
         for part in parts {
             match part {
+                Part::Verdict { verdict, text } => {
+                    let class = verdict.to_string().replace(' ', "-");
+                    self.line(&format!("<p class=\"verdict {class}\">{}</p>", escaped(text)));
+                }
                 Part::Text(text) => {
                     for paragraph in text.split("\n\n").filter(|p| !p.trim().is_empty()) {
                         self.line(&format!("<p>{}</p>", escaped(paragraph.trim())));

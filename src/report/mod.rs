@@ -15,14 +15,14 @@ mod summary;
 mod text;
 mod tree;
 
-pub use assessment::{result_section, verdict_section};
+pub use assessment::result_section;
 pub use calibration::calibration_section;
 pub use comparison::comparison_section;
 pub use cost::cost_section;
 pub use detection::detection_section;
 pub use evaluation::{cameras_table, evaluation_section, truth_table};
 pub use figures::{
-    array_residuals_figure, calibration_figures, comparison_figures, features_figure,
+    OF_RESULT, array_residuals_figure, calibration_figures, comparison_figures, features_figure,
     micro_images_figure, model_figures, precalibration_figures, radii_figure,
 };
 pub use models::{MODELS, models_parts};

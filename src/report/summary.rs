@@ -1,6 +1,6 @@
 //! A calibration at a glance.
 
-use super::tree::{Cell, Column, Part, Table};
+use super::tree::{Cell, Column, Figure, Part, Table};
 use crate::assessment::{Assessment, Distance, Evaluation, ParameterError};
 use crate::calibration::Calibration;
 use crate::model::{Parameter, Rmse};
@@ -12,16 +12,19 @@ const TILT: [&str; 2] = ["theta_x", "theta_y"];
 /// Number of distances at which σ in space is shown.
 const DISTANCES: usize = 3;
 
-/// The main parameters, the errors, σ in space, and what an evaluation has found.
+/// The main parameters, the errors, σ in space, and what an evaluation has found; with the figures of the scene and of σ in space
+/// beside what they show.
 pub(super) fn summary_parts(
     calibration: &Calibration,
     assessment: &Assessment,
     evaluation: Option<&Evaluation>,
+    [scene, of_space]: [Option<Figure>; 2],
 ) -> Vec<Part> {
     let first = evaluation.and_then(|evaluation| evaluation.candidates.first());
     let of_calibration = rmse_text(&calibration.reprojection.rmse());
     let frames = calibration.poses.len();
     let mut parts: Vec<Part> = main_parameters(calibration).map(Part::Table).into_iter().collect();
+    parts.extend(scene.map(Part::Figure));
     parts.push(Part::Text(format!(
         "Reprojection errors (RMS): {of_calibration} in {frames} frames."
     )));
@@ -31,6 +34,7 @@ pub(super) fn summary_parts(
     }
     let space = assessment.object_space.as_ref();
     parts.extend(space.map(|space| Part::Table(space_table(&space.distances))));
+    parts.extend(of_space.map(Part::Figure));
     if let Some(displacements) = first.and_then(|result| result.translation.as_ref()) {
         let relative = displacements.relative();
         let std_dev =

@@ -26,7 +26,7 @@ fn text_of(parts: &[Part], details: bool) -> String {
     let mut after_text = false;
     for part in parts {
         let words = match part {
-            Part::Text(words) => words.trim().to_owned(),
+            Part::Verdict { text, .. } | Part::Text(text) => text.trim().to_owned(),
             Part::Table(table) => table.to_string(),
             Part::Figure(_) => continue,
             Part::Details { .. } if !details => continue,
@@ -36,7 +36,7 @@ fn text_of(parts: &[Part], details: bool) -> String {
             },
         };
         // Sentences follow each other; tables stand apart.
-        let is_text = matches!(part, Part::Text(_));
+        let is_text = matches!(part, Part::Verdict { .. } | Part::Text(_));
         if !text.is_empty() {
             text.push_str(if is_text && after_text { "\n" } else { "\n\n" });
         }

@@ -4,8 +4,9 @@
 
 use std::fmt::Write as _;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
+use crate::assessment::Verdict;
 use crate::quantity::{fixed, fixed_signed, signed, significant, two_digits, with_std_dev};
 
 /// A report.
@@ -20,21 +21,27 @@ pub struct Report {
 }
 
 /// A part of the report that is listed in its table of contents.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Section {
     /// Its heading.
     pub title: String,
     /// In order.
     pub parts: Vec<Part>,
     /// Warnings of its stage: first in the section of a page; a terminal has them apart from results.
-    #[serde(default)]
     pub warnings: Vec<String>,
 }
 
 /// A part of a section.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
+    /// The verdict in a line, which a page shows as a badge.
+    Verdict {
+        /// The verdict that decides on its colour.
+        verdict: Verdict,
+        /// The line.
+        text: String,
+    },
     /// Plain text; empty lines divide paragraphs, line breaks stay.
     Text(String),
     /// A table.
@@ -51,7 +58,7 @@ pub enum Part {
 }
 
 /// A table.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Table {
     /// What it shows.
     pub caption: String,
@@ -62,7 +69,7 @@ pub struct Table {
 }
 
 /// A column of a table.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Column {
     /// Name of its quantity.
     pub name: String,
@@ -73,7 +80,7 @@ pub struct Column {
 }
 
 /// A cell of a table.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Cell {
     /// A number.
@@ -90,7 +97,7 @@ pub enum Cell {
 }
 
 /// A picture with its file name and caption.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct Figure {
     /// File name, such as `correlations.svg`.
     pub name: String,
@@ -120,7 +127,7 @@ impl Section {
     pub fn tables(&self) -> impl Iterator<Item = &Table> {
         self.parts.iter().filter_map(|part| match part {
             Part::Table(table) => Some(table),
-            Part::Text(_) | Part::Figure(_) | Part::Details { .. } => None,
+            Part::Verdict { .. } | Part::Text(_) | Part::Figure(_) | Part::Details { .. } => None,
         })
     }
 
@@ -131,7 +138,7 @@ impl Section {
                 match part {
                     Part::Figure(figure) => figures.push(figure),
                     Part::Details { parts, .. } => collect(parts, figures),
-                    Part::Text(_) | Part::Table(_) => {}
+                    Part::Verdict { .. } | Part::Text(_) | Part::Table(_) => {}
                 }
             }
         }

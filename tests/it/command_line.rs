@@ -182,7 +182,7 @@ fn whoever_reads_a_doubtful_camera_says_so() {
         .stderr(predicate::str::contains(
             "camera.json: the calibration of this camera has not converged",
         ))
-        .stderr(predicate::str::contains("has not determined D:"))
+        .stderr(predicate::str::contains("has not determined D ["))
         .stdout(predicate::str::contains("Verdict: do not use"));
 }
 

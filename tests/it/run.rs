@@ -137,7 +137,7 @@ fn a_run_ends_within_a_screen() {
         "f_3",
         "e_z",
         "Reprojection errors (RMS): (u, v) 0.0",
-        "held-out boards",
+        "Held-out boards: ",
         "± along",
         "Known steps: ",
         "Against the true camera: F ",
