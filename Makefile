@@ -13,7 +13,7 @@ MAKEFLAGS += --no-print-directory
 export PLENOCAL_EXAMPLES = $(CURDIR)/$(BUILD)/examples
 
 .PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-misuse test-faults test-large fuzz \
-        test-cpp test-rust lint bench sanitizers doc doc-cpp data figures format clean
+        test-cpp test-rust lint bench sanitizers doc doc-cpp site data figures format clean
 
 help:
 	@echo "make demo       simulate a camera, calibrate it from its images, write a report"
@@ -30,6 +30,7 @@ help:
 	@echo "make sanitizers the C++ tests with address, undefined-behaviour and thread sanitizers, and shared"
 	@echo "make doc        API documentation in target/doc"
 	@echo "make doc-cpp    that of the C++ library in build/doc-cpp"
+	@echo "make site       the documentation as pages in build/site; fails on dead links"
 	@echo "make data       regenerate data/synthetic"
 	@echo "make figures    regenerate docs/figures"
 	@echo "make format     format all sources"
@@ -131,6 +132,18 @@ doc-cpp: deps
 
 doc: deps
 	cargo doc --release --no-deps --open
+
+# Dead links, dead anchors and pages outside the navigation are errors. Neither this nor the pages load anything from
+# the network.
+site: PACKAGES = python3-myst-parser furo
+site: deps
+	rm -rf build/site build/doctrees
+	sphinx-build -q -W --keep-going -c docs/site -d build/doctrees . build/site
+	cp build/site/README.html build/site/index.html
+	mkdir build/site/api
+	if [ -d target/doc/plenocal ]; then cp -r target/doc build/site/api/rust; fi
+	if [ -d build/doc-cpp/html ]; then cp -r build/doc-cpp/html build/site/api/cpp; fi
+	@echo "build/site/index.html"
 
 data: deps
 	cargo run --release --example synthetic_dataset -- data/synthetic
