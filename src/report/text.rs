@@ -85,9 +85,7 @@ mod tests {
             details(vec![Part::Text("Three.".into())]),
         ];
         let section = Section::new("T", parts);
-        assert!(
-            section.to_brief_text().ends_with("-") && !section.to_brief_text().contains("More")
-        );
+        assert!(section.to_brief_text().trim_end().ends_with('-'), "without details");
         let text = section.to_text();
         let lines: Vec<&str> = text.lines().map(str::trim_end).collect();
         assert_eq!(
